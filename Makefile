@@ -1,0 +1,40 @@
+PYTHON ?= python3.11
+VENV   := .venv
+BIN    := $(VENV)/bin
+PIP    := $(BIN)/python -m pip --disable-pip-version-check
+
+.DEFAULT_GOAL := help
+.PHONY: help run test check install dev clean
+
+help:  ## list the commands
+	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+$(BIN)/python:
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.base: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) install --quiet -c constraints.txt -e .
+	touch $@
+
+$(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) install --quiet -c constraints.txt -e '.[dev,postgres]'
+	touch $@ $(VENV)/.base
+
+install: $(VENV)/.base  ## set up .venv with what `brink run` needs
+
+dev: $(VENV)/.dev  ## set up .venv with the test tools too
+
+run: $(VENV)/.base  ## find a hazard boundary: the quickstart campaign, coordinator and two workers
+	$(BIN)/brink run examples/quickstart.yaml --workers 2
+
+check: $(VENV)/.dev  ## linter, strict types, import layers
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+test: check  ## check, then every test, on SQLite and on a real Postgres
+	$(BIN)/python -m pytest
+
+clean:  ## remove .venv and caches
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

@@ -1,0 +1,1 @@
+"""Search on numpy and scipy alone: spaces, distance, archives, algorithms, metrics."""

@@ -1,0 +1,1 @@
+"""The coordinator: FastAPI app, database, queue, campaigns, command line."""

@@ -1,0 +1,144 @@
+"""What decides an episode, and what comes out of it.
+
+Both are plain values that travel as JSON. An `EpisodeSpec` holds everything that decides the episode, so its
+hash identifies the simulation: two equal hashes are one simulation.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Self, TypeAlias
+
+from sim.errors import InvalidEpisode
+
+Json: TypeAlias = "None | bool | int | float | str | list[Json] | dict[str, Json]"
+JsonObject: TypeAlias = "dict[str, Json]"
+
+MAX_SEED = 2**53 - 1
+"""Largest episode seed: every integer up to it survives JSON readers that keep numbers as doubles."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeSpec:
+    """Everything that decides an episode.
+
+    Attributes:
+        simulator: Versioned plug-in id, such as ``brink-drive@1``.
+        scenario: What the world is, in the simulator's own terms.
+        behaviour: What the machine-learned component does, in the simulator's own terms.
+        requirements: Ids of the requirements to evaluate, in order.
+        seed: Seeds every random draw of the episode, in [0, 2**53).
+        duration_s: Simulated time, > 0.
+        options: Further settings of the simulator (fidelity, mode, ...).
+    """
+
+    simulator: str
+    scenario: Mapping[str, Json]
+    behaviour: Mapping[str, Json]
+    requirements: tuple[str, ...]
+    seed: int
+    duration_s: float
+    options: Mapping[str, Json] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.seed <= MAX_SEED:
+            raise InvalidEpisode(f"seed: expected an integer in [0, 2**53), got {self.seed!r}")
+        if not (math.isfinite(self.duration_s) and self.duration_s > 0):
+            raise InvalidEpisode(f"duration_s: expected a positive number of seconds, got {self.duration_s!r}")
+
+    def to_json(self) -> JsonObject:
+        """Return the specification as a JSON object."""
+        return {
+            "simulator": self.simulator,
+            "scenario": dict(self.scenario),
+            "behaviour": dict(self.behaviour),
+            "requirements": list(self.requirements),
+            "seed": self.seed,
+            "duration_s": self.duration_s,
+            "options": dict(self.options),
+        }
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Json]) -> Self:
+        """Read a specification from a JSON object.
+
+        Raises:
+            InvalidEpisode: A field is missing, unknown or of the wrong type.
+        """
+        expected: dict[str, tuple[type, ...]] = {
+            "simulator": (str,),
+            "scenario": (dict,),
+            "behaviour": (dict,),
+            "requirements": (list,),
+            "seed": (int,),
+            "duration_s": (int, float),
+            "options": (dict,),
+        }
+        unknown = sorted(set(document) - set(expected))
+        if unknown:
+            raise InvalidEpisode(f"unknown field {unknown[0]!r}; an episode has {', '.join(expected)}")
+        for name, types in expected.items():
+            if name not in document:
+                if name == "options":
+                    continue
+                raise InvalidEpisode(f"{name}: missing")
+            if not isinstance(document[name], types) or isinstance(document[name], bool):
+                names = " or ".join(t.__name__ for t in types)
+                raise InvalidEpisode(f"{name}: expected {names}, got {document[name]!r}")
+        values = dict(document)
+        requirements = values["requirements"]
+        assert isinstance(requirements, list)  # noqa: S101  (narrowed above)
+        if not all(isinstance(item, str) for item in requirements):
+            raise InvalidEpisode(f"requirements: expected a list of ids, got {requirements!r}")
+        values["requirements"] = tuple(requirements)  # type: ignore[assignment]
+        values["duration_s"] = float(values["duration_s"])  # type: ignore[arg-type]
+        return cls(**values)  # type: ignore[arg-type]
+
+    def canonical_json(self) -> str:
+        """Return the one JSON text of this specification: sorted keys, shortest floats, no spaces."""
+        return json.dumps(self.to_json(), sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+    def digest(self) -> str:
+        """Return the SHA-256 of the canonical JSON, as 64 hexadecimal digits."""
+        return hashlib.sha256(self.canonical_json().encode()).hexdigest()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """What a requirement says of an episode.
+
+    Attributes:
+        robustness: Distance to violation in `unit`; negative if violated, zero is satisfied.
+        unit: ``m``, ``s``, ``m/s``, ...
+        violated_at_s: Simulated time of the first violation, or None.
+    """
+
+    robustness: float
+    unit: str
+    violated_at_s: float | None
+
+    @property
+    def violated(self) -> bool:
+        """Whether the requirement is violated."""
+        return self.robustness < 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeResult:
+    """What came out of an episode.
+
+    Attributes:
+        verdicts: One for each requirement of the specification, by id.
+        objectives: Measures to search on, all minimised, by name.
+        features: Further facts of the episode, by name.
+        provenance: Versions, instruction-set fingerprint, CPU time, simulated time.
+        trace: The compact trace (`sim.trace.Trace.to_bytes`), only when it was asked for.
+    """
+
+    verdicts: Mapping[str, Verdict]
+    objectives: Mapping[str, float]
+    features: Mapping[str, Json]
+    provenance: Mapping[str, Json]
+    trace: bytes | None = None

@@ -1,0 +1,219 @@
+"""What happened in an episode, compactly: enough to draw it, plot it and judge it again.
+
+Sampled at the perception rate. Positions in metres, angles in radians, image boxes in pixels of the 800 x 600
+image. `to_bytes` is a compressed npz archive without pickles, lossless but for float32 rounding.
+"""
+
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.episode import Json
+from sim.errors import InvalidEpisode
+
+FloatArray: TypeAlias = NDArray[np.float32]
+IntArray: TypeAlias = NDArray[np.int32]
+
+TRACE_VERSION = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ActorTrack:
+    """One road user besides the ego.
+
+    Attributes:
+        name: Unique in the trace, such as ``lead`` or ``pedestrian-3``.
+        kind: ``vehicle`` or ``pedestrian``.
+        length_m: Extent along its heading.
+        width_m: Extent across its heading.
+        motion: x_m, y_m, yaw_rad, speed_mps at each sample, shape ``(n, 4)``; NaN where it is not there.
+    """
+
+    name: str
+    kind: str
+    length_m: float
+    width_m: float
+    motion: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ragged:
+    """Rows that belong to samples, any number a sample.
+
+    Attributes:
+        columns: What each column means.
+        first: Row at which each sample's rows begin, shape ``(n + 1,)``.
+        rows: All rows, shape ``(k, len(columns))``.
+    """
+
+    columns: tuple[str, ...]
+    first: IntArray
+    rows: FloatArray
+
+    def at(self, sample: int) -> FloatArray:
+        """Return the rows of one sample, shape ``(any, len(columns))``."""
+        return self.rows[self.first[sample] : self.first[sample + 1]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """Something worth a word at a time: a collision, a light that was run, an overtaking that began."""
+
+    time_s: float
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surface:
+    """A flat polygon or line of the scene, drawn in the given order.
+
+    Attributes:
+        kind: ``road``, ``pavement``, ``marking``, ``crossing``, ``stop-line``, ``building``, ``parked-car``,
+            ``tree``.
+        points: Corners in world coordinates, shape ``(k, 2)``.
+        closed: Whether it is an area; otherwise a line of `width_m`.
+        width_m: Width of a line, 0 for an area.
+    """
+
+    kind: str
+    points: FloatArray
+    closed: bool
+    width_m: float
+
+
+BOX_COLUMNS = ("label", "x_min_px", "x_max_px", "y_min_px", "y_max_px")
+"""Columns of image boxes; label is 0 for a vehicle, 1 for a person."""
+
+PERCEIVED_COLUMNS = ("track", "label", "x_m", "y_m", "vx_mps", "vy_mps", "length_m", "width_m")
+"""Columns of perceived obstacles, as `sim.driving.interface.PerceivedObstacle`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trace:
+    """One episode, sampled.
+
+    Attributes:
+        time_s: Sample times, shape ``(n,)``.
+        ego: x_m, y_m, yaw_rad, speed_mps, accel_mps2 of the ego, shape ``(n, 5)``.
+        ego_size_m: Length and width of the ego.
+        route: The ego's lane centre line, x_m and y_m, shape ``(k, 2)``.
+        actors: Everybody else.
+        seen_boxes: Ground truth in the image: the component's inputs.
+        given_boxes: What the obstacle detector was made to say: the component's outputs.
+        perceived: Confirmed tracks.
+        plan_mode: Name of the plan mode at each sample.
+        target_speed_mps: Shape ``(n,)``.
+        target_offset_m: Shape ``(n,)``.
+        lights: State of the ego's traffic light at each sample: ``""`` if there is none.
+        robustness: Robustness over time of each requirement, each shape ``(n,)``, +inf where it does not apply.
+        events: In order of time.
+        scene: What does not move, to be drawn in this order.
+        about: Scenario, behaviour and versions, for captions.
+    """
+
+    time_s: FloatArray
+    ego: FloatArray
+    ego_size_m: tuple[float, float]
+    route: FloatArray
+    actors: tuple[ActorTrack, ...]
+    seen_boxes: Ragged
+    given_boxes: Ragged
+    perceived: Ragged
+    plan_mode: tuple[str, ...]
+    target_speed_mps: FloatArray
+    target_offset_m: FloatArray
+    lights: tuple[str, ...]
+    robustness: Mapping[str, FloatArray]
+    events: tuple[Event, ...]
+    scene: tuple[Surface, ...]
+    about: Mapping[str, Json]
+
+    def to_bytes(self) -> bytes:
+        """Return the trace as a compressed npz archive."""
+        arrays: dict[str, NDArray[Any]] = {
+            "time_s": self.time_s,
+            "ego": self.ego,
+            "route": self.route,
+            "target_speed_mps": self.target_speed_mps,
+            "target_offset_m": self.target_offset_m,
+        }
+        for name in ("seen_boxes", "given_boxes", "perceived"):
+            ragged: Ragged = getattr(self, name)
+            arrays[f"{name}.first"] = ragged.first
+            arrays[f"{name}.rows"] = ragged.rows
+        for index, actor in enumerate(self.actors):
+            arrays[f"actor.{index}"] = actor.motion
+        for index, surface in enumerate(self.scene):
+            arrays[f"scene.{index}"] = surface.points
+        for index, series in enumerate(self.robustness.values()):
+            arrays[f"robustness.{index}"] = series
+        header = {
+            "version": TRACE_VERSION,
+            "ego_size_m": list(self.ego_size_m),
+            "actors": [[a.name, a.kind, a.length_m, a.width_m] for a in self.actors],
+            "scene": [[s.kind, s.closed, s.width_m] for s in self.scene],
+            "robustness": list(self.robustness),
+            "columns": {n: list(getattr(self, n).columns) for n in ("seen_boxes", "given_boxes", "perceived")},
+            "plan_mode": list(self.plan_mode),
+            "lights": list(self.lights),
+            "events": [[e.time_s, e.kind, e.text] for e in self.events],
+            "about": dict(self.about),
+        }
+        arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, allow_pickle=False, **arrays)
+        return buffer.getvalue()
+
+    @classmethod
+    def from_bytes(cls, document: bytes) -> Self:
+        """Read what `to_bytes` wrote.
+
+        Raises:
+            InvalidEpisode: The document is no trace, or of a version that this code does not know.
+        """
+        try:
+            with np.load(io.BytesIO(document), allow_pickle=False) as npz:
+                arrays = {name: npz[name] for name in npz.files}
+            header = json.loads(arrays["header"].tobytes())
+        except (ValueError, KeyError, OSError) as error:
+            raise InvalidEpisode(f"not a trace: {error}") from error
+        if header["version"] != TRACE_VERSION:
+            raise InvalidEpisode(f"trace version {header['version']}: this code reads version {TRACE_VERSION}")
+
+        def ragged(name: str) -> Ragged:
+            return Ragged(
+                columns=tuple(header["columns"][name]),
+                first=arrays[f"{name}.first"],
+                rows=arrays[f"{name}.rows"],
+            )
+
+        return cls(
+            time_s=arrays["time_s"],
+            ego=arrays["ego"],
+            ego_size_m=(header["ego_size_m"][0], header["ego_size_m"][1]),
+            route=arrays["route"],
+            actors=tuple(
+                ActorTrack(name=n, kind=k, length_m=length, width_m=w, motion=arrays[f"actor.{i}"])
+                for i, (n, k, length, w) in enumerate(header["actors"])
+            ),
+            seen_boxes=ragged("seen_boxes"),
+            given_boxes=ragged("given_boxes"),
+            perceived=ragged("perceived"),
+            plan_mode=tuple(header["plan_mode"]),
+            target_speed_mps=arrays["target_speed_mps"],
+            target_offset_m=arrays["target_offset_m"],
+            lights=tuple(header["lights"]),
+            robustness={name: arrays[f"robustness.{i}"] for i, name in enumerate(header["robustness"])},
+            events=tuple(Event(time_s=t, kind=k, text=x) for t, k, x in header["events"]),
+            scene=tuple(
+                Surface(kind=k, points=arrays[f"scene.{i}"], closed=c, width_m=w)
+                for i, (k, c, w) in enumerate(header["scene"])
+            ),
+            about=header["about"],
+        )

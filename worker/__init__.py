@@ -1,0 +1,1 @@
+"""Stateless workers: wire messages, HTTP client, the loop that leases, simulates, reports."""
