@@ -1,0 +1,196 @@
+"""Owns the behaviour of the obstacle detector: injected trajectories of image boxes, or the ground truth.
+
+Imports nothing heavy, so that whoever builds a search space can read the parameters from here.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Self
+
+from sim.driving.interface import Box, ObstacleLabel
+from sim.episode import Json, JsonObject
+from sim.errors import InvalidEpisode
+from sim.urban.scenario import check_fields, nearest
+
+IMAGE_WIDTH_PX = 800
+IMAGE_HEIGHT_PX = 600
+MIN_BOX_PX = 50.0
+"""Least width and height of a sampled box; an episode itself takes any box with a positive extent."""
+
+PERCEPTION_STEP_S = 0.1
+DEFAULT_DURATION_S = 30.0
+MIN_DURATION_SHARE = 1.0 / 18.0
+"""Least length of a sampled trajectory, as a share of the episode."""
+
+TRAJECTORY_COUNT = 2
+"""Trajectories of a sampled behaviour; an episode itself takes up to `MAX_TRAJECTORIES`."""
+MAX_TRAJECTORIES = 16
+
+NULL_LABEL = "null"
+TRAJECTORY_LABELS = (NULL_LABEL, ObstacleLabel.VEHICLE.value, ObstacleLabel.PERSON.value)
+BOX_SIDES = ("x_min", "x_max", "y_min", "y_max")
+BOX_FIELDS = tuple(f"{side}_{end}_px" for end in (0, 1) for side in BOX_SIDES)
+TRAJECTORY_FIELDS = ("label", "t0_step", "t1_step", *BOX_FIELDS)
+"""The eleven parameters of a trajectory, in the order of the genome."""
+
+
+def trajectory_ranges(duration_s: float = DEFAULT_DURATION_S) -> dict[str, tuple[float, float, str]]:
+    """Return (low, high, unit) of the ten numeric parameters of a trajectory, in the order of the genome."""
+    last_step = last_perception_step(duration_s)
+    ranges: dict[str, tuple[float, float, str]] = {
+        "t0_step": (0.0, float(last_step), "steps of 0.1 s"),
+        "t1_step": (0.0, float(last_step), "steps of 0.1 s"),
+    }
+    for name in BOX_FIELDS:
+        ranges[name] = (0.0, float(IMAGE_WIDTH_PX if name.startswith("x_") else IMAGE_HEIGHT_PX), "px")
+    return ranges
+
+
+def last_perception_step(duration_s: float) -> int:
+    """Return T: the last perception step of an episode; there are T + 1."""
+    return round(duration_s / PERCEPTION_STEP_S)
+
+
+class BehaviourMode(StrEnum):
+    """Where the detector's output comes from."""
+
+    INJECTED = "injected"
+    ORACLE = "oracle"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InjectedTrajectory:
+    """A ghost: a box that moves in a straight line through the image.
+
+    Attributes:
+        label: What the detector calls it.
+        t0_step: First perception step at which it is there, perhaps a fraction.
+        t1_step: Last one, > `t0_step`.
+        first_px: x_min, x_max, y_min, y_max at `t0_step`.
+        last_px: The same at `t1_step`.
+    """
+
+    label: ObstacleLabel
+    t0_step: float
+    t1_step: float
+    first_px: tuple[float, float, float, float]
+    last_px: tuple[float, float, float, float]
+
+    def box_at(self, step: int) -> Box | None:
+        """Return the box at a perception step, or None before and after."""
+        if not self.t0_step <= step <= self.t1_step:
+            return None
+        share = (step - self.t0_step) / (self.t1_step - self.t0_step)
+        x_min, x_max, y_min, y_max = (
+            a + share * (b - a) for a, b in zip(self.first_px, self.last_px, strict=True)
+        )
+        return Box(label=self.label, x_min_px=x_min, x_max_px=x_max, y_min_px=y_min, y_max_px=y_max)
+
+    def to_json(self) -> JsonObject:
+        """Return the trajectory as a JSON object."""
+        document: JsonObject = {
+            "label": self.label.value,
+            "t0_step": self.t0_step,
+            "t1_step": self.t1_step,
+        }
+        document.update(zip(BOX_FIELDS, (*self.first_px, *self.last_px), strict=True))
+        return document
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetectorBehaviour:
+    """What the obstacle detector says during an episode.
+
+    Attributes:
+        mode: Injected boxes or the ground truth.
+        trajectories: The injected boxes that are not null; empty unless injected.
+    """
+
+    mode: BehaviourMode
+    trajectories: tuple[InjectedTrajectory, ...] = ()
+
+    def boxes_at(self, step: int) -> tuple[Box, ...]:
+        """Return the injected boxes at a perception step."""
+        boxes = [trajectory.box_at(step) for trajectory in self.trajectories]
+        return tuple(box for box in boxes if box is not None)
+
+    def to_json(self) -> JsonObject:
+        """Return the behaviour as a JSON object; null trajectories are not kept."""
+        if self.mode is BehaviourMode.ORACLE:
+            return {"mode": self.mode.value}
+        return {"mode": self.mode.value, "trajectories": [item.to_json() for item in self.trajectories]}
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, Json], duration_s: float = DEFAULT_DURATION_S) -> Self:
+        """Read a behaviour from a JSON object.
+
+        A null trajectory is checked like any other, but its numbers may all be 0.
+
+        Args:
+            document: ``{"mode": "oracle"}`` or ``{"mode": "injected", "trajectories": [...]}``.
+            duration_s: Length of the episode, which bounds the time steps.
+
+        Raises:
+            InvalidEpisode: A field is missing, unknown, or has a value out of its range.
+        """
+        known = tuple(item.value for item in BehaviourMode)
+        mode = document.get("mode")
+        if not isinstance(mode, str) or mode not in known:
+            raise InvalidEpisode(
+                f"behaviour.mode: expected one of {', '.join(known)}; got {mode!r}{nearest(mode, known)}"
+            )
+        if mode == BehaviourMode.ORACLE:
+            check_fields("behaviour", document, ("mode",))
+            return cls(mode=BehaviourMode.ORACLE)
+        check_fields("behaviour", document, ("mode", "trajectories"))
+        items = document["trajectories"]
+        if not isinstance(items, list) or len(items) > MAX_TRAJECTORIES:
+            raise InvalidEpisode(
+                f"behaviour.trajectories: expected a list of at most {MAX_TRAJECTORIES}, got {items!r:.80}"
+            )
+        read = [_trajectory(f"behaviour.trajectories[{i}]", item, duration_s) for i, item in enumerate(items)]
+        return cls(mode=BehaviourMode.INJECTED, trajectories=tuple(t for t in read if t is not None))
+
+
+def _trajectory(where: str, document: Json, duration_s: float) -> InjectedTrajectory | None:
+    if not isinstance(document, dict):
+        raise InvalidEpisode(f"{where}: expected an object, got {document!r:.80}")
+    check_fields(where, document, TRAJECTORY_FIELDS)
+    label = document["label"]
+    if not isinstance(label, str) or label not in TRAJECTORY_LABELS:
+        raise InvalidEpisode(
+            f"{where}.label: expected one of {', '.join(TRAJECTORY_LABELS)}; "
+            f"got {label!r}{nearest(label, TRAJECTORY_LABELS)}"
+        )
+    values = {
+        name: _number(f"{where}.{name}", document[name], low, high)
+        for name, (low, high, _) in trajectory_ranges(duration_s).items()
+    }
+    if label == NULL_LABEL:
+        return None
+    if not values["t0_step"] < values["t1_step"]:
+        raise InvalidEpisode(
+            f"{where}.t1_step: expected more than t0_step {values['t0_step']}, got {values['t1_step']}"
+        )
+    for end in (0, 1):
+        for axis in ("x", "y"):
+            low, high = values[f"{axis}_min_{end}_px"], values[f"{axis}_max_{end}_px"]
+            if not low < high:
+                raise InvalidEpisode(
+                    f"{where}.{axis}_max_{end}_px: expected more than {axis}_min_{end}_px {low}, got {high}"
+                )
+    corners = [values[name] for name in BOX_FIELDS]
+    return InjectedTrajectory(
+        label=ObstacleLabel(label),
+        t0_step=values["t0_step"],
+        t1_step=values["t1_step"],
+        first_px=(corners[0], corners[1], corners[2], corners[3]),
+        last_px=(corners[4], corners[5], corners[6], corners[7]),
+    )
+
+
+def _number(where: str, value: Json, low: float, high: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise InvalidEpisode(f"{where}: expected a number in [{low:g}, {high:g}], got {value!r}")
+    return float(value)
