@@ -3,11 +3,13 @@
 Frames: world x east, y north, yaw counter-clockwise from x, all on the ground plane. Route coordinates: station s
 along the ego's lane centre line, offset d to its left. The camera looks along the ego's yaw; image x to the
 right, y down, in pixels.
+
+Values that are made at every step are named tuples: immutable as all values here, and made in less than half the
+time of a frozen dataclass. Make them by keyword.
 """
 
-from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 
 class ObstacleLabel(StrEnum):
@@ -25,8 +27,7 @@ class LightState(StrEnum):
     RED = "red"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EgoState:
+class EgoState(NamedTuple):
     """The ego's pose and motion, as localisation reports it (reference point: centre of the car)."""
 
     x_m: float
@@ -38,8 +39,7 @@ class EgoState:
     offset_m: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Box:
+class Box(NamedTuple):
     """One detection in the 800 x 600 image."""
 
     label: ObstacleLabel
@@ -49,16 +49,14 @@ class Box:
     y_max_px: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LightReading:
+class LightReading(NamedTuple):
     """What the light detector reports of the next traffic light on the route."""
 
     state: LightState
     stop_line_station_m: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Observation:
+class Observation(NamedTuple):
     """All that the driving system learns in one control step (20 Hz).
 
     Attributes:
@@ -74,8 +72,7 @@ class Observation:
     light: LightReading | None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Command:
+class Command(NamedTuple):
     """What the ego should do until the next control step."""
 
     accel_mps2: float
@@ -93,8 +90,7 @@ class PlanMode(StrEnum):
     OVERTAKE = "overtake"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PlanState:
+class PlanState(NamedTuple):
     """What the planner decided, for traces and replays."""
 
     mode: PlanMode
@@ -102,8 +98,7 @@ class PlanState:
     target_offset_m: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PerceivedObstacle:
+class PerceivedObstacle(NamedTuple):
     """A confirmed track: what the planner believes stands or moves around the ego, in world coordinates."""
 
     track: int
