@@ -1,0 +1,1 @@
+"""Urban episodes: their scenarios, the detector's behaviour, and the simulator `brink-drive@1`."""

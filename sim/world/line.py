@@ -1,6 +1,6 @@
 """Owns reference lines: smooth plane curves of straights and arcs, with stations along and offsets across.
 
-A line starts at station 0 and goes on straight beyond both ends, so that every station and every nearby point has
+A line starts at station 0 and goes on straight beyond both ends, so that every station and nearby point has
 coordinates. Offsets are positive to the left of the direction of travel.
 """
 
@@ -93,8 +93,8 @@ class ReferenceLine:
     def project(self, x_m: float, y_m: float, near_station_m: float) -> tuple[float, float]:
         """Return (station, offset) of the closest point of the line near a known station.
 
-        Searches piece by piece from the known station, so the answer is local: a line that comes back to where it
-        has been is no trap.
+        Searches piece by piece from the known station, so the answer is local: a line that comes back to where
+        it has been is no trap.
         """
         rows = self._rows
         index = self._row(near_station_m)
@@ -145,19 +145,26 @@ class ReferenceLine:
         return type(self)(x_m, y_m, yaw_rad + math.pi, pieces)
 
     def up_to(self, station_m: float, *then: Piece) -> Self:
-        """Return the line from its start to a station in its interior, and then the given pieces."""
+        """Return the line from its start to a station > 0, and then the given pieces."""
         pieces: list[Piece] = []
         left_m = station_m
-        for piece in self.pieces:
-            if left_m <= piece.length_m:
-                break
-            pieces.append(piece)
-            left_m -= piece.length_m
-        else:
-            piece = Piece(RUN_OUT_M)
-        if left_m > 0:
-            pieces.append(Piece(left_m, piece.curvature_1pm))
+        for piece in (*self.pieces, Piece(RUN_OUT_M)):
+            taken_m = min(left_m, piece.length_m)
+            if taken_m > 0:
+                pieces.append(Piece(taken_m, piece.curvature_1pm))
+            left_m -= taken_m
         return type(self)(*self.start, [*pieces, *then])
+
+    def pieces_from(self, station_m: float) -> tuple[Piece, ...]:
+        """Return what is left of the line from a station on, at least 1 m of it."""
+        pieces: list[Piece] = []
+        skip_m = station_m
+        for piece in self.pieces:
+            skipped_m = min(skip_m, piece.length_m)
+            skip_m -= skipped_m
+            if piece.length_m > skipped_m:
+                pieces.append(Piece(piece.length_m - skipped_m, piece.curvature_1pm))
+        return tuple(pieces) or (Piece(1.0),)
 
 
 def _advance(

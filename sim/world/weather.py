@@ -1,0 +1,84 @@
+"""Owns what time of day and weather do: to friction, to the other perception parts, to how people behave.
+
+Friction follows common figures for asphalt; the rest are modelling choices, kept in one place to be read.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from sim.urban.scenario import TimeOfDay, Weather
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Conditions:
+    """What time of day and weather amount to.
+
+    Attributes:
+        friction: Tyre-road friction coefficient.
+        position_noise_m: Standard deviation of lane-position errors.
+        position_bias_m: Standard deviation of the error that stays for a whole episode.
+        light_range_m: How far the light detector sees.
+        light_miss_share: Share of readings in which it sees nothing.
+        light_confusion_share: Share of readings with the wrong colour.
+        speed_share: How fast other drivers want to go, as a share of the limit.
+        headway_s: Time gap that other drivers keep.
+        firmness_mps2: How hard they brake when they choose to.
+        walking_mps: How fast people walk.
+        patience_s: How long people wait at the kerb.
+    """
+
+    friction: float
+    position_noise_m: float
+    position_bias_m: float
+    light_range_m: float
+    light_miss_share: float
+    light_confusion_share: float
+    speed_share: float
+    headway_s: float
+    firmness_mps2: float
+    walking_mps: float
+    patience_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Sky:
+    friction: float
+    rain: float
+    wet: float
+    overcast: float
+
+
+_SKIES: Mapping[Weather, _Sky] = {
+    Weather.CLEAR: _Sky(friction=0.9, rain=0.0, wet=0.0, overcast=0.0),
+    Weather.CLOUDY: _Sky(friction=0.9, rain=0.0, wet=0.0, overcast=1.0),
+    Weather.WET: _Sky(friction=0.6, rain=0.0, wet=1.0, overcast=0.0),
+    Weather.WET_CLOUDY: _Sky(friction=0.6, rain=0.0, wet=1.0, overcast=1.0),
+    Weather.SOFT_RAIN: _Sky(friction=0.55, rain=0.3, wet=1.0, overcast=1.0),
+    Weather.MEDIUM_RAIN: _Sky(friction=0.5, rain=0.6, wet=1.0, overcast=1.0),
+    Weather.HARD_RAIN: _Sky(friction=0.4, rain=1.0, wet=1.0, overcast=1.0),
+}
+_DARKNESS: Mapping[TimeOfDay, float] = {TimeOfDay.NOON: 0.0, TimeOfDay.SUNSET: 0.35, TimeOfDay.NIGHT: 1.0}
+
+
+def conditions(time_of_day: TimeOfDay, weather: Weather) -> Conditions:
+    """Return what a time of day and a weather amount to.
+
+    A low sun dazzles only in a clear sky, most on a wet road; clouds take away glare and make it darker.
+    """
+    sky = _SKIES[weather]
+    dark = min(_DARKNESS[time_of_day] + 0.1 * sky.overcast, 1.0)
+    glare = (1.0 - sky.overcast) * (1.0 + 0.5 * sky.wet) if time_of_day is TimeOfDay.SUNSET else 0.0
+    murk = sky.rain + 0.5 * dark + 0.5 * glare
+    return Conditions(
+        friction=sky.friction,
+        position_noise_m=0.02 + 0.03 * murk + 0.01 * sky.wet,
+        position_bias_m=0.02 + 0.04 * murk,
+        light_range_m=max(70.0 - 18.0 * sky.rain - 8.0 * dark - 14.0 * glare, 20.0),
+        light_miss_share=0.02 + 0.08 * sky.rain + 0.04 * dark + 0.12 * glare,
+        light_confusion_share=0.002 + 0.006 * sky.rain + 0.012 * glare,
+        speed_share=0.98 - 0.10 * sky.rain - 0.05 * sky.wet - 0.08 * dark - 0.08 * glare,
+        headway_s=1.2 + 0.4 * sky.rain + 0.2 * dark,
+        firmness_mps2=2.8 - 0.8 * sky.rain - 0.3 * sky.wet,
+        walking_mps=1.25 + 0.35 * sky.rain + 0.1 * sky.wet,
+        patience_s=2.0 - 1.0 * sky.rain,
+    )
