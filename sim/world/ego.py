@@ -1,0 +1,160 @@
+"""Owns the ego's motion: a single-track model with friction circle, load transfer, grade, brake and engine limits.
+
+Integrated at 100 Hz in plain floats. The reference point is the middle of the car, halfway between the axles. Each
+axle can give at most friction times its load; what cornering takes of it is not there for braking. Beyond the grip
+of an axle the car pushes straight on (it understeers) and brakes less: it never gets more than physics allows.
+"""
+
+import math
+from dataclasses import dataclass
+
+STEP_S = 0.01
+GRAVITY_MPS2 = 9.81
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CarModel:
+    """The figures of a mid-size car.
+
+    Attributes:
+        length_m: Of its body.
+        width_m: Of its body.
+        height_m: Of its body.
+        wheelbase_m: Between the axles.
+        gravity_height_m: Height of the centre of gravity.
+        mass_kg: With driver.
+        power_w: Of the engine, at the wheels.
+        engine_mps2: Most that the gearbox lets the engine give.
+        brake_mps2: Most that the brakes give on perfect grip.
+        engine_lag_s: Time constant of the engine.
+        brake_lag_s: Time constant of the brakes.
+        steer_limit_rad: Of the road wheels, to each side.
+        steer_rate_radps: How fast the road wheels turn.
+        drag_1pm: Deceleration by air, divided by speed squared.
+        rolling_mps2: Deceleration by rolling.
+    """
+
+    length_m: float = 4.5
+    width_m: float = 1.8
+    height_m: float = 1.5
+    wheelbase_m: float = 2.7
+    gravity_height_m: float = 0.55
+    mass_kg: float = 1500.0
+    power_w: float = 80_000.0
+    engine_mps2: float = 3.5
+    brake_mps2: float = 12.0
+    engine_lag_s: float = 0.15
+    brake_lag_s: float = 0.04
+    steer_limit_rad: float = 0.6
+    steer_rate_radps: float = 1.2
+    drag_1pm: float = 0.0003
+    rolling_mps2: float = 0.12
+
+
+EGO_CAR = CarModel()
+
+
+class EgoCar:
+    """The ego. Changes in place: one is made for every episode.
+
+    Attributes:
+        x_m: Where its middle is.
+        y_m: The same.
+        yaw_rad: Where it points.
+        speed_mps: Along its heading, >= 0.
+        accel_mps2: Along its heading, over the last step.
+        steer_rad: Of the road wheels.
+        yaw_rate_radps: How fast it turns.
+    """
+
+    __slots__ = (
+        "_drive_mps2",
+        "_friction",
+        "_grade_mps2",
+        "accel_mps2",
+        "model",
+        "speed_mps",
+        "steer_rad",
+        "x_m",
+        "y_m",
+        "yaw_rad",
+        "yaw_rate_radps",
+    )
+
+    def __init__(
+        self,
+        pose: tuple[float, float, float],
+        speed_mps: float,
+        *,
+        friction: float,
+        model: CarModel = EGO_CAR,
+    ) -> None:
+        self.model = model
+        self.x_m, self.y_m, self.yaw_rad = pose
+        self.speed_mps = speed_mps
+        self.accel_mps2 = 0.0
+        self.steer_rad = 0.0
+        self.yaw_rate_radps = 0.0
+        self._drive_mps2 = 0.0
+        self._grade_mps2 = 0.0
+        self._friction = friction
+
+    def set_grade(self, grade: float) -> None:
+        """Set how steep the road is here: rise over run along the heading, positive uphill."""
+        self._grade_mps2 = GRAVITY_MPS2 * grade
+
+    def drive(self, accel_mps2: float, steer_rad: float, steps: int) -> None:
+        """Drive a number of 100 Hz steps with a constant command.
+
+        Args:
+            accel_mps2: Wanted acceleration; negative brakes. Cut to what the car can do.
+            steer_rad: Wanted angle of the road wheels; cut to what the car can do.
+            steps: How many.
+        """
+        m = self.model
+        sqrt, cos, sin, tan = math.sqrt, math.cos, math.sin, math.tan
+        x, y, yaw, v = self.x_m, self.y_m, self.yaw_rad, self.speed_mps
+        drive, accel, steer, yaw_rate = self._drive_mps2, self.accel_mps2, self.steer_rad, self.yaw_rate_radps
+        steer_goal = min(max(steer_rad, -m.steer_limit_rad), m.steer_limit_rad)
+        turn_most = m.steer_rate_radps * STEP_S
+        half_load = 0.5 * GRAVITY_MPS2
+        transfer = m.gravity_height_m / m.wheelbase_m
+        for _ in range(steps):
+            steer += min(max(steer_goal - steer, -turn_most), turn_most)
+            top = min(m.engine_mps2, m.power_w / (m.mass_kg * v) if v > 1.0 else m.engine_mps2)
+            goal = min(max(accel_mps2, -m.brake_mps2), top)
+            drive += (goal - drive) * STEP_S / (m.brake_lag_s if goal < drive else m.engine_lag_s)
+            # Per unit of mass, an axle's grip is friction times its share of gravity.
+            shift = transfer * accel
+            grip_front = self._friction * (half_load - shift)
+            grip_rear = self._friction * (half_load + shift)
+            wanted_rate = v * tan(steer) / m.wheelbase_m
+            side = wanted_rate * v
+            most_side = 2.0 * (grip_front if grip_front < grip_rear else grip_rear)
+            if side > most_side:
+                side = most_side
+            elif side < -most_side:
+                side = -most_side
+            half_side = 0.5 * side
+            left_front = sqrt(max(grip_front * grip_front - half_side * half_side, 0.0))
+            left_rear = sqrt(max(grip_rear * grip_rear - half_side * half_side, 0.0))
+            # Brakes act on both axles and give way on each before it locks; the engine drives the front.
+            force = max(min(drive, left_front) - m.rolling_mps2, -(left_front + left_rear))
+            accel = force - self._grade_mps2 - m.drag_1pm * v * v
+            if v <= 0.0 and accel < 0.0:
+                accel = 0.0
+            faster = v + accel * STEP_S
+            if faster < 0.0:
+                accel, faster = -v / STEP_S, 0.0
+            middle = 0.5 * (v + faster)
+            yaw_rate = side / v if v > 0.1 else wanted_rate
+            # The middle of the wheelbase moves at an angle to the heading, as on rails without slip.
+            course = yaw + 0.5 * yaw_rate * STEP_S
+            if v > 0.1:
+                course += 0.5 * m.wheelbase_m * yaw_rate / v
+            x += middle * cos(course) * STEP_S
+            y += middle * sin(course) * STEP_S
+            yaw += yaw_rate * STEP_S
+            v = faster
+        self.x_m, self.y_m, self.yaw_rad, self.speed_mps = x, y, yaw, v
+        self._drive_mps2, self.accel_mps2, self.steer_rad, self.yaw_rate_radps = drive, accel, steer, yaw_rate
