@@ -1,11 +1,11 @@
 """Errors of the search package.
 
-    SearchError
-    ├── SpaceError          a vector or a value does not fit the search space
-    ├── ConfigError         a setting of an algorithm is out of range
-    ├── UnsupportedSpace    the algorithm cannot work on that search space
-    ├── OrderError          ask and tell were called out of order, or with the wrong candidates
-    └── DocumentError       a stored state is broken, or of a version that this code does not know
+SearchError
+├── SpaceError          a vector or a value does not fit the search space
+├── ConfigError         a setting of an algorithm is out of range
+├── UnsupportedSpace    the algorithm cannot work on that search space
+├── OrderError          ask and tell were called out of order, or with the wrong candidates
+└── DocumentError       a stored state is broken, or of a version that this code does not know
 """
 
 

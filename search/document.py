@@ -1,0 +1,99 @@
+"""Stored states: a JSON header and named arrays in one npz file, without pickles.
+
+Equal documents have equal bytes. A checksum over the content guards it, so that a damaged file is refused before
+anything in it is believed.
+"""
+
+import hashlib
+import io
+import json
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from search.errors import DocumentError
+
+_MAGIC = b"brink-document-1\n"
+_HEADER = "header"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Document:
+    """A versioned record.
+
+    Attributes:
+        kind: What it is a state of, such as ``mlcshe@1``.
+        version: Version of its layout, >= 1.
+        header: JSON object.
+        arrays: Arrays of numbers or booleans, by name.
+    """
+
+    kind: str
+    version: int
+    header: Mapping[str, Any]
+    arrays: Mapping[str, NDArray[Any]]
+
+    def to_bytes(self) -> bytes:
+        """Return the document as bytes.
+
+        Raises:
+            DocumentError: The header is no JSON, or an array holds objects.
+        """
+        try:
+            header = json.dumps(
+                {"kind": self.kind, "version": self.version, "header": dict(self.header)},
+                sort_keys=True,
+                allow_nan=False,
+            )
+        except (TypeError, ValueError) as error:
+            raise DocumentError(f"header of {self.kind}: expected plain JSON: {error}") from error
+        content = io.BytesIO()
+        arrays = {f"array_{name}": np.asarray(self.arrays[name]) for name in sorted(self.arrays)}
+        for name, array in arrays.items():
+            if array.dtype.hasobject:
+                raise DocumentError(f"{name} of {self.kind}: expected numbers, got {array.dtype}")
+        np.savez(content, allow_pickle=False, **{_HEADER: np.frombuffer(header.encode(), np.uint8)}, **arrays)
+        payload = content.getvalue()
+        return _MAGIC + hashlib.sha256(payload).digest() + payload
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """Read a document.
+
+        Raises:
+            DocumentError: The bytes are no document, or damaged.
+        """
+        if not data.startswith(_MAGIC):
+            raise DocumentError(f"expected bytes that begin with {_MAGIC!r}, got {bytes(data[:20])!r}")
+        start = len(_MAGIC) + hashlib.sha256().digest_size
+        payload = bytes(data[start:])
+        if hashlib.sha256(payload).digest() != data[len(_MAGIC) : start]:
+            raise DocumentError("damaged document: its checksum does not match; restore it from a copy")
+        try:
+            with np.load(io.BytesIO(payload), allow_pickle=False) as stored:
+                arrays = {name: stored[name] for name in stored.files}
+            content = json.loads(arrays.pop(_HEADER).tobytes())
+            return cls(
+                kind=content["kind"],
+                version=content["version"],
+                header=content["header"],
+                arrays={name.removeprefix("array_"): array for name, array in arrays.items()},
+            )
+        except (ValueError, KeyError, TypeError, OSError, EOFError, zipfile.BadZipFile) as error:
+            raise DocumentError(f"broken document: {error}") from error
+
+    def expect(self, kind: str, version: int) -> Self:
+        """Return the document if it is of a kind and version.
+
+        Raises:
+            DocumentError: It is of another.
+        """
+        if (self.kind, self.version) != (kind, version):
+            raise DocumentError(
+                f"expected a document of {kind}, version {version}; got {self.kind!r}, version {self.version!r}"
+            )
+        return self
