@@ -1,0 +1,1 @@
+"""Safety requirements: robustness over time, judged on exact facts of the world."""
