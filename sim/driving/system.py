@@ -1,0 +1,109 @@
+"""The modular driving system: detections in, commands out, through parts that can each be swapped.
+
+    boxes -> localiser -> tracker -> predictor -> planner -> controller -> command
+
+The obstacle detector comes before it, outside: it is the component under test, and its boxes are given.
+"""
+
+import math
+
+from sim.driving.camera import Camera
+from sim.driving.control import Controller, PursuitController
+from sim.driving.interface import Command, Observation, PerceivedObstacle, PlanMode, PlanState, Route
+from sim.driving.localisation import GroundPlaneLocaliser, Localiser
+from sim.driving.planning import Plan, Planner, RoutePlanner
+from sim.driving.prediction import ConstantVelocityPredictor, Predictor
+from sim.driving.settings import DrivingSettings
+from sim.driving.tracking import AlphaBetaTracker, Track, Tracker
+
+_DEFAULT_CAMERA = Camera()
+_DEFAULT_SETTINGS = DrivingSettings()
+
+
+class ModularDriving:
+    """Implements `sim.driving.interface.DrivingSystem`. Made anew for every episode.
+
+    Args:
+        route: What to follow.
+        settings: All constants.
+        camera: Where the boxes come from.
+        localiser: Boxes to places; by default on a ground plane.
+        tracker: Places to tracks; by default alpha-beta.
+        predictor: Tracks to obstacles on the route; by default at constant velocity.
+        planner: Obstacles to a plan; by default the route planner.
+        controller: Plan to command; by default pure pursuit and PID.
+    """
+
+    __slots__ = (
+        "_controller",
+        "_heading",
+        "_localiser",
+        "_plan",
+        "_planner",
+        "_predictor",
+        "_speed_mps",
+        "_tracker",
+        "_tracks",
+    )
+
+    def __init__(
+        self,
+        route: Route,
+        *,
+        settings: DrivingSettings = _DEFAULT_SETTINGS,
+        camera: Camera = _DEFAULT_CAMERA,
+        localiser: Localiser | None = None,
+        tracker: Tracker | None = None,
+        predictor: Predictor | None = None,
+        planner: Planner | None = None,
+        controller: Controller | None = None,
+    ) -> None:
+        self._localiser = localiser or GroundPlaneLocaliser(camera, settings.localisation)
+        self._tracker = tracker or AlphaBetaTracker(settings.tracking)
+        self._predictor = predictor or ConstantVelocityPredictor(route, settings.prediction)
+        self._planner = planner or RoutePlanner(route, settings.shape, settings.planning)
+        self._controller = controller or PursuitController(route, settings.shape, settings.control)
+        self._tracks: list[Track] = []
+        self._heading = (1.0, 0.0)
+        self._speed_mps = 0.0
+        self._plan = Plan(PlanMode.CRUISE, 0.0, 0.0, 0.0, 0.0)
+
+    def step(self, observation: Observation) -> Command:
+        """Take one control step."""
+        time_s, ego, boxes, light = observation
+        if boxes is not None:
+            self._heading = (math.cos(ego.yaw_rad), math.sin(ego.yaw_rad))
+            self._tracks = self._tracker.update(time_s, self._localiser.locate(ego, boxes))
+            obstacles = self._predictor.predict(time_s, ego, self._tracks) if self._tracks else ()
+            self._planner.perceive(time_s, ego, obstacles)
+        self._plan = plan = self._planner.plan(time_s, ego, light)
+        self._speed_mps = ego.speed_mps
+        return self._controller.control(ego, plan)
+
+    @property
+    def plan(self) -> PlanState:
+        """What the planner decided in the last step; the target speed is where its acceleration leads in 1 s."""
+        plan = self._plan
+        return PlanState(
+            mode=plan.mode,
+            target_speed_mps=max(min(plan.cruise_mps, self._speed_mps + plan.accel_limit_mps2), 0.0),
+            target_offset_m=plan.target_offset_m,
+        )
+
+    @property
+    def obstacles(self) -> tuple[PerceivedObstacle, ...]:
+        """The confirmed tracks of the last perception step, by the centres of their assumed bodies."""
+        cos_yaw, sin_yaw = self._heading
+        return tuple(
+            PerceivedObstacle(
+                track=track.number,
+                label=track.label,
+                x_m=track.x_m + 0.5 * track.length_m * cos_yaw,
+                y_m=track.y_m + 0.5 * track.length_m * sin_yaw,
+                vx_mps=track.vx_mps,
+                vy_mps=track.vy_mps,
+                length_m=track.length_m,
+                width_m=track.width_m,
+            )
+            for track in self._tracks
+        )
