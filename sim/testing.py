@@ -1,0 +1,167 @@
+"""Contract suites for plug-ins of the simulator: run them from your own tests, or by `brink plugins check`."""
+
+import json
+import math
+import random
+from collections.abc import Callable, Iterator
+
+from sim.driving.interface import LightState
+from sim.requirements.requirement import Collision, CollisionKind, Requirement, WorldSample
+
+_UNITS = ("m", "s", "m/s", "m/s^2", "rad", "1")
+_STEPS = 200
+
+
+class ContractBroken(AssertionError):
+    """A plug-in breaks its contract; the message says which clause, and shows what was returned."""
+
+
+def check_requirement(make: Callable[[], Requirement], *, seeds: tuple[int, ...] = (0, 1, 2)) -> None:
+    """Check that a requirement keeps its contract on calm, empty and wild episodes.
+
+    Clauses: known unit; positive finite horizon; before any sample the robustness is the horizon and nothing is
+    violated; every robustness is finite and within the horizon; the verdict is the smallest one observed; it is
+    violated if and only if one was negative, and then at the time of the first; features are JSON without NaN; equal
+    samples give equal answers; two instances share nothing.
+
+    Args:
+        make: Makes a new requirement, as registered.
+        seeds: Of the wild episodes.
+
+    Raises:
+        ContractBroken: A clause is broken.
+    """
+    _check_untouched(make())
+    episodes = [list(_bare()), *(list(_wild(seed)) for seed in seeds)]
+    for samples in episodes:
+        first, again = make(), make()
+        bystander = make()
+        series = [_observed(first, sample) for sample in samples]
+        _check_verdict(first, series, [sample.time_s for sample in samples])
+        _check_features(first)
+        _require(
+            series == [again.observe(sample) for sample in samples] and first.verdict() == again.verdict(),
+            "equal samples give equal answers",
+            again,
+        )
+        _check_untouched(bystander)
+
+
+def _require(holds: bool, clause: str, shown: object) -> None:
+    if not holds:
+        raise ContractBroken(f"expected: {clause}; got {shown!r}")
+
+
+def _check_untouched(requirement: Requirement) -> None:
+    _require(requirement.unit in _UNITS, f"unit is one of {', '.join(_UNITS)}", requirement.unit)
+    horizon = requirement.horizon
+    _require(math.isfinite(horizon) and horizon > 0, "the horizon is finite and positive", horizon)
+    verdict = requirement.verdict()
+    _require(
+        verdict.robustness == horizon and verdict.violated_at_s is None and verdict.unit == requirement.unit,
+        "before any sample the robustness is the horizon, and nothing is violated",
+        verdict,
+    )
+
+
+def _observed(requirement: Requirement, sample: WorldSample) -> float:
+    robustness = requirement.observe(sample)
+    _require(
+        isinstance(robustness, float) and abs(robustness) <= requirement.horizon,
+        "every robustness is a finite float within the horizon",
+        robustness,
+    )
+    return robustness
+
+
+def _check_verdict(requirement: Requirement, series: list[float], times_s: list[float]) -> None:
+    verdict = requirement.verdict()
+    _require(
+        verdict.robustness == min(series), f"the verdict is the smallest robustness {min(series)}", verdict
+    )
+    first_s = next((time_s for time_s, value in zip(times_s, series, strict=True) if value < 0), None)
+    _require(verdict.violated_at_s == first_s, f"first violated at {first_s}", verdict)
+    _require(verdict.violated == (first_s is not None), "violated if and only if negative", verdict)
+    _require(verdict.unit == requirement.unit, "the verdict has the requirement's unit", verdict)
+
+
+def _check_features(requirement: Requirement) -> None:
+    features = dict(requirement.features())
+    try:
+        text = json.dumps(features, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise ContractBroken(f"expected: features are JSON without NaN; got {features!r}: {error}") from error
+    _require(json.loads(text) == features, "features survive JSON", features)
+
+
+def _bare() -> Iterator[WorldSample]:
+    """Yield an empty road: nobody about, no light, everything optional left out."""
+    for step in range(_STEPS):
+        yield _sample(step, speed_mps=8.0)
+
+
+def _wild(seed: int) -> Iterator[WorldSample]:
+    """Yield an episode in which everything happens, with extremes."""
+    rng = random.Random(seed)  # noqa: S311  (not for secrets)
+    for step in range(_STEPS):
+        gap_m = rng.choice((None, 0.0, rng.uniform(0.0, 60.0), 1e9))
+        stop_line_gap_m = rng.choice((None, 0.0, rng.uniform(-6.0, 40.0)))
+        yield _sample(
+            step,
+            speed_mps=rng.choice((0.0, rng.uniform(-1.0, 15.0))),
+            offset_m=rng.uniform(-4.0, 4.0),
+            heading_error_rad=rng.uniform(-math.pi, math.pi),
+            front_gap_m=gap_m,
+            nearest_gap_m=rng.choice((None, 0.0, rng.uniform(0.0, 30.0))),
+            collision=_collision(rng) if step == _STEPS - 1 else None,
+            light=None if stop_line_gap_m is None else rng.choice(tuple(LightState)),
+            stop_line_gap_m=stop_line_gap_m,
+            may_wait=rng.random() < 0.5,
+            in_conflict_area=rng.random() < 0.3,
+            goal_reached=rng.random() < 0.1,
+        )
+
+
+def _collision(rng: random.Random) -> Collision:
+    kind = rng.choice(tuple(CollisionKind))
+    return Collision(kind=kind, counterpart="somebody", impact_speed_mps=rng.uniform(0.0, 12.0))
+
+
+def _sample(
+    step: int,
+    *,
+    speed_mps: float,
+    offset_m: float = 0.0,
+    heading_error_rad: float = 0.0,
+    front_gap_m: float | None = None,
+    nearest_gap_m: float | None = None,
+    collision: Collision | None = None,
+    light: LightState | None = None,
+    stop_line_gap_m: float | None = None,
+    may_wait: bool = False,
+    in_conflict_area: bool = False,
+    goal_reached: bool = False,
+) -> WorldSample:
+    return WorldSample(
+        time_s=0.05 * step,
+        x_m=0.4 * step,
+        y_m=0.0,
+        yaw_rad=0.0,
+        speed_mps=speed_mps,
+        station_m=0.4 * step,
+        offset_m=offset_m,
+        heading_error_rad=heading_error_rad,
+        ego_length_m=4.5,
+        ego_width_m=1.8,
+        lane_left_m=1.75,
+        lane_right_m=-1.75,
+        speed_limit_mps=8.33,
+        front_gap_m=front_gap_m,
+        nearest_gap_m=nearest_gap_m,
+        collision=collision,
+        light=light,
+        stop_line_gap_m=stop_line_gap_m,
+        may_wait=may_wait,
+        in_conflict_area=in_conflict_area,
+        goal_reached=goal_reached,
+    )
