@@ -1,0 +1,119 @@
+"""Which moments of an episode tell its story: the decisive one, and a few that lead to it."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from sim.replay.errors import ReplayError
+from sim.trace import Trace
+
+FIRST_TOLD: Final = ("front-gap", "no-collision")
+"""Requirements that a replay is about when none is named, in order of preference."""
+
+LEAD_UP_S: Final = (1.0, 2.5, 5.0)
+"""How long before the decisive moment to look, where nothing else happens."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moment:
+    """A sample worth a picture, and why."""
+
+    sample: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Story:
+    """What the replay of an episode is about.
+
+    Attributes:
+        requirement: Id of the requirement that is judged.
+        violated: Whether it is violated.
+        decisive: Sample of the first violation, or of the least robustness.
+        least: Least robustness of the episode.
+        moments: Up to six, in order of time, with the decisive one among them.
+    """
+
+    requirement: str
+    violated: bool
+    decisive: int
+    least: float
+    moments: tuple[Moment, ...]
+
+
+def tell(trace: Trace, requirement: str | None = None, *, most: int = 6) -> Story:
+    """Return the story of an episode.
+
+    Args:
+        trace: The episode.
+        requirement: What to judge; the front gap, or else the first requirement of the trace, if not given.
+        most: Greatest number of moments, at least 2.
+
+    Raises:
+        ReplayError: The trace is empty, or does not have that requirement.
+    """
+    if len(trace.time_s) == 0:
+        raise ReplayError("the trace has no samples: there is nothing to draw")
+    chosen = _choose(trace, requirement)
+    series = np.nan_to_num(np.asarray(trace.robustness[chosen], dtype=np.float64), nan=np.inf)
+    below = np.flatnonzero(series < 0)
+    decisive = int(below[0]) if below.size else int(series.argmin())
+    return Story(
+        requirement=chosen,
+        violated=bool(below.size),
+        decisive=decisive,
+        least=float(series.min()),
+        moments=_moments(trace, decisive, violated=bool(below.size), most=most),
+    )
+
+
+def _choose(trace: Trace, requirement: str | None) -> str:
+    if requirement is None:
+        if not trace.robustness:
+            raise ReplayError("the trace records no requirement: there is nothing to judge")
+        return next((name for name in FIRST_TOLD if name in trace.robustness), next(iter(trace.robustness)))
+    if requirement not in trace.robustness:
+        known = ", ".join(trace.robustness) or "none"
+        raise ReplayError(f"requirement: expected one that the trace records ({known}), got {requirement!r}")
+    return requirement
+
+
+def _moments(trace: Trace, decisive: int, *, violated: bool, most: int) -> tuple[Moment, ...]:
+    """Pick moments by weight, none closer to another than a twentieth of the episode."""
+    last = len(trace.time_s) - 1
+    candidates = [Moment(sample=decisive, reason="violation" if violated else "closest")]
+    candidates += _before(trace, decisive)
+    candidates += [Moment(sample=0, reason="start"), Moment(sample=last, reason="end")]
+    apart = max(1, min(8, last // 20))
+    chosen: list[Moment] = []
+    for candidate in candidates:
+        if len(chosen) < most and all(abs(candidate.sample - other.sample) >= apart for other in chosen):
+            chosen.append(candidate)
+    return tuple(sorted(chosen, key=lambda moment: moment.sample))
+
+
+def _before(trace: Trace, decisive: int) -> list[Moment]:
+    """Return moments in the order of how much they explain: lead-up, ghosts, events, plan changes."""
+    time_s = trace.time_s
+    found: list[Moment] = []
+
+    def lead_up(seconds: float) -> None:
+        sample = int(np.abs(time_s - (time_s[decisive] - seconds)).argmin())
+        found.append(Moment(sample=sample, reason=f"{seconds:g} s before"))
+
+    lead_up(LEAD_UP_S[0])
+    counts = np.diff(trace.given_boxes.first)
+    appear = np.flatnonzero(np.diff(counts, prepend=0) > 0)
+    found += [Moment(sample=int(i), reason="injected box appears") for i in appear[appear <= decisive][::-1][:2]]
+    changes = [
+        i for i in range(1, decisive + 1) if trace.plan_mode[i] != trace.plan_mode[i - 1]
+    ]
+    found += [Moment(sample=i, reason=f"plan: {trace.plan_mode[i]}") for i in changes[::-1][:2]]
+    for event in reversed(trace.events):
+        sample = int(np.abs(time_s - event.time_s).argmin())
+        if sample <= decisive:
+            found.append(Moment(sample=sample, reason=event.kind))
+    for seconds in LEAD_UP_S[1:]:
+        lead_up(seconds)
+    return found
