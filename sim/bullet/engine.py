@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import NewType
+from typing import Any, NamedTuple, NewType
 
 import pybullet
 
@@ -27,6 +27,20 @@ class Box:
     x_m: float
     y_m: float
     yaw_rad: float
+
+
+class Closest(NamedTuple):
+    """How two bodies lie to each other.
+
+    Attributes:
+        clearance_m: Distance, negative by the depth of an overlap.
+        normal_x: Unit vector from the other body to the first one.
+        normal_y: The same.
+    """
+
+    clearance_m: float
+    normal_x: float
+    normal_y: float
 
 
 class Engine:
@@ -82,21 +96,17 @@ class Engine:
             physicsClientId=self._client,
         )
 
-    def clearance_m(self, one: BodyId, other: BodyId, within_m: float) -> float | None:
-        """Return the distance between two bodies, negative by the depth of an overlap.
-
-        Args:
-            one: A body.
-            other: Another.
-            within_m: How far to look.
-
-        Returns:
-            None if they are farther apart than that.
-        """
+    def closest(self, one: BodyId, other: BodyId, within_m: float) -> Closest | None:
+        """Return how two bodies lie to each other, or None if they are farther apart than `within_m`."""
         points = pybullet.getClosestPoints(one, other, within_m, physicsClientId=self._client)
         if not points:
             return None
-        return min(float(point[8]) for point in points)
+        nearest = points[0] if len(points) == 1 else min(points, key=_distance_m)
+        return Closest(float(nearest[8]), float(nearest[7][0]), float(nearest[7][1]))
+
+
+def _distance_m(point: tuple[Any, ...]) -> float:
+    return float(point[8])
 
 
 @cache

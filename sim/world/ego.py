@@ -72,9 +72,11 @@ class EgoCar:
         "_friction",
         "_grade_mps2",
         "accel_mps2",
+        "length_m",
         "model",
         "speed_mps",
         "steer_rad",
+        "width_m",
         "x_m",
         "y_m",
         "yaw_rad",
@@ -90,6 +92,8 @@ class EgoCar:
         model: CarModel = EGO_CAR,
     ) -> None:
         self.model = model
+        self.length_m = model.length_m
+        self.width_m = model.width_m
         self.x_m, self.y_m, self.yaw_rad = pose
         self.speed_mps = speed_mps
         self.accel_mps2 = 0.0

@@ -7,6 +7,7 @@ Around a junction every road is straight, so that turns are quarter circles betw
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 from sim.urban.scenario import RoadCurve
 from sim.world.line import Piece, ReferenceLine
@@ -112,7 +113,7 @@ class Junction:
     lit: bool
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Road:
     """A road with its side streets.
 
@@ -152,6 +153,7 @@ class Road:
         return self.kerb_m + CROSSING_WIDTH_M + 1.0 + STOP_LINE_BEFORE_CROSSING_M
 
 
+@lru_cache(maxsize=64)
 def build_road(curve: RoadCurve, road_id: int, road_length: int) -> Road:
     """Return the road of a scenario.
 

@@ -1,0 +1,263 @@
+"""Owns the exact facts of an episode: bodies in the physics engine, and what is true of the ego at each step.
+
+The engine is asked only for pairs that could be near: cheap bounds from centre distances decide. What moves is put
+in its place in the engine right before it is asked for, so far-away bodies cost nothing.
+"""
+
+import math
+from dataclasses import dataclass
+
+from sim.bullet.engine import BodyId, Box, Engine
+from sim.driving.interface import LightState
+from sim.requirements.requirement import Collision, CollisionKind, WorldSample
+from sim.world.roadside import fixtures
+from sim.world.vehicle import Vehicle
+from sim.world.walker import HEIGHT_M as WALKER_HEIGHT_M
+from sim.world.walker import Walker
+from sim.world.world import UrbanWorld
+
+FRONT_RANGE_M = 50.0
+NEAR_M = 8.0
+CORRIDOR_MARGIN_M = 0.2
+CREEPING_MPS = 0.05
+"""Slower than this towards somebody, the ego hits nobody: they walk or drive into it."""
+
+WAITING_RANGE_M = 10.0
+JUNCTION_REACH_M = 7.0
+CROSSING_REACH_M = 2.0
+
+
+@dataclass(slots=True, kw_only=True)
+class _Body:
+    """A body in the engine, and how big a circle around its middle it fills."""
+
+    body: BodyId
+    kind: CollisionKind
+    name: str
+    radius_m: float
+    x_m: float
+    y_m: float
+
+
+@dataclass(slots=True)
+class _Nearest:
+    """The nearest body found so far in a step."""
+
+    gap_m: float
+    closing_mps: float
+    collision: Collision | None
+    pedestrian_m: float
+
+
+class Facts:
+    """Measures an episode.
+
+    Args:
+        world: What to measure. The engine's bodies are made from it.
+        engine: Is emptied first.
+    """
+
+    def __init__(self, world: UrbanWorld, engine: Engine) -> None:
+        self._world = world
+        self._engine = engine
+        self._near_station_m = 0.0
+        self._still_clear_m = 0.0
+        ego = world.ego
+        self._ego_radius_m = 0.5 * math.hypot(ego.length_m, ego.width_m)
+        self._ego_height_m = ego.model.height_m
+        boxes = [_box(ego.length_m, ego.width_m, self._ego_height_m, ego.x_m, ego.y_m, ego.yaw_rad)]
+        boxes += [
+            _box(v.length_m, v.width_m, v.size.height_m, v.x_m, v.y_m, v.yaw_rad) for v in world.vehicles
+        ]
+        boxes += [
+            _box(w.length_m, w.width_m, WALKER_HEIGHT_M, w.x_m, w.y_m, w.yaw_rad) for w in world.walkers
+        ]
+        still = fixtures(world.road)
+        boxes += [_box(f.length_m, f.width_m, f.height_m, f.x_m, f.y_m, f.yaw_rad) for f in still]
+        engine.reset()
+        ids = engine.add_boxes(boxes)
+        self._ego_body = ids[0]
+        movers = len(world.vehicles)
+        self._vehicles = list(zip(world.vehicles, ids[1 : 1 + movers], strict=True))
+        after = 1 + movers + len(world.walkers)
+        self._walkers = list(zip(world.walkers, ids[1 + movers : after], strict=True))
+        self._fixtures = [
+            _Body(
+                body=body,
+                kind=CollisionKind.OBJECT,
+                name=fixture.kind,
+                radius_m=0.5 * math.hypot(fixture.length_m, fixture.width_m),
+                x_m=fixture.x_m,
+                y_m=fixture.y_m,
+            )
+            for fixture, body in zip(still, ids[after:], strict=True)
+        ]
+
+    def measure(self, time_s: float) -> WorldSample:
+        """Return what is true of the ego now."""
+        world = self._world
+        ego, route = world.ego, world.route
+        self._engine.move(self._ego_body, ego.x_m, ego.y_m, ego.yaw_rad, self._ego_height_m)
+        station_m, offset_m = route.line.project(ego.x_m, ego.y_m, self._near_station_m)
+        self._near_station_m = station_m
+        nearest = _Nearest(NEAR_M, 0.0, None, NEAR_M)
+        front_m = self._vehicles_around(station_m, offset_m, nearest)
+        self._walkers_around(nearest)
+        self._fixtures_around(nearest)
+        light, line_gap_m = self._light(time_s, station_m + 0.5 * ego.length_m)
+        half_lane_m = 0.5 * route.lane_width_m
+        heading_error = ego.yaw_rad - route.line.pose_at(station_m)[2]
+        goal = station_m + 0.5 * ego.length_m >= route.length_m
+        waiting = (
+            goal
+            or (light is not None and light is not LightState.GREEN and line_gap_m is not None)
+            or (front_m is not None and front_m < WAITING_RANGE_M)
+            or nearest.pedestrian_m < NEAR_M
+        )
+        return WorldSample(
+            time_s=time_s,
+            x_m=ego.x_m,
+            y_m=ego.y_m,
+            yaw_rad=ego.yaw_rad,
+            speed_mps=ego.speed_mps,
+            station_m=station_m,
+            offset_m=offset_m,
+            heading_error_rad=(heading_error + math.pi) % (2.0 * math.pi) - math.pi,
+            ego_length_m=ego.length_m,
+            ego_width_m=ego.width_m,
+            lane_left_m=half_lane_m,
+            lane_right_m=-half_lane_m,
+            speed_limit_mps=route.speed_limit_mps,
+            front_gap_m=front_m,
+            pedestrian_gap_m=nearest.pedestrian_m if nearest.pedestrian_m < NEAR_M else None,
+            nearest_gap_m=nearest.gap_m if nearest.gap_m < NEAR_M else None,
+            closing_speed_mps=nearest.closing_mps,
+            collision=nearest.collision,
+            light=light,
+            stop_line_gap_m=line_gap_m,
+            may_wait=waiting,
+            in_conflict_area=offset_m + 0.5 * ego.width_m > half_lane_m or self._in_the_way(station_m),
+            goal_reached=goal,
+        )
+
+    def _vehicles_around(self, station_m: float, offset_m: float, nearest: _Nearest) -> float | None:
+        """Return the front gap, and take note of the nearest vehicle."""
+        ego, line = self._world.ego, self._world.route.line
+        x_m, y_m, radius_m = ego.x_m, ego.y_m, self._ego_radius_m
+        front_m: float | None = None
+        half_ego_m = 0.5 * ego.width_m + CORRIDOR_MARGIN_M
+        bumper_m = station_m + 0.5 * ego.length_m
+        for vehicle, body in self._vehicles:
+            dx, dy = vehicle.x_m - x_m, vehicle.y_m - y_m
+            if not -56.0 < dx < 56.0 or not -56.0 < dy < 56.0:
+                continue
+            half_length_m = 0.5 * vehicle.length_m
+            bound_m = math.sqrt(dx * dx + dy * dy) - radius_m - half_length_m - 0.6
+            ahead = False
+            if bound_m < (FRONT_RANGE_M if front_m is None else front_m):
+                at_m, off_m = line.project(vehicle.x_m, vehicle.y_m, station_m)
+                turn = vehicle.yaw_rad - line.pose_at(at_m)[2]
+                cos_turn, sin_turn = abs(math.cos(turn)), abs(math.sin(turn))
+                half_width_m = 0.5 * vehicle.width_m
+                across_m = half_width_m * cos_turn + half_length_m * sin_turn
+                along_m = half_length_m * cos_turn + half_width_m * sin_turn
+                ahead = at_m - along_m > bumper_m - 0.3 and abs(off_m - offset_m) < across_m + half_ego_m
+            if not ahead and bound_m >= nearest.gap_m:
+                continue
+            self._engine.move(body, vehicle.x_m, vehicle.y_m, vehicle.yaw_rad, vehicle.size.height_m)
+            limit_m = FRONT_RANGE_M if ahead else nearest.gap_m
+            gap_m = self._ask(vehicle, body, CollisionKind.VEHICLE, limit_m, nearest)
+            if ahead and gap_m is not None and (front_m is None or gap_m < front_m):
+                front_m = max(gap_m, 0.0)
+        return front_m
+
+    def _walkers_around(self, nearest: _Nearest) -> None:
+        x_m, y_m, radius_m = self._world.ego.x_m, self._world.ego.y_m, self._ego_radius_m
+        for walker, body in self._walkers:
+            dx, dy = walker.x_m - x_m, walker.y_m - y_m
+            if not -11.0 < dx < 11.0 or not -11.0 < dy < 11.0:
+                continue
+            bound_m = math.sqrt(dx * dx + dy * dy) - radius_m - 0.4
+            if bound_m < nearest.pedestrian_m:
+                self._engine.move(body, walker.x_m, walker.y_m, walker.yaw_rad, WALKER_HEIGHT_M)
+                limit_m = nearest.pedestrian_m
+                gap_m = self._ask(walker, body, CollisionKind.PEDESTRIAN, limit_m, nearest)
+                if gap_m is not None and gap_m < nearest.pedestrian_m:
+                    nearest.pedestrian_m = max(gap_m, 0.0)
+
+    def _ask(
+        self,
+        mover: Vehicle | Walker,
+        body: BodyId,
+        kind: CollisionKind,
+        limit_m: float,
+        nearest: _Nearest,
+    ) -> float | None:
+        """Return the clearance to somebody, and take note if nobody is nearer."""
+        found = self._engine.closest(self._ego_body, body, limit_m)
+        if found is None:
+            return None
+        gap_m, normal_x, normal_y = found
+        if gap_m < nearest.gap_m:
+            ego = self._world.ego
+            ego_x, ego_y = ego.speed_mps * math.cos(ego.yaw_rad), ego.speed_mps * math.sin(ego.yaw_rad)
+            other_x = mover.speed_mps * math.cos(mover.yaw_rad)
+            other_y = mover.speed_mps * math.sin(mover.yaw_rad)
+            nearest.gap_m = max(gap_m, 0.0)
+            nearest.closing_mps = (other_x - ego_x) * normal_x + (other_y - ego_y) * normal_y
+            if gap_m <= 0.0 and -(ego_x * normal_x + ego_y * normal_y) > CREEPING_MPS:
+                nearest.collision = Collision(
+                    kind=kind, counterpart=mover.name, impact_speed_mps=max(nearest.closing_mps, 0.0)
+                )
+        return gap_m
+
+    def _fixtures_around(self, nearest: _Nearest) -> None:
+        """Take note of the nearest body that never moves, if the ego could have come near one since the last."""
+        ego = self._world.ego
+        self._still_clear_m -= ego.speed_mps * 0.055
+        if self._still_clear_m > min(nearest.gap_m, 1.0):
+            return
+        x_m, y_m, radius_m = ego.x_m, ego.y_m, self._ego_radius_m
+        clear_m = FRONT_RANGE_M
+        for still in self._fixtures:
+            bound_m = math.hypot(still.x_m - x_m, still.y_m - y_m) - radius_m - still.radius_m
+            if bound_m >= clear_m or bound_m > NEAR_M:
+                clear_m = min(clear_m, bound_m)
+                continue
+            found = self._engine.closest(self._ego_body, still.body, NEAR_M)
+            if found is None:
+                clear_m = min(clear_m, NEAR_M)
+                continue
+            gap_m, normal_x, normal_y = found
+            clear_m = min(clear_m, gap_m)
+            if gap_m < nearest.gap_m:
+                nearest.gap_m = max(gap_m, 0.0)
+                closing = -ego.speed_mps * (
+                    math.cos(ego.yaw_rad) * normal_x + math.sin(ego.yaw_rad) * normal_y
+                )
+                nearest.closing_mps = closing
+                if gap_m <= 0.0 and closing > CREEPING_MPS:
+                    nearest.collision = Collision(
+                        kind=still.kind, counterpart=still.name, impact_speed_mps=closing
+                    )
+        self._still_clear_m = clear_m
+
+    def _light(self, time_s: float, bumper_m: float) -> tuple[LightState | None, float | None]:
+        signals = self._world.signals
+        if signals is None:
+            return None, None
+        length_m = self._world.ego.length_m
+        for line_m in self._world.route.stop_line_stations_m:
+            if bumper_m - length_m < line_m < bumper_m + FRONT_RANGE_M:
+                return signals.main_at(time_s), line_m - bumper_m
+        return None, None
+
+    def _in_the_way(self, station_m: float) -> bool:
+        road = self._world.road
+        if abs(station_m - road.crossing_m) < CROSSING_REACH_M + 2.0:
+            return True
+        return any(abs(station_m - junction.forward_m) < JUNCTION_REACH_M for junction in road.junctions)
+
+
+def _box(length_m: float, width_m: float, height_m: float, x_m: float, y_m: float, yaw_rad: float) -> Box:
+    return Box(length_m=length_m, width_m=width_m, height_m=height_m, x_m=x_m, y_m=y_m, yaw_rad=yaw_rad)

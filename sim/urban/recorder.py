@@ -1,0 +1,170 @@
+"""Owns the making of traces: takes samples while an episode runs, and gives the `Trace` at its end."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from sim.driving.interface import Box, DrivingSystem, ObstacleLabel, PlanMode
+from sim.episode import Json
+from sim.requirements.requirement import WorldSample
+from sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, ActorTrack, Event, Ragged, Trace
+from sim.world.scene import scene_surfaces
+from sim.world.vehicle import Vehicle
+from sim.world.walker import Walker
+from sim.world.world import UrbanWorld
+
+ROUTE_EVERY_M = 1.0
+ROUTE_BEYOND_M = 15.0
+_LABELS = {ObstacleLabel.VEHICLE: 0.0, ObstacleLabel.PERSON: 1.0}
+
+
+class _Rows:
+    """Collects ragged rows."""
+
+    def __init__(self, columns: tuple[str, ...]) -> None:
+        self._columns = columns
+        self._first = [0]
+        self._rows: list[tuple[float, ...]] = []
+
+    def add(self, rows: Sequence[tuple[float, ...]]) -> None:
+        self._rows += rows
+        self._first.append(len(self._rows))
+
+    def ragged(self) -> Ragged:
+        rows = np.array(self._rows, dtype=np.float32).reshape(-1, len(self._columns))
+        return Ragged(columns=self._columns, first=np.array(self._first, dtype=np.int32), rows=rows)
+
+
+class Recorder:
+    """Records an episode at the perception rate.
+
+    Args:
+        world: What to record.
+        requirements: Ids of the requirements, in order.
+    """
+
+    def __init__(self, world: UrbanWorld, requirements: Sequence[str]) -> None:
+        self._world = world
+        self._ids = tuple(requirements)
+        self._times: list[float] = []
+        self._ego: list[tuple[float, float, float, float, float]] = []
+        self._actors: list[Vehicle | Walker] = [*world.vehicles, *world.walkers]
+        self._motions: list[list[tuple[float, float, float, float]]] = [[] for _ in self._actors]
+        self._seen = _Rows(BOX_COLUMNS)
+        self._given = _Rows(BOX_COLUMNS)
+        self._perceived = _Rows(PERCEIVED_COLUMNS)
+        self._modes: list[str] = []
+        self._speeds: list[float] = []
+        self._offsets: list[float] = []
+        self._lights: list[str] = []
+        self._robustness: dict[str, list[float]] = {name: [] for name in requirements}
+        self._least: dict[str, float] = dict.fromkeys(requirements, math.inf)
+        self._events: list[Event] = []
+        self._mode: PlanMode | None = None
+
+    def sample(
+        self, time_s: float, driving: DrivingSystem, seen: Sequence[Box], given: Sequence[Box], light: str
+    ) -> None:
+        """Record a perception step, after the driving system has decided."""
+        ego = self._world.ego
+        self._close_sample()
+        self._times.append(time_s)
+        self._ego.append((ego.x_m, ego.y_m, ego.yaw_rad, ego.speed_mps, ego.accel_mps2))
+        for motion, actor in zip(self._motions, self._actors, strict=True):
+            motion.append((actor.x_m, actor.y_m, actor.yaw_rad, actor.speed_mps))
+        self._seen.add([_box_row(box) for box in seen])
+        self._given.add([_box_row(box) for box in given])
+        self._perceived.add(
+            [
+                (
+                    float(obstacle.track),
+                    _LABELS[obstacle.label],
+                    obstacle.x_m,
+                    obstacle.y_m,
+                    obstacle.vx_mps,
+                    obstacle.vy_mps,
+                    obstacle.length_m,
+                    obstacle.width_m,
+                )
+                for obstacle in driving.obstacles
+            ]
+        )
+        plan = driving.plan
+        if plan.mode is not self._mode:
+            if self._mode is not None:
+                self.event(time_s, f"plan-{plan.mode.value}", f"the plan is now: {plan.mode.value}")
+            self._mode = plan.mode
+        self._modes.append(plan.mode.value)
+        self._speeds.append(plan.target_speed_mps)
+        self._offsets.append(plan.target_offset_m)
+        self._lights.append(light)
+
+    def judge(self, requirement: str, robustness: float) -> None:
+        """Record a requirement's robustness at a control step; a sample keeps the least since the last one."""
+        if robustness < self._least[requirement]:
+            self._least[requirement] = robustness
+
+    def _close_sample(self) -> None:
+        if len(self._times) > len(next(iter(self._robustness.values()), self._times)):
+            for name, series in self._robustness.items():
+                series.append(self._least[name])
+                self._least[name] = math.inf
+
+    def event(self, time_s: float, kind: str, text: str) -> None:
+        """Record that something happened."""
+        self._events.append(Event(time_s=time_s, kind=kind, text=text))
+
+    def watch(self, sample: WorldSample) -> None:
+        """Record the events of a control step."""
+        if sample.collision is not None:
+            hit = sample.collision
+            self.event(
+                sample.time_s,
+                "collision",
+                f"the ego hits {hit.counterpart} at {hit.impact_speed_mps:.1f} m/s",
+            )
+        if sample.goal_reached:
+            self.event(sample.time_s, "goal", "the ego reaches the end of its route")
+
+    def trace(self, about: Mapping[str, Json]) -> Trace:
+        """Return the trace of the whole episode."""
+        self._close_sample()
+        world = self._world
+        line = world.route.line
+        count = math.ceil((line.length_m + ROUTE_BEYOND_M) / ROUTE_EVERY_M)
+        route = [line.pose_at(ROUTE_EVERY_M * i)[:2] for i in range(count + 1)]
+        actors = tuple(
+            ActorTrack(
+                name=actor.name,
+                kind="vehicle" if isinstance(actor, Vehicle) else "pedestrian",
+                length_m=actor.length_m,
+                width_m=actor.width_m,
+                motion=np.array(motion, dtype=np.float32).reshape(-1, 4),
+            )
+            for actor, motion in zip(self._actors, self._motions, strict=True)
+        )
+        return Trace(
+            time_s=np.array(self._times, dtype=np.float32),
+            ego=np.array(self._ego, dtype=np.float32).reshape(-1, 5),
+            ego_size_m=(world.ego.length_m, world.ego.width_m),
+            route=np.array(route, dtype=np.float32),
+            actors=actors,
+            seen_boxes=self._seen.ragged(),
+            given_boxes=self._given.ragged(),
+            perceived=self._perceived.ragged(),
+            plan_mode=tuple(self._modes),
+            target_speed_mps=np.array(self._speeds, dtype=np.float32),
+            target_offset_m=np.array(self._offsets, dtype=np.float32),
+            lights=tuple(self._lights),
+            robustness={
+                name: np.array(series, dtype=np.float32) for name, series in self._robustness.items()
+            },
+            events=tuple(sorted(self._events, key=lambda event: event.time_s)),
+            scene=scene_surfaces(world.road),
+            about=about,
+        )
+
+
+def _box_row(box: Box) -> tuple[float, ...]:
+    return (_LABELS[box.label], box.x_min_px, box.x_max_px, box.y_min_px, box.y_max_px)

@@ -1,0 +1,173 @@
+"""Owns the simulator `brink-drive@1`: a specification in, a result out.
+
+The same specification gives the same verdicts and the same trace, bit for bit, in any process and after any other
+episodes on the same class of processor: every draw comes from a stream addressed by position, every object is made
+anew, and the physics engine is emptied first.
+"""
+
+import difflib
+import math
+import platform
+import time
+from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import version
+from typing import cast
+
+from sim.bullet.engine import engine_version
+from sim.catalogue import REQUIREMENTS, load_plugin, plugin_ids
+from sim.driving.camera import Camera
+from sim.driving.system import ModularDriving
+from sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject, Verdict
+from sim.errors import InvalidEpisode
+from sim.requirements.requirement import Requirement
+from sim.urban.behaviour import DetectorBehaviour
+from sim.urban.episode_loop import Outcome, run_loop
+from sim.urban.recorder import Recorder
+from sim.urban.scenario import UrbanScenario, nearest
+from sim.world.world import make_world
+
+SIMULATOR_ID = "brink-drive@1"
+MAX_DURATION_S = 600.0
+FIDELITIES = ("bicycle",)
+
+
+class BrinkDrive:
+    """Runs urban episodes. One a process is enough; it keeps nothing between episodes."""
+
+    def __init__(self) -> None:
+        self._camera = Camera()
+
+    def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
+        """Run one episode.
+
+        Args:
+            spec: What to run.
+            record: Whether the result carries the trace.
+
+        Raises:
+            InvalidEpisode: The specification can never run.
+        """
+        cpu_s = time.process_time()
+        scenario, behaviour = _read(spec)
+        requirements = {name: _make_requirement(name) for name in spec.requirements}
+        world = make_world(scenario, spec.seed)
+        recorder = Recorder(world, spec.requirements) if record else None
+        outcome = run_loop(
+            world,
+            ModularDriving(world.route, camera=self._camera),
+            behaviour,
+            requirements,
+            camera=self._camera,
+            seed=spec.seed,
+            duration_s=spec.duration_s,
+            recorder=recorder,
+        )
+        verdicts = {name: requirement.verdict() for name, requirement in requirements.items()}
+        trace = None
+        if recorder is not None:
+            about: JsonObject = {"spec": spec.to_json(), "versions": dict(versions())}
+            trace = recorder.trace(about).to_bytes()
+        return EpisodeResult(
+            verdicts=verdicts,
+            objectives={f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()},
+            features=_features(outcome, requirements, verdicts),
+            provenance={
+                "simulator": SIMULATOR_ID,
+                **versions(),
+                "instruction_set": instruction_set(),
+                "cpu_s": time.process_time() - cpu_s,
+                "simulated_s": outcome.last.time_s,
+            },
+            trace=trace,
+        )
+
+
+def _read(spec: EpisodeSpec) -> tuple[UrbanScenario, DetectorBehaviour]:
+    """Check a specification and return what it says.
+
+    Raises:
+        InvalidEpisode: It can never run.
+    """
+    if spec.simulator != SIMULATOR_ID:
+        raise InvalidEpisode(f"simulator: this is {SIMULATOR_ID}, the episode asks for {spec.simulator!r}")
+    if spec.duration_s > MAX_DURATION_S:
+        raise InvalidEpisode(
+            f"duration_s: expected at most {MAX_DURATION_S:g} seconds, got {spec.duration_s!r}"
+        )
+    if len(set(spec.requirements)) != len(spec.requirements):
+        raise InvalidEpisode(f"requirements: expected each id once, got {', '.join(spec.requirements)}")
+    for name, value in spec.options.items():
+        if name != "fidelity":
+            raise InvalidEpisode(
+                f"options: unknown field {name!r}{nearest(name, ('fidelity',))}; expected fidelity"
+            )
+        if not isinstance(value, str) or value not in FIDELITIES:
+            raise InvalidEpisode(f"options.fidelity: expected one of {', '.join(FIDELITIES)}; got {value!r}")
+    scenario = UrbanScenario.from_json(spec.scenario)
+    return scenario, DetectorBehaviour.from_json(spec.behaviour, spec.duration_s)
+
+
+def _make_requirement(requirement_id: str) -> Requirement:
+    try:
+        factory = load_plugin(REQUIREMENTS, requirement_id)
+    except KeyError:
+        known = plugin_ids(REQUIREMENTS)
+        close = difflib.get_close_matches(requirement_id, known, n=1)
+        hint = f" (did you mean {close[0]!r}?)" if close else ""
+        raise InvalidEpisode(
+            f"requirements: unknown id {requirement_id!r}{hint}; registered here: {', '.join(known) or 'none'}"
+        ) from None
+    if not callable(factory):
+        raise InvalidEpisode(
+            f"requirements: {requirement_id!r} is registered as something that is no factory"
+        )
+    return cast(Requirement, factory())
+
+
+def _features(
+    outcome: Outcome, requirements: Mapping[str, Requirement], verdicts: Mapping[str, Verdict]
+) -> dict[str, Json]:
+    last = outcome.last
+    hit = last.collision
+    features: dict[str, Json] = {
+        "ended": outcome.ended,
+        "ended_at_s": last.time_s,
+        "way_m": outcome.way_m,
+        "stood_s": outcome.stood_s,
+        "least_front_gap_m": outcome.least_front_gap_m,
+        "collision": None if hit is None else hit.kind.value,
+        "collided_with": None if hit is None else hit.counterpart,
+    }
+    for name, requirement in requirements.items():
+        for key, value in requirement.features().items():
+            features[f"{name}:{key}"] = value
+    for name, verdict in verdicts.items():
+        if not math.isfinite(verdict.robustness):
+            raise ArithmeticError(f"{name}: robustness {verdict.robustness} is not finite")
+    return features
+
+
+@cache
+def versions() -> Mapping[str, str]:
+    """Return the versions of everything that decides an episode."""
+    return {
+        "brink": version("brink"),
+        "python": platform.python_version(),
+        "numpy": version("numpy"),
+        "pybullet": version("pybullet"),
+        "pybullet_api": engine_version(),
+    }
+
+
+@cache
+def instruction_set() -> str:
+    """Return the class of processor, and a fingerprint of its floating-point arithmetic.
+
+    Two machines with the same text give the same episodes; the fingerprint is the low bits of a few functions whose
+    last digit may depend on the mathematics library and the processor.
+    """
+    probes = [math.sin(1e5 + 0.1 * i) * math.exp(0.37 * i) * math.atan2(i, 3.3) for i in range(1, 40)]
+    digits = "".join(value.hex()[-8:] for value in probes)
+    total = sum(ord(char) * (index + 1) for index, char in enumerate(digits))
+    return f"{platform.machine()}-{total % 2**32:08x}"

@@ -1,0 +1,297 @@
+"""Owns who drives on a road besides the ego: the lead, oncoming and crossing cars, and cars that join.
+
+What a scenario fixes (the road, the weather, the hour) decides how they drive; the episode's seed only decides by
+how much each differs from its kind. Every vehicle has its own random stream.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sim.driving.interface import LightState
+from sim.world.lights import SignalPlan
+from sim.world.line import Piece, ReferenceLine
+from sim.world.road import (
+    CROSSING_WIDTH_M,
+    PARKING_STRIP_M,
+    SIDE_STREET_M,
+    SPEED_LIMIT_MPS,
+    STOP_LINE_BEFORE_CROSSING_M,
+    Junction,
+    Road,
+    joining_lane,
+    side_lane,
+    turn_begins_m,
+    turn_piece,
+)
+from sim.world.streams import Stream, generator
+from sim.world.task import exit_junction, stream_lane
+from sim.world.vehicle import CAR, VAN, Manner, Mover, MustStop, PullOut, StopPoint, Vehicle
+from sim.world.walker import Walker
+from sim.world.weather import Conditions
+
+JOINING_GAP_S = 4.5
+LEAD_STARTS_AHEAD_M = 18.0
+"""From the ego's middle to the lead's, when the episode begins."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surroundings:
+    """What vehicles look at to decide whether they may go. The lists are filled once everybody is made."""
+
+    signals: SignalPlan | None
+    movers: list[Mover]
+    walkers: list[Walker]
+
+
+def make_traffic(
+    road: Road, weather: Conditions, around: Surroundings, *, seed: int, exit_right: bool | None
+) -> list[Vehicle]:
+    """Return all other vehicles of an episode, the lead first.
+
+    Args:
+        road: Where they drive.
+        weather: How they drive.
+        around: What they look at.
+        seed: The episode's seed.
+        exit_right: Which exit the ego takes; None if it follows the road.
+    """
+    makers = _Makers(road=road, weather=weather, around=around, seed=seed)
+    vehicles = [makers.lead(), *makers.oncoming()]
+    if road.junctions[0].lit:
+        vehicles += makers.crossing()
+    else:
+        vehicles.append(makers.joining())
+    if road.style.parking:
+        vehicles.append(makers.pulling_out())
+    if exit_right is not None:
+        vehicles.append(makers.local(right=exit_right))
+    return vehicles
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Makers:
+    road: Road
+    weather: Conditions
+    around: Surroundings
+    seed: int
+
+    def _manner(
+        self, index: int, share: float = 1.0, slowdowns: tuple[tuple[float, float, float], ...] = ()
+    ) -> Manner:
+        rng = generator(self.seed, Stream.VEHICLE, index)
+        temper = float(rng.normal(0.0, 0.02))
+        speed = SPEED_LIMIT_MPS * self.weather.speed_share * self.road.style.pace * share
+        return Manner(
+            speed_mps=speed * (1.0 + temper),
+            headway_s=self.weather.headway_s,
+            firmness_mps2=self.weather.firmness_mps2,
+            friction=self.weather.friction,
+            slowdowns=slowdowns,
+        )
+
+    def lead(self) -> Vehicle:
+        """The vehicle ahead of the ego: it slows down again and again, for no reason that the ego knows."""
+        rng = generator(self.seed, Stream.VEHICLE, 100)
+        style = self.road.style
+        slowdowns = []
+        for number in range(4):
+            begins_s = 3.0 + 7.0 * number + float(rng.uniform(-0.7, 0.7))
+            lasts_s = float(rng.uniform(1.6, 2.4))
+            slowdowns.append((begins_s, begins_s + lasts_s, 0.45))
+        path = stream_lane(self.road, style.main_stream)
+        manner = self._manner(0, slowdowns=tuple(slowdowns))
+        stops = self._stops(forward=True)
+        if style.main_stream == 2:
+            junction = exit_junction(self.road, right=False)
+            stops.append(self._give_way_left(junction, path))
+        return Vehicle(
+            name="lead",
+            size=CAR,
+            path=path,
+            station_m=LEAD_STARTS_AHEAD_M + float(rng.uniform(-1.0, 1.0)),
+            speed_mps=min(manner.speed_mps, 7.0),
+            manner=manner,
+            stops=stops,
+            phase=0,
+        )
+
+    def oncoming(self) -> list[Vehicle]:
+        """Cars on the other lane."""
+        vehicles = []
+        lane = self.road.backward
+        for number, ahead_m in enumerate((65.0, 125.0)):
+            rng = generator(self.seed, Stream.VEHICLE, 110 + number)
+            manner = self._manner(1 + number)
+            vehicles.append(
+                Vehicle(
+                    name=f"oncoming-{number + 1}",
+                    size=VAN if number else CAR,
+                    path=lane,
+                    station_m=lane.length_m - ahead_m + float(rng.uniform(-4.0, 4.0)),
+                    speed_mps=manner.speed_mps,
+                    manner=manner,
+                    stops=self._stops(forward=False),
+                    phase=1 + number,
+                )
+            )
+        return vehicles
+
+    def crossing(self) -> list[Vehicle]:
+        """Cars that cross at the lights, one from either side."""
+        junction = self.road.junctions[0]
+        vehicles = []
+        for number, from_right in enumerate((True, False)):
+            rng = generator(self.seed, Stream.VEHICLE, 120 + number)
+            path = side_lane(junction, self.road.style.lane_width_m, from_right=from_right)
+            line_m = SIDE_STREET_M - self.road.stop_line_before_junction_m
+            manner = self._manner(3 + number)
+            vehicles.append(
+                Vehicle(
+                    name=f"crossing-{number + 1}",
+                    size=CAR,
+                    path=path,
+                    station_m=4.0 + float(rng.uniform(0.0, 16.0)),
+                    speed_mps=manner.speed_mps,
+                    manner=manner,
+                    stops=(StopPoint(line_m, self._side_red),),
+                    phase=3 + number,
+                )
+            )
+        return vehicles
+
+    def joining(self) -> Vehicle:
+        """A car that comes out of the right side street and joins the ego's lane when there is a gap."""
+        rng = generator(self.seed, Stream.VEHICLE, 130)
+        junction = self.road.junctions[0]
+        path = joining_lane(self.road, junction)
+        half_lane_m = 0.5 * self.road.style.lane_width_m
+        mouth_m = SIDE_STREET_M - self.road.kerb_m - 1.0
+        point = self.road.forward.pose_at(junction.forward_m + half_lane_m)
+        manner = self._manner(3, share=0.8)
+        return Vehicle(
+            name="joining",
+            size=CAR,
+            path=path,
+            station_m=mouth_m - 14.0 + float(rng.uniform(-1.0, 1.0)),
+            speed_mps=3.0,
+            manner=manner,
+            stops=(StopPoint(mouth_m, self._not_free(point)),),
+            phase=3,
+        )
+
+    def pulling_out(self) -> Vehicle:
+        """A parked car that pulls out into the ego's lane when there is a gap."""
+        rng = generator(self.seed, Stream.VEHICLE, 140)
+        lane = self.road.forward
+        at_m = 0.62 * self.road.length_m
+        manner = self._manner(4, share=0.7)
+        return Vehicle(
+            name="pulling-out",
+            size=CAR,
+            path=lane,
+            station_m=at_m,
+            speed_mps=0.0,
+            manner=manner,
+            stops=(
+                StopPoint(at_m + 0.5 * CAR.length_m, self._not_free(lane.pose_at(at_m))),
+                *self._stops(forward=True),
+            ),
+            pull_out=PullOut(-0.5 * (self.road.style.lane_width_m + PARKING_STRIP_M), at_m, 12.0),
+            starts_s=4.0 + float(rng.uniform(-0.5, 0.5)),
+            phase=1,
+        )
+
+    def local(self, *, right: bool) -> Vehicle:
+        """A slow car in the street that the ego turns into."""
+        rng = generator(self.seed, Stream.VEHICLE, 150)
+        junction = exit_junction(self.road, right=right)
+        width_m = self.road.style.lane_width_m
+        begins_m = turn_begins_m(junction.forward_m, width_m, right=right)
+        arc = turn_piece(right=right)
+        path = self.road.forward.up_to(begins_m, arc, Piece(self.road.length_m))
+        return Vehicle(
+            name="local",
+            size=VAN,
+            path=path,
+            station_m=begins_m + arc.length_m + 14.0 + float(rng.uniform(-1.5, 1.5)),
+            speed_mps=0.0,
+            manner=self._manner(5, share=0.55),
+            starts_s=0.45 * begins_m / 8.0,
+            phase=2,
+        )
+
+    def _stops(self, *, forward: bool) -> list[StopPoint]:
+        """Return the crossing or the stop line of a lane of the road."""
+        lane = self.road.forward if forward else self.road.backward
+        junction = self.road.junctions[0]
+        if junction.lit:
+            middle_m = junction.forward_m if forward else junction.backward_m
+            return [StopPoint(middle_m - self.road.stop_line_before_junction_m, self._main_red)]
+        crossing_m = _station_on(lane, self.road.centre, self.road.crossing_m, forward=forward)
+        line_m = crossing_m - 0.5 * CROSSING_WIDTH_M - STOP_LINE_BEFORE_CROSSING_M
+        return [StopPoint(line_m, self._people_cross)]
+
+    def _main_red(self, vehicle: Vehicle, time_s: float) -> bool:
+        signals = self.around.signals
+        return signals is not None and signals.main_at(time_s) is not LightState.GREEN
+
+    def _side_red(self, vehicle: Vehicle, time_s: float) -> bool:
+        signals = self.around.signals
+        return signals is not None and signals.side_at(time_s) is not LightState.GREEN
+
+    def _people_cross(self, vehicle: Vehicle, time_s: float) -> bool:
+        return any(walker.wants_zebra for walker in self.around.walkers)
+
+    def _not_free(self, point: tuple[float, float, float]) -> MustStop:
+        """Return a rule to wait while anybody on the lane of a point is about to arrive there."""
+        x_m, y_m, yaw_rad = point
+
+        def must_stop(vehicle: Vehicle, time_s: float) -> bool:
+            return not lane_is_free(self.around.movers, vehicle, x_m, y_m, yaw_rad)
+
+        return must_stop
+
+    def _give_way_left(self, junction: Junction, path: ReferenceLine) -> StopPoint:
+        """Return a rule to let oncoming cars pass before turning left."""
+        begins_m = turn_begins_m(junction.forward_m, self.road.style.lane_width_m, right=False)
+        point = self.road.backward.pose_at(junction.backward_m)
+        return StopPoint(begins_m, self._not_free(point))
+
+
+def lane_is_free(
+    movers: Sequence[Mover],
+    asking: Mover,
+    x_m: float,
+    y_m: float,
+    yaw_rad: float,
+    gap_s: float = JOINING_GAP_S,
+) -> bool:
+    """Return whether nobody on a lane will be at a point of it within a time.
+
+    Args:
+        movers: Everybody.
+        asking: Who wants to know; never in its own way.
+        x_m: The point.
+        y_m: The point.
+        yaw_rad: Direction of the lane there.
+        gap_s: The time.
+    """
+    for mover in movers:
+        if mover is asking:
+            continue
+        dx, dy = x_m - mover.x_m, y_m - mover.y_m
+        distance_m = math.hypot(dx, dy)
+        if distance_m < 7.0:
+            return False
+        if distance_m > 60.0 or mover.speed_mps < 0.3 or math.cos(mover.yaw_rad - yaw_rad) < 0.3:
+            continue
+        towards = dx * math.cos(mover.yaw_rad) + dy * math.sin(mover.yaw_rad)
+        if towards > 0.0 and towards < gap_s * mover.speed_mps + 3.0:
+            return False
+    return True
+
+
+def _station_on(lane: ReferenceLine, centre: ReferenceLine, station_m: float, *, forward: bool) -> float:
+    x_m, y_m, _ = centre.pose_at(station_m)
+    return lane.project(x_m, y_m, station_m if forward else lane.length_m - station_m)[0]

@@ -1,0 +1,294 @@
+"""Owns how another vehicle moves: along its lane, at its own pace, behind whatever is in its way.
+
+The Intelligent Driver Model decides the acceleration; the lane decides where it goes. A vehicle looks around five
+times a second and moves twenty times a second.
+
+References:
+    Treiber, Hennecke, Helbing 2000, Congested traffic states in empirical observations and microscopic simulations.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+from sim.world.line import ReferenceLine
+
+LOOK_EVERY_STEPS = 4
+LOOK_AHEAD_M = 45.0
+SIDE_CLEARANCE_M = 0.35
+CORNERING_MPS2 = 1.9
+COMFORT_MPS2 = 1.6
+ACCEL_MPS2 = 1.6
+STANDSTILL_GAP_M = 2.2
+EMERGENCY_MPS2 = 6.5
+
+
+class Mover(Protocol):
+    """Whatever has a place, a heading, a speed and an extent."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    speed_mps: float
+
+    @property
+    def length_m(self) -> float:
+        """Extent along its heading."""
+        ...
+
+    @property
+    def width_m(self) -> float:
+        """Extent across its heading."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleSize:
+    """Extents of a vehicle's body."""
+
+    length_m: float
+    width_m: float
+    height_m: float
+
+
+CAR = VehicleSize(4.4, 1.8, 1.5)
+VAN = VehicleSize(5.6, 2.0, 2.3)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Manner:
+    """How somebody drives.
+
+    Attributes:
+        speed_mps: Wanted speed on a free, straight road.
+        headway_s: Time gap kept.
+        firmness_mps2: Hardest braking by choice, rather than in an emergency.
+        slowdowns: Stretches (from, to, share) in seconds during which only a share of the wanted speed is wanted.
+        friction: Of the road: no braking beyond it.
+    """
+
+    speed_mps: float
+    headway_s: float
+    firmness_mps2: float
+    friction: float
+    slowdowns: tuple[tuple[float, float, float], ...] = ()
+
+
+MustStop: TypeAlias = "Callable[[Vehicle, float], bool]"
+
+
+@dataclass(frozen=True, slots=True)
+class StopPoint:
+    """Somewhere on a path where a vehicle may have to wait.
+
+    Attributes:
+        station_m: Where its front bumper stops.
+        must_stop: Says whether a vehicle has to stop there at a time.
+    """
+
+    station_m: float
+    must_stop: MustStop
+
+
+@dataclass(frozen=True, slots=True)
+class PullOut:
+    """A move from the roadside into the lane: from an offset at a station to 0 over a length."""
+
+    offset_m: float
+    from_m: float
+    over_m: float
+
+
+class Vehicle:
+    """Another vehicle. Changes in place: made anew for every episode.
+
+    Args:
+        name: Unique in the episode.
+        size: Its body.
+        path: Its lane.
+        station_m: Where its middle is on it.
+        speed_mps: Its speed.
+        manner: How it is driven.
+        stops: Where it may have to wait, in any order.
+        pull_out: Its move into the lane, if it starts at the roadside.
+        starts_s: It stands still before this time.
+        phase: Which of every four steps it looks around in.
+    """
+
+    __slots__ = (
+        "_arcs",
+        "_gap_m",
+        "_gap_speed_mps",
+        "_phase",
+        "_stop_m",
+        "accel_mps2",
+        "length_m",
+        "manner",
+        "name",
+        "offset_m",
+        "path",
+        "pull_out",
+        "size",
+        "speed_mps",
+        "starts_s",
+        "station_m",
+        "stops",
+        "width_m",
+        "x_m",
+        "y_m",
+        "yaw_rad",
+    )
+
+    def __init__(
+        self,
+        *,
+        name: str,
+        size: VehicleSize,
+        path: ReferenceLine,
+        station_m: float,
+        speed_mps: float,
+        manner: Manner,
+        stops: Sequence[StopPoint] = (),
+        pull_out: PullOut | None = None,
+        starts_s: float = 0.0,
+        phase: int = 0,
+    ) -> None:
+        self.name = name
+        self.size = size
+        self.length_m = size.length_m
+        self.width_m = size.width_m
+        self.path = path
+        self.station_m = station_m
+        self.offset_m = pull_out.offset_m if pull_out else 0.0
+        self.speed_mps = speed_mps
+        self.accel_mps2 = 0.0
+        self.manner = manner
+        self.stops = tuple(sorted(stops, key=lambda stop: stop.station_m))
+        self.pull_out = pull_out
+        self.starts_s = starts_s
+        self._arcs = _arc_speeds(path)
+        self._phase = phase % LOOK_EVERY_STEPS
+        self._gap_m = math.inf
+        self._gap_speed_mps = 0.0
+        self._stop_m = math.inf
+        self.x_m, self.y_m, self.yaw_rad = path.pose_at(station_m, self.offset_m)
+
+    def look(self, step: int, time_s: float, movers: Sequence[Mover]) -> None:
+        """Look for what is in the way, if it is this vehicle's turn.
+
+        Args:
+            step: Number of the 20 Hz step.
+            time_s: Simulated time.
+            movers: Everything that could be in its way; may include itself.
+        """
+        if step % LOOK_EVERY_STEPS != self._phase and step != 0:
+            return
+        self._gap_m, self._gap_speed_mps = self._nearest(movers)
+        front_m = self.station_m + 0.5 * self.length_m
+        self._stop_m = math.inf
+        for stop in self.stops:
+            ahead_m = stop.station_m - front_m
+            if -0.5 <= ahead_m < LOOK_AHEAD_M and stop.must_stop(self, time_s):
+                braking_mps2 = self.speed_mps * self.speed_mps / (2.0 * max(ahead_m, 0.1))
+                if braking_mps2 < self.manner.firmness_mps2 + 1.5:
+                    self._stop_m = stop.station_m
+                    break
+
+    def _nearest(self, movers: Sequence[Mover]) -> tuple[float, float]:
+        """Return the gap to the nearest thing in the way, and its speed along the path."""
+        cos_yaw, sin_yaw = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        x_m, y_m, station_m = self.x_m, self.y_m, self.station_m
+        reach_m = min(LOOK_AHEAD_M, 12.0 + 4.5 * self.speed_mps)
+        gap_m, gap_speed = math.inf, 0.0
+        for other in movers:
+            dx, dy = other.x_m - x_m, other.y_m - y_m
+            if not -reach_m < dx < reach_m or not -reach_m < dy < reach_m or other is self:
+                continue
+            if dx * cos_yaw + dy * sin_yaw < -4.0:
+                continue
+            at_m, off_m = self.path.project(other.x_m, other.y_m, station_m + 5.0)
+            if at_m <= station_m or at_m > station_m + reach_m:
+                continue
+            turn = other.yaw_rad - self.path.pose_at(at_m)[2]
+            cos_turn, sin_turn = math.cos(turn), abs(math.sin(turn))
+            half_across = 0.5 * (abs(cos_turn) * other.width_m + sin_turn * other.length_m)
+            # A vehicle at the roadside looks where it will be, not where it is.
+            if abs(off_m) > half_across + 0.5 * self.width_m + SIDE_CLEARANCE_M:
+                continue
+            half_along = 0.5 * (abs(cos_turn) * other.length_m + sin_turn * other.width_m)
+            between_m = at_m - half_along - station_m - 0.5 * self.length_m
+            if between_m < gap_m:
+                gap_m, gap_speed = between_m, other.speed_mps * cos_turn
+        return gap_m, gap_speed
+
+    def move(self, time_s: float, dt_s: float) -> None:
+        """Move on by one step."""
+        if time_s < self.starts_s:
+            self.speed_mps = 0.0
+            return
+        manner = self.manner
+        speed = self.speed_mps
+        wanted = manner.speed_mps
+        for from_s, to_s, share in manner.slowdowns:
+            if from_s <= time_s < to_s:
+                wanted *= share
+        station_m = self.station_m
+        for begin_m, end_m, arc_mps in self._arcs:
+            if station_m < end_m and arc_mps < wanted:
+                before_m = begin_m - station_m
+                if before_m <= 0.0:
+                    wanted = arc_mps
+                elif before_m < LOOK_AHEAD_M:
+                    wanted = min(wanted, math.sqrt(arc_mps * arc_mps + 2.0 * COMFORT_MPS2 * before_m))
+        accel = ACCEL_MPS2 * (1.0 - (speed / wanted) ** 4) if wanted > 0.1 else -manner.firmness_mps2
+        if accel < -manner.firmness_mps2:
+            accel = -manner.firmness_mps2
+        gap_m, gap_speed = self._gap_m, self._gap_speed_mps
+        if gap_m < LOOK_AHEAD_M:
+            accel = min(accel, _follow(speed, gap_speed, gap_m, manner.headway_s, STANDSTILL_GAP_M))
+            self._gap_m = gap_m + (gap_speed - speed) * dt_s
+        if self._stop_m < math.inf:
+            to_line_m = self._stop_m - station_m - 0.5 * self.length_m
+            accel = min(accel, _follow(speed, 0.0, to_line_m + 0.6, 0.5, 0.5))
+        hardest = min(EMERGENCY_MPS2, 9.0 * manner.friction)
+        if accel < -hardest:
+            accel = -hardest
+        faster = speed + accel * dt_s
+        if faster < 0.0:
+            faster = 0.0
+        self.accel_mps2 = (faster - speed) / dt_s
+        self.speed_mps = faster
+        if faster == 0.0 and speed == 0.0:
+            return
+        self.station_m = station_m = station_m + 0.5 * (speed + faster) * dt_s
+        turn = 0.0
+        pull = self.pull_out
+        if pull is not None:
+            share = min(max((station_m - pull.from_m) / pull.over_m, 0.0), 1.0)
+            self.offset_m = pull.offset_m * (1.0 - share * share * (3.0 - 2.0 * share))
+            turn = math.atan2(-pull.offset_m * 6.0 * share * (1.0 - share), pull.over_m)
+        self.x_m, self.y_m, yaw_rad = self.path.pose_at(station_m, self.offset_m)
+        self.yaw_rad = yaw_rad + turn
+
+
+def _follow(speed: float, ahead_speed: float, gap_m: float, headway_s: float, standstill_m: float) -> float:
+    """Return the acceleration behind something ahead, without the free-road term."""
+    if gap_m <= 0.05:
+        return -EMERGENCY_MPS2
+    wanted_m = standstill_m + max(
+        speed * headway_s + speed * (speed - ahead_speed) / (2.0 * math.sqrt(ACCEL_MPS2 * COMFORT_MPS2)), 0.0
+    )
+    ratio = wanted_m / gap_m
+    return ACCEL_MPS2 * (1.0 - ratio * ratio)
+
+
+def _arc_speeds(path: ReferenceLine) -> tuple[tuple[float, float, float], ...]:
+    """Return (from, to, speed) for every arc of a path."""
+    arcs = []
+    at_m = 0.0
+    for piece in path.pieces:
+        if piece.curvature_1pm != 0.0:
+            arcs.append((at_m, at_m + piece.length_m, math.sqrt(CORNERING_MPS2 / abs(piece.curvature_1pm))))
+        at_m += piece.length_m
+    return tuple(arcs)

@@ -1,0 +1,118 @@
+"""Owns the world of one episode: the road, everybody on it but the ego, and their common clock."""
+
+import math
+from dataclasses import dataclass
+
+from sim.urban.scenario import DrivingTask, UrbanScenario
+from sim.world.ego import EgoCar
+from sim.world.lights import CYCLE_S, SignalPlan
+from sim.world.people import make_people
+from sim.world.road import Road, build_road, turn_begins_m
+from sim.world.route import LaneRoute
+from sim.world.streams import Stream, generator
+from sim.world.task import ego_route, exit_junction
+from sim.world.traffic import Surroundings, make_traffic
+from sim.world.vehicle import Mover, Vehicle
+from sim.world.walker import Walker
+from sim.world.weather import Conditions, conditions
+
+STEP_S = 0.05
+START_SPEED_MPS = 6.0
+EGO_STEPS = 5
+"""100 Hz steps of the ego in one step of the world."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UrbanWorld:
+    """Everything that an episode is about. Its members change in place.
+
+    Attributes:
+        road: Where it is.
+        route: Where the ego is to go.
+        weather: What time of day and weather amount to.
+        signals: The traffic lights, at a crossroad.
+        ego: The car under test.
+        vehicles: All others, the lead first.
+        walkers: Everybody on foot.
+        movers: The ego and the vehicles.
+        leaves_road_m: Station at which the ego's route leaves the road.
+    """
+
+    road: Road
+    route: LaneRoute
+    weather: Conditions
+    signals: SignalPlan | None
+    ego: EgoCar
+    vehicles: tuple[Vehicle, ...]
+    walkers: tuple[Walker, ...]
+    movers: tuple[Mover, ...]
+    leaves_road_m: float
+
+    def advance(self, step: int) -> None:
+        """Let everybody but the ego go on by `STEP_S`.
+
+        Args:
+            step: Number of the step, from 0.
+        """
+        time_s = step * STEP_S
+        in_the_way: list[Mover] = [*self.movers]
+        in_the_way += [walker for walker in self.walkers if walker.on_road]
+        for vehicle in self.vehicles:
+            vehicle.look(step, time_s, in_the_way)
+        for vehicle in self.vehicles:
+            vehicle.move(time_s, STEP_S)
+        if step % 2 == 0:
+            turn = step // 2 % 2
+            for index, walker in enumerate(self.walkers):
+                if index % 2 == turn:
+                    walker.look(time_s, self.movers)
+                walker.move()
+
+    def grade_at(self, station_m: float) -> float:
+        """Return how steep the ego's route is; the road slopes, its side streets do not."""
+        return self.road.style.grade if station_m < self.leaves_road_m else 0.0
+
+
+def make_world(scenario: UrbanScenario, seed: int) -> UrbanWorld:
+    """Return the world of an episode at time 0."""
+    road = build_road(scenario.road_curve, scenario.road_id, scenario.road_length)
+    route = ego_route(road, scenario.driving_task)
+    weather = conditions(scenario.time_of_day, scenario.weather)
+    signals = _signals(road, scenario, seed) if road.junctions[0].lit else None
+    start = generator(seed, Stream.START)
+    ego = EgoCar(
+        route.pose_at(0.0, float(start.normal(0.0, 0.05))), START_SPEED_MPS, friction=weather.friction
+    )
+    around = Surroundings(signals=signals, movers=[], walkers=[])
+    task = scenario.driving_task
+    exit_right = None if task is DrivingTask.FOLLOW_ROAD else task is DrivingTask.FIRST_EXIT
+    vehicles = tuple(make_traffic(road, weather, around, seed=seed, exit_right=exit_right))
+    walkers = make_people(road, weather, signals, count=scenario.pedestrians, seed=seed, task=task)
+    movers: tuple[Mover, ...] = (ego, *vehicles)
+    around.movers.extend(movers)
+    around.walkers.extend(walkers)
+    return UrbanWorld(
+        road=road,
+        route=route,
+        weather=weather,
+        signals=signals,
+        ego=ego,
+        vehicles=vehicles,
+        walkers=tuple(walkers),
+        movers=movers,
+        leaves_road_m=_leaves_road_m(road, task),
+    )
+
+
+def _leaves_road_m(road: Road, task: DrivingTask) -> float:
+    if task is DrivingTask.FOLLOW_ROAD:
+        return math.inf
+    right = task is DrivingTask.FIRST_EXIT
+    return turn_begins_m(exit_junction(road, right=right).forward_m, road.style.lane_width_m, right=right)
+
+
+def _signals(road: Road, scenario: UrbanScenario, seed: int) -> SignalPlan:
+    """Return the lights; every crossroad has its own cycle offset, which drifts a little."""
+    offset_s = 0.19 * CYCLE_S * (3 * scenario.road_id + scenario.road_length)
+    drift_s = float(generator(seed, Stream.SIGNALS).normal(0.0, 0.6))
+    return SignalPlan(phase_s=(offset_s + drift_s) % CYCLE_S)
