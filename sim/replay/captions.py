@@ -76,7 +76,8 @@ def _plain(word: str) -> str:
     return word.replace("_", " ").replace("-", " ")
 
 
-def with_unit(value: float, requirement: str, *, digits: int = 1) -> str:
-    """Return a robustness with its sign and unit, such as ``−0.8 m``."""
+def with_unit(value: float, requirement: str) -> str:
+    """Return a robustness with its sign and unit, such as ``−0.8 m``; close to zero, with two digits."""
     unit = UNITS.get(REQUIREMENT_UNITS.get(requirement, ""), "")
+    digits = 1 if abs(value) >= 0.1 else 2
     return f"{value:+.{digits}f}{unit}".replace("-", "−")

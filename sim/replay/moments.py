@@ -105,10 +105,10 @@ def _before(trace: Trace, decisive: int) -> list[Moment]:
     lead_up(LEAD_UP_S[0])
     counts = np.diff(trace.given_boxes.first)
     appear = np.flatnonzero(np.diff(counts, prepend=0) > 0)
-    found += [Moment(sample=int(i), reason="injected box appears") for i in appear[appear <= decisive][::-1][:2]]
-    changes = [
-        i for i in range(1, decisive + 1) if trace.plan_mode[i] != trace.plan_mode[i - 1]
+    found += [
+        Moment(sample=int(i), reason="injected box appears") for i in appear[appear <= decisive][::-1][:2]
     ]
+    changes = [i for i in range(1, decisive + 1) if trace.plan_mode[i] != trace.plan_mode[i - 1]]
     found += [Moment(sample=i, reason=f"plan: {trace.plan_mode[i]}") for i in changes[::-1][:2]]
     for event in reversed(trace.events):
         sample = int(np.abs(time_s - event.time_s).argmin())

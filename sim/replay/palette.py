@@ -27,6 +27,8 @@ SEEN: Final[Rgb] = (0, 145, 105)
 VIOLATION: Final[Rgb] = (176, 0, 45)
 VEHICLE: Final[Rgb] = (84, 94, 103)
 PEDESTRIAN: Final[Rgb] = (120, 62, 145)
+BLURRED_VEHICLE: Final[Rgb] = (146, 154, 162)
+BLURRED_PEDESTRIAN: Final[Rgb] = (178, 150, 192)
 GLASS: Final[Rgb] = (205, 216, 224)
 BRAKE: Final[Rgb] = (226, 40, 40)
 

@@ -28,7 +28,9 @@ class Viewport:
     size_px: tuple[int, int]
 
     @classmethod
-    def along(cls, route: FloatArray, ego: FloatArray, *, px_per_m: float, margin_m: tuple[float, float]) -> Self:
+    def along(
+        cls, route: FloatArray, ego: FloatArray, *, px_per_m: float, margin_m: tuple[float, float]
+    ) -> Self:
         """Return the canvas around everywhere the ego is, turned so that its first heading points to the right.
 
         Args:
@@ -65,4 +67,5 @@ class Viewport:
 
 def _turned(points: Points, turn_rad: float) -> Points:
     cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
-    return points @ np.array([[cosine, sine], [-sine, cosine]])
+    turned: Points = points @ np.array([[cosine, sine], [-sine, cosine]])
+    return turned

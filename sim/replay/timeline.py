@@ -1,0 +1,215 @@
+"""Plots of an episode over time: speed, what the requirement says, and bands of what the system does and is told."""
+
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image
+
+from sim.replay.captions import REQUIREMENT_UNITS, UNITS
+from sim.replay.moments import Story, tell
+from sim.replay.palette import (
+    EGO,
+    GHOST,
+    HAIRLINE,
+    INK,
+    LIGHTS,
+    MUTED,
+    PLAN_MODES,
+    UNKNOWN_MODE,
+    VIOLATION,
+    Rgb,
+    hexadecimal,
+    readable_on,
+)
+from sim.replay.time_bar import runs
+from sim.trace import Trace
+
+DPI: Final = 100
+TOLD_ROBUSTNESS: Final = 12.0
+"""Robustness is drawn up to this much in its unit: what lies beyond is no danger and would flatten the rest."""
+BANDS: Final = ("plan", "light", "injected vehicle", "injected person")
+LABELS: Final = {"injected vehicle": 0, "injected person": 1}
+
+
+def timeline_figure(
+    trace: Trace, *, requirement: str | None = None, size: tuple[int, int] = (1200, 620)
+) -> Figure:
+    """Return the plots of an episode over time.
+
+    Args:
+        trace: The episode.
+        requirement: Id of the requirement to show; the front gap, or the first of the trace, if not given.
+        size: Width and height in pixels.
+
+    Raises:
+        ReplayError: The trace is empty, or lacks the requirement.
+    """
+    story = tell(trace, requirement)
+    figure = Figure(figsize=(size[0] / DPI, size[1] / DPI), dpi=DPI, facecolor="white")
+    FigureCanvasAgg(figure)
+    left, right = 124 / size[0], 1 - 108 / size[0]
+    grid = figure.add_gridspec(
+        3, 1, height_ratios=(3, 3, 1.9), hspace=0.16, left=left, right=right, top=0.95, bottom=0.1
+    )
+    speed = figure.add_subplot(grid[0])
+    robustness = figure.add_subplot(grid[1], sharex=speed)
+    bands = figure.add_subplot(grid[2], sharex=speed)
+    _plot_speed(speed, trace)
+    _plot_robustness(robustness, trace, story)
+    _plot_bands(bands, trace)
+    _mark_events(speed, (robustness, bands), trace, story)
+    end_s = float(trace.time_s[-1])
+    bands.set_xlim(float(trace.time_s[0]), end_s if end_s > trace.time_s[0] else end_s + 1)
+    bands.set_xlabel("simulated time (s)", color=hexadecimal(INK))
+    for axes in (speed, robustness):
+        axes.tick_params(labelbottom=False)
+    return figure
+
+
+def timeline_image(
+    trace: Trace, *, requirement: str | None = None, size: tuple[int, int] = (1200, 620)
+) -> Image.Image:
+    """Return `timeline_figure` as a picture in RGB, of exactly the given size."""
+    canvas = FigureCanvasAgg(timeline_figure(trace, requirement=requirement, size=size))
+    canvas.draw()  # type: ignore[no-untyped-call]
+    pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+    return Image.fromarray(pixels).convert("RGB").resize(size)
+
+
+def _plot_speed(axes: Axes, trace: Trace) -> None:
+    time_s = trace.time_s
+    axes.step(
+        time_s,
+        trace.target_speed_mps,
+        where="post",
+        color=hexadecimal(MUTED),
+        linewidth=1.2,
+        linestyle=(0, (4, 2)),
+    )
+    axes.plot(time_s, trace.ego[:, 3], color=hexadecimal(EGO), linewidth=2.0)
+    highest = max(1.0, float(trace.ego[:, 3].max()), float(trace.target_speed_mps.max()))
+    axes.set_ylim(min(0.0, float(trace.ego[:, 3].min())), highest * 1.12)
+    axes.set_ylabel("m/s")
+    _tidy(axes)
+    _label_ends(
+        axes,
+        [(float(trace.ego[-1, 3]), "speed", EGO), (float(trace.target_speed_mps[-1]), "target speed", MUTED)],
+    )
+
+
+def _plot_robustness(axes: Axes, trace: Trace, story: Story) -> None:
+    values = np.asarray(trace.robustness[story.requirement], dtype=np.float64)
+    least = min(story.least, 0.0) if np.isfinite(story.least) else 0.0
+    most = min(TOLD_ROBUSTNESS, float(values[np.isfinite(values)].max(initial=1.0)))
+    most = max(most, 1.0)
+    shown = np.minimum(np.where(np.isfinite(values), values, most * 2), most * 2)
+    axes.axhspan(least - 2 * most, 0, color=hexadecimal(VIOLATION), alpha=0.07, linewidth=0)
+    axes.axhline(0, color=hexadecimal(VIOLATION), linewidth=1.2)
+    axes.plot(trace.time_s, shown, color=hexadecimal(INK), linewidth=1.8)
+    axes.fill_between(
+        trace.time_s, np.minimum(shown, 0), 0, color=hexadecimal(VIOLATION), alpha=0.55, linewidth=0
+    )
+    axes.set_ylim(least - 0.22 * (most - least), most * 1.08)
+    unit = UNITS.get(REQUIREMENT_UNITS.get(story.requirement, ""), "").strip()
+    axes.set_ylabel(unit or "robustness")
+    _tidy(axes)
+    axes.text(
+        1.008, 0.97, f"{story.requirement}\nto spare", transform=axes.transAxes, va="top", fontsize=9,
+        color=hexadecimal(INK), linespacing=1.25,
+    )  # fmt: skip
+    axes.annotate(
+        "violated below", (1, 0), xycoords=("axes fraction", "data"), xytext=(6, -3), textcoords="offset points",
+        va="top", fontsize=9, color=hexadecimal(VIOLATION),
+    )  # fmt: skip
+
+
+def _plot_bands(axes: Axes, trace: Trace) -> None:
+    for row, name in enumerate(BANDS):
+        axes.axhspan(row - 0.36, row + 0.36, color="#f0f2f4", linewidth=0)
+        if name == "plan":
+            for mode, first, last in runs(trace.plan_mode):
+                _band(axes, trace, row, first, last, PLAN_MODES.get(mode, UNKNOWN_MODE), mode)
+        elif name == "light":
+            for state, first, last in runs(trace.lights):
+                if state:
+                    _band(axes, trace, row, first, last, LIGHTS.get(state, UNKNOWN_MODE), state)
+        else:
+            counts = _reported(trace, LABELS[name])
+            for count, first, last in runs(counts.tolist()):
+                if count:
+                    _band(axes, trace, row, first, last, GHOST, f"{count}" if count != 1 else "")
+    axes.set_ylim(len(BANDS) - 0.5, -0.5)
+    axes.set_yticks(range(len(BANDS)), BANDS)
+    _tidy(axes)
+    axes.grid(visible=False)
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)
+
+
+def _band(axes: Axes, trace: Trace, row: int, first: int, last: int, colour: Rgb, text: str) -> None:
+    start_s = float(trace.time_s[first])
+    end_s = float(trace.time_s[min(last + 1, len(trace.time_s) - 1)])
+    axes.broken_barh(
+        [(start_s, end_s - start_s)], (row - 0.36, 0.72), facecolor=hexadecimal(colour), linewidth=0
+    )
+    span_s = float(trace.time_s[-1] - trace.time_s[0])
+    if text and end_s - start_s > 0.011 * span_s * len(text):
+        axes.text(
+            (start_s + end_s) / 2, row + 0.03, text, ha="center", va="center", fontsize=8,
+            color=hexadecimal(readable_on(colour)),
+        )  # fmt: skip
+
+
+def _reported(trace: Trace, label: int) -> NDArray[np.int64]:
+    """Return how many boxes of a label the detector was made to report at each sample, shape ``(n,)``."""
+    boxes = trace.given_boxes
+    sums = np.concatenate([[0], np.cumsum(boxes.rows[:, 0].astype(np.int64) == label)])
+    return np.asarray(sums[boxes.first[1:]] - sums[boxes.first[:-1]], dtype=np.int64)
+
+
+def _mark_events(top: Axes, others: tuple[Axes, ...], trace: Trace, story: Story) -> None:
+    """Draw a thin line for each event through all panels, with its word above where there is room."""
+    span_s = max(1e-6, float(trace.time_s[-1] - trace.time_s[0]))
+    marks = [(float(trace.time_s[story.decisive]), "violation" if story.violated else "closest", VIOLATION)]
+    if not story.violated:
+        marks = [(marks[0][0], marks[0][1], INK)]
+    marks += [(event.time_s, event.kind, MUTED) for event in trace.events]
+    written: list[tuple[float, float]] = []
+    for time_s, word, colour in marks:
+        for axes in (top, *others):
+            axes.axvline(time_s, color=hexadecimal(colour), linewidth=0.9, alpha=0.8, linestyle=(0, (2, 2)))
+        half = 0.0042 * span_s * len(word)
+        if all(abs(time_s - other) > half + width for other, width in written):
+            written.append((time_s, half))
+            top.annotate(
+                word, (time_s, 1.02), xycoords=("data", "axes fraction"), ha="center", va="bottom", fontsize=9,
+                color=hexadecimal(colour),
+            )  # fmt: skip
+
+
+def _label_ends(axes: Axes, ends: list[tuple[float, str, Rgb]]) -> None:
+    """Write the names of lines beside their ends, apart from each other."""
+    low, high = axes.get_ylim()
+    apart = 0.14 * (high - low)
+    at = -np.inf
+    for value, word, colour in sorted(ends):
+        at = max(value, at + apart, low + apart / 2)
+        axes.annotate(
+            word, (1, at), xycoords=("axes fraction", "data"), xytext=(6, 0), textcoords="offset points",
+            va="center", fontsize=9, color=hexadecimal(colour),
+        )  # fmt: skip
+
+
+def _tidy(axes: Axes) -> None:
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_color(hexadecimal(HAIRLINE))
+    axes.tick_params(colors=hexadecimal(MUTED), labelsize=9)
+    axes.yaxis.label.set_color(hexadecimal(MUTED))
+    axes.grid(axis="y", color=hexadecimal(HAIRLINE), linewidth=0.6, alpha=0.6)
+    axes.set_axisbelow(True)

@@ -1,0 +1,92 @@
+"""Films: frames written as GIF or as H.264 in MP4, ten a simulated second, so that they play in real time."""
+
+import os
+from collections.abc import Callable, Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import Final, TypeAlias
+
+import av
+import numpy as np
+from PIL import Image
+
+from sim.replay.top_down import FramePainter
+
+Progress: TypeAlias = Callable[[int, int], None]
+"""Called with the number of frames done and the number of all."""
+
+FRAMES_PER_S: Final = 10
+HOLD_S: Final = 1.0
+"""How long the last frame stays."""
+GIF_COLOURS: Final = 96
+MP4_QUALITY: Final = "23"
+"""x264's constant rate factor: flat drawings need no better."""
+MOST_FRAMES: Final = 3000
+
+
+def film_samples(painter: FramePainter) -> list[int]:
+    """Return the sample of each frame: one every tenth of a second, the last one held for a second."""
+    time_s = np.asarray(painter.trace.time_s, dtype=np.float64)
+    count = min(MOST_FRAMES, round((time_s[-1] - time_s[0]) * FRAMES_PER_S) + 1)
+    wanted = time_s[0] + np.arange(count) / FRAMES_PER_S
+    # Float32 times lie a little off the grid: nearest, not next.
+    right = np.clip(np.searchsorted(time_s, wanted), 1, max(1, len(time_s) - 1))
+    right = np.minimum(right, len(time_s) - 1)
+    left = np.maximum(right - 1, 0)
+    nearest = np.where(wanted - time_s[left] <= time_s[right] - wanted, left, right)
+    samples: list[int] = nearest.tolist()
+    return samples + samples[-1:] * round(HOLD_S * FRAMES_PER_S)
+
+
+def write_mp4(painter: FramePainter, path: Path, on_progress: Progress | None = None) -> None:
+    """Write the film of an episode as MP4 (H.264, yuv420p, index first, so that browsers play it at once)."""
+    width, height = painter.layout.size
+    with av.open(os.fspath(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
+        stream = container.add_stream("libx264", rate=FRAMES_PER_S)
+        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        stream.options = {"crf": MP4_QUALITY, "preset": "veryfast", "tune": "animation"}
+        stream.thread_count = 1
+        for index, image in enumerate(_frames(painter, on_progress)):
+            frame = av.VideoFrame.from_ndarray(np.asarray(image), format="rgb24")
+            frame.pts, frame.time_base = index, Fraction(1, FRAMES_PER_S)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+
+
+def write_gif(painter: FramePainter, path: Path, on_progress: Progress | None = None) -> None:
+    """Write the film of an episode as GIF that repeats; one palette for all frames."""
+    palette = _film_palette(painter)
+    frames = (
+        image.quantize(palette=palette, dither=Image.Dither.NONE) for image in _frames(painter, on_progress)
+    )
+    first = next(frames)
+    first.save(
+        path,
+        format="GIF",
+        save_all=True,
+        append_images=frames,
+        duration=1000 // FRAMES_PER_S,
+        loop=0,
+        optimize=False,
+    )
+
+
+def _film_palette(painter: FramePainter) -> Image.Image:
+    """Return a palette that suits all moments of the story, so that colours do not flicker."""
+    pictures = [painter.frame(moment.sample) for moment in painter.story.moments]
+    width, height = painter.layout.size
+    sheet = Image.new("RGB", (width, height * len(pictures)))
+    for index, picture in enumerate(pictures):
+        sheet.paste(picture, (0, index * height))
+    return sheet.quantize(colors=GIF_COLOURS, method=Image.Quantize.MEDIANCUT)
+
+
+def _frames(painter: FramePainter, on_progress: Progress | None) -> Iterator[Image.Image]:
+    samples = film_samples(painter)
+    last: tuple[int, Image.Image] | None = None
+    for done, sample in enumerate(samples, start=1):
+        if last is None or last[0] != sample:
+            last = (sample, painter.frame(sample))
+        yield last[1]
+        if on_progress is not None:
+            on_progress(done, len(samples))
