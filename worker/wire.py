@@ -22,7 +22,8 @@ class WorkerIdentity(Message):
     """Who asks."""
 
     id: Annotated[
-        str, Field(min_length=1, max_length=64, description="Unique and constant for the life of the process.")
+        str,
+        Field(min_length=1, max_length=64, description="Unique and constant for the life of the process."),
     ]
     host: Annotated[str, Field(max_length=255)] = ""
     pid: Annotated[int, Field(ge=0)] = 0
@@ -93,9 +94,9 @@ class Completed(Message):
 
     kind: Literal["completed"] = "completed"
     verdicts: Annotated[dict[str, WireVerdict], Field(max_length=64)]
-    objectives: Annotated[
-        dict[str, Annotated[float, Field(allow_inf_nan=False)]], Field(max_length=64)
-    ] = Field(default_factory=dict)
+    objectives: Annotated[dict[str, Annotated[float, Field(allow_inf_nan=False)]], Field(max_length=64)] = (
+        Field(default_factory=dict)
+    )
     features: Annotated[dict[str, Any], Field(max_length=256)] = Field(default_factory=dict)
     provenance: Annotated[dict[str, Any], Field(max_length=64)] = Field(default_factory=dict)
     trace: Annotated[str, Field(max_length=8_000_000, description="Base64 of the npz trace.")] | None = None

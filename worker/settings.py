@@ -1,0 +1,83 @@
+"""Settings of a worker: one frozen value, checked when it is made."""
+
+import math
+import os
+import secrets
+import socket
+from dataclasses import dataclass, field
+from urllib.parse import urlsplit
+
+from worker.errors import SettingsError
+
+TOKEN_VARIABLE = "BRINK_TOKEN"
+MAX_JOBS = 128
+"""Most jobs a worker may hold at once; well under the 256 results that one message may carry."""
+
+
+def new_worker_id() -> str:
+    """Return an id that no other worker process has: host, process and eight random digits."""
+    return f"{socket.gethostname()[:40]}-{os.getpid()}-{secrets.token_hex(4)}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorkerSettings:
+    """Everything that a worker can be told.
+
+    Attributes:
+        server: Base URL of the coordinator, such as ``http://127.0.0.1:8700``.
+        worker_id: Unique and constant for the life of the process, 1 to 64 characters.
+        token: Bearer token, or None where the coordinator asks for none.
+        max_jobs: Most jobs to hold at once, running one included, 1 to 128.
+        prefetch_s: How much work to hold, in seconds of simulation; `max_jobs` caps it. Less spreads the end of
+            a generation more evenly over the workers, more asks less often.
+        wait_s: How long a lease request may wait for a job when there is nothing to do, at most 60.
+        report_after_s: A finished job is reported at the latest after this time.
+        memory_mib: Memory that an episode may add to what its process had at the start; 0 sets no limit.
+        grace_s: How long a running episode may go on after the worker was asked to stop.
+        exit_when_idle_s: Leave after this time without a job, or None to stay.
+        plugins: Modules to import for their registrations, besides those that ``BRINK_PLUGINS`` names.
+        start_timeout_s: How long the simulation process may take to import its simulators.
+        abandon_after_s: A running job whose lease is lost is given up if it has run for this long, since a new
+            process costs about a second; shorter ones end by themselves.
+        exit_with_parent: Leave when standard input reaches its end.
+    """
+
+    server: str
+    worker_id: str = field(default_factory=new_worker_id)
+    token: str | None = field(default=None, repr=False)
+    max_jobs: int = 8
+    prefetch_s: float = 0.25
+    wait_s: float = 20.0
+    report_after_s: float = 1.0
+    memory_mib: int = 2048
+    grace_s: float = 8.0
+    exit_when_idle_s: float | None = None
+    plugins: tuple[str, ...] = ()
+    start_timeout_s: float = 120.0
+    abandon_after_s: float = 2.0
+    exit_with_parent: bool = False
+
+    def __post_init__(self) -> None:
+        url = urlsplit(self.server)
+        if url.scheme not in ("http", "https") or not url.hostname:
+            raise SettingsError(
+                "server", f"expected a URL such as http://127.0.0.1:8700, got {self.server!r}"
+            )
+        if not 1 <= len(self.worker_id) <= 64:
+            raise SettingsError("worker_id", f"expected 1 to 64 characters, got {len(self.worker_id)}")
+        if not 1 <= self.max_jobs <= MAX_JOBS:
+            raise SettingsError("max_jobs", f"expected 1 to {MAX_JOBS}, got {self.max_jobs}")
+        if not 0 <= self.wait_s <= 60:
+            raise SettingsError("wait_s", f"expected 0 to 60 seconds, got {self.wait_s}")
+        if self.memory_mib < 0:
+            raise SettingsError("memory_mib", f"expected 0 (no limit) or more, got {self.memory_mib}")
+        for name in ("prefetch_s", "report_after_s", "grace_s", "abandon_after_s"):
+            self._check_seconds(name, getattr(self, name))
+        self._check_seconds("start_timeout_s", self.start_timeout_s)
+        if self.exit_when_idle_s is not None:
+            self._check_seconds("exit_when_idle_s", self.exit_when_idle_s)
+
+    @staticmethod
+    def _check_seconds(name: str, value: float) -> None:
+        if not (math.isfinite(value) and value >= 0):
+            raise SettingsError(name, f"expected a number of seconds, 0 or more, got {value!r}")
