@@ -1,7 +1,7 @@
 """Settings of algorithms and problems: fields of frozen dataclasses that carry their help, bounds and unit.
 
 A catalogue turns such a dataclass into a JSON schema from `dataclasses.fields`: the metadata of each field holds
-``help``, ``unit`` and whichever of ``ge``, ``gt``, ``le``, ``lt`` bound it.
+``help``, ``unit`` and whichever of ``ge``, ``gt``, ``le``, ``lt`` and ``choices`` bound it.
 """
 
 import dataclasses
@@ -27,6 +27,7 @@ def setting(
     le: float | None = None,
     lt: float | None = None,
     unit: str = "",
+    choices: tuple[T, ...] | None = None,
 ) -> T:
     """Return a dataclass field with a default, a line of help, bounds and a unit.
 
@@ -38,9 +39,14 @@ def setting(
         le: Largest value.
         lt: Value that it must stay below.
         unit: Unit of the value.
+        choices: The only values that it may have.
     """
     bounds = {"ge": ge, "gt": gt, "le": le, "lt": lt}
-    metadata = {"help": help, "unit": unit} | {k: v for k, v in bounds.items() if v is not None}
+    metadata: dict[str, Any] = {"help": help, "unit": unit} | {
+        name: bound for name, bound in bounds.items() if bound is not None
+    }
+    if choices is not None:
+        metadata["choices"] = choices
     return dataclasses.field(default=default, metadata=metadata)
 
 
@@ -83,3 +89,6 @@ def check_settings(config: Any) -> None:
         )
         if not _is_of(kind, value) or not all(_holds(b, value, limit) for b, limit in limits.items()):
             raise ConfigError(field.name, f"expected {expected}, got {value!r}")
+        choices = field.metadata.get("choices")
+        if choices is not None and value not in choices:
+            raise ConfigError(field.name, f"expected one of {', '.join(map(str, choices))}; got {value!r}")

@@ -1,0 +1,154 @@
+"""A generational genetic algorithm on whole complete solutions, with the boundary fitness of the archive.
+
+It takes any space. Children that were evaluated before keep their place in the population and their fitness, and
+are not asked again. Source: Sharifi et al. 2023, baseline GA.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from search.algorithm import Candidate, Evaluation
+from search.algorithms.ledger import BoundaryConfig, Ledger, check_budget, stored_rows
+from search.archive import Archive
+from search.component import FloatArray, frozen_array
+from search.document import Document
+from search.operators import offspring, tournament
+from search.settings import setting
+from search.space import SearchSpace
+from search.streams import Stream, generator
+
+_VERSION = 1
+_BREEDINGS = 100
+"""Populations bred without one new solution after which the space counts as exhausted."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GeneticAlgorithmConfig(BoundaryConfig):
+    """Settings of the genetic algorithm."""
+
+    population_size: int = setting(60, help="Complete solutions a generation.", ge=2, le=10_000)
+    crossover_probability: float = setting(0.85, help="Probability that two parents cross.", ge=0, le=1)
+    gene_swap_probability: float = setting(
+        0.5, help="Probability that a gene is swapped when parents cross.", ge=0, le=1
+    )
+    mutation_probability: float = setting(0.01, help="Probability that a gene mutates.", gt=0, le=1)
+    tournament_size: int = setting(3, help="Contestants for one place as a parent.", ge=1, le=100)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GeneticAlgorithmState:
+    """State of the genetic algorithm.
+
+    Attributes:
+        config: Settings.
+        ledger: All candidates.
+        population: The current generation as rows, shape ``(population_size, d)``; evaluated, failed or queued.
+    """
+
+    config: GeneticAlgorithmConfig
+    ledger: Ledger
+    population: FloatArray
+
+    @property
+    def generation(self) -> int:
+        """Generations told so far."""
+        return self.ledger.generation
+
+    @property
+    def archive(self) -> Archive:
+        """All complete solutions that were evaluated and did not fail."""
+        return self.ledger.archive
+
+    @property
+    def pending(self) -> tuple[Candidate, ...]:
+        """Candidates asked and not yet told, ascending by number."""
+        return self.ledger.pending
+
+
+class GeneticAlgorithm:
+    """Generational, tournament selection, uniform crossover."""
+
+    id = "ga@1"
+    summary = "Genetic algorithm on whole solutions, towards the hazard boundary."
+    config_type = GeneticAlgorithmConfig
+
+    def check(self, space: SearchSpace, config: GeneticAlgorithmConfig, *, budget: int) -> None:
+        """Raise ConfigError if the budget does not cover a population; any space will do."""
+        check_budget(budget, config.population_size)
+
+    def start(
+        self, space: SearchSpace, config: GeneticAlgorithmConfig, *, seed: int, budget: int
+    ) -> GeneticAlgorithmState:
+        """Return the first state, with nothing asked yet."""
+        self.check(space, config, budget=budget)
+        ledger = Ledger.opened(space, config, seed=seed, budget=budget)
+        rng = generator(seed, Stream.START)
+        population = np.array([space.join(space.sample(rng)) for _ in range(config.population_size)])
+        return GeneticAlgorithmState(
+            config=config,
+            ledger=ledger.planned(ledger.unseen(population)),
+            population=frozen_array(population),
+        )
+
+    def ask(self, state: GeneticAlgorithmState) -> tuple[GeneticAlgorithmState, tuple[Candidate, ...]]:
+        """Return a state with a pending generation, and that generation."""
+        ledger = state.ledger.handed_out()
+        return replace(state, ledger=ledger), ledger.pending
+
+    def tell(
+        self, state: GeneticAlgorithmState, evaluations: Mapping[int, Evaluation]
+    ) -> GeneticAlgorithmState:
+        """Return the state after the pending generation was evaluated."""
+        ledger = state.ledger.told(evaluations)
+        told = replace(state, ledger=ledger)
+        if ledger.left <= 0:
+            return told
+        fitness = ledger.fitness_of(slice(0, ledger.space.dimension), state.population)
+        for attempt in range(_BREEDINGS):
+            population = _next_population(told, fitness, attempt)
+            if rows := ledger.unseen(population):
+                return replace(told, ledger=ledger.planned(rows), population=frozen_array(population))
+        return told
+
+    def finished(self, state: GeneticAlgorithmState) -> bool:
+        """Return whether the budget is spent, or many populations brought nothing new."""
+        return not state.ledger.queue
+
+    def dump(self, state: GeneticAlgorithmState) -> Document:
+        """Return the state without its archive, as a versioned document."""
+        return state.ledger.dump(self.id, _VERSION, {}, {"population": state.population})
+
+    def load(
+        self, space: SearchSpace, config: GeneticAlgorithmConfig, document: Document, archive: Archive
+    ) -> GeneticAlgorithmState:
+        """Return the state that `dump` wrote, with the archive that it had then."""
+        ledger = Ledger.load(space, config, document.expect(self.id, _VERSION), archive)
+        population = stored_rows(document, "population", space.dimension)
+        return GeneticAlgorithmState(config=config, ledger=ledger, population=population)
+
+
+def _next_population(state: GeneticAlgorithmState, fitness: FloatArray, attempt: int) -> FloatArray:
+    """Return a population of children, shape ``(population_size, d)``."""
+    config, ledger, space = state.config, state.ledger, state.ledger.space
+    rng = generator(ledger.seed, Stream.BREEDING, ledger.generation, attempt)
+    children: list[FloatArray] = []
+    while len(children) < config.population_size:
+        mother, father = (
+            space.split(state.population[tournament(fitness, config.tournament_size, rng)]) for _ in range(2)
+        )
+        crosses = rng.random() < config.crossover_probability
+        pairs = [
+            offspring(
+                component,
+                mother[index],
+                father[index],
+                crossover=config.gene_swap_probability if crosses else 0.0,
+                mutation=config.mutation_probability,
+                rng=rng,
+            )
+            for index, component in enumerate(space.components)
+        ]
+        children.extend(space.join([pair[child] for pair in pairs]) for child in range(2))
+    return np.array(children[: config.population_size])

@@ -1,0 +1,283 @@
+"""MLCSHE: cooperative co-evolution of scenarios and behaviours towards the hazard boundary.
+
+Two populations evolve side by side; an individual is judged by the best complete solution that contains it.
+Each keeps a small archive of individuals that represent it in joining with the other.
+
+Source: Sharifi et al. 2023, Algorithms 1 (co-evolution), 2 (collaboration), 3 (population archive). Departures of
+the authors' code from the paper are not followed.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from search.algorithm import Candidate, Evaluation
+from search.algorithms.ledger import BoundaryConfig, Ledger, check_budget, stored_rows
+from search.archive import Archive
+from search.component import FloatArray, frozen_array
+from search.document import Document
+from search.errors import ConfigError, DocumentError, UnsupportedSpace
+from search.metric import Metric
+from search.operators import offspring, tournament
+from search.settings import setting
+from search.space import SearchSpace
+from search.streams import Stream, generator
+
+_VERSION = 1
+_BREEDINGS = 100
+"""Pairs of populations bred without one new solution after which the space counts as exhausted."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MlcsheConfig(BoundaryConfig):
+    """Settings of MLCSHE; the defaults are the paper's."""
+
+    population_size: int = setting(10, help="Individuals in each of the two populations.", ge=2, le=1_000)
+    archive_size: int = setting(3, help="Most individuals in a population archive (l).", ge=1, le=1_000)
+    archive_distance: float = setting(
+        0.4, help="Least distance between members of a population archive (d_a).", ge=0, le=1
+    )
+    partners: int = setting(1, help="Fewest partners that an individual is joined with (k).", ge=1, le=1_000)
+    gene_swap_probability: float = setting(0.5, help="Probability that crossover swaps a gene.", ge=0, le=1)
+    mutation_probability: float = setting(1.0, help="Probability that a gene mutates.", gt=0, le=1)
+    tournament_size: int = setting(3, help="Contestants for one place as a parent.", ge=1, le=100)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Population:
+    """The individuals of one component.
+
+    Attributes:
+        individuals: Vectors, shape ``(n, d)``; the archived ones last.
+        archived: How many of them make up the population archive.
+    """
+
+    individuals: FloatArray
+    archived: int
+
+    def __len__(self) -> int:
+        return len(self.individuals)
+
+    @property
+    def outside(self) -> int:
+        """How many individuals are not archived; they come first."""
+        return len(self) - self.archived
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MlcsheState:
+    """State of MLCSHE.
+
+    Attributes:
+        config: Settings.
+        ledger: All candidates.
+        populations: Of the first and of the second component.
+    """
+
+    config: MlcsheConfig
+    ledger: Ledger
+    populations: tuple[Population, Population]
+
+    @property
+    def generation(self) -> int:
+        """Generations told so far."""
+        return self.ledger.generation
+
+    @property
+    def archive(self) -> Archive:
+        """All complete solutions that were evaluated and did not fail."""
+        return self.ledger.archive
+
+    @property
+    def pending(self) -> tuple[Candidate, ...]:
+        """Candidates asked and not yet told, ascending by number."""
+        return self.ledger.pending
+
+
+class Mlcshe:
+    """Cooperative co-evolutionary search for the hazard boundary."""
+
+    id = "mlcshe@1"
+    summary = "Cooperative co-evolution of scenarios and behaviours, towards the hazard boundary."
+    config_type = MlcsheConfig
+
+    def check(self, space: SearchSpace, config: MlcsheConfig, *, budget: int) -> None:
+        """Raise what is wrong with this combination.
+
+        Raises:
+            UnsupportedSpace: The space does not have exactly two components.
+            ConfigError: A setting does not go with the others or with the budget.
+        """
+        if len(space.components) != 2:
+            names = ", ".join(component.name for component in space.components)
+            raise UnsupportedSpace(
+                f"{self.id} joins two populations: expected a space of two components, got {names}; "
+                "ga@1 and random@1 take any space"
+            )
+        if config.archive_size >= config.population_size:
+            raise ConfigError(
+                "archive_size",
+                f"expected less than population_size, {config.population_size}, to leave room for offspring; "
+                f"got {config.archive_size}",
+            )
+        if config.partners > config.population_size:
+            raise ConfigError(
+                "partners",
+                f"expected at most population_size, {config.population_size}, got {config.partners}",
+            )
+        check_budget(budget, config.population_size**2)
+
+    def start(self, space: SearchSpace, config: MlcsheConfig, *, seed: int, budget: int) -> MlcsheState:
+        """Return the first state, with nothing asked yet: the archives are the whole populations."""
+        self.check(space, config, budget=budget)
+        ledger = Ledger.opened(space, config, seed=seed, budget=budget)
+        first, second = (_random_population(ledger, config, index) for index in range(2))
+        rows = ledger.unseen(_collaborations(ledger, config, (first, second), attempt=0))
+        return MlcsheState(config=config, ledger=ledger.planned(rows), populations=(first, second))
+
+    def ask(self, state: MlcsheState) -> tuple[MlcsheState, tuple[Candidate, ...]]:
+        """Return a state with a pending generation, and that generation."""
+        ledger = state.ledger.handed_out()
+        return replace(state, ledger=ledger), ledger.pending
+
+    def tell(self, state: MlcsheState, evaluations: Mapping[int, Evaluation]) -> MlcsheState:
+        """Return the state after the pending generation was evaluated."""
+        ledger = state.ledger.told(evaluations)
+        told = replace(state, ledger=ledger)
+        if ledger.left <= 0:
+            return told
+        stocks = [_breeding_stock(told, index) for index in range(2)]
+        for attempt in range(_BREEDINGS):
+            first, second = (_next_population(told, stock, attempt) for stock in stocks)
+            if rows := ledger.unseen(_collaborations(ledger, state.config, (first, second), attempt)):
+                return replace(told, ledger=ledger.planned(rows), populations=(first, second))
+        return told
+
+    def finished(self, state: MlcsheState) -> bool:
+        """Return whether the budget is spent, or many populations brought nothing new."""
+        return not state.ledger.queue
+
+    def dump(self, state: MlcsheState) -> Document:
+        """Return the state without its archive, as a versioned document."""
+        first, second = state.populations
+        return state.ledger.dump(
+            self.id,
+            _VERSION,
+            {"population_archives": [first.archived, second.archived]},
+            {"population_0": first.individuals, "population_1": second.individuals},
+        )
+
+    def load(
+        self, space: SearchSpace, config: MlcsheConfig, document: Document, archive: Archive
+    ) -> MlcsheState:
+        """Return the state that `dump` wrote, with the archive that it had then."""
+        ledger = Ledger.load(space, config, document.expect(self.id, _VERSION), archive)
+        match document.header.get("population_archives"):
+            case [int(), int()] as archived if len(space.components) == 2:
+                first, second = (
+                    Population(
+                        individuals=stored_rows(document, f"population_{index}", component.dimension),
+                        archived=archived[index],
+                    )
+                    for index, component in enumerate(space.components)
+                )
+                return MlcsheState(config=config, ledger=ledger, populations=(first, second))
+            case got:
+                raise DocumentError(f"population_archives: expected two whole numbers, got {got!r}")
+
+
+def _random_population(ledger: Ledger, config: MlcsheConfig, index: int) -> Population:
+    rng = generator(ledger.seed, Stream.START, index)
+    rows = [ledger.space.sample_component(index, rng) for _ in range(config.population_size)]
+    return Population(individuals=frozen_array(np.array(rows)), archived=config.population_size)
+
+
+def _collaborations(
+    ledger: Ledger, config: MlcsheConfig, populations: tuple[Population, Population], attempt: int
+) -> list[FloatArray]:
+    """Return all complete solutions of a generation as rows, first component first (Algorithm 2)."""
+    rng = generator(ledger.seed, Stream.COLLABORATION, ledger.generation, attempt)
+    first, second = populations
+    pairs = {(i, j) for i in range(len(first)) for j in range(second.outside, len(second))}
+    pairs |= {(i, j) for j in range(len(second)) for i in range(first.outside, len(first))}
+    for i in range(len(first)):
+        pairs |= {(i, j) for j in _further_partners(second, config.partners, rng)}
+    for j in range(len(second)):
+        pairs |= {(i, j) for i in _further_partners(first, config.partners, rng)}
+    return [np.concatenate([first.individuals[i], second.individuals[j]]) for i, j in sorted(pairs)]
+
+
+def _further_partners(population: Population, wanted: int, rng: np.random.Generator) -> list[int]:
+    """Return random individuals outside the archive, as many as the archive lacks."""
+    lacking = wanted - population.archived
+    if lacking <= 0:
+        return []
+    return [int(position) for position in rng.choice(population.outside, size=lacking, replace=False)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BreedingStock:
+    """A population after its generation was evaluated.
+
+    Attributes:
+        index: Of its component.
+        individuals: Vectors, shape ``(n, d)``.
+        fitness: Smallest fitness of the complete solutions that contain each, shape ``(n,)``.
+        archived: Positions of the individuals that represent the population from now on, the best first.
+    """
+
+    index: int
+    individuals: FloatArray
+    fitness: FloatArray
+    archived: tuple[int, ...]
+
+
+def _breeding_stock(state: MlcsheState, index: int) -> BreedingStock:
+    individuals = state.populations[index].individuals
+    fitness = state.ledger.fitness_of(state.ledger.space.slices[index], individuals)
+    archived = _representatives(state, index, fitness)
+    return BreedingStock(index=index, individuals=individuals, fitness=fitness, archived=archived)
+
+
+def _representatives(state: MlcsheState, index: int, fitness: FloatArray) -> tuple[int, ...]:
+    """Return the positions of the new population archive (Algorithm 3).
+
+    An individual of which every solution failed represents nobody, unless there is no other.
+    """
+    config, ledger = state.config, state.ledger
+    individuals = state.populations[index].individuals
+    rng = generator(ledger.seed, Stream.POPULATION_ARCHIVE, ledger.generation, index)
+    distances = Metric.of_component(ledger.space, index).between(individuals, individuals)
+    chosen = [int(np.argmin(fitness))]
+    for position in rng.permutation(len(individuals)).tolist():
+        if len(chosen) == config.archive_size:
+            break
+        ranked = np.isfinite(fitness[position]) or not np.isfinite(fitness).any()
+        if ranked and position not in chosen and distances[position, chosen].min() >= config.archive_distance:
+            chosen.append(position)
+    return tuple(chosen)
+
+
+def _next_population(state: MlcsheState, stock: BreedingStock, attempt: int) -> Population:
+    """Return the offspring of a population and, behind them, its archive."""
+    config, ledger = state.config, state.ledger
+    rng = generator(ledger.seed, Stream.BREEDING, ledger.generation, attempt, stock.index)
+    wanted = len(stock.individuals) - len(stock.archived)
+    children: list[FloatArray] = []
+    while len(children) < wanted:
+        mother, father = (
+            stock.individuals[tournament(stock.fitness, config.tournament_size, rng)] for _ in range(2)
+        )
+        children.extend(
+            offspring(
+                ledger.space.components[stock.index],
+                mother,
+                father,
+                crossover=config.gene_swap_probability,
+                mutation=config.mutation_probability,
+                rng=rng,
+            )
+        )
+    rows = [*children[:wanted], *stock.individuals[list(stock.archived)]]
+    return Population(individuals=frozen_array(np.array(rows)), archived=len(stock.archived))
