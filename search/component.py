@@ -4,6 +4,7 @@ Two promises hold of every component: whatever comes out of `Component.repair` p
 repair leaves a vector that passes as it is.
 """
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
@@ -114,7 +115,7 @@ class Component:
 
     def _wake(self, values: Values, asleep: set[str], rng: np.random.Generator) -> set[str]:
         """Give every awake number without a value a fresh one; return which got one."""
-        fresh = {name for name, value in values.items() if np.isnan(value) and name not in asleep}
+        fresh = {name for name, value in values.items() if math.isnan(value) and name not in asleep}
         for block in self._blocks:
             awake = block.members[0] not in asleep
             if awake and all(values[name] == 0 for name in block.members):
@@ -149,11 +150,13 @@ class Component:
         for parameter in self.parameters:
             if isinstance(parameter, Categorical):
                 value = values[parameter.name]
-                values[parameter.name] = parameter.draw(rng) if np.isnan(value) else parameter.clipped(value)
+                values[parameter.name] = (
+                    parameter.draw(rng) if math.isnan(value) else parameter.clipped(value)
+                )
             elif isinstance(parameter, Integer):
                 values[parameter.name] = parameter.rounded(values[parameter.name])
         for number in self._free:
-            if not np.isnan(values[number.name]):
+            if not math.isnan(values[number.name]):
                 values[number.name] = number.clipped(values[number.name])
         asleep = self._asleep(values)
         values.update(dict.fromkeys(asleep, 0.0))
