@@ -15,7 +15,7 @@ REQUIREMENT_UNITS: Final = {
     "speed-limit": "m/s",
     "progress": "s",
 }
-"""Units of the requirements that ship with the project; others are written without one."""
+"""Units, by id without version, of the requirements that ship with the project; others are written without one."""
 
 _LENGTHS: Final = {0: "short", 1: "medium", 2: "long"}
 _ROADS: Final = {
@@ -36,7 +36,8 @@ _KNOWN: Final = frozenset(
 
 def scenario_words(trace: Trace) -> str:
     """Return the scenario as a line of words, from what the trace says about itself; empty if it says nothing."""
-    scenario = trace.about.get("scenario", trace.about)
+    spec = trace.about.get("spec")
+    scenario = spec.get("scenario") if isinstance(spec, Mapping) else None
     if not isinstance(scenario, Mapping):
         return ""
     parts = [*_road(scenario), *_conditions(scenario)]
@@ -76,8 +77,13 @@ def _plain(word: str) -> str:
     return word.replace("_", " ").replace("-", " ")
 
 
+def plain_name(plugin_id: str) -> str:
+    """Return an id without its version: ``front-gap`` for ``front-gap@1``."""
+    return plugin_id.partition("@")[0]
+
+
 def with_unit(value: float, requirement: str) -> str:
     """Return a robustness with its sign and unit, such as ``−0.8 m``; close to zero, with two digits."""
-    unit = UNITS.get(REQUIREMENT_UNITS.get(requirement, ""), "")
+    unit = UNITS.get(REQUIREMENT_UNITS.get(plain_name(requirement), ""), "")
     digits = 1 if abs(value) >= 0.1 else 2
     return f"{value:+.{digits}f}{unit}".replace("-", "−")

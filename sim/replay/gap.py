@@ -5,13 +5,12 @@ from typing import Final
 
 import numpy as np
 
+from sim.replay.captions import plain_name
 from sim.replay.geometry import Points, closest_points, outline
+from sim.requirements.front_gap import REQUIRED_GAP_M
 from sim.trace import ActorTrack, Trace
 
 FRONT_GAP: Final = "front-gap"
-REQUIRED_GAP_M: Final = 1.5
-"""The least gap that the requirement asks for: robustness is what there is beyond it."""
-
 DRAWN_UP_TO_M: Final = 40.0
 CORRIDOR_M: Final = 2.5
 """Without a recorded front gap: how far off the ego's axis a vehicle may be to count as ahead."""
@@ -36,12 +35,13 @@ class FrontGap:
 
 def front_gap(trace: Trace, sample: int) -> FrontGap | None:
     """Return the gap to the vehicle ahead at a sample, or None if there is none within 40 m."""
-    recorded = trace.robustness.get(FRONT_GAP)
+    recorded = next((s for name, s in trace.robustness.items() if plain_name(name) == FRONT_GAP), None)
     gap_m = None if recorded is None else float(recorded[sample]) + REQUIRED_GAP_M
     if gap_m is not None and gap_m > DRAWN_UP_TO_M:
         return None
     x_m, y_m, yaw_rad = (float(value) for value in trace.ego[sample, :3])
     ego = outline(x_m, y_m, yaw_rad, *trace.ego_size_m)
+    route = trace.route if len(trace.route) else trace.ego[sample : sample + 1, :2]
     found: list[tuple[float, FrontGap]] = []
     for index, actor in enumerate(trace.actors):
         if actor.kind != "vehicle" or not _ahead(actor, sample, x_m, y_m, yaw_rad, trace.ego_size_m[0]):
@@ -52,17 +52,18 @@ def front_gap(trace: Trace, sample: int) -> FrontGap | None:
         if gap_m is None:
             if _off_axis(actor, sample, x_m, y_m, yaw_rad) > CORRIDOR_M:
                 continue
-            mismatch = clearance_m
+            unlikely = clearance_m
+        elif abs(clearance_m - gap_m) > TOLERANCE_M:
+            continue
         else:
-            mismatch = abs(clearance_m - gap_m)
-            if mismatch > TOLERANCE_M:
-                continue
+            # An oncoming vehicle may pass at just that distance: the one ahead is the one on the route.
+            unlikely = float(np.hypot(*(route - actor.motion[sample, :2]).T).min())
         line = FrontGap(
             actor=index,
             ends=np.vstack([start, end]),
             gap_m=clearance_m if gap_m is None else max(0.0, gap_m),
         )
-        found.append((mismatch, line))
+        found.append((unlikely, line))
     return min(found, key=lambda pair: pair[0])[1] if found else None
 
 

@@ -26,6 +26,7 @@ from sim.replay.palette import (
 )
 from sim.replay.scene import SUPERSAMPLING, paint_scene
 from sim.replay.viewport import Viewport
+from sim.requirements.front_gap import REQUIRED_GAP_M
 from sim.trace import Trace
 
 SMOOTHING_S: Final = 2.0
@@ -121,7 +122,7 @@ class MapView:
                 continue
             if actor.kind == "vehicle":
                 self._draw_car(draw, corners, VEHICLE, self._accel(index, sample))
-                if gap is not None and gap.actor == index and gap.gap_m < 1.5:
+                if gap is not None and gap.actor == index and gap.gap_m < REQUIRED_GAP_M:
                     _outline(draw, corners[bodies.BODY], VIOLATION, 2 * SUPERSAMPLING)
             else:
                 self._draw_walker(draw, corners)
@@ -180,7 +181,7 @@ class MapView:
 
     def _draw_gap(self, draw: ImageDraw.ImageDraw, gap: FrontGap, corner: Points, texts: list[Text]) -> None:
         ends = self._viewport.to_px(gap.ends) - corner
-        colour = VIOLATION if gap.gap_m < 1.5 else INK
+        colour = VIOLATION if gap.gap_m < REQUIRED_GAP_M else INK
         draw.line(ends.ravel().tolist(), fill=colour, width=round(1.5 * SUPERSAMPLING))
         across = ends[1] - ends[0]
         across = np.array([-across[1], across[0]]) / max(1e-9, float(np.hypot(*across)))

@@ -5,8 +5,9 @@ from typing import Final
 
 import numpy as np
 
+from sim.replay.captions import plain_name
 from sim.replay.errors import ReplayError
-from sim.trace import Trace
+from sim.trace import Event, Trace
 
 FIRST_TOLD: Final = ("front-gap", "no-collision")
 """Requirements that a replay is about when none is named, in order of preference."""
@@ -28,7 +29,8 @@ class Story:
     """What the replay of an episode is about.
 
     Attributes:
-        requirement: Id of the requirement that is judged.
+        requirement: Id of the requirement that is judged, as the trace has it.
+        title: The same without its version.
         violated: Whether it is violated.
         decisive: Sample of the first violation, or of the least robustness.
         least: Least robustness of the episode.
@@ -36,6 +38,7 @@ class Story:
     """
 
     requirement: str
+    title: str
     violated: bool
     decisive: int
     least: float
@@ -47,7 +50,7 @@ def tell(trace: Trace, requirement: str | None = None, *, most: int = 6) -> Stor
 
     Args:
         trace: The episode.
-        requirement: What to judge; the front gap, or else the first requirement of the trace, if not given.
+        requirement: What to judge, its id with or without version; the front gap, or else the first requirement of the trace, if not given.
         most: Greatest number of moments, at least 2.
 
     Raises:
@@ -61,6 +64,7 @@ def tell(trace: Trace, requirement: str | None = None, *, most: int = 6) -> Stor
     decisive = int(below[0]) if below.size else int(series.argmin())
     return Story(
         requirement=chosen,
+        title=plain_name(chosen),
         violated=bool(below.size),
         decisive=decisive,
         least=float(series.min()),
@@ -68,15 +72,24 @@ def tell(trace: Trace, requirement: str | None = None, *, most: int = 6) -> Stor
     )
 
 
+def told_events(trace: Trace) -> list[Event]:
+    """Return the events but for changes of the plan mode, which replays show as a band."""
+    return [event for event in trace.events if not event.kind.startswith("plan-")]
+
+
 def _choose(trace: Trace, requirement: str | None) -> str:
     if requirement is None:
         if not trace.robustness:
             raise ReplayError("the trace records no requirement: there is nothing to judge")
-        return next((name for name in FIRST_TOLD if name in trace.robustness), next(iter(trace.robustness)))
-    if requirement not in trace.robustness:
+        return min(
+            trace.robustness,
+            key=lambda name: FIRST_TOLD.index(plain_name(name)) if plain_name(name) in FIRST_TOLD else 9,
+        )
+    matching = [name for name in trace.robustness if requirement in (name, plain_name(name))]
+    if not matching:
         known = ", ".join(trace.robustness) or "none"
         raise ReplayError(f"requirement: expected one that the trace records ({known}), got {requirement!r}")
-    return requirement
+    return requirement if requirement in matching else matching[0]
 
 
 def _moments(trace: Trace, decisive: int, *, violated: bool, most: int) -> tuple[Moment, ...]:
@@ -110,7 +123,7 @@ def _before(trace: Trace, decisive: int) -> list[Moment]:
     ]
     changes = [i for i in range(1, decisive + 1) if trace.plan_mode[i] != trace.plan_mode[i - 1]]
     found += [Moment(sample=i, reason=f"plan: {trace.plan_mode[i]}") for i in changes[::-1][:2]]
-    for event in reversed(trace.events):
+    for event in reversed(told_events(trace)):
         sample = int(np.abs(time_s - event.time_s).argmin())
         if sample <= decisive:
             found.append(Moment(sample=sample, reason=event.kind))

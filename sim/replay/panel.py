@@ -63,7 +63,7 @@ class Panel:
         unit, left = self._unit, self._left
         middle = (left + self._right) / 2
         draw.text((left, self._top), "speed", fill=MUTED, font=self._small)
-        draw.text((middle, self._top), self._story.requirement, fill=MUTED, font=self._small)
+        draw.text((middle, self._top), self._story.title, fill=MUTED, font=self._small)
         draw.text((left, self._top + 52 * unit), "plan", fill=MUTED, font=self._small)
         draw.text((middle, self._top + 52 * unit), "traffic light", fill=MUTED, font=self._small)
         line = self._top + round(100 * unit)

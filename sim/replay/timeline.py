@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from sim.replay.captions import REQUIREMENT_UNITS, UNITS
-from sim.replay.moments import Story, tell
+from sim.replay.moments import Story, tell, told_events
 from sim.replay.palette import (
     EGO,
     GHOST,
@@ -114,11 +114,11 @@ def _plot_robustness(axes: Axes, trace: Trace, story: Story) -> None:
         trace.time_s, np.minimum(shown, 0), 0, color=hexadecimal(VIOLATION), alpha=0.55, linewidth=0
     )
     axes.set_ylim(least - 0.22 * (most - least), most * 1.08)
-    unit = UNITS.get(REQUIREMENT_UNITS.get(story.requirement, ""), "").strip()
+    unit = UNITS.get(REQUIREMENT_UNITS.get(story.title, ""), "").strip()
     axes.set_ylabel(unit or "robustness")
     _tidy(axes)
     axes.text(
-        1.008, 0.97, f"{story.requirement}\nto spare", transform=axes.transAxes, va="top", fontsize=9,
+        1.008, 0.97, f"{story.title}\nto spare", transform=axes.transAxes, va="top", fontsize=9,
         color=hexadecimal(INK), linespacing=1.25,
     )  # fmt: skip
     axes.annotate(
@@ -177,7 +177,7 @@ def _mark_events(top: Axes, others: tuple[Axes, ...], trace: Trace, story: Story
     marks = [(float(trace.time_s[story.decisive]), "violation" if story.violated else "closest", VIOLATION)]
     if not story.violated:
         marks = [(marks[0][0], marks[0][1], INK)]
-    marks += [(event.time_s, event.kind, MUTED) for event in trace.events]
+    marks += [(event.time_s, event.kind, MUTED) for event in told_events(trace)]
     written: list[tuple[float, float]] = []
     for time_s, word, colour in marks:
         for axes in (top, *others):
@@ -196,10 +196,14 @@ def _label_ends(axes: Axes, ends: list[tuple[float, str, Rgb]]) -> None:
     low, high = axes.get_ylim()
     apart = 0.14 * (high - low)
     at = -np.inf
-    for value, word, colour in sorted(ends):
+    places = []
+    for value, _, _ in sorted(ends):
         at = max(value, at + apart, low + apart / 2)
+        places.append(at)
+    excess = max(0.0, places[-1] - high)
+    for at, (_, word, colour) in zip(places, sorted(ends), strict=True):
         axes.annotate(
-            word, (1, at), xycoords=("axes fraction", "data"), xytext=(6, 0), textcoords="offset points",
+            word, (1, at - excess), xycoords=("axes fraction", "data"), xytext=(6, 0), textcoords="offset points",
             va="center", fontsize=9, color=hexadecimal(colour),
         )  # fmt: skip
 

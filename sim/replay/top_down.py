@@ -116,7 +116,7 @@ class FramePainter:
 
     def verdict(self) -> str:
         """Return what came of the episode, in words."""
-        name, time_s = self.story.requirement, float(self.trace.time_s[self.story.decisive])
+        name, time_s = self.story.title, float(self.trace.time_s[self.story.decisive])
         if self.story.violated:
             return f"{name} violated at {time_s:.1f} s"
         if not np.isfinite(self.story.least):

@@ -120,14 +120,14 @@ def make_trace(*, samples: int = 200, lead_stops_at_m: float = 80.0, violated: b
         target_speed_mps=np.where(ghost, 6.0, 8.0).astype(np.float32),
         target_offset_m=np.where(ghost, 0.9, 0.0).astype(np.float32),
         lights=tuple("red" if 4 < t < 8 else "green" for t in time_s),
-        robustness={"front-gap": robustness.astype(np.float32), "progress": np.full(samples, 5, np.float32)},
+        robustness={"front-gap@1": robustness.astype(np.float32), "progress@1": np.full(samples, 5, np.float32)},
         events=tuple(events),
         scene=straight_scene(),
         about={
-            "scenario": {
+            "spec": {"scenario": {
                 "time_of_day": "sunset", "weather": "wet_cloudy", "pedestrians": 18, "road_curve": "straight",
                 "road_id": 1, "road_length": 1, "driving_task": "follow_road",
-            }
+            }}
         },
     )  # fmt: skip
 
