@@ -102,7 +102,7 @@ def _bare() -> Iterator[WorldSample]:
 
 def _wild(seed: int) -> Iterator[WorldSample]:
     """Yield an episode in which everything happens, with extremes."""
-    rng = random.Random(seed)  # noqa: S311  (not for secrets)
+    rng = random.Random(seed)
     for step in range(_STEPS):
         gap_m = rng.choice((None, 0.0, rng.uniform(0.0, 60.0), 1e9))
         stop_line_gap_m = rng.choice((None, 0.0, rng.uniform(-6.0, 40.0)))

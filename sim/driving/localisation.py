@@ -7,9 +7,9 @@ What of a box says what:
   be farther than `max_ground_range_m`, where a pixel is worth ten metres): such a box is placed where something of
   its label's assumed height would look that tall.
 - **Left and right edges**: the lateral extent at that distance, and so whether it stands in the lane, at its edge,
-  or outside. A vehicle's box beside the axis that is wider than a vehicle shows its side as well: then its inner
-  edge is the far corner of the side, and the extent shrinks outwards, but never below a vehicle's width. A box cut
-  by the image's border begins beside the ego, so the border is no outer edge.
+  or outside. A box beside the axis that is wider than what its label stands for shows a side as well: then its
+  inner edge is the far corner of that side, and the extent shrinks outwards, but never below the usual width. A
+  box cut by the image's border begins beside the ego, so the border is no outer edge.
 - **Label**: the assumed height, length and width.
 """
 
@@ -25,7 +25,8 @@ class Place(NamedTuple):
     """Where a box stands.
 
     `x_m`, `y_m` is the middle of the side that faces the camera, `width_m` the extent of that side across the view,
-    `length_m` the assumed extent away from the camera, `sigma_m` the standard deviation of the distance.
+    `length_m` the assumed extent away from the camera, `sigma_m` the standard deviation of the distance,
+    `is_cut` whether the box may go on beyond the image's left or right border.
     """
 
     label: ObstacleLabel
@@ -34,6 +35,7 @@ class Place(NamedTuple):
     width_m: float
     length_m: float
     sigma_m: float
+    is_cut: bool
     box: Box
 
 
@@ -62,6 +64,7 @@ class GroundPlaneLocaliser:
         cos_yaw, sin_yaw = math.cos(ego.yaw_rad), math.sin(ego.yaw_rad)
         camera_x = ego.x_m + camera.forward_m * cos_yaw
         camera_y = ego.y_m + camera.forward_m * sin_yaw
+        last_px = camera.width_px - settings.border_px
         noise = settings.pixel_noise_px / (camera.focal_px * camera.height_m)
         places = []
         for box in boxes:
@@ -78,6 +81,7 @@ class GroundPlaneLocaliser:
                     left - right,
                     length,
                     noise * depth * depth,
+                    box.x_min_px <= settings.border_px or box.x_max_px >= last_px,
                     box,
                 )
             )
@@ -106,8 +110,9 @@ class GroundPlaneLocaliser:
         left = (camera.centre_x_px - x_min) * per_px
         right = (camera.centre_x_px - x_max) * per_px
         if label is ObstacleLabel.PERSON:
-            return left, right, settings.person_size_m
-        typical, length = settings.vehicle_width_m, settings.vehicle_length_m
+            typical = length = settings.person_size_m
+        else:
+            typical, length = settings.vehicle_width_m, settings.vehicle_length_m
         # Seen from its side, a vehicle is as deep as it is wide from behind.
         depth_behind = min(length, max(typical, length - (left - right - typical)))
         deepen = (depth + length) / depth

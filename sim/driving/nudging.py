@@ -13,6 +13,7 @@ from sim.driving.prediction import RoadObstacle
 from sim.driving.settings import NudgeSettings
 
 _FLOWS_ABOVE_MPS = 1.0
+_CROSSES_ABOVE_MPS = 0.3
 _LEAST_OFFSET_M = 0.05
 _REMEMBERED_S = 4.0
 
@@ -100,7 +101,11 @@ class Nudging:
         needed = self._half_width_m + clearance
         if not obstacle.overlaps(-needed, needed):
             return None
-        if not is_person and obstacle.along_mps > _FLOWS_ABOVE_MPS:
+        if is_person:
+            # Who walks across is a matter of giving way.
+            if abs(obstacle.across_mps) > _CROSSES_ABOVE_MPS:
+                return None
+        elif obstacle.along_mps > _FLOWS_ABOVE_MPS:
             # What drives ahead is followed, not squeezed past.
             return True, self._limit_m + 1.0
         if obstacle.left_m + obstacle.right_m <= 0.0:

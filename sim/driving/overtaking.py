@@ -23,6 +23,7 @@ class Overtaking:
     """Decides at perception steps whether to overtake, and where."""
 
     __slots__ = (
+        "_extra_m",
         "_gave_up_s",
         "_half_width_m",
         "_left_m",
@@ -42,6 +43,7 @@ class Overtaking:
         self._track: int | None = None
         self._near_m = 0.0
         self._left_m = 0.0
+        self._extra_m = 0.0
         self._until_m = 0.0
         self._started_s = 0.0
         self._gave_up_s = _NEVER_S
@@ -84,6 +86,9 @@ class Overtaking:
         elif blocker is not None and self._may_start(time_s, obstacles, blocker, front_m):
             self._track = blocker.track
             self._started_s = time_s
+            # From close behind, the ego must swing out wider or it comes round too late.
+            short_m = self._settings.easy_gap_m - (blocker.near_m - front_m)
+            self._extra_m = self._settings.swing_share * max(short_m, 0.0)
             self._aim_at(blocker)
 
     def _aim_at(self, obstacle: RoadObstacle) -> None:
@@ -91,7 +96,7 @@ class Overtaking:
         self._near_m = obstacle.near_m
         self._left_m = obstacle.left_m
         self._until_m = obstacle.far_m + settings.return_gap_m
-        wanted_m = obstacle.left_m + self._half_width_m + settings.clearance_m
+        wanted_m = obstacle.left_m + self._half_width_m + settings.clearance_m + self._extra_m
         self.offset_m = min(max(wanted_m, 0.0), self._highest_m())
 
     def _highest_m(self) -> float:

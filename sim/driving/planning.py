@@ -24,6 +24,7 @@ from sim.driving.prediction import RoadObstacle
 from sim.driving.settings import PlanningSettings, VehicleShape
 from sim.driving.speed_profile import SpeedProfile
 
+_TURNS_WHEELS_BELOW_MPS = 0.3
 _BLOCKS_WITHIN_M = 0.1
 _SHOWN_MODE_BELOW_MPS2 = 0.5
 
@@ -255,6 +256,9 @@ class RoutePlanner:
         gap_m = overtaking.gap_m(front_m)
         if gap_m < -1.0:
             return cruise_mps, limit
+        if speed_mps < _TURNS_WHEELS_BELOW_MPS and self._target_m - self._offset_m > 0.1:
+            # From a standstill the wheels are turned before the ego moves off: there is no room to waste.
+            return cruise_mps, min(limit, -1.0)
         allowed_mps = max(settings.creep_mps, gap_m / 3.0)
         if overtaking.clearance_m(ego.offset_m) < 0.0 and gap_m < 1.0:
             limit = min(limit, stop_accel(self._settings.follow.decel_mps2, 2.0, speed_mps, gap_m - 0.5))

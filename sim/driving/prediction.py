@@ -115,10 +115,10 @@ class ConstantVelocityPredictor:
             near_m, middle_m = route.project(x_m, y_m, hint_m)
             track.station_hint_m = near_m
             since_s = track.standing_since_s
-            along = across = standing_s = 0.0
-            if since_s is not None:
-                standing_s = time_s - since_s
-            else:
+            along = across = 0.0
+            standing_s = 0.0 if since_s is None else time_s - since_s
+            # A slow person matters; a vehicle that stands is not taken to drift.
+            if since_s is None or track.label is ObstacleLabel.PERSON:
                 yaw_rad = route.pose_at(near_m)[2]
                 cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
                 along = track.vx_mps * cos_yaw + track.vy_mps * sin_yaw

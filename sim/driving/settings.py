@@ -62,6 +62,8 @@ class TrackingSettings:
         floor_sigma_m: Standard deviation of a place, besides what its pixels cause.
         min_position_gain: Least share of a position error that is corrected at once.
         min_velocity_gain: Least share of a velocity error that is corrected at once.
+        cut_velocity_share: A box that the image's border cuts moves as the border lets it: its velocity errors count
+            by this share only.
         extent_gain: Share of the width's error that is corrected at once.
         max_speed_mps: No track is believed to be faster.
         stands_below_mps: What was slower stands...
@@ -77,6 +79,7 @@ class TrackingSettings:
     floor_sigma_m: float = 0.1
     min_position_gain: float = 0.35
     min_velocity_gain: float = 0.08
+    cut_velocity_share: float = 0.2
     extent_gain: float = 0.5
     max_speed_mps: float = 25.0
     stands_below_mps: float = 0.7
@@ -235,6 +238,8 @@ class OvertakeSettings:
         standing_s: Overtakes what it believes has stood for this long.
         min_gap_m: Cannot pull out from nearer than this.
         max_gap_m: Does not think of it from farther away.
+        easy_gap_m: From nearer than this the ego swings out wider...
+        swing_share: ...by this share of what is missing.
         clearance_m: Free space beside the obstacle.
         min_clearance_m: Goes on while there is at least this.
         speed_mps: Speed in the oncoming lane.
@@ -250,8 +255,10 @@ class OvertakeSettings:
     """
 
     standing_s: float = 3.0
-    min_gap_m: float = 3.2
+    min_gap_m: float = 3.6
     max_gap_m: float = 20.0
+    easy_gap_m: float = 9.0
+    swing_share: float = 0.25
     clearance_m: float = 0.6
     min_clearance_m: float = 0.3
     speed_mps: float = 5.5

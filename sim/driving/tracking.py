@@ -117,7 +117,7 @@ class AlphaBetaTracker:
         settings = self._settings
         pairs: list[tuple[float, int, int]] = []
         for column, place in enumerate(places):
-            label, x_m, y_m, _, _, sigma_m, box = place
+            label, x_m, y_m, _, _, sigma_m, _, box = place
             gate = settings.gate_m + settings.gate_per_sigma * sigma_m
             gate_squared = gate * gate
             for row, track in enumerate(self._tracks):
@@ -141,11 +141,18 @@ class AlphaBetaTracker:
 
     def _correct(self, track: Track, place: Place, elapsed_s: float, time_s: float) -> None:
         settings = self._settings
-        _, x_m, y_m, width_m, length_m, sigma_m, box = place
+        _, x_m, y_m, width_m, length_m, sigma_m, is_cut, box = place
         track.hits += 1
         track.misses = 0
         alpha, beta = _gains(track.hits, elapsed_s, sigma_m, settings)
         dx, dy = x_m - track.x_m, y_m - track.y_m
+        if is_cut:
+            beta *= settings.cut_velocity_share
+            reach = settings.gate_m + track.length_m
+            if track.standing_since_s is not None and dx * dx + dy * dy < reach * reach:
+                # Passing what stands, less and less of it is in the picture; it has not moved for that.
+                track.box = box
+                return
         track.x_m += alpha * dx
         track.y_m += alpha * dy
         vx = track.vx_mps + beta * dx / elapsed_s
