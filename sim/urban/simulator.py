@@ -5,21 +5,19 @@ episodes on the same class of processor: every draw comes from a stream addresse
 anew, and the physics engine is emptied first.
 """
 
-import difflib
 import math
 import platform
 import time
 from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import version
-from typing import cast
 
 from sim.bullet.engine import engine_version
-from sim.catalogue import REQUIREMENTS, load_plugin, plugin_ids
 from sim.driving.camera import Camera
 from sim.driving.system import ModularDriving
 from sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject, Verdict
 from sim.errors import InvalidEpisode
+from sim.requirements.registry import make_requirements
 from sim.requirements.requirement import Requirement
 from sim.urban.behaviour import DetectorBehaviour
 from sim.urban.episode_loop import Outcome, run_loop
@@ -50,7 +48,7 @@ class BrinkDrive:
         """
         cpu_s = time.process_time()
         scenario, behaviour = _read(spec)
-        requirements = {name: _make_requirement(name) for name in spec.requirements}
+        requirements = make_requirements(spec.requirements)
         world = make_world(scenario, spec.seed)
         recorder = Recorder(world, spec.requirements) if record else None
         outcome = run_loop(
@@ -95,8 +93,6 @@ def _read(spec: EpisodeSpec) -> tuple[UrbanScenario, DetectorBehaviour]:
         raise InvalidEpisode(
             f"duration_s: expected at most {MAX_DURATION_S:g} seconds, got {spec.duration_s!r}"
         )
-    if len(set(spec.requirements)) != len(spec.requirements):
-        raise InvalidEpisode(f"requirements: expected each id once, got {', '.join(spec.requirements)}")
     for name, value in spec.options.items():
         if name != "fidelity":
             raise InvalidEpisode(
@@ -106,23 +102,6 @@ def _read(spec: EpisodeSpec) -> tuple[UrbanScenario, DetectorBehaviour]:
             raise InvalidEpisode(f"options.fidelity: expected one of {', '.join(FIDELITIES)}; got {value!r}")
     scenario = UrbanScenario.from_json(spec.scenario)
     return scenario, DetectorBehaviour.from_json(spec.behaviour, spec.duration_s)
-
-
-def _make_requirement(requirement_id: str) -> Requirement:
-    try:
-        factory = load_plugin(REQUIREMENTS, requirement_id)
-    except KeyError:
-        known = plugin_ids(REQUIREMENTS)
-        close = difflib.get_close_matches(requirement_id, known, n=1)
-        hint = f" (did you mean {close[0]!r}?)" if close else ""
-        raise InvalidEpisode(
-            f"requirements: unknown id {requirement_id!r}{hint}; registered here: {', '.join(known) or 'none'}"
-        ) from None
-    if not callable(factory):
-        raise InvalidEpisode(
-            f"requirements: {requirement_id!r} is registered as something that is no factory"
-        )
-    return cast(Requirement, factory())
 
 
 def _features(

@@ -1,0 +1,198 @@
+"""Owns random candidates of the urban problem as plain values: draws, redraws, small mutations, distance.
+
+The twenty-nine parameters, their ranges and their repair are those of Sharifi et al. 2023. This is for measuring the
+simulator itself; a campaign draws its candidates from the search space of its problem.
+"""
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from sim.episode import EpisodeSpec, Json, JsonObject
+from sim.urban.behaviour import (
+    BOX_FIELDS,
+    DEFAULT_DURATION_S,
+    IMAGE_HEIGHT_PX,
+    IMAGE_WIDTH_PX,
+    MIN_BOX_PX,
+    MIN_DURATION_SHARE,
+    NULL_LABEL,
+    TRAJECTORY_COUNT,
+    TRAJECTORY_FIELDS,
+    TRAJECTORY_LABELS,
+    last_perception_step,
+    trajectory_ranges,
+)
+from sim.urban.scenario import SCENARIO_CHOICES
+
+Value: TypeAlias = "str | int | float"
+SIMULATOR_ID = "brink-drive@1"
+LAST_STEP = float(last_perception_step(DEFAULT_DURATION_S))
+CATEGORICAL = (*SCENARIO_CHOICES, *(f"{ghost}.label" for ghost in range(TRAJECTORY_COUNT)))
+NUMERIC = tuple(f"{ghost}.{field}" for ghost in range(TRAJECTORY_COUNT) for field in TRAJECTORY_FIELDS[1:])
+PARAMETERS = (
+    *SCENARIO_CHOICES,
+    *(f"{ghost}.{field}" for ghost in range(TRAJECTORY_COUNT) for field in TRAJECTORY_FIELDS),
+)
+"""All parameters: the scenario's by name, the behaviour's as ``<trajectory>.<field>``."""
+
+_RANGES = trajectory_ranges()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Draw:
+    """A complete solution.
+
+    Attributes:
+        values: By name, for each of `PARAMETERS`.
+    """
+
+    values: dict[str, Value]
+
+    def is_null(self, ghost: int) -> bool:
+        """Return whether a trajectory shows nothing."""
+        return self.values[f"{ghost}.label"] == NULL_LABEL
+
+    def spec(self, seed: int, requirements: tuple[str, ...], *, oracle: bool = False) -> EpisodeSpec:
+        """Return the episode of this solution.
+
+        Args:
+            seed: The episode's seed.
+            requirements: What to judge.
+            oracle: Replace the behaviour by the ground truth.
+        """
+        scenario: JsonObject = {name: self.values[name] for name in SCENARIO_CHOICES}
+        trajectories: list[Json] = [
+            {field: self.values[f"{ghost}.{field}"] for field in TRAJECTORY_FIELDS}
+            for ghost in range(TRAJECTORY_COUNT)
+        ]
+        behaviour: JsonObject = {"mode": "injected", "trajectories": trajectories}
+        return EpisodeSpec(
+            simulator=SIMULATOR_ID,
+            scenario=scenario,
+            behaviour={"mode": "oracle"} if oracle else behaviour,
+            requirements=requirements,
+            seed=seed,
+            duration_s=DEFAULT_DURATION_S,
+        )
+
+
+def draw(rng: np.random.Generator) -> Draw:
+    """Return an independent draw of all parameters."""
+    values: dict[str, Value] = {}
+    for name in SCENARIO_CHOICES:
+        values[name] = _choice(name, rng)
+    for ghost in range(TRAJECTORY_COUNT):
+        values[f"{ghost}.label"] = TRAJECTORY_LABELS[int(rng.integers(len(TRAJECTORY_LABELS)))]
+        _fill(values, ghost, rng)
+    return Draw(values=values)
+
+
+def with_behaviour(scenario: Draw, behaviour: Draw) -> Draw:
+    """Return the scenario of one solution with the behaviour of another."""
+    kept = {name: scenario.values[name] for name in SCENARIO_CHOICES}
+    return Draw(values={**behaviour.values, **kept})
+
+
+def without_ghosts(scenario: Draw) -> Draw:
+    """Return a solution whose detector sees nothing."""
+    values = dict(scenario.values)
+    for ghost in range(TRAJECTORY_COUNT):
+        values[f"{ghost}.label"] = NULL_LABEL
+        for field in TRAJECTORY_FIELDS[1:]:
+            values[f"{ghost}.{field}"] = 0.0
+    return Draw(values=values)
+
+
+def redraw(base: Draw, name: str, rng: np.random.Generator) -> Draw:
+    """Return a solution that differs from another in one parameter, and in what repair makes of that.
+
+    A categorical parameter gets another value. A trajectory that comes back to life gets fresh numbers.
+    """
+    values = dict(base.values)
+    if name in SCENARIO_CHOICES:
+        while values[name] == base.values[name]:
+            values[name] = _choice(name, rng)
+        return Draw(values=values)
+    ghost, field = int(name.split(".")[0]), name.split(".")[1]
+    if field == "label":
+        others = [label for label in TRAJECTORY_LABELS if label != values[name]]
+        values[name] = others[int(rng.integers(len(others)))]
+        if base.is_null(ghost) or values[name] == NULL_LABEL:
+            _fill(values, ghost, rng)
+        return Draw(values=values)
+    low, high, _ = _RANGES[field]
+    values[name] = float(rng.uniform(low, high))
+    _repair(values, ghost)
+    return Draw(values=values)
+
+
+def neighbour(base: Draw, rng: np.random.Generator, sigma: float = 0.04) -> Draw:
+    """Return a solution close by: every number moves a little, and one time in two one category changes.
+
+    Args:
+        base: Where to start.
+        rng: Where chance comes from.
+        sigma: Standard deviation of the move, as a share of each range.
+    """
+    values = dict(base.values)
+    for ghost in range(TRAJECTORY_COUNT):
+        if base.is_null(ghost):
+            continue
+        for field, (low, high, _) in _RANGES.items():
+            name = f"{ghost}.{field}"
+            moved = float(values[name]) + float(rng.normal(0.0, sigma)) * (high - low)
+            values[name] = min(max(moved, low), high)
+        _repair(values, ghost)
+    moved_draw = Draw(values=values)
+    if rng.random() < 0.5:
+        names = tuple(SCENARIO_CHOICES)
+        moved_draw = redraw(moved_draw, names[int(rng.integers(len(names)))], rng)
+    return moved_draw
+
+
+def distance(one: Draw, other: Draw) -> float:
+    """Return the distance of two solutions, in [0, 1]; section III of the paper."""
+    numeric = 0.0
+    for name in NUMERIC:
+        low, high, _ = _RANGES[name.split(".")[1]]
+        numeric += abs(float(one.values[name]) - float(other.values[name])) / (high - low)
+    differing = sum(one.values[name] != other.values[name] for name in CATEGORICAL)
+    return 0.5 * (numeric / len(NUMERIC) + differing / len(CATEGORICAL))
+
+
+def _choice(name: str, rng: np.random.Generator) -> Value:
+    choices = SCENARIO_CHOICES[name]
+    return choices[int(rng.integers(len(choices)))]
+
+
+def _fill(values: dict[str, Value], ghost: int, rng: np.random.Generator) -> None:
+    """Draw the ten numbers of a trajectory; all 0 if it is null."""
+    is_null = values[f"{ghost}.label"] == NULL_LABEL
+    for field, (low, high, _) in _RANGES.items():
+        drawn = float(rng.uniform(low, high))
+        values[f"{ghost}.{field}"] = 0.0 if is_null else drawn
+    if not is_null:
+        _repair(values, ghost)
+
+
+def _repair(values: dict[str, Value], ghost: int) -> None:
+    least = MIN_DURATION_SHARE * LAST_STEP
+    first, last = float(values[f"{ghost}.t0_step"]), float(values[f"{ghost}.t1_step"])
+    if last - first < least:
+        last = min(first + least, LAST_STEP)
+        first = min(first, last - least)
+    values[f"{ghost}.t0_step"], values[f"{ghost}.t1_step"] = first, last
+    for low_name, high_name in zip(BOX_FIELDS[::2], BOX_FIELDS[1::2], strict=True):
+        size = float(IMAGE_WIDTH_PX if low_name.startswith("x") else IMAGE_HEIGHT_PX)
+        low, high = float(values[f"{ghost}.{low_name}"]), float(values[f"{ghost}.{high_name}"])
+        if high < low:
+            high = low + MIN_BOX_PX
+        low, high = max(low, 0.0), min(high, size)
+        if high - low < MIN_BOX_PX:
+            if low + MIN_BOX_PX <= size:
+                high = low + MIN_BOX_PX
+            else:
+                low = high - MIN_BOX_PX
+        values[f"{ghost}.{low_name}"], values[f"{ghost}.{high_name}"] = low, high
