@@ -50,7 +50,8 @@ def tell(trace: Trace, requirement: str | None = None, *, most: int = 6) -> Stor
 
     Args:
         trace: The episode.
-        requirement: What to judge, its id with or without version; the front gap, or else the first requirement of the trace, if not given.
+        requirement: What to judge, its id with or without version; the front gap, or else the first requirement
+            of the trace, if not given.
         most: Greatest number of moments, at least 2.
 
     Raises:
@@ -70,6 +71,17 @@ def tell(trace: Trace, requirement: str | None = None, *, most: int = 6) -> Stor
         least=float(series.min()),
         moments=_moments(trace, decisive, violated=bool(below.size), most=most),
     )
+
+
+def _appearances(trace: Trace, until: int) -> list[tuple[int, str]]:
+    """Return the last two samples at which an injected box appears, latest first, with its label."""
+    found: list[tuple[int, str]] = []
+    for label, word in enumerate(("vehicle", "person")):
+        of_label = np.concatenate([[0], np.cumsum(trace.given_boxes.rows[:, 0].astype(int) == label)])
+        counts = of_label[trace.given_boxes.first[1:]] - of_label[trace.given_boxes.first[:-1]]
+        appear = np.flatnonzero(np.diff(counts, prepend=0) > 0)
+        found += [(sample, word) for sample in appear[appear <= until].tolist()]
+    return sorted(found, reverse=True)[:2]
 
 
 def told_events(trace: Trace) -> list[Event]:
@@ -116,10 +128,9 @@ def _before(trace: Trace, decisive: int) -> list[Moment]:
         found.append(Moment(sample=sample, reason=f"{seconds:g} s before"))
 
     lead_up(LEAD_UP_S[0])
-    counts = np.diff(trace.given_boxes.first)
-    appear = np.flatnonzero(np.diff(counts, prepend=0) > 0)
     found += [
-        Moment(sample=int(i), reason="injected box appears") for i in appear[appear <= decisive][::-1][:2]
+        Moment(sample=sample, reason=f"injected {word} appears")
+        for sample, word in _appearances(trace, decisive)
     ]
     changes = [i for i in range(1, decisive + 1) if trace.plan_mode[i] != trace.plan_mode[i - 1]]
     found += [Moment(sample=i, reason=f"plan: {trace.plan_mode[i]}") for i in changes[::-1][:2]]
