@@ -1,0 +1,1 @@
+"""The REST API: routes parse, call one service function, return a schema."""

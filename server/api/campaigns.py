@@ -1,0 +1,124 @@
+"""Routes of campaigns: submit, list, look, control, progress."""
+
+import base64
+import binascii
+import hashlib
+from datetime import UTC, datetime
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Query, Request, Response
+
+from server.api.context import Services
+from server.api.schemas import CampaignList, CampaignView, Progress
+from server.campaigns.body import CampaignBody
+from server.campaigns.service import ENDED, read
+from server.campaigns.views import campaign_view, read_progress
+from server.db.models import CampaignStatus
+from server.errors import FieldError, InvalidInput
+
+router = APIRouter(prefix="/campaigns", tags=["campaigns"])
+
+
+@router.post("", status_code=201)
+async def submit_campaign(
+    body: CampaignBody,
+    services: Services,
+    response: Response,
+    idempotency_key: Annotated[str | None, Header(max_length=200)] = None,
+) -> CampaignView:
+    """Submit a campaign. The same `Idempotency-Key` again returns the campaign of the first time, with 200."""
+    campaign, new = await services.campaigns.submit(body, idempotency_key)
+    response.headers["Location"] = f"/api/v1/campaigns/{campaign.id}"
+    if not new:
+        response.status_code = 200
+    return campaign_view(campaign)
+
+
+@router.get("")
+async def list_campaigns(
+    services: Services,
+    limit: Annotated[int, Query(ge=1, le=200)] = 50,
+    cursor: Annotated[str | None, Query(max_length=200)] = None,
+    status: Annotated[list[CampaignStatus] | None, Query()] = None,
+    document_hash: Annotated[str | None, Query(max_length=64)] = None,
+) -> CampaignList:
+    """List campaigns, newest first."""
+    campaigns = await services.campaigns.list(
+        limit=limit,
+        before=_read_cursor(cursor) if cursor else None,
+        statuses=tuple(status or ()),
+        document_hash=document_hash,
+    )
+    last = campaigns[-1] if len(campaigns) == limit else None
+    return CampaignList(
+        campaigns=[campaign_view(campaign) for campaign in campaigns],
+        next=_cursor(last.created_at, last.id) if last else None,
+    )
+
+
+@router.get("/{campaign_id}")
+async def get_campaign(campaign_id: str, services: Services) -> CampaignView:
+    """Return a campaign by its id, or by the beginning of its id if that is unique."""
+    return campaign_view(await services.campaigns.get(campaign_id))
+
+
+@router.post("/{campaign_id}/pause")
+async def pause_campaign(campaign_id: str, services: Services) -> CampaignView:
+    """Hand out no more of its jobs; what is running is still taken in."""
+    return campaign_view(await services.campaigns.pause(campaign_id))
+
+
+@router.post("/{campaign_id}/resume")
+async def resume_campaign(campaign_id: str, services: Services) -> CampaignView:
+    """Go on with a paused campaign, without the candidates that failed so far."""
+    return campaign_view(await services.campaigns.resume(campaign_id))
+
+
+@router.post("/{campaign_id}/cancel")
+async def cancel_campaign(campaign_id: str, services: Services) -> CampaignView:
+    """End a campaign; what it found stays."""
+    return campaign_view(await services.campaigns.cancel(campaign_id))
+
+
+@router.delete("/{campaign_id}", status_code=204)
+async def delete_campaign(campaign_id: str, services: Services) -> None:
+    """Delete a campaign that has ended, with everything that belongs to it."""
+    await services.campaigns.delete(campaign_id)
+
+
+@router.get("/{campaign_id}/progress")
+async def get_progress(
+    campaign_id: str,
+    services: Services,
+    request: Request,
+    response: Response,
+    since: Annotated[int, Query(ge=0, description="Number of the first generation to return.")] = 0,
+) -> Progress:
+    """Return counts and rates, and the series of generations from `since` on. Answers 304 to a known ETag."""
+    campaign = await services.campaigns.get(campaign_id)
+    archive = await services.archives.get(campaign) if campaign.status in ENDED else None
+    progress = await read(
+        services.engines,
+        lambda connection: read_progress(
+            connection, campaign.id, since, services.settings.worker_seen_s, archive
+        ),
+    )
+    known = progress.model_dump_json(exclude={"elapsed_s", "rate_per_s", "remaining_s"})
+    etag = f'"{hashlib.sha256(known.encode()).hexdigest()[:32]}"'
+    response.headers["ETag"] = etag
+    if request.headers.get("if-none-match") == etag:
+        response.status_code = 304
+    return progress
+
+
+def _cursor(moment: datetime, campaign_id: str) -> str:
+    return base64.urlsafe_b64encode(f"{moment.timestamp()!r} {campaign_id}".encode()).decode()
+
+
+def _read_cursor(cursor: str) -> tuple[datetime, str]:
+    try:
+        moment, campaign_id = base64.urlsafe_b64decode(cursor).decode().split(" ")
+        return datetime.fromtimestamp(float(moment), UTC), campaign_id
+    except (ValueError, binascii.Error, OverflowError, OSError):
+        message = "expected the value of `next` of an earlier page"
+        raise InvalidInput([FieldError(pointer="/query/cursor", message=message)]) from None

@@ -1,0 +1,51 @@
+"""What the routes need: the services of this process, handed to each route."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from typing import Annotated, cast
+
+from fastapi import Depends, Request
+
+from server.campaigns.archives import Archives
+from server.campaigns.service import CampaignService
+from server.db.engine import Engines
+from server.queue.service import QueueService
+from server.settings import Settings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Context:
+    """The services of this process."""
+
+    settings: Settings
+    engines: Engines
+    campaigns: CampaignService
+    queue: QueueService
+    archives: Archives
+
+
+def context_of(request: Request) -> Context:
+    """Return the services of the app that serves a request."""
+    return cast(Context, request.app.state.context)
+
+
+Services = Annotated[Context, Depends(context_of)]
+
+
+@asynccontextmanager
+async def client_gone(request: Request) -> AsyncIterator[asyncio.Event]:
+    """Give an event that is set as soon as the client of a request has gone."""
+    gone = asyncio.Event()
+
+    async def watch() -> None:
+        while (await request.receive())["type"] != "http.disconnect":
+            pass
+        gone.set()
+
+    watching = asyncio.create_task(watch())
+    try:
+        yield gone
+    finally:
+        watching.cancel()

@@ -1,0 +1,58 @@
+"""What stands before every request: the bearer token, and the bound on bodies."""
+
+import secrets
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from server.api.problem_details import problem
+
+OPEN_PATHS = ("/healthz", "/readyz")
+
+
+class Guards:
+    """Refuses requests without the token, and bodies past the bound, before anything reads them."""
+
+    def __init__(self, app: ASGIApp, token: str | None, max_body_bytes: int) -> None:
+        self._app = app
+        self._token = token
+        self._max_body_bytes = max_body_bytes
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        headers = {name.lower(): value for name, value in scope["headers"]}
+        if self._token and scope["path"] not in OPEN_PATHS and not self._authorised(headers):
+            response = problem(
+                401,
+                "Unauthorised",
+                "expected the header 'Authorization: Bearer TOKEN' with this coordinator's token",
+                headers={"WWW-Authenticate": "Bearer"},
+            )
+            await response(scope, receive, send)
+            return
+        length = headers.get(b"content-length", b"0")
+        if not length.isdigit() or int(length) > self._max_body_bytes:
+            await problem(413, "Body too large", f"expected at most {self._max_body_bytes} bytes")(
+                scope, receive, send
+            )
+            return
+        await self._app(scope, self._bounded(receive), send)
+
+    def _authorised(self, headers: dict[bytes, bytes]) -> bool:
+        assert self._token is not None
+        given = headers.get(b"authorization", b"")
+        return secrets.compare_digest(given, b"Bearer " + self._token.encode())
+
+    def _bounded(self, receive: Receive) -> Receive:
+        """Cut a body without a length at the bound, as if the client had gone."""
+        read = 0
+
+        async def bounded() -> Message:
+            nonlocal read
+            message = await receive()
+            read += len(message.get("body", b""))
+            return {"type": "http.disconnect"} if read > self._max_body_bytes else message
+
+        return bounded

@@ -1,0 +1,63 @@
+"""Routes at the root: is the process alive, can it serve, what does it measure."""
+
+import asyncio
+
+from fastapi import APIRouter, Response
+from fastapi.responses import PlainTextResponse
+from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Gauge, generate_latest
+from sqlalchemy import Connection, func, select, text
+
+from server.api.context import Services
+from server.api.problem_details import problem
+from server.campaigns.service import read
+from server.db.models import CampaignRow, JobRow
+from server.db.upgrade import current_revision, head_revision
+from server.errors import DatabaseError
+from server.queue.workers import list_seen
+
+router = APIRouter(tags=["operations"])
+READY_S = 5.0
+
+
+@router.get("/healthz", response_class=PlainTextResponse)
+async def healthz() -> str:
+    """Answer if the process is alive."""
+    return "ok\n"
+
+
+@router.get("/readyz", response_class=PlainTextResponse)
+async def readyz(services: Services) -> Response:
+    """Answer 200 if the database answers, takes writes, and has this version's schema; otherwise 503."""
+    try:
+        loop = asyncio.get_running_loop()
+        revision = await loop.run_in_executor(None, current_revision, services.engines)
+        writing = asyncio.wrap_future(services.queue.writer.submit(lambda c: c.execute(text("SELECT 1"))))
+        await asyncio.wait_for(writing, READY_S)
+    except (DatabaseError, TimeoutError) as error:
+        return problem(503, "Not ready", str(error) or "the database takes no writes")
+    if revision != head_revision():
+        return problem(503, "Not ready", f"schema {revision}, expected {head_revision()}")
+    return PlainTextResponse("ready\n")
+
+
+@router.get("/metrics", response_class=PlainTextResponse)
+async def metrics(services: Services) -> Response:
+    """Return the state of campaigns, jobs and workers for Prometheus."""
+    registry = CollectorRegistry()
+    jobs = Gauge("brink_jobs", "Jobs by state", ["status", "kind", "needs"], registry=registry)
+    campaigns = Gauge("brink_campaigns", "Campaigns by state", ["status"], registry=registry)
+    workers = Gauge("brink_workers_live", "Workers heard of lately", registry=registry)
+
+    def collect(connection: Connection) -> None:
+        counted = select(JobRow.status, JobRow.kind, JobRow.needs, func.count()).group_by(
+            JobRow.status, JobRow.kind, JobRow.needs
+        )
+        for status, kind, needs, count in connection.execute(counted):
+            jobs.labels(status, kind, needs).set(count)
+        states = select(CampaignRow.status, func.count()).group_by(CampaignRow.status)
+        for status, count in connection.execute(states):
+            campaigns.labels(status).set(count)
+        workers.set(len(list_seen(connection, within_s=services.settings.worker_seen_s)))
+
+    await read(services.engines, collect)
+    return Response(generate_latest(registry), media_type=CONTENT_TYPE_LATEST)

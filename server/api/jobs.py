@@ -1,0 +1,83 @@
+"""Routes for workers, and for those who look after jobs."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request
+
+from server.api.context import Services, client_gone
+from server.api.schemas import JobList, JobViewModel, WorkerView
+from server.campaigns.jobs import list_jobs
+from server.campaigns.service import read
+from server.db.models import JobStatus
+from server.queue.workers import list_seen
+from worker.wire import (
+    HeartbeatReply,
+    HeartbeatRequest,
+    LeaseReply,
+    LeaseRequest,
+    ResultsReply,
+    ResultsRequest,
+)
+
+router = APIRouter(tags=["jobs"])
+
+
+@router.post("/jobs/lease")
+async def lease_jobs(message: LeaseRequest, request: Request, services: Services) -> LeaseReply:
+    """Lease jobs, waiting up to `wait_s` for some."""
+    async with client_gone(request) as gone:
+        return await services.queue.lease(message, gone)
+
+
+@router.post("/jobs/heartbeat")
+async def renew_leases(message: HeartbeatRequest, services: Services) -> HeartbeatReply:
+    """Renew leases; the reply names the jobs that are still held."""
+    return await services.queue.heartbeat(message)
+
+
+@router.post("/jobs/results")
+async def report_results(message: ResultsRequest, request: Request, services: Services) -> ResultsReply:
+    """Report outcomes, and lease the next jobs in the same request if asked to."""
+    async with client_gone(request) as gone:
+        return await services.queue.results(message, gone)
+
+
+@router.get("/jobs")
+async def get_jobs(
+    services: Services,
+    status: Annotated[list[JobStatus] | None, Query(description="Only jobs in these states.")] = None,
+    campaign: Annotated[str | None, Query(max_length=16)] = None,
+    after: Annotated[int, Query(ge=0)] = 0,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+) -> JobList:
+    """List jobs, ascending by id."""
+    jobs = await read(
+        services.engines,
+        lambda connection: list_jobs(
+            connection, statuses=status or (), campaign=campaign, after=after, limit=limit
+        ),
+    )
+    views = [JobViewModel.model_validate(job, from_attributes=True) for job in jobs]
+    return JobList(jobs=views, next=views[-1].id if len(views) == limit else None)
+
+
+@router.post("/jobs/{job}/retry", status_code=204)
+async def retry_job(job: int, services: Services) -> None:
+    """Put a quarantined job back into the queue."""
+    await services.campaigns.retry_job(job)
+
+
+@router.get("/workers", tags=["workers"])
+async def get_workers(services: Services) -> list[WorkerView]:
+    """List workers, the latest heard of first."""
+    seen = await read(services.engines, lambda connection: list_seen(connection))
+    horizon = services.settings.worker_seen_s
+    return [
+        WorkerView(
+            id=w.id, host=w.host, pid=w.pid, version=w.version, capabilities=list(w.capabilities),
+            first_seen_at=w.first_seen_at, last_seen_at=w.last_seen_at, seen_s_ago=w.seen_s_ago,
+            live=w.seen_s_ago <= horizon, jobs_done=w.jobs_done, jobs_failed=w.jobs_failed,
+            jobs_held=w.jobs_held,
+        )
+        for w in seen
+    ]  # fmt: skip

@@ -1,0 +1,215 @@
+"""What the REST API answers with."""
+
+from datetime import datetime
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from server.campaigns.body import CampaignBody
+from server.db.models import CampaignStatus, JobStatus, SolutionVerdict
+
+
+class View(BaseModel):
+    """Base of all answers."""
+
+    model_config = ConfigDict(frozen=True)
+
+
+class CampaignView(View):
+    """A campaign and where it stands."""
+
+    id: str
+    name: str
+    status: CampaignStatus
+    status_reason: str
+    simulations: Annotated[int, Field(description="Candidates judged so far, failed ones included.")]
+    budget: int
+    unsafe: int
+    failed: int
+    generation: int
+    created_at: datetime
+    finished_at: datetime | None
+    body: CampaignBody
+
+
+class CampaignList(View):
+    """A page of campaigns, newest first."""
+
+    campaigns: list[CampaignView]
+    next: Annotated[str | None, Field(description="Pass as `cursor` to get the next page.")]
+
+
+class GenerationView(View):
+    """Where the archive stood after a generation."""
+
+    number: int
+    evaluated: int
+    unsafe: int
+    failed: int
+    best_fitness: float | None
+    median_fitness: float | None
+    dbs: int
+    strict_dbs: int
+    step_s: float
+    told_at: datetime
+
+
+class Progress(View):
+    """Counts, series since a cursor, rates."""
+
+    id: str
+    name: str
+    status: CampaignStatus
+    status_reason: str
+    budget: int
+    simulations: Annotated[int, Field(description="Done so far, this generation's included.")]
+    evaluated: int
+    unsafe: int
+    failed: int
+    quarantined: int
+    queued: int
+    leased: int
+    generation: int
+    rate_per_s: float | None
+    remaining_s: float | None
+    elapsed_s: float
+    workers: Annotated[int, Field(description="Workers heard of lately.")]
+    unrunnable: Annotated[
+        dict[str, int], Field(description="Queued jobs by a capability that no live worker has.")
+    ]
+    digest: Annotated[str | None, Field(description="SHA-256 of the archive, once the campaign has ended.")]
+    t_b: float
+    d_th: float
+    generations: list[GenerationView]
+
+
+class SolutionView(View):
+    """A complete solution with its decoded parameters."""
+
+    number: int
+    generation: int
+    verdict: SolutionVerdict
+    robustness: float | None
+    objectives: dict[str, float] | None
+    failure: str | None
+    fitness: float | None
+    neighbours: int | None
+    unsafe_neighbours: int | None
+    interval: Annotated[
+        tuple[float, float] | None, Field(description="Wilson interval of the unsafe share around it.")
+    ]
+    seed: int
+    attempts: int | None
+    parameters: Annotated[dict[str, dict[str, Any]], Field(description="By component, then by name.")]
+    verdicts: Annotated[dict[str, Any] | None, Field(description="All requirements.")] = None
+    features: dict[str, Any] | None = None
+    provenance: dict[str, Any] | None = None
+    spec: Annotated[dict[str, Any] | None, Field(description="The episode, to run it again.")] = None
+
+
+class SolutionPage(View):
+    """Solutions, ascending by number."""
+
+    solutions: list[SolutionView]
+    next: Annotated[int | None, Field(description="Pass as `after` to get the next page.")]
+
+
+class DbsCell(View):
+    """How many distinct boundary solutions there are for one pair of thresholds."""
+
+    t_b: float
+    d_th: float
+    dbs: int
+    strict_dbs: int
+
+
+class Boundary(View):
+    """The distinct boundary solutions."""
+
+    t_b: float
+    d_th: float
+    dbs: int
+    strict_dbs: int
+    note: str
+    grid: Annotated[list[DbsCell], Field(description="The paper's grid of thresholds.")]
+    solutions: list[SolutionView]
+    strict: Annotated[list[int], Field(description="Numbers of the strict distinct boundary solutions.")]
+
+
+class DistanceBlock(View):
+    """A block of the distance matrix."""
+
+    numbers: list[int]
+    distances: list[list[float]]
+
+
+class JobViewModel(View):
+    """A job as it stands."""
+
+    id: int
+    campaign: str
+    number: int
+    kind: str
+    needs: str
+    status: JobStatus
+    attempt: int
+    max_attempts: int
+    worker: str | None
+    last_error: str | None
+    created_at: datetime
+    finished_at: datetime | None
+
+
+class JobList(View):
+    """Jobs, ascending by id."""
+
+    jobs: list[JobViewModel]
+    next: int | None
+
+
+class WorkerView(View):
+    """A worker that was heard of."""
+
+    id: str
+    host: str
+    pid: int
+    version: str
+    capabilities: list[str]
+    first_seen_at: datetime
+    last_seen_at: datetime
+    seen_s_ago: float
+    live: bool
+    jobs_done: int
+    jobs_failed: int
+    jobs_held: int
+
+
+class ProblemView(View):
+    """A problem of the catalogue."""
+
+    id: str
+    summary: str
+    params: Annotated[dict[str, Any], Field(description="JSON schema of its parameters.")]
+    space: Annotated[dict[str, Any], Field(description="Its search space with default parameters.")]
+    simulator: str | None
+
+
+class AlgorithmView(View):
+    """An algorithm of the catalogue."""
+
+    id: str
+    summary: str
+    params: Annotated[dict[str, Any], Field(description="JSON schema of its parameters.")]
+
+
+class ProblemDetail(BaseModel):
+    """An error, as RFC 9457 has it."""
+
+    type: str = "about:blank"
+    title: str
+    status: int
+    detail: str
+    errors: Annotated[
+        list[dict[str, str | None]],
+        Field(description="For input errors: pointer, message and nearest valid name of each wrong field."),
+    ] = []

@@ -1,0 +1,233 @@
+"""Routes of what a campaign found: solutions, boundary, distances, the archive, traces and replays."""
+
+import asyncio
+import csv
+import io
+import tempfile
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from fastapi import APIRouter, Query, Request, Response
+from fastapi.responses import JSONResponse
+from starlette.responses import Response as PlainResponse
+
+from server.api.context import Context, Services, client_gone
+from server.api.schemas import Boundary, DistanceBlock, SolutionPage, SolutionView
+from server.campaigns import store
+from server.campaigns.advance import DEFAULT_D_TH, DEFAULT_T_B
+from server.campaigns.service import read
+from server.campaigns.store import Campaign
+from server.campaigns.traces import find_trace, trace_job
+from server.campaigns.views import boundary_view, solution_views
+from server.db.models import JobStatus
+from server.errors import Conflict, FieldError, InvalidInput, NotFound
+from sim.replay import render
+from sim.trace import Trace
+
+router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
+
+MAX_DISTANCES = 2_000
+LOOK_AGAIN_S = 0.25
+
+Threshold = Annotated[float, Query(ge=0, le=1)]
+
+
+@router.get("/solutions")
+async def get_solutions(
+    campaign_id: str,
+    services: Services,
+    after: Annotated[int, Query(ge=-1)] = -1,
+    limit: Annotated[int, Query(ge=1, le=1000)] = 100,
+    unsafe: bool | None = None,
+    max_fitness: Annotated[float | None, Query(ge=0, le=1)] = None,
+) -> SolutionPage:
+    """Return complete solutions, ascending by number."""
+    campaign = await services.campaigns.get(campaign_id)
+    found = await services.archives.get(campaign)
+    archive = found.archive
+    if max_fitness is None:
+        rows = await read(
+            services.engines,
+            lambda c: store.page_solutions(c, campaign.id, after=after, limit=limit, unsafe=unsafe),
+        )
+    else:
+        wanted = (archive.fitness <= max_fitness) & (archive.numbers > after)
+        if unsafe is not None:
+            wanted &= archive.unsafe == unsafe
+        numbers = [int(number) for number in np.sort(archive.numbers[wanted])[:limit]]
+        rows = await read(services.engines, lambda c: store.read_solutions(c, campaign.id, numbers))
+    views = solution_views(rows, found.plan.problem.space, archive)
+    return SolutionPage(solutions=views, next=views[-1].number if len(views) == limit else None)
+
+
+@router.get("/solutions/{number}")
+async def get_solution(campaign_id: str, number: int, services: Services) -> SolutionView:
+    """Return one solution with all that is known of it."""
+    campaign = await services.campaigns.get(campaign_id)
+    found = await services.archives.get(campaign)
+    rows = await read(services.engines, lambda c: store.read_solutions(c, campaign.id, [number]))
+    if not rows:
+        raise NotFound(f"campaign {campaign.id} has no solution {number}")
+    return solution_views(rows, found.plan.problem.space, found.archive, full=True)[0]
+
+
+@router.get("/boundary", responses={200: {"content": {"text/csv": {}}}})
+async def get_boundary(
+    campaign_id: str,
+    services: Services,
+    t_b: Threshold = DEFAULT_T_B,
+    d_th: Threshold = DEFAULT_D_TH,
+    format: Literal["json", "csv"] = "json",  # noqa: A002  (the name of the query parameter)
+) -> Boundary:
+    """Return the distinct boundary solutions, DBS and strict DBS."""
+    campaign = await services.campaigns.get(campaign_id)
+    found = await services.archives.get(campaign)
+    view = await read(services.engines, lambda c: boundary_view(c, campaign, found, t_b, d_th))
+    if format == "csv":
+        headers = {"Content-Disposition": f'attachment; filename="boundary-{campaign.id}.csv"'}
+        return PlainResponse(boundary_csv(view), media_type="text/csv", headers=headers)  # type: ignore[return-value]
+    return view
+
+
+def boundary_csv(boundary: Boundary) -> str:
+    """Return boundary solutions as CSV: one row a solution, one column a decoded parameter."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    fixed = ("number", "verdict", "robustness", "fitness", "neighbours", "unsafe_neighbours")
+    parameters = [
+        (component, name)
+        for component, values in (boundary.solutions[0].parameters.items() if boundary.solutions else ())
+        for name in values
+    ]
+    columns = [f"{component}.{name}" for component, name in parameters]
+    writer.writerow([*fixed, "interval_low", "interval_high", "strict", "seed", *columns])
+    strict = set(boundary.strict)
+    for solution in boundary.solutions:
+        low, high = solution.interval or (None, None)
+        values = [getattr(solution, name) for name in fixed]
+        decoded = [solution.parameters[component][name] for component, name in parameters]
+        writer.writerow([*values, low, high, solution.number in strict, solution.seed, *decoded])
+    return text.getvalue()
+
+
+@router.get("/distances")
+async def get_distances(
+    campaign_id: str, services: Services, numbers: Annotated[str, Query(description="Comma-separated.")]
+) -> DistanceBlock:
+    """Return the distances between some evaluated solutions."""
+    campaign = await services.campaigns.get(campaign_id)
+    archive = (await services.archives.get(campaign)).archive
+    try:
+        wanted = [int(part) for part in numbers.split(",") if part.strip()]
+    except ValueError:
+        message = f"expected comma-separated solution numbers, got {numbers[:80]!r}"
+        raise InvalidInput([FieldError(pointer="/query/numbers", message=message)]) from None
+    if not 1 <= len(wanted) <= MAX_DISTANCES:
+        message = f"expected 1 to {MAX_DISTANCES} numbers, got {len(wanted)}"
+        raise InvalidInput([FieldError(pointer="/query/numbers", message=message)])
+    place = {int(number): index for index, number in enumerate(archive.numbers)}
+    unknown = [number for number in wanted if number not in place]
+    if unknown:
+        raise NotFound(f"campaign {campaign.id} has no evaluated solution {unknown[0]}")
+    rows = [place[number] for number in wanted]
+    distances = await asyncio.get_running_loop().run_in_executor(None, archive.distances, rows, rows)
+    return DistanceBlock(numbers=wanted, distances=distances.tolist())
+
+
+@router.get("/archive.npz", response_class=Response)
+async def get_archive(campaign_id: str, services: Services) -> Response:
+    """Return all evaluated solutions as numpy arrays: numbers, vectors, verdicts, counts, fitness."""
+    campaign = await services.campaigns.get(campaign_id)
+    stored = await asyncio.get_running_loop().run_in_executor(None, services.archives.stored, campaign)
+    archive = (await services.archives.get(campaign)).archive
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer,
+        allow_pickle=False,
+        numbers=stored.numbers,
+        vectors=stored.vectors,
+        unsafe=stored.unsafe,
+        robustness=stored.robustness,
+        generations=stored.generations,
+        neighbours=stored.neighbours,
+        unsafe_neighbours=stored.unsafe_neighbours,
+        fitness=archive.fitness[: len(stored.numbers)],
+    )
+    return Response(buffer.getvalue(), media_type="application/x-npz")
+
+
+Wait = Annotated[float, Query(ge=0, le=60, description="How long to wait for workers to make the trace.")]
+
+
+@router.get(
+    "/solutions/{number}/trace",
+    response_class=Response,
+    responses={200: {"content": {"application/x-npz": {}}}, 202: {"description": "Being made; ask again."}},
+)
+async def get_trace(
+    campaign_id: str, number: int, request: Request, services: Services, wait_s: Wait = 20.0
+) -> Response:
+    """Return the trace of a solution's episode as npz; workers re-run the episode if it was not kept."""
+    campaign = await services.campaigns.get(campaign_id)
+    data = await _trace(services, campaign, number, request, wait_s)
+    return _being_made() if data is None else Response(data, media_type="application/x-npz")
+
+
+@router.get(
+    "/solutions/{number}/replay.{extension}",
+    response_class=Response,
+    responses={200: {"content": {"image/png": {}, "image/gif": {}, "video/mp4": {}}}},
+)
+async def get_replay(
+    campaign_id: str,
+    number: int,
+    extension: Literal["png", "gif", "mp4"],
+    request: Request,
+    services: Services,
+    wait_s: Wait = 20.0,
+) -> Response:
+    """Return a picture or an animation of a solution's episode, seen from above."""
+    campaign = await services.campaigns.get(campaign_id)
+    data = await _trace(services, campaign, number, request, wait_s)
+    if data is None:
+        return _being_made()
+    requirement = str(campaign.body.problem.params.get("requirement", "front-gap@1"))
+
+    def draw() -> bytes:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / f"replay.{extension}"
+            render(Trace.from_bytes(data), path, requirement=requirement)
+            return path.read_bytes()
+
+    picture = await asyncio.get_running_loop().run_in_executor(None, draw)
+    media = {"png": "image/png", "gif": "image/gif", "mp4": "video/mp4"}[extension]
+    return Response(picture, media_type=media)
+
+
+async def _trace(
+    services: Context, campaign: Campaign, number: int, request: Request, wait_s: float
+) -> bytes | None:
+    """Return the trace of a solution, waiting for a worker to make it; None if it takes longer."""
+    deadline = asyncio.get_running_loop().time() + wait_s
+    asked = False
+    async with client_gone(request) as gone:
+        while True:
+            kept = await read(services.engines, lambda c: find_trace(c, campaign.id, number))
+            if kept is not None:
+                return kept
+            if not asked:
+                asked = True
+                if not await services.campaigns.request_trace(campaign.id, number):
+                    raise NotFound(f"campaign {campaign.id} has no simulated solution {number}")
+            job = await read(services.engines, lambda c: trace_job(c, campaign.id, number))
+            if job is not None and job.status in (JobStatus.QUARANTINED, JobStatus.CANCELLED):
+                raise Conflict(f"solution {number}: the trace cannot be made: {job.last_error}")
+            if asyncio.get_running_loop().time() >= deadline or gone.is_set():
+                return None
+            await asyncio.sleep(LOOK_AGAIN_S)
+
+
+def _being_made() -> JSONResponse:
+    content = {"detail": "a worker is asked to make the trace; ask again soon"}
+    return JSONResponse(content, status_code=202, headers={"Retry-After": "2"})

@@ -1,0 +1,97 @@
+"""The composition root: `create_app` puts a coordinator together."""
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from importlib.metadata import version
+
+from fastapi import APIRouter, FastAPI
+
+from server.api import campaigns, catalogue, health, jobs, solutions
+from server.api.context import Context
+from server.api.guards import Guards
+from server.api.problem_details import install
+from server.api.schemas import ProblemDetail
+from server.campaigns import store
+from server.campaigns.advance import Stepper
+from server.campaigns.archives import Archives
+from server.campaigns.service import CampaignService, read
+from server.db.engine import Engines, open_engines
+from server.db.writer import Writer
+from server.queue.service import QueueService
+from server.settings import Settings
+
+log = logging.getLogger(__name__)
+
+DESCRIPTION = """
+Finds where a driving system with a machine-learned component stops being safe.
+
+Submit a campaign, let workers lease its simulations, and read the distinct solutions on the hazard boundary.
+Writing a worker takes three requests: `POST /api/v1/jobs/lease`, `/heartbeat` and `/results`.
+"""
+
+
+def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
+    """Return the coordinator's app.
+
+    Args:
+        settings: What the coordinator is told.
+        sweeping: Whether it takes back lost leases and advances campaigns; off for an app that only reads.
+
+    Raises:
+        DatabaseError: The database URL cannot be used.
+    """
+    engines = open_engines(settings.database)
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        context = _context(settings, engines)
+        app.state.context = context
+        sweeper = asyncio.create_task(_sweep(context)) if sweeping else None
+        try:
+            yield
+        finally:
+            if sweeper is not None:
+                sweeper.cancel()
+            context.queue.close()
+            await asyncio.get_running_loop().run_in_executor(None, context.queue.writer.close)
+            engines.dispose()
+
+    app = FastAPI(
+        title="Brink", description=DESCRIPTION, version=version("brink"), lifespan=lifespan,
+        responses={"4XX": {"model": ProblemDetail, "description": "What is wrong, as problem+json."}},
+    )  # fmt: skip
+    install(app)
+    api = APIRouter(prefix="/api/v1")
+    for module in (campaigns, solutions, jobs, catalogue):
+        api.include_router(module.router)
+    app.include_router(api)
+    app.include_router(health.router)
+    token = settings.token.get_secret_value() if settings.token else None
+    app.add_middleware(Guards, token=token, max_body_bytes=settings.max_body_bytes)
+    return app
+
+
+def _context(settings: Settings, engines: Engines) -> Context:
+    writer = Writer(engines.writer)
+    stepper = Stepper(engines, writer, max_stored_distances=settings.max_stored_distances)
+    queue = QueueService(settings=settings, writer=writer, stepper=stepper)
+    return Context(
+        settings=settings,
+        engines=engines,
+        queue=queue,
+        campaigns=CampaignService(engines=engines, writer=writer, stepper=stepper, queue=queue),
+        archives=Archives(engines=engines, stepper=stepper),
+    )
+
+
+async def _sweep(context: Context) -> None:
+    """Mend what a crash left: lost leases, and campaigns whose next step is due."""
+    while True:
+        try:
+            await context.queue.sweep()
+            context.queue.advance_soon(await read(context.engines, store.running_idle))
+        except Exception:
+            log.exception("sweeper: this round failed; the next one will look again")
+        await asyncio.sleep(context.settings.sweep_s)

@@ -1,0 +1,1 @@
+"""Campaigns: submission, the generation step, results."""

@@ -1,0 +1,340 @@
+"""The generation step: tell, grow, ask, store, enqueue.
+
+`Stepper.advance` may run at any time, any number of times, in any process: a step is written only if the campaign
+stands where the step began, so a crash anywhere is mended by running it again, and no generation is told twice.
+The live state is kept in memory between steps; after a restart it is restored from the checkpoint and the stored
+solutions, and is the same, bit for bit.
+"""
+
+import logging
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from search.boundary import distinct_boundary
+from sqlalchemy import Row
+
+from search.algorithm import Algorithm, Candidate, Evaluation, Failed, Scored
+from search.archive import Archive, Neighbourhood
+from search.document import Document
+from search.metric import METRIC_VERSION
+from search.streams import episode_seed
+from server.campaigns import store
+from server.campaigns.body import CampaignBody
+from server.campaigns.store import (
+    Block,
+    Campaign,
+    Checkpoint,
+    GenerationSummary,
+    Judged,
+    NewJob,
+    NewSolution,
+    Step,
+)
+from server.catalogue import make_algorithm, make_params, make_problem
+from server.db.engine import Engines
+from server.db.models import CampaignStatus, JobStatus, SolutionVerdict
+from server.db.writer import Writer
+from server.problems.base import InProcessProblem, Problem
+from worker.wire import Completed
+
+DEFAULT_T_B = 0.10
+"""Fitness up to which a solution counts as boundary, where nobody says otherwise."""
+DEFAULT_D_TH = 0.20
+"""Distance from which boundary solutions count as distinct, where nobody says otherwise."""
+FEW_FAILURES = 3
+"""A campaign is not paused for this many failures or fewer."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """A campaign's problem and algorithm, made from its body."""
+
+    problem: Problem
+    algorithm: Algorithm
+    config: Any
+    neighbourhood: Neighbourhood
+
+
+def make_plan(body: CampaignBody) -> Plan:
+    """Return the problem and the algorithm of a campaign, checked against each other.
+
+    Raises:
+        InvalidInput: With a pointer to each wrong field.
+    """
+    problem = make_problem(body.problem.id, body.problem.params)
+    algorithm = make_algorithm(body.algorithm.id)
+    known = set(algorithm.config_type.__dataclass_fields__)
+    defaults = {name: value for name, value in problem.algorithm_defaults.items() if name in known}
+    config = make_params(algorithm.config_type, {**defaults, **body.algorithm.params}, "/algorithm/params")
+    neighbourhood = Neighbourhood.of(config)
+    return Plan(problem=problem, algorithm=algorithm, config=config, neighbourhood=neighbourhood)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Live:
+    """A campaign's state in memory: its pending generation is what the database calls the current one."""
+
+    plan: Plan
+    generation: int
+    state: Any
+
+
+def first_generation(body: CampaignBody) -> tuple[Live, list[NewSolution]]:
+    """Return the state of a new campaign with its first generation asked, and that generation's rows."""
+    plan = make_plan(body)
+    state = plan.algorithm.start(
+        plan.problem.space, plan.config, seed=body.seed, budget=body.budget.simulations
+    )
+    state, candidates = plan.algorithm.ask(state)
+    return Live(plan=plan, generation=0, state=state), new_solutions(plan.problem, candidates, body.seed)
+
+
+def new_solutions(problem: Problem, candidates: Sequence[Candidate], campaign_seed: int) -> list[NewSolution]:
+    """Return the rows of a generation that was asked for."""
+    solutions = []
+    for candidate in candidates:
+        seed = episode_seed(campaign_seed, candidate.number)
+        job = None
+        if not isinstance(problem, InProcessProblem):
+            spec = problem.episode(candidate.vectors, seed)
+            job = NewJob(
+                spec=spec.canonical_json(),
+                spec_hash=spec.digest(),
+                needs=problem.needs,
+                timeout_s=problem.timeout_s,
+            )
+        vector = np.concatenate(candidate.vectors).astype("<f8").tobytes()
+        solutions.append(NewSolution(number=candidate.number, vector=vector, seed=seed, job=job))
+    return solutions
+
+
+class Stepper:
+    """Advances campaigns, one at a time."""
+
+    def __init__(self, engines: Engines, writer: Writer, *, max_stored_distances: int) -> None:
+        self._engines = engines
+        self._writer = writer
+        self._max_stored_distances = max_stored_distances
+        self._live: dict[str, Live] = {}
+        self._lock = threading.Lock()
+
+    def adopt(self, campaign_id: str, live: Live) -> None:
+        """Keep the state of a campaign that was just submitted."""
+        self._live[campaign_id] = live
+
+    def archive(self, campaign_id: str, generation: int) -> Archive | None:
+        """Return a campaign's archive if it is in memory and at that generation."""
+        live = self._live.get(campaign_id)
+        if live is None or live.generation != generation:
+            return None
+        archive: Archive = live.state.archive
+        return archive
+
+    def advance(self, campaign_id: str) -> bool:
+        """Take as many steps as can be taken now; return whether any was."""
+        moved = False
+        with self._lock:
+            while self._step(campaign_id):
+                moved = True
+        return moved
+
+    def _step(self, campaign_id: str) -> bool:
+        with self._engines.reader.connect() as connection:
+            campaign = store.find_campaign(connection, campaign_id)
+            if campaign is None or campaign.status is not CampaignStatus.RUNNING:
+                self._live.pop(campaign_id, None)
+                return False
+            jobs = store.generation_jobs(connection, campaign_id, campaign.generation)
+        if any(job.status in (JobStatus.QUEUED, JobStatus.LEASED) for job in jobs):
+            return False
+        try:
+            return self._tell(campaign, jobs)
+        except Exception as error:
+            log.exception("campaign %s: generation %d cannot be told", campaign_id, campaign.generation)
+            reason = f"generation {campaign.generation} cannot be told: {type(error).__name__}: {error}"
+            self._end(campaign_id, CampaignStatus.FAILED, reason)
+            raise
+
+    def _tell(self, campaign: Campaign, jobs: Sequence[Row[*tuple[Any, ...]]]) -> bool:
+        began = time.perf_counter()
+        live = self._state(campaign)
+        evaluations = _evaluations(live.plan.problem, live.state.pending, jobs)
+        pause = _too_many_failures(campaign, evaluations, len(live.state.pending))
+        if pause:
+            self._end(campaign.id, CampaignStatus.PAUSED, pause)
+            return False
+        algorithm = live.plan.algorithm
+        told = algorithm.tell(live.state, evaluations)
+        finished = algorithm.finished(told)
+        asked_state, candidates = (told, ()) if finished else algorithm.ask(told)
+        step = self._write_up(campaign, live.plan, evaluations, told, candidates, finished, began)
+        if not self._writer.submit(lambda connection: store.write_step(connection, step)).result():
+            self._live.pop(campaign.id, None)
+            return False
+        self._live[campaign.id] = Live(plan=live.plan, generation=campaign.generation + 1, state=asked_state)
+        log.info(
+            "campaign=%s generation=%d evaluated=%d unsafe=%d step_ms=%.1f%s",
+            campaign.id, campaign.generation, step.summary.evaluated, step.summary.unsafe,
+            1000 * step.summary.step_s, " finished" if finished else "",
+        )  # fmt: skip
+        return not finished
+
+    def _write_up(
+        self,
+        campaign: Campaign,
+        plan: Plan,
+        evaluations: Mapping[int, Evaluation],
+        told: Any,
+        candidates: Sequence[Candidate],
+        finished: bool,
+        began: float,
+    ) -> Step:
+        archive: Archive = told.archive
+        failed = campaign.failed + sum(isinstance(e, Failed) for e in evaluations.values())
+        boundary = distinct_boundary(archive, DEFAULT_T_B, DEFAULT_D_TH)
+        strict = distinct_boundary(archive, DEFAULT_T_B, DEFAULT_D_TH, strict=True)
+        fitness = archive.fitness
+        return Step(
+            campaign=campaign.id,
+            generation=campaign.generation,
+            judged=[_judged(number, evaluation) for number, evaluation in sorted(evaluations.items())],
+            summary=GenerationSummary(
+                number=campaign.generation,
+                evaluated=len(archive),
+                unsafe=int(np.count_nonzero(archive.unsafe)),
+                failed=failed,
+                best_fitness=float(fitness.min()) if len(archive) else None,
+                median_fitness=float(np.median(fitness)) if len(archive) else None,
+                dbs=len(boundary),
+                strict_dbs=len(strict),
+                step_s=time.perf_counter() - began,
+            ),
+            block=self._block(archive),
+            checkpoint=Checkpoint(
+                generation=campaign.generation + 1,
+                document=plan.algorithm.dump(told).to_bytes(),
+                neighbours=archive.neighbours.astype("<i8").tobytes(),
+                unsafe_neighbours=archive.unsafe_neighbours.astype("<i8").tobytes(),
+            ),
+            asked=new_solutions(plan.problem, candidates, campaign.body.seed),
+            traces=self._evidence(campaign, plan, archive, boundary) if finished else (),
+            status=CampaignStatus.FINISHED if finished else CampaignStatus.RUNNING,
+            reason="",
+        )
+
+    def _block(self, archive: Archive) -> Block | None:
+        rows = archive.latest_rows
+        if rows is None or len(archive) > self._max_stored_distances:
+            return None
+        return Block(
+            first_row=len(archive) - rows.shape[0],
+            rows=rows.shape[0],
+            columns=rows.shape[1],
+            metric_version=METRIC_VERSION,
+            data=rows.astype("<f4").tobytes(),
+        )
+
+    def _evidence(self, campaign: Campaign, plan: Plan, archive: Archive, boundary: Any) -> list[int]:
+        """Return the numbers of the solutions whose traces are kept: the best distinct boundary solutions."""
+        if isinstance(plan.problem, InProcessProblem):
+            return []
+        return [int(number) for number in archive.numbers[boundary][: campaign.body.execution.keep_traces]]
+
+    def _state(self, campaign: Campaign) -> Live:
+        live = self._live.get(campaign.id)
+        if live is not None and live.generation == campaign.generation:
+            return live
+        return self._restore(campaign)
+
+    def _restore(self, campaign: Campaign) -> Live:
+        """Return the state from the database, with its pending generation asked again."""
+        if campaign.generation == 0:
+            return first_generation(campaign.body)[0]
+        plan = make_plan(campaign.body)
+        with self._engines.reader.connect() as connection:
+            checkpoint = store.find_checkpoint(connection, campaign.id)
+            stored = store.read_archive(connection, campaign.id, plan.problem.space.dimension)
+        if checkpoint is None or checkpoint.generation != campaign.generation:
+            raise ValueError(f"campaign {campaign.id}: no checkpoint of generation {campaign.generation}")
+        state = plan.algorithm.load(
+            plan.problem.space,
+            plan.config,
+            Document.from_bytes(checkpoint.document),
+            restored_archive(plan, stored),
+        )
+        state, _ = plan.algorithm.ask(state)
+        log.info("campaign=%s restored at generation %d", campaign.id, campaign.generation)
+        return Live(plan=plan, generation=campaign.generation, state=state)
+
+    def _end(self, campaign_id: str, status: CampaignStatus, reason: str) -> None:
+        self._live.pop(campaign_id, None)
+        self._writer.submit(
+            lambda connection: store.end_running(connection, campaign_id, status, reason)
+        ).result()
+        log.warning("campaign=%s %s: %s", campaign_id, status, reason)
+
+
+def restored_archive(plan: Plan, stored: store.StoredArchive) -> Archive:
+    """Return the archive that was stored, without computing a distance."""
+    return Archive.restore(
+        plan.problem.space,
+        plan.neighbourhood,
+        numbers=stored.numbers,
+        vectors=stored.vectors,
+        unsafe=stored.unsafe,
+        robustness=stored.robustness,
+        neighbours=stored.neighbours,
+        unsafe_neighbours=stored.unsafe_neighbours,
+    )
+
+
+def _evaluations(
+    problem: Problem, pending: Sequence[Candidate], jobs: Sequence[Row[*tuple[Any, ...]]]
+) -> dict[int, Evaluation]:
+    if isinstance(problem, InProcessProblem):
+        return {candidate.number: problem.evaluate(candidate.vectors) for candidate in pending}
+    evaluations: dict[int, Evaluation] = {}
+    for job in jobs:
+        if job.status == JobStatus.DONE:
+            evaluations[job.number] = problem.evaluation(Completed.model_validate_json(job.result))
+        else:
+            evaluations[job.number] = Failed(reason=job.last_error or str(job.status))
+    return evaluations
+
+
+def _judged(number: int, evaluation: Evaluation) -> Judged:
+    if isinstance(evaluation, Scored):
+        return Judged(
+            number=number,
+            verdict=SolutionVerdict.UNSAFE if evaluation.unsafe else SolutionVerdict.SAFE,
+            robustness=evaluation.robustness,
+            objectives=evaluation.objectives,
+            failure=None,
+        )
+    return Judged(
+        number=number,
+        verdict=SolutionVerdict.FAILED,
+        robustness=None,
+        objectives=None,
+        failure=evaluation.reason,
+    )
+
+
+def _too_many_failures(campaign: Campaign, evaluations: Mapping[int, Evaluation], pending: int) -> str | None:
+    """Return why a campaign must pause for its failures, or None."""
+    failed = campaign.failed + sum(isinstance(e, Failed) for e in evaluations.values())
+    asked = campaign.evaluated + campaign.failed + pending
+    limit = campaign.body.execution.max_failed_share
+    if failed <= max(FEW_FAILURES, campaign.failures_accepted) or failed <= limit * asked:
+        return None
+    last = next(e.reason for e in reversed(list(evaluations.values())) if isinstance(e, Failed))
+    return (
+        f"{failed} of {asked} candidates failed, more than max_failed_share {limit:g} allows. Retry their jobs, "
+        f"or resume to go on without them. Last error: {last.strip().splitlines()[-1] if last.strip() else last}"
+    )

@@ -1,0 +1,63 @@
+"""Archives for reading: from the live state where it is in memory, else restored from the database."""
+
+import asyncio
+from collections import OrderedDict
+from dataclasses import dataclass, field
+
+from sqlalchemy import Connection
+
+from search.archive import Archive
+from server.campaigns import store
+from server.campaigns.advance import Plan, Stepper, make_plan, restored_archive
+from server.campaigns.store import Campaign, StoredArchive
+from server.db.engine import Engines
+
+KEPT = 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReadArchive:
+    """A campaign's archive as of its last generation told."""
+
+    plan: Plan
+    archive: Archive
+    generation: int
+
+
+@dataclass(slots=True)
+class Archives:
+    """The latest archives that were asked for."""
+
+    engines: Engines
+    stepper: Stepper
+    _kept: OrderedDict[str, ReadArchive] = field(default_factory=OrderedDict)
+
+    async def get(self, campaign: Campaign) -> ReadArchive:
+        """Return the archive of a campaign."""
+        kept = self._kept.get(campaign.id)
+        if kept is None or kept.generation != campaign.generation:
+            kept = await asyncio.get_running_loop().run_in_executor(None, self._load, campaign)
+            self._kept[campaign.id] = kept
+        self._kept.move_to_end(campaign.id)
+        while len(self._kept) > KEPT:
+            self._kept.popitem(last=False)
+        return kept
+
+    def stored(self, campaign: Campaign) -> StoredArchive:
+        """Return the stored rows of a campaign's archive."""
+        plan = make_plan(campaign.body)
+        with self.engines.reader.connect() as connection:
+            return store.read_archive(connection, campaign.id, plan.problem.space.dimension)
+
+    def _load(self, campaign: Campaign) -> ReadArchive:
+        plan = make_plan(campaign.body)
+        live = self.stepper.archive(campaign.id, campaign.generation)
+        if live is not None:
+            return ReadArchive(plan=plan, archive=live, generation=campaign.generation)
+
+        def read(connection: Connection) -> StoredArchive:
+            return store.read_archive(connection, campaign.id, plan.problem.space.dimension)
+
+        with self.engines.reader.connect() as connection:
+            stored = read(connection)
+        return ReadArchive(plan=plan, archive=restored_archive(plan, stored), generation=stored.generation)

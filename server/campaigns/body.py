@@ -1,0 +1,167 @@
+"""What a user submits: the body of ``POST /campaigns``, and a campaign file with the same fields.
+
+Bad input is answered with a pointer to each wrong field, what was expected, and the nearest valid name.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from server.errors import FieldError, InvalidInput, nearest
+
+MAX_FILE_BYTES = 1024 * 1024
+
+
+class Body(BaseModel):
+    """Base of what comes in: strict types, no unknown field."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class PluginChoice(Body):
+    """A plug-in and its parameters."""
+
+    id: Annotated[str, Field(min_length=1, max_length=100, examples=["urban-injected@1"])]
+    params: dict[str, Any] = Field(default_factory=dict)
+
+
+class Budget(Body):
+    """What a campaign may cost."""
+
+    simulations: Annotated[int, Field(ge=1, le=10_000_000)]
+
+
+class Execution(Body):
+    """How a campaign's simulations are run."""
+
+    cache: Annotated[bool, Field(description="Take over results of the same simulation done before.")] = True
+    max_attempts: Annotated[int, Field(ge=1, le=20, description="Tries before quarantine.")] = 3
+    max_failed_share: Annotated[
+        float, Field(ge=0, le=1, description="Share of failed candidates past which the campaign pauses.")
+    ] = 0.2
+    keep_traces: Annotated[
+        int,
+        Field(ge=0, le=1000, description="Distinct boundary solutions whose traces are kept as evidence."),
+    ] = 12
+
+
+class CampaignBody(Body):
+    """A campaign: a problem, an algorithm, a budget, a seed."""
+
+    name: Annotated[str, Field(min_length=1, max_length=200, examples=["night-rain"])]
+    problem: PluginChoice
+    algorithm: PluginChoice
+    budget: Budget
+    seed: Annotated[int, Field(ge=0, lt=2**53)] = 1
+    priority: Annotated[int, Field(ge=-100, le=100, description="Higher goes first.")] = 0
+    execution: Execution = Field(default_factory=Execution)
+
+    def document_hash(self) -> str:
+        """Return a hash by which the same submission is known again."""
+        text = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def parse_body(document: object) -> CampaignBody:
+    """Read a campaign.
+
+    Raises:
+        InvalidInput: With a pointer to each wrong field.
+    """
+    if not isinstance(document, Mapping):
+        raise InvalidInput(
+            [
+                FieldError(
+                    pointer="", message=f"expected a campaign as a mapping, got {type(document).__name__}"
+                )
+            ]
+        )
+    try:
+        return CampaignBody.model_validate(dict(document))
+    except ValidationError as error:
+        raise invalid_input(error, CampaignBody) from None
+
+
+def read_campaign_file(path: Path) -> CampaignBody:
+    """Read a campaign file (YAML, of which JSON is a part).
+
+    Raises:
+        InvalidInput: The file cannot be read, is no YAML, or is no campaign.
+    """
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise InvalidInput(
+                [FieldError(pointer="", message=f"{path}: larger than {MAX_FILE_BYTES} bytes")]
+            )
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise InvalidInput([FieldError(pointer="", message=f"{path}: {reason}")]) from None
+    try:
+        document = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        reason = " ".join(str(error).split())
+        raise InvalidInput([FieldError(pointer="", message=f"{path}: not YAML: {reason}")]) from None
+    return parse_body(document)
+
+
+def invalid_input(error: ValidationError, model: type[BaseModel], prefix: str = "") -> InvalidInput:
+    """Translate a validation error into pointers, expectations and nearest names."""
+    return InvalidInput(_field_error(item, model, prefix) for item in error.errors(include_url=False))
+
+
+def field_errors(items: Iterable[Any], model: type[BaseModel] | None) -> list[FieldError]:
+    """Translate the errors of a request, whose locations begin with the part of the request."""
+    errors = []
+    for item in items:
+        part, *location = item["loc"]
+        body = part == "body"
+        relative = {**item, "loc": tuple(location)}
+        errors.append(_field_error(relative, (model if body else None) or Body, "" if body else f"/{part}"))
+    return errors
+
+
+def _field_error(item: Any, model: type[BaseModel], prefix: str) -> FieldError:
+    location = [part for part in item["loc"] if not isinstance(part, str) or not part.startswith("function-")]
+    pointer = prefix + "".join(f"/{_escaped(str(part))}" for part in location)
+    if item["type"] == "extra_forbidden":
+        valid = sorted(_fields_at(model, location[:-1]))
+        return FieldError(
+            pointer=pointer,
+            message=f"unknown field; expected one of {', '.join(valid) or 'none'}",
+            nearest=nearest(str(location[-1]), valid),
+        )
+    if item["type"] == "missing":
+        return FieldError(pointer=pointer, message="missing; this field is required")
+    message = item["msg"]
+    valid = [str(value) for value in _literals(item)]
+    shown = repr(item.get("input"))
+    return FieldError(
+        pointer=pointer,
+        message=f"{message[0].lower()}{message[1:]}, got {shown[:120]}",
+        nearest=nearest(str(item.get("input")), valid) if valid else None,
+    )
+
+
+def _literals(item: Any) -> list[str]:
+    expected = item.get("ctx", {}).get("expected", "") if item["type"] == "literal_error" else ""
+    return [part.strip().strip("'") for part in expected.replace(" or ", ", ").split(",") if part.strip()]
+
+
+def _escaped(part: str) -> str:
+    return part.replace("~", "~0").replace("/", "~1")
+
+
+def _fields_at(model: type[BaseModel], location: list[Any]) -> set[str]:
+    for part in location:
+        field = model.model_fields.get(str(part))
+        inner = field.annotation if field else None
+        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+            return set()
+        model = inner
+    return set(model.model_fields)

@@ -1,0 +1,83 @@
+"""Jobs as users see them: the list, and the retry by hand."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+from sqlalchemy import Connection, select, update
+
+from server.db.models import CampaignRow, JobRow, JobStatus, SolutionRow, SolutionVerdict
+from server.errors import Conflict, NotFound
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JobView:
+    """A job as it stands."""
+
+    id: int
+    campaign: str
+    number: int
+    kind: str
+    needs: str
+    status: JobStatus
+    attempt: int
+    max_attempts: int
+    worker: str | None
+    last_error: str | None
+    created_at: datetime
+    finished_at: datetime | None
+
+
+def list_jobs(
+    connection: Connection,
+    *,
+    statuses: Sequence[JobStatus] = (),
+    campaign: str | None = None,
+    after: int = 0,
+    limit: int = 100,
+) -> list[JobView]:
+    """Return jobs, ascending by id."""
+    query = select(JobRow.__table__).where(JobRow.id > after).order_by(JobRow.id).limit(limit)
+    if statuses:
+        query = query.where(JobRow.status.in_(statuses))
+    if campaign is not None:
+        query = query.where(JobRow.campaign_id == campaign)
+    return [
+        JobView(
+            id=row.id, campaign=row.campaign_id, number=row.number, kind=row.kind, needs=row.needs,
+            status=JobStatus(row.status), attempt=row.attempt, max_attempts=row.max_attempts,
+            worker=row.lease_worker if row.status == JobStatus.LEASED else None, last_error=row.last_error,
+            created_at=row.created_at, finished_at=row.finished_at,
+        )
+        for row in connection.execute(query)
+    ]  # fmt: skip
+
+
+def retry(connection: Connection, job: int) -> None:
+    """Put a quarantined job back into the queue, with all its attempts before it.
+
+    Raises:
+        NotFound: There is no such job.
+        Conflict: It is not in quarantine, or its generation went on without it.
+    """
+    row = connection.execute(
+        select(JobRow.status, JobRow.campaign_id, JobRow.number).where(JobRow.id == job)
+    ).one_or_none()
+    if row is None:
+        raise NotFound(f"job {job}: no such job")
+    if row.status != JobStatus.QUARANTINED:
+        raise Conflict(f"job {job} is {row.status}; only a quarantined job can be retried")
+    verdict = connection.execute(
+        select(SolutionRow.verdict)
+        .join(CampaignRow, CampaignRow.id == SolutionRow.campaign_id)
+        .where(SolutionRow.campaign_id == row.campaign_id, SolutionRow.number == row.number)
+    ).scalar_one()
+    if verdict != SolutionVerdict.PENDING:
+        raise Conflict(
+            f"job {job}: the campaign went on without solution {row.number}, which counts as failed"
+        )
+    connection.execute(
+        update(JobRow)
+        .where(JobRow.id == job)
+        .values(status=JobStatus.QUEUED, attempt=0, not_before=None, lease_token=None, finished_at=None)
+    )

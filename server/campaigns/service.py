@@ -1,0 +1,230 @@
+"""What users do with campaigns: submit, look, pause, resume, cancel, delete, retry."""
+
+import asyncio
+import secrets
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from datetime import datetime
+from typing import TypeVar
+
+from sqlalchemy import Connection
+
+from search.errors import ConfigError, UnsupportedSpace
+from server.campaigns import jobs as job_store
+from server.campaigns import store
+from server.campaigns.advance import Live, Stepper, first_generation, make_plan
+from server.campaigns.body import CampaignBody
+from server.campaigns.store import Campaign, NewSolution
+from server.catalogue import config_field_error
+from server.db.engine import Engines
+from server.db.models import CampaignStatus
+from server.db.writer import Writer
+from server.errors import Conflict, FieldError, InvalidInput, NotFound
+from server.queue.service import QueueService
+
+T = TypeVar("T")
+ENDED = (CampaignStatus.FINISHED, CampaignStatus.CANCELLED, CampaignStatus.FAILED)
+
+
+def check_submission(body: CampaignBody) -> tuple[Live, list[NewSolution]]:
+    """Return the first generation of a campaign that can run.
+
+    Raises:
+        InvalidInput: It cannot; with a pointer to each wrong field.
+    """
+    plan = make_plan(body)
+    try:
+        plan.algorithm.check(plan.problem.space, plan.config, budget=body.budget.simulations)
+    except UnsupportedSpace as error:
+        message = f"{body.algorithm.id} cannot search the space of {body.problem.id}: {error}"
+        raise InvalidInput([FieldError(pointer="/algorithm/id", message=message)]) from None
+    except ConfigError as error:
+        if error.field == "budget":
+            message = str(error).removeprefix("budget: ")
+            raise InvalidInput([FieldError(pointer="/budget/simulations", message=message)]) from None
+        raise InvalidInput([config_field_error(error, "/algorithm/params")]) from None
+    return first_generation(body)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CampaignService:
+    """Campaigns of one coordinator process."""
+
+    engines: Engines
+    writer: Writer
+    stepper: Stepper
+    queue: QueueService
+
+    async def submit(self, body: CampaignBody, key: str | None = None) -> tuple[Campaign, bool]:
+        """Store a campaign with its first generation.
+
+        Args:
+            body: What was asked for.
+            key: Idempotency key: the same key again returns the campaign of the first time.
+
+        Returns:
+            The campaign, and whether it is new.
+
+        Raises:
+            InvalidInput: It cannot run; nothing is stored.
+            Conflict: The key was used for another campaign.
+        """
+        if key is not None:
+            known = await self._read(lambda connection: store.find_by_key(connection, key))
+            if known is not None:
+                return _same(known, body), False
+        live, solutions = await asyncio.get_running_loop().run_in_executor(None, check_submission, body)
+        campaign_id = secrets.token_hex(4)
+
+        def unit(connection: Connection) -> tuple[Campaign, bool]:
+            known = store.find_by_key(connection, key) if key is not None else None
+            if known is not None:
+                return _same(known, body), False
+            store.insert_campaign(connection, campaign_id, body, key)
+            campaign = _found(store.find_campaign(connection, campaign_id), campaign_id)
+            store.insert_solutions(connection, campaign, 0, solutions)
+            return campaign, True
+
+        campaign, new = await self._write(unit)
+        if new:
+            self.stepper.adopt(campaign_id, live)
+            self.queue.wakeups.wake()
+            self.queue.advance_soon([campaign_id])
+        return campaign, new
+
+    async def get(self, campaign_id: str) -> Campaign:
+        """Return a campaign by its id, or by the beginning of its id if that is unique.
+
+        Raises:
+            NotFound: There is none, or more than one.
+        """
+
+        def read(connection: Connection) -> Campaign:
+            campaign = store.find_campaign(connection, campaign_id)
+            if campaign is not None:
+                return campaign
+            matches = store.find_by_prefix(connection, campaign_id) if len(campaign_id) >= 2 else []
+            if len(matches) == 1:
+                return matches[0]
+            reason = "more than one campaign has an id that begins so" if matches else "no such campaign"
+            raise NotFound(f"campaign {campaign_id!r}: {reason}")
+
+        return await self._read(read)
+
+    async def list(
+        self,
+        *,
+        limit: int,
+        before: tuple[datetime, str] | None = None,
+        document_hash: str | None = None,
+        statuses: tuple[CampaignStatus, ...] = (),
+    ) -> list[Campaign]:
+        """Return campaigns, newest first."""
+        return await self._read(
+            lambda connection: store.list_campaigns(
+                connection, limit=limit, before=before, document_hash=document_hash, statuses=statuses
+            )
+        )
+
+    async def pause(self, campaign_id: str) -> Campaign:
+        """Hand out no more of a campaign's jobs; what is running is still taken in."""
+        return await self._change(campaign_id, "pause", (CampaignStatus.RUNNING,), CampaignStatus.PAUSED)
+
+    async def resume(self, campaign_id: str) -> Campaign:
+        """Go on with a paused campaign, without the candidates that failed so far."""
+        campaign = await self._change(
+            campaign_id, "resume", (CampaignStatus.PAUSED,), CampaignStatus.RUNNING, accept_failures=True
+        )
+        self.queue.wakeups.wake()
+        self.queue.advance_soon([campaign.id])
+        return campaign
+
+    async def cancel(self, campaign_id: str) -> Campaign:
+        """End a campaign; what it found stays."""
+        allowed = (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
+        return await self._change(campaign_id, "cancel", allowed, CampaignStatus.CANCELLED)
+
+    async def delete(self, campaign_id: str) -> None:
+        """Delete a campaign that has ended, with everything that belongs to it.
+
+        Raises:
+            Conflict: It has not ended.
+        """
+        campaign = await self.get(campaign_id)
+
+        def unit(connection: Connection) -> None:
+            current = _found(store.find_campaign(connection, campaign.id, lock=True), campaign.id)
+            if current.status not in ENDED:
+                raise Conflict(f"campaign {campaign.id} is {current.status}: cancel it before deleting it")
+            store.delete_campaign(connection, campaign.id)
+
+        await self._write(unit)
+
+    async def retry_job(self, job: int) -> None:
+        """Put a quarantined job back into the queue.
+
+        Raises:
+            NotFound: There is no such job.
+            Conflict: It is not in quarantine, or its generation went on without it.
+        """
+        await self._write(lambda connection: job_store.retry(connection, job))
+        self.queue.wakeups.wake(1)
+
+    async def request_trace(self, campaign_id: str, number: int) -> bool:
+        """Have workers make the trace of a solution; return whether it can be made."""
+        campaign = await self.get(campaign_id)
+        possible = await self._write(lambda connection: store.request_trace(connection, campaign, number))
+        self.queue.wakeups.wake(1)
+        return possible
+
+    async def _change(
+        self,
+        campaign_id: str,
+        verb: str,
+        allowed: tuple[CampaignStatus, ...],
+        status: CampaignStatus,
+        *,
+        accept_failures: bool = False,
+    ) -> Campaign:
+        found = await self.get(campaign_id)
+
+        def unit(connection: Connection) -> Campaign:
+            current = _found(store.find_campaign(connection, found.id, lock=True), found.id)
+            if current.status is not status:
+                if current.status not in allowed:
+                    expected = " or ".join(allowed)
+                    raise Conflict(
+                        f"campaign {found.id} is {current.status}; to {verb} it, it must be {expected}"
+                    )
+                store.set_status(connection, found.id, status, "", accept_failures=accept_failures)
+            return _found(store.find_campaign(connection, found.id), found.id)
+
+        return await self._write(unit)
+
+    async def _read(self, query: Callable[[Connection], T]) -> T:
+        return await read(self.engines, query)
+
+    def _write(self, unit: Callable[[Connection], T]) -> Awaitable[T]:
+        return asyncio.wrap_future(self.writer.submit(unit))
+
+
+async def read(engines: Engines, query: Callable[[Connection], T]) -> T:
+    """Run a query on one snapshot, off the event loop."""
+
+    def run() -> T:
+        with engines.reader.connect() as connection:
+            return query(connection)
+
+    return await asyncio.get_running_loop().run_in_executor(None, run)
+
+
+def _found(campaign: Campaign | None, campaign_id: str) -> Campaign:
+    if campaign is None:
+        raise NotFound(f"campaign {campaign_id!r}: no such campaign")
+    return campaign
+
+
+def _same(known: Campaign, body: CampaignBody) -> Campaign:
+    if known.body.document_hash() != body.document_hash():
+        raise Conflict(f"this Idempotency-Key was used for another campaign, {known.id}")
+    return known

@@ -1,0 +1,25 @@
+"""Traces that are kept, and the jobs that make them."""
+
+from typing import Any
+
+from sqlalchemy import Connection, Row, select
+
+from server.db.models import JobKind, JobRow, SolutionRow, TraceRow
+
+
+def find_trace(connection: Connection, campaign_id: str, number: int) -> bytes | None:
+    """Return the trace of a solution if it is kept."""
+    query = (
+        select(TraceRow.data)
+        .join(SolutionRow, SolutionRow.spec_hash == TraceRow.spec_hash)
+        .where(SolutionRow.campaign_id == campaign_id, SolutionRow.number == number)
+    )
+    return connection.execute(query).scalar_one_or_none()
+
+
+def trace_job(connection: Connection, campaign_id: str, number: int) -> Row[*tuple[Any, ...]] | None:
+    """Return status and last error of the job that makes a trace, if there is one."""
+    query = select(JobRow.status, JobRow.last_error).where(
+        JobRow.campaign_id == campaign_id, JobRow.number == number, JobRow.kind == JobKind.TRACE
+    )
+    return connection.execute(query).one_or_none()

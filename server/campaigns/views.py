@@ -1,0 +1,168 @@
+"""Campaigns and solutions as users see them."""
+
+import json
+from collections.abc import Iterable, Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from sqlalchemy import Connection, Row
+
+from search.archive import Archive
+from search.boundary import PAPER_D_THS, PAPER_T_BS, dbs_grid, distinct_boundary
+from search.digest import archive_digest
+from search.space import SearchSpace
+from server.api.schemas import (
+    Boundary,
+    CampaignView,
+    DbsCell,
+    GenerationView,
+    Progress,
+    SolutionView,
+)
+from server.campaigns import store
+from server.campaigns.advance import DEFAULT_D_TH, DEFAULT_T_B
+from server.campaigns.archives import ReadArchive
+from server.campaigns.store import Campaign
+from server.db.models import CampaignStatus, JobStatus
+from server.queue.workers import list_seen
+
+RATE_WINDOW = 5
+"""Generations over which the rate is taken."""
+
+
+def campaign_view(campaign: Campaign) -> CampaignView:
+    """Return a campaign."""
+    return CampaignView(
+        id=campaign.id, name=campaign.body.name, status=campaign.status,
+        status_reason=campaign.status_reason, simulations=campaign.evaluated + campaign.failed,
+        budget=campaign.body.budget.simulations, unsafe=campaign.unsafe, failed=campaign.failed,
+        generation=campaign.generation, created_at=campaign.created_at, finished_at=campaign.finished_at,
+        body=campaign.body,
+    )  # fmt: skip
+
+
+def read_progress(
+    connection: Connection, campaign_id: str, since: int, worker_seen_s: float, archive: ReadArchive | None
+) -> Progress:
+    """Return counts and series of a campaign, from generation `since` on."""
+    campaign = store.find_campaign(connection, campaign_id)
+    assert campaign is not None
+    series = store.list_generations(
+        connection, campaign.id, max(0, min(since, campaign.generation - RATE_WINDOW))
+    )
+    open_jobs = store.count_open_jobs(connection, campaign.id)
+    queued, leased = open_jobs.get(JobStatus.QUEUED, 0), open_jobs.get(JobStatus.LEASED, 0)
+    ended = campaign.finished_at is not None
+    asked = 0 if ended else store.count_pending(connection, campaign)
+    in_generation = max(0, asked - queued - leased)
+    seen = list_seen(connection, within_s=worker_seen_s)
+    capabilities = {name for worker in seen for name in worker.capabilities}
+    waiting = store.waiting_needs(connection) if queued else {}
+    done = campaign.evaluated + campaign.failed + in_generation
+    end = campaign.finished_at or datetime.now(UTC)
+    rate = _rate(campaign, series, done, end)
+    remaining = max(0, campaign.body.budget.simulations - done)
+    return Progress(
+        id=campaign.id, name=campaign.body.name, status=campaign.status,
+        status_reason=campaign.status_reason, budget=campaign.body.budget.simulations, simulations=done,
+        evaluated=campaign.evaluated, unsafe=campaign.unsafe, failed=campaign.failed,
+        quarantined=open_jobs.get(JobStatus.QUARANTINED, 0), queued=queued, leased=leased,
+        generation=campaign.generation, rate_per_s=rate,
+        remaining_s=remaining / rate if rate and not ended else None,
+        elapsed_s=max(0.0, (end - campaign.created_at).total_seconds()), workers=len(seen),
+        unrunnable={needs: n for needs, n in waiting.items() if needs not in capabilities},
+        digest=archive_digest(archive.archive) if archive is not None else None,
+        t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH,
+        generations=[
+            GenerationView.model_validate(item, from_attributes=True)
+            for item in series if item.number >= since
+        ],
+    )  # fmt: skip
+
+
+def _rate(
+    campaign: Campaign, series: list[store.GenerationSummary], done: int, end: datetime
+) -> float | None:
+    """Return simulations a second over the last generations, or since the start."""
+    start, before = campaign.created_at, 0
+    if campaign.status is CampaignStatus.RUNNING and len(series) > RATE_WINDOW:
+        base = series[-RATE_WINDOW - 1]
+        assert base.told_at is not None
+        start, before = base.told_at, base.evaluated + base.failed
+    elapsed = (end - start).total_seconds()
+    return (done - before) / elapsed if elapsed > 0 and done > before else None
+
+
+def solution_views(
+    rows: Iterable[Row[*tuple[Any, ...]]], space: SearchSpace, archive: Archive, *, full: bool = False
+) -> list[SolutionView]:
+    """Return solutions with decoded parameters and their place in the archive.
+
+    Args:
+        rows: From the store.
+        space: The campaign's search space.
+        archive: Its archive.
+        full: Whether to add all verdicts, features, provenance and the episode.
+    """
+    place = {int(number): index for index, number in enumerate(archive.numbers)}
+    return [_solution(row, space, archive, place.get(row.number), full=full) for row in rows]
+
+
+def _solution(
+    row: Row[*tuple[Any, ...]], space: SearchSpace, archive: Archive, index: int | None, *, full: bool
+) -> SolutionView:
+    result: Mapping[str, Any] = json.loads(row.result) if full and row.result else {}
+    return SolutionView(
+        number=row.number, generation=row.generation, verdict=row.verdict, robustness=row.robustness,
+        objectives=row.objectives, failure=row.failure,
+        fitness=None if index is None else float(archive.fitness[index]),
+        neighbours=None if index is None else int(archive.neighbours[index]),
+        unsafe_neighbours=None if index is None else int(archive.unsafe_neighbours[index]),
+        interval=None if index is None else (float(archive.interval[index, 0]), float(archive.interval[index, 1])),
+        seed=row.seed, attempts=row.attempt,
+        parameters=space.decode(space.split(np.frombuffer(row.vector, dtype="<f8"))),
+        verdicts=result.get("verdicts"), features=result.get("features"),
+        provenance=result.get("provenance"),
+        spec=json.loads(row.spec) if full and row.spec else None,
+    )  # fmt: skip
+
+
+def boundary_view(
+    connection: Connection, campaign: Campaign, read: ReadArchive, t_b: float, d_th: float
+) -> Boundary:
+    """Return the distinct boundary solutions of a campaign, best first."""
+    archive = read.archive
+    chosen = distinct_boundary(archive, t_b, d_th)
+    strict = distinct_boundary(archive, t_b, d_th, strict=True)
+    grid = dbs_grid(archive, PAPER_T_BS, PAPER_D_THS)
+    numbers = [int(number) for number in archive.numbers[chosen]]
+    rows = {row.number: row for row in store.read_solutions(connection, campaign.id, numbers)}
+    return Boundary(
+        t_b=t_b,
+        d_th=d_th,
+        dbs=len(chosen),
+        strict_dbs=len(strict),
+        note=_note(read, t_b),
+        grid=[
+            DbsCell(t_b=t, d_th=d, dbs=int(grid.dbs[row, column]), strict_dbs=int(grid.strict[row, column]))
+            for row, t in enumerate(grid.t_bs)
+            for column, d in enumerate(grid.d_ths)
+        ],
+        solutions=solution_views(
+            [rows[number] for number in numbers], read.plan.problem.space, archive, full=True
+        ),
+        strict=[int(number) for number in archive.numbers[strict]],
+    )
+
+
+def _note(read: ReadArchive, t_b: float) -> str:
+    """Say what a figure of this threshold can and cannot mean."""
+    p_th = read.plan.neighbourhood.p_th
+    all_safe = p_th / max(p_th, 1 - p_th)
+    if t_b >= all_safe:
+        return (
+            f"t_b {t_b:g} counts neighbourhoods without a single unsafe solution as boundary (their fitness falls "
+            f"to {all_safe:.3f}); strict_dbs does not."
+        )
+    return "strict_dbs counts only solutions whose interval holds p_th and whose neighbourhood holds both verdicts."

@@ -1,0 +1,132 @@
+"""How commands reach a coordinator: over HTTP, or in this process on the same database.
+
+Either way a command speaks the REST API, so that what works here works from afar.
+"""
+
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager
+from typing import Any
+
+import httpx
+
+from server.app import create_app
+from server.db.engine import open_engines
+from server.db.upgrade import current_revision, head_revision
+from server.errors import DatabaseError, ServerError
+from server.settings import Settings
+
+TIMEOUT = httpx.Timeout(90.0, connect=5.0)
+
+
+class CoordinatorSaid(ServerError):
+    """A coordinator refused a request, or none answered; the message is for people."""
+
+
+class Api:
+    """The REST API of one coordinator."""
+
+    def __init__(self, client: httpx.AsyncClient, where: str) -> None:
+        self._client = client
+        self.where = where
+
+    async def get(self, path: str, params: Mapping[str, Any] | None = None) -> Any:
+        """Return what a GET answers, decoded.
+
+        Raises:
+            CoordinatorSaid: It was refused.
+        """
+        return (await self.request("GET", path, params=params)).json()
+
+    async def post(self, path: str, content: Any = None) -> Any:
+        """Return what a POST answers, decoded.
+
+        Raises:
+            CoordinatorSaid: It was refused.
+        """
+        response = await self.request("POST", path, json=content)
+        return response.json() if response.content else None
+
+    async def request(self, method: str, path: str, **options: Any) -> httpx.Response:
+        """Return the response to a request under ``/api/v1``.
+
+        Raises:
+            CoordinatorSaid: It was refused.
+        """
+        try:
+            response = await self._client.request(method, f"/api/v1{path}", **options)
+        except httpx.HTTPError as error:
+            reason = str(error) or type(error).__name__
+            raise CoordinatorSaid(
+                f"no coordinator answers at {self.where} ({reason}); start one with: brink serve"
+            ) from None
+        if response.is_success:
+            return response
+        raise CoordinatorSaid(_what_it_said(response))
+
+
+def _what_it_said(response: httpx.Response) -> str:
+    try:
+        document = response.json()
+    except ValueError:
+        return f"the coordinator answered {response.status_code}: {response.text[:200]}"
+    errors = document.get("errors") or []
+    if not errors:
+        return str(document.get("detail", document))
+    lines = []
+    for error in errors:
+        hint = f" (did you mean {error['nearest']!r}?)" if error.get("nearest") else ""
+        lines.append(f"{error['pointer'] or '/'}: {error['message']}{hint}")
+    return "\n".join(lines)
+
+
+@asynccontextmanager
+async def open_api(server: str | None, settings: Settings) -> AsyncIterator[Api]:
+    """Give the API of a coordinator.
+
+    Args:
+        server: Its URL; None to work on the database in this process.
+        settings: Which database, and the token.
+
+    Raises:
+        DatabaseError: There is no database, or it cannot be used as it is.
+    """
+    token = settings.token.get_secret_value() if settings.token else None
+    headers = {"Authorization": f"Bearer {token}"} if token else {}
+    if server is not None:
+        async with httpx.AsyncClient(base_url=server, timeout=TIMEOUT, headers=headers) as client:
+            yield Api(client, server)
+        return
+    check_database(settings)
+    app = create_app(settings, sweeping=False)
+    transport = httpx.ASGITransport(app=app)
+    async with (
+        app.router.lifespan_context(app),
+        httpx.AsyncClient(
+            transport=transport, base_url="http://brink", timeout=TIMEOUT, headers=headers
+        ) as client,
+    ):
+        yield Api(client, settings.database)
+
+
+def check_database(settings: Settings) -> None:
+    """Raise unless the database is there and has this version's schema.
+
+    Raises:
+        DatabaseError: It is not, with what to do.
+    """
+    path = settings.sqlite_file
+    if path is not None and not path.exists():
+        raise DatabaseError(
+            f"no database at {path}: run a campaign first (brink run FILE), name another one with --database, "
+            "or name a coordinator with --server"
+        )
+    engines = open_engines(settings.database)
+    try:
+        revision = current_revision(engines)
+    finally:
+        engines.dispose()
+    if revision != head_revision():
+        raise DatabaseError(
+            f"the database has schema {revision or 'none'}, this version needs {head_revision()}; "
+            "upgrade it with: brink db upgrade"
+        )

@@ -1,0 +1,169 @@
+"""Commands that keep things running: serve, worker, submit, db."""
+
+import asyncio
+import logging
+from pathlib import Path
+from typing import Annotated
+
+import typer
+import uvicorn
+
+from server.campaigns.body import read_campaign_file
+from server.cli.api import Api
+from server.cli.coordinator import listen, prepare_database, server_config
+from server.cli.live import CampaignDisplay
+from server.cli.options import AsJson, CampaignFile, Database, console, print_json, settings_with, with_api
+from server.db.engine import open_engines
+from server.db.upgrade import current_revision, head_revision
+from server.settings import Settings
+from worker.run import run_worker
+from worker.settings import WorkerSettings
+
+WATCH_S = 0.5
+
+db = typer.Typer(help="The database: upgrade it, or say which schema it has.", no_args_is_help=True)
+
+
+def serve(
+    database: Database = None,
+    host: Annotated[
+        str | None, typer.Option(help="Address to listen on; others than loopback need BRINK_TOKEN.")
+    ] = None,
+    port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port to listen on.")] = None,
+) -> None:
+    """Run a coordinator until it is stopped. It upgrades its database itself.
+
+    Example: brink serve --database postgresql://brink:secret@db/brink --port 8700
+    """
+    settings = settings_with(database=database, host=host, port=port)
+    logging.getLogger().setLevel(settings.log_level.upper())
+    before, after = prepare_database(settings)
+    if before != after:
+        console().print(f"database upgraded from schema {before or 'none'} to {after}")
+    listener = listen(settings)
+    bound = listener.getsockname()
+    console().print(f"coordinator at http://{bound[0]}:{bound[1]} (API described at /docs)")
+    uvicorn.Server(server_config(settings)).run(sockets=[listener])
+
+
+def worker(
+    server: Annotated[
+        str, typer.Option("--server", envvar="BRINK_SERVER", help="URL of the coordinator.")
+    ] = "http://127.0.0.1:8700",
+    max_jobs: Annotated[int, typer.Option(min=2, max=128, help="Most jobs to hold at once.")] = 8,
+    memory_mib: Annotated[
+        int, typer.Option(min=0, help="Memory that an episode may take, in MiB; 0 sets no limit.")
+    ] = 2048,
+    exit_when_idle_s: Annotated[
+        float | None, typer.Option(min=0.0, help="Leave after this time without a job.")
+    ] = None,
+    plugin: Annotated[
+        list[str] | None, typer.Option(help="Module to import for its plug-ins; may be given again.")
+    ] = None,
+) -> None:
+    """Run one worker: leases simulations from a coordinator, runs them, reports. Start one a core.
+
+    Example: brink worker --server http://coordinator:8700
+    """
+    defaults = WorkerSettings(server=server)
+    settings = WorkerSettings(
+        server=server,
+        worker_id=defaults.worker_id,
+        token=_token(),
+        max_jobs=max_jobs,
+        memory_mib=memory_mib,
+        exit_when_idle_s=exit_when_idle_s,
+        plugins=tuple(plugin or ()),
+    )
+    raise typer.Exit(run_worker(settings))
+
+
+def _token() -> str | None:
+    token = Settings().token
+    return token.get_secret_value() if token else None
+
+
+def submit(
+    file: CampaignFile,
+    server: Annotated[
+        str, typer.Option("--server", envvar="BRINK_SERVER", help="URL of the coordinator.")
+    ] = "http://127.0.0.1:8700",
+    watch: Annotated[bool, typer.Option("--watch", help="Show progress until the campaign ends.")] = False,
+    key: Annotated[
+        str | None, typer.Option(help="Idempotency key: the same key again submits nothing new.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Submit a campaign to a coordinator.
+
+    Example: brink submit examples/paper-mlcshe.yaml --server http://coordinator:8700 --watch
+    """
+    body = read_campaign_file(file)
+
+    async def work(api: Api) -> bool:
+        headers = {"Idempotency-Key": key} if key else {}
+        response = await api.request("POST", "/campaigns", json=body.model_dump(mode="json"), headers=headers)
+        campaign = response.json()
+        if as_json and not watch:
+            print_json(campaign)
+        elif not as_json:
+            known = "" if response.status_code == 201 else " (submitted before with this key)"
+            console().print(f"campaign {campaign['id']}{known}")
+        return await follow(api, campaign["id"], as_json=as_json) if watch else True
+
+    if not with_api(server, None, work):
+        raise typer.Exit(1)
+
+
+async def follow(api: Api, campaign_id: str, *, as_json: bool) -> bool:
+    """Show progress until a campaign ends; return whether it finished."""
+    screen = console()
+    with CampaignDisplay(screen) as display:
+        while True:
+            progress = await api.get(f"/campaigns/{campaign_id}/progress", {"since": display.generations})
+            if not as_json:
+                display.show(progress)
+            if progress["status"] != "running":
+                break
+            await asyncio.sleep(WATCH_S)
+    if as_json:
+        print_json(progress)
+    else:
+        screen.print(
+            f"campaign {campaign_id} is {progress['status']}: {progress['simulations']} simulations, "
+            f"{progress['unsafe']} unsafe {progress['status_reason']}"
+        )
+        if progress["digest"]:
+            screen.print(f"archive sha256 {progress['digest']}")
+    return bool(progress["status"] == "finished")
+
+
+@db.command("upgrade")
+def db_upgrade(database: Database = None) -> None:
+    """Bring a database to this version's schema; makes a new one if there is none.
+
+    Example: brink db upgrade --database sqlite:///brink.db
+    """
+    settings = settings_with(database=database)
+    before, after = prepare_database(settings)
+    where = open_engines(settings.database).writer.url.render_as_string(hide_password=True)
+    if before == after:
+        typer.echo(f"{where}: schema {after} already")
+    else:
+        typer.echo(f"{where}: upgraded from schema {before or 'none'} to {after}")
+
+
+@db.command("status")
+def db_status(database: Database = None) -> None:
+    """Say which schema a database has, and which this version needs.
+
+    Example: brink db status
+    """
+    settings = settings_with(database=database)
+    path: Path | None = settings.sqlite_file
+    revision = (
+        None if path is not None and not path.exists() else current_revision(open_engines(settings.database))
+    )
+    typer.echo(f"schema {revision or 'none'}; this version needs {head_revision()}")
+    if revision != head_revision():
+        raise typer.Exit(1)

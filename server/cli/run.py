@@ -1,0 +1,236 @@
+"""`brink run`: a coordinator, workers and one campaign in one command."""
+
+import asyncio
+import contextlib
+import logging
+import signal
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import httpx
+import typer
+from rich.console import Console
+
+from server.campaigns.advance import DEFAULT_D_TH, DEFAULT_T_B
+from server.campaigns.body import CampaignBody, read_campaign_file
+from server.campaigns.service import check_submission
+from server.cli.api import TIMEOUT, Api, CoordinatorSaid
+from server.cli.coordinator import EmbeddedCoordinator, WorkerProcesses, prepare_database
+from server.cli.live import CampaignDisplay
+from server.cli.options import CampaignFile, Database, console, print_json, settings_with
+from server.cli.pictures import draw_figures, fetch_archive, write_results
+from server.cli.replays import write_replays
+from server.cli.summary import print_summary
+from server.errors import Conflict
+from server.settings import Settings
+
+LOOK_EVERY_S = 0.3
+TRACES_S = 30.0
+UNFINISHED = ("running", "paused")
+RESULTS = Path("brink-results")
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunPlan:
+    """What `brink run` was asked for."""
+
+    body: CampaignBody
+    file: Path
+    workers: int
+    out: Path
+    resume: bool
+    new: bool
+    pictures: bool
+    replays: int
+    json: bool
+
+
+def run(
+    file: CampaignFile,
+    workers: Annotated[int, typer.Option(min=1, max=256, help="Worker processes.")] = 2,
+    database: Database = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with this file's unfinished campaign, if there is one.")
+    ] = False,
+    new: Annotated[
+        bool, typer.Option("--new", help="Start another campaign even if one of this file is unfinished.")
+    ] = False,
+    out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = RESULTS,
+    pictures: Annotated[bool, typer.Option(help="Draw figures and replays at the end.")] = True,
+    replays: Annotated[int, typer.Option(min=0, max=50, help="Replays of the best boundary solutions.")] = 3,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port of the coordinator; 0 takes a free one.")
+    ] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+) -> None:
+    """Run one campaign: starts a coordinator and workers, shows progress, writes results and pictures.
+
+    Ctrl-C stops cleanly; the same command with --resume goes on from there.
+
+    Example: brink run examples/quickstart.yaml --workers 2
+    """
+    plan = RunPlan(
+        body=read_campaign_file(file), file=file, workers=workers, out=out, resume=resume, new=new,
+        pictures=pictures, replays=replays, json=as_json,
+    )  # fmt: skip
+    check_submission(plan.body)
+    settings = settings_with(database=database, port=port)
+    screen = Console(stderr=True, highlight=False) if as_json else console()
+    prepare_database(settings)
+    coordinator = EmbeddedCoordinator(settings)
+    coordinator.start()
+    processes = WorkerProcesses(
+        url=coordinator.url,
+        log_file=out / "worker.log",
+        token=settings.token.get_secret_value() if settings.token else None,
+    )
+    try:
+        finished = asyncio.run(_run(plan, settings, coordinator.url, processes, screen))
+    finally:
+        processes.stop()
+        coordinator.stop()
+    if not finished:
+        raise typer.Exit(1)
+
+
+async def _run(
+    plan: RunPlan, settings: Settings, url: str, processes: WorkerProcesses, screen: Console
+) -> bool:
+    stop = asyncio.Event()
+    token = settings.token.get_secret_value() if settings.token else None
+    headers = {"Authorization": f"Bearer {token}"} if token else {}
+    async with httpx.AsyncClient(base_url=url, timeout=TIMEOUT, headers=headers) as client:
+        api = Api(client, url)
+        campaign_id = await _campaign(api, plan, screen)
+        with _stopping(stop):
+            processes.start(plan.workers)
+            progress = await _watch(api, campaign_id, processes, stop, screen)
+            if stop.is_set():
+                await _set_aside(api, campaign_id, plan, progress, screen)
+                return False
+            if progress["status"] != "finished":
+                screen.print(f"campaign {campaign_id} is {progress['status']}: {progress['status_reason']}")
+                screen.print(f"look closer with: brink status {campaign_id} {_database_option(settings)}")
+                return False
+            folder = plan.out / f"{_file_name(plan.body.name)}-{campaign_id}"
+            boundary, files = await _write_all(api, campaign_id, plan, folder, stop, screen)
+    summary = {
+        "campaign": campaign_id,
+        "digest": progress["digest"],
+        "simulations": progress["simulations"],
+        "evaluated": progress["evaluated"],
+        "unsafe": progress["unsafe"],
+        "failed": progress["failed"],
+        "elapsed_s": progress["elapsed_s"],
+        "t_b": DEFAULT_T_B,
+        "d_th": DEFAULT_D_TH,
+        "dbs": boundary["dbs"],
+        "strict_dbs": boundary["strict_dbs"],
+        "grid": boundary["grid"],
+        "folder": str(folder),
+        "files": [str(path) for path in files],
+    }
+    if plan.json:
+        print_json(summary)
+    else:
+        print_summary(screen, plan.body, summary, boundary, _database_option(settings))
+    return True
+
+
+def _database_option(settings: Settings) -> str:
+    default = Settings.model_fields["database"].default
+    return "" if settings.database == default else f"--database {settings.database}"
+
+
+def _file_name(name: str) -> str:
+    return "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in name)[:60]
+
+
+async def _campaign(api: Api, plan: RunPlan, screen: Console) -> str:
+    """Return the campaign to watch: an unfinished one of this file, or a new one."""
+    params = {"document_hash": plan.body.document_hash(), "status": list(UNFINISHED)}
+    unfinished = (await api.get("/campaigns", params))["campaigns"]
+    if unfinished and plan.resume:
+        found = unfinished[0]
+        if found["status"] == "paused":
+            await api.post(f"/campaigns/{found['id']}/resume")
+        screen.print(f"campaign {found['id']}: going on at {found['simulations']} of {found['budget']}")
+        return str(found["id"])
+    if unfinished and not plan.new:
+        found = unfinished[0]
+        raise Conflict(
+            f"campaign {found['id']} of this file stands at {found['simulations']} of {found['budget']}: "
+            f"go on with it by --resume, or start another by --new"
+        )
+    campaign = await api.post("/campaigns", plan.body.model_dump(mode="json"))
+    screen.print(
+        f"campaign {campaign['id']}: {plan.body.algorithm.id} on {plan.body.problem.id}, "
+        f"{plan.body.budget.simulations} simulations, seed {plan.body.seed}"
+    )
+    return str(campaign["id"])
+
+
+@contextlib.contextmanager
+def _stopping(stop: asyncio.Event) -> Iterator[None]:
+    """Set the event on Ctrl-C or SIGTERM instead of dying."""
+    loop = asyncio.get_running_loop()
+    signals = (signal.SIGINT, signal.SIGTERM)
+    for number in signals:
+        loop.add_signal_handler(number, stop.set)
+    try:
+        yield
+    finally:
+        for number in signals:
+            loop.remove_signal_handler(number)
+
+
+async def _watch(
+    api: Api, campaign_id: str, processes: WorkerProcesses, stop: asyncio.Event, screen: Console
+) -> dict[str, Any]:
+    with CampaignDisplay(screen) as display:
+        while True:
+            progress: dict[str, Any] = await api.get(
+                f"/campaigns/{campaign_id}/progress", {"since": display.generations}
+            )
+            display.show(progress)
+            if progress["status"] != "running" or stop.is_set():
+                return progress
+            processes.replace_dead()
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(stop.wait(), LOOK_EVERY_S)
+
+
+async def _set_aside(
+    api: Api, campaign_id: str, plan: RunPlan, progress: dict[str, Any], screen: Console
+) -> None:
+    """Pause a campaign that was stopped, so that it takes no workers until somebody goes on with it."""
+    with contextlib.suppress(CoordinatorSaid):
+        await api.post(f"/campaigns/{campaign_id}/pause")
+    screen.print(f"stopped at {progress['simulations']} of {progress['budget']} simulations; nothing is lost")
+    screen.print(f"go on with: brink run {plan.file} --resume")
+
+
+async def _write_all(
+    api: Api, campaign_id: str, plan: RunPlan, folder: Path, stop: asyncio.Event, screen: Console
+) -> tuple[dict[str, Any], list[Path]]:
+    """Write results and pictures; Ctrl-C leaves out the pictures that are not drawn yet."""
+    boundary = await write_results(api, campaign_id, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH)
+    files = [folder / name for name in ("boundary.csv", "boundary.json", "archive.npz")]
+    if not plan.pictures:
+        return boundary, files
+    began = time.monotonic()
+    with screen.status("drawing the boundary") as status:
+        fetched = await fetch_archive(api, campaign_id)
+        files += await asyncio.to_thread(draw_figures, fetched, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH)
+        numbers = [s["number"] for s in boundary["solutions"] if s["spec"] is not None]
+        status.update("drawing replays")
+        files += await write_replays(
+            api, campaign_id, numbers[: plan.replays], folder, stop=stop, patience_s=TRACES_S
+        )
+    log.info("pictures took %.1f s", time.monotonic() - began)
+    return boundary, files

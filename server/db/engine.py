@@ -1,0 +1,91 @@
+"""How the databases are opened: SQLite in WAL mode with real transactions, Postgres as it is.
+
+A database has two engines. The *writer* takes the write lock at BEGIN, so that a transaction never fails halfway
+because another one wrote first. The *reader* sees one snapshot for the length of a transaction.
+"""
+
+import sqlite3
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Engine, create_engine, event
+from sqlalchemy.engine import URL, make_url
+from sqlalchemy.exc import ArgumentError
+from sqlalchemy.pool import ConnectionPoolEntry
+
+from server.errors import DatabaseError
+
+SQLITE_BUSY_S = 30.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Engines:
+    """The two engines of one database."""
+
+    writer: Engine
+    reader: Engine
+
+    @property
+    def is_sqlite(self) -> bool:
+        """Whether this is SQLite."""
+        return self.writer.dialect.name == "sqlite"
+
+    def dispose(self) -> None:
+        """Close all pooled connections."""
+        self.writer.dispose()
+        self.reader.dispose()
+
+
+def parse_url(database: str) -> URL:
+    """Return the URL of a supported database, with its driver.
+
+    Raises:
+        DatabaseError: It is no URL, or of a database that is not supported.
+    """
+    expected = "expected sqlite:///FILE or postgresql://USER:PASSWORD@HOST:PORT/NAME"
+    try:
+        url = make_url(database)
+    except ArgumentError:
+        raise DatabaseError(f"database URL {database!r}: {expected}") from None
+    if url.drivername == "sqlite":
+        if url.database in (None, "", ":memory:"):
+            raise DatabaseError(
+                "database URL: an in-memory SQLite database would lose everything; name a file"
+            )
+        return url
+    if url.drivername in ("postgresql", "postgres", "postgresql+psycopg"):
+        return url.set(drivername="postgresql+psycopg")
+    raise DatabaseError(f"database URL with {url.drivername!r}: {expected}")
+
+
+def open_engines(database: str) -> Engines:
+    """Return the engines of a database. Nothing is connected yet.
+
+    Raises:
+        DatabaseError: The URL is not of a supported database, or its driver is not installed.
+    """
+    url = parse_url(database)
+    if url.drivername == "sqlite":
+        return Engines(writer=_sqlite(url, "BEGIN IMMEDIATE"), reader=_sqlite(url, "BEGIN"))
+    try:
+        writer = create_engine(url, pool_pre_ping=True, pool_size=4)
+        reader = create_engine(url, pool_pre_ping=True, pool_size=8, isolation_level="REPEATABLE READ")
+    except ModuleNotFoundError:
+        raise DatabaseError("Postgres needs its driver: pip install 'brink[postgres]'") from None
+    return Engines(writer=writer, reader=reader)
+
+
+def _sqlite(url: URL, begin: str) -> Engine:
+    engine = create_engine(url, connect_args={"timeout": SQLITE_BUSY_S, "check_same_thread": False})
+
+    @event.listens_for(engine, "connect")
+    def configure(connection: sqlite3.Connection, _: ConnectionPoolEntry) -> None:
+        connection.isolation_level = None  # the driver's own BEGIN is neither immediate nor covers DDL
+        for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", "cache_size=-65536"):
+            connection.execute(f"PRAGMA {pragma}").close()
+
+    @event.listens_for(engine, "begin")
+    def start(connection: Any) -> None:
+        connection.exec_driver_sql(begin)
+
+    return engine

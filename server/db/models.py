@@ -1,0 +1,267 @@
+"""The tables.
+
+A campaign asks for generations of solutions; each solution that needs a simulation has a job; a job keeps the
+outcome of its simulation, which other jobs with the same hash of the specification take over. Rows never leave the
+stores that own them (`server.queue.store`, `server.campaigns.store`).
+"""
+
+from datetime import datetime
+from enum import StrEnum
+from typing import Any, ClassVar
+
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    CheckConstraint,
+    Double,
+    ForeignKey,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    String,
+    Text,
+    UniqueConstraint,
+    text,
+)
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+
+from server.db.types import UtcDateTime
+
+JobId = BigInteger().with_variant(Integer(), "sqlite")
+
+
+class CampaignStatus(StrEnum):
+    """Where a campaign stands."""
+
+    RUNNING = "running"
+    PAUSED = "paused"
+    FINISHED = "finished"
+    CANCELLED = "cancelled"
+    FAILED = "failed"
+
+
+class JobStatus(StrEnum):
+    """Where a job stands. `queued` and `leased` are open; the others are final."""
+
+    QUEUED = "queued"
+    LEASED = "leased"
+    DONE = "done"
+    QUARANTINED = "quarantined"
+    CANCELLED = "cancelled"
+
+
+class JobKind(StrEnum):
+    """What a job is for."""
+
+    EPISODE = "episode"
+    TRACE = "trace"
+
+
+class SolutionVerdict(StrEnum):
+    """What is known of a solution."""
+
+    PENDING = "pending"
+    SAFE = "safe"
+    UNSAFE = "unsafe"
+    FAILED = "failed"
+
+
+def _one_of(column: str, values: type[StrEnum]) -> CheckConstraint:
+    names = ", ".join(f"'{value}'" for value in values)
+    return CheckConstraint(f"{column} IN ({names})", name=f"{column}_known")
+
+
+class Base(DeclarativeBase):
+    """Base of all tables."""
+
+    metadata = MetaData(
+        naming_convention={
+            "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+            "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+            "ck": "ck_%(table_name)s_%(constraint_name)s",
+            "fk": "fk_%(table_name)s_%(column_0_N_name)s_%(referred_table_name)s",
+            "pk": "pk_%(table_name)s",
+        }
+    )
+    type_annotation_map: ClassVar[dict[Any, Any]] = {
+        datetime: UtcDateTime(),
+        dict[str, Any]: JSON(),
+        list[str]: JSON(),
+        float: Double(),
+        bytes: LargeBinary(),
+    }
+
+
+class CampaignRow(Base):
+    """A campaign: what was asked for, and where it stands."""
+
+    __tablename__ = "campaigns"
+    __table_args__ = (
+        _one_of("status", CampaignStatus),
+        CheckConstraint("generation >= 0", name="generation_counts"),
+        CheckConstraint("evaluated >= 0 AND unsafe >= 0 AND failed >= 0", name="counts_count"),
+        Index("ix_campaigns_created_at_id", "created_at", "id"),
+        Index("ix_campaigns_running", "priority", "turn", sqlite_where=text("status = 'running'"),
+              postgresql_where=text("status = 'running'")),
+    )  # fmt: skip
+
+    id: Mapped[str] = mapped_column(String(16), primary_key=True)
+    name: Mapped[str] = mapped_column(String(200))
+    document: Mapped[dict[str, Any]]
+    document_hash: Mapped[str] = mapped_column(String(64), index=True)
+    idempotency_key: Mapped[str | None] = mapped_column(String(200), unique=True)
+    status: Mapped[str] = mapped_column(String(16))
+    status_reason: Mapped[str] = mapped_column(Text, default="")
+    seed: Mapped[int] = mapped_column(BigInteger)
+    priority: Mapped[int] = mapped_column(Integer)
+    budget: Mapped[int] = mapped_column(BigInteger)
+    generation: Mapped[int] = mapped_column(Integer, default=0)
+    evaluated: Mapped[int] = mapped_column(BigInteger, default=0)
+    unsafe: Mapped[int] = mapped_column(BigInteger, default=0)
+    failed: Mapped[int] = mapped_column(BigInteger, default=0)
+    failures_accepted: Mapped[int] = mapped_column(BigInteger, default=0)
+    turn: Mapped[int] = mapped_column(BigInteger, default=0)
+    created_at: Mapped[datetime]
+    finished_at: Mapped[datetime | None]
+
+
+class GenerationRow(Base):
+    """A generation that was told, as series for progress and plots."""
+
+    __tablename__ = "generations"
+
+    campaign_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="CASCADE"), primary_key=True)
+    number: Mapped[int] = mapped_column(Integer, primary_key=True)
+    evaluated: Mapped[int] = mapped_column(BigInteger)
+    unsafe: Mapped[int] = mapped_column(BigInteger)
+    failed: Mapped[int] = mapped_column(BigInteger)
+    best_fitness: Mapped[float | None]
+    median_fitness: Mapped[float | None]
+    dbs: Mapped[int] = mapped_column(Integer)
+    strict_dbs: Mapped[int] = mapped_column(Integer)
+    step_s: Mapped[float]
+    told_at: Mapped[datetime]
+
+
+class SolutionRow(Base):
+    """A complete solution that was asked for."""
+
+    __tablename__ = "solutions"
+    __table_args__ = (
+        _one_of("verdict", SolutionVerdict),
+        CheckConstraint(
+            "(verdict IN ('safe', 'unsafe')) = (robustness IS NOT NULL)", name="robustness_with_verdict"
+        ),
+        Index("ix_solutions_campaign_id_generation", "campaign_id", "generation"),
+    )
+
+    campaign_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="CASCADE"), primary_key=True)
+    number: Mapped[int] = mapped_column(BigInteger, primary_key=True)
+    generation: Mapped[int] = mapped_column(Integer)
+    vector: Mapped[bytes]
+    seed: Mapped[int] = mapped_column(BigInteger)
+    spec_hash: Mapped[str | None] = mapped_column(String(64))
+    verdict: Mapped[str] = mapped_column(String(8), default=SolutionVerdict.PENDING)
+    robustness: Mapped[float | None]
+    objectives: Mapped[dict[str, Any] | None]
+    failure: Mapped[str | None] = mapped_column(Text)
+
+
+class CheckpointRow(Base):
+    """The algorithm's state after the last `tell`, and the archive's counts that go with it."""
+
+    __tablename__ = "checkpoints"
+
+    campaign_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="CASCADE"), primary_key=True)
+    generation: Mapped[int] = mapped_column(Integer)
+    document: Mapped[bytes]
+    neighbours: Mapped[bytes]
+    unsafe_neighbours: Mapped[bytes]
+    sha256: Mapped[str] = mapped_column(String(64))
+
+
+class DistanceBlockRow(Base):
+    """The distances of one generation's evaluated solutions to all solutions up to then: float32, row by row."""
+
+    __tablename__ = "distance_blocks"
+
+    campaign_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="CASCADE"), primary_key=True)
+    generation: Mapped[int] = mapped_column(Integer, primary_key=True)
+    first_row: Mapped[int] = mapped_column(BigInteger)
+    rows: Mapped[int] = mapped_column(Integer)
+    columns: Mapped[int] = mapped_column(BigInteger)
+    metric_version: Mapped[int] = mapped_column(Integer)
+    sha256: Mapped[str] = mapped_column(String(64))
+    data: Mapped[bytes]
+
+
+class JobRow(Base):
+    """One simulation to be run by a worker."""
+
+    __tablename__ = "jobs"
+    __table_args__ = (
+        _one_of("status", JobStatus),
+        _one_of("kind", JobKind),
+        CheckConstraint("attempt >= 0 AND max_attempts >= 1", name="attempts_count"),
+        CheckConstraint(
+            "(status = 'leased') = (lease_expires_at IS NOT NULL)", name="only_leased_jobs_expire"
+        ),
+        CheckConstraint("status <> 'leased' OR lease_token IS NOT NULL", name="leases_have_tokens"),
+        UniqueConstraint("campaign_id", "number", "kind"),
+        Index("ix_jobs_queued", "kind", "campaign_id", "id",
+              sqlite_where=text("status = 'queued'"), postgresql_where=text("status = 'queued'")),
+        Index("ix_jobs_leased", "lease_expires_at",
+              sqlite_where=text("status = 'leased'"), postgresql_where=text("status = 'leased'")),
+        Index("ix_jobs_lease_worker", "lease_worker",
+              sqlite_where=text("status = 'leased'"), postgresql_where=text("status = 'leased'")),
+        Index("ix_jobs_spec_hash_status", "spec_hash", "status"),
+        Index("ix_jobs_campaign_id_status", "campaign_id", "status"),
+    )  # fmt: skip
+
+    id: Mapped[int] = mapped_column(JobId, primary_key=True, autoincrement=True)
+    campaign_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="CASCADE"))
+    number: Mapped[int] = mapped_column(BigInteger)
+    kind: Mapped[str] = mapped_column(String(8))
+    spec: Mapped[str] = mapped_column(Text)
+    spec_hash: Mapped[str] = mapped_column(String(64))
+    needs: Mapped[str] = mapped_column(String(128))
+    cache: Mapped[bool]
+    timeout_s: Mapped[float]
+    status: Mapped[str] = mapped_column(String(12))
+    attempt: Mapped[int] = mapped_column(Integer, default=0)
+    max_attempts: Mapped[int] = mapped_column(Integer)
+    not_before: Mapped[datetime | None]
+    lease_token: Mapped[str | None] = mapped_column(String(64))
+    lease_worker: Mapped[str | None] = mapped_column(String(64))
+    lease_expires_at: Mapped[datetime | None]
+    result: Mapped[str | None] = mapped_column(Text)
+    last_error: Mapped[str | None] = mapped_column(Text)
+    created_at: Mapped[datetime]
+    finished_at: Mapped[datetime | None]
+
+
+class TraceRow(Base):
+    """The trace of a simulation."""
+
+    __tablename__ = "traces"
+
+    spec_hash: Mapped[str] = mapped_column(String(64), primary_key=True)
+    data: Mapped[bytes]
+    created_at: Mapped[datetime]
+
+
+class WorkerRow(Base):
+    """A worker that was heard of."""
+
+    __tablename__ = "workers"
+
+    id: Mapped[str] = mapped_column(String(64), primary_key=True)
+    host: Mapped[str] = mapped_column(String(255))
+    pid: Mapped[int] = mapped_column(BigInteger)
+    version: Mapped[str] = mapped_column(String(64))
+    capabilities: Mapped[list[str]]
+    first_seen_at: Mapped[datetime]
+    last_seen_at: Mapped[datetime]
+    jobs_done: Mapped[int] = mapped_column(BigInteger, default=0)
+    jobs_failed: Mapped[int] = mapped_column(BigInteger, default=0)

@@ -1,0 +1,131 @@
+"""One writer a process: a thread that commits for several waiting requests at once.
+
+Callers submit *units*, functions of a connection. The thread takes all that wait, runs them in one transaction,
+commits once and answers each. If a unit fails, the transaction is rolled back and each unit runs again in one of
+its own, so that only the faulty one fails: units must therefore depend on nothing but the database and their
+arguments. A unit is answered only after its commit.
+"""
+
+import logging
+import queue
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from sqlalchemy import Connection, Engine
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
+
+from server.errors import Unavailable
+
+T = TypeVar("T")
+Unit = Callable[[Connection], T]
+MAX_UNITS_A_COMMIT = 256
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class _Waiting:
+    unit: Unit[Any]
+    answer: Future[Any]
+
+
+class Writer:
+    """Runs units on the writer engine, many a commit."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._waiting: queue.SimpleQueue[_Waiting | None] = queue.SimpleQueue()
+        self._closing = False
+        self._thread = threading.Thread(target=self._run, name="brink-writer", daemon=True)
+        self._thread.start()
+
+    def submit(self, unit: Unit[T]) -> Future[T]:
+        """Have a unit run and committed.
+
+        Returns:
+            A future with what the unit returned, or with its error. `Unavailable` if the database is away or the
+            writer is closed.
+        """
+        answer: Future[T] = Future()
+        if self._closing:
+            answer.set_exception(Unavailable("the coordinator is stopping"))
+            return answer
+        self._waiting.put(_Waiting(unit, answer))
+        return answer
+
+    def close(self) -> None:
+        """Commit what waits, then stop."""
+        self._closing = True
+        self._waiting.put(None)
+        self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            first = self._waiting.get()
+            if first is None:
+                return
+            batch, last = self._take_more(first)
+            try:
+                self._commit(batch)
+            except BaseException as error:
+                log.exception("writer: a batch failed outside its units")
+                for waiting in batch:
+                    if not waiting.answer.done():
+                        waiting.answer.set_exception(error)
+            if last:
+                return
+
+    def _take_more(self, first: _Waiting) -> tuple[list[_Waiting], bool]:
+        batch = [first]
+        while len(batch) < MAX_UNITS_A_COMMIT:
+            try:
+                waiting = self._waiting.get_nowait()
+            except queue.Empty:
+                break
+            if waiting is None:
+                return batch, True
+            batch.append(waiting)
+        return batch, False
+
+    def _commit(self, batch: list[_Waiting]) -> None:
+        batch = [waiting for waiting in batch if waiting.answer.set_running_or_notify_cancel()]
+        if not batch:
+            return
+        try:
+            with self._engine.begin() as connection:
+                results = [waiting.unit(connection) for waiting in batch]
+        except Exception as error:  # noqa: BLE001  (every unit gets its own answer)
+            if len(batch) == 1:
+                batch[0].answer.set_exception(_translated(error))
+                return
+            for waiting in batch:
+                self._commit_alone(waiting)
+            return
+        for waiting, result in zip(batch, results, strict=True):
+            waiting.answer.set_result(result)
+
+    def _commit_alone(self, waiting: _Waiting) -> None:
+        try:
+            with self._engine.begin() as connection:
+                result = waiting.unit(connection)
+        except Exception as error:  # noqa: BLE001  (answered to the one who asked)
+            waiting.answer.set_exception(_translated(error))
+        else:
+            waiting.answer.set_result(result)
+
+
+def _translated(error: Exception) -> Exception:
+    """Name the database's own troubles in the coordinator's words."""
+    if isinstance(error, DBAPIError):
+        reason = (
+            str(error.orig).strip().splitlines()[0] if str(error.orig).strip() else type(error.orig).__name__
+        )
+        translated = Unavailable(f"database: {reason}")
+        translated.__cause__ = error
+        return translated
+    if isinstance(error, SQLAlchemyError):
+        log.error("writer: %s", error)
+    return error

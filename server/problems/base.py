@@ -1,0 +1,78 @@
+"""What a problem is: it ties a search space to a verdict.
+
+A *simulated* problem turns a candidate into an `EpisodeSpec` for the workers and reads the evaluation from what
+came back. An *in-process* problem is a formula that the coordinator evaluates itself. Plug-ins of the group
+``brink.problems`` are classes of either kind, made from their `params_type`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, TypeAlias, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from search.algorithm import Evaluation
+from search.space import SearchSpace
+from sim.episode import EpisodeSpec
+from worker.wire import Completed
+
+Vectors: TypeAlias = Sequence[NDArray[np.float64]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoParams:
+    """The parameters of a problem that has none."""
+
+
+class _Problem(Protocol):
+    """What both kinds of problem have.
+
+    Attributes:
+        id: Versioned plug-in id.
+        summary: One line for catalogues.
+        params_type: Frozen dataclass of its parameters, with fields from `search.settings.setting`.
+        space: Where to search.
+        algorithm_defaults: Settings of algorithms that this problem suggests, such as the radius.
+    """
+
+    id: ClassVar[str]
+    summary: ClassVar[str]
+    params_type: ClassVar[type[Any]]
+    space: SearchSpace
+    algorithm_defaults: Mapping[str, Any]
+
+    def __init__(self, params: Any) -> None: ...
+
+
+@runtime_checkable
+class SimulatedProblem(_Problem, Protocol):
+    """A problem whose candidates are simulated by workers.
+
+    Attributes:
+        needs: What a worker must be capable of: the simulator's id.
+        timeout_s: Wall-clock time after which an episode is given up.
+    """
+
+    needs: str
+    timeout_s: float
+
+    def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
+        """Return the episode that evaluates a candidate."""
+        ...
+
+    def evaluation(self, outcome: Completed) -> Evaluation:
+        """Return what a completed episode says of its candidate."""
+        ...
+
+
+@runtime_checkable
+class InProcessProblem(_Problem, Protocol):
+    """A problem whose candidates the coordinator evaluates itself."""
+
+    def evaluate(self, vectors: Vectors) -> Evaluation:
+        """Return the evaluation of a candidate."""
+        ...
+
+
+Problem: TypeAlias = SimulatedProblem | InProcessProblem

@@ -1,0 +1,162 @@
+"""`urban-injected@1`: an urban scenario and what the obstacle detector is made to say in it.
+
+Seven categorical parameters make the scenario, two injected trajectories of eleven parameters the behaviour: 29
+in all. Source: Sharifi et al. 2023, section 4 (see docs/mlcshe.md).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from search.algorithm import Evaluation, Scored
+from search.settings import check_settings, setting
+from search.space import (
+    Categorical,
+    Component,
+    Constraint,
+    Dormant,
+    Duration,
+    Extent,
+    Integer,
+    Parameter,
+    Real,
+    SearchSpace,
+)
+from server.problems.base import Vectors
+from sim.episode import EpisodeSpec, Json
+from sim.urban import behaviour as b
+from sim.urban.scenario import PEDESTRIAN_COUNTS, ROAD_IDS, ROAD_LENGTHS, SCENARIO_CHOICES
+from worker.wire import Completed
+
+SIMULATOR = "brink-drive@1"
+REQUIREMENTS = (
+    "front-gap@1",
+    "no-collision@1",
+    "lane-keeping@1",
+    "red-light@1",
+    "speed-limit@1",
+    "progress@1",
+)
+BOX_SIGMA_PX = 40.0
+"""Standard deviation of a box coordinate's mutation: a tenth of 400 px."""
+
+_INTEGER_SCENARIO = {"pedestrians": PEDESTRIAN_COUNTS, "road_id": ROAD_IDS, "road_length": ROAD_LENGTHS}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UrbanInjectedParams:
+    """Parameters of the problem."""
+
+    requirement: str = setting(
+        "front-gap@1", help="The requirement that gives the verdict; all are recorded.", choices=REQUIREMENTS
+    )
+    duration_s: float = setting(
+        b.DEFAULT_DURATION_S, ge=5.0, le=120.0, unit="s", help="Length of an episode."
+    )
+    fidelity: str = setting("bicycle", help="How the ego is simulated.", choices=("bicycle", "wheels"))
+    timeout_s: float = setting(60.0, gt=0.0, le=3600.0, unit="s", help="Wall-clock limit of an episode.")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+def scenario_component() -> Component:
+    """Return the seven categorical parameters of a scenario."""
+    return Component(
+        name="scenario",
+        parameters=tuple(
+            Categorical(name=name, choices=tuple(str(choice) for choice in choices))
+            for name, choices in SCENARIO_CHOICES.items()
+        ),
+    )
+
+
+def behaviour_component(duration_s: float) -> Component:
+    """Return the two injected trajectories, eleven parameters each."""
+    parameters: list[Parameter] = []
+    constraints: list[Constraint | Dormant] = []
+    horizon = b.last_perception_step(duration_s)
+    for index in range(1, b.TRAJECTORY_COUNT + 1):
+        prefix = f"trajectory_{index}."
+        parameters.append(Categorical(name=prefix + "label", choices=b.TRAJECTORY_LABELS))
+        for name, (low, high, unit) in b.trajectory_ranges(duration_s).items():
+            if name.endswith("_step"):
+                parameters.append(Integer(name=prefix + name, low=int(low), high=int(high), unit=unit))
+            else:
+                parameters.append(Real(name=prefix + name, low=low, high=high, unit=unit, sigma=BOX_SIGMA_PX))
+        constraints.append(
+            Duration(
+                start=prefix + "t0_step",
+                end=prefix + "t1_step",
+                minimum=int(np.ceil(horizon * b.MIN_DURATION_SHARE)),
+                horizon=horizon,
+            )
+        )
+        constraints += [
+            Extent(
+                low=f"{prefix}{axis}_min_{end}_px",
+                high=f"{prefix}{axis}_max_{end}_px",
+                minimum=b.MIN_BOX_PX,
+                size=float(size),
+            )
+            for end in (0, 1)
+            for axis, size in (("x", b.IMAGE_WIDTH_PX), ("y", b.IMAGE_HEIGHT_PX))
+        ]
+        constraints.append(
+            Dormant(
+                label=prefix + "label",
+                null_choice=b.NULL_LABEL,
+                members=tuple(prefix + name for name in b.TRAJECTORY_FIELDS if name != "label"),
+            )
+        )
+    return Component(name="behaviour", parameters=tuple(parameters), constraints=tuple(constraints))
+
+
+class UrbanInjected:
+    """The hazard boundary of an obstacle detector in urban traffic."""
+
+    id: ClassVar[str] = "urban-injected@1"
+    summary: ClassVar[str] = "Urban driving with injected obstacle detections: 7 + 22 parameters."
+    params_type: ClassVar[type[Any]] = UrbanInjectedParams
+
+    def __init__(self, params: UrbanInjectedParams) -> None:
+        self.params = params
+        self.space = SearchSpace((scenario_component(), behaviour_component(params.duration_s)))
+        self.algorithm_defaults: Mapping[str, Any] = {}
+        self.needs = SIMULATOR
+        self.timeout_s = params.timeout_s
+
+    def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
+        """Return the episode of a scenario and a behaviour."""
+        decoded = self.space.decode(tuple(vectors))
+        return EpisodeSpec(
+            simulator=SIMULATOR,
+            scenario=_scenario(decoded["scenario"]),
+            behaviour=_behaviour(decoded["behaviour"]),
+            requirements=REQUIREMENTS,
+            seed=seed,
+            duration_s=self.params.duration_s,
+            options={"fidelity": self.params.fidelity},
+        )
+
+    def evaluation(self, outcome: Completed) -> Evaluation:
+        """Return the chosen requirement's verdict and all objectives."""
+        verdict = outcome.verdicts[self.params.requirement]
+        return Scored(
+            unsafe=verdict.robustness < 0, robustness=verdict.robustness, objectives=outcome.objectives
+        )
+
+
+def _scenario(values: Mapping[str, Any]) -> dict[str, Json]:
+    return {name: int(value) if name in _INTEGER_SCENARIO else value for name, value in values.items()}
+
+
+def _behaviour(values: Mapping[str, Any]) -> dict[str, Json]:
+    trajectories: list[Json] = [
+        {name: values[f"trajectory_{index}.{name}"] for name in b.TRAJECTORY_FIELDS}
+        for index in range(1, b.TRAJECTORY_COUNT + 1)
+        if values[f"trajectory_{index}.label"] != b.NULL_LABEL
+    ]
+    return {"mode": b.BehaviourMode.INJECTED.value, "trajectories": trajectories}

@@ -1,0 +1,1 @@
+"""The life of a job: leases, heartbeats, results, retries."""

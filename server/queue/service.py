@@ -1,0 +1,235 @@
+"""What workers ask of the coordinator: leases, heartbeats, results.
+
+Everything that changes a job goes through the one writer. News travels on the event loop: whoever enqueues jobs
+wakes waiting workers, whoever finishes a generation has its campaign advanced.
+"""
+
+import asyncio
+import base64
+import binascii
+import logging
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+from sqlalchemy import Connection
+
+from server.campaigns.advance import Stepper
+from server.db.writer import Writer
+from server.errors import FieldError, InvalidInput
+from server.queue import store, workers
+from server.queue.store import LeaseTerms, Outcome
+from server.queue.wakeups import Wakeups
+from server.settings import Settings
+from worker.wire import (
+    Completed,
+    HeartbeatReply,
+    HeartbeatRequest,
+    HeldLease,
+    LeasedJob,
+    LeaseReply,
+    LeaseRequest,
+    ResultsReply,
+    ResultsRequest,
+    ResultStatus,
+    WorkerIdentity,
+)
+
+RECHECK_S = 1.0
+"""Pause after which a waiting lease looks again by itself: backoffs end, other coordinators enqueue."""
+TOUCH_S = 5.0
+"""Pause between two notes in the database that a worker was heard of."""
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(slots=True)
+class _Seen:
+    """What this process remembers of a worker."""
+
+    at: float
+    noted_at: float = 0.0
+    capabilities: tuple[str, ...] = ()
+    done: int = 0
+    failed: int = 0
+
+
+@dataclass(slots=True)
+class QueueService:
+    """The queue of one coordinator process."""
+
+    settings: Settings
+    writer: Writer
+    stepper: Stepper
+    wakeups: Wakeups = field(default_factory=Wakeups)
+    clock: Callable[[], float] = time.monotonic
+    _seen: dict[str, _Seen] = field(default_factory=dict)
+    _due: set[str] = field(default_factory=set)
+    _tasks: set[asyncio.Task[None]] = field(default_factory=set)
+    _steps: ThreadPoolExecutor = field(
+        default_factory=lambda: ThreadPoolExecutor(max_workers=1, thread_name_prefix="brink-step")
+    )
+
+    def close(self) -> None:
+        """Let the step that is running end, and take no more."""
+        self._steps.shutdown(wait=True, cancel_futures=True)
+
+    def terms(self) -> LeaseTerms:
+        """Return how leases are granted now."""
+        horizon = self.clock() - self.settings.worker_seen_s
+        live = sum(seen.at >= horizon for seen in self._seen.values())
+        return LeaseTerms(
+            lease_s=self.settings.lease_s,
+            retry_backoff_s=self.settings.retry_backoff_s,
+            live_workers=max(1, live),
+        )
+
+    async def lease(self, request: LeaseRequest, gone: asyncio.Event) -> LeaseReply:
+        """Grant jobs, waiting for some if need be, as long as the client is there."""
+        deadline = self.clock() + request.wait_s
+        while not gone.is_set():
+            granted = await self._lease_now(request)
+            remaining = deadline - self.clock()
+            if granted and gone.is_set():
+                await self._give_back(granted)
+                break
+            if granted or remaining <= 0:
+                return LeaseReply(jobs=granted, lease_s=self.settings.lease_s)
+            await self.wakeups.wait(min(remaining, RECHECK_S), gone)
+        return LeaseReply(jobs=[], lease_s=self.settings.lease_s)
+
+    async def heartbeat(self, request: HeartbeatRequest) -> HeartbeatReply:
+        """Renew leases."""
+        note = self._heard_of(request.worker, None)
+
+        def unit(connection: Connection) -> list[int]:
+            note(connection)
+            return store.renew(connection, request.leases, self.settings.lease_s)
+
+        held = await asyncio.wrap_future(self.writer.submit(unit))
+        return HeartbeatReply(held=held, lease_s=self.settings.lease_s)
+
+    async def results(self, request: ResultsRequest, gone: asyncio.Event) -> ResultsReply:
+        """Store outcomes, take leases back, and grant the next lease, all in one commit if there are jobs."""
+        outcomes = [
+            _outcome(index, item.job, item.token, item.outcome) for index, item in enumerate(request.results)
+        ]
+        note = self._heard_of(request.worker, None, outcomes)
+        terms = self.terms()
+        wanted = request.lease
+        if wanted is not None:
+            self._heard_of(wanted.worker, wanted.capabilities)
+
+        def unit(connection: Connection) -> tuple[store.Report, int, list[LeasedJob]]:
+            note(connection)
+            report = store.report(connection, outcomes, terms)
+            released = store.release(connection, request.release)
+            granted: list[LeasedJob] = []
+            if wanted is not None:
+                granted = store.lease(
+                    connection, wanted.worker.id, wanted.capabilities, wanted.max_jobs, terms
+                )
+            return report, released, granted
+
+        report, released, granted = await asyncio.wrap_future(self.writer.submit(unit))
+        if released:
+            self.wakeups.wake(released)
+        self.advance_soon(report.campaigns)
+        reply: LeaseReply | None = None
+        if wanted is not None:
+            reply = LeaseReply(jobs=granted, lease_s=self.settings.lease_s)
+            if not granted and wanted.wait_s > 0:
+                reply = await self.lease(wanted, gone)
+        statuses = [
+            ResultStatus.model_validate({"job": outcome.job, "status": status})
+            for outcome, status in zip(outcomes, report.statuses, strict=True)
+        ]
+        return ResultsReply(statuses=statuses, lease=reply)
+
+    def advance_soon(self, campaigns: Iterable[str]) -> None:
+        """Have campaigns advanced off the event loop, each at most once at a time in line."""
+        for campaign in campaigns:
+            if campaign in self._due:
+                continue
+            self._due.add(campaign)
+            task = asyncio.get_running_loop().create_task(self._advance(campaign))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
+    async def _advance(self, campaign: str) -> None:
+        loop = asyncio.get_running_loop()
+
+        def step() -> bool:
+            # From here on news about this campaign needs a look of its own.
+            loop.call_soon_threadsafe(self._due.discard, campaign)
+            return self.stepper.advance(campaign)
+
+        try:
+            moved = await loop.run_in_executor(self._steps, step)
+        except Exception:
+            log.exception("campaign=%s: the step failed; the sweeper will look again", campaign)
+            return
+        if moved:
+            self.wakeups.wake()
+
+    async def sweep(self) -> None:
+        """Take back leases that ran out."""
+        terms = self.terms()
+        idle, expired = await asyncio.wrap_future(
+            self.writer.submit(lambda connection: store.expire(connection, terms))
+        )
+        if expired:
+            log.warning("leases that ran out: %d", expired)
+            self.wakeups.wake(expired)
+        self.advance_soon(idle)
+
+    async def _lease_now(self, request: LeaseRequest) -> list[LeasedJob]:
+        note = self._heard_of(request.worker, request.capabilities)
+        terms = self.terms()
+
+        def unit(connection: Connection) -> list[LeasedJob]:
+            note(connection)
+            return store.lease(connection, request.worker.id, request.capabilities, request.max_jobs, terms)
+
+        return await asyncio.wrap_future(self.writer.submit(unit))
+
+    async def _give_back(self, granted: Sequence[LeasedJob]) -> None:
+        """Return a grant whose client has gone, and let the next in line have it."""
+        leases = [HeldLease(job=job.job, token=job.token) for job in granted]
+        await asyncio.wrap_future(self.writer.submit(lambda connection: store.release(connection, leases)))
+        self.wakeups.wake(1)
+
+    def _heard_of(
+        self, worker: WorkerIdentity, capabilities: Sequence[str] | None, outcomes: Sequence[Outcome] = ()
+    ) -> Callable[[Connection], None]:
+        """Remember a worker; return what notes it in the database, if that is due."""
+        now = self.clock()
+        seen = self._seen.setdefault(worker.id, _Seen(at=now))
+        seen.at = now
+        seen.done += sum(outcome.result is not None for outcome in outcomes)
+        seen.failed += sum(outcome.result is None for outcome in outcomes)
+        changed = capabilities is not None and tuple(capabilities) != seen.capabilities
+        if capabilities is not None:
+            seen.capabilities = tuple(capabilities)
+        if not changed and now - seen.noted_at < TOUCH_S:
+            return lambda connection: None
+        done, failed = seen.done, seen.failed
+        seen.noted_at, seen.done, seen.failed = now, 0, 0
+        known = list(seen.capabilities)
+        return lambda connection: workers.note(connection, worker, known, done=done, failed=failed)
+
+
+def _outcome(index: int, job: int, token: str, outcome: Completed | object) -> Outcome:
+    if isinstance(outcome, Completed):
+        trace = None
+        if outcome.trace is not None:
+            try:
+                trace = base64.b64decode(outcome.trace, validate=True)
+            except binascii.Error:
+                raise InvalidInput(
+                    [FieldError(pointer=f"/results/{index}/outcome/trace", message="expected base64")]
+                ) from None
+        return Outcome(job=job, token=token, result=outcome.model_dump_json(exclude={"trace"}), trace=trace)
+    reason, message = getattr(outcome, "reason", "error"), getattr(outcome, "message", "")
+    return Outcome(job=job, token=token, result=None, error=f"{reason}: {message}", final=reason == "invalid")

@@ -1,0 +1,79 @@
+"""Which workers were heard of."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+from sqlalchemy import Connection, delete, func, insert, select, update
+
+from server.db.clock import database_now
+from server.db.models import JobRow, JobStatus, WorkerRow
+from worker.wire import WorkerIdentity
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeenWorker:
+    """A worker, when it was heard of, and what it holds."""
+
+    id: str
+    host: str
+    pid: int
+    version: str
+    capabilities: tuple[str, ...]
+    first_seen_at: datetime
+    last_seen_at: datetime
+    seen_s_ago: float
+    jobs_done: int
+    jobs_failed: int
+    jobs_held: int
+
+
+def note(
+    connection: Connection, worker: WorkerIdentity, capabilities: Sequence[str], *, done: int, failed: int
+) -> None:
+    """Note that a worker was heard of, and how many more jobs it finished."""
+    now = database_now(connection)
+    values = {"host": worker.host, "pid": worker.pid, "version": worker.version, "last_seen_at": now}
+    if capabilities:
+        values["capabilities"] = list(capabilities)
+    changed = connection.execute(
+        update(WorkerRow)
+        .where(WorkerRow.id == worker.id)
+        .values(**values, jobs_done=WorkerRow.jobs_done + done, jobs_failed=WorkerRow.jobs_failed + failed)
+    )
+    if changed.rowcount == 0:
+        values["capabilities"] = list(capabilities)
+        connection.execute(
+            insert(WorkerRow).values(
+                id=worker.id, first_seen_at=now, jobs_done=done, jobs_failed=failed, **values
+            )
+        )
+
+
+def list_seen(connection: Connection, *, within_s: float | None = None) -> list[SeenWorker]:
+    """Return workers, the latest heard of first; with `within_s`, only those heard of lately."""
+    now = database_now(connection)
+    holding = (
+        select(JobRow.lease_worker, func.count())
+        .where(JobRow.status == JobStatus.LEASED)
+        .group_by(JobRow.lease_worker)
+    )
+    held = {str(row[0]): int(row[1]) for row in connection.execute(holding)}
+    rows = connection.execute(
+        select(WorkerRow.__table__).order_by(WorkerRow.last_seen_at.desc(), WorkerRow.id)
+    )
+    seen = [
+        SeenWorker(
+            id=row.id, host=row.host, pid=row.pid, version=row.version,
+            capabilities=tuple(row.capabilities), first_seen_at=row.first_seen_at,
+            last_seen_at=row.last_seen_at, seen_s_ago=max(0.0, (now - row.last_seen_at).total_seconds()),
+            jobs_done=row.jobs_done, jobs_failed=row.jobs_failed, jobs_held=held.get(row.id, 0),
+        )
+        for row in rows
+    ]  # fmt: skip
+    return [worker for worker in seen if within_s is None or worker.seen_s_ago <= within_s]
+
+
+def forget(connection: Connection, worker_id: str) -> None:
+    """Forget a worker."""
+    connection.execute(delete(WorkerRow).where(WorkerRow.id == worker_id))

@@ -1,0 +1,43 @@
+"""Settings of a coordinator, from the environment (``BRINK_…``) and the command line."""
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, SecretStr
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+DEFAULT_DATABASE = "sqlite:///brink.db"
+
+
+class Settings(BaseSettings):
+    """Everything that a coordinator can be told."""
+
+    model_config = SettingsConfigDict(env_prefix="BRINK_", frozen=True, extra="ignore")
+
+    database: Annotated[str, Field(description="SQLAlchemy URL: sqlite:///FILE or postgresql://…")] = (
+        DEFAULT_DATABASE
+    )
+    host: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=0, le=65535)] = 8700
+    token: Annotated[
+        SecretStr | None, Field(description="Bearer token that every request must carry; none on loopback.")
+    ] = None
+    lease_s: Annotated[float, Field(gt=0, le=3600, description="How long a lease holds.")] = 60.0
+    retry_backoff_s: Annotated[
+        float, Field(ge=0, le=3600, description="Wait before the first retry of a job; doubles each time.")
+    ] = 1.0
+    sweep_s: Annotated[float, Field(gt=0, le=60, description="Pause between two sweeps.")] = 1.0
+    worker_seen_s: Annotated[
+        float, Field(gt=0, description="A worker not heard of for this long counts as gone.")
+    ] = 45.0
+    max_body_bytes: Annotated[int, Field(gt=0)] = 64 * 1024 * 1024
+    max_stored_distances: Annotated[
+        int, Field(ge=0, description="Solutions past which distance blocks are no longer stored.")
+    ] = 20_000
+    log_level: str = "info"
+
+    @property
+    def sqlite_file(self) -> Path | None:
+        """The database file, if the database is one."""
+        prefix = "sqlite:///"
+        return Path(self.database.removeprefix(prefix)) if self.database.startswith(prefix) else None
