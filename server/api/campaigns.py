@@ -11,7 +11,8 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from server.api.context import Services
 from server.api.schemas import CampaignList, CampaignView, Progress
 from server.campaigns.body import CampaignBody
-from server.campaigns.service import ENDED, read
+from server.campaigns.service import read
+from server.campaigns.store import ENDED
 from server.campaigns.views import campaign_view, read_progress
 from server.db.models import CampaignStatus
 from server.errors import FieldError, InvalidInput

@@ -14,11 +14,11 @@ from starlette.responses import Response as PlainResponse
 
 from server.api.context import Context, Services, client_gone
 from server.api.schemas import Boundary, DistanceBlock, SolutionPage, SolutionView
-from server.campaigns import store
+from server.campaigns import view_store
 from server.campaigns.advance import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.service import read
-from server.campaigns.store import Campaign
 from server.campaigns.traces import find_trace, trace_job
+from server.campaigns.values import Campaign
 from server.campaigns.views import boundary_view, solution_views
 from server.db.models import JobStatus
 from server.errors import Conflict, FieldError, InvalidInput, NotFound
@@ -49,14 +49,14 @@ async def get_solutions(
     if max_fitness is None:
         rows = await read(
             services.engines,
-            lambda c: store.page_solutions(c, campaign.id, after=after, limit=limit, unsafe=unsafe),
+            lambda c: view_store.page_solutions(c, campaign.id, after=after, limit=limit, unsafe=unsafe),
         )
     else:
         wanted = (archive.fitness <= max_fitness) & (archive.numbers > after)
         if unsafe is not None:
             wanted &= archive.unsafe == unsafe
         numbers = [int(number) for number in np.sort(archive.numbers[wanted])[:limit]]
-        rows = await read(services.engines, lambda c: store.read_solutions(c, campaign.id, numbers))
+        rows = await read(services.engines, lambda c: view_store.read_solutions(c, campaign.id, numbers))
     views = solution_views(rows, found.plan.problem.space, archive)
     return SolutionPage(solutions=views, next=views[-1].number if len(views) == limit else None)
 
@@ -66,7 +66,7 @@ async def get_solution(campaign_id: str, number: int, services: Services) -> Sol
     """Return one solution with all that is known of it."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
-    rows = await read(services.engines, lambda c: store.read_solutions(c, campaign.id, [number]))
+    rows = await read(services.engines, lambda c: view_store.read_solutions(c, campaign.id, [number]))
     if not rows:
         raise NotFound(f"campaign {campaign.id} has no solution {number}")
     return solution_views(rows, found.plan.problem.space, found.archive, full=True)[0]

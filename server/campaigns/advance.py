@@ -14,17 +14,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from search.boundary import distinct_boundary
 from sqlalchemy import Row
 
 from search.algorithm import Algorithm, Candidate, Evaluation, Failed, Scored
 from search.archive import Archive, Neighbourhood
+from search.boundary import distinct_boundary
 from search.document import Document
 from search.metric import METRIC_VERSION
 from search.streams import episode_seed
-from server.campaigns import store
+from server.campaigns import step_store, store
 from server.campaigns.body import CampaignBody
-from server.campaigns.store import (
+from server.campaigns.values import (
     Block,
     Campaign,
     Checkpoint,
@@ -33,6 +33,7 @@ from server.campaigns.store import (
     NewJob,
     NewSolution,
     Step,
+    StoredArchive,
 )
 from server.catalogue import make_algorithm, make_params, make_problem
 from server.db.engine import Engines
@@ -150,7 +151,7 @@ class Stepper:
             if campaign is None or campaign.status is not CampaignStatus.RUNNING:
                 self._live.pop(campaign_id, None)
                 return False
-            jobs = store.generation_jobs(connection, campaign_id, campaign.generation)
+            jobs = step_store.generation_jobs(connection, campaign_id, campaign.generation)
         if any(job.status in (JobStatus.QUEUED, JobStatus.LEASED) for job in jobs):
             return False
         try:
@@ -174,7 +175,7 @@ class Stepper:
         finished = algorithm.finished(told)
         asked_state, candidates = (told, ()) if finished else algorithm.ask(told)
         step = self._write_up(campaign, live.plan, evaluations, told, candidates, finished, began)
-        if not self._writer.submit(lambda connection: store.write_step(connection, step)).result():
+        if not self._writer.submit(lambda connection: step_store.write_step(connection, step)).result():
             self._live.pop(campaign.id, None)
             return False
         self._live[campaign.id] = Live(plan=live.plan, generation=campaign.generation + 1, state=asked_state)
@@ -258,8 +259,8 @@ class Stepper:
             return first_generation(campaign.body)[0]
         plan = make_plan(campaign.body)
         with self._engines.reader.connect() as connection:
-            checkpoint = store.find_checkpoint(connection, campaign.id)
-            stored = store.read_archive(connection, campaign.id, plan.problem.space.dimension)
+            checkpoint = step_store.find_checkpoint(connection, campaign.id)
+            stored = step_store.read_archive(connection, campaign.id, plan.problem.space.dimension)
         if checkpoint is None or checkpoint.generation != campaign.generation:
             raise ValueError(f"campaign {campaign.id}: no checkpoint of generation {campaign.generation}")
         state = plan.algorithm.load(
@@ -280,7 +281,7 @@ class Stepper:
         log.warning("campaign=%s %s: %s", campaign_id, status, reason)
 
 
-def restored_archive(plan: Plan, stored: store.StoredArchive) -> Archive:
+def restored_archive(plan: Plan, stored: StoredArchive) -> Archive:
     """Return the archive that was stored, without computing a distance."""
     return Archive.restore(
         plan.problem.space,

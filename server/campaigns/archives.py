@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from sqlalchemy import Connection
 
 from search.archive import Archive
-from server.campaigns import store
+from server.campaigns import step_store
 from server.campaigns.advance import Plan, Stepper, make_plan, restored_archive
-from server.campaigns.store import Campaign, StoredArchive
+from server.campaigns.values import Campaign, StoredArchive
 from server.db.engine import Engines
 
 KEPT = 8
@@ -47,7 +47,7 @@ class Archives:
         """Return the stored rows of a campaign's archive."""
         plan = make_plan(campaign.body)
         with self.engines.reader.connect() as connection:
-            return store.read_archive(connection, campaign.id, plan.problem.space.dimension)
+            return step_store.read_archive(connection, campaign.id, plan.problem.space.dimension)
 
     def _load(self, campaign: Campaign) -> ReadArchive:
         plan = make_plan(campaign.body)
@@ -56,7 +56,7 @@ class Archives:
             return ReadArchive(plan=plan, archive=live, generation=campaign.generation)
 
         def read(connection: Connection) -> StoredArchive:
-            return store.read_archive(connection, campaign.id, plan.problem.space.dimension)
+            return step_store.read_archive(connection, campaign.id, plan.problem.space.dimension)
 
         with self.engines.reader.connect() as connection:
             stored = read(connection)

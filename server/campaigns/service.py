@@ -11,10 +11,11 @@ from sqlalchemy import Connection
 
 from search.errors import ConfigError, UnsupportedSpace
 from server.campaigns import jobs as job_store
-from server.campaigns import store
+from server.campaigns import step_store, store, traces
 from server.campaigns.advance import Live, Stepper, first_generation, make_plan
 from server.campaigns.body import CampaignBody
-from server.campaigns.store import Campaign, NewSolution
+from server.campaigns.store import ENDED
+from server.campaigns.values import Campaign, NewSolution
 from server.catalogue import config_field_error
 from server.db.engine import Engines
 from server.db.models import CampaignStatus
@@ -23,7 +24,6 @@ from server.errors import Conflict, FieldError, InvalidInput, NotFound
 from server.queue.service import QueueService
 
 T = TypeVar("T")
-ENDED = (CampaignStatus.FINISHED, CampaignStatus.CANCELLED, CampaignStatus.FAILED)
 
 
 def check_submission(body: CampaignBody) -> tuple[Live, list[NewSolution]]:
@@ -82,7 +82,7 @@ class CampaignService:
                 return _same(known, body), False
             store.insert_campaign(connection, campaign_id, body, key)
             campaign = _found(store.find_campaign(connection, campaign_id), campaign_id)
-            store.insert_solutions(connection, campaign, 0, solutions)
+            step_store.insert_solutions(connection, campaign, 0, solutions)
             return campaign, True
 
         campaign, new = await self._write(unit)
@@ -173,7 +173,7 @@ class CampaignService:
     async def request_trace(self, campaign_id: str, number: int) -> bool:
         """Have workers make the trace of a solution; return whether it can be made."""
         campaign = await self.get(campaign_id)
-        possible = await self._write(lambda connection: store.request_trace(connection, campaign, number))
+        possible = await self._write(lambda connection: traces.request_trace(connection, campaign, number))
         self.queue.wakeups.wake(1)
         return possible
 

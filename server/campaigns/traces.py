@@ -4,6 +4,8 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, select
 
+from server.campaigns.step_store import insert_jobs, jobs_again
+from server.campaigns.values import Campaign
 from server.db.models import JobKind, JobRow, SolutionRow, TraceRow
 
 
@@ -23,3 +25,17 @@ def trace_job(connection: Connection, campaign_id: str, number: int) -> Row[*tup
         JobRow.campaign_id == campaign_id, JobRow.number == number, JobRow.kind == JobKind.TRACE
     )
     return connection.execute(query).one_or_none()
+
+
+def request_trace(connection: Connection, campaign: Campaign, number: int) -> bool:
+    """Enqueue the trace of a solution unless it is enqueued already; return whether that is possible."""
+    present = connection.execute(
+        select(JobRow.id).where(
+            JobRow.campaign_id == campaign.id, JobRow.number == number, JobRow.kind == JobKind.TRACE
+        )
+    ).one_or_none()
+    if present is not None:
+        return True
+    jobs = jobs_again(connection, campaign.id, [number])
+    insert_jobs(connection, campaign, jobs, JobKind.TRACE)
+    return bool(jobs)

@@ -20,10 +20,10 @@ from server.api.schemas import (
     Progress,
     SolutionView,
 )
-from server.campaigns import store
+from server.campaigns import store, view_store
 from server.campaigns.advance import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.archives import ReadArchive
-from server.campaigns.store import Campaign
+from server.campaigns.values import Campaign, GenerationSummary
 from server.db.models import CampaignStatus, JobStatus
 from server.queue.workers import list_seen
 
@@ -48,17 +48,17 @@ def read_progress(
     """Return counts and series of a campaign, from generation `since` on."""
     campaign = store.find_campaign(connection, campaign_id)
     assert campaign is not None
-    series = store.list_generations(
+    series = view_store.list_generations(
         connection, campaign.id, max(0, min(since, campaign.generation - RATE_WINDOW))
     )
-    open_jobs = store.count_open_jobs(connection, campaign.id)
+    open_jobs = view_store.count_open_jobs(connection, campaign.id)
     queued, leased = open_jobs.get(JobStatus.QUEUED, 0), open_jobs.get(JobStatus.LEASED, 0)
     ended = campaign.finished_at is not None
-    asked = 0 if ended else store.count_pending(connection, campaign)
+    asked = 0 if ended else view_store.count_pending(connection, campaign)
     in_generation = max(0, asked - queued - leased)
     seen = list_seen(connection, within_s=worker_seen_s)
     capabilities = {name for worker in seen for name in worker.capabilities}
-    waiting = store.waiting_needs(connection) if queued else {}
+    waiting = view_store.waiting_needs(connection) if queued else {}
     done = campaign.evaluated + campaign.failed + in_generation
     end = campaign.finished_at or datetime.now(UTC)
     rate = _rate(campaign, series, done, end)
@@ -81,9 +81,7 @@ def read_progress(
     )  # fmt: skip
 
 
-def _rate(
-    campaign: Campaign, series: list[store.GenerationSummary], done: int, end: datetime
-) -> float | None:
+def _rate(campaign: Campaign, series: list[GenerationSummary], done: int, end: datetime) -> float | None:
     """Return simulations a second over the last generations, or since the start."""
     start, before = campaign.created_at, 0
     if campaign.status is CampaignStatus.RUNNING and len(series) > RATE_WINDOW:
@@ -137,7 +135,7 @@ def boundary_view(
     strict = distinct_boundary(archive, t_b, d_th, strict=True)
     grid = dbs_grid(archive, PAPER_T_BS, PAPER_D_THS)
     numbers = [int(number) for number in archive.numbers[chosen]]
-    rows = {row.number: row for row in store.read_solutions(connection, campaign.id, numbers)}
+    rows = {row.number: row for row in view_store.read_solutions(connection, campaign.id, numbers)}
     return Boundary(
         t_b=t_b,
         d_th=d_th,

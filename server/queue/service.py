@@ -18,8 +18,8 @@ from sqlalchemy import Connection
 from server.campaigns.advance import Stepper
 from server.db.writer import Writer
 from server.errors import FieldError, InvalidInput
-from server.queue import store, workers
-from server.queue.store import LeaseTerms, Outcome
+from server.queue import lease_store, report_store, workers
+from server.queue.values import LeaseTerms, Outcome, Report
 from server.queue.wakeups import Wakeups
 from server.settings import Settings
 from worker.wire import (
@@ -105,7 +105,7 @@ class QueueService:
 
         def unit(connection: Connection) -> list[int]:
             note(connection)
-            return store.renew(connection, request.leases, self.settings.lease_s)
+            return lease_store.renew(connection, request.leases, self.settings.lease_s)
 
         held = await asyncio.wrap_future(self.writer.submit(unit))
         return HeartbeatReply(held=held, lease_s=self.settings.lease_s)
@@ -121,13 +121,13 @@ class QueueService:
         if wanted is not None:
             self._heard_of(wanted.worker, wanted.capabilities)
 
-        def unit(connection: Connection) -> tuple[store.Report, int, list[LeasedJob]]:
+        def unit(connection: Connection) -> tuple[Report, int, list[LeasedJob]]:
             note(connection)
-            report = store.report(connection, outcomes, terms)
-            released = store.release(connection, request.release)
+            report = report_store.report(connection, outcomes, terms)
+            released = lease_store.release(connection, request.release)
             granted: list[LeasedJob] = []
             if wanted is not None:
-                granted = store.lease(
+                granted = lease_store.lease(
                     connection, wanted.worker.id, wanted.capabilities, wanted.max_jobs, terms
                 )
             return report, released, granted
@@ -177,7 +177,7 @@ class QueueService:
         """Take back leases that ran out."""
         terms = self.terms()
         idle, expired = await asyncio.wrap_future(
-            self.writer.submit(lambda connection: store.expire(connection, terms))
+            self.writer.submit(lambda connection: report_store.expire(connection, terms))
         )
         if expired:
             log.warning("leases that ran out: %d", expired)
@@ -190,14 +190,18 @@ class QueueService:
 
         def unit(connection: Connection) -> list[LeasedJob]:
             note(connection)
-            return store.lease(connection, request.worker.id, request.capabilities, request.max_jobs, terms)
+            return lease_store.lease(
+                connection, request.worker.id, request.capabilities, request.max_jobs, terms
+            )
 
         return await asyncio.wrap_future(self.writer.submit(unit))
 
     async def _give_back(self, granted: Sequence[LeasedJob]) -> None:
         """Return a grant whose client has gone, and let the next in line have it."""
         leases = [HeldLease(job=job.job, token=job.token) for job in granted]
-        await asyncio.wrap_future(self.writer.submit(lambda connection: store.release(connection, leases)))
+        await asyncio.wrap_future(
+            self.writer.submit(lambda connection: lease_store.release(connection, leases))
+        )
         self.wakeups.wake(1)
 
     def _heard_of(

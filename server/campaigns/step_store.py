@@ -1,0 +1,253 @@
+"""The SQL of the generation step: solutions and jobs asked for, verdicts told, checkpoint and distances."""
+
+import hashlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from sqlalchemy import Connection, Row, bindparam, delete, insert, select, update
+
+from server.campaigns.store import find_campaign, set_status
+from server.campaigns.values import Campaign, Checkpoint, NewJob, NewSolution, Step, StoredArchive
+from server.db.clock import database_now
+from server.db.models import (
+    CampaignRow,
+    CampaignStatus,
+    CheckpointRow,
+    DistanceBlockRow,
+    GenerationRow,
+    JobKind,
+    JobRow,
+    JobStatus,
+    SolutionRow,
+    SolutionVerdict,
+)
+
+
+def insert_solutions(
+    connection: Connection, campaign: Campaign, generation: int, solutions: Sequence[NewSolution]
+) -> None:
+    """Store a generation that was asked for, and enqueue its jobs; known simulations are done at once."""
+    if not solutions:
+        return
+    connection.execute(
+        insert(SolutionRow),
+        [
+            {
+                "campaign_id": campaign.id, "number": s.number, "generation": generation, "vector": s.vector,
+                "seed": s.seed, "spec_hash": s.job.spec_hash if s.job else None,
+                "verdict": SolutionVerdict.PENDING,
+            }
+            for s in solutions
+        ],
+    )  # fmt: skip
+    jobs = [(s.number, s.job) for s in solutions if s.job is not None]
+    insert_jobs(connection, campaign, jobs, JobKind.EPISODE)
+
+
+def insert_jobs(
+    connection: Connection, campaign: Campaign, jobs: Sequence[tuple[int, NewJob]], kind: JobKind
+) -> None:
+    """Enqueue jobs; those whose simulation is known already are done at once."""
+    if not jobs:
+        return
+    execution = campaign.body.execution
+    known = _known_results(connection, [job.spec_hash for _, job in jobs], kind) if execution.cache else {}
+    now = database_now(connection)
+    connection.execute(
+        insert(JobRow),
+        [
+            {
+                "campaign_id": campaign.id, "number": number, "kind": kind, "spec": job.spec,
+                "spec_hash": job.spec_hash, "needs": job.needs, "cache": execution.cache,
+                "timeout_s": job.timeout_s, "attempt": 0, "max_attempts": execution.max_attempts,
+                "status": JobStatus.DONE if job.spec_hash in known else JobStatus.QUEUED,
+                "result": known.get(job.spec_hash), "created_at": now,
+                "finished_at": now if job.spec_hash in known else None,
+            }
+            for number, job in jobs
+        ],
+    )  # fmt: skip
+
+
+def _known_results(connection: Connection, hashes: Sequence[str], kind: JobKind) -> dict[str, str]:
+    query = select(JobRow.spec_hash, JobRow.result).where(
+        JobRow.spec_hash.in_(hashes), JobRow.status == JobStatus.DONE, JobRow.kind == kind, JobRow.cache
+    )
+    return {row.spec_hash: row.result for row in connection.execute(query)}
+
+
+def jobs_again(connection: Connection, campaign_id: str, numbers: Sequence[int]) -> list[tuple[int, NewJob]]:
+    """Return the episodes of some solutions, to be run again for their traces."""
+    query = (
+        select(JobRow.number, JobRow.spec, JobRow.spec_hash, JobRow.needs, JobRow.timeout_s)
+        .where(
+            JobRow.campaign_id == campaign_id,
+            JobRow.kind == JobKind.EPISODE,
+            JobRow.number.in_(list(numbers)),
+        )
+        .order_by(JobRow.number)
+    )
+    return [
+        (
+            row.number,
+            NewJob(spec=row.spec, spec_hash=row.spec_hash, needs=row.needs, timeout_s=row.timeout_s),
+        )
+        for row in connection.execute(query)
+    ]
+
+
+def generation_jobs(connection: Connection, campaign_id: str, generation: int) -> list[Row[*tuple[Any, ...]]]:
+    """Return number, status, result and last_error of a generation's episodes."""
+    query = (
+        select(JobRow.number, JobRow.status, JobRow.result, JobRow.last_error)
+        .join(
+            SolutionRow,
+            (SolutionRow.campaign_id == JobRow.campaign_id) & (SolutionRow.number == JobRow.number),
+        )
+        .where(
+            JobRow.campaign_id == campaign_id,
+            SolutionRow.generation == generation,
+            JobRow.kind == JobKind.EPISODE,
+        )
+        .order_by(JobRow.number)
+    )
+    return list(connection.execute(query))
+
+
+def write_step(connection: Connection, step: Step) -> bool:
+    """Write a generation step, all or nothing, only if nobody wrote it before.
+
+    Returns:
+        Whether it was written: False if the campaign has moved on, was paused, cancelled or deleted.
+    """
+    campaign = find_campaign(connection, step.campaign, lock=True)
+    if (
+        campaign is None
+        or campaign.status is not CampaignStatus.RUNNING
+        or campaign.generation != step.generation
+    ):
+        return False
+    _write_judged(connection, step)
+    _write_archive(connection, step)
+    told = step.generation + 1
+    insert_solutions(connection, campaign, told, step.asked)
+    if step.traces:
+        jobs = jobs_again(connection, campaign.id, step.traces)
+        insert_jobs(connection, campaign, jobs, JobKind.TRACE)
+    connection.execute(
+        update(CampaignRow)
+        .where(CampaignRow.id == campaign.id)
+        .values(
+            generation=told, evaluated=step.summary.evaluated, unsafe=step.summary.unsafe,
+            failed=step.summary.failed,
+        )
+    )  # fmt: skip
+    if step.status is not CampaignStatus.RUNNING:
+        set_status(connection, campaign.id, step.status, step.reason)
+    return True
+
+
+def _write_judged(connection: Connection, step: Step) -> None:
+    if not step.judged:
+        return
+    connection.execute(
+        update(SolutionRow)
+        .where(SolutionRow.campaign_id == step.campaign, SolutionRow.number == bindparam("judged"))
+        .values(
+            verdict=bindparam("verdict_of"), robustness=bindparam("robustness_of"),
+            objectives=bindparam("objectives_of"), failure=bindparam("failure_of"),
+        ),
+        [
+            {
+                "judged": j.number, "verdict_of": j.verdict, "robustness_of": j.robustness,
+                "objectives_of": dict(j.objectives) if j.objectives is not None else None,
+                "failure_of": j.failure,
+            }
+            for j in step.judged
+        ],
+    )  # fmt: skip
+
+
+def _write_archive(connection: Connection, step: Step) -> None:
+    summary = step.summary
+    connection.execute(
+        insert(GenerationRow).values(
+            campaign_id=step.campaign, number=summary.number, evaluated=summary.evaluated,
+            unsafe=summary.unsafe, failed=summary.failed, best_fitness=summary.best_fitness,
+            median_fitness=summary.median_fitness, dbs=summary.dbs, strict_dbs=summary.strict_dbs,
+            step_s=summary.step_s, told_at=database_now(connection),
+        )
+    )  # fmt: skip
+    if step.block is not None:
+        block = step.block
+        connection.execute(
+            insert(DistanceBlockRow).values(
+                campaign_id=step.campaign, generation=step.generation, first_row=block.first_row,
+                rows=block.rows, columns=block.columns, metric_version=block.metric_version,
+                sha256=hashlib.sha256(block.data).hexdigest(), data=block.data,
+            )
+        )  # fmt: skip
+    saved = step.checkpoint
+    connection.execute(delete(CheckpointRow).where(CheckpointRow.campaign_id == step.campaign))
+    connection.execute(
+        insert(CheckpointRow).values(
+            campaign_id=step.campaign, generation=saved.generation, document=saved.document,
+            neighbours=saved.neighbours, unsafe_neighbours=saved.unsafe_neighbours, sha256=saved.sha256(),
+        )
+    )  # fmt: skip
+
+
+def find_checkpoint(connection: Connection, campaign_id: str) -> Checkpoint | None:
+    """Return a campaign's checkpoint, or None before its first generation was told.
+
+    Raises:
+        ValueError: The stored checksum does not fit: the database is damaged.
+    """
+    row = connection.execute(
+        select(CheckpointRow.__table__).where(CheckpointRow.campaign_id == campaign_id)
+    ).one_or_none()
+    if row is None:
+        return None
+    checkpoint = Checkpoint(
+        generation=row.generation, document=row.document, neighbours=row.neighbours,
+        unsafe_neighbours=row.unsafe_neighbours,
+    )  # fmt: skip
+    if checkpoint.sha256() != row.sha256:
+        raise ValueError(f"campaign {campaign_id}: the checkpoint of generation {row.generation} is damaged")
+    return checkpoint
+
+
+def read_archive(connection: Connection, campaign_id: str, dimension: int) -> StoredArchive:
+    """Return the evaluated solutions as of the last checkpoint.
+
+    Args:
+        connection: Sees one snapshot.
+        campaign_id: The campaign.
+        dimension: Length of a solution's vector.
+    """
+    checkpoint = find_checkpoint(connection, campaign_id)
+    generation = checkpoint.generation if checkpoint else 0
+    rows = connection.execute(
+        select(
+            SolutionRow.number, SolutionRow.vector, SolutionRow.verdict, SolutionRow.robustness,
+            SolutionRow.generation,
+        )
+        .where(
+            SolutionRow.campaign_id == campaign_id,
+            SolutionRow.generation < generation,
+            SolutionRow.verdict.in_([SolutionVerdict.SAFE, SolutionVerdict.UNSAFE]),
+        )
+        .order_by(SolutionRow.number)
+    ).all()  # fmt: skip
+    counts = (checkpoint.neighbours, checkpoint.unsafe_neighbours) if checkpoint else (b"", b"")
+    return StoredArchive(
+        generation=generation,
+        numbers=np.array([row.number for row in rows], dtype=np.int64),
+        vectors=np.frombuffer(b"".join(row.vector for row in rows), dtype="<f8").reshape(-1, dimension),
+        unsafe=np.array([row.verdict == SolutionVerdict.UNSAFE for row in rows], dtype=np.bool_),
+        robustness=np.array([row.robustness for row in rows], dtype=np.float64),
+        generations=np.array([row.generation for row in rows], dtype=np.int64),
+        neighbours=np.frombuffer(counts[0], dtype="<i8"),
+        unsafe_neighbours=np.frombuffer(counts[1], dtype="<i8"),
+    )

@@ -1,0 +1,88 @@
+"""The SQL of what users see of campaigns: series, counts, solutions."""
+
+from collections.abc import Iterable
+from typing import Any
+
+from sqlalchemy import Connection, Row, Select, func, select
+
+from server.campaigns.values import Campaign, GenerationSummary
+from server.db.models import GenerationRow, JobKind, JobRow, JobStatus, SolutionRow, SolutionVerdict
+
+
+def list_generations(connection: Connection, campaign_id: str, since: int) -> list[GenerationSummary]:
+    """Return the generations told, from number `since` on."""
+    query = (
+        select(GenerationRow.__table__)
+        .where(GenerationRow.campaign_id == campaign_id, GenerationRow.number >= since)
+        .order_by(GenerationRow.number)
+    )
+    return [
+        GenerationSummary(
+            number=row.number, evaluated=row.evaluated, unsafe=row.unsafe, failed=row.failed,
+            best_fitness=row.best_fitness, median_fitness=row.median_fitness, dbs=row.dbs,
+            strict_dbs=row.strict_dbs, step_s=row.step_s, told_at=row.told_at,
+        )
+        for row in connection.execute(query)
+    ]  # fmt: skip
+
+
+def count_open_jobs(connection: Connection, campaign_id: str) -> dict[str, int]:
+    """Return how many of a campaign's jobs are in each state that is not done, and done in this generation."""
+    query = (
+        select(JobRow.status, func.count())
+        .where(JobRow.campaign_id == campaign_id, JobRow.kind == JobKind.EPISODE)
+        .where(JobRow.status != JobStatus.DONE)
+        .group_by(JobRow.status)
+    )
+    return {str(row[0]): int(row[1]) for row in connection.execute(query)}
+
+
+def count_pending(connection: Connection, campaign: Campaign) -> int:
+    """Return how many solutions the generation that is being simulated has."""
+    return connection.execute(
+        select(func.count()).where(
+            SolutionRow.campaign_id == campaign.id, SolutionRow.generation == campaign.generation
+        )
+    ).scalar_one()
+
+
+def waiting_needs(connection: Connection) -> dict[str, int]:
+    """Return how many queued jobs need each capability."""
+    query = select(JobRow.needs, func.count()).where(JobRow.status == JobStatus.QUEUED).group_by(JobRow.needs)
+    return {str(row[0]): int(row[1]) for row in connection.execute(query)}
+
+
+def read_solutions(
+    connection: Connection, campaign_id: str, numbers: Iterable[int]
+) -> list[Row[*tuple[Any, ...]]]:
+    """Return solutions by number, ascending, each with its job's result, attempts and last error."""
+    return list(connection.execute(_solutions(campaign_id).where(SolutionRow.number.in_(list(numbers)))))
+
+
+def page_solutions(
+    connection: Connection, campaign_id: str, *, after: int, limit: int, unsafe: bool | None
+) -> list[Row[*tuple[Any, ...]]]:
+    """Return solutions with numbers past `after`, ascending, each with its job."""
+    query = _solutions(campaign_id).where(SolutionRow.number > after).limit(limit)
+    if unsafe is not None:
+        wanted = SolutionVerdict.UNSAFE if unsafe else SolutionVerdict.SAFE
+        query = query.where(SolutionRow.verdict == wanted)
+    return list(connection.execute(query))
+
+
+def _solutions(campaign_id: str) -> Select[*tuple[Any, ...]]:
+    return (
+        select(
+            SolutionRow.number, SolutionRow.generation, SolutionRow.vector, SolutionRow.seed,
+            SolutionRow.spec_hash, SolutionRow.verdict, SolutionRow.robustness, SolutionRow.objectives,
+            SolutionRow.failure, JobRow.spec, JobRow.result, JobRow.attempt, JobRow.status.label("job_status"),
+        )
+        .outerjoin(
+            JobRow,
+            (JobRow.campaign_id == SolutionRow.campaign_id)
+            & (JobRow.number == SolutionRow.number)
+            & (JobRow.kind == JobKind.EPISODE),
+        )
+        .where(SolutionRow.campaign_id == campaign_id)
+        .order_by(SolutionRow.number)
+    )  # fmt: skip

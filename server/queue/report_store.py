@@ -1,0 +1,212 @@
+"""The SQL of outcomes: results stored, jobs finished, retried, or put into quarantine.
+
+Each public function is a unit for `server.db.writer.Writer`. An outcome is stored and its job finished in one
+transaction, only if the lease token that it names still holds the job.
+"""
+
+import secrets
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime, timedelta
+
+from sqlalchemy import Connection, bindparam, exists, insert, select, update
+
+from server.db.clock import database_now
+from server.db.locking import locked
+from server.db.models import CampaignRow, CampaignStatus, JobKind, JobRow, JobStatus, TraceRow
+from server.queue.values import JobRecord, LeaseTerms, Outcome, Report
+
+MAX_ERROR_CHARACTERS = 4000
+MAX_BACKOFF_S = 300.0
+
+
+def report(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms) -> Report:
+    """Store outcomes of jobs whose lease still holds; everything else changes nothing."""
+    now = database_now(connection)
+    rows = {
+        row.id: row
+        for row in connection.execute(
+            locked(
+                select(
+                    JobRow.id, JobRow.campaign_id, JobRow.kind, JobRow.status, JobRow.lease_token,
+                    JobRow.attempt, JobRow.max_attempts, JobRow.spec_hash, JobRow.cache,
+                ).where(JobRow.id.in_([outcome.job for outcome in outcomes])),
+                connection, JobRow,
+            )
+        )
+    }  # fmt: skip
+    statuses: list[str] = []
+    accepted: dict[int, Outcome] = {}
+    for outcome in outcomes:
+        status = _judge(rows.get(outcome.job), outcome, outcome.job in accepted)
+        statuses.append(status)
+        if status == "accepted":
+            accepted[outcome.job] = outcome
+    done = {job: outcome.result for job, outcome in accepted.items() if outcome.result is not None}
+    _finish(connection, done, now)
+    _keep_traces(connection, {rows[o.job].spec_hash: o.trace for o in accepted.values() if o.trace}, now)
+    _share(connection, [rows[job] for job in done if rows[job].cache], done, now)
+    requeued = _fail(
+        connection,
+        [(rows[job], o) for job, o in accepted.items() if o.result is None],
+        now,
+        terms.retry_backoff_s,
+    )
+    touched = {rows[job].campaign_id for job in accepted} | _campaigns_sharing(connection, rows, done)
+    return Report(statuses=tuple(statuses), campaigns=idle_campaigns(connection, touched), requeued=requeued)
+
+
+def expire(connection: Connection, terms: LeaseTerms) -> tuple[tuple[str, ...], int]:
+    """Take back leases that ran out: to the queue after a backoff, or into quarantine.
+
+    Returns:
+        The campaigns that have no open episode left because of it, and how many leases ran out.
+    """
+    now = database_now(connection)
+    rows = connection.execute(
+        locked(
+            select(
+                JobRow.id, JobRow.campaign_id, JobRow.attempt, JobRow.max_attempts, JobRow.lease_worker
+            ).where(JobRow.status == JobStatus.LEASED, JobRow.lease_expires_at < now),
+            connection,
+            JobRow,
+            skip_locked=True,
+        )
+    ).all()
+    if not rows:
+        return (), 0
+    losses = [
+        (
+            row,
+            Outcome(
+                job=row.id, token="", result=None,
+                error=f"lease ran out: worker {row.lease_worker} was not heard of any more",
+            ),
+        )
+        for row in rows
+    ]  # fmt: skip
+    _fail(connection, losses, now, terms.retry_backoff_s)
+    return idle_campaigns(connection, {row.campaign_id for row in rows}), len(rows)
+
+
+def idle_campaigns(connection: Connection, campaigns: Iterable[str]) -> tuple[str, ...]:
+    """Return which of these campaigns have no open episode."""
+    names = list(campaigns)
+    if not names:
+        return ()
+    busy = select(JobRow.id).where(
+        JobRow.campaign_id == CampaignRow.id,
+        JobRow.kind == JobKind.EPISODE,
+        JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),
+    )
+    query = select(CampaignRow.id).where(
+        CampaignRow.id.in_(names), CampaignRow.status == CampaignStatus.RUNNING, ~exists(busy)
+    )
+    return tuple(sorted(connection.execute(query).scalars()))
+
+
+def _judge(row: JobRecord | None, outcome: Outcome, reported_before: bool) -> str:
+    if row is None or row.lease_token is None:
+        return "stale"
+    if not secrets.compare_digest(row.lease_token, outcome.token):
+        return "stale"
+    if row.status == JobStatus.LEASED and not reported_before:
+        return "accepted"
+    return "duplicate"
+
+
+def _finish(connection: Connection, done: Mapping[int, str], now: datetime) -> None:
+    if not done:
+        return
+    connection.execute(
+        update(JobRow)
+        .where(JobRow.id == bindparam("finished"))
+        .values(status=JobStatus.DONE, result=bindparam("outcome"), finished_at=now, lease_expires_at=None),
+        [{"finished": job, "outcome": result} for job, result in done.items()],
+    )
+
+
+def _keep_traces(connection: Connection, traces: Mapping[str, bytes], now: datetime) -> None:
+    if not traces:
+        return
+    known = set(
+        connection.execute(select(TraceRow.spec_hash).where(TraceRow.spec_hash.in_(list(traces)))).scalars()
+    )
+    fresh = [
+        {"spec_hash": spec_hash, "data": data, "created_at": now}
+        for spec_hash, data in traces.items()
+        if spec_hash not in known
+    ]
+    if fresh:
+        connection.execute(insert(TraceRow), fresh)
+
+
+def _share(connection: Connection, rows: Sequence[JobRecord], done: Mapping[int, str], now: datetime) -> None:
+    """Finish queued jobs of the same simulation with the result that just came in."""
+    if not rows:
+        return
+    twins = connection.execute(
+        select(JobRow.id, JobRow.spec_hash, JobRow.kind).where(
+            JobRow.spec_hash.in_([row.spec_hash for row in rows]),
+            JobRow.status == JobStatus.QUEUED,
+            JobRow.cache,
+        )
+    ).all()
+    results = {(row.spec_hash, row.kind): done[row.id] for row in rows}
+    shared = {
+        twin.id: results[twin.spec_hash, twin.kind]
+        for twin in twins
+        if (twin.spec_hash, twin.kind) in results
+    }
+    _finish(connection, shared, now)
+
+
+def _campaigns_sharing(
+    connection: Connection, rows: Mapping[int, JobRecord], done: Mapping[int, str]
+) -> set[str]:
+    hashes = [rows[job].spec_hash for job in done if rows[job].cache]
+    if not hashes:
+        return set()
+    return set(
+        connection.execute(
+            select(JobRow.campaign_id).where(JobRow.spec_hash.in_(hashes)).distinct()
+        ).scalars()
+    )
+
+
+def _fail(
+    connection: Connection,
+    failures: Sequence[tuple[JobRecord, Outcome]],
+    now: datetime,
+    backoff_s: float,
+) -> bool:
+    """Put failed jobs back after a backoff, or into quarantine; return whether any went back."""
+    if not failures:
+        return False
+    requeued = False
+    values = []
+    for row, outcome in failures:
+        retry = not outcome.final and row.attempt < row.max_attempts
+        requeued |= retry
+        wait_s = min(MAX_BACKOFF_S, backoff_s * 2 ** (row.attempt - 1))
+        values.append(
+            {
+                "failed": row.id,
+                "next_status": JobStatus.QUEUED if retry else JobStatus.QUARANTINED,
+                "wait_until": now + timedelta(seconds=wait_s) if retry else None,
+                "error": outcome.error[-MAX_ERROR_CHARACTERS:],
+                "ended": None if retry else now,
+            }
+        )
+    connection.execute(
+        update(JobRow)
+        .where(JobRow.id == bindparam("failed"))
+        .values(
+            status=bindparam("next_status"),
+            not_before=bindparam("wait_until"),
+            last_error=bindparam("error"),
+            finished_at=bindparam("ended"),
+            lease_expires_at=None,  # the token stays, so that the same report sent again is known
+        ),
+        values,
+    )
+    return requeued
