@@ -15,12 +15,50 @@ from search.archive import Archive
 from search.digest import archive_digest
 from search.document import Document
 from search.errors import OrderError, SearchError
-from search.space import SearchSpace
+from search.space import Categorical, Component, Dormant, Duration, Extent, Integer, Real, SearchSpace
 from search.streams import Stream, generator
 
 Evaluate = Callable[[Candidate], Evaluation]
 
 _MOST_GENERATIONS = 100_000
+
+
+def example_spaces() -> dict[str, SearchSpace]:
+    """Return spaces of two components that between them hold every kind of parameter and constraint."""
+    mixed = SearchSpace(
+        (
+            Component("scenario", (Categorical("weather", ("dry", "wet", "fog")), Integer("cars", 0, 4))),
+            Component(
+                "behaviour",
+                (
+                    Categorical("label", ("none", "car", "person")),
+                    Integer("start", 0, 90, "step"),
+                    Integer("end", 0, 90, "step"),
+                    Real("left", 0.0, 800.0, "px", 40.0),
+                    Real("right", 0.0, 800.0, "px", 40.0),
+                    Real("delay", 0.0, 2.0, "s"),
+                ),
+                (
+                    Extent("left", "right", 50.0, 800.0),
+                    Duration("start", "end", 4.5, 90.0),
+                    Dormant("label", "none", ("start", "end", "left", "right")),
+                ),
+            ),
+        )
+    )
+    numeric = SearchSpace(
+        (
+            Component("scenario", (Real("gap", 1.0, 60.0, "m"), Real("speed", -3.0, 3.0, "m/s"))),
+            Component("behaviour", (Real("noise", 0.0, 1.0), Integer("lag", 0, 20, "step"))),
+        )
+    )
+    categorical = SearchSpace(
+        (
+            Component("scenario", tuple(Categorical(f"road-{i}", ("a", "b", "c")) for i in range(6))),
+            Component("behaviour", tuple(Categorical(f"fault-{i}", ("off", "on")) for i in range(8))),
+        )
+    )
+    return {"mixed": mixed, "numeric": numeric, "categorical": categorical}
 
 
 class ContractBroken(SearchError, AssertionError):
@@ -48,7 +86,7 @@ class Run:
 
 
 def made_up_verdicts(space: SearchSpace, failing: float = 0.1, seed: int = 0) -> Evaluate:
-    """Return verdicts for any space, by candidate: two fifths of it, on one side of a plane, are unsafe, and some fail.
+    """Return verdicts for any space, by candidate: unsafe below a plane through it; some fail.
 
     Args:
         space: What the candidates come from.
