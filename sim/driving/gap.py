@@ -41,7 +41,7 @@ def follow_accel(settings: FollowSettings, speed_mps: float, gap_m: float, other
             # What comes towards the ego takes its share of the room while the ego stops.
             needed = speed_mps * (speed_mps - 2.0 * other_mps) / (2.0 * room_m)
         if needed > settings.emergency_above_mps2:
-            return max(hardest, min(wanted, -settings.emergency_factor * needed))
+            return max(hardest, -settings.emergency_factor * needed)
     # Without an emergency, the model's own reaction to a short gap is bounded by what a wet road gives.
     return max(wanted, -settings.emergency_above_mps2)
 

@@ -13,8 +13,6 @@ from sim.driving.prediction import RoadObstacle
 from sim.driving.settings import YieldSettings
 
 _LEAST_SPEED_MPS = 2.0
-_VEHICLE_CROSSES_ABOVE_MPS = 0.8
-_VEHICLE_CROSSES_SHARE = 0.3
 
 
 class GiveWay:
@@ -77,7 +75,9 @@ class GiveWay:
             crossing_above, gap_m = settings.crossing_above_mps, settings.person_gap_m
         else:
             margin = settings.vehicle_margin_m
-            crossing_above = _VEHICLE_CROSSES_ABOVE_MPS + _VEHICLE_CROSSES_SHARE * abs(obstacle.along_mps)
+            crossing_above = max(
+                settings.vehicle_crossing_above_mps, settings.vehicle_crossing_slope * abs(obstacle.along_mps)
+            )
             gap_m = settings.person_gap_m
             if across <= crossing_above or obstacle.overlaps(right_m, left_m):
                 return None

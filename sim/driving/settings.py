@@ -156,6 +156,8 @@ class YieldSettings:
         person_margin_m: Free space kept to a person beside the ego's body.
         vehicle_margin_m: The same for a vehicle that crosses.
         crossing_above_mps: Whoever moves across the route faster than this may be heading into the path.
+        vehicle_crossing_above_mps: A vehicle crosses if it moves across the route faster than this...
+        vehicle_crossing_slope: ...and than this share of its speed along it; less is a bend, seen badly.
         time_margin_s: The ego goes first only if it is past this long before the other comes.
         decel_mps2: Comfortable braking for a stop.
         approach_gain_per_s: How firmly the braking profile is followed.
@@ -170,6 +172,8 @@ class YieldSettings:
     person_margin_m: float = 0.6
     vehicle_margin_m: float = 0.5
     crossing_above_mps: float = 0.3
+    vehicle_crossing_above_mps: float = 1.0
+    vehicle_crossing_slope: float = 0.8
     time_margin_s: float = 1.0
     decel_mps2: float = 2.0
     approach_gain_per_s: float = 2.0

@@ -1,0 +1,108 @@
+import math
+
+import pytest
+from driving_loop import road
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sim.driving.gap import NO_LIMIT_MPS2, follow_accel, stop_accel
+from sim.driving.interface import LightReading, LightState
+from sim.driving.lights import LightKeeper
+from sim.driving.settings import FollowSettings, LightSettings, SpeedSettings
+from sim.driving.speed_profile import SpeedProfile
+from sim.world.line import Piece
+
+FOLLOW = FollowSettings()
+speeds = st.floats(0.0, 20.0)
+gaps = st.floats(-5.0, 100.0)
+
+
+@given(speed=speeds, gap=gaps, other=st.floats(-20.0, 20.0))
+def test_the_gap_law_is_bounded(speed: float, gap: float, other: float) -> None:
+    accel = follow_accel(FOLLOW, speed, gap, other)
+    assert -FOLLOW.max_decel_mps2 <= accel <= FOLLOW.accel_mps2
+
+
+@given(speed=st.floats(0.5, 15.0), gap=st.floats(0.2, 80.0), more=st.floats(0.0, 20.0), other=speeds)
+def test_a_wider_gap_never_asks_for_more_braking(speed: float, gap: float, more: float, other: float) -> None:
+    near, far = follow_accel(FOLLOW, speed, gap, other), follow_accel(FOLLOW, speed, gap + more, other)
+    assert far >= near - 1e-9
+
+
+def test_at_the_wanted_gap_behind_an_equally_fast_vehicle_nothing_changes() -> None:
+    wanted_m = FOLLOW.standstill_gap_m + FOLLOW.time_gap_s * 7.0
+    assert follow_accel(FOLLOW, 7.0, wanted_m, 7.0) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_late_obstacle_is_an_emergency() -> None:
+    # 64 / (2 (9 - 2.5)) = 4.9 m/s^2 are needed to stop 2.5 m before it.
+    needed = 64.0 / (2.0 * (9.0 - FOLLOW.reserve_gap_m))
+    assert follow_accel(FOLLOW, 8.0, 9.0, 0.0) == pytest.approx(-FOLLOW.emergency_factor * needed)
+
+
+def test_what_comes_towards_the_ego_is_braked_for_earlier_than_what_stands() -> None:
+    assert follow_accel(FOLLOW, 8.0, 25.0, -8.0) < follow_accel(FOLLOW, 8.0, 25.0, 0.0)
+
+
+def test_stopping_follows_the_braking_parabola() -> None:
+    assert stop_accel(2.0, 2.0, 8.0, 16.0) == pytest.approx(-2.0)
+    assert stop_accel(2.0, 2.0, 8.0, 60.0) > 5.0
+    assert stop_accel(2.0, 2.0, 8.0, 4.0) < -9.0
+    assert stop_accel(2.0, 2.0, 0.0, -1.0) < 0.0
+
+
+def accel_at(
+    keeper: LightKeeper, state: LightState | None, to_line_m: float, speed: float = 8.0, t: float = 0
+) -> float:
+    reading = None if state is None else LightReading(state=state, stop_line_station_m=100.0)
+    return keeper.accel(t, reading, 100.0 - to_line_m, speed)
+
+
+@pytest.mark.parametrize(
+    ("state", "to_line_m", "stops"),
+    [
+        (LightState.GREEN, 10.0, False),
+        (LightState.AMBER, 15.0, True),  # 64 / 30 = 2.1 m/s^2: comfortable
+        (LightState.AMBER, 10.0, False),  # 3.2 m/s^2: goes on
+        (LightState.RED, 10.0, True),
+        (LightState.RED, 4.0, False),  # 8 m/s^2: impossible
+    ],
+)
+def test_the_dilemma_zone(state: LightState, to_line_m: float, stops: bool) -> None:
+    assert (accel_at(LightKeeper(LightSettings()), state, to_line_m) < -1.0) == stops
+
+
+def test_who_went_on_at_amber_goes_on_when_it_turns_red() -> None:
+    keeper = LightKeeper(LightSettings())
+    assert accel_at(keeper, LightState.AMBER, 10.0) == NO_LIMIT_MPS2
+    assert accel_at(keeper, LightState.RED, 8.0) == NO_LIMIT_MPS2
+
+
+def test_who_stops_at_amber_does_not_change_its_mind() -> None:
+    keeper = LightKeeper(LightSettings())
+    assert accel_at(keeper, LightState.AMBER, 15.0) < 0.0
+    assert accel_at(keeper, LightState.AMBER, 9.0, speed=7.5) < 0.0
+
+
+def test_a_light_that_is_missed_for_a_moment_is_still_red_and_later_forgotten() -> None:
+    keeper = LightKeeper(LightSettings())
+    accel_at(keeper, LightState.RED, 15.0)
+    assert accel_at(keeper, None, 12.0, speed=7.0, t=1.0) < 0.0
+    assert accel_at(keeper, None, 12.0, speed=7.0, t=3.0) == NO_LIMIT_MPS2
+
+
+def test_curves_are_slowed_for_in_time() -> None:
+    settings = SpeedSettings()
+    profile = SpeedProfile(road(Piece(60.0), Piece(20.0, 1 / 10), Piece(60.0)), settings)
+    assert profile.speed_at(5.0) == settings.cruise_mps
+    assert profile.speed_at(70.0) == pytest.approx(math.sqrt(settings.lateral_accel_mps2 * 10.0))
+    assert profile.speed_at(120.0) == settings.cruise_mps
+    for station in range(55):
+        slower = profile.speed_at(station) ** 2 - profile.speed_at(station + 1) ** 2
+        assert slower <= 2 * settings.curve_decel_mps2 + 1e-9
+
+
+@given(station=st.floats(-100.0, 1000.0))
+def test_the_profile_is_positive_everywhere(station: float) -> None:
+    profile = SpeedProfile(road(Piece(60.0), Piece(20.0, -1 / 4), Piece(60.0)), SpeedSettings())
+    assert 0.0 < profile.speed_at(station) <= SpeedSettings().cruise_mps
