@@ -61,8 +61,10 @@ def _fit_pair(
 ) -> None:
     if names[0] == names[1]:
         raise SpaceError(f"{kind}: expected two parameters, got {names[0]!r} twice")
-    for name in names:
-        number = _number(parameters, name, kind)
+    numbers = [_number(parameters, name, kind) for name in names]
+    if type(numbers[0]) is not type(numbers[1]):
+        raise SpaceError(f"{kind}: expected {names[0]} and {names[1]} both real or both integer")
+    for name, number in zip(names, numbers, strict=True):
         if number.low != 0 or number.high != size:
             raise SpaceError(
                 f"{kind}: expected {name} in [0, {size:g}], got [{number.low:g}, {number.high:g}]"
@@ -72,9 +74,8 @@ def _fit_pair(
 
 
 def _apart(minimum: float, names: tuple[str, str], parameters: Mapping[str, Parameter]) -> float:
-    """Return the distance that two numbers must keep: a whole one if either of them is whole."""
-    whole = any(isinstance(parameters[name], Integer) for name in names)
-    return float(math.ceil(minimum)) if whole else minimum
+    """Return the distance that two numbers must keep: a whole one if they are whole."""
+    return float(math.ceil(minimum)) if isinstance(parameters[names[0]], Integer) else minimum
 
 
 def _are_apart(low: float, high: float, minimum: float) -> bool:
@@ -174,7 +175,7 @@ class Duration:
     Attributes:
         start: Name of the parameter of the start, with range [0, horizon].
         end: Name of the parameter of the end, with the same range.
-        minimum: Shortest duration, in (0, horizon]; rounded up where a time is an integer.
+        minimum: Shortest duration, in (0, horizon]; rounded up where times are integers.
         horizon: Latest time.
     """
 

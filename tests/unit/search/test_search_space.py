@@ -1,0 +1,358 @@
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from search.errors import SpaceError
+from search.space import (
+    Categorical,
+    Component,
+    Constraint,
+    Dormant,
+    Duration,
+    Extent,
+    Integer,
+    Parameter,
+    Real,
+    SearchSpace,
+)
+from search.testing import example_spaces
+
+ORACLE = json.loads((Path(__file__).parents[2] / "data" / "mlcshe_oracle.json").read_text())
+SPACE = example_spaces()["mixed"]
+BEHAVIOUR = SPACE.components[1]
+ANY_NUMBER = st.floats(allow_nan=True, allow_infinity=True, width=64) | st.floats(-900, 900)
+
+
+@st.composite
+def components(draw: st.DrawFn) -> Component:
+    """Components with pairs of any size, whole or real, asleep or not, and a few free parameters."""
+    parameters: list[Parameter] = [
+        Real("free", -3.0, 5.0),
+        Integer("count", -2, 9),
+        Categorical("kind", ("a", "b", "c")),
+    ]
+    constraints: list[Constraint | Dormant] = []
+    members: list[str] = []
+    for index in range(draw(st.integers(0, 3))):
+        names = f"low_{index}", f"high_{index}"
+        size = draw(st.integers(2, 1000))
+        share = draw(st.floats(0.001, 1.0))
+        whole = draw(st.booleans())
+        parameters += [Integer(name, 0, size) if whole else Real(name, 0.0, float(size)) for name in names]
+        constraints.append(
+            Extent(*names, share * size, size)
+            if draw(st.booleans())
+            else Duration(*names, share * size, size)
+        )
+        members.extend(names)
+    sleeps = draw(st.booleans())
+    if members and sleeps:
+        parameters.append(Categorical("label", ("null", "some", "other")))
+        dormant = Dormant("label", "null", tuple(members))
+        constraints.insert(draw(st.integers(0, len(constraints))), dormant)
+    return Component("part", tuple(parameters), tuple(constraints))
+
+
+@given(component=components(), data=st.data(), seed=st.integers(0, 1000))
+@settings(max_examples=200, deadline=None)
+def test_whatever_is_repaired_complies_and_stays_as_it_is(
+    component: Component, data: st.DataObject, seed: int
+) -> None:
+    dimension = component.dimension
+    vector = np.array(data.draw(st.lists(ANY_NUMBER, min_size=dimension, max_size=dimension)))
+    before = vector.copy()
+    repaired = component.repair(vector, np.random.default_rng(seed))
+    assert np.array_equal(vector, before, equal_nan=True)
+    assert list(component.problems(repaired)) == []
+    assert not repaired.flags.writeable
+    again = component.repair(repaired, np.random.default_rng(seed + 1))
+    assert again.tobytes() == repaired.tobytes()
+
+
+@given(component=components(), seed=st.integers(0, 1000))
+@settings(max_examples=100, deadline=None)
+def test_samples_comply_and_survive_encoding(component: Component, seed: int) -> None:
+    vector = component.sample(np.random.default_rng(seed))
+    assert list(component.problems(vector)) == []
+    written = json.loads(json.dumps(component.decode(vector)))
+    assert component.encode(written).tobytes() == vector.tobytes()
+
+
+@pytest.mark.parametrize("row", ORACLE["box_repair"])
+def test_box_repair_matches_the_known_answers(row: dict[str, list[float]]) -> None:
+    box = Component(
+        "box",
+        (
+            Real("x_min", 0.0, 800.0, "px"),
+            Real("x_max", 0.0, 800.0, "px"),
+            Real("y_min", 0.0, 480.0, "px"),
+            Real("y_max", 0.0, 480.0, "px"),
+        ),
+        (Extent("x_min", "x_max", 50.0, 800.0), Extent("y_min", "y_max", 50.0, 480.0)),
+    )
+    repaired = box.repair(np.array(row["inp"]), np.random.default_rng(0))
+    assert repaired.tolist() == pytest.approx(row["out"], rel=0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("given_times", "expected"),
+    [
+        ((100.0, 400.0), (100.0, 400.0)),
+        ((400.0, 100.0), (100.0, 400.0)),
+        ((100.0, 120.0), (100.0, 150.0)),
+        ((120.0, 100.0), (100.0, 150.0)),
+        ((880.0, 890.0), (840.0, 890.0)),
+        ((-50.0, 1000.0), (0.0, 900.0)),
+        ((1000.0, 950.0), (850.0, 900.0)),
+        ((33.4, 60.6), (33.0, 83.0)),
+    ],
+)
+def test_times_are_ordered_kept_in_the_horizon_and_apart(
+    given_times: tuple[float, float], expected: tuple[float, float]
+) -> None:
+    span = Component(
+        "span",
+        (Integer("start", 0, 900, "step"), Integer("end", 0, 900, "step")),
+        (Duration("start", "end", 50, 900),),
+    )
+    assert tuple(span.repair(np.array(given_times), np.random.default_rng(0))) == expected
+
+
+def test_minimum_between_whole_times_is_rounded_up() -> None:
+    span = Component(
+        "span", (Integer("start", 0, 100), Integer("end", 0, 100)), (Duration("start", "end", 100 / 18, 100),)
+    )
+    assert span.repair(np.array([10.0, 10.0]), np.random.default_rng(0)).tolist() == [10.0, 16.0]
+
+
+def test_minimum_longer_than_half_the_frame_still_fits() -> None:
+    axis = Component(
+        "axis", (Real("low", 0.0, 10.0), Real("high", 0.0, 10.0)), (Extent("low", "high", 8.0, 10.0),)
+    )
+    assert axis.repair(np.array([3.0, 5.0]), np.random.default_rng(0)).tolist() == [0.0, 8.0]
+
+
+def test_null_label_puts_its_numbers_to_sleep() -> None:
+    vector = np.array([0.0, 10.0, 80.0, 100.0, 300.0, 1.5])
+    assert BEHAVIOUR.repair(vector, np.random.default_rng(0)).tolist() == [0.0, 0.0, 0.0, 0.0, 0.0, 1.5]
+
+
+def test_woken_label_gets_fresh_numbers() -> None:
+    vector = np.array([2.0, 0.0, 0.0, 0.0, 0.0, 1.5])
+    awake = [BEHAVIOUR.repair(vector, np.random.default_rng(seed)) for seed in range(50)]
+    assert len({row.tobytes() for row in awake}) == 50
+    for row in awake:
+        assert list(BEHAVIOUR.problems(row)) == []
+        assert row[0] == 2.0
+        assert row[5] == 1.5
+    # Fresh pairs are put in order before they are mended, so that few shrink to the smallest box.
+    widths = np.array([row[4] - row[3] for row in awake])
+    assert np.count_nonzero(widths <= 50.0) < 15
+
+
+def test_woken_block_of_whole_numbers_never_looks_asleep() -> None:
+    block = Component(
+        "block",
+        (Categorical("label", ("off", "on")), Integer("a", 0, 1), Integer("b", 0, 1)),
+        (Dormant("label", "off", ("a", "b")),),
+    )
+    rows = [block.sample(np.random.default_rng(seed)) for seed in range(200)]
+    assert {tuple(row) for row in rows} == {(0, 0, 0), (1, 0, 1), (1, 1, 0), (1, 1, 1)}
+
+
+def test_repair_draws_nothing_for_a_vector_that_complies() -> None:
+    vector = BEHAVIOUR.sample(np.random.default_rng(4))
+    rng = np.random.default_rng(5)
+    BEHAVIOUR.repair(vector, rng)
+    assert rng.random() == np.random.default_rng(5).random()
+
+
+def test_equal_solutions_have_equal_bytes_whatever_the_sign_of_zero() -> None:
+    free = Component("free", (Real("x", -1.0, 1.0),))
+    assert free.repair(np.array([-0.0]), np.random.default_rng(0)).tobytes() == np.zeros(1).tobytes()
+    assert free.encode({"x": -0.0}).tobytes() == np.zeros(1).tobytes()
+
+
+def test_samples_are_spread_over_the_whole_space() -> None:
+    rng = np.random.default_rng(1)
+    rows = np.array([SPACE.join(SPACE.sample(rng)) for _ in range(2000)])
+    assert np.bincount(rows[:, 0].astype(int)).min() > 550
+    assert np.bincount(rows[:, 1].astype(int)).min() > 300
+    assert np.quantile(rows[:, 7], [0.1, 0.5, 0.9]) == pytest.approx([0.2, 1.0, 1.8], abs=0.1)
+    asleep = rows[:, 2] == 0
+    assert 550 < np.count_nonzero(asleep) < 790
+    assert np.all(rows[asleep, 3:7] == 0)
+    lengths = rows[~asleep, 4] - rows[~asleep, 3]
+    assert lengths.min() == 5
+    assert np.mean(lengths) == pytest.approx(30, abs=3)
+
+
+def test_rows_split_into_the_vectors_that_were_joined() -> None:
+    vectors = SPACE.sample(np.random.default_rng(0))
+    row = SPACE.join(vectors)
+    assert [part.tolist() for part in SPACE.split(row)] == [vector.tolist() for vector in vectors]
+    assert SPACE.dimension == 8
+    assert SPACE.slices == (slice(0, 2), slice(2, 8))
+    assert SPACE.categorical.tolist() == [True, False, True, False, False, False, False, False]
+    assert SPACE.ranges.tolist() == [1, 4, 1, 90, 90, 800, 800, 2]
+    assert SPACE.column_names()[:3] == ("scenario.weather", "scenario.cars", "behaviour.label")
+
+
+def test_description_is_plain_json_with_everything_in_it() -> None:
+    text = json.dumps(SPACE.describe())
+    for word in (
+        "scenario",
+        "weather",
+        "fog",
+        "px",
+        "dormant",
+        "duration",
+        "extent",
+        "horizon",
+        '"high": 800.0',
+    ):
+        assert word in text
+
+
+def valid() -> dict[str, dict[str, object]]:
+    return {
+        "scenario": {"weather": "wet", "cars": 2},
+        "behaviour": {"label": "car", "start": 3, "end": 80, "left": 10.5, "right": 200, "delay": 0},
+    }
+
+
+def test_encoding_then_decoding_gives_the_same_values() -> None:
+    assert SPACE.decode(SPACE.encode(valid())) == valid()
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (
+            ("scenario", "weather"),
+            "wett",
+            r"scenario\.weather: expected one of dry, wet, fog, got 'wett'; did you mean 'wet'",
+        ),
+        (("scenario", "cars"), 5, r"scenario\.cars: expected a whole number in \[0, 4\], got 5"),
+        (("scenario", "cars"), 1.5, r"scenario\.cars: expected a whole number"),
+        (("scenario", "cars"), True, r"scenario\.cars: expected a number, got True"),
+        (("scenario", "car"), 1, r"scenario\.car: unknown parameter; did you mean 'cars'"),
+        (("behaviour", "delay"), math.nan, r"behaviour\.delay: expected a number in \[0, 2\]"),
+        (("behaviour", "delay"), "late", r"behaviour\.delay: expected a number, got 'late'"),
+        (("behaviour", "right"), 20, r"behaviour\.left: expected right at least 50 above left"),
+        (("behaviour", "end"), 6, r"behaviour\.start: expected end at least 5 above start"),
+        (("behaviour", "label"), "none", r"behaviour\.start: expected 0 while its block sleeps"),
+    ],
+)
+def test_bad_values_are_refused_by_path_with_what_was_expected(
+    path: tuple[str, str], value: object, message: str
+) -> None:
+    values = valid()
+    values[path[0]][path[1]] = value
+    with pytest.raises(SpaceError, match=message):
+        SPACE.encode(values)
+
+
+def test_missing_and_unknown_components_and_parameters_are_named() -> None:
+    values = valid()
+    del values["behaviour"]["delay"]
+    with pytest.raises(SpaceError, match=r"behaviour\.delay: missing"):
+        SPACE.encode(values)
+    with pytest.raises(SpaceError, match="behaviour: missing component"):
+        SPACE.encode({"scenario": valid()["scenario"]})
+    with pytest.raises(SpaceError, match="scenari: unknown component; did you mean 'scenario'"):
+        SPACE.encode({**valid(), "scenari": {}})
+
+
+@pytest.mark.parametrize(
+    ("vectors", "message"),
+    [
+        ([[0.0, 0.0]], r"expected 2 vectors \(scenario, behaviour\), got 1"),
+        ([[0.0], [0.0] * 6], "scenario: expected a vector of 2 numbers"),
+        ([[3.0, 0.0], [0.0] * 6], r"scenario\.weather: expected the index of one of 3 choices"),
+        ([[0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.0, 9.0]], r"behaviour\.delay: expected a number"),
+        ([[0.0, 0.0], [1.0, 0.0, 0.0, 0.0, 0.0, 1.0]], r"behaviour\.label: expected numbers for a block"),
+        ([[0.0, math.nan], [0.0] * 6], r"scenario\.cars: expected a whole number"),
+    ],
+)
+def test_solutions_that_do_not_comply_are_refused(vectors: Sequence[Sequence[float]], message: str) -> None:
+    with pytest.raises(SpaceError, match=message):
+        SPACE.check([np.array(vector) for vector in vectors])
+
+
+PAIR = (Real("a", 0.0, 10.0), Real("b", 0.0, 10.0))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "constraints", "message"),
+    [
+        ((), (), "at least one parameter"),
+        ((PAIR[0], PAIR[0]), (), "different parameter names"),
+        (PAIR, (Extent("a", "c", 1.0, 10.0),), "unknown parameter 'c'"),
+        (PAIR, (Extent("a", "a", 1.0, 10.0),), "two parameters"),
+        (PAIR, (Extent("a", "b", 1.0, 20.0),), r"expected a in \[0, 20\]"),
+        ((PAIR[0], Integer("b", 0, 10)), (Extent("a", "b", 1.0, 10.0),), "both real or both integer"),
+        (PAIR, (Extent("a", "b", 0.0, 10.0),), r"a minimum in \(0, 10\]"),
+        (PAIR, (Duration("a", "b", 11.0, 10.0),), r"a minimum in \(0, 10\]"),
+        (PAIR, (Extent("a", "b", 1.0, 10.0), Duration("b", "a", 1.0, 10.0)), "more than one constraint"),
+        ((*PAIR, Categorical("c", ("x",))), (Extent("a", "c", 1.0, 10.0),), "got a categorical"),
+        (PAIR, (Dormant("a", "x", ("b",)),), "name a categorical"),
+        ((*PAIR, Categorical("c", ("x",))), (Dormant("c", "y", ("a",)),), "no choice 'y'"),
+        ((*PAIR, Categorical("c", ("x",))), (Dormant("c", "x", ()),), "different members"),
+        (
+            (Real("a", 1.0, 2.0), Categorical("c", ("x",))),
+            (Dormant("c", "x", ("a",)),),
+            "0 in the range of a",
+        ),
+        (
+            (*PAIR, Categorical("c", ("x",))),
+            (Dormant("c", "x", ("a",)), Dormant("c", "x", ("a", "b"))),
+            "more than one dormant block",
+        ),
+    ],
+)
+def test_components_that_cannot_be_kept_are_refused(
+    parameters: tuple[Parameter, ...], constraints: tuple[Constraint | Dormant, ...], message: str
+) -> None:
+    with pytest.raises(SpaceError, match=message):
+        Component("part", parameters, constraints)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "sigma"), [(1.0, 1.0, None), (2.0, 1.0, None), (0.0, math.inf, None), (0.0, 1.0, 0.0)]
+)
+def test_numbers_without_a_range_are_refused(low: float, high: float, sigma: float | None) -> None:
+    with pytest.raises(SpaceError):
+        Real("x", low, high, sigma=sigma)
+
+
+def test_names_and_choices_must_be_usable() -> None:
+    with pytest.raises(SpaceError, match="expected a name"):
+        Real("two words", 0.0, 1.0)
+    with pytest.raises(SpaceError, match="different choices"):
+        Categorical("c", ("a", "a"))
+    with pytest.raises(SpaceError, match="named choices"):
+        Categorical("c", ())
+    with pytest.raises(SpaceError, match="whole bounds"):
+        Integer("i", 0, 2**60)
+    part = Component("part", PAIR)
+    with pytest.raises(SpaceError, match="different names"):
+        SearchSpace((part, part))
+
+
+def test_size_counts_solutions_of_finite_spaces() -> None:
+    assert example_spaces()["categorical"].size == 3**6 * 2**8
+    assert SPACE.components[0].size == 15
+    assert math.isinf(SPACE.size)
+
+
+def test_mutation_step_is_a_tenth_of_the_range_unless_given() -> None:
+    assert Real("x", -1.0, 1.0).mutation_sigma == pytest.approx(0.2)
+    assert Integer("i", 0, 900).mutation_sigma == pytest.approx(90)
+    assert Real("x", 0.0, 800.0, "px", sigma=40.0).mutation_sigma == 40.0
