@@ -99,7 +99,8 @@ class Holdings:
         self._lost: set[Key] = set()
         self._one_by_one = 0
         self._nothing_new = False
-        self._idle_since_s = clock()
+        self._idle_since_s: float | None = None
+        self._asked_in_vain = False
         self._retry_at_s = 0.0
         self._polling = False
         self._stopping = False
@@ -170,6 +171,8 @@ class Holdings:
         """Wait until there is something to ask or tell the coordinator; None when the reporter may end."""
         with self.changed:
             self._polling = False
+            if self._idle_since_s is None:
+                self._idle_since_s = self._clock()
             while True:
                 now_s = self._clock()
                 if self._over(now_s):
@@ -184,9 +187,8 @@ class Holdings:
         with self.changed:
             self._polling = False
             self._nothing_new = not reply.jobs
-            if reply.jobs:
-                self._waiting.extend(reply.jobs)
-                self._idle_since_s = self._clock()
+            self._asked_in_vain = not reply.jobs
+            self._waiting.extend(reply.jobs)
             self.changed.notify_all()
 
     def acknowledged(self, report: Report, statuses: Sequence[ResultStatus], *, wall_s: float) -> None:
@@ -240,6 +242,7 @@ class Holdings:
         """Run no errand for so long: the coordinator is away."""
         with self.changed:
             self._polling = False
+            self._asked_in_vain = True
             self._retry_at_s = self._clock() + delay_s
             self.changed.notify_all()
 
@@ -345,11 +348,12 @@ class Holdings:
             return False
         if self._stopping:
             return self._runner_ended
+        # However short the time, nobody leaves without having asked.
         idle_left_s = self._idle_left_s(now_s)
-        return idle_left_s is not None and idle_left_s <= 0
+        return self._asked_in_vain and idle_left_s is not None and idle_left_s <= 0
 
     def _idle_left_s(self, now_s: float) -> float | None:
-        if self._exit_when_idle_s is None:
+        if self._exit_when_idle_s is None or self._idle_since_s is None:
             return None
         return self._idle_since_s + self._exit_when_idle_s - now_s
 
@@ -373,6 +377,7 @@ class Holdings:
     def _note_idle(self) -> None:
         if not self._waiting and not self._in_child and not self._finished:
             self._idle_since_s = self._clock()
+            self._asked_in_vain = False
 
 
 def _key(job: LeasedJob) -> Key:

@@ -54,8 +54,8 @@ class Pace:
 
     @property
     def low(self) -> int:
-        """Ask again when so few jobs wait besides the running one, in [0, hold - 1]."""
+        """Ask again when so few jobs wait besides the running one: enough for the round trip, at most half."""
         if self.episode_s is None:
             return 0
         in_two_trips = math.ceil(2 * self.round_trip_s / max(self.episode_s, _SHORTEST_S))
-        return min(self.hold - 1, max(1, in_two_trips))
+        return min(self.hold // 2, max(1, in_two_trips))

@@ -76,6 +76,7 @@ class EpisodeProcess:
         self._began_s = 0.0
         self._child: ChildHandle | None = None
         self._abandoned = False
+        self._starting = False
         self._killed = False
         self._last_ticket = -1
         # Guards what other threads and signal handlers touch: _child, the first of _sent, _abandoned, _killed.
@@ -103,6 +104,7 @@ class EpisodeProcess:
         child = ChildHandle(self._memory_mib, self._plugins)
         with self._lock:
             self._child = child
+            self._starting = True
             if self._killed:
                 child.kill_group()
         hello = child.await_hello(self._start_timeout_s)
@@ -117,6 +119,10 @@ class EpisodeProcess:
         self._began_s = time.monotonic()
         for episode in self._sent:
             child.send(_request(episode))
+        with self._lock:
+            self._starting = False
+            if self._abandoned:
+                child.kill_group()
         return hello
 
     def run(self, spec: Mapping[str, Any], *, record: bool, timeout_s: float) -> Completed | JobFailed:
@@ -158,7 +164,8 @@ class EpisodeProcess:
         """
         child = self._child
         if child is None or child.gone:
-            # A restart failed before.
+            if self._abandoned:
+                raise self._give_up()
             self.start()
             child = self._child
             assert child is not None
@@ -181,9 +188,11 @@ class EpisodeProcess:
     def abandon(self, ticket: int) -> None:
         """Give up an episode if it is the one that is running; safe from any thread."""
         with self._lock:
-            if self._sent and self._sent[0].ticket == ticket and self._child is not None:
+            if self._sent and self._sent[0].ticket == ticket:
                 self._abandoned = True
-                self._child.kill_group()
+                # A process that is starting has not got the episode yet: `start` looks at the flag at its end.
+                if self._child is not None and not self._starting:
+                    self._child.kill_group()
 
     def kill(self) -> None:
         """End the process for good; safe from any thread. `close` is still to be called."""
@@ -221,9 +230,7 @@ class EpisodeProcess:
     def _died(self, child: ChildHandle) -> Finished:
         how = self._bury(child)
         if self._killed or self._abandoned:
-            ticket = self._sent[0].ticket
-            self._advance()
-            raise EpisodeAbandoned(ticket)
+            raise self._give_up()
         message = f"the simulation process {how}"
         return self._failed(JobFailed(reason="crashed", message=failure_text(message, child.stderr.text())))
 
@@ -231,6 +238,11 @@ class EpisodeProcess:
         ticket, wall_s = self._sent[0].ticket, time.monotonic() - self._began_s
         self._advance()
         return Finished(ticket=ticket, outcome=failure, wall_s=wall_s, size_bytes=len(failure.message))
+
+    def _give_up(self) -> EpisodeAbandoned:
+        ticket = self._sent[0].ticket
+        self._advance()
+        return EpisodeAbandoned(ticket)
 
     def _advance(self) -> bool:
         """Go on to the next pending episode; return whether the last one had been abandoned."""

@@ -1,0 +1,310 @@
+"""A worker against a real HTTP coordinator that fails in every way a coordinator can."""
+
+import logging
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+from fake_coordinator import FakeCoordinator, Fault
+from working import use_faulty_simulator, working
+
+from worker.wire import Completed, HeartbeatRequest, JobFailed, LeaseRequest, ResultsRequest
+
+
+@pytest.fixture(autouse=True)
+def _plugins(monkeypatch: pytest.MonkeyPatch) -> None:
+    use_faulty_simulator(monkeypatch)
+
+
+@pytest.fixture
+def coordinator() -> Iterator[FakeCoordinator]:
+    with FakeCoordinator() as coordinator:
+        yield coordinator
+
+
+def test_every_job_is_run_once_and_accepted(coordinator: FakeCoordinator) -> None:
+    jobs = [coordinator.add() for _ in range(40)]
+    with working(coordinator.url):
+        coordinator.wait_for_all()
+    assert sorted(status.job for status in coordinator.statuses) == jobs
+    assert {status.status for status in coordinator.statuses} == {"accepted"}
+    for job in coordinator.jobs.values():
+        assert job.attempt == 1
+        assert isinstance(job.outcome, Completed)
+        assert job.outcome.objectives["distance"] == pytest.approx(job.spec["behaviour"]["x"])
+
+
+def test_results_travel_in_batches_with_the_next_lease(coordinator: FakeCoordinator) -> None:
+    for _ in range(60):
+        coordinator.add()
+    with working(coordinator.url, max_jobs=8):
+        coordinator.wait_for_all()
+    reports = [r for r in coordinator.of(ResultsRequest) if isinstance(r, ResultsRequest)]
+    assert len(reports) <= 30
+    assert any(report.lease is not None and report.results for report in reports)
+    assert all(report.lease is None or report.lease.wait_s == 0 for report in reports)
+
+
+def test_the_last_results_of_a_generation_do_not_wait(coordinator: FakeCoordinator) -> None:
+    with working(coordinator.url, report_after_s=3600.0, prefetch_s=10.0):
+        for _ in range(5):
+            for _ in range(3):
+                coordinator.add()
+            coordinator.wait_for_all()
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [("segfault", "crashed"), ("exit", "crashed"), ("out-of-memory", "out-of-memory"), ("invalid", "invalid")],
+)
+def test_a_faulty_job_is_reported_with_its_reason_and_its_neighbours_complete(
+    coordinator: FakeCoordinator, fault: str, reason: str
+) -> None:
+    before = [coordinator.add() for _ in range(3)]
+    faulty = coordinator.add({"fault": fault})
+    after = [coordinator.add() for _ in range(3)]
+    with working(coordinator.url, prefetch_s=10.0):
+        coordinator.wait_for_all()
+    outcome = coordinator.jobs[faulty].outcome
+    assert isinstance(outcome, JobFailed)
+    assert outcome.reason == reason
+    assert all(isinstance(coordinator.jobs[job].outcome, Completed) for job in before + after)
+
+
+def test_a_hanging_job_is_reported_as_a_timeout(coordinator: FakeCoordinator) -> None:
+    hanging = coordinator.add({"fault": "hang"}, timeout_s=0.3)
+    after = coordinator.add()
+    with working(coordinator.url):
+        coordinator.wait_for_all()
+    outcome = coordinator.jobs[hanging].outcome
+    assert isinstance(outcome, JobFailed)
+    assert outcome.reason == "timeout"
+    assert isinstance(coordinator.jobs[after].outcome, Completed)
+
+
+def test_results_survive_a_coordinator_that_vanishes_and_comes_back(
+    coordinator: FakeCoordinator, caplog: pytest.LogCaptureFixture
+) -> None:
+    with working(coordinator.url, prefetch_s=10.0) as running:
+        coordinator.add()
+        coordinator.wait_for_all()
+        jobs = [coordinator.add({"fault": "wait", "slow_s": 0.05}) for _ in range(8)]
+        coordinator.wait_until(lambda c: c.jobs[jobs[0]].token is not None)
+        with caplog.at_level(logging.INFO):
+            coordinator.disappear()
+            _wait_for_line(caplog, "waiting for the coordinator")
+            coordinator.appear()
+            coordinator.wait_for_all()
+            _wait_for_line(caplog, "is back")
+            assert running.status is None
+    assert all(job.attempt == 1 for job in coordinator.jobs.values())
+
+
+def test_a_reply_that_is_lost_makes_a_duplicate_not_a_loss(coordinator: FakeCoordinator) -> None:
+    coordinator.faults["results"].append(Fault.DROP_REPLY)
+    job = coordinator.add()
+    with working(coordinator.url):
+        coordinator.wait_until(lambda c: len(c.statuses) == 2)
+    assert [(s.job, s.status) for s in coordinator.statuses] == [(job, "accepted"), (job, "duplicate")]
+
+
+def test_a_request_that_is_lost_is_sent_again(coordinator: FakeCoordinator) -> None:
+    coordinator.faults["results"] += [Fault.DROP_REQUEST, 500, 429, 503, 500, 500]
+    coordinator.faults["lease"] += [500, Fault.DROP_REQUEST]
+    coordinator.add()
+    with working(coordinator.url):
+        coordinator.wait_for_all()
+    assert [status.status for status in coordinator.statuses] == ["accepted"]
+
+
+def test_an_outcome_whose_lease_was_lost_is_answered_stale_and_the_worker_goes_on(
+    coordinator: FakeCoordinator,
+) -> None:
+    lost = coordinator.add({"fault": "wait", "slow_s": 0.3})
+    with working(coordinator.url):
+        coordinator.wait_until(lambda c: c.jobs[lost].token is not None)
+        coordinator.revoke(lost)
+        coordinator.wait_until(lambda c: bool(c.statuses))
+        coordinator.wait_for_outcome(coordinator.add())
+    assert (coordinator.statuses[0].job, coordinator.statuses[0].status) == (lost, "stale")
+    assert coordinator.jobs[lost].outcome is None
+
+
+def test_leases_are_renewed_during_a_long_episode() -> None:
+    with FakeCoordinator(lease_s=0.6) as coordinator:
+        job = coordinator.add({"fault": "wait", "slow_s": 1.5})
+        with working(coordinator.url):
+            coordinator.wait_for_all()
+        assert coordinator.jobs[job].attempt == 1
+        assert [status.status for status in coordinator.statuses] == ["accepted"]
+        assert len(coordinator.of(HeartbeatRequest)) >= 3
+
+
+def test_jobs_that_a_heartbeat_no_longer_lists_are_dropped_and_a_long_one_is_given_up() -> None:
+    with FakeCoordinator(lease_s=0.6) as coordinator:
+        # One quick job first: a worker that knows no duration yet holds a single job.
+        coordinator.add()
+        with working(coordinator.url, abandon_after_s=0.0, prefetch_s=10.0, max_jobs=3):
+            coordinator.wait_for_all()
+            lost = [coordinator.add({"fault": "hang"}, timeout_s=3600.0) for _ in range(3)]
+            coordinator.wait_until(lambda c: all(c.jobs[job].token is not None for job in lost))
+            for job in lost:
+                coordinator.revoke(job)
+            coordinator.wait_for_outcome(coordinator.add())
+        assert [status.job for status in coordinator.statuses if status.job in lost] == []
+
+
+def test_an_outcome_that_the_coordinator_refuses_becomes_an_error_and_its_neighbours_get_through(
+    coordinator: FakeCoordinator,
+) -> None:
+    with working(coordinator.url, prefetch_s=10.0) as running:
+        coordinator.add()
+        coordinator.wait_for_all()
+        with coordinator.changed:
+            jobs = [coordinator.add() for _ in range(5)]
+            coordinator.refused_jobs.add(jobs[2])
+        good = [job for number, job in enumerate(jobs) if number != 2]
+        coordinator.wait_until(lambda c: all(c.jobs[job].outcome is not None for job in good))
+        # Even the error is refused, so that outcome is dropped; the worker goes on.
+        coordinator.wait_for_outcome(coordinator.add())
+        assert running.status is None
+    sent = [
+        result.outcome
+        for request in coordinator.of(ResultsRequest)
+        if isinstance(request, ResultsRequest)
+        for result in request.results
+        if result.job == jobs[2]
+    ]
+    assert isinstance(sent[0], Completed)
+    assert isinstance(sent[-1], JobFailed)
+    assert "too strange" in sent[-1].message
+    assert "\n" not in sent[-1].message
+
+
+def test_stopping_lets_the_running_episode_end_and_gives_the_rest_back(coordinator: FakeCoordinator) -> None:
+    coordinator.add()
+    with working(coordinator.url, prefetch_s=10.0, report_after_s=0.0) as running:
+        coordinator.wait_for_all()
+        with coordinator.changed:
+            jobs = [coordinator.add({"fault": "wait", "slow_s": 0.3}) for _ in range(5)]
+        coordinator.wait_for_outcome(jobs[0])
+        running.worker.stop()
+        assert running.join() == 0
+    done = [job for job in jobs if coordinator.jobs[job].outcome is not None]
+    assert done == jobs[: len(done)]
+    assert 2 <= len(done) < 5
+    assert coordinator.queued() == jobs[len(done) :]
+    assert all(coordinator.jobs[job].attempt == 0 for job in coordinator.queued())
+
+
+def test_an_episode_that_outlives_the_grace_is_given_back(coordinator: FakeCoordinator) -> None:
+    job = coordinator.add({"fault": "hang"}, timeout_s=3600.0)
+    with working(coordinator.url, grace_s=0.2) as running:
+        coordinator.wait_until(lambda c: c.jobs[job].token is not None)
+        running.worker.stop()
+        assert running.join() == 0
+    assert coordinator.queued() == [job]
+
+
+def test_an_idle_worker_stops_at_once(coordinator: FakeCoordinator) -> None:
+    with working(coordinator.url, wait_s=60.0) as running:
+        coordinator.wait_for_outcome(coordinator.add())
+        began_s = time.monotonic()
+        running.worker.stop()
+        assert running.join() == 0
+    assert time.monotonic() - began_s < 5.0
+
+
+def test_a_worker_leaves_after_an_idle_time(coordinator: FakeCoordinator) -> None:
+    coordinator.add()
+    with working(coordinator.url, exit_when_idle_s=0.3) as running:
+        assert running.join() == 0
+    coordinator.wait_for_all()
+
+
+def test_a_worker_without_a_coordinator_leaves_after_an_idle_time_and_says_why(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    with (
+        FakeCoordinator() as gone,
+        caplog.at_level(logging.WARNING),
+    ):
+        gone.disappear()
+        with working(gone.url, exit_when_idle_s=0.3) as running:
+            assert running.join() == 1
+    assert "waiting for the coordinator" in caplog.text
+    assert "no coordinator" in caplog.text
+
+
+def test_a_worker_waits_for_a_coordinator_that_starts_later(caplog: pytest.LogCaptureFixture) -> None:
+    with FakeCoordinator() as coordinator:
+        coordinator.disappear()
+        coordinator.add()
+        with caplog.at_level(logging.WARNING), working(coordinator.url):
+            _wait_for_line(caplog, "waiting for the coordinator")
+            coordinator.appear()
+            coordinator.wait_for_all()
+
+
+def test_a_worker_that_is_not_admitted_leaves_with_the_reason(caplog: pytest.LogCaptureFixture) -> None:
+    with FakeCoordinator(token="right") as coordinator:  # noqa: S106
+        with working(coordinator.url, token="wrong") as running:  # noqa: S106
+            assert running.join() == 1
+        assert "401 Unauthorized: a bearer token is needed" in caplog.text
+        coordinator.add()
+        with working(coordinator.url, token="right"):  # noqa: S106
+            coordinator.wait_for_all()
+
+
+def test_a_worker_asks_only_for_what_it_can_run(coordinator: FakeCoordinator) -> None:
+    foreign = coordinator.add(simulator="elsewhere@1")
+    coordinator.add()
+    with working(coordinator.url):
+        coordinator.wait_until(lambda c: bool(c.statuses))
+    assert coordinator.queued() == [foreign]
+    assert all(
+        "faulty@1" in request.capabilities and "elsewhere@1" not in request.capabilities
+        for request in coordinator.of(LeaseRequest)
+        if isinstance(request, LeaseRequest)
+    )
+
+
+def test_two_workers_share_a_queue(coordinator: FakeCoordinator) -> None:
+    for _ in range(30):
+        coordinator.add({"fault": "wait", "slow_s": 0.02})
+    with working(coordinator.url, worker_id="a"), working(coordinator.url, worker_id="b"):
+        coordinator.wait_for_all()
+    pids = {o.provenance["pid"] for j in coordinator.jobs.values() if isinstance(o := j.outcome, Completed)}
+    assert len(pids) == 2
+    assert {status.status for status in coordinator.statuses} == {"accepted"}
+
+
+def test_a_process_that_never_comes_up_again_ends_the_worker_and_gives_its_jobs_back(
+    coordinator: FakeCoordinator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = coordinator.add()
+    with working(coordinator.url, start_timeout_s=5.0) as running:
+        coordinator.wait_for_outcome(first)
+        monkeypatch.setenv("BRINK_PLUGINS", "no_such_plugin")
+        crashing, after = coordinator.add({"fault": "segfault"}), coordinator.add()
+        assert running.join() == 1
+    assert isinstance(coordinator.jobs[crashing].outcome, JobFailed)
+    assert coordinator.queued() == [after]
+
+
+def _wait_for_line(caplog: pytest.LogCaptureFixture, text: str) -> None:
+    """Wait until a line was logged."""
+    seen = threading.Event()
+
+    class Listener(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            if text in record.getMessage():
+                seen.set()
+
+    listener = Listener()
+    logging.getLogger().addHandler(listener)
+    try:
+        assert text in caplog.text or seen.wait(30.0), f"nobody said {text!r}"
+    finally:
+        logging.getLogger().removeHandler(listener)

@@ -1,0 +1,269 @@
+"""The simulation process and its parent: whatever an episode does, its parent tells what it was and goes on."""
+
+import os
+import select
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from working import ROOT, use_faulty_simulator
+
+from worker.child_handle import ONE_THREAD
+from worker.errors import ChildFailedToStart, EpisodeAbandoned
+from worker.process import Episode, EpisodeProcess
+from worker.wire import Completed, JobFailed
+
+
+@pytest.fixture(autouse=True)
+def _plugins(monkeypatch: pytest.MonkeyPatch) -> None:
+    use_faulty_simulator(monkeypatch)
+
+
+@pytest.fixture
+def process() -> Iterator[EpisodeProcess]:
+    process = EpisodeProcess(memory_mib=256)
+    process.start()
+    yield process
+    process.close()
+
+
+def spec(**scenario: Any) -> dict[str, Any]:
+    return {
+        "simulator": "faulty@1",
+        "scenario": scenario,
+        "behaviour": {"x": 0.6},
+        "requirements": ["distance@1"],
+        "seed": 1,
+        "duration_s": 1.0,
+        "options": {},
+    }
+
+
+def run(process: EpisodeProcess, *, timeout_s: float = 20.0, **scenario: Any) -> Completed | JobFailed:
+    return process.run(spec(**scenario), record=False, timeout_s=timeout_s)
+
+
+def failure(process: EpisodeProcess, *, timeout_s: float = 20.0, **scenario: Any) -> JobFailed:
+    outcome = run(process, timeout_s=timeout_s, **scenario)
+    assert isinstance(outcome, JobFailed)
+    return outcome
+
+
+def works(process: EpisodeProcess) -> bool:
+    outcome = run(process, y=0.8)
+    assert isinstance(outcome, Completed)
+    return outcome.verdicts["distance@1"].robustness == pytest.approx(0.0, abs=1e-12)
+
+
+def await_death(pid: int) -> None:
+    """Wait for the end of a process that need not be a child of this one."""
+    try:
+        handle = os.pidfd_open(pid)
+    except ProcessLookupError:
+        return
+    try:
+        ended, _, _ = select.select([handle], [], [], 20.0)
+        assert ended, f"process {pid} is still alive"
+    finally:
+        os.close(handle)
+
+
+def test_an_episode_gives_its_verdict(process: EpisodeProcess) -> None:
+    assert works(process)
+
+
+def test_a_recorded_episode_carries_its_trace(process: EpisodeProcess) -> None:
+    outcome = process.run(spec(), record=True, timeout_s=20.0)
+    assert isinstance(outcome, Completed)
+    assert outcome.trace is not None
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason", "words"),
+    [
+        ("segfault", "crashed", ("was killed by SIGSEGV", "faulty_simulator.py", "string_at")),
+        ("exit", "crashed", ("exited with status 3",)),
+        ("crashed", "crashed", ("the engine gave up",)),
+        ("error", "error", ("RuntimeError: the physics came apart", "faulty_simulator.py")),
+        ("out-of-memory", "out-of-memory", ("MemoryError",)),
+        ("invalid", "invalid", ("there is no such road",)),
+        ("nan", "error", ("cannot be sent", "verdicts.distance@1.robustness")),
+    ],
+)
+def test_a_fault_is_told_with_its_reason_and_the_next_episode_runs(
+    process: EpisodeProcess, fault: str, reason: str, words: tuple[str, ...]
+) -> None:
+    outcome = failure(process, fault=fault)
+    assert outcome.reason == reason
+    for word in words:
+        assert word in outcome.message
+    assert works(process)
+
+
+def test_a_hang_is_killed_and_its_place_is_told(process: EpisodeProcess) -> None:
+    outcome = failure(process, fault="hang", timeout_s=0.3)
+    assert outcome.reason == "timeout"
+    assert "0.3 s" in outcome.message
+    assert "in break_down" in outcome.message
+    assert works(process)
+
+
+def test_a_malformed_specification_is_invalid(process: EpisodeProcess) -> None:
+    outcome = process.run({"simulator": "faulty@1"}, record=False, timeout_s=20.0)
+    assert isinstance(outcome, JobFailed)
+    assert outcome.reason == "invalid"
+
+
+def test_an_unknown_simulator_is_invalid(process: EpisodeProcess) -> None:
+    outcome = process.run({**spec(), "simulator": "elsewhere@1"}, record=False, timeout_s=20.0)
+    assert isinstance(outcome, JobFailed)
+    assert outcome.reason == "invalid"
+    assert "faulty@1" in outcome.message
+
+
+def test_noise_on_standard_output_does_not_break_the_pipe(process: EpisodeProcess) -> None:
+    assert isinstance(run(process, fault="print"), Completed)
+    assert works(process)
+
+
+def test_the_message_of_a_crash_is_bounded_however_much_was_printed(process: EpisodeProcess) -> None:
+    process.send(Episode(ticket=1, spec=spec(fault="print"), record=False, timeout_s=20.0))
+    process.send(Episode(ticket=2, spec=spec(fault="segfault"), record=False, timeout_s=20.0))
+    assert isinstance(process.receive().outcome, Completed)
+    outcome = process.receive().outcome
+    assert isinstance(outcome, JobFailed)
+    assert len(outcome.message) <= 4000
+    assert outcome.message.startswith("the simulation process was killed by SIGSEGV")
+
+
+def test_a_specification_larger_than_the_pipe_does_not_block(process: EpisodeProcess) -> None:
+    for ticket in (1, 2):
+        wide = spec(fault="wait", slow_s=0.05, padding="x" * 300_000)
+        process.send(Episode(ticket=ticket, spec=wide, record=False, timeout_s=20.0))
+    assert [process.receive().ticket for _ in range(2)] == [1, 2]
+
+
+def test_episodes_sent_ahead_of_a_crash_run_in_the_next_process(process: EpisodeProcess) -> None:
+    process.send(Episode(ticket=7, spec=spec(fault="segfault"), record=False, timeout_s=20.0))
+    process.send(Episode(ticket=8, spec=spec(), record=False, timeout_s=20.0))
+    first, second = process.receive(), process.receive()
+    assert (first.ticket, second.ticket) == (7, 8)
+    assert isinstance(first.outcome, JobFailed)
+    assert isinstance(second.outcome, Completed)
+
+
+def test_a_process_that_died_while_idle_is_not_blamed_on_the_next_episode(process: EpisodeProcess) -> None:
+    assert process.pid is not None
+    os.kill(process.pid, signal.SIGKILL)
+    await_death(process.pid)
+    assert works(process)
+
+
+def test_one_process_runs_many_episodes(process: EpisodeProcess) -> None:
+    outcomes = [run(process) for _ in range(3)]
+    assert len({o.provenance["pid"] for o in outcomes if isinstance(o, Completed)}) == 1
+
+
+def test_an_abandoned_episode_has_no_outcome_and_the_next_one_runs(process: EpisodeProcess) -> None:
+    process.send(Episode(ticket=1, spec=spec(fault="hang"), record=False, timeout_s=20.0))
+    process.send(Episode(ticket=2, spec=spec(), record=False, timeout_s=20.0))
+    process.abandon(2)
+    process.abandon(1)
+    with pytest.raises(EpisodeAbandoned):
+        process.receive()
+    assert isinstance(process.receive().outcome, Completed)
+
+
+def test_closing_gives_back_what_has_no_outcome(process: EpisodeProcess) -> None:
+    for ticket in (4, 5):
+        process.send(Episode(ticket=ticket, spec=spec(fault="hang"), record=False, timeout_s=20.0))
+    assert process.close() == (4, 5)
+
+
+def test_what_cannot_be_imported_is_left_out_with_its_reason(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Any
+) -> None:
+    installed = tmp_path / "lost-1.0.dist-info"
+    installed.mkdir()
+    (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: lost\nVersion: 1.0\n")
+    (installed / "entry_points.txt").write_text("[brink.simulators]\nlost@1 = no_such_module:Simulator\n")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join((str(tmp_path), os.environ["PYTHONPATH"])))
+    process = EpisodeProcess()
+    try:
+        hello = process.start()
+    finally:
+        process.close()
+    assert "faulty@1" in hello.simulators
+    assert "no_such_module" in hello.left_out["lost@1"]
+
+
+def test_a_plug_in_that_cannot_be_imported_is_named() -> None:
+    process = EpisodeProcess(plugins=("no_such_plugin",))
+    with pytest.raises(ChildFailedToStart, match="No module named 'no_such_plugin'"):
+        process.start()
+    process.close()
+
+
+def test_the_process_computes_on_one_thread_and_does_not_see_the_token(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Any
+) -> None:
+    (tmp_path / "environment_teller.py").write_text(
+        "import os\n"
+        "from sim.catalogue import register\n"
+        "from sim.episode import EpisodeResult\n"
+        "class Teller:\n"
+        "    def run(self, spec, *, record=False):\n"
+        "        return EpisodeResult(verdicts={}, objectives={}, provenance={}, features=dict(os.environ))\n"
+        "register('brink.simulators', 'teller@1', Teller)\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join((str(tmp_path), str(ROOT))))
+    monkeypatch.setenv("BRINK_PLUGINS", "environment_teller")
+    monkeypatch.setenv("BRINK_TOKEN", "secret")
+    monkeypatch.setenv("OMP_NUM_THREADS", "16")
+    process = EpisodeProcess()
+    try:
+        process.start()
+        outcome = process.run({**spec(), "simulator": "teller@1"}, record=False, timeout_s=20.0)
+    finally:
+        process.close()
+    assert isinstance(outcome, Completed)
+    assert "BRINK_TOKEN" not in outcome.features
+    assert {name: outcome.features[name] for name in ONE_THREAD} == ONE_THREAD
+
+
+def test_the_process_dies_with_its_parent_even_when_it_hangs_with_the_interpreter_lock() -> None:
+    parent = (
+        "import os, sys\n"
+        "from worker.process import Episode, EpisodeProcess\n"
+        "process = EpisodeProcess()\n"
+        "process.start()\n"
+        "spec = dict(simulator='faulty@1', scenario={'fault': 'hang'}, behaviour={}, requirements=[], seed=1,\n"
+        "            duration_s=1.0)\n"
+        "process.send(Episode(ticket=1, spec={**spec, 'scenario': {}}, record=False, timeout_s=60))\n"
+        "process.send(Episode(ticket=2, spec=spec, record=False, timeout_s=60))\n"
+        "process.receive()\n"
+        "print(process.pid, flush=True)\n"
+        "sys.stdin.read()\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", parent], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT
+    ) as program:
+        assert program.stdout is not None
+        pid = int(program.stdout.readline())
+        handle = os.pidfd_open(pid)
+        program.kill()
+        ended, _, _ = select.select([handle], [], [], 20.0)
+        os.close(handle)
+    assert ended
+
+
+def test_signals_of_the_terminal_do_not_reach_the_process(process: EpisodeProcess) -> None:
+    assert process.pid is not None
+    pid = process.pid
+    for number in (signal.SIGINT, signal.SIGTERM):
+        os.kill(pid, number)
+    assert works(process)
+    assert process.pid == pid
