@@ -194,6 +194,7 @@ class LightSettings:
         approach_gain_per_s: How firmly the braking profile is followed.
         amber_go_above_mps2: At amber the ego goes on if stopping would need harder braking.
         red_go_above_mps2: At red the ego goes on if stopping would need harder braking (it would end past the line).
+        confirm_s: A change of a light is believed once it was reported for this long.
         memory_s: A light that is no longer reported is believed for this long.
     """
 
@@ -202,6 +203,7 @@ class LightSettings:
     approach_gain_per_s: float = 2.0
     amber_go_above_mps2: float = 2.8
     red_go_above_mps2: float = 6.5
+    confirm_s: float = 0.12
     memory_s: float = 1.5
 
 

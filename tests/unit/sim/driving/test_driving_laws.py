@@ -13,6 +13,7 @@ from sim.driving.speed_profile import SpeedProfile
 from sim.world.line import Piece
 
 FOLLOW = FollowSettings()
+RED, GREEN = LightState.RED, LightState.GREEN
 speeds = st.floats(0.0, 20.0)
 gaps = st.floats(-5.0, 100.0)
 
@@ -75,7 +76,25 @@ def test_the_dilemma_zone(state: LightState, to_line_m: float, stops: bool) -> N
 def test_who_went_on_at_amber_goes_on_when_it_turns_red() -> None:
     keeper = LightKeeper(LightSettings())
     assert accel_at(keeper, LightState.AMBER, 10.0) == NO_LIMIT_MPS2
-    assert accel_at(keeper, LightState.RED, 8.0) == NO_LIMIT_MPS2
+    for step in range(1, 6):
+        assert accel_at(keeper, LightState.RED, 8.0, t=0.1 * step) == NO_LIMIT_MPS2
+
+
+def test_a_single_mistaken_reading_is_not_believed() -> None:
+    keeper = LightKeeper(LightSettings())
+    shown = [GREEN, GREEN, RED, GREEN, GREEN, RED, RED, RED]
+    limits = [accel_at(keeper, state, 12.0, t=0.1 * step) for step, state in enumerate(shown)]
+    assert [limit < 0.0 for limit in limits] == [False] * 7 + [True]
+
+
+def test_a_choice_to_go_on_is_forgotten_at_green() -> None:
+    keeper = LightKeeper(LightSettings())
+    shown = [LightState.RED, GREEN, GREEN, GREEN, RED, RED, RED]
+    limits = [
+        accel_at(keeper, state, 4.0 if step < 4 else 15.0, t=0.1 * step) for step, state in enumerate(shown)
+    ]
+    assert limits[0] == NO_LIMIT_MPS2
+    assert limits[-1] < 0.0
 
 
 def test_who_stops_at_amber_does_not_change_its_mind() -> None:

@@ -1,0 +1,98 @@
+"""Every registered requirement keeps its contract; the contract suite catches those that do not."""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import cast
+
+import pytest
+
+from sim.catalogue import REQUIREMENTS, load_plugin, register
+from sim.episode import Json, Verdict
+from sim.errors import InvalidEpisode
+from sim.requirements.front_gap import FrontGap
+from sim.requirements.registry import make_requirement, make_requirements, requirement_ids
+from sim.requirements.requirement import Requirement, WorldSample
+from sim.testing import ContractBroken, check_requirement
+
+SHIPPED = {
+    "front-gap@1",
+    "no-collision@1",
+    "lane-keeping@1",
+    "red-light@1",
+    "speed-limit@1",
+    "progress@1",
+}
+
+
+def test_the_shipped_requirements_are_registered() -> None:
+    assert set(requirement_ids()) >= SHIPPED
+
+
+@pytest.mark.parametrize("requirement_id", requirement_ids())
+def test_keeps_the_contract(requirement_id: str) -> None:
+    check_requirement(cast(Callable[[], Requirement], load_plugin(REQUIREMENTS, requirement_id)))
+
+
+def test_an_unknown_id_is_answered_with_the_nearest() -> None:
+    with pytest.raises(InvalidEpisode, match="did you mean 'front-gap@1'"):
+        make_requirement("front_gap")
+
+
+def test_requirements_are_made_in_the_order_they_are_named() -> None:
+    assert list(make_requirements(("red-light@1", "front-gap@1"))) == ["red-light@1", "front-gap@1"]
+
+
+def test_a_requirement_named_twice_is_refused() -> None:
+    with pytest.raises(InvalidEpisode, match="named twice"):
+        make_requirements(("front-gap@1", "front-gap@1"))
+
+
+def test_a_plug_in_without_entry_point_can_be_registered() -> None:
+    register(REQUIREMENTS, "wide-gap@1", lambda: FrontGap(required_gap_m=5.0))
+    verdict_of = make_requirement("wide-gap@1")
+    check_requirement(lambda: FrontGap(required_gap_m=5.0))
+    assert verdict_of.unit == "m"
+
+
+class _Endless(FrontGap):
+    """Its robustness is infinite where nobody is ahead."""
+
+    def observe(self, sample: WorldSample) -> float:
+        robustness = super().observe(sample)
+        return math.inf if sample.front_gap_m is None else robustness
+
+
+class _Optimist(FrontGap):
+    """Its verdict forgets the violation."""
+
+    def verdict(self) -> Verdict:
+        return Verdict(robustness=1.0, unit="m", violated_at_s=None)
+
+
+class _Chatty(FrontGap):
+    """Its features are no JSON."""
+
+    def features(self) -> Mapping[str, Json]:
+        return {"gap": math.nan}
+
+
+class _Furlongs(FrontGap):
+    """Its unit is not known."""
+
+    unit = "furlong"
+
+
+class _Shared(FrontGap):
+    """Its instances share their state."""
+
+    _seen: list[float] = []  # noqa: RUF012  (the defect under test)
+
+    def observe(self, sample: WorldSample) -> float:
+        self._seen.append(super().observe(sample))
+        return min(self._seen)
+
+
+@pytest.mark.parametrize("broken", [_Endless, _Optimist, _Chatty, _Furlongs, _Shared])
+def test_the_contract_suite_catches_a_broken_requirement(broken: Callable[[], Requirement]) -> None:
+    with pytest.raises(ContractBroken, match="expected"):
+        check_requirement(broken)
