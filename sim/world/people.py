@@ -1,5 +1,7 @@
 """Owns who walks along a road: most keep to the pavement, some use the crossing, some cross elsewhere."""
 
+import math
+
 from sim.urban.scenario import DrivingTask
 from sim.world.lights import SignalPlan
 from sim.world.road import Road
@@ -9,6 +11,7 @@ from sim.world.weather import Conditions
 
 ZEBRA_SHARE = 1.0 / 3.0
 ELSEWHERE_SHARE = 1.0 / 6.0
+CLEAR_OF_JUNCTION_M = 6.0
 NEEDED_RED_S = 4.0
 """People start over a lit crossing only if the light stays with them for this long."""
 
@@ -45,7 +48,8 @@ def make_people(
             station_m = crosses_at_m - direction * speed * arrives_s
         elif index < at_zebra + elsewhere:
             place = (index - at_zebra + 1) / (elsewhere + 1)
-            crosses_at_m = reach_m * (0.30 + 0.65 * place) + float(rng.uniform(-1.5, 1.5))
+            wanted_m = reach_m * (0.30 + 0.65 * place) + float(rng.uniform(-1.5, 1.5))
+            crosses_at_m = _clear_of_junctions(road, wanted_m)
             arrives_s = crosses_at_m / 7.0 + 3.0 + float(rng.uniform(-1.0, 1.0))
             station_m = crosses_at_m - direction * speed * arrives_s
         else:
@@ -66,6 +70,16 @@ def make_people(
             )
         )
     return walkers
+
+
+def _clear_of_junctions(road: Road, station_m: float) -> float:
+    """Return the nearest place to cross that is not in a junction."""
+    reach_m = road.kerb_m + road.style.pavement_m + CLEAR_OF_JUNCTION_M
+    for junction in road.junctions:
+        beyond_m = station_m - junction.station_m
+        if abs(beyond_m) < reach_m:
+            return junction.station_m + math.copysign(reach_m, beyond_m)
+    return station_m
 
 
 def _with_light(signals: SignalPlan) -> GoAhead:

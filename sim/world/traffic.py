@@ -31,7 +31,7 @@ from sim.world.walker import Walker
 from sim.world.weather import Conditions
 
 JOINING_GAP_S = 4.5
-LEAD_STARTS_AHEAD_M = 18.0
+LEAD_STARTS_AHEAD_M = 26.0
 """From the ego's middle to the lead's, when the episode begins."""
 
 
@@ -96,9 +96,9 @@ class _Makers:
         style = self.road.style
         slowdowns = []
         for number in range(4):
-            begins_s = 3.0 + 7.0 * number + float(rng.uniform(-0.7, 0.7))
+            begins_s = 5.0 + 8.0 * number + float(rng.uniform(-0.7, 0.7))
             lasts_s = float(rng.uniform(1.6, 2.4))
-            slowdowns.append((begins_s, begins_s + lasts_s, 0.45))
+            slowdowns.append((begins_s, begins_s + lasts_s, 0.6))
         path = stream_lane(self.road, style.main_stream)
         manner = self._manner(0, slowdowns=tuple(slowdowns))
         stops = self._stops(forward=True)
@@ -110,7 +110,7 @@ class _Makers:
             size=CAR,
             path=path,
             station_m=LEAD_STARTS_AHEAD_M + float(rng.uniform(-1.0, 1.0)),
-            speed_mps=min(manner.speed_mps, 7.0),
+            speed_mps=manner.speed_mps,
             manner=manner,
             stops=stops,
             phase=0,

@@ -164,10 +164,11 @@ class Walker:
             dx, dy = self.x_m - mover.x_m, self.y_m - mover.y_m
             distance_m = math.hypot(dx, dy)
             speed = mover.speed_mps
-            if distance_m > 40.0 or (speed < 0.3 and distance_m > 3.5):
+            if distance_m > 40.0:
                 continue
             ahead_m = dx * math.cos(mover.yaw_rad) + dy * math.sin(mover.yaw_rad)
-            if ahead_m < -0.5 * mover.length_m - 0.5:
+            room_m = 0.5 * mover.length_m + 0.5
+            if ahead_m < -room_m or (speed < 0.3 and ahead_m > room_m):
                 continue
             gap_m = 0.8 * speed + speed * speed / 6.0 if trusting else GAP_S * speed
             if ahead_m < 4.0 + gap_m:
