@@ -31,6 +31,9 @@ from sim.world.walker import Walker
 from sim.world.weather import Conditions
 
 JOINING_GAP_S = 4.5
+MERGING_ROOM_M = 7.0
+MOUTH_SETBACK_M = 2.5
+HALF_LANE_M = 1.9
 LEAD_STARTS_AHEAD_M = 26.0
 """From the ego's middle to the lead's, when the episode begins."""
 
@@ -166,7 +169,7 @@ class _Makers:
         junction = self.road.junctions[0]
         path = joining_lane(self.road, junction)
         half_lane_m = 0.5 * self.road.style.lane_width_m
-        mouth_m = SIDE_STREET_M - self.road.kerb_m - 1.0
+        mouth_m = SIDE_STREET_M - self.road.kerb_m - MOUTH_SETBACK_M
         point = self.road.forward.pose_at(junction.forward_m + half_lane_m)
         manner = self._manner(3, share=0.8)
         return Vehicle(
@@ -277,17 +280,18 @@ def lane_is_free(
         yaw_rad: Direction of the lane there.
         gap_s: The time.
     """
+    cos_lane, sin_lane = math.cos(yaw_rad), math.sin(yaw_rad)
     for mover in movers:
         if mover is asking:
             continue
         dx, dy = x_m - mover.x_m, y_m - mover.y_m
-        distance_m = math.hypot(dx, dy)
-        if distance_m < 7.0:
+        across_m = dy * cos_lane - dx * sin_lane
+        if abs(across_m) < HALF_LANE_M and abs(dx * cos_lane + dy * sin_lane) < MERGING_ROOM_M:
             return False
-        if distance_m > 60.0 or mover.speed_mps < 0.3 or math.cos(mover.yaw_rad - yaw_rad) < 0.3:
+        if mover.speed_mps < 0.3 or math.cos(mover.yaw_rad - yaw_rad) < 0.3:
             continue
-        towards = dx * math.cos(mover.yaw_rad) + dy * math.sin(mover.yaw_rad)
-        if towards > 0.0 and towards < gap_s * mover.speed_mps + 3.0:
+        towards_m = dx * math.cos(mover.yaw_rad) + dy * math.sin(mover.yaw_rad)
+        if 0.0 < towards_m < gap_s * mover.speed_mps + 3.0 and math.hypot(dx, dy) < 60.0:
             return False
     return True
 
