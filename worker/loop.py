@@ -149,19 +149,16 @@ class Worker:
     def _supervise(self) -> None:
         """Wait for the end; once asked to stop, end the running episode when its time is over."""
         changed = self._holdings.changed
-        report_end_s: float | None = None
         with changed:
-            while not self._reported_all:
-                if self._grace_end_s is None:
-                    changed.wait()
-                    continue
-                # An idle request may take long to be answered, and nothing is lost by leaving it.
-                if self._holdings.polling:
-                    return
+            changed.wait_for(lambda: self._reported_all or self._grace_end_s is not None)
+            if self._grace_end_s is None:
+                return
+            log.info("stopping", extra={"held": len(self._holdings.leases())})
+            report_end_s: float | None = None
+            # An idle request may take long to be answered, and nothing is lost by leaving it.
+            while not self._reported_all and not self._holdings.polling:
                 now_s = time.monotonic()
-                if report_end_s is None and self._holdings.runner_ended:
-                    report_end_s = now_s + LAST_REPORT_S
-                if report_end_s is None and now_s >= self._grace_end_s:
+                if report_end_s is None and (self._holdings.runner_ended or now_s >= self._grace_end_s):
                     self._process.kill()
                     report_end_s = now_s + LAST_REPORT_S
                 end_s = self._grace_end_s if report_end_s is None else report_end_s

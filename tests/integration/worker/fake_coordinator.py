@@ -164,7 +164,9 @@ class FakeCoordinator:
 
     # The three requests.
 
-    def answer(self, name: str, body: bytes, gone: Callable[[], bool]) -> tuple[int, Message | dict[str, Any]]:
+    def answer(
+        self, name: str, body: bytes, gone: Callable[[], bool]
+    ) -> tuple[int, Message | dict[str, Any]]:
         try:
             match name:
                 case "lease":
@@ -328,7 +330,7 @@ def _handler(coordinator: FakeCoordinator) -> type[BaseHTTPRequestHandler]:
         def _gone(self) -> bool:
             self.connection.setblocking(False)
             try:
-                return self.connection.recv(1, socket.MSG_PEEK) == b""
+                return not self.connection.recv(1, socket.MSG_PEEK)
             except BlockingIOError:
                 return False
             except OSError:
@@ -340,7 +342,9 @@ def _handler(coordinator: FakeCoordinator) -> type[BaseHTTPRequestHandler]:
             text = reply.model_dump_json() if isinstance(reply, Message) else json.dumps(reply)
             body = text.encode()
             self.send_response(status)
-            self.send_header("Content-Type", "application/json" if status == 200 else "application/problem+json")
+            self.send_header(
+                "Content-Type", "application/json" if status == 200 else "application/problem+json"
+            )
             self.send_header("Content-Length", str(len(body)))
             self.end_headers()
             self.wfile.write(body)

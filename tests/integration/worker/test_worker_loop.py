@@ -56,7 +56,12 @@ def test_the_last_results_of_a_generation_do_not_wait(coordinator: FakeCoordinat
 
 @pytest.mark.parametrize(
     ("fault", "reason"),
-    [("segfault", "crashed"), ("exit", "crashed"), ("out-of-memory", "out-of-memory"), ("invalid", "invalid")],
+    [
+        ("segfault", "crashed"),
+        ("exit", "crashed"),
+        ("out-of-memory", "out-of-memory"),
+        ("invalid", "invalid"),
+    ],
 )
 def test_a_faulty_job_is_reported_with_its_reason_and_its_neighbours_complete(
     coordinator: FakeCoordinator, fault: str, reason: str
@@ -248,12 +253,12 @@ def test_a_worker_waits_for_a_coordinator_that_starts_later(caplog: pytest.LogCa
 
 
 def test_a_worker_that_is_not_admitted_leaves_with_the_reason(caplog: pytest.LogCaptureFixture) -> None:
-    with FakeCoordinator(token="right") as coordinator:  # noqa: S106
-        with working(coordinator.url, token="wrong") as running:  # noqa: S106
+    with FakeCoordinator(token="right") as coordinator:
+        with working(coordinator.url, token="wrong") as running:
             assert running.join() == 1
         assert "401 Unauthorized: a bearer token is needed" in caplog.text
         coordinator.add()
-        with working(coordinator.url, token="right"):  # noqa: S106
+        with working(coordinator.url, token="right"):
             coordinator.wait_for_all()
 
 

@@ -64,7 +64,9 @@ def working(url: str, *, token: str | None = None, **settings: Any) -> Iterator[
 def worker_program(url: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
     """Run ``python -m worker``; its log can be read from ``stderr`` after its end."""
     command = [sys.executable, "-m", "worker", "--server", url, "--wait", "5", "--memory", "512", *arguments]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT) as program:
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT
+    ) as program:
         try:
             yield program
         finally:
