@@ -61,7 +61,8 @@ def listen(settings: Settings) -> socket.socket:
     """
     check_exposed(settings)
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM)
+    # asyncio turns Nagle's algorithm off only where the protocol is named; else every answer waits 40 ms for an ACK.
+    listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind((settings.host, settings.port))
@@ -146,6 +147,11 @@ class WorkerProcesses:
                         start_new_session=True,  # Ctrl-C is for this command, which then stops its workers
                     )
                 )
+
+    @property
+    def pids(self) -> list[int]:
+        """Process ids of the workers."""
+        return [process.pid for process in self._running]
 
     def replace_dead(self) -> int:
         """Start a worker for each that died; return how many."""
