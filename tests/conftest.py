@@ -1,0 +1,69 @@
+"""Fixtures of all tests: a database of one's own on SQLite and on a real Postgres."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from server.catalogue import PROBLEMS
+from server.db.engine import Engines, open_engines
+from sim import catalogue
+from support.api import coordinator
+from support.databases import BACKENDS, Databases, sqlite_template
+from support.postgres import NoPostgres, PostgresDatabases, running_postgres
+from support.problems import PLUGINS
+
+
+@pytest.fixture(scope="session")
+def postgres_databases() -> Iterator[PostgresDatabases]:
+    """A Postgres server for the session; where none can be had, the tests that need one fail and say why."""
+    try:
+        with running_postgres() as url:
+            databases = PostgresDatabases(url)
+            yield databases
+            databases.close()
+    except NoPostgres as error:
+        pytest.fail(str(error), pytrace=False)
+
+
+@pytest.fixture(scope="session")
+def sqlite_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A migrated SQLite file, to be copied."""
+    return sqlite_template(tmp_path_factory.mktemp("sqlite"))
+
+
+@pytest.fixture(params=BACKENDS)
+def databases(request: pytest.FixtureRequest, sqlite_file: Path, tmp_path: Path) -> Databases:
+    """Databases of one kind: a test that uses them runs on SQLite and on Postgres."""
+    backend: str = request.param
+    postgres = request.getfixturevalue("postgres_databases") if backend == "postgres" else None
+    return Databases(backend=backend, template=sqlite_file, folder=tmp_path, postgres=postgres)
+
+
+@pytest.fixture
+def database_url(databases: Databases) -> Iterator[str]:
+    """The URL of a migrated database of the test's own."""
+    with databases.database() as url:
+        yield url
+
+
+@pytest.fixture
+def engines(database_url: str) -> Iterator[Engines]:
+    """The engines of a migrated database of the test's own."""
+    opened = open_engines(database_url)
+    yield opened
+    opened.dispose()
+
+
+@pytest.fixture
+def small_problems(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Register ``ball@1`` and ``line@1`` for the length of a test."""
+    monkeypatch.setitem(catalogue._registered, PROBLEMS, dict(PLUGINS))
+
+
+@pytest.fixture
+def client(database_url: str, small_problems: None) -> Iterator[httpx.Client]:
+    """A client of a coordinator in this process, on a database of the test's own."""
+    with coordinator(database_url) as opened:
+        yield opened
