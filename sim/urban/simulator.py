@@ -5,6 +5,7 @@ episodes on the same class of processor: every draw comes from a stream addresse
 anew, and the physics engine is emptied first.
 """
 
+import json
 import math
 import platform
 import time
@@ -64,7 +65,8 @@ class BrinkDrive:
         verdicts = {name: requirement.verdict() for name, requirement in requirements.items()}
         trace = None
         if recorder is not None:
-            about: JsonObject = {"spec": spec.to_json(), "versions": dict(versions())}
+            # From the canonical text, so that the trace does not depend on the order of the fields.
+            about: JsonObject = {"spec": json.loads(spec.canonical_json()), "versions": dict(versions())}
             trace = recorder.trace(about).to_bytes()
         return EpisodeResult(
             verdicts=verdicts,

@@ -57,7 +57,7 @@ _SKIES: Mapping[Weather, _Sky] = {
     Weather.MEDIUM_RAIN: _Sky(friction=0.5, rain=0.6, wet=1.0, overcast=1.0),
     Weather.HARD_RAIN: _Sky(friction=0.4, rain=1.0, wet=1.0, overcast=1.0),
 }
-_DARKNESS: Mapping[TimeOfDay, float] = {TimeOfDay.NOON: 0.0, TimeOfDay.SUNSET: 0.35, TimeOfDay.NIGHT: 1.0}
+_DARKNESS: Mapping[TimeOfDay, float] = {TimeOfDay.NOON: 0.0, TimeOfDay.SUNSET: 0.35, TimeOfDay.NIGHT: 0.9}
 
 
 def conditions(time_of_day: TimeOfDay, weather: Weather) -> Conditions:
@@ -66,7 +66,7 @@ def conditions(time_of_day: TimeOfDay, weather: Weather) -> Conditions:
     A low sun dazzles only in a clear sky, most on a wet road; clouds take away glare and make it darker.
     """
     sky = _SKIES[weather]
-    dark = min(_DARKNESS[time_of_day] + 0.1 * sky.overcast, 1.0)
+    dark = _DARKNESS[time_of_day] + 0.1 * sky.overcast
     glare = (1.0 - sky.overcast) * (1.0 + 0.5 * sky.wet) if time_of_day is TimeOfDay.SUNSET else 0.0
     murk = sky.rain + 0.5 * dark + 0.5 * glare
     return Conditions(
@@ -76,7 +76,7 @@ def conditions(time_of_day: TimeOfDay, weather: Weather) -> Conditions:
         light_range_m=max(70.0 - 18.0 * sky.rain - 8.0 * dark - 14.0 * glare, 20.0),
         light_miss_share=0.02 + 0.08 * sky.rain + 0.04 * dark + 0.12 * glare,
         light_confusion_share=0.002 + 0.006 * sky.rain + 0.012 * glare,
-        speed_share=1.02 - 0.10 * sky.rain - 0.04 * sky.wet - 0.08 * dark - 0.08 * glare,
+        speed_share=1.05 - 0.10 * sky.rain - 0.04 * sky.wet - 0.08 * dark - 0.08 * glare,
         headway_s=1.2 + 0.4 * sky.rain + 0.2 * dark,
         firmness_mps2=2.8 - 0.8 * sky.rain - 0.3 * sky.wet,
         walking_mps=1.25 + 0.35 * sky.rain + 0.1 * sky.wet,

@@ -1,0 +1,118 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sim.episode import EpisodeSpec
+from sim.urban import difficulty
+from sim.urban.behaviour import BOX_FIELDS, DetectorBehaviour, trajectory_ranges
+from sim.urban.difficulty import Row, Sizes, main_effect_p, measure
+from sim.urban.draws import PARAMETERS, Draw, distance, draw, neighbour, redraw, without_ghosts
+from sim.urban.scenario import UrbanScenario
+from sim.urban.trials import Trial, run_trials
+
+seeds = st.integers(0, 2**32)
+
+
+def check(candidate: Draw) -> None:
+    spec = candidate.spec(1, ("front-gap@1",))
+    UrbanScenario.from_json(spec.scenario)
+    DetectorBehaviour.from_json(spec.behaviour)
+    for ghost in range(2):
+        values = candidate.values
+        if candidate.is_null(ghost):
+            assert all(values[f"{ghost}.{name}"] == 0.0 for name in trajectory_ranges())
+            continue
+        assert float(values[f"{ghost}.t1_step"]) - float(values[f"{ghost}.t0_step"]) >= 300 / 18 - 1e-9
+        for low, high in zip(BOX_FIELDS[::2], BOX_FIELDS[1::2], strict=True):
+            assert float(values[f"{ghost}.{high}"]) - float(values[f"{ghost}.{low}"]) >= 50.0 - 1e-9
+
+
+def test_there_are_twenty_nine_parameters() -> None:
+    assert len(PARAMETERS) == len(set(PARAMETERS)) == 29
+
+
+@given(seeds)
+def test_draws_are_valid_candidates(seed: int) -> None:
+    check(draw(np.random.default_rng(seed)))
+
+
+@given(seeds, st.sampled_from(PARAMETERS))
+def test_a_redraw_changes_its_parameter_and_stays_valid(seed: int, name: str) -> None:
+    rng = np.random.default_rng(seed)
+    base = draw(rng)
+    if "." in name and not name.endswith("label") and base.is_null(int(name[0])):
+        return
+    before = dict(base.values)
+    other = redraw(base, name, rng)
+    check(other)
+    assert base.values == before
+    assert other.values[name] != base.values[name] or "_px" in name or "step" in name
+    changed = {key for key in PARAMETERS if other.values[key] != base.values[key]}
+    group = name.split(".")[0]
+    assert all(key == name or ("." in name and key.startswith(f"{group}.")) for key in changed)
+
+
+@given(seeds)
+def test_distance_is_a_metric_on_candidates(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a, b, c = draw(rng), draw(rng), draw(rng)
+    assert distance(a, a) == 0.0
+    assert 0.0 <= distance(a, b) == distance(b, a) <= 1.0
+    assert distance(a, c) <= distance(a, b) + distance(b, c) + 1e-12
+
+
+@given(seeds)
+def test_neighbours_are_near_and_valid(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    base = draw(rng)
+    near = neighbour(base, rng)
+    check(near)
+    assert distance(base, near) < 0.2
+
+
+def test_one_category_is_an_eighteenth_apart() -> None:
+    rng = np.random.default_rng(3)
+    base = without_ghosts(draw(rng))
+    assert distance(base, redraw(base, "weather", rng)) == pytest.approx(1 / 18)
+
+
+def test_an_effect_is_found_and_its_absence_too() -> None:
+    rng = np.random.default_rng(5)
+    values = [(float(a), float(b)) for a, b in rng.uniform(size=(200, 2))]
+    noise = rng.normal(size=200)
+    hump = np.array([(abs(b - 0.5) < 0.25) - float(abs(a - 0.5) < 0.25) for a, b in values])
+    assert main_effect_p(values, hump + 0.5 * noise, rng, 999) < 0.01
+    p_values = [main_effect_p(values, rng.normal(size=200), rng, 199) for _ in range(60)]
+    assert 0.25 < float(np.mean(p_values)) < 0.75
+    assert main_effect_p(values, np.zeros(200), rng, 99) == 1.0
+
+
+def test_trials_come_in_order_and_the_same_from_any_number_of_processes() -> None:
+    specs = [draw(np.random.default_rng(i)).spec(i, ("front-gap@1",)) for i in range(6)]
+    alone = list(run_trials(specs, processes=1))
+    assert list(run_trials(specs, processes=2)) == alone
+    assert len({trial.robustness for trial in alone}) > 1
+
+
+def test_measuring_gives_every_row_and_tells_its_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fake(specs: list[EpisodeSpec], *, processes: int) -> list[Trial]:
+        trials = []
+        for spec in specs:
+            number = int(spec.digest()[:6], 16) / 16**6
+            is_oracle = spec.behaviour["mode"] == "oracle"
+            robustness = 1.0 if is_oracle else number - 0.4
+            trials.append(Trial(unsafe=robustness < 0, robustness=robustness))
+        return trials
+
+    monkeypatch.setattr(difficulty, "run_trials", fake)
+    told: list[tuple[str, int, int]] = []
+    sizes = Sizes(candidates=300, scenarios=10, reruns=100, pairs=50, redraws=20, ends=20, permutations=99)
+    rows: dict[str, Row] = {row.what: row for row in measure(sizes, progress=lambda *step: told.append(step))}
+    assert len(rows) == 5 + 1 + 1 + 1 + 2 + 29
+    assert rows["unsafe share"].met
+    assert rows["unsafe share with a perfect detector"].value == 0.0
+    assert not rows["verdicts that another seed flips"].met  # these verdicts are nothing but chance
+    assert not rows["verdict agreement of neighbours, less that of strangers"].met
+    assert told[0] == ("random candidates", 1, 300)
+    assert all(done <= total for _, done, total in told)

@@ -1,0 +1,192 @@
+import hashlib
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.catalogue import make_simulator
+from sim.episode import EpisodeResult, EpisodeSpec, JsonObject
+from sim.errors import InvalidEpisode
+from sim.requirements.registry import requirement_ids
+from sim.trace import Trace
+from sim.urban.draws import draw
+from sim.urban.simulator import BrinkDrive
+
+SCENARIO: JsonObject = {
+    "time_of_day": "night",
+    "weather": "medium_rain",
+    "pedestrians": 18,
+    "road_curve": "crossroad",
+    "road_id": 1,
+    "road_length": 1,
+    "driving_task": "second_exit",
+}
+ORACLE = EpisodeSpec(
+    simulator="brink-drive@1",
+    scenario=SCENARIO,
+    behaviour={"mode": "oracle"},
+    requirements=requirement_ids(),
+    seed=12,
+    duration_s=12.0,
+)
+BLIND = replace(ORACLE, behaviour={"mode": "injected", "trajectories": []}, duration_s=30.0)
+
+
+@pytest.fixture(name="simulator", scope="module")
+def _simulator() -> BrinkDrive:
+    return BrinkDrive()
+
+
+def fingerprint(result: EpisodeResult) -> str:
+    told = (
+        sorted((name, repr(verdict)) for name, verdict in result.verdicts.items()),
+        sorted((name, repr(value)) for name, value in result.features.items()),
+    )
+    return hashlib.sha256(repr(told).encode() + (result.trace or b"")).hexdigest()
+
+
+def test_the_catalogue_makes_it() -> None:
+    assert isinstance(make_simulator("brink-drive@1"), BrinkDrive)
+
+
+def test_every_requirement_of_the_specification_gets_a_finite_verdict(simulator: BrinkDrive) -> None:
+    result = simulator.run(ORACLE)
+    assert tuple(result.verdicts) == ORACLE.requirements
+    assert all(np.isfinite(verdict.robustness) for verdict in result.verdicts.values())
+    assert set(result.objectives) == {f"{name}:robustness" for name in ORACLE.requirements}
+    assert result.trace is None
+    assert result.provenance["simulator"] == "brink-drive@1"
+    assert result.provenance["instruction_set"]
+
+
+def test_an_episode_repeats_bit_for_bit_whatever_ran_before(simulator: BrinkDrive) -> None:
+    first = fingerprint(simulator.run(ORACLE, record=True))
+    simulator.run(BLIND)
+    simulator.run(replace(BLIND, seed=99, scenario={**SCENARIO, "pedestrians": 0}))
+    assert fingerprint(simulator.run(ORACLE, record=True)) == first
+    assert fingerprint(BrinkDrive().run(ORACLE, record=True)) == first
+
+
+def test_an_episode_repeats_bit_for_bit_in_another_process(simulator: BrinkDrive) -> None:
+    code = (
+        "import json, sys\n"
+        "sys.path.insert(0, sys.argv[1])\n"
+        "from test_urban_simulator import fingerprint\n"
+        "from sim.episode import EpisodeSpec\n"
+        "from sim.urban.simulator import BrinkDrive\n"
+        "spec = EpisodeSpec.from_json(json.loads(sys.argv[2]))\n"
+        "print('fingerprint', fingerprint(BrinkDrive().run(spec, record=True)))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, __file__.rpartition("/")[0], ORACLE.canonical_json()],
+        check=True,
+        capture_output=True,
+        text=True,
+        env={"PYTHONHASHSEED": "77"},
+    )
+    there = done.stdout.split("fingerprint ")[1].strip()
+    assert there == fingerprint(simulator.run(ORACLE, record=True))
+
+
+def test_another_seed_is_another_episode(simulator: BrinkDrive) -> None:
+    one, other = simulator.run(ORACLE, record=True), simulator.run(replace(ORACLE, seed=13), record=True)
+    assert one.trace is not None
+    assert other.trace is not None
+    first, second = Trace.from_bytes(one.trace), Trace.from_bytes(other.trace)
+    assert not np.array_equal(first.actors[0].motion, second.actors[0].motion)
+
+
+def test_one_pedestrian_more_or_less_shifts_nobodys_chance(simulator: BrinkDrive) -> None:
+    crowd = simulator.run(replace(BLIND, duration_s=1.0), record=True)
+    empty = simulator.run(
+        replace(BLIND, duration_s=1.0, scenario={**SCENARIO, "pedestrians": 0}), record=True
+    )
+    assert crowd.trace is not None
+    assert empty.trace is not None
+    with_people, without = Trace.from_bytes(crowd.trace), Trace.from_bytes(empty.trace)
+    assert np.array_equal(with_people.ego, without.ego)
+    for one, other in zip(without.actors, with_people.actors, strict=False):
+        assert one.name == other.name
+        assert np.array_equal(one.motion, other.motion)
+
+
+def test_a_trace_is_complete_and_agrees_with_the_verdicts(simulator: BrinkDrive) -> None:
+    result = simulator.run(ORACLE, record=True)
+    assert result.trace is not None
+    trace = Trace.from_bytes(result.trace)
+    count = len(trace.time_s)
+    assert count == 120 or result.features["ended"] != "time"
+    assert np.allclose(np.diff(trace.time_s), 0.1, atol=1e-5)
+    assert trace.ego.shape == (count, 5)
+    assert all(actor.motion.shape == (count, 4) for actor in trace.actors)
+    assert sum(actor.kind == "pedestrian" for actor in trace.actors) == 18
+    for ragged in (trace.seen_boxes, trace.given_boxes, trace.perceived):
+        assert len(ragged.first) == count + 1
+    assert np.array_equal(trace.seen_boxes.rows, trace.given_boxes.rows)
+    assert set(trace.lights) <= {"green", "amber", "red", ""}
+    assert "red" in trace.lights
+    for name, verdict in result.verdicts.items():
+        series = trace.robustness[name]
+        assert series.shape == (count,)
+        assert float(series.min()) == pytest.approx(verdict.robustness, abs=1e-4)
+
+
+def test_injected_boxes_are_what_the_driving_system_gets_and_truth_is_what_the_camera_sees(
+    simulator: BrinkDrive,
+) -> None:
+    ghost: JsonObject = {"label": "person", "t0_step": 5.0, "t1_step": 40.0}
+    for end in (0, 1):
+        ghost |= {f"x_min_{end}_px": 380.0, f"x_max_{end}_px": 430.0}
+        ghost |= {f"y_min_{end}_px": 250.0, f"y_max_{end}_px": 400.0}
+    spec = replace(BLIND, behaviour={"mode": "injected", "trajectories": [ghost]}, duration_s=6.0)
+    result = simulator.run(spec, record=True)
+    assert result.trace is not None
+    trace = Trace.from_bytes(result.trace)
+    given = [len(trace.given_boxes.at(sample)) for sample in range(len(trace.time_s))]
+    assert given == [int(5 <= step <= 40) for step in range(len(given))]
+    assert len(trace.seen_boxes.at(0)) >= 1
+    assert trace.ego[25:40, 3].max() < 3.0  # it stays behind the ghost of a person
+
+
+def test_an_ego_that_sees_nothing_drives_into_slow_traffic(simulator: BrinkDrive) -> None:
+    scenario: JsonObject = {
+        **SCENARIO,
+        "weather": "hard_rain",
+        "road_length": 2,
+        "driving_task": "follow_road",
+    }
+    result = simulator.run(replace(BLIND, scenario=scenario))
+    verdict = result.verdicts["front-gap@1"]
+    assert verdict.violated
+    assert verdict.violated_at_s is not None
+    assert result.features["ended"] == "collision"
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"options": {"fidelty": "bicycle"}}, "did you mean 'fidelity'"),
+        ({"options": {"fidelity": "tricycle"}}, "expected one of bicycle"),
+        ({"requirements": ("front-gap",)}, "did you mean 'front-gap@1'"),
+        ({"requirements": ("front-gap@1", "front-gap@1")}, "twice"),
+        ({"duration_s": 1e6}, "expected at most"),
+        ({"simulator": "other@1"}, "this is brink-drive@1"),
+        ({"scenario": {}}, "scenario.time_of_day: missing"),
+        ({"behaviour": {"mode": "injected"}}, "behaviour.trajectories: missing"),
+    ],
+)
+def test_what_can_never_run_is_refused(
+    simulator: BrinkDrive, changes: dict[str, object], expected: str
+) -> None:
+    with pytest.raises(InvalidEpisode, match=expected):
+        simulator.run(replace(ORACLE, **changes))  # type: ignore[arg-type]
+
+
+def test_random_candidates_all_run(simulator: BrinkDrive) -> None:
+    for index in range(12):
+        spec = draw(np.random.default_rng(index)).spec(index, ("front-gap@1",))
+        result = simulator.run(spec)
+        assert -1.5 <= result.verdicts["front-gap@1"].robustness <= 50.0
+        assert result.features["ended"] in ("goal", "collision", "time")
