@@ -42,7 +42,7 @@ def figure_dbs(inputs: CampaignFigures) -> Figure:
         f"{inputs.title}: distinct boundary solutions",
         "How many solutions lie within t_b of the hazard boundary and at least d_th apart, at each share of the "
         "simulations, scored with only what was known then.\n"
-        f"Dashed: strict, only those whose interval contains p_th = {p_th:g} with both verdicts among the neighbours.",
+        f"Dashed: strict, interval contains p_th = {p_th:g}, and both verdicts occur among the neighbours.",
     )
     points = list(dbs_by_budget(archive, int(archive.numbers[-1]) + 1, FRACTIONS)) if len(archive) else []
     grid = figure.add_gridspec(

@@ -66,8 +66,8 @@ def figure_embedding(inputs: CampaignFigures) -> Figure:
     figure = new_figure(
         HEIGHT_PX,
         f"{inputs.title}: map of the search",
-        "Each dot is one simulated drive: a scenario together with a behaviour of the machine-learned component. "
-        "Alike drives lie near each other.\n"
+        f"Each dot is one complete solution ({' + '.join(part.name for part in inputs.space.components)}), evaluated "
+        "once. Alike solutions lie near each other.\n"
         "The rings are the result: distinct solutions on the hazard boundary, where safe turns into unsafe.",
     )
     axes = figure.add_axes(
@@ -227,8 +227,8 @@ def _write_key(figure: Figure, inputs: CampaignFigures, drawn: _Map) -> None:
     figure.text(
         TEXT_LEFT_PX / WIDTH_PX,
         MAP_BOTTOM_PX / HEIGHT_PX,
-        f"Distances on the map follow the distances between\nsolutions; two dimensions hold {drawn.explained:.0%} of "
-        "them (squared).",
+        "Distances on the map follow the distances between\n"
+        f"solutions. Its two dimensions hold {drawn.explained:.0%} of the spread.",
         fontsize=SMALL_PT, color=MUTED, va="bottom", linespacing=1.5,
     )  # fmt: skip
 

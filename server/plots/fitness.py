@@ -36,8 +36,8 @@ def figure_fitness(inputs: CampaignFigures) -> Figure:
     figure = new_figure(
         HEIGHT_PX,
         f"{inputs.title}: progress of the search",
-        "Fitness is how far the unsafe share of a solution's neighbourhood may lie from "
-        f"p_th = {inputs.archive.neighbourhood.p_th:g} (0 is on the boundary).\n"
+        "Fitness: how far the 95% interval of the unsafe share around a solution reaches away from "
+        f"p_th = {inputs.archive.neighbourhood.p_th:g}; 0 is on the boundary.\n"
         "All solutions are scored anew after each generation, with only what was known then.",
     )
     grid = figure.add_gridspec(
@@ -116,7 +116,7 @@ def _plot_unsafe(axes: Axes, inputs: CampaignFigures, ends: IntArray) -> None:
     axes.plot(ends, so_far, color=UNSAFE, linewidth=2.2, label="so far")
     p_th = inputs.archive.neighbourhood.p_th
     axes.axhline(p_th, color=MUTED, linewidth=1.1, linestyle=(0, (4, 3)))
-    axes.set_ylim(0, min(1.02, max(float(share.max()), p_th) * 1.12))
+    axes.set_ylim(0, min(1.02, max(float(share.max()) * 1.12, p_th * 1.6)))
     axes.yaxis.set_major_formatter(PercentFormatter(xmax=1, decimals=0))
     label_ends(
         axes,

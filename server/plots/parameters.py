@@ -185,13 +185,13 @@ def _plot(axes: Axes, dependence: Dependence, overall: float, ceiling: float, *,
         lower, upper = wilson_interval(unsafe, counts)
         axes.vlines(places, lower, upper, color=colour, linewidth=2.2, alpha=0.45)
         axes.plot(
-            places, unsafe / counts, color=colour, marker="o", markersize=5.5, 
+            places, unsafe / counts, color=colour, marker="o", markersize=5.5,
             linewidth=0 if dependence.labels else 1.2, gid="share",
         )  # fmt: skip
     else:
         say(axes, "null in every\nsolution so far")
     axes.set_ylim(-0.02 * ceiling, ceiling)
-    axes.yaxis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 2, 5, 10]))
+    axes.yaxis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 2, 2.5, 5, 10]))
     axes.yaxis.set_major_formatter(PercentFormatter(xmax=1, decimals=0))
     frame(axes)
     _name(axes, column, dependence)
