@@ -22,11 +22,13 @@ class ConfigError(SearchError, ValueError):
 
     Attributes:
         field: Name of the setting.
+        nearest: The valid value that is most like the one that came, if there is one.
     """
 
-    def __init__(self, field: str, message: str) -> None:
+    def __init__(self, field: str, message: str, *, nearest: str | None = None) -> None:
         super().__init__(f"{field}: {message}")
         self.field = field
+        self.nearest = nearest
 
 
 class UnsupportedSpace(SearchError, ValueError):

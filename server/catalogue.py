@@ -79,7 +79,7 @@ def make_params(params_type: type[Any], values: Mapping[str, Any], prefix: str) 
 def config_field_error(error: ConfigError, prefix: str) -> FieldError:
     """Return a configuration error as a pointer and an expectation."""
     message = str(error).removeprefix(f"{error.field}: ")
-    return FieldError(pointer=f"{prefix}/{error.field}", message=message)
+    return FieldError(pointer=f"{prefix}/{error.field}", message=message, nearest=error.nearest)
 
 
 def _load(group: str, plugin_id: str, pointer: str, what: str) -> Any:

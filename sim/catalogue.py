@@ -11,14 +11,14 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Protocol, cast
 
 from sim.episode import EpisodeResult, EpisodeSpec
-from sim.errors import InvalidEpisode
+from sim.errors import InvalidEpisode, PluginMissing
 
 SIMULATORS = "brink.simulators"
 REQUIREMENTS = "brink.requirements"
 PLUGINS_VARIABLE = "BRINK_PLUGINS"
 """Environment variable with comma-separated modules to import for their registrations."""
 
-_registered: dict[str, dict[str, Callable[[], object]]] = {}
+_registered: dict[str, dict[str, Callable[..., object]]] = {}
 
 
 class Simulator(Protocol):
@@ -38,8 +38,14 @@ class Simulator(Protocol):
         ...
 
 
-def register(group: str, plugin_id: str, factory: Callable[[], object]) -> None:
-    """Add a plug-in without an entry point, for modules named in ``BRINK_PLUGINS``."""
+def register(group: str, plugin_id: str, factory: Callable[..., object]) -> None:
+    """Add a plug-in without an entry point, for modules named in ``BRINK_PLUGINS``.
+
+    Args:
+        group: Such as ``brink.simulators``.
+        plugin_id: Versioned id, such as ``brink-drive@1``.
+        factory: What an entry point would load: a class, or a function that makes one of its kind.
+    """
     _registered.setdefault(group, {})[plugin_id] = factory
 
 
@@ -51,7 +57,12 @@ def _entry_points(group: str) -> Mapping[str, EntryPoint]:
 @cache
 def _import_plugin_modules() -> None:
     for name in filter(None, os.environ.get(PLUGINS_VARIABLE, "").split(",")):
-        importlib.import_module(name.strip())
+        try:
+            importlib.import_module(name.strip())
+        except ImportError as error:
+            raise PluginMissing(
+                f"{PLUGINS_VARIABLE} names {name.strip()!r}, which cannot be imported from here: {error}"
+            ) from error
 
 
 def plugin_ids(group: str) -> tuple[str, ...]:

@@ -1,8 +1,9 @@
 """Errors of the simulator package.
 
-    SimulatorError
-    ├── InvalidEpisode      final: the specification can never run; fix it
-    └── SimulationCrashed   retryable: this run broke; the same specification may run elsewhere
+SimulatorError
+├── InvalidEpisode      final: the specification can never run; fix it
+├── PluginMissing       final: a module that was named for its plug-ins cannot be imported
+└── SimulationCrashed   retryable: this run broke; the same specification may run elsewhere
 """
 
 
@@ -12,6 +13,10 @@ class SimulatorError(Exception):
 
 class InvalidEpisode(SimulatorError):
     """The specification cannot be run by this simulator, now or ever."""
+
+
+class PluginMissing(SimulatorError):
+    """A module that was named for its plug-ins cannot be imported."""
 
 
 class SimulationCrashed(SimulatorError):

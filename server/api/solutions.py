@@ -223,6 +223,11 @@ async def _trace(
             job = await read(services.engines, lambda c: trace_job(c, campaign.id, number))
             if job is not None and job.status in (JobStatus.QUARANTINED, JobStatus.CANCELLED):
                 raise Conflict(f"solution {number}: the trace cannot be made: {job.last_error}")
+            if job is not None and job.status == JobStatus.DONE:
+                kept = await read(services.engines, lambda c: find_trace(c, campaign.id, number))
+                if kept is None:
+                    raise Conflict(f"solution {number}: its simulator records no traces")
+                return kept
             if asyncio.get_running_loop().time() >= deadline or gone.is_set():
                 return None
             await asyncio.sleep(LOOK_AGAIN_S)

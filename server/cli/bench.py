@@ -1,5 +1,224 @@
-"""`brink bench`: measurements, each with its target beside it."""
+"""`brink bench`: measurements of this installation, each figure with its target beside it."""
 
+import asyncio
+from pathlib import Path
+from typing import Annotated, Any
+
+import httpx
 import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from server.bench.rate import TARGET_SHARE, ServiceRate, measure_service
+from server.campaigns.body import CampaignBody, read_campaign_file
+from server.cli.api import TIMEOUT, Api
+from server.cli.compare import compared, print_rows, rows_json
+from server.cli.coordinator import EmbeddedCoordinator, WorkerProcesses, prepare_database
+from server.cli.operate import follow
+from server.cli.options import AsJson, console, print_json
+from server.settings import Settings
 
 bench = typer.Typer(help="Measure this installation, each figure with its target.", no_args_is_help=True)
+
+PAPER_FILES = tuple(Path("examples") / f"paper-{name}.yaml" for name in ("mlcshe", "ga", "random"))
+PAPER_TARGET_S = 180.0
+
+
+@bench.command()
+def difficulty(
+    candidates: Annotated[int, typer.Option(min=100, help="Random candidates.")] = 2000,
+    share: Annotated[
+        float, typer.Option(min=0.01, max=1.0, help="Share of the other samples to run, for a quick look.")
+    ] = 1.0,
+    processes: Annotated[int, typer.Option(min=1, help="Processes to run episodes in.")] = 2,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Measure how hard the urban problem is, and what decides its verdicts.
+
+    Example: brink bench difficulty --candidates 2000
+    """
+    # Imported here: measuring runs episodes, which a coordinator never does.
+    from sim.urban.difficulty import Sizes, measure
+
+    full = Sizes()
+    sizes = Sizes(
+        candidates=candidates,
+        **{
+            name: max(20, round(share * getattr(full, name)))
+            for name in ("scenarios", "reruns", "pairs", "redraws", "ends")
+        },
+    )
+    rows: list[Any] = []
+    screen = Console(stderr=True)
+    with _progress(screen) as progress:
+        parts: dict[str, Any] = {}
+
+        def on_progress(part: str, done: int, total: int) -> None:
+            if part not in parts:
+                parts[part] = progress.add_task(part, total=total)
+            progress.update(parts[part], completed=done)
+            if done == total:
+                progress.update(parts[part], visible=False)
+
+        rows += measure(sizes, seed=seed, processes=processes, progress=on_progress)
+    if as_json:
+        print_json([{name: getattr(row, name) for name in row.__slots__} for row in rows])
+    else:
+        table = _table("what", "value", "target", "", "of")
+        for row in rows:
+            table.add_row(row.what, f"{row.value:.4g}", row.target, _met(row.met), row.note)
+        console().print(table)
+    if any(row.met is False for row in rows):
+        raise typer.Exit(1)
+
+
+@bench.command()
+def search(as_json: AsJson = False) -> None:
+    """Measure one generation step: 60 new solutions at growing archive sizes.
+
+    Example: brink bench search
+    """
+    from search.benchmark import measure
+
+    rows = measure()
+    if as_json:
+        print_json([{name: getattr(row, name) for name in row.__slots__} for row in rows])
+        return
+    table = _table("archived", "new", "min ms", "median ms", "target ms", "")
+    for row in rows:
+        target = "" if row.target_ms is None else f"at most {row.target_ms:g}"
+        table.add_row(
+            f"{row.solutions:,}",
+            str(row.new),
+            f"{row.min_ms:.2f}",
+            f"{row.median_ms:.2f}",
+            target,
+            _met(row.met),
+        )
+    console().print(table)
+
+
+@bench.command()
+def sim(
+    episodes: Annotated[int, typer.Option(min=20, help="Episodes a run.")] = 240,
+    repeats: Annotated[int, typer.Option(min=1, help="Runs of each kind.")] = 3,
+    as_json: AsJson = False,
+) -> None:
+    """Measure episodes: CPU time of one, and how many a second with 1 and 2 workers through the whole service.
+
+    Example: brink bench sim
+    """
+    from sim.urban.benchmark import measure as measure_episodes
+
+    kinds = list(measure_episodes())
+    rates = []
+    with Console(stderr=True).status("measuring") as status:
+        for algorithm in ("random@1", "mlcshe@1"):
+            for workers in (1, 2):
+                status.update(f"{algorithm} with {workers} workers against a bare loop")
+                rates.append(measure_service(workers, algorithm, episodes=episodes, repeats=repeats))
+    if as_json:
+        print_json(
+            {
+                "episodes": [{name: getattr(kind, name) for name in kind.__slots__} for kind in kinds],
+                "service": [{name: getattr(rate, name) for name in rate.__slots__} for rate in rates],
+            }
+        )
+        return
+    screen = console()
+    table = _table("episode of 30 s", "CPU ms", "target", "")
+    for kind in kinds:
+        table.add_row(kind.what, f"{kind.value:.1f}", kind.target, _met(kind.met))
+    screen.print(table)
+    screen.print(_rate_table(rates))
+    screen.print(
+        "[dim]CPU ms an episode. The rest of the difference is waiting: for the last episodes of a generation, and "
+        "for the next one. Random search proposes all episodes at once, MLCSHE in generations.[/dim]"
+    )
+
+
+def _rate_table(rates: list[ServiceRate]) -> Table:
+    table = _table(
+        "algorithm", "workers", "service /s", "bare /s", "share", "target", "", "coordinator", "worker",
+        "episode", "bare episode",
+    )  # fmt: skip
+    for rate in rates:
+        table.add_row(
+            rate.algorithm, str(rate.workers), f"{rate.service_per_s:.1f}", f"{rate.bare_per_s:.1f}",
+            f"{rate.share:.1%}", f"at least {TARGET_SHARE:.0%}", _met(rate.share >= TARGET_SHARE),
+            f"{rate.coordinator_ms:.2f}", f"{rate.worker_ms:.2f}", f"{rate.episode_ms:.1f}",
+            f"{rate.bare_ms:.1f}",
+        )  # fmt: skip
+    return table
+
+
+@bench.command()
+def paper(
+    workers: Annotated[int, typer.Option(min=1)] = 2,
+    database: Annotated[str, typer.Option(help="Database URL.")] = "sqlite:///brink-paper.db",
+    files: Annotated[list[Path] | None, typer.Argument(help="Campaign files.")] = None,
+    control: Annotated[bool, typer.Option(help="Add controls: verdicts that ignore behaviour.")] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Run the paper's three campaigns and print their DBS tables, each beside its controls.
+
+    Example: brink bench paper --workers 2
+    """
+    bodies = [read_campaign_file(path) for path in files or PAPER_FILES]
+    settings = Settings(database=database, port=0)
+    prepare_database(settings)
+    coordinator = EmbeddedCoordinator(settings)
+    coordinator.start()
+    processes = WorkerProcesses(url=coordinator.url, log_file=Path("brink-results/worker.log"), token=None)
+    try:
+        processes.start(workers)
+        times, rows = asyncio.run(_paper(coordinator.url, bodies, control=control, quiet=as_json))
+    finally:
+        processes.stop()
+        coordinator.stop()
+    if as_json:
+        print_json({"seconds": times, "rows": rows_json(rows)})
+        return
+    screen = console()
+    table = _table("campaign", "seconds", "target", "")
+    for name, seconds in times.items():
+        table.add_row(name, f"{seconds:.0f}", f"under {PAPER_TARGET_S:.0f}", _met(seconds < PAPER_TARGET_S))
+    screen.print(table)
+    screen.print()
+    print_rows(screen, rows)
+
+
+async def _paper(
+    url: str, bodies: list[CampaignBody], *, control: bool, quiet: bool
+) -> tuple[dict[str, float], list[Any]]:
+    times: dict[str, float] = {}
+    ids = []
+    async with httpx.AsyncClient(base_url=url, timeout=TIMEOUT) as client:
+        api = Api(client, url)
+        for body in bodies:
+            fresh = body.model_copy(update={"execution": body.execution.model_copy(update={"cache": False})})
+            campaign = await api.post("/campaigns", fresh.model_dump(mode="json"))
+            ids.append(campaign["id"])
+            await follow(api, campaign["id"], as_json=False, quiet=quiet)
+            times[body.name] = (await api.get(f"/campaigns/{campaign['id']}/progress"))["elapsed_s"]
+        return times, await compared(api, ids, control=control)
+
+
+def _progress(screen: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+        console=screen, transient=True,
+    )  # fmt: skip
+
+
+def _table(*columns: str) -> Table:
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    for index, name in enumerate(columns):
+        table.add_column(name, justify="left" if index == 0 or name in ("target", "", "of") else "right")
+    return table
+
+
+def _met(met: bool | None) -> str:
+    return {None: "", True: "met", False: "MISSED"}[met]

@@ -1,14 +1,17 @@
 """The command `brink`. Exits 0, 1 if something failed, 2 if it was called wrongly."""
 
 import logging
+import os
 import sys
 from typing import Annotated
 
 import typer
 
 from server.cli import bench, inspect, operate
+from server.cli.compare import compare
 from server.cli.run import run
 from server.errors import InvalidInput, ServerError
+from sim.catalogue import PLUGINS_VARIABLE
 from sim.errors import SimulatorError
 from worker.errors import WorkerError
 
@@ -28,6 +31,7 @@ app.command()(inspect.status)
 app.command()(inspect.results)
 app.command()(inspect.plot)
 app.command()(inspect.replay)
+app.command()(compare)
 app.add_typer(operate.db, name="db")
 app.add_typer(bench.bench, name="bench")
 
@@ -35,8 +39,18 @@ app.add_typer(bench.bench, name="bench")
 @app.callback()
 def options(
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log what happens to stderr.")] = False,
+    plugin: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Module with plug-ins, importable from here; may be given again.", metavar="MODULE"
+        ),
+    ] = None,
 ) -> None:
     """Find where a driving system with a machine-learned component stops being safe."""
+    if plugin:
+        named = [*filter(None, os.environ.get(PLUGINS_VARIABLE, "").split(",")), *plugin]
+        os.environ[PLUGINS_VARIABLE] = ",".join(named)  # for the workers that this command starts, too
+        sys.path.insert(0, os.getcwd())
     logging.basicConfig(
         level=logging.INFO if verbose else logging.WARNING,
         format="%(asctime)s %(levelname)s %(name)s %(message)s",

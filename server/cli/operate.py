@@ -57,9 +57,6 @@ def worker(
     exit_when_idle_s: Annotated[
         float | None, typer.Option(min=0.0, help="Leave after this time without a job.")
     ] = None,
-    plugin: Annotated[
-        list[str] | None, typer.Option(help="Module to import for its plug-ins; may be given again.")
-    ] = None,
 ) -> None:
     """Run one worker: leases simulations from a coordinator, runs them, reports. Start one a core.
 
@@ -73,7 +70,6 @@ def worker(
         max_jobs=max_jobs,
         memory_mib=memory_mib,
         exit_when_idle_s=exit_when_idle_s,
-        plugins=tuple(plugin or ()),
     )
     raise typer.Exit(run_worker(settings))
 
@@ -115,26 +111,25 @@ def submit(
         raise typer.Exit(1)
 
 
-async def follow(api: Api, campaign_id: str, *, as_json: bool) -> bool:
+async def follow(api: Api, campaign_id: str, *, as_json: bool, quiet: bool = False) -> bool:
     """Show progress until a campaign ends; return whether it finished."""
     screen = console()
     with CampaignDisplay(screen) as display:
         while True:
             progress = await api.get(f"/campaigns/{campaign_id}/progress", {"since": display.generations})
-            if not as_json:
+            if not (as_json or quiet):
                 display.show(progress)
             if progress["status"] != "running":
                 break
             await asyncio.sleep(WATCH_S)
     if as_json:
         print_json(progress)
-    else:
+    elif not quiet:
         screen.print(
             f"campaign {campaign_id} is {progress['status']}: {progress['simulations']} simulations, "
             f"{progress['unsafe']} unsafe {progress['status_reason']}"
         )
-        if progress["digest"]:
-            screen.print(f"archive sha256 {progress['digest']}")
+        screen.print(f"archive sha256 {progress['digest']}")
     return bool(progress["status"] == "finished")
 
 

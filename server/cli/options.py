@@ -13,6 +13,7 @@ from server.cli.api import Api, open_api
 from server.settings import Settings
 
 T = TypeVar("T")
+PLAIN_WIDTH = 140
 
 Database = Annotated[
     str | None,
@@ -60,5 +61,6 @@ def print_json(document: Any) -> None:
 
 
 def console() -> Console:
-    """Return the console for people."""
-    return Console(highlight=False)
+    """Return the console for people; where no terminal says how wide it is, wide enough for our tables."""
+    screen = Console(highlight=False)
+    return screen if screen.is_terminal else Console(highlight=False, width=PLAIN_WIDTH)

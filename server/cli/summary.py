@@ -34,10 +34,13 @@ def print_summary(
     screen.print(f"files in {summary['folder']}:")
     for path in summary["files"]:
         screen.print(f"  {path.removeprefix(summary['folder'] + '/')}")
-    _print_next(screen, campaign, boundary, database)
+    drawn = any("replay-" in path for path in summary["files"])
+    _print_next(screen, campaign, boundary, database, replays=drawn)
 
 
-def _print_next(screen: Console, campaign: str, boundary: dict[str, Any], database: str) -> None:
+def _print_next(
+    screen: Console, campaign: str, boundary: dict[str, Any], database: str, *, replays: bool
+) -> None:
     option = f" {database}" if database else ""
     screen.print()
     screen.print("next:")

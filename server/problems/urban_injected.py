@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from search.algorithm import Evaluation, Scored
+from search.errors import ConfigError
 from search.settings import check_settings, setting
 from search.space import (
     Categorical,
@@ -24,7 +25,10 @@ from search.space import (
     Real,
     SearchSpace,
 )
+from server.errors import nearest
 from server.problems.base import Vectors
+from sim.catalogue import REQUIREMENTS as REQUIREMENT_PLUGINS
+from sim.catalogue import plugin_ids
 from sim.episode import EpisodeSpec, Json
 from sim.urban import behaviour as b
 from sim.urban.scenario import PEDESTRIAN_COUNTS, ROAD_IDS, ROAD_LENGTHS, SCENARIO_CHOICES
@@ -50,7 +54,7 @@ class UrbanInjectedParams:
     """Parameters of the problem."""
 
     requirement: str = setting(
-        "front-gap@1", help="The requirement that gives the verdict; all are recorded.", choices=REQUIREMENTS
+        "front-gap@1", help="Id of the requirement that gives the verdict; all six of our own are recorded."
     )
     duration_s: float = setting(
         b.DEFAULT_DURATION_S, ge=5.0, le=120.0, unit="s", help="Length of an episode."
@@ -60,6 +64,13 @@ class UrbanInjectedParams:
 
     def __post_init__(self) -> None:
         check_settings(self)
+        known = plugin_ids(REQUIREMENT_PLUGINS)
+        if self.requirement not in known:
+            raise ConfigError(
+                "requirement",
+                f"expected one of {', '.join(known)}; got {self.requirement!r}",
+                nearest=nearest(self.requirement, known),
+            )
 
 
 def scenario_component() -> Component:
@@ -135,7 +146,7 @@ class UrbanInjected:
             simulator=SIMULATOR,
             scenario=_scenario(decoded["scenario"]),
             behaviour=_behaviour(decoded["behaviour"]),
-            requirements=REQUIREMENTS,
+            requirements=tuple(dict.fromkeys((*REQUIREMENTS, self.params.requirement))),
             seed=seed,
             duration_s=self.params.duration_s,
             options={"fidelity": self.params.fidelity},
