@@ -52,7 +52,10 @@ def _check_range(name: str, low: float, high: float, sigma: float | None) -> Non
 def _number(name: str, value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
         raise SpaceError(f"{name}: expected a number, got {value!r}")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError:
+        raise SpaceError(f"{name}: expected a number that a float can hold") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +79,8 @@ class Real:
     def __post_init__(self) -> None:
         check_name("parameter", self.name)
         _check_range(self.name, self.low, self.high, self.sigma)
+        object.__setattr__(self, "low", float(self.low))
+        object.__setattr__(self, "high", float(self.high))
 
     @property
     def range(self) -> float:

@@ -5,8 +5,8 @@ A catalogue turns such a dataclass into a JSON schema from `dataclasses.fields`:
 """
 
 import dataclasses
-import math
-from typing import Any, TypeVar, get_type_hints
+import sys
+from typing import Any, TypeVar, cast, get_type_hints
 
 from search.errors import ConfigError
 
@@ -52,7 +52,9 @@ def setting(
 
 def _is_of(kind: Any, value: object) -> bool:
     if kind is float:
-        return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        # NaN fails the comparison; so do infinities and whole numbers that no float can hold.
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        return number and -sys.float_info.max <= cast(float, value) <= sys.float_info.max
     if kind is int:
         return isinstance(value, int) and not isinstance(value, bool)
     return isinstance(value, kind)

@@ -154,8 +154,10 @@ class SearchSpace:
         Raises:
             SpaceError: A value is missing, unknown, out of range, or breaks a constraint; names the parameter.
         """
-        for name in values:
+        for name, content in values.items():
             self.index(name)
+            if not isinstance(content, Mapping):
+                raise SpaceError(f"{name}: expected its parameters by name, got {content!r}")
         missing = [component.name for component in self.components if component.name not in values]
         if missing:
             raise SpaceError(f"{missing[0]}: missing component")

@@ -1,7 +1,8 @@
 """A generational genetic algorithm on whole complete solutions, with the boundary fitness of the archive.
 
 It takes any space. Children that were evaluated before keep their place in the population and their fitness, and
-are not asked again. Source: Sharifi et al. 2023, baseline GA.
+are not asked again; a population that has converged, so that its children bring nothing new, gives way to a random
+one. Source: Sharifi et al. 2023, baseline GA.
 """
 
 from collections.abc import Mapping
@@ -20,8 +21,11 @@ from search.space import SearchSpace
 from search.streams import Stream, generator
 
 _VERSION = 1
-_BREEDINGS = 100
-"""Populations bred without one new solution after which the space counts as exhausted."""
+_BREEDINGS = 10
+"""Populations bred without one new solution after which the search starts afresh from a random one."""
+
+_RESTARTS = 90
+"""Random populations without one new solution after which a finite space counts as exhausted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,7 +89,7 @@ class GeneticAlgorithm:
         self.check(space, config, budget=budget)
         ledger = Ledger.opened(space, config, seed=seed, budget=budget)
         rng = generator(seed, Stream.START)
-        population = np.array([space.join(space.sample(rng)) for _ in range(config.population_size)])
+        population = _random_population(space, config.population_size, rng)
         return GeneticAlgorithmState(
             config=config,
             ledger=ledger.planned(ledger.unseen(population)),
@@ -106,14 +110,19 @@ class GeneticAlgorithm:
         if ledger.left <= 0:
             return told
         fitness = ledger.fitness_of(slice(0, ledger.space.dimension), state.population)
-        for attempt in range(_BREEDINGS):
-            population = _next_population(told, fitness, attempt)
+        for attempt in range(_BREEDINGS + _RESTARTS):
+            rng = generator(ledger.seed, Stream.BREEDING, ledger.generation, attempt)
+            population = (
+                _next_population(told, fitness, rng)
+                if attempt < _BREEDINGS
+                else _random_population(ledger.space, state.config.population_size, rng)
+            )
             if rows := ledger.unseen(population):
                 return replace(told, ledger=ledger.planned(rows), population=frozen_array(population))
         return told
 
     def finished(self, state: GeneticAlgorithmState) -> bool:
-        """Return whether the budget is spent, or many populations brought nothing new."""
+        """Return whether the budget is spent, or the space is."""
         return not state.ledger.queue
 
     def dump(self, state: GeneticAlgorithmState) -> Document:
@@ -129,10 +138,15 @@ class GeneticAlgorithm:
         return GeneticAlgorithmState(config=config, ledger=ledger, population=population)
 
 
-def _next_population(state: GeneticAlgorithmState, fitness: FloatArray, attempt: int) -> FloatArray:
+def _random_population(space: SearchSpace, size: int, rng: np.random.Generator) -> FloatArray:
+    return np.array([space.join(space.sample(rng)) for _ in range(size)])
+
+
+def _next_population(
+    state: GeneticAlgorithmState, fitness: FloatArray, rng: np.random.Generator
+) -> FloatArray:
     """Return a population of children, shape ``(population_size, d)``."""
-    config, ledger, space = state.config, state.ledger, state.ledger.space
-    rng = generator(ledger.seed, Stream.BREEDING, ledger.generation, attempt)
+    config, space = state.config, state.ledger.space
     children: list[FloatArray] = []
     while len(children) < config.population_size:
         mother, father = (

@@ -25,8 +25,11 @@ from search.space import SearchSpace
 from search.streams import Stream, generator
 
 _VERSION = 1
-_BREEDINGS = 100
-"""Pairs of populations bred without one new solution after which the space counts as exhausted."""
+_BREEDINGS = 10
+"""Generations bred without one new solution after which the search starts afresh from random populations."""
+
+_RESTARTS = 90
+"""Random populations without one new solution after which a finite space counts as exhausted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,7 +135,7 @@ class Mlcshe:
         """Return the first state, with nothing asked yet: the archives are the whole populations."""
         self.check(space, config, budget=budget)
         ledger = Ledger.opened(space, config, seed=seed, budget=budget)
-        first, second = (_random_population(ledger, config, index) for index in range(2))
+        first, second = (_random_population(ledger, config, index, attempt=0) for index in range(2))
         rows = ledger.unseen(_collaborations(ledger, config, (first, second), attempt=0))
         return MlcsheState(config=config, ledger=ledger.planned(rows), populations=(first, second))
 
@@ -148,14 +151,19 @@ class Mlcshe:
         if ledger.left <= 0:
             return told
         stocks = [_breeding_stock(told, index) for index in range(2)]
-        for attempt in range(_BREEDINGS):
-            first, second = (_next_population(told, stock, attempt) for stock in stocks)
+        for attempt in range(_BREEDINGS + _RESTARTS):
+            first, second = (
+                _next_population(told, stock, attempt)
+                if attempt < _BREEDINGS
+                else _random_population(ledger, state.config, stock.index, attempt)
+                for stock in stocks
+            )
             if rows := ledger.unseen(_collaborations(ledger, state.config, (first, second), attempt)):
                 return replace(told, ledger=ledger.planned(rows), populations=(first, second))
         return told
 
     def finished(self, state: MlcsheState) -> bool:
-        """Return whether the budget is spent, or many populations brought nothing new."""
+        """Return whether the budget is spent, or the space is."""
         return not state.ledger.queue
 
     def dump(self, state: MlcsheState) -> Document:
@@ -187,8 +195,9 @@ class Mlcshe:
                 raise DocumentError(f"population_archives: expected two whole numbers, got {got!r}")
 
 
-def _random_population(ledger: Ledger, config: MlcsheConfig, index: int) -> Population:
-    rng = generator(ledger.seed, Stream.START, index)
+def _random_population(ledger: Ledger, config: MlcsheConfig, index: int, attempt: int) -> Population:
+    """Return a random population that is its own archive, so that all pairs are joined."""
+    rng = generator(ledger.seed, Stream.START, ledger.generation, attempt, index)
     rows = [ledger.space.sample_component(index, rng) for _ in range(config.population_size)]
     return Population(individuals=frozen_array(np.array(rows)), archived=config.population_size)
 
@@ -264,6 +273,7 @@ def _next_population(state: MlcsheState, stock: BreedingStock, attempt: int) -> 
     config, ledger = state.config, state.ledger
     rng = generator(ledger.seed, Stream.BREEDING, ledger.generation, attempt, stock.index)
     wanted = len(stock.individuals) - len(stock.archived)
+    component = ledger.space.components[stock.index]
     children: list[FloatArray] = []
     while len(children) < wanted:
         mother, father = (
@@ -271,7 +281,7 @@ def _next_population(state: MlcsheState, stock: BreedingStock, attempt: int) -> 
         )
         children.extend(
             offspring(
-                ledger.space.components[stock.index],
+                component,
                 mother,
                 father,
                 crossover=config.gene_swap_probability,

@@ -58,7 +58,7 @@ def test_known_answers_of_the_replication_code(name: str, expected: int) -> None
 
 @pytest.mark.parametrize(("t_b", "d_th"), [(0.15, 0.1), (0.3, 0.2), (1.0, 0.3), (1.0, 0.0)])
 def test_boundary_is_taken_greedily_by_fitness_then_number(t_b: float, d_th: float) -> None:
-    archive = random_archive(150)
+    archive = random_archive(90)
     assert distinct_boundary(archive, t_b, d_th).tolist() == naive_boundary(archive, t_b, d_th)
 
 

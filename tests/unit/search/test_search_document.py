@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -36,6 +36,7 @@ def document(**changes: object) -> Document:
     header=st.dictionaries(st.text(), JSON_VALUES, max_size=4),
     arrays=st.dictionaries(st.from_regex(r"[a-z_]{1,12}", fullmatch=True), ARRAYS, max_size=4),
 )
+@settings(deadline=None)
 def test_document_comes_back_as_it_was_stored(
     header: dict[str, object], arrays: dict[str, np.typing.NDArray[np.generic]]
 ) -> None:
@@ -58,6 +59,7 @@ def test_equal_documents_have_equal_bytes_whatever_the_order_of_their_parts() ->
 
 
 @given(position=st.integers(0, 10_000), bit=st.integers(0, 7))
+@settings(deadline=None)
 def test_any_flipped_bit_is_noticed(position: int, bit: int) -> None:
     data = bytearray(document().to_bytes())
     data[position % len(data)] ^= 1 << bit

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from search.fitness import boundary_fitness, wilson_interval
@@ -44,6 +44,7 @@ def test_all_safe_neighbourhood_approaches_one_ninth() -> None:
     p_th=st.floats(0.01, 0.99),
     z=st.floats(0.1, 5),
 )
+@settings(deadline=None)
 def test_interval_holds_the_proportion_and_fitness_lies_in_the_unit_interval(
     counts: list[tuple[int, int]], p_th: float, z: float
 ) -> None:

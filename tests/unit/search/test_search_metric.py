@@ -3,7 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -57,6 +57,7 @@ def test_value_of_a_pair_depends_on_nothing_but_the_pair() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
+@settings(deadline=None)
 def test_distance_is_a_metric(seed: int) -> None:
     distance = Metric(RANGES, CATEGORICAL).between(random_rows(6, seed), random_rows(6, seed))
     assert np.array_equal(np.diag(distance), np.zeros(6))

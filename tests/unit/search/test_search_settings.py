@@ -41,6 +41,8 @@ def test_values_inside_their_bounds_are_taken() -> None:
         ({"share": 1.0}, "share", "share: expected a number >= 0 and < 1, got 1.0"),
         ({"share": -0.1}, "share", "got -0.1"),
         ({"share": math.nan}, "share", "got nan"),
+        ({"share": math.inf}, "share", "got inf"),
+        ({"share": 10**400}, "share", "got 1000"),
         ({"share": "0.5"}, "share", "got '0.5'"),
         ({"share": True}, "share", "got True"),
         ({"count": 0}, "count", r"count: expected a whole number > 0 and <= 10 \(cars\), got 0"),

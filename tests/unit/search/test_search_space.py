@@ -244,6 +244,7 @@ def test_encoding_then_decoding_gives_the_same_values() -> None:
         (("scenario", "cars"), True, r"scenario\.cars: expected a number, got True"),
         (("scenario", "car"), 1, r"scenario\.car: unknown parameter; did you mean 'cars'"),
         (("behaviour", "delay"), math.nan, r"behaviour\.delay: expected a number in \[0, 2\]"),
+        (("behaviour", "delay"), 10**400, r"behaviour\.delay: expected a number that a float can hold"),
         (("behaviour", "delay"), "late", r"behaviour\.delay: expected a number, got 'late'"),
         (("behaviour", "right"), 20, r"behaviour\.left: expected right at least 50 above left"),
         (("behaviour", "end"), 6, r"behaviour\.start: expected end at least 5 above start"),
@@ -266,6 +267,8 @@ def test_missing_and_unknown_components_and_parameters_are_named() -> None:
         SPACE.encode(values)
     with pytest.raises(SpaceError, match="behaviour: missing component"):
         SPACE.encode({"scenario": valid()["scenario"]})
+    with pytest.raises(SpaceError, match="behaviour: expected its parameters by name, got 3"):
+        SPACE.encode({**valid(), "behaviour": 3})  # type: ignore[dict-item]
     with pytest.raises(SpaceError, match="scenari: unknown component; did you mean 'scenario'"):
         SPACE.encode({**valid(), "scenari": {}})
 

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from search.streams import Stream, episode_seed, generator
@@ -29,6 +29,7 @@ def test_numbers_of_a_position_never_change() -> None:
 
 
 @given(st.integers(0, 2**63), st.integers(0, 10**9))
+@settings(deadline=None)
 def test_episode_seeds_survive_readers_that_keep_numbers_as_doubles(seed: int, number: int) -> None:
     value = episode_seed(seed, number)
     assert 0 <= value < 2**53

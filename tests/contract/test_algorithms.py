@@ -1,0 +1,111 @@
+"""Every registered algorithm keeps its contract on every kind of space that it supports."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from search.algorithm import Algorithm, Candidate, Evaluation, Failed, Scored
+from search.algorithms.random_search import RandomSearch, RandomSearchConfig, RandomSearchState
+from search.document import Document
+from search.errors import DocumentError
+from search.problems import mtq, onemax
+from search.space import SearchSpace
+from search.testing import ContractBroken, check_algorithm, example_spaces
+from sim.catalogue import load_plugin, plugin_ids
+
+GROUP = "brink.algorithms"
+SPACES = {**example_spaces(), "mtq": mtq.SPACE, "onemax": onemax.SPACE}
+
+
+def algorithm(plugin_id: str) -> Algorithm:
+    made: Any = load_plugin(GROUP, plugin_id)
+    instance: Algorithm = made()
+    return instance
+
+
+def test_the_projects_own_algorithms_are_registered() -> None:
+    assert {"mlcshe@1", "ga@1", "random@1"} <= set(plugin_ids(GROUP))
+
+
+@pytest.mark.parametrize("space", SPACES.values(), ids=SPACES)
+@pytest.mark.parametrize("plugin_id", plugin_ids(GROUP))
+def test_algorithm_keeps_its_contract(plugin_id: str, space: SearchSpace) -> None:
+    checked = algorithm(plugin_id)
+    assert checked.id == plugin_id
+    run = check_algorithm(checked, space, budget=170)
+    assert len(run.generations) >= 2
+
+
+@pytest.mark.parametrize("plugin_id", plugin_ids(GROUP))
+def test_state_of_another_algorithm_is_refused(plugin_id: str) -> None:
+    checked, space = algorithm(plugin_id), SPACES["mixed"]
+    state = checked.start(space, checked.config_type(), seed=1, budget=170)
+    stored = checked.dump(state)
+    for foreign in (replace(stored, kind="other@1"), replace(stored, version=stored.version + 1)):
+        with pytest.raises(DocumentError):
+            checked.load(space, checked.config_type(), Document.from_bytes(foreign.to_bytes()), state.archive)
+
+
+class Repeating(RandomSearch):
+    """Asks one solution twice."""
+
+    def ask(self, state: RandomSearchState) -> tuple[RandomSearchState, tuple[Candidate, ...]]:
+        state, candidates = super().ask(state)
+        doubled = (*candidates[:-1], replace(candidates[-1], vectors=candidates[0].vectors))
+        ledger = replace(state.ledger, queue=doubled)
+        return replace(state, ledger=ledger), doubled
+
+
+class Forgetful(RandomSearch):
+    """Loses its place when it is stored."""
+
+    def load(self, space: SearchSpace, config: RandomSearchConfig, document: Document, archive: Any) -> Any:
+        state = super().load(space, config, document, archive)
+        return replace(state, ledger=replace(state.ledger, seed=state.ledger.seed + 1))
+
+
+class Impatient(RandomSearch):
+    """Depends on the order in which evaluations arrive."""
+
+    def tell(self, state: RandomSearchState, evaluations: Any) -> RandomSearchState:
+        first: int = next(iter(evaluations), 0)
+        ledger = replace(state.ledger, seed=first)
+        return super().tell(replace(state, ledger=ledger), evaluations)
+
+
+class Optimist(RandomSearch):
+    """Counts failures as safe."""
+
+    def tell(self, state: RandomSearchState, evaluations: Any) -> RandomSearchState:
+        safe: dict[int, Evaluation] = {
+            number: Scored(unsafe=False, robustness=1.0) if isinstance(evaluation, Failed) else evaluation
+            for number, evaluation in evaluations.items()
+        }
+        return super().tell(state, safe)
+
+
+class Writable(RandomSearch):
+    """Hands out vectors that others can change."""
+
+    def ask(self, state: RandomSearchState) -> tuple[RandomSearchState, tuple[Candidate, ...]]:
+        state, candidates = super().ask(state)
+        loose = tuple(replace(c, vectors=tuple(np.array(v) for v in c.vectors)) for c in candidates)
+        return replace(state, ledger=replace(state.ledger, queue=loose)), loose
+
+
+@pytest.mark.parametrize(
+    ("broken", "promise"),
+    [
+        (Repeating(), "duplicates"),
+        (Forgetful(), "load"),
+        (Impatient(), "order in which evaluations arrive"),
+        (Optimist(), "every solution that did not fail"),
+        (Writable(), "read-only"),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_contract_catches_what_breaks_it(broken: Algorithm, promise: str) -> None:
+    with pytest.raises(ContractBroken, match=promise):
+        check_algorithm(broken, SPACES["mixed"], budget=150)
