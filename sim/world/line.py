@@ -34,7 +34,7 @@ class ReferenceLine:
         pieces: At least one, each longer than 0.
     """
 
-    __slots__ = ("_rows", "_starts", "length_m", "pieces", "start")
+    __slots__ = ("_inner_starts", "_rows", "length_m", "pieces", "start")
 
     def __init__(self, x_m: float, y_m: float, yaw_rad: float, pieces: Sequence[Piece]) -> None:
         if not pieces or any(piece.length_m <= 0 for piece in pieces):
@@ -63,14 +63,12 @@ class ReferenceLine:
             x_m, y_m, yaw_rad = _advance(x_m, y_m, yaw_rad, piece.curvature_1pm, piece.length_m)
             station_m = 0.0 if len(rows) == 1 else station_m + piece.length_m
         self._rows = tuple(rows)
-        self._starts = tuple(row[0] for row in rows)
-
-    def _row(self, station_m: float) -> int:
-        return max(bisect_right(self._starts, station_m) - 1, 0)
+        self._inner_starts = tuple(row[0] for row in rows[1:])
 
     def pose_at(self, station_m: float, offset_m: float = 0.0) -> tuple[float, float, float]:
         """Return (x_m, y_m, yaw_rad) at a station and offset."""
-        start_m, _, x_m, y_m, yaw_rad, curvature, cos_yaw, sin_yaw = self._rows[self._row(station_m)]
+        row = self._rows[bisect_right(self._inner_starts, station_m)]
+        start_m, _, x_m, y_m, yaw_rad, curvature, cos_yaw, sin_yaw = row
         along_m = station_m - start_m
         if curvature == 0.0:
             return (
@@ -88,7 +86,7 @@ class ReferenceLine:
 
     def curvature_at(self, station_m: float) -> float:
         """Return the signed curvature in 1/m."""
-        return self._rows[self._row(station_m)][5]
+        return self._rows[bisect_right(self._inner_starts, station_m)][5]
 
     def project(self, x_m: float, y_m: float, near_station_m: float) -> tuple[float, float]:
         """Return (station, offset) of the closest point of the line near a known station.
@@ -97,7 +95,7 @@ class ReferenceLine:
         it has been is no trap.
         """
         rows = self._rows
-        index = self._row(near_station_m)
+        index = bisect_right(self._inner_starts, near_station_m)
         came_from = -1
         while True:
             start_m, length_m, x0_m, y0_m, yaw_rad, curvature, cos_yaw, sin_yaw = rows[index]

@@ -174,16 +174,17 @@ class Vehicle:
         self._stop_m = math.inf
         self.x_m, self.y_m, self.yaw_rad = path.pose_at(station_m, self.offset_m)
 
-    def look(self, step: int, time_s: float, movers: Sequence[Mover]) -> None:
-        """Look for what is in the way, if it is this vehicle's turn.
+    def looks_at(self, step: int) -> bool:
+        """Return whether it is this vehicle's turn to look around at a 20 Hz step."""
+        return step % LOOK_EVERY_STEPS == self._phase or step == 0
+
+    def look(self, time_s: float, movers: Sequence[Mover]) -> None:
+        """Look for what is in the way.
 
         Args:
-            step: Number of the 20 Hz step.
             time_s: Simulated time.
             movers: Everything that could be in its way; may include itself.
         """
-        if step % LOOK_EVERY_STEPS != self._phase and step != 0:
-            return
         self._gap_m, self._gap_speed_mps = self._nearest(movers)
         front_m = self.station_m + 0.5 * self.length_m
         self._stop_m = math.inf

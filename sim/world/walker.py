@@ -111,11 +111,6 @@ class Walker:
         self._place()
 
     @property
-    def on_road(self) -> bool:
-        """Whether it is between the kerbs."""
-        return self.phase is Phase.CROSSING
-
-    @property
     def wants_zebra(self) -> bool:
         """Whether vehicles must let it cross."""
         return self.on_zebra and self.phase is not Phase.ALONG

@@ -76,7 +76,7 @@ def conditions(time_of_day: TimeOfDay, weather: Weather) -> Conditions:
         light_range_m=max(70.0 - 18.0 * sky.rain - 8.0 * dark - 14.0 * glare, 20.0),
         light_miss_share=0.02 + 0.08 * sky.rain + 0.04 * dark + 0.12 * glare,
         light_confusion_share=0.002 + 0.006 * sky.rain + 0.012 * glare,
-        speed_share=1.05 - 0.10 * sky.rain - 0.04 * sky.wet - 0.08 * dark - 0.08 * glare,
+        speed_share=1.06 - 0.14 * sky.rain - 0.03 * sky.wet - 0.08 * dark - 0.08 * glare,
         headway_s=1.2 + 0.4 * sky.rain + 0.2 * dark,
         firmness_mps2=2.8 - 0.8 * sky.rain - 0.3 * sky.wet,
         walking_mps=1.25 + 0.35 * sky.rain + 0.1 * sky.wet,

@@ -13,7 +13,7 @@ from sim.world.streams import Stream, generator
 from sim.world.task import ego_route, exit_junction
 from sim.world.traffic import Surroundings, make_traffic
 from sim.world.vehicle import Mover, Vehicle
-from sim.world.walker import Walker
+from sim.world.walker import Phase, Walker
 from sim.world.weather import Conditions, conditions
 
 STEP_S = 0.05
@@ -55,10 +55,13 @@ class UrbanWorld:
             step: Number of the step, from 0.
         """
         time_s = step * STEP_S
-        in_the_way: list[Mover] = [*self.movers]
-        in_the_way += [walker for walker in self.walkers if walker.on_road]
+        in_the_way: list[Mover] | None = None
         for vehicle in self.vehicles:
-            vehicle.look(step, time_s, in_the_way)
+            if vehicle.looks_at(step):
+                if in_the_way is None:
+                    crossing = [walker for walker in self.walkers if walker.phase is Phase.CROSSING]
+                    in_the_way = [*self.movers, *crossing]
+                vehicle.look(time_s, in_the_way)
         for vehicle in self.vehicles:
             vehicle.move(time_s, STEP_S)
         if step % 2 == 0:

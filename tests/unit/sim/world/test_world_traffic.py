@@ -27,7 +27,8 @@ def vehicle(station_m: float, *, speed_mps: float = 8.0, stops: tuple[StopPoint,
 def drive(vehicles: list[Vehicle], seconds: float, others: tuple[Mover, ...] = ()) -> None:
     for step in range(round(seconds / STEP_S)):
         for one in vehicles:
-            one.look(step, step * STEP_S, [*vehicles, *others])
+            if one.looks_at(step):
+                one.look(step * STEP_S, [*vehicles, *others])
         for one in vehicles:
             one.move(step * STEP_S, STEP_S)
 
@@ -78,7 +79,7 @@ def test_a_vehicle_slows_down_before_a_bend() -> None:
     turning = Vehicle(name="t", size=CAR, path=bend, station_m=5.0, speed_mps=8.0, manner=MANNER)
     speeds = []
     for step in range(200):
-        turning.look(step, step * STEP_S, [turning])
+        turning.look(step * STEP_S, [turning])
         turning.move(step * STEP_S, STEP_S)
         if 60.0 <= turning.station_m <= 70.0:
             speeds.append(turning.speed_mps)
