@@ -60,7 +60,8 @@ def tell(trace: Trace, requirement: str | None = None, *, most: int = 6) -> Stor
     if len(trace.time_s) == 0:
         raise ReplayError("the trace has no samples: there is nothing to draw")
     chosen = _choose(trace, requirement)
-    series = np.nan_to_num(np.asarray(trace.robustness[chosen], dtype=np.float64), nan=np.inf)
+    series = np.asarray(trace.robustness[chosen], dtype=np.float64)
+    series = np.where(np.isnan(series), np.inf, series)
     below = np.flatnonzero(series < 0)
     decisive = int(below[0]) if below.size else int(series.argmin())
     return Story(
