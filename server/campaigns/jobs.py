@@ -6,7 +6,9 @@ from datetime import datetime
 
 from sqlalchemy import Connection, select, update
 
-from server.db.models import CampaignRow, JobRow, JobStatus, SolutionRow, SolutionVerdict
+from server.campaigns.store import ENDED, find_campaign
+from server.campaigns.values import Campaign
+from server.db.models import JobKind, JobRow, JobStatus, SolutionRow, SolutionVerdict
 from server.errors import Conflict, NotFound
 
 
@@ -54,30 +56,45 @@ def list_jobs(
 
 
 def retry(connection: Connection, job: int) -> None:
-    """Put a quarantined job back into the queue, with all its attempts before it.
+    """Put a quarantined job back into the queue, with all its attempts before it, each of them alone.
 
     Raises:
         NotFound: There is no such job.
-        Conflict: It is not in quarantine, or its generation went on without it.
+        Conflict: It is not in quarantine, its campaign has ended, or its generation went on without it.
     """
     row = connection.execute(
-        select(JobRow.status, JobRow.campaign_id, JobRow.number).where(JobRow.id == job)
+        select(JobRow.status, JobRow.kind, JobRow.campaign_id, JobRow.number, JobRow.attempt).where(
+            JobRow.id == job
+        )
     ).one_or_none()
-    if row is None:
+    campaign = find_campaign(connection, row.campaign_id, lock=True) if row is not None else None
+    if row is None or campaign is None:
         raise NotFound(f"job {job}: no such job")
     if row.status != JobStatus.QUARANTINED:
         raise Conflict(f"job {job} is {row.status}; only a quarantined job can be retried")
-    verdict = connection.execute(
-        select(SolutionRow.verdict)
-        .join(CampaignRow, CampaignRow.id == SolutionRow.campaign_id)
-        .where(SolutionRow.campaign_id == row.campaign_id, SolutionRow.number == row.number)
-    ).scalar_one()
-    if verdict != SolutionVerdict.PENDING:
-        raise Conflict(
-            f"job {job}: the campaign went on without solution {row.number}, which counts as failed"
-        )
+    if row.kind == JobKind.EPISODE:
+        _check_awaited(connection, job, campaign, row.number)
     connection.execute(
         update(JobRow)
         .where(JobRow.id == job)
-        .values(status=JobStatus.QUEUED, attempt=0, not_before=None, lease_token=None, finished_at=None)
+        .values(
+            status=JobStatus.QUEUED,
+            max_attempts=row.attempt + campaign.body.execution.max_attempts,
+            not_before=None,
+            lease_token=None,
+            finished_at=None,
+        )
     )
+
+
+def _check_awaited(connection: Connection, job: int, campaign: Campaign, number: int) -> None:
+    """Raise Conflict unless a campaign still waits for a solution."""
+    if campaign.status in ENDED:
+        raise Conflict(f"job {job}: campaign {campaign.id} is {campaign.status}; nobody waits for it")
+    verdict = connection.execute(
+        select(SolutionRow.verdict).where(
+            SolutionRow.campaign_id == campaign.id, SolutionRow.number == number
+        )
+    ).scalar_one()
+    if verdict != SolutionVerdict.PENDING:
+        raise Conflict(f"job {job}: the campaign went on without solution {number}, which counts as failed")

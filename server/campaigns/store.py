@@ -13,7 +13,7 @@ from sqlalchemy import Connection, Row, delete, func, insert, select, update
 from server.campaigns.body import CampaignBody
 from server.campaigns.values import Campaign
 from server.db.clock import database_now
-from server.db.models import CampaignRow, CampaignStatus, JobKind, JobRow, JobStatus
+from server.db.models import CampaignRow, CampaignStatus, JobKind, JobRow, JobStatus, TraceRow
 
 ENDED = (CampaignStatus.FINISHED, CampaignStatus.CANCELLED, CampaignStatus.FAILED)
 
@@ -122,7 +122,12 @@ def set_status(
                 JobRow.campaign_id == campaign_id,
                 JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),
             )
-            .values(status=JobStatus.CANCELLED, lease_expires_at=None, finished_at=database_now(connection))
+            .values(
+                status=JobStatus.CANCELLED,
+                lease_token=None,
+                lease_expires_at=None,
+                finished_at=database_now(connection),
+            )
         )
 
 
@@ -138,7 +143,12 @@ def count_quarantined(connection: Connection, campaign_id: str) -> int:
 
 
 def delete_campaign(connection: Connection, campaign_id: str) -> None:
-    """Delete a campaign and everything that belongs to it."""
+    """Delete a campaign and everything that belongs to it, traces included that no other campaign has."""
+    own = select(JobRow.spec_hash).where(JobRow.campaign_id == campaign_id)
+    others = select(JobRow.id).where(
+        JobRow.spec_hash == TraceRow.spec_hash, JobRow.campaign_id != campaign_id
+    )
+    connection.execute(delete(TraceRow).where(TraceRow.spec_hash.in_(own), ~others.exists()))
     connection.execute(delete(CampaignRow).where(CampaignRow.id == campaign_id))
 
 

@@ -85,6 +85,9 @@ def expire(connection: Connection, terms: LeaseTerms) -> tuple[tuple[str, ...], 
         for row in rows
     ]  # fmt: skip
     _fail(connection, losses, now, terms.retry_backoff_s)
+    # Nothing was reported: whatever comes with these tokens from now on is late, and must not pass for stored.
+    lost = [row.id for row in rows]
+    connection.execute(update(JobRow).where(JobRow.id.in_(lost)).values(lease_token=None))
     return idle_campaigns(connection, {row.campaign_id for row in rows}), len(rows)
 
 
