@@ -13,6 +13,7 @@ from support.api import coordinator
 from support.databases import BACKENDS, Databases, sqlite_template
 from support.postgres import NoPostgres, PostgresDatabases, running_postgres
 from support.problems import PLUGINS
+from support.queue import Queue
 
 
 @pytest.fixture(scope="session")
@@ -67,3 +68,9 @@ def client(database_url: str, small_problems: None) -> Iterator[httpx.Client]:
     """A client of a coordinator in this process, on a database of the test's own."""
     with coordinator(database_url) as opened:
         yield opened
+
+
+@pytest.fixture
+def queue(engines: Engines) -> Queue:
+    """The queue of a database of the test's own."""
+    return Queue(engines=engines)

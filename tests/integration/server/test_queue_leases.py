@@ -1,0 +1,216 @@
+"""Who gets which jobs, and for how long: on SQLite and on Postgres."""
+
+import itertools
+from datetime import timedelta
+
+import pytest
+
+from server.db.clock import database_now
+from server.db.models import CampaignStatus
+from support.queue import Queue
+from worker.wire import LeasedJob
+
+
+def campaigns_of(queue: Queue, jobs: list[LeasedJob]) -> list[str]:
+    return [queue.job(job.job).campaign_id for job in jobs]
+
+
+def test_jobs_are_granted_in_the_order_in_which_they_were_enqueued(queue: Queue) -> None:
+    campaign = queue.campaign(6)
+    granted = [*queue.lease(max_jobs=2), *queue.lease_all()]
+    assert [job.job for job in granted] == [row.id for row in queue.jobs(campaign)]
+    assert {job.attempt for job in granted} == {1}
+
+
+def test_no_job_is_granted_twice(queue: Queue) -> None:
+    queue.campaign(9)
+    workers = itertools.cycle(("w1", "w2", "w3"))
+    granted = [job.job for _ in range(12) for job in queue.lease(next(workers), max_jobs=2)]
+    assert len(granted) == 9
+    assert len(set(granted)) == 9
+
+
+def test_a_lease_has_a_token_of_its_own_and_ends_by_the_database_clock(queue: Queue) -> None:
+    queue.campaign(2)
+    before = queue.run(database_now)
+    first, second = queue.lease(lease_s=7.0, max_jobs=2) + queue.lease(lease_s=7.0, max_jobs=2)
+    after = queue.run(database_now)
+    assert first.token != second.token
+    row = queue.job(first.job)
+    assert row.lease_worker == "w1"
+    assert before + timedelta(seconds=7) <= row.lease_expires_at <= after + timedelta(seconds=7)
+
+
+def test_a_worker_gets_at_most_what_it_asks_for(queue: Queue) -> None:
+    queue.campaign(50)
+    assert len(queue.lease(max_jobs=3)) == 3
+
+
+def test_the_end_of_the_queue_is_shared_out_in_small_grants(queue: Queue) -> None:
+    queue.campaign(32)
+    sizes = []
+    workers = itertools.cycle(("w1", "w2", "w3", "w4"))
+    while granted := queue.lease(next(workers), max_jobs=8, live_workers=4):
+        sizes.append(len(granted))
+    assert sum(sizes) == 32
+    assert sizes[0] == 4  # half of an equal share of 32 among 4
+    assert sizes == sorted(sizes, reverse=True)
+    assert sizes[-4:] == [1, 1, 1, 1]
+
+
+def test_the_higher_priority_goes_first(queue: Queue) -> None:
+    low = queue.campaign(3, priority=-1)
+    high = queue.campaign(3, priority=5)
+    middle = queue.campaign(3)
+    order = campaigns_of(queue, queue.lease_all())
+    assert order == [high] * 3 + [middle] * 3 + [low] * 3
+
+
+def test_campaigns_of_one_priority_take_turns(queue: Queue) -> None:
+    campaigns = [queue.campaign(8) for _ in range(3)]
+    order = [campaigns_of(queue, queue.lease(max_jobs=1))[0] for _ in range(9)]
+    for turn in range(0, 9, 3):
+        assert sorted(order[turn : turn + 3]) == sorted(campaigns)
+
+
+def test_a_grant_is_split_between_campaigns_of_one_priority(queue: Queue) -> None:
+    first, second = queue.campaign(40), queue.campaign(40)
+    order = campaigns_of(queue, queue.lease(max_jobs=8))
+    assert (order.count(first), order.count(second)) == (4, 4)
+
+
+def test_a_worker_gets_only_what_it_can_run(queue: Queue) -> None:
+    queue.campaign(3, needs="other@1")
+    mine = queue.campaign(3, needs="faulty@1")
+    assert set(campaigns_of(queue, queue.lease_all())) == {mine}
+    assert queue.lease("w2", capabilities=()) == []
+    assert len(queue.lease("w2", capabilities=("vision", "other@1"), max_jobs=1)) == 1
+
+
+@pytest.mark.parametrize("status", [CampaignStatus.PAUSED, CampaignStatus.CANCELLED, CampaignStatus.FAILED])
+def test_a_campaign_that_does_not_run_hands_out_nothing(queue: Queue, status: CampaignStatus) -> None:
+    campaign = queue.campaign(3)
+    queue.set_status(campaign, status)
+    assert queue.lease() == []
+
+
+def test_a_resumed_campaign_hands_out_its_jobs_again(queue: Queue) -> None:
+    campaign = queue.campaign(3)
+    queue.set_status(campaign, CampaignStatus.PAUSED)
+    queue.set_status(campaign, CampaignStatus.RUNNING)
+    assert len(queue.lease_all()) == 3
+
+
+def test_renewing_moves_the_end_of_a_lease(queue: Queue) -> None:
+    queue.campaign(1)
+    (job,) = queue.lease(lease_s=1.0)
+    before = queue.job(job.job).lease_expires_at
+    assert queue.renew(job) == [job.job]
+    assert queue.job(job.job).lease_expires_at > before + timedelta(seconds=30)
+
+
+def test_renewing_names_only_what_is_still_held(queue: Queue) -> None:
+    campaign = queue.campaign(5)
+    kept, done, lost, forged, deleted = queue.lease_all()
+    queue.complete(done)
+    queue.run_out(lost)
+    held = queue.renew(
+        kept, done, lost, forged.model_copy(update={"token": "guess"}), deleted.model_copy(update={"job": 10**9})
+    )
+    assert held == [kept.job]
+    queue.set_status(campaign, CampaignStatus.CANCELLED)
+    assert queue.renew(kept, deleted) == []
+
+
+def test_a_lease_that_ran_out_goes_back_after_a_backoff_with_a_charge(queue: Queue) -> None:
+    queue.campaign(1)
+    (job,) = queue.lease()
+    queue.run_out(job)
+    row = queue.job(job.job)
+    assert (row.status, row.attempt) == ("queued", 1)
+    assert row.not_before > queue.run(database_now)
+    assert "w1" in row.last_error
+    assert queue.lease() == []
+    queue.end_backoffs()
+    (again,) = queue.lease()
+    assert (again.job, again.attempt) == (job.job, 2)
+    assert again.token != job.token
+
+
+def test_backoffs_double(queue: Queue) -> None:
+    queue.campaign(1, max_attempts=5)
+    waits = []
+    for _ in range(3):
+        (job,) = queue.lease()
+        queue.fail(job)
+        waits.append((queue.job(job.job).not_before - queue.run(database_now)).total_seconds())
+        queue.end_backoffs()
+    assert waits == pytest.approx([10.0, 20.0, 40.0], abs=5.0)
+
+
+def test_a_lease_that_holds_is_not_taken_back(queue: Queue) -> None:
+    queue.campaign(2)
+    queue.lease_all()
+    assert queue.expire() == ((), 0)
+
+
+def test_a_job_that_was_tried_before_is_granted_alone(queue: Queue) -> None:
+    queue.campaign(4)
+    guilty, *others = queue.lease_all()
+    queue.run_out(guilty, *others)
+    queue.end_backoffs()
+    assert len(queue.lease("w1")) == 1
+    assert queue.lease("w1") == []  # w1 holds a job that was tried before
+    assert len(queue.lease("w2")) == 1
+
+
+def test_a_worker_that_holds_jobs_gets_no_job_that_was_tried_before(queue: Queue) -> None:
+    queue.campaign(2)
+    first, second = queue.lease_all()
+    queue.fail(first)
+    queue.end_backoffs()
+    assert queue.lease("w1") == []
+    assert queue.complete(second) == ("accepted",)
+    assert [job.job for job in queue.lease("w1")] == [first.job]
+
+
+def test_fresh_jobs_go_before_those_that_were_tried_before(queue: Queue) -> None:
+    queue.campaign(1)
+    (tried,) = queue.lease()
+    queue.fail(tried)
+    queue.end_backoffs()
+    queue.campaign(2)
+    granted = queue.lease("w2", max_jobs=8)
+    assert tried.job not in [job.job for job in granted]
+
+
+def test_a_released_job_costs_no_attempt(queue: Queue) -> None:
+    queue.campaign(1, max_attempts=1)
+    (job,) = queue.lease()
+    assert queue.release(job) == 1
+    row = queue.job(job.job)
+    assert (row.status, row.attempt, row.not_before) == ("queued", 0, None)
+    (again,) = queue.lease("w2")
+    assert again.attempt == 1
+
+
+def test_only_the_holder_can_release(queue: Queue) -> None:
+    queue.campaign(2)
+    job, done = queue.lease_all()
+    queue.complete(done)
+    assert queue.release(job.model_copy(update={"token": "guess"}), done) == 0
+    assert queue.job(job.job).status == "leased"
+    assert queue.job(done.job).status == "done"
+
+
+def test_only_one_of_equal_simulations_is_granted(queue: Queue) -> None:
+    first = queue.campaign(["a" * 64, "b" * 64, "a" * 64])
+    second = queue.campaign(["b" * 64])
+    granted = queue.lease_all("w1") + queue.lease_all("w2")
+    assert len(granted) == 2
+    assert sorted(queue.states(first) + queue.states(second)) == ["leased", "leased", "queued", "queued"]
+
+
+def test_without_the_cache_equal_simulations_are_all_granted(queue: Queue) -> None:
+    queue.campaign(["a" * 64, "a" * 64], cache=False)
+    assert len(queue.lease_all()) == 2

@@ -1,0 +1,300 @@
+"""What becomes of reported outcomes: on SQLite and on Postgres."""
+
+import pytest
+
+from server.campaigns import store
+from server.campaigns.jobs import retry
+from server.campaigns.traces import request_trace
+from server.db.models import CampaignStatus, TraceRow
+from server.errors import Conflict, NotFound
+from server.queue.values import Outcome
+from support.queue import RESULT, Queue
+from worker.wire import LeasedJob
+
+A, B = "a" * 64, "b" * 64
+
+
+def one_lease(queue: Queue, **campaign: int) -> LeasedJob:
+    queue.campaign(1, **campaign)
+    (job,) = queue.lease()
+    return job
+
+
+def test_a_result_finishes_its_job(queue: Queue) -> None:
+    job = one_lease(queue)
+    assert queue.complete(job) == ("accepted",)
+    row = queue.job(job.job)
+    assert (row.status, row.result, row.lease_expires_at) == ("done", RESULT, None)
+    assert row.finished_at is not None
+
+
+def test_a_result_sent_again_is_a_duplicate_and_changes_nothing(queue: Queue) -> None:
+    job = one_lease(queue)
+    queue.complete(job)
+    before = queue.job(job.job)
+    assert queue.complete(job, result='{"other":1}') == ("duplicate",)
+    assert queue.fail(job) == ("duplicate",)
+    assert queue.job(job.job) == before
+
+
+def test_a_result_twice_in_one_message_counts_once(queue: Queue) -> None:
+    job = one_lease(queue)
+    assert queue.complete(job, job) == ("accepted", "duplicate")
+
+
+def test_a_failure_sent_again_is_a_duplicate_and_charges_nothing(queue: Queue) -> None:
+    job = one_lease(queue)
+    assert queue.fail(job) == ("accepted",)
+    before = queue.job(job.job)
+    assert queue.fail(job) == ("duplicate",)
+    assert queue.job(job.job) == before
+
+
+@pytest.mark.parametrize("change", [{"token": "guess"}, {"job": 10**9}])
+def test_a_result_without_a_lease_is_stale(queue: Queue, change: dict[str, object]) -> None:
+    job = one_lease(queue)
+    before = queue.job(job.job)
+    assert queue.complete(job.model_copy(update=change)) == ("stale",)
+    assert queue.job(job.job) == before
+
+
+def test_a_late_result_is_stale_while_its_job_waits(queue: Queue) -> None:
+    job = one_lease(queue)
+    queue.run_out(job)
+    before = queue.job(job.job)
+    assert queue.complete(job) == ("stale",)
+    assert queue.fail(job) == ("stale",)
+    assert queue.job(job.job) == before
+
+
+def test_a_late_result_is_stale_while_another_worker_runs_its_job(queue: Queue) -> None:
+    job = one_lease(queue)
+    queue.run_out(job)
+    queue.end_backoffs()
+    (again,) = queue.lease("w2")
+    assert queue.complete(job) == ("stale",)
+    assert queue.job(job.job).status == "leased"
+    assert queue.complete(again, result='{"second":1}') == ("accepted",)
+    assert queue.complete(job) == ("stale",)
+    assert queue.job(job.job).result == '{"second":1}'
+
+
+def test_a_late_result_is_stale_after_quarantine(queue: Queue) -> None:
+    job = one_lease(queue, max_attempts=1)
+    queue.run_out(job)
+    assert queue.job(job.job).status == "quarantined"
+    assert queue.complete(job) == ("stale",)
+
+
+def test_a_result_of_a_released_job_is_stale(queue: Queue) -> None:
+    job = one_lease(queue)
+    queue.release(job)
+    assert queue.complete(job) == ("stale",)
+
+
+def test_a_result_of_a_cancelled_campaign_is_stale(queue: Queue) -> None:
+    campaign = queue.campaign(1)
+    (job,) = queue.lease()
+    queue.set_status(campaign, CampaignStatus.CANCELLED)
+    assert queue.complete(job) == ("stale",)
+    assert queue.states(campaign) == ["cancelled"]
+
+
+def test_a_result_of_a_deleted_campaign_is_stale(queue: Queue) -> None:
+    campaign = queue.campaign(2)
+    (job,) = queue.lease(max_jobs=1)
+    queue.run(lambda connection: store.delete_campaign(connection, campaign))
+    assert queue.complete(job) == ("stale",)
+    assert queue.jobs() == []
+
+
+def test_a_result_of_a_paused_campaign_is_taken_in(queue: Queue) -> None:
+    campaign = queue.campaign(1)
+    (job,) = queue.lease()
+    queue.set_status(campaign, CampaignStatus.PAUSED)
+    report = queue.report(Outcome(job=job.job, token=job.token, result=RESULT))
+    assert report.statuses == ("accepted",)
+    assert report.campaigns == ()  # a paused campaign takes no step
+    assert queue.states(campaign) == ["done"]
+
+
+def test_statuses_come_in_the_order_of_the_outcomes(queue: Queue) -> None:
+    queue.campaign(3)
+    first, second, third = queue.lease_all()
+    forged = second.model_copy(update={"token": "guess"})
+    assert queue.complete(third, forged, first, third) == ("accepted", "stale", "accepted", "duplicate")
+
+
+def test_the_last_outcome_names_the_campaign_whose_step_is_due(queue: Queue) -> None:
+    campaign = queue.campaign(2)
+    other = queue.campaign(1)
+    leased = {queue.job(job.job).campaign_id: job for job in queue.lease_all()}
+    jobs = [job for job in queue.jobs() if job.campaign_id == campaign]
+    assert len(jobs) == 2
+    last = LeasedJob(job=jobs[1].id, token=jobs[1].lease_token, attempt=1, spec={}, timeout_s=1)
+    first = LeasedJob(job=jobs[0].id, token=jobs[0].lease_token, attempt=1, spec={}, timeout_s=1)
+    assert queue.report(Outcome(job=first.job, token=first.token, result=RESULT)).campaigns == ()
+    assert queue.report(Outcome(job=last.job, token=last.token, result=RESULT)).campaigns == (campaign,)
+    done = leased[other]
+    report = queue.report(Outcome(job=done.job, token=done.token, result=None, error="no", final=True))
+    assert report.campaigns == (other,)
+
+
+def test_a_failed_job_is_tried_again_until_quarantine(queue: Queue) -> None:
+    campaign = queue.campaign(1, max_attempts=3)
+    for attempt in (1, 2, 3):
+        (job,) = queue.lease()
+        assert job.attempt == attempt
+        assert queue.fail(job, error=f"crashed: try {attempt}") == ("accepted",)
+        queue.end_backoffs()
+    row = queue.jobs(campaign)[0]
+    assert (row.status, row.attempt, row.last_error) == ("quarantined", 3, "crashed: try 3")
+    assert row.finished_at is not None
+    assert queue.lease() == []
+
+
+def test_leases_that_run_out_end_in_quarantine_too(queue: Queue) -> None:
+    campaign = queue.campaign(1, max_attempts=2)
+    for _ in range(2):
+        queue.run_out(*queue.lease())
+        queue.end_backoffs()
+    assert queue.states(campaign) == ["quarantined"]
+    assert queue.jobs(campaign)[0].last_error
+
+
+def test_the_last_lease_to_run_out_names_the_campaign_whose_step_is_due(queue: Queue) -> None:
+    campaign = queue.campaign(1, max_attempts=1)
+    queue.lease(lease_s=-1.0)
+    assert queue.expire() == ((campaign,), 1)
+
+
+def test_an_invalid_job_is_never_tried_again(queue: Queue) -> None:
+    job = one_lease(queue, max_attempts=3)
+    queue.fail(job, final=True, error="invalid: no such road")
+    row = queue.job(job.job)
+    assert (row.status, row.attempt, row.last_error) == ("quarantined", 1, "invalid: no such road")
+
+
+def test_one_result_finishes_all_equal_simulations(queue: Queue) -> None:
+    first = queue.campaign([A, B, A])
+    second = queue.campaign([A])
+    paused = queue.campaign([A])
+    queue.set_status(paused, CampaignStatus.PAUSED)
+    by_hash = {queue.job(job.job).spec_hash: job for job in queue.lease_all()}
+    report = queue.report(Outcome(job=by_hash[A].job, token=by_hash[A].token, result='{"of":"a"}'))
+    assert report.campaigns == (second,)
+    assert queue.states(first) == ["done", "leased", "done"]
+    assert queue.states(second) == queue.states(paused) == ["done"]
+    assert {row.result for row in queue.jobs() if row.spec_hash == A} == {'{"of":"a"}'}
+
+
+def test_a_known_simulation_is_done_when_it_is_enqueued(queue: Queue) -> None:
+    queue.campaign([A])
+    queue.complete(*queue.lease(), result='{"of":"a"}')
+    later = queue.campaign([A, B])
+    rows = queue.jobs(later)
+    assert [row.status for row in rows] == ["done", "queued"]
+    assert rows[0].result == '{"of":"a"}'
+
+
+def test_a_failure_is_no_result_for_equal_simulations(queue: Queue) -> None:
+    campaign = queue.campaign([A, A], max_attempts=1)
+    (job,) = queue.lease()
+    queue.fail(job)
+    assert queue.states(campaign) == ["quarantined", "queued"]
+    assert len(queue.lease()) == 1
+
+
+def test_without_the_cache_nothing_is_taken_over(queue: Queue) -> None:
+    queue.campaign([A])
+    queue.complete(*queue.lease())
+    fresh = queue.campaign([A, A], cache=False)
+    assert queue.states(fresh) == ["queued", "queued"]
+    first, second = queue.lease_all()
+    queue.complete(first)
+    assert queue.states(fresh) == ["done", "leased"]
+    queue.complete(second)
+
+
+def test_a_trace_is_kept_with_its_result(queue: Queue) -> None:
+    job = one_lease(queue)
+    report = queue.report(Outcome(job=job.job, token=job.token, result=RESULT, trace=b"the trace"))
+    assert report.statuses == ("accepted",)
+    kept = queue.run(lambda c: [(r.spec_hash, r.data) for r in c.execute(TraceRow.__table__.select())])
+    assert kept == [(queue.job(job.job).spec_hash, b"the trace")]
+
+
+def test_a_quarantined_job_can_be_retried_by_hand_and_still_runs_alone(queue: Queue) -> None:
+    campaign = queue.campaign(3, max_attempts=2)
+    (job,) = queue.lease(max_jobs=1)
+    queue.fail(job, final=True)
+    queue.run(lambda connection: retry(connection, job.job))
+    fresh = queue.lease_all("w1")
+    assert job.job not in [other.job for other in fresh]
+    for attempts_left in (1, 0):
+        (again,) = queue.lease("w2")
+        assert again.job == job.job
+        assert queue.complete(job) == ("stale",)
+        assert queue.fail(again) == ("accepted",)
+        assert queue.job(job.job).status == ("queued" if attempts_left else "quarantined")
+        queue.end_backoffs()
+    assert queue.states(campaign) == ["quarantined", "leased", "leased"]
+
+
+def test_a_quarantined_trace_can_be_retried_by_hand(queue: Queue) -> None:
+    campaign = queue.campaign(1)
+    queue.complete(*queue.lease())
+    found = queue.run(lambda connection: store.find_campaign(connection, campaign))
+    assert found is not None
+    queue.set_status(campaign, CampaignStatus.FINISHED)
+    assert queue.run(lambda connection: request_trace(connection, found, 0))
+    (trace,) = queue.lease()
+    assert trace.record
+    queue.fail(trace, final=True)
+    queue.run(lambda connection: retry(connection, trace.job))
+    assert [job.job for job in queue.lease()] == [trace.job]
+
+
+@pytest.mark.parametrize("state", ["queued", "leased", "done"])
+def test_only_a_quarantined_job_can_be_retried_by_hand(queue: Queue, state: str) -> None:
+    campaign = queue.campaign(1)
+    if state != "queued":
+        (job,) = queue.lease()
+        if state == "done":
+            queue.complete(job)
+    (row,) = queue.jobs(campaign)
+    with pytest.raises(Conflict, match=state):
+        queue.run(lambda connection: retry(connection, row.id))
+
+
+def test_a_job_of_an_ended_campaign_cannot_be_retried_by_hand(queue: Queue) -> None:
+    campaign = queue.campaign(2)
+    (job,) = queue.lease(max_jobs=1)
+    queue.fail(job, final=True)
+    queue.set_status(campaign, CampaignStatus.CANCELLED)
+    with pytest.raises(Conflict, match="cancelled"):
+        queue.run(lambda connection: retry(connection, job.job))
+
+
+def test_retrying_an_unknown_job_is_not_found(queue: Queue) -> None:
+    with pytest.raises(NotFound, match="7"):
+        queue.run(lambda connection: retry(connection, 7))
+
+
+def test_cancelling_ends_open_jobs_and_keeps_the_others(queue: Queue) -> None:
+    campaign = queue.campaign(3)
+    done, _ = queue.lease(max_jobs=2)
+    queue.complete(done)
+    queue.set_status(campaign, CampaignStatus.CANCELLED)
+    assert queue.states(campaign) == ["done", "cancelled", "cancelled"]
+
+
+def test_deleting_takes_its_traces_but_not_those_of_others(queue: Queue) -> None:
+    gone = queue.campaign([A, B])
+    kept = queue.campaign([B], cache=False)
+    for job in queue.lease_all():
+        queue.report(Outcome(job=job.job, token=job.token, result=RESULT, trace=b"t"))
+    queue.run(lambda connection: store.delete_campaign(connection, gone))
+    left = queue.run(lambda c: [r.spec_hash for r in c.execute(TraceRow.__table__.select())])
+    assert left == [B]
+    assert queue.states(kept) == ["done"]
