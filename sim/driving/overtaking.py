@@ -171,8 +171,9 @@ class Overtaking:
             return
         obstacle = next((item for item in obstacles if item.track == self._track), None)
         if obstacle is None:
-            # It should be in view and is not: there is nothing to overtake any more.
-            self._track = None
+            if self._near_m - front_m > settings.blind_gap_m:
+                # It should be in view and is not: there is nothing to overtake any more.
+                self._track = None
             return
         end_m = obstacle.far_m + settings.margin_m
         if (

@@ -26,6 +26,7 @@ from sim.driving.speed_profile import SpeedProfile
 
 _TURNS_WHEELS_BELOW_MPS = 0.3
 _BLOCKS_WITHIN_M = 0.1
+_BESIDE_M = 0.5
 _SHOWN_MODE_BELOW_MPS2 = 0.5
 
 
@@ -135,7 +136,7 @@ class RoutePlanner:
             if obstacle.left_m > right_m
             and obstacle.right_m < left_m
             and obstacle.near_m < last_m
-            and obstacle.near_m > front_m - 2.0
+            and obstacle.near_m > front_m - _BESIDE_M
             and obstacle.track != passed
             and obstacle.label is not ObstacleLabel.PERSON
         ]

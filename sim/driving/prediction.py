@@ -112,24 +112,24 @@ class ConstantVelocityPredictor:
             if hint_m is None:
                 dx, dy = x_m - ego.x_m, y_m - ego.y_m
                 hint_m = ego.station_m + math.sqrt(dx * dx + dy * dy)
-            near_m, middle_m = route.project(x_m, y_m, hint_m)
-            track.station_hint_m = near_m
+            station_m, middle_m = route.project(x_m, y_m, hint_m)
+            track.station_hint_m = station_m
             since_s = track.standing_since_s
             along = across = 0.0
             standing_s = 0.0 if since_s is None else time_s - since_s
             # A slow person matters; a vehicle that stands is not taken to drift.
             if since_s is None or track.label is ObstacleLabel.PERSON:
-                yaw_rad = route.pose_at(near_m)[2]
+                yaw_rad = route.pose_at(station_m)[2]
                 cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
                 along = track.vx_mps * cos_yaw + track.vy_mps * sin_yaw
                 across = track.vy_mps * cos_yaw - track.vx_mps * sin_yaw
-            half_m = 0.5 * track.width_m
+            half_m, half_length_m = 0.5 * track.width_m, 0.5 * track.length_m
             obstacles.append(
                 RoadObstacle(
                     track=track.number,
                     label=track.label,
-                    near_m=near_m,
-                    far_m=near_m + track.length_m,
+                    near_m=station_m - half_length_m,
+                    far_m=station_m + half_length_m,
                     right_m=middle_m - half_m,
                     left_m=middle_m + half_m,
                     along_mps=along,

@@ -27,9 +27,10 @@ class LocalisationSettings:
     Attributes:
         vehicle_height_m: Assumed height of a vehicle that is placed by its size.
         person_height_m: Assumed height of a person that is placed by their size.
-        vehicle_width_m: Assumed width of a vehicle; a wider box may show its side.
+        vehicle_width_m: Assumed width of a vehicle.
         vehicle_length_m: Assumed length of a vehicle.
-        person_size_m: Assumed extent of a person along the view.
+        person_size_m: Assumed extent of a person.
+        min_extent_m: Nothing is taken to be narrower or shorter.
         max_ground_range_m: Bottom edges that mean a farther place are not trusted: the box is placed by its size.
         min_range_m: Nothing is placed nearer to the camera than this.
         pixel_noise_px: Assumed error of a bottom edge, one standard deviation.
@@ -41,6 +42,7 @@ class LocalisationSettings:
     vehicle_width_m: float = 1.9
     vehicle_length_m: float = 4.5
     person_size_m: float = 0.5
+    min_extent_m: float = 0.4
     max_ground_range_m: float = 80.0
     min_range_m: float = 1.0
     pixel_noise_px: float = 1.0
@@ -251,6 +253,7 @@ class OvertakeSettings:
         speed_mps: Speed in the oncoming lane.
         creep_mps: Speed until the obstacle is cleared sideways.
         rate_mps: How fast the wanted offset moves.
+        blind_gap_m: What was nearer than this when it went out of sight is remembered: the ego has turned away.
         oncoming_mps: Oncoming vehicles are taken to be at least this fast.
         pull_out_s: Time that moving out and in again takes, on top of the way.
         return_gap_m: Returns when its rear is this far past the obstacle.
@@ -270,6 +273,7 @@ class OvertakeSettings:
     speed_mps: float = 5.5
     creep_mps: float = 2.2
     rate_mps: float = 2.2
+    blind_gap_m: float = 4.5
     oncoming_mps: float = 8.0
     pull_out_s: float = 2.5
     return_gap_m: float = 2.0

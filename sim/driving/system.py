@@ -5,8 +5,6 @@
 The obstacle detector comes before it, outside: it is the component under test, and its boxes are given.
 """
 
-import math
-
 from sim.driving.camera import Camera
 from sim.driving.control import Controller, PursuitController
 from sim.driving.interface import Command, Observation, PerceivedObstacle, PlanMode, PlanState, Route
@@ -36,7 +34,6 @@ class ModularDriving:
 
     __slots__ = (
         "_controller",
-        "_heading",
         "_localiser",
         "_plan",
         "_planner",
@@ -58,13 +55,12 @@ class ModularDriving:
         planner: Planner | None = None,
         controller: Controller | None = None,
     ) -> None:
-        self._localiser = localiser or GroundPlaneLocaliser(camera, settings.localisation)
+        self._localiser = localiser or GroundPlaneLocaliser(route, camera, settings.localisation)
         self._tracker = tracker or AlphaBetaTracker(settings.tracking)
         self._predictor = predictor or ConstantVelocityPredictor(route, settings.prediction)
         self._planner = planner or RoutePlanner(route, settings.shape, settings.planning)
         self._controller = controller or PursuitController(route, settings.shape, settings.control)
         self._tracks: list[Track] = []
-        self._heading = (1.0, 0.0)
         self._speed_mps = 0.0
         self._plan = Plan(PlanMode.CRUISE, 0.0, 0.0, 0.0, 0.0)
 
@@ -72,7 +68,6 @@ class ModularDriving:
         """Take one control step."""
         time_s, ego, boxes, light = observation
         if boxes is not None:
-            self._heading = (math.cos(ego.yaw_rad), math.sin(ego.yaw_rad))
             self._tracks = self._tracker.update(time_s, self._localiser.locate(ego, boxes))
             obstacles = self._predictor.predict(time_s, ego, self._tracks) if self._tracks else ()
             self._planner.perceive(time_s, ego, obstacles)
@@ -92,14 +87,13 @@ class ModularDriving:
 
     @property
     def obstacles(self) -> tuple[PerceivedObstacle, ...]:
-        """The confirmed tracks of the last perception step, by the centres of their assumed bodies."""
-        cos_yaw, sin_yaw = self._heading
+        """The confirmed tracks of the last perception step, with the centres of their bodies."""
         return tuple(
             PerceivedObstacle(
                 track=track.number,
                 label=track.label,
-                x_m=track.x_m + 0.5 * track.length_m * cos_yaw,
-                y_m=track.y_m + 0.5 * track.length_m * sin_yaw,
+                x_m=track.x_m,
+                y_m=track.y_m,
                 vx_mps=track.vx_mps,
                 vy_mps=track.vy_mps,
                 length_m=track.length_m,

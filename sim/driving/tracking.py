@@ -22,7 +22,7 @@ from sim.driving.settings import TrackingSettings
 
 
 class Track:
-    """One obstacle over time. `x_m`, `y_m` is the middle of the side that faces the camera.
+    """One obstacle over time. `x_m`, `y_m` is the centre of its body.
 
     Attributes:
         number: Unique in the episode, counting from 1.
@@ -149,7 +149,8 @@ class AlphaBetaTracker:
         if is_cut:
             beta *= settings.cut_velocity_share
             reach = settings.gate_m + track.length_m
-            if track.standing_since_s is not None and dx * dx + dy * dy < reach * reach:
+            is_still = track.standing_since_s is not None and track.label is ObstacleLabel.VEHICLE
+            if is_still and dx * dx + dy * dy < reach * reach:
                 # Passing what stands, less and less of it is in the picture; it has not moved for that.
                 track.box = box
                 return

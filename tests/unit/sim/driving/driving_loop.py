@@ -146,7 +146,7 @@ def _front_gap(
     for actor in actors:
         if actor.label is ObstacleLabel.VEHICLE:
             s, d = actor.at(time_s)
-            if s > station_m and abs(d - offset_m) < 1.8:
+            if s - 4.2 > station_m and abs(d - offset_m) < 2.0:
                 gaps.append(s - station_m - 4.5)
     return min(gaps)
 

@@ -69,6 +69,6 @@ def test_on_a_bend_velocity_is_split_along_and_across_the_route() -> None:
     )
     track.vx_mps, track.vy_mps = -6.0 * math.cos(yaw_rad), -6.0 * math.sin(yaw_rad)
     (found,) = ConstantVelocityPredictor(route, PredictionSettings()).predict(1.0, ego, [track])
-    assert (found.near_m, found.far_m) == pytest.approx((35.0, 39.5))
+    assert (found.near_m, found.far_m) == pytest.approx((32.75, 37.25))
     assert (found.right_m, found.left_m) == pytest.approx((2.6, 4.4))
     assert (found.along_mps, found.across_mps) == pytest.approx((-6.0, 0.0))
