@@ -5,8 +5,8 @@ Import it through ``BRINK_PLUGINS=faulty_simulator`` with this folder on ``PYTHO
 
 Without a fault it returns, for each requirement, a robustness that depends on nothing but the numbers of scenario
 and behaviour (Booleans and everything else are skipped): their distance from the origin minus ``limit``. So the
-unsafe region is a ball; the objective ``distance`` is the distance itself. The provenance tells the process id and
-the monotonic times at which the run began and ended.
+unsafe region is a ball; the objective ``distance`` is the distance itself. The provenance tells the process id,
+the monotonic times at which the run began and ended, and how long the process had waited for a processor by then.
 
 Scenario fields that are read, all optional; none of the numbers among them enters the distance:
 
@@ -37,6 +37,7 @@ import os
 import sys
 import time
 from collections.abc import Mapping
+from pathlib import Path
 
 from sim.catalogue import SIMULATORS, register
 from sim.episode import EpisodeResult, EpisodeSpec, Json, Verdict
@@ -53,7 +54,7 @@ class FaultySimulator:
 
     def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
         """Run one episode."""
-        began_s = time.monotonic()
+        began_s, began_queued_s = time.monotonic(), _queued_s()
         fault = str(spec.scenario.get("fault", "none"))
         if fault != "none" and _wanted(spec.scenario.get("once")):
             break_down(fault, _number(spec.scenario, "slow_s", 0.1))
@@ -67,7 +68,13 @@ class FaultySimulator:
             },
             objectives={"distance": distance},
             features={},
-            provenance={"pid": os.getpid(), "began_s": began_s, "ended_s": time.monotonic()},
+            provenance={
+                "pid": os.getpid(),
+                "began_s": began_s,
+                "began_queued_s": began_queued_s,
+                "ended_queued_s": _queued_s(),
+                "ended_s": time.monotonic(),
+            },
             trace=b"trace of " + spec.digest().encode() if record else None,
         )
 
@@ -120,6 +127,14 @@ def _make_noise() -> None:
         stream.flush()
     os.write(1, b"\x00\x00\x00\x05hello" * 1000)
     os.write(2, b"\xff\xfe raw bytes\n")
+
+
+def _queued_s() -> float:
+    """Return how long this thread has been ready to run while others had the processor; 0 where that is unknown."""
+    try:
+        return int(Path("/proc/thread-self/schedstat").read_text().split()[1]) / 1e9
+    except OSError:
+        return 0.0
 
 
 def _wanted(once: Json) -> bool:
