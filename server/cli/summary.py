@@ -44,11 +44,9 @@ def _print_next(
     option = f" {database}" if database else ""
     screen.print()
     screen.print("next:")
-    replayable = [s["number"] for s in boundary["solutions"] if s["spec"] is not None]
-    if replayable:
-        screen.print(
-            f"  brink replay {campaign} {replayable[0]} --out replay.mp4{option}   watch the best one"
-        )
+    if replays:
+        best = boundary["solutions"][0]["number"]
+        screen.print(f"  brink replay {campaign} {best} --out replay.mp4{option}   watch the best one")
     screen.print(f"  brink results {campaign} --t-b 0.15 --d-th 0.1{option}   other thresholds")
     if boundary["strict_dbs"] == 0:
         screen.print(
