@@ -1,6 +1,6 @@
 """An own simulator and problem: a car with a distance sensor brakes for a wall. Run it with
 
-    cd examples/plugins && brink --plugin brake_assist run brake_assist.yaml
+cd examples/plugins && brink --plugin brake_assist run brake_assist.yaml
 """
 
 import numpy as np
@@ -30,7 +30,9 @@ class BrakeAssistSimulator:
         brakes_at = speed**2 / (2 * 9.81 * GRIP["dry"]) + 15.0 - bias - speed * delay
         gap = brakes_at - speed**2 / (2 * 9.81 * GRIP[road]) - gust
         verdict = Verdict(robustness=gap, unit="m", violated_at_s=None if gap >= 0 else spec.duration_s)
-        return EpisodeResult(verdicts={"stops": verdict}, objectives={"gap_m": gap}, features={}, provenance={})
+        return EpisodeResult(
+            verdicts={"stops": verdict}, objectives={"gap_m": gap}, features={}, provenance={}
+        )
 
 
 class BrakeAssist:

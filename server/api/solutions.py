@@ -3,8 +3,6 @@
 import asyncio
 import csv
 import io
-import tempfile
-from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
@@ -22,7 +20,7 @@ from server.campaigns.values import Campaign
 from server.campaigns.views import boundary_view, solution_views
 from server.db.models import JobStatus
 from server.errors import Conflict, FieldError, InvalidInput, NotFound
-from sim.replay import render
+from sim.replay import render_bytes
 from sim.trace import Trace
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
@@ -195,10 +193,7 @@ async def get_replay(
     requirement = str(campaign.body.problem.params.get("requirement", "front-gap@1"))
 
     def draw() -> bytes:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / f"replay.{extension}"
-            render(Trace.from_bytes(data), path, requirement=requirement)
-            return path.read_bytes()
+        return render_bytes(Trace.from_bytes(data), f".{extension}", requirement=requirement)
 
     picture = await asyncio.get_running_loop().run_in_executor(None, draw)
     media = {"png": "image/png", "gif": "image/gif", "mp4": "video/mp4"}[extension]

@@ -16,6 +16,7 @@ from server.cli.options import AsJson, CampaignFile, Database, console, print_js
 from server.db.engine import open_engines
 from server.db.upgrade import current_revision, head_revision
 from server.settings import Settings
+from worker.log import configure_logging
 from worker.run import run_worker
 from worker.settings import WorkerSettings
 
@@ -71,6 +72,7 @@ def worker(
         memory_mib=memory_mib,
         exit_when_idle_s=exit_when_idle_s,
     )
+    configure_logging(settings.worker_id, "info")
     raise typer.Exit(run_worker(settings))
 
 

@@ -1,0 +1,30 @@
+"""An own requirement: passengers stand up to 3 m/s² of braking. Run it with
+
+cd examples/plugins && brink --plugin gentle run gentle.yaml
+"""
+
+from sim.catalogue import REQUIREMENTS, register
+from sim.requirements.margin import Margin
+
+COMFORTABLE_MPS2 = 3.0
+
+
+class Gentle(Margin):
+    """Robustness: what is left to the limit, in m/s², from the speeds of two control steps."""
+
+    unit = "m/s²"
+    horizon = 10.0
+
+    def __init__(self):
+        super().__init__()
+        self._before = None
+
+    def robustness_at(self, sample):
+        before, self._before = self._before, sample
+        if before is None:
+            return self.horizon
+        braking = (before.speed_mps - sample.speed_mps) / (sample.time_s - before.time_s)
+        return COMFORTABLE_MPS2 - braking
+
+
+register(REQUIREMENTS, "gentle@1", Gentle)
