@@ -98,12 +98,17 @@ class GiveWay:
             return None
         enters_s, leaves_s = window
         speed = max(speed_mps, _LEAST_SPEED_MPS)
-        ahead_m = obstacle.near_m - front_m
-        is_past_before = (ahead_m + self._length_m + 1.0) / speed + settings.time_margin_s < enters_s
-        comes_after = leaves_s < obstacle.horizon_s and ahead_m / speed > leaves_s + settings.time_margin_s
+        # Who also comes towards the ego is met nearer than they are now.
+        towards_mps = min(obstacle.along_mps, 0.0)
+        enters_m = obstacle.near_m + towards_mps * enters_s
+        leaves_m = obstacle.near_m + towards_mps * leaves_s
+        clears_s = (enters_m - front_m + self._length_m + 1.0) / speed
+        is_past_before = clears_s + settings.time_margin_s < enters_s
+        arrives_s = (leaves_m - front_m) / speed
+        comes_after = leaves_s < obstacle.horizon_s and arrives_s > leaves_s + settings.time_margin_s
         if is_past_before or comes_after:
             return None
-        return obstacle.near_m - gap_m
+        return enters_m - gap_m
 
     def _stands_close(self, obstacle: RoadObstacle, front_m: float, right_m: float, left_m: float) -> bool:
         settings = self._settings
