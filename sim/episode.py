@@ -13,7 +13,7 @@ from typing import Self, TypeAlias
 
 from sim.errors import InvalidEpisode
 
-Json: TypeAlias = "None | bool | int | float | str | list[Json] | dict[str, Json]"
+Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
 JsonObject: TypeAlias = "dict[str, Json]"
 
 MAX_SEED = 2**53 - 1
@@ -89,7 +89,7 @@ class EpisodeSpec:
                 raise InvalidEpisode(f"{name}: expected {names}, got {document[name]!r}")
         values = dict(document)
         requirements = values["requirements"]
-        assert isinstance(requirements, list)  # noqa: S101  (narrowed above)
+        assert isinstance(requirements, list)
         if not all(isinstance(item, str) for item in requirements):
             raise InvalidEpisode(f"requirements: expected a list of ids, got {requirements!r}")
         values["requirements"] = tuple(requirements)  # type: ignore[assignment]

@@ -110,9 +110,9 @@ def sim(
 
     Example: brink bench sim
     """
-    from sim.urban.benchmark import measure as measure_episodes
+    from sim.urban.benchmark import measure_costs
 
-    kinds = list(measure_episodes())
+    kinds = list(measure_costs())
     rates = []
     with Console(stderr=True).status("measuring") as status:
         for algorithm in ("random@1", "mlcshe@1"):
@@ -128,9 +128,10 @@ def sim(
         )
         return
     screen = console()
-    table = _table("episode of 30 s", "CPU ms", "target", "")
+    table = _table("what", "value", "", "target", "")
     for kind in kinds:
-        table.add_row(kind.what, f"{kind.value:.1f}", kind.target, _met(kind.met))
+        target = "" if kind.most is None else f"at most {kind.most:g}"
+        table.add_row(kind.what, f"{kind.value:.1f}", kind.unit, target, _met(kind.met))
     screen.print(table)
     screen.print(_rate_table(rates))
     screen.print(
