@@ -192,7 +192,7 @@ class Archive:
                 f"{new_unsafe.shape}, {new_robustness.shape} for {rows.shape}"
             )
         all_numbers = np.concatenate([self.numbers, new_numbers])
-        if np.unique(all_numbers).size < all_numbers.size:
+        if np.unique(new_numbers).size < new_numbers.size or np.isin(new_numbers, self.numbers).any():
             raise ValueError("numbers: expected each candidate once; some are in the archive already")
         all_unsafe = np.concatenate([self.unsafe, new_unsafe])
         new_points = self.metric.points(rows)
@@ -222,23 +222,21 @@ class Archive:
     ) -> tuple[IntArray, IntArray]:
         """Return all neighbour counts after the new points came, and file the distances in `kept`."""
         known = len(self)
-        neighbours = np.zeros(len(everything), np.int64)
-        unsafe_neighbours = np.zeros(len(everything), np.int64)
-        neighbours[:known] = self.neighbours
-        unsafe_neighbours[:known] = self.unsafe_neighbours
+        totals = np.zeros((len(everything), 2), np.int64)
+        totals[:known] = np.stack([self.neighbours, self.unsafe_neighbours], axis=1)
+        # One column counts everybody, the other the unsafe. A product of zeros and ones in float32 is exact as
+        # long as no count of a block exceeds 2**24, whatever the order of summation.
+        weights = np.stack([np.ones(len(everything)), unsafe], axis=1).astype(np.float32)
         for rows, columns, block in self.metric.blocks(new, everything):
-            near = block <= self.neighbourhood.radius
+            near = (block <= self.neighbourhood.radius).astype(np.float32)
             if kept is not None:
                 kept[rows, columns] = block
             mine = slice(known + rows.start, known + rows.stop)
-            neighbours[mine] += np.count_nonzero(near, axis=1)
-            unsafe_neighbours[mine] += np.count_nonzero(near[:, unsafe[columns]], axis=1)
+            totals[mine] += (near @ weights[columns]).astype(np.int64)
             old = slice(columns.start, min(columns.stop, known))
             if old.stop > old.start:
-                near = near[:, : old.stop - old.start]
-                neighbours[old] += np.count_nonzero(near, axis=0)
-                unsafe_neighbours[old] += np.count_nonzero(near[unsafe[mine]], axis=0)
-        return neighbours, unsafe_neighbours
+                totals[old] += (near[:, : old.stop - old.start].T @ weights[mine]).astype(np.int64)
+        return np.ascontiguousarray(totals[:, 0]), np.ascontiguousarray(totals[:, 1])
 
     def distances(
         self, rows: Sequence[int] | NDArray[np.intp], columns: Sequence[int] | NDArray[np.intp]

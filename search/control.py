@@ -106,11 +106,12 @@ class ScenarioRisk:
 
     def probability(self, scenarios: FloatArray) -> FloatArray:
         """Return the probability of unsafe for scenarios, known or not, shape ``(m, d)`` to ``(m,)``."""
-        probability = np.empty(len(scenarios))
+        different, which = np.unique(scenarios, axis=0, return_inverse=True)
+        probability = np.empty(len(different))
         mean = self.unsafe.sum() / self.evaluated.sum()
-        for top in range(0, len(scenarios), _ROWS):
+        for top in range(0, len(different), _ROWS):
             rows = slice(top, top + _ROWS)
-            distance = self.metric.between(scenarios[rows], self.scenarios)
+            distance = self.metric.between(different[rows], self.scenarios)
             own = distance == 0
             weight = np.where(own, 0.0, np.exp(-distance / self.bandwidth))
             prior = ((weight * self.unsafe).sum(axis=1) + mean) / (
@@ -119,7 +120,7 @@ class ScenarioRisk:
             unsafe = (own * self.unsafe).sum(axis=1)
             evaluated = (own * self.evaluated).sum(axis=1)
             probability[rows] = (unsafe + self.shrinkage * prior) / (evaluated + self.shrinkage)
-        return probability
+        return probability[which]
 
 
 def _chance(seed: int, draw: int, number: int) -> float:

@@ -56,6 +56,22 @@ def test_value_of_a_pair_depends_on_nothing_but_the_pair() -> None:
         assert together[i, j] == pytest.approx(naive(a[i], b[j]), abs=1e-14)
 
 
+@pytest.mark.parametrize("numeric", [1, 2, 3, 4, 5, 8, 20, 31])
+def test_numbers_are_summed_one_after_the_other_bit_for_bit(numeric: int) -> None:
+    rng = np.random.default_rng(numeric)
+    metric = Metric(rng.random(numeric) + 0.5, np.zeros(numeric, bool))
+    for count in range(1, 10):
+        a, b = rng.random((count, numeric)), rng.random((11 - count, numeric))
+        scaled_a, scaled_b = a / metric.ranges, b / metric.ranges
+        expected = np.zeros((len(a), len(b)))
+        for i, j in np.ndindex(expected.shape):
+            total = 0.0
+            for x, y in zip(scaled_a[i].tolist(), scaled_b[j].tolist(), strict=True):
+                total += abs(x - y)
+            expected[i, j] = total / numeric
+        assert np.array_equal(metric.between(a, b), expected)
+
+
 @given(st.integers(0, 2**32 - 1))
 @settings(deadline=None)
 def test_distance_is_a_metric(seed: int) -> None:
