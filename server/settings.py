@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, SecretStr
+from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 DEFAULT_DATABASE = "sqlite:///brink.db"
@@ -35,6 +35,12 @@ class Settings(BaseSettings):
         int, Field(ge=0, description="Solutions past which distance blocks are no longer stored.")
     ] = 20_000
     log_level: str = "info"
+
+    @field_validator("token")
+    @classmethod
+    def _empty_is_none(cls, token: SecretStr | None) -> SecretStr | None:
+        """Take an empty token for what it is: no token, with which nobody may listen to other machines."""
+        return token if token is not None and token.get_secret_value() else None
 
     @property
     def sqlite_file(self) -> Path | None:

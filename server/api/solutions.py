@@ -3,11 +3,12 @@
 import asyncio
 import csv
 import io
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import JSONResponse
+from sqlalchemy import Connection, Row
 from starlette.responses import Response as PlainResponse
 
 from server.api.context import Context, Services, client_gone
@@ -20,6 +21,7 @@ from server.campaigns.values import Campaign
 from server.campaigns.views import boundary_view, solution_views
 from server.db.models import JobStatus
 from server.errors import Conflict, FieldError, InvalidInput, NotFound
+from sim.errors import InvalidEpisode
 from sim.replay import render_bytes
 from sim.trace import Trace
 
@@ -137,8 +139,9 @@ async def get_distances(
 async def get_archive(campaign_id: str, services: Services) -> Response:
     """Return all evaluated solutions as numpy arrays: numbers, vectors, verdicts, counts, fitness."""
     campaign = await services.campaigns.get(campaign_id)
-    stored = await asyncio.get_running_loop().run_in_executor(None, services.archives.stored, campaign)
-    archive = (await services.archives.get(campaign)).archive
+    stored, archive = await asyncio.get_running_loop().run_in_executor(
+        None, services.archives.stored, campaign
+    )
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer,
@@ -150,7 +153,7 @@ async def get_archive(campaign_id: str, services: Services) -> Response:
         generations=stored.generations,
         neighbours=stored.neighbours,
         unsafe_neighbours=stored.unsafe_neighbours,
-        fitness=archive.fitness[: len(stored.numbers)],
+        fitness=archive.fitness,
     )
     return Response(buffer.getvalue(), media_type="application/x-npz")
 
@@ -190,10 +193,14 @@ async def get_replay(
     data = await _trace(services, campaign, number, request, wait_s)
     if data is None:
         return _being_made()
+    try:
+        trace = Trace.from_bytes(data)
+    except InvalidEpisode as error:
+        raise Conflict(f"solution {number}: its trace cannot be drawn: {error}") from None
     requirement = str(campaign.body.problem.params.get("requirement", "front-gap@1"))
 
     def draw() -> bytes:
-        return render_bytes(Trace.from_bytes(data), f".{extension}", requirement=requirement)
+        return render_bytes(trace, f".{extension}", requirement=requirement)
 
     picture = await asyncio.get_running_loop().run_in_executor(None, draw)
     media = {"png": "image/png", "gif": "image/gif", "mp4": "video/mp4"}[extension]
@@ -206,23 +213,24 @@ async def _trace(
     """Return the trace of a solution, waiting for a worker to make it; None if it takes longer."""
     deadline = asyncio.get_running_loop().time() + wait_s
     asked = False
+
+    def look(connection: Connection) -> tuple[bytes | None, Row[*tuple[Any, ...]] | None]:
+        return find_trace(connection, campaign.id, number), trace_job(connection, campaign.id, number)
+
     async with client_gone(request) as gone:
         while True:
-            kept = await read(services.engines, lambda c: find_trace(c, campaign.id, number))
-            if kept is not None:
-                return kept
-            if not asked:
+            kept, job = await read(services.engines, look)
+            if kept is None and not asked:
                 asked = True
                 if not await services.campaigns.request_trace(campaign.id, number):
                     raise NotFound(f"campaign {campaign.id} has no simulated solution {number}")
-            job = await read(services.engines, lambda c: trace_job(c, campaign.id, number))
+                kept, job = await read(services.engines, look)
+            if kept is not None:
+                return kept
+            if job is not None and job.status == JobStatus.DONE:
+                raise Conflict(f"solution {number}: its simulator records no traces")
             if job is not None and job.status in (JobStatus.QUARANTINED, JobStatus.CANCELLED):
                 raise Conflict(f"solution {number}: the trace cannot be made: {job.last_error}")
-            if job is not None and job.status == JobStatus.DONE:
-                kept = await read(services.engines, lambda c: find_trace(c, campaign.id, number))
-                if kept is None:
-                    raise Conflict(f"solution {number}: its simulator records no traces")
-                return kept
             if asyncio.get_running_loop().time() >= deadline or gone.is_set():
                 return None
             await asyncio.sleep(LOOK_AGAIN_S)

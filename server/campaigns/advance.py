@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from sqlalchemy import Row
+from sqlalchemy.exc import InterfaceError, OperationalError
 
 from search.algorithm import Algorithm, Candidate, Evaluation, Failed, Scored
 from search.archive import Archive, Neighbourhood
@@ -39,7 +40,8 @@ from server.catalogue import make_algorithm, make_params, make_problem
 from server.db.engine import Engines
 from server.db.models import CampaignStatus, JobStatus, SolutionVerdict
 from server.db.writer import Writer
-from server.problems.base import InProcessProblem, Problem
+from server.errors import InvalidInput, Unavailable
+from server.problems.base import InProcessProblem, Problem, SimulatedProblem
 from worker.wire import Completed
 
 DEFAULT_T_B = 0.10
@@ -129,6 +131,10 @@ class Stepper:
         """Keep the state of a campaign that was just submitted."""
         self._live[campaign_id] = live
 
+    def forget(self, campaign_id: str) -> None:
+        """Drop the state of a campaign that has ended."""
+        self._live.pop(campaign_id, None)
+
     def archive(self, campaign_id: str, generation: int) -> Archive | None:
         """Return a campaign's archive if it is in memory and at that generation."""
         live = self._live.get(campaign_id)
@@ -156,7 +162,16 @@ class Stepper:
             return False
         try:
             return self._tell(campaign, jobs)
+        except InvalidInput as error:
+            reason = (
+                f"generation {campaign.generation} cannot be told here: {error}. Resume once that is mended."
+            )
+            self._end(campaign_id, CampaignStatus.PAUSED, reason)
+            return False
         except Exception as error:
+            if _passes(error):
+                self._live.pop(campaign_id, None)
+                raise
             log.exception("campaign %s: generation %d cannot be told", campaign_id, campaign.generation)
             reason = f"generation {campaign.generation} cannot be told: {type(error).__name__}: {error}"
             self._end(campaign_id, CampaignStatus.FAILED, reason)
@@ -178,7 +193,12 @@ class Stepper:
         if not self._writer.submit(lambda connection: step_store.write_step(connection, step)).result():
             self._live.pop(campaign.id, None)
             return False
-        self._live[campaign.id] = Live(plan=live.plan, generation=campaign.generation + 1, state=asked_state)
+        if finished:
+            self._live.pop(campaign.id, None)
+        else:
+            self._live[campaign.id] = Live(
+                plan=live.plan, generation=campaign.generation + 1, state=asked_state
+            )
         log.info(
             "campaign=%s generation=%d evaluated=%d unsafe=%d step_ms=%.1f%s",
             campaign.id, campaign.generation, step.summary.evaluated, step.summary.unsafe,
@@ -303,10 +323,24 @@ def _evaluations(
     evaluations: dict[int, Evaluation] = {}
     for job in jobs:
         if job.status == JobStatus.DONE:
-            evaluations[job.number] = problem.evaluation(Completed.model_validate_json(job.result))
+            evaluations[job.number] = _evaluation(problem, job.result)
         else:
             evaluations[job.number] = Failed(reason=job.last_error or str(job.status))
     return evaluations
+
+
+def _evaluation(problem: SimulatedProblem, result: str) -> Evaluation:
+    """Return what a result says; one that the problem cannot read says nothing, and must not stop the others."""
+    try:
+        return problem.evaluation(Completed.model_validate_json(result))
+    except (LookupError, ValueError, TypeError, ArithmeticError) as error:
+        return Failed(reason=f"error: the result cannot be judged: {type(error).__name__}: {error}")
+
+
+def _passes(error: Exception) -> bool:
+    """Whether a step failed for the database's sake: away, locked, stopping. It is then taken again."""
+    cause = error.__cause__ if isinstance(error, Unavailable) else error
+    return cause is None or isinstance(cause, OperationalError | InterfaceError)
 
 
 def _judged(number: int, evaluation: Evaluation) -> Judged:

@@ -43,11 +43,12 @@ class Archives:
             self._kept.popitem(last=False)
         return kept
 
-    def stored(self, campaign: Campaign) -> StoredArchive:
-        """Return the stored rows of a campaign's archive."""
+    def stored(self, campaign: Campaign) -> tuple[StoredArchive, Archive]:
+        """Return the stored rows of a campaign's archive, and the archive that they make."""
         plan = make_plan(campaign.body)
         with self.engines.reader.connect() as connection:
-            return step_store.read_archive(connection, campaign.id, plan.problem.space.dimension)
+            stored = step_store.read_archive(connection, campaign.id, plan.problem.space.dimension)
+        return stored, restored_archive(plan, stored)
 
     def _load(self, campaign: Campaign) -> ReadArchive:
         plan = make_plan(campaign.body)

@@ -142,7 +142,9 @@ class CampaignService:
     async def cancel(self, campaign_id: str) -> Campaign:
         """End a campaign; what it found stays."""
         allowed = (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
-        return await self._change(campaign_id, "cancel", allowed, CampaignStatus.CANCELLED)
+        campaign = await self._change(campaign_id, "cancel", allowed, CampaignStatus.CANCELLED)
+        self.stepper.forget(campaign.id)
+        return campaign
 
     async def delete(self, campaign_id: str) -> None:
         """Delete a campaign that has ended, with everything that belongs to it.

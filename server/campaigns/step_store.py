@@ -23,6 +23,9 @@ from server.db.models import (
     SolutionVerdict,
 )
 
+MAX_NAMED = 10_000
+"""Values that one statement may name: databases bound how many there can be."""
+
 
 def insert_solutions(
     connection: Connection, campaign: Campaign, generation: int, solutions: Sequence[NewSolution]
@@ -71,10 +74,16 @@ def insert_jobs(
 
 
 def _known_results(connection: Connection, hashes: Sequence[str], kind: JobKind) -> dict[str, str]:
-    query = select(JobRow.spec_hash, JobRow.result).where(
-        JobRow.spec_hash.in_(hashes), JobRow.status == JobStatus.DONE, JobRow.kind == kind, JobRow.cache
-    )
-    return {row.spec_hash: row.result for row in connection.execute(query)}
+    known: dict[str, str] = {}
+    for start in range(0, len(hashes), MAX_NAMED):
+        query = select(JobRow.spec_hash, JobRow.result).where(
+            JobRow.spec_hash.in_(hashes[start : start + MAX_NAMED]),
+            JobRow.status == JobStatus.DONE,
+            JobRow.kind == kind,
+            JobRow.cache,
+        )
+        known.update({row.spec_hash: row.result for row in connection.execute(query)})
+    return known
 
 
 def jobs_again(connection: Connection, campaign_id: str, numbers: Sequence[int]) -> list[tuple[int, NewJob]]:

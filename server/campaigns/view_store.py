@@ -5,6 +5,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, Select, func, select
 
+from server.campaigns.step_store import MAX_NAMED
 from server.campaigns.values import Campaign, GenerationSummary
 from server.db.models import GenerationRow, JobKind, JobRow, JobStatus, SolutionRow, SolutionVerdict
 
@@ -46,9 +47,13 @@ def count_pending(connection: Connection, campaign: Campaign) -> int:
     ).scalar_one()
 
 
-def waiting_needs(connection: Connection) -> dict[str, int]:
-    """Return how many queued jobs need each capability."""
-    query = select(JobRow.needs, func.count()).where(JobRow.status == JobStatus.QUEUED).group_by(JobRow.needs)
+def waiting_needs(connection: Connection, campaign_id: str) -> dict[str, int]:
+    """Return how many of a campaign's queued jobs need each capability."""
+    query = (
+        select(JobRow.needs, func.count())
+        .where(JobRow.campaign_id == campaign_id, JobRow.status == JobStatus.QUEUED)
+        .group_by(JobRow.needs)
+    )
     return {str(row[0]): int(row[1]) for row in connection.execute(query)}
 
 
@@ -56,7 +61,12 @@ def read_solutions(
     connection: Connection, campaign_id: str, numbers: Iterable[int]
 ) -> list[Row[*tuple[Any, ...]]]:
     """Return solutions by number, ascending, each with its job's result, attempts and last error."""
-    return list(connection.execute(_solutions(campaign_id).where(SolutionRow.number.in_(list(numbers)))))
+    wanted = sorted(numbers)
+    found: list[Row[*tuple[Any, ...]]] = []
+    for start in range(0, len(wanted), MAX_NAMED):
+        some = wanted[start : start + MAX_NAMED]
+        found += connection.execute(_solutions(campaign_id).where(SolutionRow.number.in_(some))).all()
+    return found
 
 
 def page_solutions(

@@ -25,6 +25,7 @@ from server.campaigns.advance import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.archives import ReadArchive
 from server.campaigns.values import Campaign, GenerationSummary
 from server.db.models import CampaignStatus, JobStatus
+from server.errors import NotFound
 from server.queue.workers import list_seen
 
 RATE_WINDOW = 5
@@ -47,7 +48,8 @@ def read_progress(
 ) -> Progress:
     """Return counts and series of a campaign, from generation `since` on."""
     campaign = store.find_campaign(connection, campaign_id)
-    assert campaign is not None
+    if campaign is None:
+        raise NotFound(f"campaign {campaign_id}: no such campaign")
     series = view_store.list_generations(
         connection, campaign.id, max(0, min(since, campaign.generation - RATE_WINDOW))
     )
@@ -58,7 +60,7 @@ def read_progress(
     in_generation = max(0, asked - queued - leased)
     seen = list_seen(connection, within_s=worker_seen_s)
     capabilities = {name for worker in seen for name in worker.capabilities}
-    waiting = view_store.waiting_needs(connection) if queued else {}
+    waiting = view_store.waiting_needs(connection, campaign.id) if queued else {}
     done = campaign.evaluated + campaign.failed + in_generation
     end = campaign.finished_at or datetime.now(UTC)
     rate = _rate(campaign, series, done, end)

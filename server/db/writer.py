@@ -39,6 +39,8 @@ class Writer:
         self._engine = engine
         self._waiting: queue.SimpleQueue[_Waiting | None] = queue.SimpleQueue()
         self._closing = False
+        # Nothing may slip in behind the end of the queue: nobody would answer it.
+        self._door = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="brink-writer", daemon=True)
         self._thread.start()
 
@@ -50,16 +52,19 @@ class Writer:
             writer is closed.
         """
         answer: Future[T] = Future()
-        if self._closing:
-            answer.set_exception(Unavailable("the coordinator is stopping"))
-            return answer
-        self._waiting.put(_Waiting(unit, answer))
+        with self._door:
+            if not self._closing:
+                self._waiting.put(_Waiting(unit, answer))
+                return answer
+        answer.set_exception(Unavailable("the coordinator is stopping"))
         return answer
 
     def close(self) -> None:
         """Commit what waits, then stop."""
-        self._closing = True
-        self._waiting.put(None)
+        with self._door:
+            if not self._closing:
+                self._closing = True
+                self._waiting.put(None)
         self._thread.join()
 
     def _run(self) -> None:

@@ -138,6 +138,9 @@ class QueueService:
         self.advance_soon(report.campaigns)
         reply: LeaseReply | None = None
         if wanted is not None:
+            if granted and gone.is_set():
+                await self._give_back(granted)
+                granted = []
             reply = LeaseReply(jobs=granted, lease_s=self.settings.lease_s)
             if not granted and wanted.wait_s > 0:
                 reply = await self.lease(wanted, gone)
@@ -236,4 +239,5 @@ def _outcome(index: int, job: int, token: str, outcome: Completed | object) -> O
                 ) from None
         return Outcome(job=job, token=token, result=outcome.model_dump_json(exclude={"trace"}), trace=trace)
     reason, message = getattr(outcome, "reason", "error"), getattr(outcome, "message", "")
-    return Outcome(job=job, token=token, result=None, error=f"{reason}: {message}", final=reason == "invalid")
+    error = f"{reason}: {message}".replace("\0", "�")  # Postgres takes no NUL in a text
+    return Outcome(job=job, token=token, result=None, error=error, final=reason == "invalid")

@@ -5,27 +5,22 @@ is lost to a client that has gone.
 """
 
 import asyncio
-from collections import deque
 
 
 class Wakeups:
     """A line of waiters."""
 
     def __init__(self) -> None:
-        self._line: deque[asyncio.Future[None]] = deque()
+        self._line: dict[asyncio.Future[None], None] = {}
 
     def __len__(self) -> int:
-        return sum(not waiter.done() for waiter in self._line)
+        return len(self._line)
 
     def wake(self, count: int | None = None) -> None:
         """Wake the first `count` waiters, or all of them."""
-        while self._line and (count is None or count > 0):
-            waiter = self._line.popleft()
-            if waiter.done():
-                continue
+        for waiter in list(self._line)[:count]:
+            del self._line[waiter]
             waiter.set_result(None)
-            if count is not None:
-                count -= 1
 
     async def wait(self, timeout_s: float, gone: asyncio.Event) -> bool:
         """Wait in line.
@@ -38,16 +33,15 @@ class Wakeups:
             Whether there was a wake-up, and somebody is still there to use it.
         """
         waiter: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._line.append(waiter)
+        self._line[waiter] = None
         left: asyncio.Future[bool] = asyncio.ensure_future(gone.wait())
+        used = False
         try:
             await asyncio.wait((waiter, left), timeout=timeout_s, return_when=asyncio.FIRST_COMPLETED)
+            used = waiter.done() and not gone.is_set()
         finally:
             left.cancel()
-            woken = waiter.done()
-            if not woken:
-                waiter.cancel()
-        if woken and gone.is_set():
-            self.wake(1)
-            return False
-        return woken
+            self._line.pop(waiter, None)
+            if waiter.done() and not used:
+                self.wake(1)
+        return used
