@@ -5,15 +5,15 @@ from pathlib import Path
 
 import httpx
 import pytest
-
-from server.catalogue import PROBLEMS
-from server.db.engine import Engines, open_engines
-from sim import catalogue
 from support.api import coordinator
 from support.databases import BACKENDS, Databases, sqlite_template
 from support.postgres import NoPostgres, PostgresDatabases, running_postgres
 from support.problems import PLUGINS
 from support.queue import Queue
+
+from server.catalogue import PROBLEMS
+from server.db.engine import Engines, open_engines
+from sim import catalogue
 
 
 @pytest.fixture(scope="session")

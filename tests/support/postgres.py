@@ -123,7 +123,9 @@ def packaged_binaries() -> Path | None:
     if spec is None or spec.origin is None:
         return None
     package = Path(spec.origin).parent
-    return next((path for path in sorted(package.glob("pginstall*/bin"), reverse=True) if _complete(path)), None)
+    return next(
+        (path for path in sorted(package.glob("pginstall*/bin"), reverse=True) if _complete(path)), None
+    )
 
 
 def _complete(folder: Path) -> bool:
@@ -152,7 +154,7 @@ def find_binaries() -> Path:
 @contextmanager
 def _folder(account: Account) -> Iterator[Path]:
     """Give a temporary folder that the server's user owns and can reach, with room for a socket's name."""
-    for parent in dict.fromkeys((tempfile.gettempdir(), "/tmp", "/var/tmp", "/dev/shm")):  # noqa: S108
+    for parent in dict.fromkeys((tempfile.gettempdir(), "/tmp", "/var/tmp", "/dev/shm")):
         if not os.path.isdir(parent) or len(parent) > 60:
             continue
         folder = account.own(Path(tempfile.mkdtemp(prefix="brink-pg-", dir=parent)))
@@ -237,7 +239,9 @@ def _await_start(url: str, server: subprocess.Popen[bytes], log: Path) -> None:
             if server.poll() is None and time.monotonic() < deadline:
                 time.sleep(0.02)  # polls for the socket: a server tells nobody that it is up
                 continue
-            raise NoPostgres(f"Postgres did not come up: {error}\n{log.read_text(errors='replace')}") from error
+            raise NoPostgres(
+                f"Postgres did not come up: {error}\n{log.read_text(errors='replace')}"
+            ) from error
         return
 
 

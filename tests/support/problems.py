@@ -24,7 +24,9 @@ class BallParams:
 
     limit: float = setting(1.0, help="Radius of the unsafe ball.", gt=0.0, le=4.0, unit="m")
     fault: str = setting("none", help="What goes wrong east of `fault_from`.")
-    fault_from: float = setting(2.0, help="East of here the simulator breaks down.", ge=-2.0, le=2.0, unit="m")
+    fault_from: float = setting(
+        2.0, help="East of here the simulator breaks down.", ge=-2.0, le=2.0, unit="m"
+    )
     once_in: str = setting("", help="Folder that remembers faults: each episode then fails once alone.")
     slow_s: float = setting(0.0, help="How long an episode takes.", ge=0.0, le=10.0, unit="s")
     timeout_s: float = setting(20.0, help="Wall-clock limit of an episode.", gt=0.0, le=100.0, unit="s")
@@ -44,7 +46,10 @@ class Ball:
     def __init__(self, params: BallParams) -> None:
         self.params = params
         self.space = SearchSpace(
-            (Component("where", (Real("x", -2.0, 2.0, "m"),)), Component("what", (Real("y", -2.0, 2.0, "m"),)))
+            (
+                Component("where", (Real("x", -2.0, 2.0, "m"),)),
+                Component("what", (Real("y", -2.0, 2.0, "m"),)),
+            )
         )
         self.algorithm_defaults: Mapping[str, Any] = {"radius": 0.2}
         self.needs = params.needs

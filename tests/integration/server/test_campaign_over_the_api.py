@@ -1,13 +1,7 @@
 """A campaign through the REST API, from its submission to its archive."""
 
-import csv
-import io
-
 import httpx
-import numpy as np
-import pytest
-
-from support.api import FakeWorker, ball, expect, progress, submit
+from support.api import FakeWorker, ball, submit
 
 
 def test_a_campaign_finishes_and_shows_what_it_found(client: httpx.Client) -> None:

@@ -4,10 +4,10 @@ import itertools
 from datetime import timedelta
 
 import pytest
+from support.queue import Queue
 
 from server.db.clock import database_now
 from server.db.models import CampaignStatus
-from support.queue import Queue
 from worker.wire import LeasedJob
 
 
@@ -115,7 +115,11 @@ def test_renewing_names_only_what_is_still_held(queue: Queue) -> None:
     queue.complete(done)
     queue.run_out(lost)
     held = queue.renew(
-        kept, done, lost, forged.model_copy(update={"token": "guess"}), deleted.model_copy(update={"job": 10**9})
+        kept,
+        done,
+        lost,
+        forged.model_copy(update={"token": "guess"}),
+        deleted.model_copy(update={"job": 10**9}),
     )
     assert held == [kept.job]
     queue.set_status(campaign, CampaignStatus.CANCELLED)

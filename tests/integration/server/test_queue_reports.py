@@ -1,6 +1,7 @@
 """What becomes of reported outcomes: on SQLite and on Postgres."""
 
 import pytest
+from support.queue import RESULT, Queue
 
 from server.campaigns import store
 from server.campaigns.jobs import retry
@@ -8,14 +9,13 @@ from server.campaigns.traces import request_trace
 from server.db.models import CampaignStatus, TraceRow
 from server.errors import Conflict, NotFound
 from server.queue.values import Outcome
-from support.queue import RESULT, Queue
 from worker.wire import LeasedJob
 
 A, B = "a" * 64, "b" * 64
 
 
-def one_lease(queue: Queue, **campaign: int) -> LeasedJob:
-    queue.campaign(1, **campaign)
+def one_lease(queue: Queue, max_attempts: int = 3) -> LeasedJob:
+    queue.campaign(1, max_attempts=max_attempts)
     (job,) = queue.lease()
     return job
 
