@@ -3,9 +3,9 @@
 A solution is on the boundary if its fitness is at most t_b. Of those, sorted by fitness and then by number, each
 is taken whose distance to all taken before is at least d_th.
 
-The *strict* DBS counts only solutions for which there is evidence of a boundary: their interval contains p_th and
-their neighbourhood holds both verdicts. It is never more than what lies behind the plain figure by chance of
-definition: with p_th = 0.1 a neighbourhood of enough safe solutions and not one unsafe reaches fitness 1/9.
+The *strict* DBS takes only solutions for which there is evidence of a boundary: their interval contains p_th and
+their neighbourhood holds both verdicts. With p_th = 0.1 enough safe neighbours and not one unsafe reach fitness 1/9,
+so from t_b = 0.15 on the plain figure counts surroundings in which nothing unsafe was ever seen.
 
 Source: Sharifi et al. 2023, post-processing and DBS; the strict DBS is ours.
 """

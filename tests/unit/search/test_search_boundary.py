@@ -112,6 +112,11 @@ def test_figures_over_the_budget_use_only_what_was_known_then() -> None:
     assert looked_ahead > 0
 
 
+def test_solutions_beyond_the_budget_are_not_counted() -> None:
+    points = list(dbs_by_budget(random_archive(300, missing=(3,)), 200, (0.5, 1.0)))
+    assert [(point.simulations, point.evaluated) for point in points] == [(100, 99), (200, 199)]
+
+
 @pytest.mark.parametrize("fractions", [(0.0, 1.0), (0.5, 0.5), (0.9, 0.1), (1.1,)])
 def test_fractions_that_do_not_ascend_in_the_unit_interval_are_refused(fractions: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match="fractions"):

@@ -21,6 +21,7 @@ class Settings:
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class MoreSettings(Settings):
     gap_m: float = setting(2.0, help="A gap.", gt=0, unit="m")
+    mode: str = setting("fast", help="A mode.", choices=("fast", "exact"))
 
 
 def test_fields_carry_what_a_catalogue_shows() -> None:
@@ -28,6 +29,8 @@ def test_fields_carry_what_a_catalogue_shows() -> None:
     assert dict(share.metadata) == {"help": "A share.", "unit": "", "ge": 0, "lt": 1}
     assert count.metadata["unit"] == "cars"
     assert count.default == 3
+    mode = dataclasses.fields(MoreSettings)[-1]
+    assert mode.metadata["choices"] == ("fast", "exact")
 
 
 def test_values_inside_their_bounds_are_taken() -> None:
@@ -50,6 +53,7 @@ def test_values_inside_their_bounds_are_taken() -> None:
         ({"count": 11}, "count", "got 11"),
         ({"name": 1}, "name", "name: expected a text, got 1"),
         ({"on": 1}, "on", "on: expected true or false, got 1"),
+        ({"mode": "slow"}, "mode", "mode: expected one of fast, exact; got 'slow'"),
         ({"gap_m": 0.0}, "gap_m", r"gap_m: expected a number > 0 \(m\), got 0.0"),
     ],
 )
