@@ -45,6 +45,7 @@ def run_loop(
     seed: int,
     duration_s: float,
     recorder: Recorder | None,
+    to_the_end: bool = False,
 ) -> Outcome:
     """Run an episode to its end: the goal, the ego's first collision, or the end of its time.
 
@@ -57,6 +58,7 @@ def run_loop(
         seed: The episode's seed.
         duration_s: Its time.
         recorder: Takes the trace, if there is one.
+        to_the_end: Go on after the goal and after collisions, to measure what an episode costs.
     """
     steps = CONTROL_PER_PERCEPTION * last_perception_step(duration_s)
     facts = Facts(world, process_engine())
@@ -102,7 +104,7 @@ def run_loop(
             least_front_m = front_m
         if sample.speed_mps < 0.1:
             standing += 1
-        if sample.collision is not None or sample.goal_reached:
+        if (sample.collision is not None or sample.goal_reached) and not to_the_end:
             if recorder is not None:
                 recorder.watch(sample)
             ended = "goal" if sample.collision is None else "collision"

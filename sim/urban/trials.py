@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -49,13 +50,14 @@ def run_trials(specs: Sequence[EpisodeSpec], *, processes: int = 2) -> Iterator[
     if processes <= 1:
         yield from map(run_trial, specs)
         return
-    with _one_thread_each(), multiprocessing.get_context("spawn").Pool(processes) as pool:
-        yield from pool.imap(run_trial, specs, chunksize=_CHUNK)
+    context = multiprocessing.get_context("spawn")
+    with single_threaded(), ProcessPoolExecutor(processes, mp_context=context) as pool:
+        yield from pool.map(run_trial, specs, chunksize=_CHUNK)
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Keep numerical libraries of the processes started meanwhile to one thread."""
+def single_threaded() -> Iterator[None]:
+    """Keep numerical libraries of the processes that are started meanwhile to one thread."""
     before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
     try:

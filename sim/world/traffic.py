@@ -123,13 +123,14 @@ class _Makers:
         """Cars on the other lane."""
         vehicles = []
         lane = self.road.backward
-        for number, ahead_m in enumerate((65.0, 125.0)):
+        distances_m = (65.0, 125.0, 180.0)
+        for number, ahead_m in enumerate(distances_m if self.road.length_m > 180.0 else distances_m[:2]):
             rng = generator(self.seed, Stream.VEHICLE, 110 + number)
-            manner = self._manner(1 + number)
+            manner = self._manner(10 + number)
             vehicles.append(
                 Vehicle(
                     name=f"oncoming-{number + 1}",
-                    size=VAN if number else CAR,
+                    size=VAN if number == 1 else CAR,
                     path=lane,
                     station_m=lane.length_m - ahead_m + float(rng.uniform(-4.0, 4.0)),
                     speed_mps=manner.speed_mps,
