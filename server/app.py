@@ -3,7 +3,7 @@
 import asyncio
 import logging
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from importlib.metadata import version
 
 from fastapi import APIRouter, FastAPI
@@ -48,14 +48,19 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         context = _context(settings, engines)
         app.state.context = context
-        sweeper = asyncio.create_task(_sweep(context)) if sweeping else None
+        stopping = asyncio.Event()
+        sweeper = asyncio.create_task(_sweep(context, stopping)) if sweeping else None
         try:
             yield
         finally:
+            stopping.set()
             if sweeper is not None:
-                sweeper.cancel()
-            context.queue.close()
-            await asyncio.get_running_loop().run_in_executor(None, context.queue.writer.close)
+                await (
+                    sweeper
+                )  # cancelled, it would leave its thread with a connection of engines that are gone
+            loop = asyncio.get_running_loop()
+            await loop.run_in_executor(None, context.queue.close)
+            await loop.run_in_executor(None, context.queue.writer.close)
             engines.dispose()
 
     app = FastAPI(
@@ -86,12 +91,13 @@ def _context(settings: Settings, engines: Engines) -> Context:
     )
 
 
-async def _sweep(context: Context) -> None:
+async def _sweep(context: Context, stopping: asyncio.Event) -> None:
     """Mend what a crash left: lost leases, and campaigns whose next step is due."""
-    while True:
+    while not stopping.is_set():
         try:
             await context.queue.sweep()
             context.queue.advance_soon(await read(context.engines, store.running_idle))
         except Exception:
             log.exception("sweeper: this round failed; the next one will look again")
-        await asyncio.sleep(context.settings.sweep_s)
+        with suppress(TimeoutError):
+            await asyncio.wait_for(stopping.wait(), context.settings.sweep_s)

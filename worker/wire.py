@@ -9,7 +9,12 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 WIRE_VERSION = 1
-LeaseToken = Annotated[str, Field(min_length=1, max_length=64, description="Names one lease of one job.")]
+NO_NUL = r"^[^\x00]*$"
+"""Text that every database can store."""
+LeaseToken = Annotated[
+    str, Field(min_length=1, max_length=64, pattern=r"^[!-~]+$", description="Names one lease of one job.")
+]
+JobNumber = Annotated[int, Field(ge=0, le=2**63 - 1)]
 
 
 class Message(BaseModel):
@@ -23,11 +28,18 @@ class WorkerIdentity(Message):
 
     id: Annotated[
         str,
-        Field(min_length=1, max_length=64, description="Unique and constant for the life of the process."),
+        Field(
+            min_length=1,
+            max_length=64,
+            pattern=NO_NUL,
+            description="Unique and constant for the life of the process.",
+        ),
     ]
-    host: Annotated[str, Field(max_length=255)] = ""
-    pid: Annotated[int, Field(ge=0)] = 0
-    version: Annotated[str, Field(max_length=64, description="Version of the worker's software.")] = ""
+    host: Annotated[str, Field(max_length=255, pattern=NO_NUL)] = ""
+    pid: Annotated[int, Field(ge=0, le=2**63 - 1)] = 0
+    version: Annotated[
+        str, Field(max_length=64, pattern=NO_NUL, description="Version of the worker's software.")
+    ] = ""
 
 
 class LeaseRequest(Message):
@@ -35,7 +47,7 @@ class LeaseRequest(Message):
 
     worker: WorkerIdentity
     capabilities: Annotated[
-        list[Annotated[str, Field(min_length=1, max_length=128)]],
+        list[Annotated[str, Field(min_length=1, max_length=128, pattern=NO_NUL)]],
         Field(max_length=256, description="What this worker can run: simulator ids, detector ids, `vision`."),
     ]
     max_jobs: Annotated[int, Field(ge=1, le=256)] = 8
@@ -63,7 +75,7 @@ class LeaseReply(Message):
 class HeldLease(Message):
     """A lease that a worker believes it holds."""
 
-    job: int
+    job: JobNumber
     token: LeaseToken
 
 
@@ -116,7 +128,7 @@ class JobFailed(Message):
 class JobResult(Message):
     """The outcome of one leased job."""
 
-    job: int
+    job: JobNumber
     token: LeaseToken
     outcome: Annotated[Completed | JobFailed, Field(discriminator="kind")]
 

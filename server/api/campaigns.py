@@ -9,7 +9,7 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Query, Request, Response
 
 from server.api.context import Services
-from server.api.schemas import CampaignList, CampaignView, Progress
+from server.api.schemas import MAX_NUMBER, CampaignList, CampaignView, Progress
 from server.campaigns.body import CampaignBody
 from server.campaigns.service import read
 from server.campaigns.store import ENDED
@@ -41,7 +41,7 @@ async def list_campaigns(
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     cursor: Annotated[str | None, Query(max_length=200)] = None,
     status: Annotated[list[CampaignStatus] | None, Query()] = None,
-    document_hash: Annotated[str | None, Query(max_length=64)] = None,
+    document_hash: Annotated[str | None, Query(max_length=64, pattern="^[0-9a-f]*$")] = None,
 ) -> CampaignList:
     """List campaigns, newest first."""
     campaigns = await services.campaigns.list(
@@ -93,7 +93,9 @@ async def get_progress(
     services: Services,
     request: Request,
     response: Response,
-    since: Annotated[int, Query(ge=0, description="Number of the first generation to return.")] = 0,
+    since: Annotated[
+        int, Query(ge=0, le=MAX_NUMBER, description="Number of the first generation to return.")
+    ] = 0,
 ) -> Progress:
     """Return counts and rates, and the series of generations from `since` on. Answers 304 to a known ETag."""
     campaign = await services.campaigns.get(campaign_id)

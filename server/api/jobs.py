@@ -2,10 +2,10 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Path, Query, Request
 
 from server.api.context import Services, client_gone
-from server.api.schemas import JobList, JobViewModel, WorkerView
+from server.api.schemas import MAX_NUMBER, JobList, JobViewModel, WorkerView
 from server.campaigns.jobs import list_jobs
 from server.campaigns.service import read
 from server.db.models import JobStatus
@@ -46,8 +46,8 @@ async def report_results(message: ResultsRequest, request: Request, services: Se
 async def get_jobs(
     services: Services,
     status: Annotated[list[JobStatus] | None, Query(description="Only jobs in these states.")] = None,
-    campaign: Annotated[str | None, Query(max_length=16)] = None,
-    after: Annotated[int, Query(ge=0)] = 0,
+    campaign: Annotated[str | None, Query(max_length=16, pattern="^[0-9a-z]*$")] = None,
+    after: Annotated[int, Query(ge=0, le=MAX_NUMBER)] = 0,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> JobList:
     """List jobs, ascending by id."""
@@ -62,7 +62,7 @@ async def get_jobs(
 
 
 @router.post("/jobs/{job}/retry", status_code=204)
-async def retry_job(job: int, services: Services) -> None:
+async def retry_job(job: Annotated[int, Path(ge=0, le=MAX_NUMBER)], services: Services) -> None:
     """Put a quarantined job back into the queue."""
     await services.campaigns.retry_job(job)
 

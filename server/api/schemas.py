@@ -8,6 +8,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from server.campaigns.body import CampaignBody
 from server.db.models import CampaignStatus, JobStatus, SolutionVerdict
 
+MAX_NUMBER = 2**53
+"""Largest number of a job or a solution that is looked up: JSON readers keep it exactly."""
+
 
 class View(BaseModel):
     """Base of all answers."""

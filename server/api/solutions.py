@@ -7,12 +7,13 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
+from fastapi import Path as PathParameter
 from fastapi.responses import JSONResponse
 from sqlalchemy import Connection, Row
 from starlette.responses import Response as PlainResponse
 
 from server.api.context import Context, Services, client_gone
-from server.api.schemas import Boundary, DistanceBlock, SolutionPage, SolutionView
+from server.api.schemas import MAX_NUMBER, Boundary, DistanceBlock, SolutionPage, SolutionView
 from server.campaigns import view_store
 from server.campaigns.advance import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.service import read
@@ -31,13 +32,14 @@ MAX_DISTANCES = 2_000
 LOOK_AGAIN_S = 0.25
 
 Threshold = Annotated[float, Query(ge=0, le=1)]
+Number = Annotated[int, PathParameter(ge=0, le=MAX_NUMBER)]
 
 
 @router.get("/solutions")
 async def get_solutions(
     campaign_id: str,
     services: Services,
-    after: Annotated[int, Query(ge=-1)] = -1,
+    after: Annotated[int, Query(ge=-1, le=MAX_NUMBER)] = -1,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
     unsafe: bool | None = None,
     max_fitness: Annotated[float | None, Query(ge=0, le=1)] = None,
@@ -62,7 +64,7 @@ async def get_solutions(
 
 
 @router.get("/solutions/{number}")
-async def get_solution(campaign_id: str, number: int, services: Services) -> SolutionView:
+async def get_solution(campaign_id: str, number: Number, services: Services) -> SolutionView:
     """Return one solution with all that is known of it."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
@@ -167,7 +169,7 @@ Wait = Annotated[float, Query(ge=0, le=60, description="How long to wait for wor
     responses={200: {"content": {"application/x-npz": {}}}, 202: {"description": "Being made; ask again."}},
 )
 async def get_trace(
-    campaign_id: str, number: int, request: Request, services: Services, wait_s: Wait = 20.0
+    campaign_id: str, number: Number, request: Request, services: Services, wait_s: Wait = 20.0
 ) -> Response:
     """Return the trace of a solution's episode as npz; workers re-run the episode if it was not kept."""
     campaign = await services.campaigns.get(campaign_id)
@@ -182,7 +184,7 @@ async def get_trace(
 )
 async def get_replay(
     campaign_id: str,
-    number: int,
+    number: Number,
     extension: Literal["png", "gif", "mp4"],
     request: Request,
     services: Services,

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from server.errors import FieldError, InvalidInput, nearest
 
@@ -21,6 +21,12 @@ class Body(BaseModel):
     """Base of what comes in: strict types, no unknown field."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+def _without_controls(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("expected text without control characters")
+    return text
 
 
 class PluginChoice(Body):
@@ -53,7 +59,9 @@ class Execution(Body):
 class CampaignBody(Body):
     """A campaign: a problem, an algorithm, a budget, a seed."""
 
-    name: Annotated[str, Field(min_length=1, max_length=200, examples=["night-rain"])]
+    name: Annotated[
+        str, Field(min_length=1, max_length=200, examples=["night-rain"]), AfterValidator(_without_controls)
+    ]
     problem: PluginChoice
     algorithm: PluginChoice
     budget: Budget
@@ -138,7 +146,11 @@ def _field_error(item: Any, model: type[BaseModel], prefix: str) -> FieldError:
         )
     if item["type"] == "missing":
         return FieldError(pointer=pointer, message="missing; this field is required")
-    message = item["msg"]
+    if item["type"] == "json_invalid":
+        where = location[-1] if location else 0
+        reason = item.get("ctx", {}).get("error", "malformed")
+        return FieldError(pointer=prefix, message=f"expected JSON: {reason} at character {where}")
+    message = item["msg"].removeprefix("Value error, ")
     valid = [str(value) for value in _literals(item)]
     shown = repr(item.get("input"))
     return FieldError(

@@ -24,6 +24,7 @@ from server.errors import Conflict, FieldError, InvalidInput, NotFound
 from server.queue.service import QueueService
 
 T = TypeVar("T")
+MAX_ID = 16
 
 
 def check_submission(body: CampaignBody) -> tuple[Live, list[NewSolution]]:
@@ -100,14 +101,17 @@ class CampaignService:
         """
 
         def read(connection: Connection) -> Campaign:
-            campaign = store.find_campaign(connection, campaign_id)
+            plausible = campaign_id.isalnum() and campaign_id.isascii() and len(campaign_id) <= MAX_ID
+            campaign = store.find_campaign(connection, campaign_id) if plausible else None
             if campaign is not None:
                 return campaign
-            matches = store.find_by_prefix(connection, campaign_id) if len(campaign_id) >= 2 else []
+            matches = (
+                store.find_by_prefix(connection, campaign_id) if plausible and len(campaign_id) >= 2 else []
+            )
             if len(matches) == 1:
                 return matches[0]
             reason = "more than one campaign has an id that begins so" if matches else "no such campaign"
-            raise NotFound(f"campaign {campaign_id!r}: {reason}")
+            raise NotFound(f"campaign {campaign_id[:40]!r}: {reason}")
 
         return await self._read(read)
 
