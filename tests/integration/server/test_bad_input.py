@@ -1,0 +1,187 @@
+"""Bad input is answered with a pointer, what was expected and the nearest valid name; nothing is stored."""
+
+import json
+from typing import Any
+
+import httpx
+import pytest
+from support.api import ball, row_counts
+
+from server.db.engine import Engines
+
+
+def changed(path: str, value: object) -> dict[str, Any]:
+    """Return the ball campaign with one field set."""
+    body = json.loads(json.dumps(ball()))
+    *parents, last = path.strip("/").split("/")
+    place = body
+    for name in parents:
+        place = place.setdefault(name, {})
+    place[last] = value
+    return dict(body)
+
+
+BAD = [
+    pytest.param("/problem/id", "bal@1", "/problem/id", "unknown problem 'bal@1'", "ball@1", id="problem"),
+    pytest.param("/problem/id", "xyzzy", "/problem/id", "expected one of", None, id="nothing-near"),
+    pytest.param("/algorithm/id", "mlcsh@1", "/algorithm/id", "unknown algorithm", "mlcshe@1", id="algorithm"),
+    pytest.param("/bugdet", {}, "/bugdet", "unknown field; expected one of", "budget", id="field"),
+    pytest.param("/budget/simulation", 1, "/budget/simulation", "unknown field", "simulations", id="nested-field"),
+    pytest.param("/problem/params/limt", 1.0, "/problem/params/limt", "unknown field", "limit", id="parameter"),
+    pytest.param(
+        "/algorithm/params/populaton_size", 9, "/algorithm/params/populaton_size", "unknown field",
+        "population_size", id="setting",
+    ),
+    pytest.param("/budget/simulations", "60", "/budget/simulations", "valid integer, got '60'", None, id="text"),
+    pytest.param("/budget/simulations", 60.5, "/budget/simulations", "valid integer", None, id="fraction"),
+    pytest.param("/budget/simulations", True, "/budget/simulations", "valid integer", None, id="boolean"),
+    pytest.param("/seed", -1, "/seed", "greater than or equal to 0, got -1", None, id="negative"),
+    pytest.param("/seed", 2**53, "/seed", "less than 9007199254740992", None, id="too-large"),
+    pytest.param("/priority", 101, "/priority", "less than or equal to 100", None, id="priority"),
+    pytest.param("/name", "", "/name", "at least 1 character", None, id="empty"),
+    pytest.param("/name", "a\0b", "/name", "", None, id="nul"),
+    pytest.param("/problem/params/limit", 0, "/problem/params/limit", "greater than 0, got 0", None, id="bound"),
+    pytest.param("/problem/params/limit", "1", "/problem/params/limit", "valid number", None, id="number-as-text"),
+    pytest.param(
+        "/problem/params/needs", "faulty", "/problem/params/needs", "'faulty@1' or", "faulty@1", id="choice"
+    ),
+    pytest.param(
+        "/execution/max_failed_share", 1.5, "/execution/max_failed_share", "less than or equal to 1", None,
+        id="share",
+    ),
+    pytest.param("/budget/simulations", 19, "/budget/simulations", "at least the 20", None, id="small-budget"),
+    pytest.param("/budget", None, "/budget", "got None", None, id="null"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("path", "value", "pointer", "message", "nearest"), BAD)
+def test_a_wrong_field_is_pointed_at(
+    client: httpx.Client, engines: Engines, path: str, value: object, pointer: str, message: str,
+    nearest: str | None,
+) -> None:  # fmt: skip
+    before = row_counts(engines)
+    answer = client.post("/api/v1/campaigns", json=changed(path, value))
+    assert answer.status_code == 422, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    (error,) = answer.json()["errors"]
+    assert error["pointer"] == pointer
+    assert message in error["message"]
+    assert error["nearest"] == nearest
+    assert pointer in answer.json()["detail"]
+    assert row_counts(engines) == before
+
+
+def test_all_wrong_fields_are_told_at_once(client: httpx.Client) -> None:
+    body = {**ball(), "seed": "one", "extra": 1}
+    del body["name"]
+    errors = client.post("/api/v1/campaigns", json=body).json()["errors"]
+    assert {error["pointer"] for error in errors} == {"/seed", "/extra", "/name"}
+
+
+def test_mlcshe_on_one_component_is_refused_with_what_to_do(client: httpx.Client, engines: Engines) -> None:
+    body = {**ball(), "problem": {"id": "line@1"}, "algorithm": {"id": "mlcshe@1"}}
+    answer = client.post("/api/v1/campaigns", json=body)
+    (error,) = answer.json()["errors"]
+    assert (answer.status_code, error["pointer"]) == (422, "/algorithm/id")
+    assert "two components" in error["message"]
+    assert "ga@1" in error["message"]
+    assert row_counts(engines)["campaigns"] == 0
+
+
+def test_mlcshe_needs_the_budget_of_its_first_generation(client: httpx.Client) -> None:
+    body = {**ball(), "algorithm": {"id": "mlcshe@1"}, "budget": {"simulations": 99}}
+    (error,) = client.post("/api/v1/campaigns", json=body).json()["errors"]
+    assert error["pointer"] == "/budget/simulations"
+    assert "100" in error["message"]
+
+
+@pytest.mark.parametrize("content", [b"{", b'{"name": }', b"", b"\xff\xfe", b"[" * 100_000])
+def test_what_is_no_json_is_refused(client: httpx.Client, engines: Engines, content: bytes) -> None:
+    before = row_counts(engines)
+    answer = client.post("/api/v1/campaigns", content=content, headers={"Content-Type": "application/json"})
+    assert answer.status_code in (400, 422), answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert row_counts(engines) == before
+
+
+def test_broken_json_is_located(client: httpx.Client) -> None:
+    answer = client.post("/api/v1/campaigns", content=b'{"name": }', headers={"Content-Type": "application/json"})
+    (error,) = answer.json()["errors"]
+    assert error["pointer"] == ""
+    assert "JSON" in error["message"]
+    assert "9" in error["message"]
+
+
+@pytest.mark.parametrize("body", [[], "text", 1, None])
+def test_json_that_is_no_object_is_refused(client: httpx.Client, body: object) -> None:
+    answer = client.post("/api/v1/campaigns", json=body)
+    assert answer.status_code == 422
+    assert [error["pointer"] for error in answer.json()["errors"]] == [""]
+
+
+@pytest.mark.parametrize(
+    ("path", "pointer"),
+    [
+        ("/api/v1/campaigns?limit=0", "/query/limit"),
+        ("/api/v1/campaigns?cursor=%21%21", "/query/cursor"),
+        ("/api/v1/campaigns?status=runing", "/query/status/0"),
+        ("/api/v1/jobs?limit=x", "/query/limit"),
+        ("/api/v1/jobs?after=99999999999999999999", "/query/after"),
+        ("/api/v1/campaigns/x/boundary?t_b=2", "/query/t_b"),
+        ("/api/v1/campaigns/x/solutions?after=99999999999999999999", "/query/after"),
+        ("/api/v1/campaigns/x/solutions/99999999999999999999", "/path/number"),
+    ],
+)
+def test_a_wrong_query_is_pointed_at(client: httpx.Client, path: str, pointer: str) -> None:
+    answer = client.get(path)
+    assert answer.status_code == 422, answer.text
+    assert [error["pointer"] for error in answer.json()["errors"]] == [pointer]
+
+
+def test_a_campaign_id_with_odd_characters_is_not_found(client: httpx.Client) -> None:
+    for name in ("%00ab", "%25", "a" * 3000, "..%2F..", "%F0%9F%9A%97"):
+        assert client.get(f"/api/v1/campaigns/{name}").status_code == 404, name
+
+
+IDENTITY = {"id": "w", "host": "", "pid": 1, "version": ""}
+HUGE = 10**25
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "pointer"),
+    [
+        ("lease", {"worker": {**IDENTITY, "id": ""}, "capabilities": []}, "/worker/id"),
+        ("lease", {"worker": {**IDENTITY, "pid": HUGE}, "capabilities": []}, "/worker/pid"),
+        ("lease", {"worker": IDENTITY, "capabilities": [], "max_jobs": 0}, "/max_jobs"),
+        ("lease", {"worker": IDENTITY, "capabilities": ["x"] * 300}, "/capabilities"),
+        ("lease", {"worker": IDENTITY, "capabilites": []}, "/capabilites"),
+        ("heartbeat", {"worker": IDENTITY, "leases": [{"job": HUGE, "token": "t"}]}, "/leases/0/job"),
+        (
+            "results",
+            {"worker": IDENTITY, "results": [{"job": 1, "token": "t", "outcome": {"kind": "other"}}]},
+            "/results/0/outcome",
+        ),
+        (
+            "results",
+            {
+                "worker": IDENTITY,
+                "results": [
+                    {"job": HUGE, "token": "t", "outcome": {"kind": "failed", "reason": "error", "message": ""}}
+                ],
+            },
+            "/results/0/job",
+        ),
+    ],
+)
+def test_a_wrong_message_of_a_worker_is_pointed_at(
+    client: httpx.Client, path: str, body: dict[str, Any], pointer: str
+) -> None:
+    answer = client.post(f"/api/v1/jobs/{path}", json=body)
+    assert answer.status_code == 422, answer.text
+    assert pointer in [error["pointer"] for error in answer.json()["errors"]]
+
+
+def test_a_worker_may_say_odd_things_about_itself(client: httpx.Client) -> None:
+    identity = {"id": "w\0", "host": "h\0", "pid": 1, "version": "\0"}
+    answer = client.post("/api/v1/jobs/lease", json={"worker": identity, "capabilities": ["\0"], "wait_s": 0})
+    assert answer.status_code == 422, answer.text
