@@ -45,8 +45,8 @@ class WorkerSettings:
     server: str
     worker_id: str = field(default_factory=new_worker_id)
     token: str | None = field(default=None, repr=False)
-    max_jobs: int = 8
-    prefetch_s: float = 0.25
+    max_jobs: int = 16
+    prefetch_s: float = 1.0
     wait_s: float = 20.0
     report_after_s: float = 1.0
     memory_mib: int = 2048

@@ -30,6 +30,8 @@ from sim.episode import EpisodeSpec
 
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 READY_S = 60.0
+LOOK_EVERY_S = 0.5
+"""As `brink run` does, more or less; the time of a run is the coordinator's own."""
 TARGET_SHARE = 0.93
 
 
@@ -156,7 +158,7 @@ async def _campaign(
             progress = await api.get(f"/campaigns/{campaign['id']}/progress", {"since": 10**6})
             if progress["status"] != "running":
                 break
-            await asyncio.sleep(0.1)
+            await asyncio.sleep(LOOK_EVERY_S)
         finished = await api.get(f"/campaigns/{campaign['id']}")
         seconds = progress["elapsed_s"]
         after = _cpu_times(processes.pids)

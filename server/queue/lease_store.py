@@ -12,7 +12,6 @@ from datetime import datetime, timedelta
 from typing import Any
 
 from sqlalchemy import Connection, Select, bindparam, exists, func, or_, select, update
-from sqlalchemy.orm import aliased
 
 from server.db.clock import database_now
 from server.db.locking import locked
@@ -20,10 +19,89 @@ from server.db.models import CampaignRow, CampaignStatus, JobKind, JobRow, JobSt
 from server.queue.values import JobRecord, LeaseTerms
 from worker.wire import HeldLease, LeasedJob
 
+_TWIN = JobRow.__table__.alias("twin")
+_SOMEBODY_RUNS_IT = exists(
+    select(_TWIN.c.id).where(
+        _TWIN.c.spec_hash == JobRow.spec_hash, _TWIN.c.kind == JobRow.kind, _TWIN.c.status == JobStatus.LEASED
+    )
+)
+_ELIGIBLE = (
+    JobRow.status == JobStatus.QUEUED,
+    JobRow.needs.in_(bindparam("capabilities", expanding=True)),
+    or_(JobRow.not_before.is_(None), JobRow.not_before <= bindparam("now")),
+    ~(_SOMEBODY_RUNS_IT & JobRow.cache),
+)
+"""A worker with these capabilities could run it now, and nobody runs the same simulation already."""
+
 _GRANTED = (
     JobRow.id, JobRow.campaign_id, JobRow.kind, JobRow.spec, JobRow.spec_hash,
     JobRow.attempt, JobRow.timeout_s, JobRow.cache,
 )  # fmt: skip
+
+# Built once: making a statement costs more than running it.
+_HOLDINGS = select(JobRow.attempt).where(
+    JobRow.status == JobStatus.LEASED, JobRow.lease_worker == bindparam("worker")
+)
+_WAITING = select(func.count()).select_from(
+    select(JobRow.id)
+    .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
+    .where(JobRow.status == JobStatus.QUEUED, CampaignRow.status == CampaignStatus.RUNNING)
+    .limit(bindparam("enough"))
+    .subquery()
+)
+_FRESH = select(*_GRANTED).where(*_ELIGIBLE, JobRow.attempt == 0)
+_FRESH_TRACES = _FRESH.where(JobRow.kind == JobKind.TRACE).order_by(JobRow.id).limit(bindparam("most"))
+_FRESH_EPISODES = (
+    _FRESH.where(JobRow.kind == JobKind.EPISODE, JobRow.campaign_id == bindparam("campaign"))
+    .order_by(JobRow.id)
+    .limit(bindparam("most"))
+)
+_RETRY = (
+    select(*_GRANTED)
+    .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
+    .where(
+        *_ELIGIBLE,
+        JobRow.attempt > 0,
+        or_(JobRow.kind == JobKind.TRACE, CampaignRow.status == CampaignStatus.RUNNING),
+    )
+    .order_by(CampaignRow.priority.desc(), JobRow.not_before, JobRow.id)
+    .limit(1)
+)
+_CAMPAIGNS_IN_TURN = (
+    select(CampaignRow.id, CampaignRow.priority)
+    .where(
+        CampaignRow.status == CampaignStatus.RUNNING,
+        exists(
+            select(JobRow.id)
+            .where(
+                *_ELIGIBLE,
+                JobRow.campaign_id == CampaignRow.id,
+                JobRow.kind == JobKind.EPISODE,
+                JobRow.attempt == 0,
+            )
+            .correlate(CampaignRow)
+        ),
+    )
+    .order_by(CampaignRow.priority.desc(), CampaignRow.turn, CampaignRow.id)
+)
+_NEXT_TURN = select(func.coalesce(func.max(CampaignRow.turn), 0) + 1)
+_GRANT = (
+    update(JobRow)
+    .where(JobRow.id == bindparam("granted"))
+    .values(
+        status=JobStatus.LEASED,
+        attempt=JobRow.attempt + 1,
+        lease_token=bindparam("token"),
+        lease_worker=bindparam("worker"),
+        lease_expires_at=bindparam("expires"),
+        not_before=None,
+    )
+)
+_TAKE_TURN = (
+    update(CampaignRow)
+    .where(CampaignRow.id.in_(bindparam("served", expanding=True)))
+    .values(turn=bindparam("next_turn"))
+)
 
 
 def lease(
@@ -86,95 +164,39 @@ def release(connection: Connection, leases: Iterable[HeldLease]) -> int:
 
 
 def _holdings(connection: Connection, worker: str) -> tuple[int, bool]:
-    attempts = (
-        connection.execute(
-            select(JobRow.attempt).where(JobRow.status == JobStatus.LEASED, JobRow.lease_worker == worker)
-        )
-        .scalars()
-        .all()
-    )
+    attempts = connection.execute(_HOLDINGS, {"worker": worker}).scalars().all()
     return len(attempts), any(attempt > 1 for attempt in attempts)
 
 
 def _fair_share(connection: Connection, live_workers: int, max_jobs: int) -> int:
     """Return half of an equal share of what is queued: large grants first, single jobs at the end."""
-    enough = 2 * live_workers * max_jobs
-    running = select(CampaignRow.id).where(CampaignRow.status == CampaignStatus.RUNNING)
-    queued = (
-        select(JobRow.id)
-        .where(JobRow.status == JobStatus.QUEUED, JobRow.campaign_id.in_(running))
-        .limit(enough)
-        .subquery()
-    )
-    waiting = connection.execute(select(func.count()).select_from(queued)).scalar_one()
+    waiting = connection.execute(_WAITING, {"enough": 2 * live_workers * max_jobs}).scalar_one()
     return max(1, -(-waiting // (2 * live_workers)))
-
-
-def _eligible(capabilities: Sequence[str], now: datetime) -> Select[*tuple[Any, ...]]:
-    """Return the queued jobs that a worker could run now, whose simulation nobody runs already."""
-    twin = aliased(JobRow)
-    running = select(twin.id).where(
-        twin.spec_hash == JobRow.spec_hash, twin.kind == JobRow.kind, twin.status == JobStatus.LEASED
-    )
-    return select(JobRow).where(
-        JobRow.status == JobStatus.QUEUED,
-        JobRow.needs.in_(list(capabilities)),
-        or_(JobRow.not_before.is_(None), JobRow.not_before <= now),
-        ~(exists(running) & JobRow.cache),
-    )
 
 
 def _pick_fresh(
     connection: Connection, capabilities: Sequence[str], limit: int, now: datetime
 ) -> list[JobRecord]:
-    fresh = _eligible(capabilities, now).with_only_columns(*_GRANTED).where(JobRow.attempt == 0)
-    traces = fresh.where(JobRow.kind == JobKind.TRACE).order_by(JobRow.id).limit(limit)
-    rows = list(connection.execute(locked(traces, connection, JobRow, skip_locked=True)))
-    remaining = _campaigns_in_turn(connection, capabilities, now)
-    while remaining and len(rows) < limit:
-        campaign, priority = remaining.pop(0)
-        peers = 1 + sum(1 for _, other in remaining if other == priority)
+    known = {"capabilities": list(capabilities), "now": now}
+    rows = _locked_rows(connection, _FRESH_TRACES, {**known, "most": limit})
+    campaigns = connection.execute(_CAMPAIGNS_IN_TURN, known).all() if len(rows) < limit else []
+    for place, (campaign, priority) in enumerate(campaigns):
+        if len(rows) >= limit:
+            break
+        peers = sum(other.priority == priority for other in campaigns[place:])
         share = -(-(limit - len(rows)) // peers)
-        query = (
-            fresh.where(JobRow.kind == JobKind.EPISODE, JobRow.campaign_id == campaign)
-            .order_by(JobRow.id)
-            .limit(share)
-        )
-        rows += connection.execute(locked(query, connection, JobRow, skip_locked=True)).all()
+        rows += _locked_rows(connection, _FRESH_EPISODES, {**known, "campaign": campaign, "most": share})
     return _without_twins(rows)
 
 
 def _pick_retry(connection: Connection, capabilities: Sequence[str], now: datetime) -> list[JobRecord]:
-    query = (
-        _eligible(capabilities, now)
-        .with_only_columns(*_GRANTED)
-        .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
-        .where(
-            JobRow.attempt > 0,
-            or_(JobRow.kind == JobKind.TRACE, CampaignRow.status == CampaignStatus.RUNNING),
-        )
-        .order_by(CampaignRow.priority.desc(), JobRow.not_before, JobRow.id)
-        .limit(1)
-    )
-    return list(connection.execute(locked(query, connection, JobRow, skip_locked=True)))
+    return _locked_rows(connection, _RETRY, {"capabilities": list(capabilities), "now": now})
 
 
-def _campaigns_in_turn(
-    connection: Connection, capabilities: Sequence[str], now: datetime
-) -> list[tuple[str, int]]:
-    """Return running campaigns with jobs for this worker: by priority, then whose turn is longest ago."""
-    waiting = (
-        _eligible(capabilities, now)
-        .with_only_columns(JobRow.id)
-        .where(JobRow.campaign_id == CampaignRow.id, JobRow.kind == JobKind.EPISODE, JobRow.attempt == 0)
-        .correlate(CampaignRow)
-    )
-    query = (
-        select(CampaignRow.id, CampaignRow.priority)
-        .where(CampaignRow.status == CampaignStatus.RUNNING, exists(waiting))
-        .order_by(CampaignRow.priority.desc(), CampaignRow.turn, CampaignRow.id)
-    )
-    return [(row.id, row.priority) for row in connection.execute(query)]
+def _locked_rows(
+    connection: Connection, query: Select[*tuple[Any, ...]], values: dict[str, Any]
+) -> list[JobRecord]:
+    return list(connection.execute(locked(query, connection, JobRow, skip_locked=True), values))
 
 
 def _without_twins(rows: list[JobRecord]) -> list[JobRecord]:
@@ -207,20 +229,10 @@ def _grant(
         for row in rows
     ]
     connection.execute(
-        update(JobRow)
-        .where(JobRow.id == bindparam("granted"))
-        .values(
-            status=JobStatus.LEASED,
-            attempt=JobRow.attempt + 1,
-            lease_token=bindparam("token"),
-            lease_worker=worker,
-            lease_expires_at=expires,
-            not_before=None,
-        ),
-        [{"granted": job.job, "token": job.token} for job in granted],
+        _GRANT,
+        [{"granted": job.job, "token": job.token, "worker": worker, "expires": expires} for job in granted],
     )
+    turn = connection.execute(_NEXT_TURN).scalar_one()
     served = sorted({row.campaign_id for row in rows})
-    latest = select(func.coalesce(func.max(CampaignRow.turn), 0) + 1).scalar_subquery()
-    turn = connection.execute(select(latest)).scalar_one()
-    connection.execute(update(CampaignRow).where(CampaignRow.id.in_(served)).values(turn=turn))
+    connection.execute(_TAKE_TURN, {"served": served, "next_turn": turn})
     return granted

@@ -44,14 +44,14 @@ def report(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerm
     done = {job: outcome.result for job, outcome in accepted.items() if outcome.result is not None}
     _finish(connection, done, now)
     _keep_traces(connection, {rows[o.job].spec_hash: o.trace for o in accepted.values() if o.trace}, now)
-    _share(connection, [rows[job] for job in done if rows[job].cache], done, now)
+    sharing = _share(connection, [rows[job] for job in done if rows[job].cache], done, now)
     requeued = _fail(
         connection,
         [(rows[job], o) for job, o in accepted.items() if o.result is None],
         now,
         terms.retry_backoff_s,
     )
-    touched = {rows[job].campaign_id for job in accepted} | _campaigns_sharing(connection, rows, done)
+    touched = {rows[job].campaign_id for job in accepted} | sharing
     return Report(statuses=tuple(statuses), campaigns=idle_campaigns(connection, touched), requeued=requeued)
 
 
@@ -143,37 +143,19 @@ def _keep_traces(connection: Connection, traces: Mapping[str, bytes], now: datet
         connection.execute(insert(TraceRow), fresh)
 
 
-def _share(connection: Connection, rows: Sequence[JobRecord], done: Mapping[int, str], now: datetime) -> None:
-    """Finish queued jobs of the same simulation with the result that just came in."""
-    if not rows:
-        return
-    twins = connection.execute(
-        select(JobRow.id, JobRow.spec_hash, JobRow.kind).where(
-            JobRow.spec_hash.in_([row.spec_hash for row in rows]),
-            JobRow.status == JobStatus.QUEUED,
-            JobRow.cache,
-        )
-    ).all()
-    results = {(row.spec_hash, row.kind): done[row.id] for row in rows}
-    shared = {
-        twin.id: results[twin.spec_hash, twin.kind]
-        for twin in twins
-        if (twin.spec_hash, twin.kind) in results
-    }
-    _finish(connection, shared, now)
-
-
-def _campaigns_sharing(
-    connection: Connection, rows: Mapping[int, JobRecord], done: Mapping[int, str]
+def _share(
+    connection: Connection, rows: Sequence[JobRecord], done: Mapping[int, str], now: datetime
 ) -> set[str]:
-    hashes = [rows[job].spec_hash for job in done if rows[job].cache]
-    if not hashes:
+    """Finish queued jobs of the same simulation with the result that just came in; return their campaigns."""
+    if not rows:
         return set()
-    return set(
-        connection.execute(
-            select(JobRow.campaign_id).where(JobRow.spec_hash.in_(hashes)).distinct()
-        ).scalars()
+    results = {(row.spec_hash, row.kind): done[row.id] for row in rows}
+    query = select(JobRow.id, JobRow.spec_hash, JobRow.kind, JobRow.campaign_id).where(
+        JobRow.spec_hash.in_([row.spec_hash for row in rows]), JobRow.status == JobStatus.QUEUED, JobRow.cache
     )
+    twins = [twin for twin in connection.execute(query) if (twin.spec_hash, twin.kind) in results]
+    _finish(connection, {twin.id: results[twin.spec_hash, twin.kind] for twin in twins}, now)
+    return {twin.campaign_id for twin in twins}
 
 
 def _fail(
