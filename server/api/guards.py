@@ -34,25 +34,43 @@ class Guards:
             return
         length = headers.get(b"content-length", b"0")
         if not length.isdigit() or int(length) > self._max_body_bytes:
-            await problem(413, "Body too large", f"expected at most {self._max_body_bytes} bytes")(
-                scope, receive, send
-            )
+            await self._too_large(scope, receive, send)
             return
-        await self._app(scope, self._bounded(receive), send)
+        body = _Bounded(receive, self._max_body_bytes)
+
+        async def answer(message: Message) -> None:
+            if not body.exceeded:
+                await send(message)
+
+        await self._app(scope, body.receive, answer)
+        if body.exceeded:
+            await self._too_large(scope, receive, send)
+
+    async def _too_large(self, scope: Scope, receive: Receive, send: Send) -> None:
+        await problem(413, "Body too large", f"expected at most {self._max_body_bytes} bytes")(
+            scope, receive, send
+        )
 
     def _authorised(self, headers: dict[bytes, bytes]) -> bool:
         assert self._token is not None
         given = headers.get(b"authorization", b"")
         return secrets.compare_digest(given, b"Bearer " + self._token.encode())
 
-    def _bounded(self, receive: Receive) -> Receive:
-        """Cut a body without a length at the bound, as if the client had gone."""
-        read = 0
 
-        async def bounded() -> Message:
-            nonlocal read
-            message = await receive()
-            read += len(message.get("body", b""))
-            return {"type": "http.disconnect"} if read > self._max_body_bytes else message
+class _Bounded:
+    """A body that ends at the bound, as if the client had gone: for bodies that come without a length."""
 
-        return bounded
+    def __init__(self, receive: Receive, max_bytes: int) -> None:
+        self._receive = receive
+        self._left = max_bytes
+
+    @property
+    def exceeded(self) -> bool:
+        """Whether the body went past the bound."""
+        return self._left < 0
+
+    async def receive(self) -> Message:
+        """Return the next part of the request."""
+        message = await self._receive()
+        self._left -= len(message.get("body", b""))
+        return {"type": "http.disconnect"} if self.exceeded else message
