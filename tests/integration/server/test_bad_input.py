@@ -105,7 +105,9 @@ def test_what_is_no_json_is_refused(client: httpx.Client, engines: Engines, cont
 
 
 def test_broken_json_is_located(client: httpx.Client) -> None:
-    answer = client.post("/api/v1/campaigns", content=b'{"name": }', headers={"Content-Type": "application/json"})
+    answer = client.post(
+        "/api/v1/campaigns", content=b'{"name": }', headers={"Content-Type": "application/json"}
+    )
     (error,) = answer.json()["errors"]
     assert error["pointer"] == ""
     assert "JSON" in error["message"]
@@ -166,7 +168,11 @@ HUGE = 10**25
             {
                 "worker": IDENTITY,
                 "results": [
-                    {"job": HUGE, "token": "t", "outcome": {"kind": "failed", "reason": "error", "message": ""}}
+                    {
+                        "job": HUGE,
+                        "token": "t",
+                        "outcome": {"kind": "failed", "reason": "error", "message": ""},
+                    }
                 ],
             },
             "/results/0/job",

@@ -84,7 +84,9 @@ def test_a_campaign_is_found_by_the_beginning_of_its_id(finished: Finished) -> N
     assert found["body"]["problem"] == {"id": "ball@1", "params": {}}
 
 
-@pytest.mark.parametrize("path", ["", "/progress", "/solutions", "/boundary", "/archive.npz", "/distances?numbers=0"])
+@pytest.mark.parametrize(
+    "path", ["", "/progress", "/solutions", "/boundary", "/archive.npz", "/distances?numbers=0"]
+)
 def test_an_unknown_campaign_is_not_found(finished: Finished, path: str) -> None:
     document = expect(finished.client.get(f"/api/v1/campaigns/zzzz{path}"), 404)
     assert "zzzz" in document["detail"]
@@ -109,7 +111,7 @@ def test_a_solution_shows_its_parameters_verdict_and_place(finished: Finished) -
         assert solution["robustness"] == pytest.approx(np.hypot(x, y) - 1.0)
         assert solution["verdict"] == ("unsafe" if solution["robustness"] < 0 else "safe")
         assert solution["objectives"]["distance"] == pytest.approx(np.hypot(x, y))
-        assert 1 <= solution["neighbours"]
+        assert solution["neighbours"] >= 1
         assert 0 <= solution["unsafe_neighbours"] <= solution["neighbours"]
         assert 0 <= solution["fitness"] <= 1
 
@@ -146,7 +148,9 @@ def test_the_boundary_is_the_same_as_json_and_as_csv(finished: Finished) -> None
     assert answer.headers["content-type"].startswith("text/csv")
     rows = list(csv.DictReader(io.StringIO(answer.text)))
     assert [int(row["number"]) for row in rows] == [s["number"] for s in boundary["solutions"]]
-    assert [float(row["where.x"]) for row in rows] == [s["parameters"]["where"]["x"] for s in boundary["solutions"]]
+    assert [float(row["where.x"]) for row in rows] == [
+        s["parameters"]["where"]["x"] for s in boundary["solutions"]
+    ]
     assert [row["strict"] == "True" for row in rows] == [
         s["number"] in boundary["strict"] for s in boundary["solutions"]
     ]
@@ -198,7 +202,12 @@ def test_the_catalogue_describes_parameters_as_json_schemas(finished: Finished) 
     problems = {item["id"]: item for item in expect(finished.client.get("/api/v1/problems"))}
     assert {"ball@1", "line@1", "mtq@1", "onemax@1", "urban-injected@1"} <= set(problems)
     limit = problems["ball@1"]["params"]["properties"]["limit"]
-    assert (limit["type"], limit["default"], limit["exclusiveMinimum"], limit["unit"]) == ("number", 1.0, 0.0, "m")
+    assert (limit["type"], limit["default"], limit["exclusiveMinimum"], limit["unit"]) == (
+        "number",
+        1.0,
+        0.0,
+        "m",
+    )
     assert problems["ball@1"]["simulator"] == "faulty@1"
     assert problems["mtq@1"]["simulator"] is None
     assert [c["name"] for c in problems["ball@1"]["space"]["components"]] == ["where", "what"]

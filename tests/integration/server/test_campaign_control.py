@@ -1,0 +1,223 @@
+"""Submitting, pausing, resuming, cancelling, deleting, retrying: over the API, on both databases."""
+
+import httpx
+import pytest
+from support.api import FakeWorker, Judge, ball, completes, eventually, expect, progress, row_counts, submit
+
+from server.db.engine import Engines
+from worker.wire import Completed, JobFailed, LeasedJob
+
+
+def post(client: httpx.Client, campaign: str, verb: str, status: int = 200) -> dict[str, object]:
+    document: dict[str, object] = expect(client.post(f"/api/v1/campaigns/{campaign}/{verb}"), status)
+    return document
+
+
+def test_a_submission_says_where_the_campaign_is(client: httpx.Client) -> None:
+    answer = client.post("/api/v1/campaigns", json=ball())
+    document = expect(answer, 201)
+    assert answer.headers["Location"] == f"/api/v1/campaigns/{document['id']}"
+    assert document["status"] == "running"
+    assert (document["simulations"], document["budget"]) == (0, 60)
+    stands = progress(client, document["id"])
+    assert (stands["queued"], stands["workers"], stands["unrunnable"]) == (20, 0, {"faulty@1": 20})
+
+
+def test_the_same_key_again_submits_nothing_new(client: httpx.Client, engines: Engines) -> None:
+    headers = {"Idempotency-Key": "key-1"}
+    first = expect(client.post("/api/v1/campaigns", json=ball(), headers=headers), 201)
+    again = expect(client.post("/api/v1/campaigns", json=ball(), headers=headers), 200)
+    assert again["id"] == first["id"]
+    assert row_counts(engines)["campaigns"] == 1
+    document = expect(client.post("/api/v1/campaigns", json=ball(seed=2), headers=headers), 409)
+    assert first["id"] in document["detail"]
+    other = expect(client.post("/api/v1/campaigns", json=ball(), headers={"Idempotency-Key": "key-2"}), 201)
+    assert other["id"] != first["id"]
+
+
+def test_campaigns_are_listed_newest_first_and_page_by_page(client: httpx.Client) -> None:
+    ids = [submit(client, ball(seed=seed)) for seed in range(5)]
+    listed: list[str] = []
+    cursor: str | None = None
+    while True:
+        params: dict[str, str | int] = {"limit": 2} | ({"cursor": cursor} if cursor else {})
+        page = expect(client.get("/api/v1/campaigns", params=params))
+        listed += [item["id"] for item in page["campaigns"]]
+        cursor = page["next"]
+        if cursor is None:
+            break
+    assert listed == ids[::-1]
+    post(client, ids[0], "pause")
+    paused = expect(client.get("/api/v1/campaigns", params={"status": "paused"}))
+    assert [item["id"] for item in paused["campaigns"]] == [ids[0]]
+
+
+def test_a_paused_campaign_hands_out_nothing_and_goes_on_after_resume(client: httpx.Client) -> None:
+    worker, campaign = FakeWorker(client), submit(client, ball())
+    running = worker.lease(max_jobs=4)
+    post(client, campaign, "pause")
+    post(client, campaign, "pause")  # twice is once
+    assert worker.lease() == []
+    assert set(worker.report(running)) == {"accepted"}
+    assert progress(client, campaign)["status"] == "paused"
+    post(client, campaign, "resume")
+    assert worker.work(campaign)["status"] == "finished"
+
+
+def test_a_generation_that_ends_while_paused_is_told_after_resume(client: httpx.Client) -> None:
+    worker, campaign = FakeWorker(client), submit(client, ball())
+    jobs: list[LeasedJob] = []
+    while more := worker.lease():
+        jobs += more
+    post(client, campaign, "pause")
+    worker.report(jobs)
+    stands = progress(client, campaign)
+    assert (stands["generation"], stands["simulations"], stands["queued"]) == (0, 20, 0)
+    post(client, campaign, "resume")
+    eventually(lambda: progress(client, campaign)["generation"] == 1, "the step after resume")
+
+
+def test_a_cancelled_campaign_keeps_what_it_found(client: httpx.Client) -> None:
+    worker, campaign = FakeWorker(client), submit(client, ball())
+    stands = worker.work(campaign, until=lambda p: p["generation"] >= 1)
+    late = worker.lease()
+    post(client, campaign, "cancel")
+    assert set(worker.report(late)) == {"stale"}
+    done = progress(client, campaign)
+    assert done["status"] == "cancelled"
+    assert done["evaluated"] == stands["evaluated"] == 20
+    assert done["digest"]
+    assert (done["queued"], done["leased"], done["remaining_s"]) == (0, 0, None)
+    assert worker.lease() == []
+
+
+def test_only_an_ended_campaign_can_be_deleted(client: httpx.Client, engines: Engines) -> None:
+    worker, campaign = FakeWorker(client), submit(client, ball())
+    late = worker.lease()
+    document = expect(client.delete(f"/api/v1/campaigns/{campaign}"), 409)
+    assert "cancel it" in document["detail"]
+    post(client, campaign, "cancel")
+    expect(client.delete(f"/api/v1/campaigns/{campaign}"), 204)
+    expect(client.get(f"/api/v1/campaigns/{campaign}"), 404)
+    assert set(worker.report(late)) == {"stale"}
+    left = {name for name, count in row_counts(engines).items() if count}
+    assert left <= {"workers"}
+
+
+def fails_east_of(x: float) -> Judge:
+    """Judge as the simulator would, but for the east."""
+
+    def judge(job: LeasedJob) -> Completed | JobFailed:
+        if job.spec["scenario"]["x"] > x:
+            return JobFailed(reason="invalid", message="no road here\0")
+        return completes(job)
+
+    return judge
+
+
+def test_failed_candidates_do_not_count_as_safe(client: httpx.Client) -> None:
+    body = ball(execution={"max_failed_share": 1.0})
+    worker = FakeWorker(client, judge=fails_east_of(1.0))
+    campaign = submit(client, body)
+    done = worker.work(campaign)
+    assert done["status"] == "finished"
+    assert done["failed"] > 0
+    assert done["quarantined"] == done["failed"]
+    assert done["simulations"] == done["evaluated"] + done["failed"]
+    solutions = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions", params={"limit": 1000}))[
+        "solutions"
+    ]
+    failed = [s for s in solutions if s["verdict"] == "failed"]
+    assert len(failed) == done["failed"]
+    assert all(s["parameters"]["where"]["x"] > 1.0 for s in failed)
+    assert {(s["fitness"], s["robustness"], s["failure"]) for s in failed} == {
+        (None, None, "invalid: no road here\N{REPLACEMENT CHARACTER}")
+    }
+
+
+def test_too_many_failures_pause_a_campaign_which_can_go_on_without_them(client: httpx.Client) -> None:
+    worker, campaign = FakeWorker(client, judge=fails_east_of(0.0)), submit(client, ball())
+    stopped = worker.work(campaign)
+    assert stopped["status"] == "paused"
+    assert "max_failed_share 0.2" in stopped["status_reason"]
+    assert "no road here" in stopped["status_reason"]
+    assert stopped["generation"] == 0
+    post(client, campaign, "resume")
+    worker.judge = completes
+    assert worker.work(campaign)["status"] == "finished"
+
+
+def test_quarantined_jobs_can_be_retried_before_going_on(client: httpx.Client) -> None:
+    worker, campaign = FakeWorker(client, judge=fails_east_of(0.0)), submit(client, ball())
+    worker.work(campaign)
+    jobs = expect(client.get("/api/v1/jobs", params={"status": "quarantined", "campaign": campaign}))["jobs"]
+    assert jobs
+    for job in jobs:
+        expect(client.post(f"/api/v1/jobs/{job['id']}/retry"), 204)
+    worker.judge = completes
+    post(client, campaign, "resume")
+    done = worker.work(campaign)
+    assert (done["status"], done["failed"]) == ("finished", 0)
+    expect(client.post(f"/api/v1/jobs/{jobs[0]['id']}/retry"), 409)
+
+
+def test_a_result_that_the_problem_cannot_read_fails_its_candidate_alone(client: httpx.Client) -> None:
+    def judge(job: LeasedJob) -> Completed | JobFailed:
+        first = job.spec["scenario"]["x"] < -1.8
+        return Completed(verdicts={}) if first else completes(job)
+
+    worker, campaign = (
+        FakeWorker(client, judge=judge),
+        submit(client, ball(execution={"max_failed_share": 1.0})),
+    )
+    done = worker.work(campaign)
+    assert done["status"] == "finished"
+    assert done["failed"] > 0
+
+
+def test_campaigns_with_equal_simulations_share_them(client: httpx.Client) -> None:
+    worker = FakeWorker(client)
+    first = worker.work(submit(client, ball()))
+    second = submit(client, ball(name="again"))
+    eventually(lambda: progress(client, second)["status"] == "finished", "a campaign of known simulations")
+    assert progress(client, second)["digest"] == first["digest"]
+    third = submit(client, ball(execution={"cache": False}))
+    assert progress(client, third)["queued"] == 20
+
+
+def test_a_job_that_nobody_can_run_is_named(client: httpx.Client) -> None:
+    body = ball(problem={"id": "ball@1", "params": {"needs": "nobody-has-it@1"}})
+    campaign = submit(client, body)
+    submit(client, ball())
+    FakeWorker(client).lease()
+    assert progress(client, campaign)["unrunnable"] == {"nobody-has-it@1": 20}
+
+
+def test_the_progress_of_a_running_campaign_changes_its_etag(client: httpx.Client) -> None:
+    worker, campaign = FakeWorker(client), submit(client, ball())
+    path = f"/api/v1/campaigns/{campaign}/progress"
+    jobs = worker.lease()
+    etag = client.get(path).headers["ETag"]
+    assert client.get(path, headers={"If-None-Match": etag}).status_code == 304
+    worker.report(jobs)
+    assert client.get(path, headers={"If-None-Match": etag}).status_code == 200
+
+
+def test_an_in_process_problem_needs_no_worker(client: httpx.Client) -> None:
+    body = {
+        "name": "mtq", "problem": {"id": "mtq@1"}, "algorithm": {"id": "mlcshe@1"},
+        "budget": {"simulations": 300}, "seed": 1,
+    }  # fmt: skip
+    campaign = submit(client, body)
+    eventually(lambda: progress(client, campaign)["status"] == "finished", "mtq")
+    done = progress(client, campaign)
+    assert done["evaluated"] >= 300
+    assert expect(client.get("/api/v1/jobs"))["jobs"] == []
+    solution = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/0"))
+    assert (solution["spec"], solution["attempts"]) == (None, None)
+    expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/0/trace"), 404)
+
+
+@pytest.mark.parametrize("verb", ["pause", "resume", "cancel"])
+def test_an_unknown_campaign_cannot_be_controlled(client: httpx.Client, verb: str) -> None:
+    post(client, "zzzz", verb, 404)

@@ -1,0 +1,213 @@
+"""Waiting for work: woken by news, and no lease for a client that has gone."""
+
+import asyncio
+import threading
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from typing import Any
+
+import httpx
+import pytest
+from support.api import FakeWorker, ball, coordinator, eventually, expect, progress, settings_for, submit
+
+from server.api.context import Context
+from server.app import create_app
+from worker.wire import HeldLease, LeaseRequest, ResultsRequest, WorkerIdentity
+
+PATIENCE_S = 30.0
+
+
+def wait_in_thread(worker: FakeWorker, wait_s: float = 30.0) -> tuple[threading.Thread, list[Any]]:
+    got: list[Any] = []
+    thread = threading.Thread(target=lambda: got.extend(worker.lease(wait_s=wait_s)))
+    thread.start()
+    return thread, got
+
+
+def test_a_submission_wakes_a_waiting_worker(client: httpx.Client) -> None:
+    worker = FakeWorker(client)
+    thread, got = wait_in_thread(worker)
+    eventually(lambda: len(expect(client.get("/api/v1/workers"))) == 1, "the worker asked")
+    submit(client, ball())
+    thread.join(PATIENCE_S)
+    assert len(got) == 8
+
+
+def test_a_wait_ends_without_work(client: httpx.Client) -> None:
+    began = time.monotonic()
+    assert FakeWorker(client).lease(wait_s=0.3) == []
+    assert time.monotonic() - began >= 0.3
+
+
+def test_the_next_generation_wakes_a_waiting_worker(client: httpx.Client) -> None:
+    worker, campaign = FakeWorker(client), submit(client, ball())
+    jobs = []
+    while more := worker.lease():
+        jobs += more
+    thread, got = wait_in_thread(FakeWorker(client, id="worker-2"))
+    eventually(lambda: len(expect(client.get("/api/v1/workers"))) == 2, "the second worker asked")
+    worker.report(jobs)
+    thread.join(PATIENCE_S)
+    assert got
+    assert progress(client, campaign)["generation"] == 1
+
+
+def test_a_result_can_ask_for_the_next_lease(client: httpx.Client) -> None:
+    worker = FakeWorker(client)
+    submit(client, ball())
+    jobs = worker.lease(max_jobs=2)
+    body = {
+        "worker": worker.identity,
+        "results": [
+            {"job": j.job, "token": j.token, "outcome": worker.judge(j).model_dump(mode="json")} for j in jobs
+        ],
+        "lease": {"worker": worker.identity, "capabilities": ["faulty@1"], "max_jobs": 3, "wait_s": 0},
+    }
+    reply = expect(client.post("/api/v1/jobs/results", json=body))
+    assert [item["status"] for item in reply["statuses"]] == ["accepted", "accepted"]
+    assert len(reply["lease"]["jobs"]) == 3
+
+
+def test_a_released_job_wakes_a_waiting_worker(client: httpx.Client) -> None:
+    worker = FakeWorker(client)
+    submit(client, ball())
+    jobs = []
+    while more := worker.lease():
+        jobs += more
+    thread, got = wait_in_thread(FakeWorker(client, id="worker-2"))
+    eventually(lambda: len(expect(client.get("/api/v1/workers"))) == 2, "the second worker asked")
+    worker.report([], release=[HeldLease(job=jobs[0].job, token=jobs[0].token).model_dump()])
+    thread.join(PATIENCE_S)
+    assert [(job.job, job.attempt) for job in got] == [(jobs[0].job, 1)]
+
+
+def test_a_lost_lease_goes_to_a_waiting_worker(database_url: str, small_problems: None) -> None:
+    with coordinator(database_url, lease_s=0.2) as client:
+        worker, campaign = FakeWorker(client), submit(client, ball())
+        lost = worker.lease(max_jobs=2)
+        eventually(lambda: progress(client, campaign)["leased"] == 0, "the leases run out")
+        assert set(worker.report(lost)) == {"stale"}
+        assert progress(client, campaign)["queued"] == 20
+        heartbeat = {"worker": worker.identity, "leases": [{"job": j.job, "token": j.token} for j in lost]}
+        assert expect(client.post("/api/v1/jobs/heartbeat", json=heartbeat))["held"] == []
+
+
+def test_heartbeats_keep_a_lease(database_url: str, small_problems: None) -> None:
+    with coordinator(database_url, lease_s=1.0) as client:
+        worker = FakeWorker(client)
+        submit(client, ball())
+        (job,) = worker.lease(max_jobs=1)
+        heartbeat = {"worker": worker.identity, "leases": [{"job": job.job, "token": job.token}]}
+        until = time.monotonic() + 2.0  # twice the lease
+        while time.monotonic() < until:
+            assert expect(client.post("/api/v1/jobs/heartbeat", json=heartbeat))["held"] == [job.job]
+            threading.Event().wait(0.05)
+        assert worker.report([job]) == ["accepted"]
+
+
+@asynccontextmanager
+async def services(database_url: str) -> AsyncIterator[tuple[Context, httpx.AsyncClient]]:
+    """Give the services of an app in this loop, and a client of it."""
+    app = create_app(settings_for(database_url, sweep_s=60.0))
+    async with (
+        app.router.lifespan_context(app),
+        httpx.AsyncClient(transport=httpx.ASGITransport(app=app), base_url="http://brink") as client,
+    ):
+        yield app.state.context, client
+
+
+def on_services(database_url: str, body: Callable[[Context, httpx.AsyncClient], Awaitable[None]]) -> None:
+    async def run() -> None:
+        async with services(database_url) as (context, client):
+            await asyncio.wait_for(body(context, client), PATIENCE_S)
+
+    asyncio.run(run())
+
+
+def request(worker: str, wait_s: float = 30.0) -> LeaseRequest:
+    return LeaseRequest(worker=WorkerIdentity(id=worker), capabilities=["faulty@1"], wait_s=wait_s)
+
+
+async def leased(client: httpx.AsyncClient) -> list[Any]:
+    response = await client.get("/api/v1/jobs", params={"status": "leased"})
+    return list(response.json()["jobs"])
+
+
+async def waiters(context: Context, count: int) -> None:
+    while len(context.queue.wakeups) < count:
+        await asyncio.sleep(0.005)
+
+
+@pytest.mark.usefixtures("small_problems")
+def test_a_client_that_goes_while_it_waits_takes_no_lease(database_url: str) -> None:
+    async def body(context: Context, client: httpx.AsyncClient) -> None:
+        gone = asyncio.Event()
+        waiting = asyncio.create_task(context.queue.lease(request("w1"), gone))
+        await waiters(context, 1)
+        gone.set()
+        assert (await waiting).jobs == []
+        assert (await client.post("/api/v1/campaigns", json=ball())).status_code == 201
+        assert await leased(client) == []
+
+    on_services(database_url, body)
+
+
+@pytest.mark.usefixtures("small_problems")
+def test_a_wake_up_of_a_client_that_has_gone_goes_to_the_next(database_url: str) -> None:
+    async def body(context: Context, client: httpx.AsyncClient) -> None:
+        submitted = (await client.post("/api/v1/campaigns", json=ball(simulations=20))).json()
+        held = []
+        while granted := (await context.queue.lease(request("w0", wait_s=0), asyncio.Event())).jobs:
+            held += granted
+        gone = asyncio.Event()
+        first = asyncio.create_task(context.queue.lease(request("w1"), gone))
+        await waiters(context, 1)
+        second = asyncio.create_task(context.queue.lease(request("w2"), asyncio.Event()))
+        await waiters(context, 2)
+        release = [HeldLease(job=held[0].job, token=held[0].token)]
+        gone.set()
+        await context.queue.results(
+            ResultsRequest(worker=WorkerIdentity(id="w0"), results=[], release=release), asyncio.Event()
+        )
+        assert (await first).jobs == []
+        assert [job.job for job in (await second).jobs] == [held[0].job]
+        assert submitted["status"] == "running"
+
+    on_services(database_url, body)
+
+
+@pytest.mark.usefixtures("small_problems")
+@pytest.mark.parametrize("with_results", [False, True])
+def test_a_lease_granted_to_a_client_that_has_gone_is_given_back(
+    database_url: str, with_results: bool
+) -> None:
+    async def body(context: Context, client: httpx.AsyncClient) -> None:
+        await client.post("/api/v1/campaigns", json=ball())
+        gone = asyncio.Event()
+        wanted = request("w1")
+        if with_results:
+            asked = context.queue.results(
+                ResultsRequest(worker=wanted.worker, results=[], lease=wanted), gone
+            )
+            asking: asyncio.Task[Any] = asyncio.create_task(asked)
+        else:
+            asking = asyncio.create_task(context.queue.lease(wanted, gone))
+        await asyncio.sleep(0)  # it has asked the writer by now
+        gone.set()
+        await asking
+        assert await leased(client) == []
+        jobs = (await client.get("/api/v1/jobs")).json()["jobs"]
+        assert {job["attempt"] for job in jobs} == {0}
+
+    on_services(database_url, body)
+
+
+def test_a_connection_that_is_closed_while_waiting_takes_no_lease(client: httpx.Client) -> None:
+    url = str(client.base_url)
+    with httpx.Client(base_url=url, timeout=0.2) as impatient, pytest.raises(httpx.ReadTimeout):
+        FakeWorker(impatient, id="impatient").lease(wait_s=30)
+    submit(client, ball())
+    eventually(lambda: len(FakeWorker(client, id="patient").lease(max_jobs=1)) == 1, "a lease")
+    held = {worker["id"]: worker["jobs_held"] for worker in expect(client.get("/api/v1/workers"))}
+    assert held["impatient"] == 0

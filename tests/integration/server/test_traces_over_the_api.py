@@ -1,0 +1,130 @@
+"""Traces are made by workers when they are asked for, and kept."""
+
+import base64
+import threading
+from collections.abc import Callable
+
+import httpx
+from support.api import FakeWorker, ball, completes, eventually, expect, submit
+
+from worker.wire import Completed, JobFailed, LeasedJob
+
+
+def finished(client: httpx.Client, worker: FakeWorker) -> str:
+    campaign = submit(client, ball(execution={"keep_traces": 0}))
+    assert worker.work(campaign)["status"] == "finished"
+    return campaign
+
+
+def traces(text: bytes | None) -> Callable[[LeasedJob], Completed | JobFailed]:
+    """Judge with that trace wherever one is asked for."""
+
+    def judge(job: LeasedJob) -> Completed | JobFailed:
+        outcome = completes(job)
+        if not job.record or text is None:
+            return outcome
+        return outcome.model_copy(update={"trace": base64.b64encode(text).decode()})
+
+    return judge
+
+
+def test_a_trace_is_being_made_then_kept(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=traces(b"the trace"))
+    campaign = finished(client, worker)
+    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
+    being_made = client.get(path, params={"wait_s": 0})
+    assert being_made.status_code == 202
+    assert being_made.headers["Retry-After"] == "2"
+    assert client.get(path, params={"wait_s": 0}).status_code == 202  # asked for once
+    (job,) = worker.lease()
+    assert job.record
+    assert worker.lease() == []
+    assert worker.report([job]) == ["accepted"]
+    kept = client.get(path, params={"wait_s": 0})
+    assert (kept.status_code, kept.content) == (200, b"the trace")
+
+
+def test_asking_for_a_trace_waits_for_the_worker(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=traces(b"the trace"))
+    campaign = finished(client, worker)
+    answers: list[httpx.Response] = []
+    asking = threading.Thread(
+        target=lambda: answers.append(
+            client.get(f"/api/v1/campaigns/{campaign}/solutions/3/trace", params={"wait_s": 30})
+        )
+    )
+    asking.start()
+    worker.report(worker.lease(wait_s=20))
+    asking.join()
+    assert (answers[0].status_code, answers[0].content) == (200, b"the trace")
+
+
+def test_a_trace_goes_before_episodes(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=traces(b"the trace"))
+    campaign = finished(client, worker)
+    submit(client, ball(seed=2, priority=100))
+    client.get(f"/api/v1/campaigns/{campaign}/solutions/3/trace", params={"wait_s": 0})
+    assert worker.lease(max_jobs=1)[0].record
+
+
+def test_a_trace_that_cannot_be_made_says_why_until_it_is_retried(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=lambda _: JobFailed(reason="invalid", message="no such road"))
+    campaign = finished(client, FakeWorker(client))
+    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
+    client.get(path, params={"wait_s": 0})
+    worker.report(worker.lease())
+    document = expect(client.get(path, params={"wait_s": 5}), 409)
+    assert "no such road" in document["detail"]
+    (job,) = expect(client.get("/api/v1/jobs", params={"status": "quarantined"}))["jobs"]
+    expect(client.post(f"/api/v1/jobs/{job['id']}/retry"), 204)
+    worker.judge = traces(b"the trace")
+    worker.report(worker.lease())
+    assert client.get(path, params={"wait_s": 5}).content == b"the trace"
+
+
+def test_a_simulator_without_traces_is_told_at_once(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=traces(None))
+    campaign = finished(client, worker)
+    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
+    client.get(path, params={"wait_s": 0})
+    worker.report(worker.lease())
+    document = expect(client.get(path, params={"wait_s": 5}), 409)
+    assert "records no trace" in document["detail"]
+
+
+def test_a_trace_that_cannot_be_drawn_is_a_conflict(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=traces(b"the trace"))
+    campaign = finished(client, worker)
+    client.get(f"/api/v1/campaigns/{campaign}/solutions/3/trace", params={"wait_s": 0})
+    worker.report(worker.lease())
+    document = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/3/replay.png"), 409)
+    assert "cannot be drawn" in document["detail"]
+    expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/3/replay.exe"), 422)
+
+
+def test_an_unknown_solution_has_no_trace(client: httpx.Client) -> None:
+    campaign = finished(client, FakeWorker(client))
+    expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/9999/trace"), 404)
+
+
+def test_a_trace_that_is_no_base64_is_refused(client: httpx.Client) -> None:
+    worker = FakeWorker(client)
+    submit(client, ball())
+    (job,) = worker.lease(max_jobs=1)
+    outcome = {**completes(job).model_dump(), "trace": "no base64!"}
+    body = {"worker": worker.identity, "results": [{"job": job.job, "token": job.token, "outcome": outcome}]}
+    (error,) = expect(client.post("/api/v1/jobs/results", json=body), 422)["errors"]
+    assert error["pointer"] == "/results/0/outcome/trace"
+
+
+def test_the_best_boundary_solutions_are_kept_as_evidence(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=traces(b"evidence"))
+    campaign = submit(client, ball(execution={"keep_traces": 2}, simulations=120))
+    done = worker.work(campaign)
+    wanted = min(2, done["generations"][-1]["dbs"])
+    assert wanted > 0
+    eventually(lambda: not worker.report(worker.lease()), "all traces")
+    boundary = expect(client.get(f"/api/v1/campaigns/{campaign}/boundary"))
+    for solution in boundary["solutions"][:wanted]:
+        path = f"/api/v1/campaigns/{campaign}/solutions/{solution['number']}/trace"
+        assert client.get(path, params={"wait_s": 0}).content == b"evidence"
