@@ -47,7 +47,12 @@ class Engine:
     """A PyBullet client. Use `process_engine`, not this, unless a test needs its own."""
 
     def __init__(self) -> None:
-        self._client = pybullet.connect(pybullet.DIRECT)
+        self._client = int(pybullet.connect(pybullet.DIRECT))
+
+    @property
+    def client(self) -> int:
+        """The physics client, for the ego on wheels."""
+        return self._client
 
     def reset(self) -> None:
         """Remove all bodies and start afresh."""
@@ -58,7 +63,7 @@ class Engine:
         pybullet.disconnect(physicsClientId=self._client)
 
     def add_boxes(self, boxes: Sequence[Box]) -> list[BodyId]:
-        """Put upright boxes on the ground; they move only when they are told to.
+        """Put upright boxes on the ground; they move only when they are told to, and push nobody.
 
         Boxes of one size are made in one call, which costs a tenth of making them one by one.
 
@@ -83,6 +88,7 @@ class Engine:
             )
             for index, body in zip(members, made, strict=True):
                 ids[index] = BodyId(body)
+                pybullet.setCollisionFilterGroupMask(body, -1, 0, 0, physicsClientId=self._client)
                 box = boxes[index]
                 self.move(ids[index], box.x_m, box.y_m, box.yaw_rad, height_m)
         return ids

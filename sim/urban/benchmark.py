@@ -13,6 +13,7 @@ import numpy as np
 from sim.driving.camera import Camera
 from sim.driving.interface import ObstacleLabel
 from sim.driving.system import ModularDriving
+from sim.requirements.registry import make_requirements
 from sim.urban.behaviour import BehaviourMode, DetectorBehaviour, InjectedTrajectory
 from sim.urban.draws import draw
 from sim.urban.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
@@ -98,17 +99,20 @@ def _episode_cost(
 
 def episode_cpu_s(scenario: UrbanScenario, behaviour: DetectorBehaviour) -> float:
     """Return the processor time of one whole 30 s episode: it goes on at the goal and after collisions."""
-    from sim.requirements.registry import make_requirements
+    from sim.bullet.engine import process_engine
     from sim.urban.episode_loop import run_loop
 
+    engine = process_engine()
     camera = Camera()
     before_s = time.process_time()
+    engine.reset()
     world = make_world(scenario, 5)
     run_loop(
         world,
         ModularDriving(world.route, camera=camera),
         behaviour,
         make_requirements((FRONT_GAP,)),
+        engine=engine,
         camera=camera,
         seed=5,
         duration_s=DURATION_S,

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from sim.bullet.engine import process_engine
+from sim.bullet.engine import Engine
 from sim.driving.camera import Camera
 from sim.driving.interface import Box, DrivingSystem, LightReading, Observation
 from sim.requirements.requirement import Requirement, WorldSample
@@ -41,6 +41,7 @@ def run_loop(
     behaviour: DetectorBehaviour,
     requirements: Mapping[str, Requirement],
     *,
+    engine: Engine,
     camera: Camera,
     seed: int,
     duration_s: float,
@@ -54,6 +55,7 @@ def run_loop(
         driving: The system under test, new.
         behaviour: What its obstacle detector says.
         requirements: By id, new; they observe every control step.
+        engine: Emptied before the world was made; gets its bodies.
         camera: What the obstacle detector sees with.
         seed: The episode's seed.
         duration_s: Its time.
@@ -61,7 +63,7 @@ def run_loop(
         to_the_end: Go on after the goal and after collisions, to measure what an episode costs.
     """
     steps = CONTROL_PER_PERCEPTION * last_perception_step(duration_s)
-    facts = Facts(world, process_engine())
+    facts = Facts(world, engine)
     sensing = Sensing(
         world,
         behaviour,

@@ -54,7 +54,7 @@ class Facts:
 
     Args:
         world: What to measure. The engine's bodies are made from it.
-        engine: Is emptied first.
+        engine: Gets the bodies.
     """
 
     def __init__(self, world: UrbanWorld, engine: Engine) -> None:
@@ -74,7 +74,6 @@ class Facts:
         ]
         still = fixtures(world.road)
         boxes += [_box(f.length_m, f.width_m, f.height_m, f.x_m, f.y_m, f.yaw_rad) for f in still]
-        engine.reset()
         ids = engine.add_boxes(boxes)
         self._ego_body = ids[0]
         movers = len(world.vehicles)

@@ -10,10 +10,11 @@ import math
 import platform
 import time
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, partial
 from importlib.metadata import version
 
-from sim.bullet.engine import engine_version
+from sim.bullet.engine import Engine, engine_version, process_engine
+from sim.bullet.wheels import WheeledCar
 from sim.driving.camera import Camera
 from sim.driving.system import ModularDriving
 from sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject, Verdict
@@ -24,11 +25,14 @@ from sim.urban.behaviour import DetectorBehaviour
 from sim.urban.episode_loop import Outcome, run_loop
 from sim.urban.recorder import Recorder
 from sim.urban.scenario import UrbanScenario, nearest
+from sim.world.ego import EgoCar, MakeEgo
 from sim.world.world import make_world
 
 SIMULATOR_ID = "brink-drive@1"
 MAX_DURATION_S = 600.0
-FIDELITIES = ("bicycle",)
+BICYCLE, WHEELS = "bicycle", "wheels"
+FIDELITIES = (BICYCLE, WHEELS)
+"""How the ego moves: by the single-track model, or on four wheels in the physics engine (some ten times slower)."""
 
 
 class BrinkDrive:
@@ -50,13 +54,16 @@ class BrinkDrive:
         cpu_s = time.process_time()
         scenario, behaviour = _read(spec)
         requirements = make_requirements(spec.requirements)
-        world = make_world(scenario, spec.seed)
+        engine = process_engine()
+        engine.reset()
+        world = make_world(scenario, spec.seed, _ego_maker(spec, engine))
         recorder = Recorder(world, spec.requirements) if record else None
         outcome = run_loop(
             world,
             ModularDriving(world.route, camera=self._camera),
             behaviour,
             requirements,
+            engine=engine,
             camera=self._camera,
             seed=spec.seed,
             duration_s=spec.duration_s,
@@ -104,6 +111,12 @@ def _read(spec: EpisodeSpec) -> tuple[UrbanScenario, DetectorBehaviour]:
             raise InvalidEpisode(f"options.fidelity: expected one of {', '.join(FIDELITIES)}; got {value!r}")
     scenario = UrbanScenario.from_json(spec.scenario)
     return scenario, DetectorBehaviour.from_json(spec.behaviour, spec.duration_s)
+
+
+def _ego_maker(spec: EpisodeSpec, engine: Engine) -> MakeEgo:
+    if spec.options.get("fidelity", BICYCLE) == WHEELS:
+        return partial(WheeledCar, engine)
+    return EgoCar
 
 
 def _features(

@@ -7,6 +7,7 @@ of an axle the car pushes straight on (it understeers) and brakes less: it never
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 STEP_S = 0.01
 GRAVITY_MPS2 = 9.81
@@ -52,6 +53,37 @@ class CarModel:
 
 
 EGO_CAR = CarModel()
+
+
+class EgoMotion(Protocol):
+    """What the world needs of an ego, however it is simulated."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    speed_mps: float
+    accel_mps2: float
+    steer_rad: float
+    yaw_rate_radps: float
+    length_m: float
+    width_m: float
+    model: CarModel
+
+    def set_grade(self, grade: float) -> None:
+        """Set how steep the road is here: rise over run along the heading, positive uphill."""
+        ...
+
+    def drive(self, accel_mps2: float, steer_rad: float, steps: int) -> None:
+        """Drive a number of 100 Hz steps with a constant command."""
+        ...
+
+
+class MakeEgo(Protocol):
+    """Makes an ego at a pose."""
+
+    def __call__(self, pose: tuple[float, float, float], speed_mps: float, *, friction: float) -> EgoMotion:
+        """Return a new ego."""
+        ...
 
 
 class EgoCar:

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 from sim.urban.scenario import DrivingTask, UrbanScenario
-from sim.world.ego import EgoCar
+from sim.world.ego import EgoCar, EgoMotion, MakeEgo
 from sim.world.lights import CYCLE_S, SignalPlan
 from sim.world.people import make_people
 from sim.world.road import Road, build_road, turn_begins_m
@@ -42,7 +42,7 @@ class UrbanWorld:
     route: LaneRoute
     weather: Conditions
     signals: SignalPlan | None
-    ego: EgoCar
+    ego: EgoMotion
     vehicles: tuple[Vehicle, ...]
     walkers: tuple[Walker, ...]
     movers: tuple[Mover, ...]
@@ -76,14 +76,20 @@ class UrbanWorld:
         return self.road.style.grade if station_m < self.leaves_road_m else 0.0
 
 
-def make_world(scenario: UrbanScenario, seed: int) -> UrbanWorld:
-    """Return the world of an episode at time 0."""
+def make_world(scenario: UrbanScenario, seed: int, make_ego: MakeEgo = EgoCar) -> UrbanWorld:
+    """Return the world of an episode at time 0.
+
+    Args:
+        scenario: What it is like.
+        seed: The episode's seed.
+        make_ego: Decides how the ego's motion is simulated.
+    """
     road = build_road(scenario.road_curve, scenario.road_id, scenario.road_length)
     route = ego_route(road, scenario.driving_task)
     weather = conditions(scenario.time_of_day, scenario.weather)
     signals = _signals(road, scenario, seed) if road.junctions[0].lit else None
     start = generator(seed, Stream.START)
-    ego = EgoCar(
+    ego = make_ego(
         route.pose_at(0.0, float(start.normal(0.0, 0.05))), START_SPEED_MPS, friction=weather.friction
     )
     around = Surroundings(signals=signals, movers=[], walkers=[])

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from sim.episode import EpisodeSpec
 from sim.urban import difficulty
 from sim.urban.behaviour import BOX_FIELDS, DetectorBehaviour, trajectory_ranges
-from sim.urban.difficulty import Row, Sizes, main_effect_p, measure
+from sim.urban.difficulty import Row, Sizes, consistent_effect_p, measure
 from sim.urban.draws import PARAMETERS, Draw, distance, draw, neighbour, redraw, without_ghosts
 from sim.urban.scenario import UrbanScenario
 from sim.urban.trials import Trial, run_trials
@@ -77,15 +77,13 @@ def test_one_category_is_an_eighteenth_apart() -> None:
     assert distance(base, redraw(base, "weather", rng)) == pytest.approx(1 / 18)
 
 
-def test_an_effect_is_found_and_its_absence_too() -> None:
+def test_an_effect_is_found_even_where_it_cancels_on_average_and_its_absence_too() -> None:
     rng = np.random.default_rng(5)
-    values = [(float(a), float(b)) for a, b in rng.uniform(size=(200, 2))]
-    noise = rng.normal(size=200)
-    hump = np.array([(abs(b - 0.5) < 0.25) - float(abs(a - 0.5) < 0.25) for a, b in values])
-    assert main_effect_p(values, hump + 0.5 * noise, rng, 999) < 0.01
-    p_values = [main_effect_p(values, rng.normal(size=200), rng, 199) for _ in range(60)]
+    context = rng.choice((-1.0, 1.0), size=(150, 1)) * (rng.random((150, 1)) < 0.3)
+    assert consistent_effect_p(context + 0.5 * rng.normal(size=(150, 2)), rng, 999) < 0.01
+    p_values = [consistent_effect_p(rng.normal(size=(150, 2)), rng, 199) for _ in range(60)]
     assert 0.25 < float(np.mean(p_values)) < 0.75
-    assert main_effect_p(values, np.zeros(200), rng, 99) == 1.0
+    assert consistent_effect_p(np.zeros((150, 2)), rng, 99) == 1.0
 
 
 def test_trials_come_in_order_and_the_same_from_any_number_of_processes() -> None:

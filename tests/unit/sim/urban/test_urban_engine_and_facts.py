@@ -1,5 +1,4 @@
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
@@ -25,9 +24,10 @@ SCENARIO = UrbanScenario(
 
 
 @pytest.fixture(name="engine")
-def _engine() -> Iterator[Engine]:
-    yield process_engine()
-    process_engine().reset()
+def _engine() -> Engine:
+    engine = process_engine()
+    engine.reset()
+    return engine
 
 
 @pytest.fixture(name="world")
@@ -46,7 +46,6 @@ def car(x_m: float, y_m: float = 0.0, yaw_rad: float = 0.0) -> Box:
 
 
 def test_clearances_are_exact(engine: Engine) -> None:
-    engine.reset()
     one, ahead, beside, turned, over = engine.add_boxes(
         [car(0.0), car(9.0), car(0.0, 3.5), car(8.0, 0.0, 0.5 * math.pi), car(3.5)]
     )

@@ -168,7 +168,7 @@ def test_an_ego_that_sees_nothing_drives_into_slow_traffic(simulator: BrinkDrive
     ("changes", "expected"),
     [
         ({"options": {"fidelty": "bicycle"}}, "did you mean 'fidelity'"),
-        ({"options": {"fidelity": "tricycle"}}, "expected one of bicycle"),
+        ({"options": {"fidelity": "tricycle"}}, "expected one of bicycle, wheels"),
         ({"requirements": ("front-gap",)}, "did you mean 'front-gap@1'"),
         ({"requirements": ("front-gap@1", "front-gap@1")}, "twice"),
         ({"duration_s": 1e6}, "expected at most"),

@@ -1,0 +1,264 @@
+"""Owns the ego of `fidelity: wheels`: a chassis on four sphere wheels that the physics engine drives and brakes.
+
+The car is our own description, written out as a URDF text: spheres touch the ground in one point, so grip is
+Coulomb friction at four loaded contacts, and load transfer, friction circle and locking come out of the contacts
+instead of formulas. All damping is set to zero: the engine's default for multibodies falsifies braking by a factor
+of 1.4 to 2.5. Nothing but the ground touches the wheels; clearances to others are measured with boxes, as for the
+single-track model.
+"""
+
+import atexit
+import math
+import shutil
+import tempfile
+from functools import cache
+from pathlib import Path
+
+import pybullet
+
+from sim.bullet.engine import Engine
+from sim.world.ego import EGO_CAR, GRAVITY_MPS2, STEP_S, CarModel
+
+WHEEL_RADIUS_M = 0.32
+WHEEL_KG = 25.0
+KNUCKLE_KG = 2.0
+TRACK_M = 1.55
+SUBSTEPS = 2
+STEER_TORQUE_NM = 20_000.0
+HOLD_BELOW_MPS = 0.03
+ABS_SHARE = 1.0
+"""Brakes go up to this share of what a wheel's load gives, so that the car can still be steered."""
+
+_FRONT, _REAR = ("front_left", "front_right"), ("rear_left", "rear_right")
+
+
+class WheeledCar:
+    """The ego on wheels; a stand-in for `sim.world.ego.EgoCar`. Made anew for every episode.
+
+    Args:
+        engine: Already emptied; gets the ground and the car.
+        pose: Where it starts.
+        speed_mps: How fast.
+        friction: Of the road.
+        model: The same figures as those of the single-track model.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        pose: tuple[float, float, float],
+        speed_mps: float,
+        *,
+        friction: float,
+        model: CarModel = EGO_CAR,
+    ) -> None:
+        self.model = model
+        self.length_m = model.length_m
+        self.width_m = model.width_m
+        self.x_m, self.y_m, self.yaw_rad = pose
+        self.speed_mps = speed_mps
+        self.accel_mps2 = 0.0
+        self.steer_rad = 0.0
+        self.yaw_rate_radps = 0.0
+        self._client = engine.client
+        self._friction = friction
+        self._drive_mps2 = 0.0
+        self._grade = 0.0
+        self._make_ground()
+        self._car = self._make_car(pose, speed_mps)
+        names = {
+            pybullet.getJointInfo(self._car, joint, physicsClientId=self._client)[1].decode(): joint
+            for joint in range(pybullet.getNumJoints(self._car, physicsClientId=self._client))
+        }
+        self._steering = [names[f"steer_{name}"] for name in _FRONT]
+        self._front = [names[f"spin_{name}"] for name in _FRONT]
+        self._rear = [names[f"spin_{name}"] for name in _REAR]
+        self._prepare(friction, speed_mps)
+
+    def _make_ground(self) -> None:
+        pybullet.setTimeStep(STEP_S / SUBSTEPS, physicsClientId=self._client)
+        pybullet.setGravity(0.0, 0.0, -GRAVITY_MPS2, physicsClientId=self._client)
+        shape = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)
+        ground = pybullet.createMultiBody(0.0, shape, physicsClientId=self._client)
+        # Bullet multiplies the friction of two bodies: the ground's is 1, the wheels' is that of the road.
+        pybullet.changeDynamics(
+            ground, -1, lateralFriction=1.0, rollingFriction=0.0, physicsClientId=self._client
+        )
+
+    def _make_car(self, pose: tuple[float, float, float], speed_mps: float) -> int:
+        x_m, y_m, yaw_rad = pose
+        car = int(
+            pybullet.loadURDF(
+                str(_urdf_file(self.model)),
+                basePosition=(x_m, y_m, self.model.gravity_height_m),
+                baseOrientation=(0.0, 0.0, math.sin(0.5 * yaw_rad), math.cos(0.5 * yaw_rad)),
+                flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+                physicsClientId=self._client,
+            )
+        )
+        pybullet.resetBaseVelocity(
+            car,
+            linearVelocity=(speed_mps * math.cos(yaw_rad), speed_mps * math.sin(yaw_rad), 0.0),
+            angularVelocity=(0.0, 0.0, 0.0),
+            physicsClientId=self._client,
+        )
+        return car
+
+    def _prepare(self, friction: float, speed_mps: float) -> None:
+        client = self._client
+        for link in range(-1, pybullet.getNumJoints(self._car, physicsClientId=client)):
+            pybullet.changeDynamics(
+                self._car,
+                link,
+                linearDamping=0.0,
+                angularDamping=0.0,
+                jointDamping=0.0,
+                lateralFriction=friction,
+                rollingFriction=0.0,
+                spinningFriction=0.0,
+                restitution=0.0,
+                physicsClientId=client,
+            )
+        for joint in (*self._front, *self._rear):
+            pybullet.resetJointState(
+                self._car, joint, 0.0, speed_mps / WHEEL_RADIUS_M, physicsClientId=client
+            )
+        self._brake((*self._front, *self._rear), (0.0,) * 4)
+
+    def set_grade(self, grade: float) -> None:
+        """Set how steep the road is here: rise over run along the heading, positive uphill."""
+        self._grade = grade
+
+    def drive(self, accel_mps2: float, steer_rad: float, steps: int) -> None:
+        """Drive a number of 100 Hz steps with a constant command, cut to what the car can do."""
+        m, client = self.model, self._client
+        # Slope and resistance pull at the mass of the car, so they are part of gravity.
+        along = GRAVITY_MPS2 * self._grade
+        if self.speed_mps > 0.1:
+            along += m.rolling_mps2 + m.drag_1pm * self.speed_mps * self.speed_mps
+        pybullet.setGravity(
+            -along * math.cos(self.yaw_rad),
+            -along * math.sin(self.yaw_rad),
+            -GRAVITY_MPS2,
+            physicsClientId=client,
+        )
+        steer_goal = min(max(steer_rad, -m.steer_limit_rad), m.steer_limit_rad)
+        most = m.steer_rate_radps * STEP_S
+        for _ in range(steps):
+            self.steer_rad += min(max(steer_goal - self.steer_rad, -most), most)
+            top = min(m.engine_mps2, m.power_w / (m.mass_kg * max(self.speed_mps, 1.0)))
+            goal = min(max(accel_mps2, -m.brake_mps2), top)
+            lag_s = m.brake_lag_s if goal < self._drive_mps2 else m.engine_lag_s
+            self._drive_mps2 += (goal - self._drive_mps2) * STEP_S / lag_s
+            self._actuate()
+            before = self.speed_mps
+            torque = 0.5 * max(self._drive_mps2, 0.0) * m.mass_kg * WHEEL_RADIUS_M
+            for _ in range(SUBSTEPS):
+                # The engine forgets torques after every step; it keeps what motors are set to.
+                pybullet.setJointMotorControlArray(
+                    self._car,
+                    self._front,
+                    pybullet.TORQUE_CONTROL,
+                    forces=(torque, torque),
+                    physicsClientId=client,
+                )
+                pybullet.stepSimulation(physicsClientId=client)
+            self._read(before)
+
+    def _actuate(self) -> None:
+        client, m = self._client, self.model
+        pybullet.setJointMotorControlArray(
+            self._car,
+            self._steering,
+            pybullet.POSITION_CONTROL,
+            targetPositions=(self.steer_rad, self.steer_rad),
+            forces=(STEER_TORQUE_NM, STEER_TORQUE_NM),
+            physicsClientId=client,
+        )
+        force_n = self._drive_mps2 * m.mass_kg
+        if force_n >= 0.0:
+            self._brake((*self._front, *self._rear), (0.0,) * 4)
+            return
+        half_load_n = 0.25 * m.mass_kg * GRAVITY_MPS2
+        shift_n = 0.5 * m.gravity_height_m / m.wheelbase_m * m.mass_kg * self.accel_mps2
+        front_n = ABS_SHARE * self._friction * (half_load_n - shift_n)
+        rear_n = ABS_SHARE * self._friction * (half_load_n + shift_n)
+        wanted_n = -force_n
+        share = min(wanted_n / max(2.0 * (front_n + rear_n), 1.0), 1.0)
+        if self.speed_mps < HOLD_BELOW_MPS:
+            share = 1.0
+        front_torque, rear_torque = share * front_n * WHEEL_RADIUS_M, share * rear_n * WHEEL_RADIUS_M
+        self._brake((*self._front, *self._rear), (front_torque, front_torque, rear_torque, rear_torque))
+
+    def _brake(self, joints: tuple[int, ...], torques: tuple[float, ...]) -> None:
+        pybullet.setJointMotorControlArray(
+            self._car,
+            joints,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocities=(0.0,) * len(joints),
+            forces=torques,
+            physicsClientId=self._client,
+        )
+
+    def _read(self, speed_before_mps: float) -> None:
+        client = self._client
+        (x_m, y_m, _), turn = pybullet.getBasePositionAndOrientation(self._car, physicsClientId=client)
+        (vx, vy, _), (_, _, yaw_rate) = pybullet.getBaseVelocity(self._car, physicsClientId=client)
+        qx, qy, qz, qw = turn
+        heading = math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
+        # Yaw goes on beyond half a turn, as it does in the single-track model.
+        self.yaw_rad += (heading - self.yaw_rad + math.pi) % (2.0 * math.pi) - math.pi
+        self.x_m, self.y_m, self.yaw_rate_radps = x_m, y_m, yaw_rate
+        self.speed_mps = max(vx * math.cos(self.yaw_rad) + vy * math.sin(self.yaw_rad), 0.0)
+        self.accel_mps2 = (self.speed_mps - speed_before_mps) / STEP_S
+
+
+@cache
+def _urdf_file(model: CarModel) -> Path:
+    folder = Path(tempfile.mkdtemp(prefix="brink-car-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    path = folder / "car.urdf"
+    path.write_text(car_urdf(model))
+    return path
+
+
+def car_urdf(model: CarModel) -> str:
+    """Return the car's description: a chassis without a shape, steered knuckles, and sphere wheels."""
+    chassis_kg = model.mass_kg - 4.0 * WHEEL_KG - 2.0 * KNUCKLE_KG
+    inertia = (
+        chassis_kg / 12.0 * (model.width_m**2 + 1.2**2),
+        chassis_kg / 12.0 * (model.length_m**2 + 1.2**2) * 0.8,
+        chassis_kg / 12.0 * (model.length_m**2 + model.width_m**2) * 0.8,
+    )
+    parts = ['<robot name="car">', _link("chassis", chassis_kg, inertia)]
+    drop_m = WHEEL_RADIUS_M - model.gravity_height_m
+    for name in (*_FRONT, *_REAR):
+        x_m = (0.5 if name in _FRONT else -0.5) * model.wheelbase_m
+        y_m = (0.5 if name.endswith("left") else -0.5) * TRACK_M
+        where = f"{x_m} {y_m} {drop_m}"
+        mount = "chassis"
+        if name in _FRONT:
+            mount, limit = f"knuckle_{name}", model.steer_limit_rad
+            parts.append(_link(mount, KNUCKLE_KG, (0.05, 0.05, 0.05)))
+            parts.append(
+                f'<joint name="steer_{name}" type="revolute"><parent link="chassis"/><child link="{mount}"/>'
+                f'<origin xyz="{where}"/><axis xyz="0 0 1"/>'
+                f'<limit lower="{-limit}" upper="{limit}" effort="1e6" velocity="1e3"/></joint>'
+            )
+            where = "0 0 0"
+        spin = 0.4 * WHEEL_KG * WHEEL_RADIUS_M**2
+        parts.append(_link(f"wheel_{name}", WHEEL_KG, (spin, spin, spin), sphere_m=WHEEL_RADIUS_M))
+        parts.append(
+            f'<joint name="spin_{name}" type="continuous"><parent link="{mount}"/>'
+            f'<child link="wheel_{name}"/><origin xyz="{where}"/><axis xyz="0 1 0"/></joint>'
+        )
+    return "\n".join((*parts, "</robot>", ""))
+
+
+def _link(name: str, mass_kg: float, inertia: tuple[float, float, float], *, sphere_m: float = 0.0) -> str:
+    ixx, iyy, izz = inertia
+    shape = f'<collision><geometry><sphere radius="{sphere_m}"/></geometry></collision>' if sphere_m else ""
+    return (
+        f'<link name="{name}"><inertial><mass value="{mass_kg}"/>'
+        f'<inertia ixx="{ixx}" iyy="{iyy}" izz="{izz}" ixy="0" ixz="0" iyz="0"/></inertial>{shape}</link>'
+    )
