@@ -81,7 +81,7 @@ STYLES: Mapping[RoadCurve, tuple[RoadStyle, RoadStyle, RoadStyle]] = {
     RoadCurve.CROSSROAD: (
         _style(0.0, 0.0, 3.5, parking=False, main_stream=0, pace=1.0),
         _style(0.0, 0.04, 3.3, parking=True, main_stream=1, pace=0.95),
-        _style(0.0, -0.05, 3.2, parking=False, main_stream=2, pace=1.0),
+        _style(0.0, -0.05, 3.2, parking=False, main_stream=0, pace=0.95),
     ),
 }
 
