@@ -8,6 +8,7 @@ report contacts, which is why contacts are clearances of zero or less.
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple, NewType
@@ -15,6 +16,8 @@ from typing import Any, NamedTuple, NewType
 import pybullet
 
 BodyId = NewType("BodyId", int)
+EngineError: type[Exception] = pybullet.error
+"""What the engine raises when it breaks down."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,6 +124,14 @@ def process_engine() -> Engine:
     return Engine()
 
 
+def discard_engine() -> None:
+    """Give up the engine of this process, which may be broken; the next call of `process_engine` makes a new one."""
+    engine = process_engine()
+    process_engine.cache_clear()
+    with suppress(EngineError):
+        engine.close()
+
+
 def engine_version() -> str:
     """Return the version of the physics engine."""
-    return str(pybullet.getAPIVersion(physicsClientId=process_engine()._client))
+    return str(pybullet.getAPIVersion(physicsClientId=process_engine().client))

@@ -4,7 +4,7 @@ A simulator in which nothing matters, or only the scenario, or only chance, woul
 row gives what was measured, its value, the target, and whether it is met.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -295,6 +295,6 @@ def consistent_effect_p(change: FloatArray, rng: np.random.Generator, permutatio
     return (1 + as_large) / (1 + permutations)
 
 
-def _share(flags: "Iterator[bool] | Sequence[bool]") -> float:
+def _share(flags: Iterable[bool]) -> float:
     listed = list(flags)
     return sum(listed) / len(listed) if listed else float("nan")

@@ -13,12 +13,12 @@ from collections.abc import Mapping
 from functools import cache, partial
 from importlib.metadata import version
 
-from sim.bullet.engine import Engine, engine_version, process_engine
+from sim.bullet.engine import Engine, EngineError, discard_engine, engine_version, process_engine
 from sim.bullet.wheels import WheeledCar
 from sim.driving.camera import Camera
 from sim.driving.system import ModularDriving
-from sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject, Verdict
-from sim.errors import InvalidEpisode
+from sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
+from sim.errors import InvalidEpisode, SimulationCrashed
 from sim.requirements.registry import make_requirements
 from sim.requirements.requirement import Requirement
 from sim.urban.behaviour import DetectorBehaviour
@@ -50,10 +50,26 @@ class BrinkDrive:
 
         Raises:
             InvalidEpisode: The specification can never run.
+            SimulationCrashed: The physics engine broke down.
         """
-        cpu_s = time.process_time()
         scenario, behaviour = _read(spec)
         requirements = make_requirements(spec.requirements)
+        try:
+            return self._run(spec, scenario, behaviour, requirements, record=record)
+        except EngineError as error:
+            discard_engine()
+            raise SimulationCrashed(f"the physics engine broke down: {error}") from error
+
+    def _run(
+        self,
+        spec: EpisodeSpec,
+        scenario: UrbanScenario,
+        behaviour: DetectorBehaviour,
+        requirements: Mapping[str, Requirement],
+        *,
+        record: bool,
+    ) -> EpisodeResult:
+        cpu_s = time.process_time()
         engine = process_engine()
         engine.reset()
         world = make_world(scenario, spec.seed, _ego_maker(spec, engine))
@@ -70,6 +86,9 @@ class BrinkDrive:
             recorder=recorder,
         )
         verdicts = {name: requirement.verdict() for name, requirement in requirements.items()}
+        for name, verdict in verdicts.items():
+            if not math.isfinite(verdict.robustness):
+                raise SimulationCrashed(f"{name}: expected a finite robustness, got {verdict.robustness}")
         trace = None
         if recorder is not None:
             # From the canonical text, so that the trace does not depend on the order of the fields.
@@ -78,7 +97,7 @@ class BrinkDrive:
         return EpisodeResult(
             verdicts=verdicts,
             objectives={f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()},
-            features=_features(outcome, requirements, verdicts),
+            features=_features(outcome, requirements),
             provenance={
                 "simulator": SIMULATOR_ID,
                 **versions(),
@@ -119,9 +138,7 @@ def _ego_maker(spec: EpisodeSpec, engine: Engine) -> MakeEgo:
     return EgoCar
 
 
-def _features(
-    outcome: Outcome, requirements: Mapping[str, Requirement], verdicts: Mapping[str, Verdict]
-) -> dict[str, Json]:
+def _features(outcome: Outcome, requirements: Mapping[str, Requirement]) -> dict[str, Json]:
     last = outcome.last
     hit = last.collision
     features: dict[str, Json] = {
@@ -136,9 +153,6 @@ def _features(
     for name, requirement in requirements.items():
         for key, value in requirement.features().items():
             features[f"{name}:{key}"] = value
-    for name, verdict in verdicts.items():
-        if not math.isfinite(verdict.robustness):
-            raise ArithmeticError(f"{name}: robustness {verdict.robustness} is not finite")
     return features
 
 

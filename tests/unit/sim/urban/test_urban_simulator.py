@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sim.bullet.engine import process_engine
 from sim.catalogue import make_simulator
 from sim.episode import EpisodeResult, EpisodeSpec, JsonObject
-from sim.errors import InvalidEpisode
+from sim.errors import InvalidEpisode, SimulationCrashed
 from sim.requirements.registry import requirement_ids
 from sim.trace import Trace
 from sim.urban.draws import draw
@@ -182,6 +183,14 @@ def test_what_can_never_run_is_refused(
 ) -> None:
     with pytest.raises(InvalidEpisode, match=expected):
         simulator.run(replace(ORACLE, **changes))  # type: ignore[arg-type]
+
+
+def test_a_broken_engine_is_a_crash_and_the_next_episode_runs(simulator: BrinkDrive) -> None:
+    before = fingerprint(simulator.run(ORACLE, record=True))
+    process_engine().close()
+    with pytest.raises(SimulationCrashed, match="physics engine"):
+        simulator.run(ORACLE)
+    assert fingerprint(simulator.run(ORACLE, record=True)) == before
 
 
 def test_random_candidates_all_run(simulator: BrinkDrive) -> None:
