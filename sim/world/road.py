@@ -17,6 +17,7 @@ SPEED_LIMIT_MPS = 30.0 / 3.6
 RIGHT_TURN_RADIUS_M = 7.0
 LEFT_TURN_RADIUS_M = 9.0
 SIDE_STREET_M = 60.0
+"""How far from the junction drivers who come out of a side street can start, and drivers who turn into it matter."""
 PARKING_STRIP_M = 2.1
 CROSSING_WIDTH_M = 3.0
 STOP_LINE_BEFORE_CROSSING_M = 1.5
@@ -146,6 +147,11 @@ class Road:
     def walkway_m(self) -> float:
         """Distance of the middle of the pavement from the centre line."""
         return self.kerb_m + 0.5 * self.style.pavement_m
+
+    @property
+    def side_street_m(self) -> float:
+        """How far the side streets go, from the middle of their junction: beyond every route into them."""
+        return self.length_m + 20.0
 
     @property
     def stop_line_before_junction_m(self) -> float:

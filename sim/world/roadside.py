@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 
-from sim.world.road import PARKING_STRIP_M, SIDE_STREET_M, Road
+from sim.world.road import PARKING_STRIP_M, Road
 from sim.world.vehicle import CAR
 
 BUILDING_EVERY_M = 17.0
@@ -77,7 +77,8 @@ def _in_side_street(road: Road, x_m: float, y_m: float, margin_m: float) -> bool
         across = dy * math.cos(junction.yaw_rad) - dx * math.sin(junction.yaw_rad)
         wide = road.kerb_m + road.style.pavement_m + margin_m
         if abs(along) < wide and (
-            (junction.left and 0 < across < SIDE_STREET_M) or (junction.right and -SIDE_STREET_M < across < 0)
+            (junction.left and 0 < across < road.side_street_m)
+            or (junction.right and -road.side_street_m < across < 0)
         ):
             return True
     return False

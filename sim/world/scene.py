@@ -8,7 +8,6 @@ from sim.trace import FloatArray, Surface
 from sim.world.line import Piece, ReferenceLine
 from sim.world.road import (
     CROSSING_WIDTH_M,
-    SIDE_STREET_M,
     STOP_LINE_BEFORE_CROSSING_M,
     Junction,
     Road,
@@ -25,23 +24,25 @@ _RING = 8
 def scene_surfaces(road: Road) -> tuple[Surface, ...]:
     """Return the surfaces of a road, to be drawn in this order."""
     kerb_m, walk_m = road.kerb_m, road.kerb_m + road.style.pavement_m
-    streets = [street for junction in road.junctions for street in _streets(junction)]
+    streets = [street for junction in road.junctions for street in _streets(road, junction)]
     first_m, last_m = -BEFORE_M, road.length_m + BEYOND_M
     surfaces = [_strip(road.centre, "pavement", first_m, last_m, -walk_m, walk_m)]
-    surfaces += [_strip(street, "pavement", kerb_m, SIDE_STREET_M, -walk_m, walk_m) for street in streets]
+    surfaces += [_strip(street, "pavement", kerb_m, street.length_m, -walk_m, walk_m) for street in streets]
     surfaces.append(_strip(road.centre, "road", first_m, last_m, -kerb_m, kerb_m))
-    surfaces += [_strip(street, "road", 0.0, SIDE_STREET_M, -kerb_m, kerb_m) for street in streets]
+    surfaces += [_strip(street, "road", 0.0, street.length_m, -kerb_m, kerb_m) for street in streets]
     surfaces += _markings(road, streets, first_m, last_m)
     surfaces += _crossing(road)
     surfaces += [_footprint(fixture) for fixture in fixtures(road)]
     return tuple(surfaces)
 
 
-def _streets(junction: Junction) -> list[ReferenceLine]:
+def _streets(road: Road, junction: Junction) -> list[ReferenceLine]:
     """Return the centre lines of a junction's side streets, outward from its middle."""
     sides = [turn for turn, there in ((-0.5, junction.right), (0.5, junction.left)) if there]
     return [
-        ReferenceLine(junction.x_m, junction.y_m, junction.yaw_rad + turn * math.pi, (Piece(SIDE_STREET_M),))
+        ReferenceLine(
+            junction.x_m, junction.y_m, junction.yaw_rad + turn * math.pi, (Piece(road.side_street_m),)
+        )
         for turn in sides
     ]
 
@@ -75,7 +76,7 @@ def _markings(road: Road, streets: list[ReferenceLine], first_m: float, last_m: 
 
     surfaces = []
     lines = [(road.centre, first_m, last_m, True)]
-    lines += [(street, road.kerb_m + 3.0, SIDE_STREET_M, False) for street in streets]
+    lines += [(street, road.kerb_m + 3.0, street.length_m, False) for street in streets]
     for line, from_m, to_m, main in lines:
         for number in range(int((to_m - from_m) / (2.0 * DASH_M))):
             dash_m = from_m + 2.0 * DASH_M * number
