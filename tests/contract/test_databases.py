@@ -1,0 +1,233 @@
+"""What every database must do: migrate to this version's tables, once, whole or not at all."""
+
+import shutil
+import subprocess
+import sys
+import textwrap
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
+
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.config import Config
+from alembic.migration import MigrationContext
+from sqlalchemy import insert, inspect, select, text
+from sqlalchemy.exc import IntegrityError
+from support.databases import Databases
+from support.queue import Queue
+
+import migrations
+from server.db import upgrade as upgrading
+from server.db.clock import database_now
+from server.db.engine import Engines, open_engines
+from server.db.models import Base, JobRow, TraceRow
+from server.db.upgrade import current_revision, head_revision, upgrade
+from server.errors import DatabaseError
+
+
+@pytest.fixture
+def empty_url(databases: Databases) -> Iterator[str]:
+    with databases.database("empty", migrated=False) as url:
+        yield url
+
+
+@pytest.fixture
+def empty(empty_url: str) -> Iterator[Engines]:
+    engines = open_engines(empty_url)
+    yield engines
+    engines.dispose()
+
+
+def test_the_models_are_what_the_migrations_make(empty: Engines) -> None:
+    assert upgrade(empty) == (None, head_revision())
+    with empty.reader.connect() as connection:
+        context = MigrationContext.configure(connection, opts={"compare_type": True})
+        assert compare_metadata(context, Base.metadata) == []
+
+
+def test_the_checks_of_the_models_are_what_the_migrations_make(empty: Engines) -> None:
+    upgrade(empty)
+    inspector = inspect(empty.reader)
+    for table in Base.metadata.sorted_tables:
+        wanted = {str(c.name) for c in table.constraints if type(c).__name__ == "CheckConstraint"}
+        made = {str(check["name"]) for check in inspector.get_check_constraints(table.name)}
+        assert made == wanted, table.name
+
+
+def test_upgrading_twice_changes_nothing(empty: Engines) -> None:
+    upgrade(empty)
+    assert upgrade(empty) == (head_revision(), head_revision())
+    assert current_revision(empty) == head_revision()
+
+
+def test_an_empty_database_has_no_revision(empty: Engines) -> None:
+    assert current_revision(empty) is None
+
+
+def failing_migrations(folder: Path) -> Config:
+    """Return migrations whose second step fails after its first statement."""
+    shutil.copytree(Path(migrations.__file__).parent, folder, ignore=shutil.ignore_patterns("__pycache__"))
+    (folder / "versions" / "9999_fails.py").write_text(
+        textwrap.dedent(
+            f"""
+            import sqlalchemy as sa
+            from alembic import op
+
+            revision, down_revision, branch_labels, depends_on = "9999", {head_revision()!r}, None, None
+
+
+            def upgrade():
+                op.create_table("half", sa.Column("id", sa.Integer, primary_key=True))
+                raise RuntimeError("no further")
+            """
+        )
+    )
+    config = Config()
+    config.set_main_option("script_location", str(folder))
+    return config
+
+
+@pytest.mark.parametrize("start", ["nothing", "head"])
+def test_a_failed_migration_leaves_nothing_behind(
+    empty: Engines, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, start: str
+) -> None:
+    if start == "head":
+        upgrade(empty)
+    before = set(inspect(empty.reader).get_table_names())
+    revision = current_revision(empty)
+    config = failing_migrations(tmp_path / "failing")
+    with monkeypatch.context() as patched:
+        patched.setattr(upgrading, "alembic_config", lambda: config)
+        with pytest.raises(RuntimeError, match="no further"):
+            upgrade(empty)
+    assert set(inspect(empty.reader).get_table_names()) == before
+    assert current_revision(empty) == revision
+    upgrade(empty)
+    assert current_revision(empty) == head_revision()
+
+
+def test_two_processes_that_race_to_upgrade_both_succeed(empty_url: str) -> None:
+    program = textwrap.dedent(
+        """
+        import sys
+        from server.db.engine import open_engines
+        from server.db.upgrade import upgrade
+        engines = open_engines(sys.argv[1])
+        print("ready", flush=True)
+        sys.stdin.readline()
+        print(*upgrade(engines))
+        engines.dispose()
+        """
+    )
+    racers = [
+        subprocess.Popen(
+            [sys.executable, "-c", program, empty_url],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )
+        for _ in range(3)
+    ]  # fmt: skip
+    for racer in racers:
+        assert racer.stdout is not None
+        assert racer.stdout.readline() == "ready\n"
+    answers = []
+    for racer in racers:
+        assert racer.stdin is not None
+        racer.stdin.write("go\n")
+        racer.stdin.flush()
+    for racer in racers:
+        out, err = racer.communicate(timeout=60)
+        assert racer.returncode == 0, err
+        answers.append(out.strip())
+    head = head_revision()
+    assert sorted(answers) == sorted([f"None {head}", f"{head} {head}", f"{head} {head}"])
+
+
+def test_a_newer_schema_is_refused_in_one_clear_line(empty: Engines) -> None:
+    upgrade(empty)
+    with empty.writer.begin() as connection:
+        connection.execute(text("UPDATE alembic_version SET version_num = '7777'"))
+    with pytest.raises(DatabaseError) as caught:
+        upgrade(empty)
+    message = str(caught.value)
+    assert "'7777' is newer" in message
+    assert "update Brink" in message
+    assert "\n" not in message
+
+
+def test_a_database_that_cannot_be_reached_is_told_in_one_line(tmp_path: Path) -> None:
+    for url in ("postgresql://nobody:secret@127.0.0.1:1/nothing", f"sqlite:///{tmp_path}/no/such/folder.db"):
+        engines = open_engines(url)
+        with pytest.raises(DatabaseError) as caught:
+            upgrade(engines)
+        assert "\n" not in str(caught.value)
+        assert "secret" not in str(caught.value)
+        engines.dispose()
+
+
+def test_a_file_that_is_no_database_is_told(tmp_path: Path) -> None:
+    file = tmp_path / "notes.db"
+    file.write_text("not a database, but long enough to be taken for one " * 50)
+    engines = open_engines(f"sqlite:///{file}")
+    with pytest.raises(DatabaseError, match="not a database"):
+        upgrade(engines)
+    engines.dispose()
+
+
+def test_moments_come_back_as_they_went_in(engines: Engines) -> None:
+    moment = datetime(2026, 3, 1, 12, 0, 0, 123456, tzinfo=timezone(timedelta(hours=5)))
+    with engines.writer.begin() as connection:
+        connection.execute(insert(TraceRow).values(spec_hash="a", data=b"\0\xff", created_at=moment))
+    with engines.reader.connect() as connection:
+        row = connection.execute(select(TraceRow.created_at, TraceRow.data)).one()
+    assert row.created_at == moment
+    assert row.created_at.tzinfo is UTC
+    assert bytes(row.data) == b"\0\xff"
+
+
+def test_a_moment_without_a_zone_is_refused(engines: Engines) -> None:
+    with pytest.raises(Exception, match="aware"), engines.writer.begin() as connection:
+        connection.execute(insert(TraceRow).values(spec_hash="a", data=b"", created_at=datetime(2026, 1, 1)))
+
+
+def test_the_database_clock_goes_forward(engines: Engines) -> None:
+    with engines.reader.connect() as connection:
+        first, second = database_now(connection), database_now(connection)
+    assert first.tzinfo is UTC
+    assert first <= second
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {"status": "lost"},
+        {"status": "leased"},
+        {"status": "leased", "lease_token": "t"},
+        {"attempt": -1},
+        {"kind": "other"},
+        {"campaign_id": "nobody"},
+    ],
+)
+def test_a_job_that_breaks_an_invariant_is_not_stored(engines: Engines, broken: dict[str, object]) -> None:
+    campaign = Queue(engines=engines).campaign(0)
+    sound = {
+        "campaign_id": campaign, "number": 1, "kind": "episode", "spec": "{}", "spec_hash": "h", "needs": "x",
+        "cache": True, "timeout_s": 1.0, "status": "queued", "attempt": 0, "max_attempts": 3,
+        "created_at": datetime.now(UTC),
+    }  # fmt: skip
+    with pytest.raises(IntegrityError), engines.writer.begin() as connection:
+        connection.execute(insert(JobRow).values({**sound, **broken}))
+    with engines.writer.begin() as connection:
+        connection.execute(insert(JobRow).values(sound))
+    with pytest.raises(IntegrityError), engines.writer.begin() as connection:
+        connection.execute(insert(JobRow).values(sound))
+
+
+def test_readers_see_one_snapshot(engines: Engines) -> None:
+    with engines.reader.connect() as reading:
+        assert reading.execute(select(TraceRow.spec_hash)).all() == []
+        with engines.writer.begin() as writing:
+            writing.execute(insert(TraceRow).values(spec_hash="a", data=b"", created_at=datetime.now(UTC)))
+        assert reading.execute(select(TraceRow.spec_hash)).all() == []
+    with engines.reader.connect() as reading:
+        assert reading.execute(select(TraceRow.spec_hash)).scalars().all() == ["a"]

@@ -1,0 +1,229 @@
+"""Restarts and races: whatever happens in between, a campaign finds the same, bit for bit."""
+
+import json
+import threading
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+import pytest
+from sqlalchemy import Connection, func, select, update
+from sqlalchemy.exc import OperationalError
+from support.api import FakeWorker, ball, coordinator, eventually, progress, submit
+from support.problems import simulated
+from support.queue import Queue
+from support.reference import undisturbed_digest
+
+from search.digest import archive_digest
+from server.campaigns import step_store, store
+from server.campaigns.advance import Stepper, first_generation, make_plan, restored_archive
+from server.campaigns.body import parse_body
+from server.campaigns.values import Campaign
+from server.db.engine import Engines
+from server.db.models import CampaignStatus, CheckpointRow, GenerationRow
+from server.db.writer import Writer
+from server.errors import Unavailable
+from server.queue.values import Outcome
+from sim import catalogue
+from worker.wire import LeasedJob
+
+pytestmark = pytest.mark.usefixtures("small_problems")
+
+CAMPAIGNS = {
+    "ga": ball(simulations=100),
+    "mlcshe": ball(
+        simulations=100,
+        algorithm={"id": "mlcshe@1", "params": {"population_size": 5, "archive_size": 2}},
+    ),
+    "random": ball(simulations=100, algorithm={"id": "random@1", "params": {"generation_size": 30}}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CAMPAIGNS)
+def test_a_coordinator_that_is_started_again_finds_the_same(database_url: str, name: str) -> None:
+    campaign, held = "", list[LeasedJob]()
+    for wanted in (10, 27, 55, 1000):
+        with coordinator(database_url) as client:
+            worker = FakeWorker(client)
+            campaign = campaign or submit(client, CAMPAIGNS[name])
+            assert set(worker.report(held)) <= {"accepted"}
+            stands = worker.work(campaign, until=partial(reached, wanted))
+            held = worker.lease(max_jobs=3)
+    assert stands["status"] == "finished"
+    assert stands["digest"] == undisturbed_digest(CAMPAIGNS[name])
+
+
+def reached(wanted: int, stands: dict[str, Any]) -> bool:
+    return bool(stands["simulations"] >= wanted)
+
+
+def test_leases_outlive_their_coordinator(database_url: str) -> None:
+    with coordinator(database_url) as client:
+        campaign = submit(client, ball())
+        jobs = FakeWorker(client).lease()
+    with coordinator(database_url) as client:
+        worker = FakeWorker(client)
+        assert set(worker.report(jobs)) == {"accepted"}
+        assert set(worker.report(jobs)) == {"duplicate"}
+        assert worker.work(campaign)["digest"] == undisturbed_digest(ball())
+
+
+class Coordinators:
+    """Two steppers, each with a writer of its own, on one database: as two processes have them."""
+
+    def __init__(self, engines: Engines, body: dict[str, Any]) -> None:
+        self.engines, self.queue = engines, Queue(engines=engines)
+        self.writers = [Writer(engines.writer) for _ in range(2)]
+        self.steppers = [Stepper(engines, writer, max_stored_distances=1000) for writer in self.writers]
+        self.body = parse_body(body)
+        live, solutions = first_generation(self.body)
+
+        def unit(connection: Connection) -> None:
+            store.insert_campaign(connection, "c0ffee", self.body, None)
+            found = store.find_campaign(connection, "c0ffee")
+            assert found is not None
+            step_store.insert_solutions(connection, found, 0, solutions)
+
+        self.queue.run(unit)
+        self.steppers[0].adopt("c0ffee", live)
+
+    def close(self) -> None:
+        for writer in self.writers:
+            writer.close()
+
+    @property
+    def campaign(self) -> Campaign:
+        found = self.queue.run(lambda connection: store.find_campaign(connection, "c0ffee"))
+        assert found is not None
+        return found
+
+    def simulate(self) -> None:
+        """Simulate all that is queued."""
+        while jobs := self.queue.lease():
+            specs = {job.job: json.loads(self.queue.job(job.job).spec) for job in jobs}
+            self.queue.report(
+                *(
+                    Outcome(job=j.job, token=j.token, result=simulated(specs[j.job]).model_dump_json())
+                    for j in jobs
+                )
+            )
+
+    def digest(self) -> str:
+        plan = make_plan(self.body)
+        with self.engines.reader.connect() as connection:
+            stored = step_store.read_archive(connection, "c0ffee", plan.problem.space.dimension)
+        return archive_digest(restored_archive(plan, stored))
+
+
+@pytest.fixture
+def two(engines: Engines) -> Iterator[Coordinators]:
+    made = Coordinators(engines, ball())
+    yield made
+    made.close()
+
+
+def test_two_coordinators_write_each_step_once(two: Coordinators) -> None:
+    moved: list[bool] = []
+    while two.campaign.status is CampaignStatus.RUNNING:
+        two.simulate()
+        begin = threading.Barrier(2)
+
+        def step(stepper: Stepper, begin: threading.Barrier = begin) -> None:
+            begin.wait(30)
+            moved.append(stepper.advance("c0ffee"))
+
+        threads = [threading.Thread(target=step, args=(stepper,)) for stepper in two.steppers]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(30)
+    assert two.campaign.status is CampaignStatus.FINISHED
+    generations = two.queue.run(
+        lambda c: list(c.execute(select(GenerationRow.number).order_by(GenerationRow.number)).scalars())
+    )
+    assert generations == list(range(two.campaign.generation))
+    assert two.digest() == undisturbed_digest(ball())
+
+
+def test_coordinators_that_take_turns_find_the_same(two: Coordinators) -> None:
+    turn = 0
+    while two.campaign.status is CampaignStatus.RUNNING:
+        two.simulate()
+        turn += 1
+        two.steppers[turn % 2].advance("c0ffee")
+    assert two.digest() == undisturbed_digest(ball())
+
+
+def test_a_stale_step_is_not_written(two: Coordinators) -> None:
+    two.simulate()
+    first, second = two.steppers
+    assert first.advance("c0ffee")
+    assert not second.advance("c0ffee")
+    assert not first.advance("c0ffee")
+    assert two.campaign.generation == 1
+
+
+def test_a_step_on_a_campaign_that_was_paused_meanwhile_is_not_written(
+    two: Coordinators, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    two.simulate()
+    write = step_store.write_step
+
+    def pause_first(connection: Connection, step: Any) -> bool:
+        store.set_status(connection, "c0ffee", CampaignStatus.PAUSED, "")
+        return write(connection, step)
+
+    monkeypatch.setattr(step_store, "write_step", pause_first)
+    assert not two.steppers[0].advance("c0ffee")
+    assert (two.campaign.generation, two.campaign.status) == (0, CampaignStatus.PAUSED)
+    count = two.queue.run(lambda c: c.execute(select(func.count()).select_from(GenerationRow)).scalar_one())
+    assert count == 0
+
+
+def test_a_database_that_goes_away_ends_no_campaign(
+    two: Coordinators, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    two.simulate()
+
+    def away(connection: Connection, step: Any) -> bool:
+        raise OperationalError("COMMIT", {}, Exception("server closed the connection"))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(step_store, "write_step", away)
+        with pytest.raises(Unavailable):
+            two.steppers[0].advance("c0ffee")
+    assert two.campaign.status is CampaignStatus.RUNNING
+    assert two.steppers[0].advance("c0ffee")
+    assert two.campaign.generation == 1
+
+
+def test_a_damaged_checkpoint_is_not_believed(two: Coordinators) -> None:
+    two.simulate()
+    assert two.steppers[0].advance("c0ffee")
+    two.queue.run(lambda c: c.execute(update(CheckpointRow).values(neighbours=b"\0" * 160)))
+    two.simulate()
+    with pytest.raises(ValueError, match="damaged"):
+        two.steppers[1].advance("c0ffee")
+    assert two.campaign.status is CampaignStatus.FAILED
+    assert "checkpoint of generation 1 is damaged" in two.campaign.status_reason
+
+
+def test_a_campaign_whose_problem_is_missing_waits_for_it(
+    two: Coordinators, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    two.simulate()
+    with monkeypatch.context() as patched:
+        patched.setattr(catalogue, "_registered", {})
+        assert not two.steppers[1].advance("c0ffee")
+    assert two.campaign.status is CampaignStatus.PAUSED
+    assert "ball@1" in two.campaign.status_reason
+    two.queue.set_status("c0ffee", CampaignStatus.RUNNING)
+    assert two.steppers[1].advance("c0ffee")
+
+
+def test_the_sweeper_takes_a_step_that_nobody_took(database_url: str, two: Coordinators) -> None:
+    two.simulate()  # as if the coordinator had died between the last result and the step
+    with coordinator(database_url) as client:
+        eventually(lambda: progress(client, "c0ffee")["generation"] == 1, "the step")
+        FakeWorker(client).work("c0ffee")
+        assert progress(client, "c0ffee")["digest"] == undisturbed_digest(ball())

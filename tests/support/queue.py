@@ -1,0 +1,158 @@
+"""The queue's SQL in the hands of a test: campaigns made of jobs, units run one at a time, time moved by hand."""
+
+import secrets
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from datetime import timedelta
+from typing import Any, TypeVar
+
+from sqlalchemy import Connection, Row, select, update
+
+from server.campaigns import step_store, store
+from server.campaigns.body import Budget, CampaignBody, Execution, PluginChoice
+from server.campaigns.values import NewJob, NewSolution
+from server.db.clock import database_now
+from server.db.engine import Engines
+from server.db.models import CampaignStatus, JobRow
+from server.queue import lease_store, report_store
+from server.queue.values import LeaseTerms, Outcome, Report
+from support.problems import SIMULATOR
+from worker.wire import HeldLease, LeasedJob
+
+T = TypeVar("T")
+RESULT = '{"kind":"completed","verdicts":{},"objectives":{},"features":{},"provenance":{}}'
+TERMS = LeaseTerms(lease_s=60.0, retry_backoff_s=10.0, live_workers=1)
+
+
+def held(job: LeasedJob) -> HeldLease:
+    """Return the lease of a job."""
+    return HeldLease(job=job.job, token=job.token)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Queue:
+    """One database's queue."""
+
+    engines: Engines
+
+    def run(self, unit: Callable[[Connection], T]) -> T:
+        """Run a unit in a transaction of its own."""
+        with self.engines.writer.begin() as connection:
+            return unit(connection)
+
+    def campaign(
+        self,
+        jobs: int | Sequence[str],
+        *,
+        priority: int = 0,
+        cache: bool = True,
+        max_attempts: int = 3,
+        needs: str = SIMULATOR,
+    ) -> str:
+        """Store a campaign with that many jobs, or with a job for each of these hashes; return its id."""
+        body = CampaignBody(
+            name="test", problem=PluginChoice(id="ball@1"), algorithm=PluginChoice(id="ga@1"),
+            budget=Budget(simulations=1000), priority=priority,
+            execution=Execution(cache=cache, max_attempts=max_attempts),
+        )  # fmt: skip
+        name = secrets.token_hex(4)
+        hashes = [secrets.token_hex(32) for _ in range(jobs)] if isinstance(jobs, int) else list(jobs)
+        solutions = [
+            NewSolution(
+                number=number, vector=b"", seed=number,
+                job=NewJob(spec="{}", spec_hash=spec_hash, needs=needs, timeout_s=60.0),
+            )
+            for number, spec_hash in enumerate(hashes)
+        ]  # fmt: skip
+
+        def unit(connection: Connection) -> None:
+            store.insert_campaign(connection, name, body, None)
+            found = store.find_campaign(connection, name)
+            assert found is not None
+            step_store.insert_solutions(connection, found, 0, solutions)
+
+        self.run(unit)
+        return name
+
+    def set_status(self, campaign: str, status: CampaignStatus) -> None:
+        """Change what a campaign is."""
+        self.run(lambda connection: store.set_status(connection, campaign, status, ""))
+
+    def lease(
+        self,
+        worker: str = "w1",
+        max_jobs: int = 100,
+        capabilities: Sequence[str] = (SIMULATOR,),
+        *,
+        live_workers: int = 1,
+        lease_s: float = 60.0,
+    ) -> list[LeasedJob]:
+        """Lease jobs."""
+        terms = replace(TERMS, live_workers=live_workers, lease_s=lease_s)
+        return self.run(lambda c: lease_store.lease(c, worker, capabilities, max_jobs, terms))
+
+    def lease_all(self, worker: str = "w1") -> list[LeasedJob]:
+        """Lease jobs until no more are granted."""
+        granted: list[LeasedJob] = []
+        while more := self.lease(worker):
+            granted += more
+        return granted
+
+    def report(self, *outcomes: Outcome, retry_backoff_s: float = 10.0) -> Report:
+        """Report outcomes."""
+        terms = replace(TERMS, retry_backoff_s=retry_backoff_s)
+        return self.run(lambda c: report_store.report(c, outcomes, terms))
+
+    def complete(self, *jobs: LeasedJob, result: str = RESULT) -> tuple[str, ...]:
+        """Report jobs as completed; return what became of each report."""
+        return self.report(*(Outcome(job=j.job, token=j.token, result=result) for j in jobs)).statuses
+
+    def fail(self, *jobs: LeasedJob, final: bool = False, error: str = "crashed: boom") -> tuple[str, ...]:
+        """Report jobs as failed; return what became of each report."""
+        return self.report(
+            *(Outcome(job=j.job, token=j.token, result=None, error=error, final=final) for j in jobs)
+        ).statuses
+
+    def renew(self, *jobs: LeasedJob) -> list[int]:
+        """Renew leases; return the jobs that are still held."""
+        return self.run(lambda c: lease_store.renew(c, [held(job) for job in jobs], 60.0))
+
+    def release(self, *jobs: LeasedJob) -> int:
+        """Give leases back; return how many were."""
+        return self.run(lambda c: lease_store.release(c, [held(job) for job in jobs]))
+
+    def expire(self) -> tuple[tuple[str, ...], int]:
+        """Take back the leases that ran out."""
+        return self.run(lambda c: report_store.expire(c, TERMS))
+
+    def run_out(self, *jobs: LeasedJob) -> None:
+        """Let leases run out and take them back."""
+        self._move("lease_expires_at", [job.job for job in jobs])
+        assert self.expire()[1] == len(jobs)
+
+    def end_backoffs(self) -> None:
+        """Let all backoffs end."""
+        self._move("not_before", None)
+
+    def _move(self, column: str, jobs: Sequence[int] | None) -> None:
+        def unit(connection: Connection) -> None:
+            past = database_now(connection) - timedelta(seconds=1)
+            change = update(JobRow).where(getattr(JobRow, column).is_not(None)).values({column: past})
+            connection.execute(change if jobs is None else change.where(JobRow.id.in_(jobs)))
+
+        self.run(unit)
+
+    def jobs(self, campaign: str | None = None) -> list[Row[Any]]:
+        """Return the rows of all jobs, or of a campaign's, ascending by id."""
+        query = select(JobRow.__table__).order_by(JobRow.id)
+        if campaign is not None:
+            query = query.where(JobRow.campaign_id == campaign)
+        return self.run(lambda connection: list(connection.execute(query)))
+
+    def job(self, job: int) -> Row[Any]:
+        """Return the row of a job."""
+        return next(row for row in self.jobs() if row.id == job)
+
+    def states(self, campaign: str) -> list[str]:
+        """Return the states of a campaign's jobs, ascending by id."""
+        return [str(row.status) for row in self.jobs(campaign)]
