@@ -25,7 +25,7 @@ install: $(VENV)/.base  ## set up .venv with what `brink run` needs
 dev: $(VENV)/.dev  ## set up .venv with the test tools too
 
 run: $(VENV)/.base  ## find a hazard boundary: the quickstart campaign, coordinator and two workers
-	$(BIN)/brink run examples/quickstart.yaml --workers 2
+	$(BIN)/brink run examples/quickstart.yaml --workers 2 --resume
 
 check: $(VENV)/.dev  ## linter, strict types, import layers
 	$(BIN)/ruff check .

@@ -19,6 +19,7 @@ from server.campaigns.archives import Archives
 from server.campaigns.service import CampaignService, read
 from server.db.engine import Engines, open_engines
 from server.db.writer import Writer
+from server.errors import Unavailable
 from server.queue.service import QueueService
 from server.settings import Settings
 
@@ -97,6 +98,8 @@ async def _sweep(context: Context, stopping: asyncio.Event) -> None:
         try:
             await context.queue.sweep()
             context.queue.advance_soon(await read(context.engines, store.running_idle))
+        except Unavailable as error:
+            log.warning("sweeper: %s; the next round will look again", error)
         except Exception:
             log.exception("sweeper: this round failed; the next one will look again")
         with suppress(TimeoutError):

@@ -103,10 +103,15 @@ async def get_progress(
     progress = await read(
         services.engines,
         lambda connection: read_progress(
-            connection, campaign.id, since, services.settings.worker_seen_s, archive
+            connection,
+            campaign.id,
+            since,
+            services.settings.worker_seen_s,
+            archive,
+            services.queue.writer.trouble,
         ),
     )
-    known = progress.model_dump_json(exclude={"elapsed_s", "rate_per_s", "remaining_s"})
+    known = progress.model_dump_json(exclude={"elapsed_s", "rate_per_s", "remaining_s", "trouble_s"})
     etag = f'"{hashlib.sha256(known.encode()).hexdigest()[:32]}"'
     response.headers["ETag"] = etag
     if request.headers.get("if-none-match") == etag:

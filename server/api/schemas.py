@@ -80,6 +80,8 @@ class Progress(View):
     unrunnable: Annotated[
         dict[str, int], Field(description="Queued jobs by a capability that no live worker has.")
     ]
+    trouble: Annotated[str | None, Field(description="Why the database takes no writes now, if it does not.")]
+    trouble_s: Annotated[float, Field(description="For how long.")]
     digest: Annotated[str | None, Field(description="SHA-256 of the archive, once the campaign has ended.")]
     t_b: float
     d_th: float

@@ -25,6 +25,7 @@ from server.campaigns.advance import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.archives import ReadArchive
 from server.campaigns.values import Campaign, GenerationSummary
 from server.db.models import CampaignStatus, JobStatus
+from server.db.writer import Trouble
 from server.errors import NotFound
 from server.queue.workers import list_seen
 
@@ -44,7 +45,12 @@ def campaign_view(campaign: Campaign) -> CampaignView:
 
 
 def read_progress(
-    connection: Connection, campaign_id: str, since: int, worker_seen_s: float, archive: ReadArchive | None
+    connection: Connection,
+    campaign_id: str,
+    since: int,
+    worker_seen_s: float,
+    archive: ReadArchive | None,
+    trouble: Trouble | None,
 ) -> Progress:
     """Return counts and series of a campaign, from generation `since` on."""
     campaign = store.find_campaign(connection, campaign_id)
@@ -75,6 +81,8 @@ def read_progress(
         elapsed_s=max(0.0, (end - campaign.created_at).total_seconds()), workers=len(seen),
         unrunnable={needs: n for needs, n in waiting.items() if needs not in capabilities},
         digest=archive_digest(archive.archive) if archive is not None else None,
+        trouble=trouble.reason if trouble else None,
+        trouble_s=trouble.span_s if trouble else 0.0,
         t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH,
         generations=[
             GenerationView.model_validate(item, from_attributes=True)

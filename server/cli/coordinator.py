@@ -17,6 +17,8 @@ from server.app import create_app
 from server.db.engine import open_engines
 from server.db.upgrade import upgrade
 from server.errors import ServerError
+from server.queue.lease_store import release
+from server.queue.workers import leases_of, process_is_gone
 from server.settings import Settings
 
 START_S = 15.0
@@ -36,6 +38,23 @@ def prepare_database(settings: Settings) -> tuple[str | None, str]:
     engines = open_engines(settings.database)
     try:
         return upgrade(engines)
+    finally:
+        engines.dispose()
+
+
+def release_leases_of_the_dead(settings: Settings) -> int:
+    """Put back what workers of this machine held that are no more, uncharged; return how many jobs.
+
+    For the start after a crash of everything, which is no fault of the jobs. Only for SQLite, where the coordinator
+    and its database share a machine; should a worker be mistaken for dead, its results are `stale` and run again.
+    """
+    if settings.sqlite_file is None:
+        return 0
+    engines = open_engines(settings.database)
+    try:
+        with engines.writer.begin() as connection:
+            leases = leases_of(connection, process_is_gone)
+            return release(connection, leases)
     finally:
         engines.dispose()
 

@@ -92,6 +92,8 @@ class CampaignDisplay:
             rows.append(("failed", f"{progress['failed']}   in quarantine {progress['quarantined']}", ""))
         for needs, count in progress["unrunnable"].items():
             rows.append(("waiting", f"{count} jobs need {needs}, which no worker offers", ""))
+        if progress["trouble"]:
+            rows.append(("trouble", progress["trouble"], ""))
         if progress["status"] != "running":
             rows.append(("status", f"{progress['status']} {progress['status_reason']}", ""))
         return rows

@@ -18,17 +18,24 @@ from server.campaigns.advance import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.body import CampaignBody, read_campaign_file
 from server.campaigns.service import check_submission
 from server.cli.api import TIMEOUT, Api, CoordinatorSaid
-from server.cli.coordinator import EmbeddedCoordinator, WorkerProcesses, prepare_database
+from server.cli.coordinator import (
+    EmbeddedCoordinator,
+    WorkerProcesses,
+    prepare_database,
+    release_leases_of_the_dead,
+)
 from server.cli.live import CampaignDisplay
 from server.cli.options import CampaignFile, Database, console, print_json, settings_with
 from server.cli.pictures import draw_figures, fetch_archive, write_results
 from server.cli.replays import write_replays
 from server.cli.summary import print_summary
-from server.errors import Conflict
+from server.errors import Conflict, Unavailable
 from server.settings import Settings
 
 LOOK_EVERY_S = 0.3
 TRACES_S = 30.0
+TROUBLE_S = 5.0
+"""How long a database may take no writes before a run gives up."""
 UNFINISHED = ("running", "paused")
 RESULTS = Path("brink-results")
 
@@ -82,6 +89,7 @@ def run(
     settings = settings_with(database=database, port=port)
     screen = Console(stderr=True, highlight=False) if as_json else console()
     prepare_database(settings)
+    release_leases_of_the_dead(settings)
     coordinator = EmbeddedCoordinator(settings)
     coordinator.start()
     processes = WorkerProcesses(
@@ -200,6 +208,10 @@ async def _watch(
             display.show(progress)
             if progress["status"] != "running" or stop.is_set():
                 return progress
+            if progress["trouble_s"] > TROUBLE_S:
+                raise Unavailable(
+                    f"{progress['trouble']}; what was acknowledged is stored, go on later with --resume"
+                )
             processes.replace_dead()
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(stop.wait(), LOOK_EVERY_S)

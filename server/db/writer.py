@@ -9,19 +9,22 @@ arguments. A unit is answered only after its commit.
 import logging
 import queue
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from sqlalchemy import Connection, Engine
-from sqlalchemy.exc import DBAPIError, SQLAlchemyError
+from sqlalchemy.exc import DBAPIError, OperationalError, SQLAlchemyError
 
 from server.errors import Unavailable
 
 T = TypeVar("T")
 Unit = Callable[[Connection], T]
 MAX_UNITS_A_COMMIT = 256
+TROUBLE_S = 30.0
+"""Failures with a longer pause between them are not the same trouble."""
 
 log = logging.getLogger(__name__)
 
@@ -32,6 +35,28 @@ class _Waiting:
     answer: Future[Any]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trouble:
+    """A database that takes no writes.
+
+    Transactions that change nothing may well go through meanwhile, so what counts is that failures go on.
+
+    Attributes:
+        reason: Of the latest failure, in the database's words.
+        first_s: Monotonic time of the first failure.
+        last_s: Monotonic time of the latest one.
+    """
+
+    reason: str
+    first_s: float
+    last_s: float
+
+    @property
+    def span_s(self) -> float:
+        """For how long writes have failed."""
+        return self.last_s - self.first_s
+
+
 class Writer:
     """Runs units on the writer engine, many a commit."""
 
@@ -39,10 +64,17 @@ class Writer:
         self._engine = engine
         self._waiting: queue.SimpleQueue[_Waiting | None] = queue.SimpleQueue()
         self._closing = False
+        self._trouble: Trouble | None = None
         # Nothing may slip in behind the end of the queue: nobody would answer it.
         self._door = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="brink-writer", daemon=True)
         self._thread.start()
+
+    @property
+    def trouble(self) -> Trouble | None:
+        """Why the database takes no writes now, or None if none has failed lately."""
+        trouble = self._trouble
+        return trouble if trouble is not None and time.monotonic() - trouble.last_s < TROUBLE_S else None
 
     def submit(self, unit: Unit[T]) -> Future[T]:
         """Have a unit run and committed.
@@ -104,7 +136,7 @@ class Writer:
                 results = [waiting.unit(connection) for waiting in batch]
         except Exception as error:  # noqa: BLE001  (every unit gets its own answer)
             if len(batch) == 1:
-                batch[0].answer.set_exception(_translated(error))
+                self._fail(batch[0], error)
                 return
             for waiting in batch:
                 self._commit_alone(waiting)
@@ -117,9 +149,19 @@ class Writer:
             with self._engine.begin() as connection:
                 result = waiting.unit(connection)
         except Exception as error:  # noqa: BLE001  (answered to the one who asked)
-            waiting.answer.set_exception(_translated(error))
+            self._fail(waiting, error)
         else:
             waiting.answer.set_result(result)
+
+    def _fail(self, waiting: _Waiting, error: Exception) -> None:
+        translated = _translated(error)
+        if isinstance(error, OperationalError):
+            now = time.monotonic()
+            before = self.trouble
+            self._trouble = Trouble(
+                reason=str(translated), first_s=before.first_s if before else now, last_s=now
+            )
+        waiting.answer.set_exception(translated)
 
 
 def _translated(error: Exception) -> Exception:

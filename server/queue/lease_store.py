@@ -163,6 +163,17 @@ def release(connection: Connection, leases: Iterable[HeldLease]) -> int:
     return given_back
 
 
+def cut_short(connection: Connection, leases: Iterable[HeldLease]) -> None:
+    """Let leases run out now, for workers that are known to be dead."""
+    past = database_now(connection) - timedelta(seconds=1)
+    for held in leases:
+        connection.execute(
+            update(JobRow)
+            .where(JobRow.id == held.job, JobRow.status == JobStatus.LEASED, JobRow.lease_token == held.token)
+            .values(lease_expires_at=past)
+        )
+
+
 def _holdings(connection: Connection, worker: str) -> tuple[int, bool]:
     attempts = connection.execute(_HOLDINGS, {"worker": worker}).scalars().all()
     return len(attempts), any(attempt > 1 for attempt in attempts)

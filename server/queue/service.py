@@ -179,9 +179,15 @@ class QueueService:
     async def sweep(self) -> None:
         """Take back leases that ran out."""
         terms = self.terms()
-        idle, expired = await asyncio.wrap_future(
-            self.writer.submit(lambda connection: report_store.expire(connection, terms))
-        )
+        local = self.settings.sqlite_file is not None
+
+        def unit(connection: Connection) -> tuple[tuple[str, ...], int]:
+            if local:  # then workers of this machine can be looked up, and need not be waited for
+                dead = workers.leases_of(connection, workers.process_is_gone)
+                lease_store.cut_short(connection, dead)
+            return report_store.expire(connection, terms)
+
+        idle, expired = await asyncio.wrap_future(self.writer.submit(unit))
         if expired:
             log.warning("leases that ran out: %d", expired)
             self.wakeups.wake(expired)

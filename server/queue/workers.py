@@ -1,6 +1,8 @@
 """Which workers were heard of."""
 
-from collections.abc import Sequence
+import os
+import socket
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -8,7 +10,7 @@ from sqlalchemy import Connection, delete, func, insert, select, update
 
 from server.db.clock import database_now
 from server.db.models import JobRow, JobStatus, WorkerRow
-from worker.wire import WorkerIdentity
+from worker.wire import HeldLease, WorkerIdentity
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,6 +74,38 @@ def list_seen(connection: Connection, *, within_s: float | None = None) -> list[
         for row in rows
     ]  # fmt: skip
     return [worker for worker in seen if within_s is None or worker.seen_s_ago <= within_s]
+
+
+def leases_of(connection: Connection, gone: Callable[[str, int], bool]) -> list[HeldLease]:
+    """Return the leases of workers that are gone.
+
+    Args:
+        connection: To the database.
+        gone: Whether the process of a host and a process id is no more.
+    """
+    holding = (
+        select(JobRow.id, JobRow.lease_token, WorkerRow.host, WorkerRow.pid)
+        .join(WorkerRow, WorkerRow.id == JobRow.lease_worker)
+        .where(JobRow.status == JobStatus.LEASED)
+    )
+    return [
+        HeldLease(job=row.id, token=row.lease_token)
+        for row in connection.execute(holding)
+        if gone(row.host, row.pid)
+    ]
+
+
+def process_is_gone(host: str, pid: int) -> bool:
+    """Return whether a process ran on this machine and is no more."""
+    if host != socket.gethostname() or pid <= 0:
+        return False
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    except (PermissionError, OverflowError):
+        return False
+    return False
 
 
 def forget(connection: Connection, worker_id: str) -> None:
