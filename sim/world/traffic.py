@@ -31,6 +31,7 @@ from sim.world.walker import Walker
 from sim.world.weather import Conditions
 
 JOINING_GAP_S = 4.5
+ROOM_TO_STOP_M = 28.0
 MERGING_ROOM_M = 7.0
 MOUTH_SETBACK_M = 2.5
 HALF_LANE_M = 1.9
@@ -127,15 +128,21 @@ class _Makers:
         for number, ahead_m in enumerate(distances_m if self.road.length_m > 180.0 else distances_m[:2]):
             rng = generator(self.seed, Stream.VEHICLE, 110 + number)
             manner = self._manner(10 + number)
+            stops = self._stops(forward=False)
+            station_m = lane.length_m - ahead_m + float(rng.uniform(-4.0, 4.0))
+            for stop in stops:
+                # Nobody begins so close before a line that they could not stop there.
+                if stop.station_m - ROOM_TO_STOP_M < station_m < stop.station_m + CAR.length_m:
+                    station_m = stop.station_m - ROOM_TO_STOP_M
             vehicles.append(
                 Vehicle(
                     name=f"oncoming-{number + 1}",
                     size=VAN if number == 1 else CAR,
                     path=lane,
-                    station_m=lane.length_m - ahead_m + float(rng.uniform(-4.0, 4.0)),
+                    station_m=station_m,
                     speed_mps=manner.speed_mps,
                     manner=manner,
-                    stops=self._stops(forward=False),
+                    stops=stops,
                     phase=1 + number,
                 )
             )

@@ -242,7 +242,8 @@ class Vehicle:
                     wanted = arc_mps
                 elif before_m < LOOK_AHEAD_M:
                     wanted = min(wanted, math.sqrt(arc_mps * arc_mps + 2.0 * COMFORT_MPS2 * before_m))
-        accel = ACCEL_MPS2 * (1.0 - (speed / wanted) ** 4) if wanted > 0.1 else -manner.firmness_mps2
+        squared = (speed / wanted) * (speed / wanted) if wanted > 0.1 else math.inf
+        accel = ACCEL_MPS2 * (1.0 - squared * squared)
         if accel < -manner.firmness_mps2:
             accel = -manner.firmness_mps2
         gap_m, gap_speed = self._gap_m, self._gap_speed_mps
