@@ -10,7 +10,7 @@ import uvicorn
 
 from server.campaigns.body import read_campaign_file
 from server.cli.api import Api
-from server.cli.coordinator import listen, prepare_database, server_config
+from server.cli.coordinator import check_exposed, listen, prepare_database, server_config
 from server.cli.live import CampaignDisplay
 from server.cli.options import AsJson, CampaignFile, Database, console, print_json, settings_with, with_api
 from server.db.engine import open_engines
@@ -37,7 +37,9 @@ def serve(
     Example: brink serve --database postgresql://brink:secret@db/brink --port 8700
     """
     settings = settings_with(database=database, host=host, port=port)
+    check_exposed(settings)
     logging.getLogger().setLevel(settings.log_level.upper())
+    logging.getLogger("alembic").setLevel(logging.WARNING)
     before, after = prepare_database(settings)
     if before != after:
         console().print(f"database upgraded from schema {before or 'none'} to {after}")
