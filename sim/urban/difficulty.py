@@ -63,7 +63,8 @@ class Sizes:
         scenarios: Random scenarios with `BEHAVIOURS_A_SCENARIO` behaviours each.
         reruns: Candidates run again with another seed.
         pairs: Pairs of neighbours.
-        redraws: Pairs for each parameter, each with two seeds.
+        redraws: Changes of each categorical parameter, each with two seeds.
+        number_redraws: The same for each number; most boxes are out of the ego's way, so it takes more.
         ends: Scenarios run with the oracle, and without any detection.
         permutations: Of each test.
     """
@@ -72,7 +73,8 @@ class Sizes:
     scenarios: int = 100
     reruns: int = 1000
     pairs: int = 800
-    redraws: int = 150
+    redraws: int = 100
+    number_redraws: int = 300
     ends: int = 300
     permutations: int = 2000
 
@@ -249,7 +251,8 @@ class _Bench:
         """What redrawing one parameter does, everything else and the seed being the same."""
         rng = self._rng(5, PARAMETERS.index(name))
         specs: list[EpisodeSpec] = []
-        for index in range(self.sizes.redraws):
+        count = self.sizes.redraws if name in CATEGORICAL else self.sizes.number_redraws
+        for index in range(count):
             base = draw(rng)
             while name not in CATEGORICAL and base.is_null(int(name[0])):
                 base = draw(rng)

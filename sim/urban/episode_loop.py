@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from sim.bullet.engine import Engine
 from sim.driving.camera import Camera
-from sim.driving.interface import Box, DrivingSystem, LightReading, Observation
+from sim.driving.interface import Command, DrivingSystem, LightReading, Observation
 from sim.requirements.requirement import Requirement, WorldSample
 from sim.urban.behaviour import PERCEPTION_STEP_S, DetectorBehaviour, last_perception_step
 from sim.urban.facts import Facts
@@ -14,6 +14,7 @@ from sim.urban.sensing import Sensing
 from sim.world.world import EGO_STEPS, STEP_S, UrbanWorld
 
 CONTROL_PER_PERCEPTION = round(PERCEPTION_STEP_S / STEP_S)
+STANDS_BELOW_MPS = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,59 +63,107 @@ def run_loop(
         recorder: Takes the trace, if there is one.
         to_the_end: Go on after the goal and after collisions, to measure what an episode costs.
     """
-    steps = CONTROL_PER_PERCEPTION * last_perception_step(duration_s)
-    facts = Facts(world, engine)
+    last_step = last_perception_step(duration_s)
     sensing = Sensing(
         world,
         behaviour,
         camera,
         seed=seed,
-        perception_steps=steps // CONTROL_PER_PERCEPTION + 1,
+        perception_steps=last_step + 1,
         step_s=PERCEPTION_STEP_S,
     )
-    ego = world.ego
-    observers = tuple(requirements.items())
-    light: LightReading | None = None
-    sample = facts.measure(0.0)
-    least_front_m: float | None = None
-    standing = 0
-    ended = "time"
-    for step in range(steps):
-        time_s = step * STEP_S
-        boxes: tuple[Box, ...] | None = None
-        perception_step: int | None = None
-        if step % CONTROL_PER_PERCEPTION == 0:
-            perception_step = step // CONTROL_PER_PERCEPTION
-            boxes = sensing.boxes(perception_step)
-        state = sensing.localise(perception_step)
-        if perception_step is not None:
-            light = sensing.light(perception_step, time_s)
-        command = driving.step(Observation(time_s=time_s, ego=state, boxes=boxes, light=light))
-        if recorder is not None and boxes is not None:
-            shown = sample.light.value if sample.light is not None else ""
-            recorder.sample(time_s, driving, sensing.truth(), boxes, shown)
-        ego.set_grade(world.grade_at(sample.station_m))
+    loop = _Loop(world, driving, sensing, Facts(world, engine), requirements, recorder)
+    for step in range(CONTROL_PER_PERCEPTION * last_step):
+        sample = loop.step(step)
+        if (sample.collision is not None or sample.goal_reached) and not to_the_end:
+            break
+    return loop.outcome()
+
+
+class _Loop:
+    """What an episode carries from step to step."""
+
+    __slots__ = (
+        "_driving",
+        "_facts",
+        "_least_front_m",
+        "_light",
+        "_observers",
+        "_recorder",
+        "_sample",
+        "_sensing",
+        "_standing",
+        "_world",
+    )
+
+    def __init__(
+        self,
+        world: UrbanWorld,
+        driving: DrivingSystem,
+        sensing: Sensing,
+        facts: Facts,
+        requirements: Mapping[str, Requirement],
+        recorder: Recorder | None,
+    ) -> None:
+        self._world = world
+        self._driving = driving
+        self._sensing = sensing
+        self._facts = facts
+        self._observers = tuple(requirements.items())
+        self._recorder = recorder
+        self._light: LightReading | None = None
+        self._sample = facts.measure(0.0)
+        self._least_front_m: float | None = None
+        self._standing = 0
+
+    def step(self, step: int) -> WorldSample:
+        """Take one control step and return what is true after it."""
+        command = self._decide(step)
+        world = self._world
+        ego = world.ego
+        ego.set_grade(world.grade_at(self._sample.station_m))
         ego.drive(command.accel_mps2, command.steer_rad, EGO_STEPS)
         world.advance(step)
-        sample = facts.measure((step + 1) * STEP_S)
-        for name, requirement in observers:
+        self._sample = sample = self._facts.measure((step + 1) * STEP_S)
+        recorder = self._recorder
+        for name, requirement in self._observers:
             robustness = requirement.observe(sample)
             if recorder is not None:
                 recorder.judge(name, robustness)
+        if recorder is not None:
+            recorder.watch(sample)
         front_m = sample.front_gap_m
-        if front_m is not None and (least_front_m is None or front_m < least_front_m):
-            least_front_m = front_m
-        if sample.speed_mps < 0.1:
-            standing += 1
-        if (sample.collision is not None or sample.goal_reached) and not to_the_end:
-            if recorder is not None:
-                recorder.watch(sample)
-            ended = "goal" if sample.collision is None else "collision"
-            break
-    return Outcome(
-        ended=ended,
-        last=sample,
-        way_m=sample.station_m,
-        least_front_gap_m=least_front_m,
-        stood_s=standing * STEP_S,
-    )
+        if front_m is not None and (self._least_front_m is None or front_m < self._least_front_m):
+            self._least_front_m = front_m
+        if sample.speed_mps < STANDS_BELOW_MPS:
+            self._standing += 1
+        return sample
+
+    def _decide(self, step: int) -> Command:
+        """Let the driving system sense and decide."""
+        time_s = step * STEP_S
+        sensing = self._sensing
+        if step % CONTROL_PER_PERCEPTION:
+            state = sensing.localise(None)
+            return self._driving.step(Observation(time_s=time_s, ego=state, boxes=None, light=self._light))
+        perception_step = step // CONTROL_PER_PERCEPTION
+        boxes = sensing.boxes(perception_step)
+        state = sensing.localise(perception_step)
+        self._light = light = sensing.light(perception_step, time_s)
+        command = self._driving.step(Observation(time_s=time_s, ego=state, boxes=boxes, light=light))
+        if self._recorder is not None:
+            shown = self._sample.light.value if self._sample.light is not None else ""
+            self._recorder.sample(time_s, self._driving, sensing.truth(), boxes, shown)
+        return command
+
+    def outcome(self) -> Outcome:
+        """Return how it went."""
+        sample = self._sample
+        ended = "goal" if sample.goal_reached else "time"
+        return Outcome(
+            ended=ended if sample.collision is None else "collision",
+            last=sample,
+            way_m=sample.station_m,
+            least_front_gap_m=self._least_front_m,
+            stood_s=self._standing * STEP_S,
+        )

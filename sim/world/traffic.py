@@ -31,10 +31,16 @@ from sim.world.walker import Walker
 from sim.world.weather import Conditions
 
 JOINING_GAP_S = 4.5
-ROOM_TO_STOP_M = 28.0
+"""Nobody joins a lane, or crosses one, if somebody on it would be there sooner than this."""
+
 MERGING_ROOM_M = 7.0
-MOUTH_SETBACK_M = 2.5
 HALF_LANE_M = 1.9
+"""Nobody joins where somebody is within this, along and across the lane."""
+
+MOUTH_SETBACK_M = 2.5
+"""How far from the kerb line those wait who come out of a side street."""
+
+ROOM_TO_STOP_M = 28.0
 LEAD_STARTS_AHEAD_M = 26.0
 """From the ego's middle to the lead's, when the episode begins."""
 

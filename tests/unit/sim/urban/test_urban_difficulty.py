@@ -105,7 +105,16 @@ def test_measuring_gives_every_row_and_tells_its_progress(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(difficulty, "run_trials", fake)
     told: list[tuple[str, int, int]] = []
-    sizes = Sizes(candidates=300, scenarios=10, reruns=100, pairs=50, redraws=20, ends=20, permutations=99)
+    sizes = Sizes(
+        candidates=300,
+        scenarios=10,
+        reruns=100,
+        pairs=50,
+        redraws=20,
+        number_redraws=10,
+        ends=20,
+        permutations=99,
+    )
     rows: dict[str, Row] = {row.what: row for row in measure(sizes, progress=lambda *step: told.append(step))}
     assert len(rows) == 5 + 1 + 1 + 1 + 2 + 29
     assert rows["unsafe share"].met
