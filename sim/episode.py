@@ -46,7 +46,9 @@ class EpisodeSpec:
         if not 0 <= self.seed <= MAX_SEED:
             raise InvalidEpisode(f"seed: expected an integer in [0, 2**53), got {self.seed!r}")
         if not (math.isfinite(self.duration_s) and self.duration_s > 0):
-            raise InvalidEpisode(f"duration_s: expected a positive number of seconds, got {self.duration_s!r}")
+            raise InvalidEpisode(
+                f"duration_s: expected a positive number of seconds, got {self.duration_s!r}"
+            )
 
     def to_json(self) -> JsonObject:
         """Return the specification as a JSON object."""

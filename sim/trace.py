@@ -159,7 +159,9 @@ class Trace:
             "actors": [[a.name, a.kind, a.length_m, a.width_m] for a in self.actors],
             "scene": [[s.kind, s.closed, s.width_m] for s in self.scene],
             "robustness": list(self.robustness),
-            "columns": {n: list(getattr(self, n).columns) for n in ("seen_boxes", "given_boxes", "perceived")},
+            "columns": {
+                n: list(getattr(self, n).columns) for n in ("seen_boxes", "given_boxes", "perceived")
+            },
             "plan_mode": list(self.plan_mode),
             "lights": list(self.lights),
             "events": [[e.time_s, e.kind, e.text] for e in self.events],
@@ -184,7 +186,9 @@ class Trace:
         except (ValueError, KeyError, OSError) as error:
             raise InvalidEpisode(f"not a trace: {error}") from error
         if header["version"] != TRACE_VERSION:
-            raise InvalidEpisode(f"trace version {header['version']}: this code reads version {TRACE_VERSION}")
+            raise InvalidEpisode(
+                f"trace version {header['version']}: this code reads version {TRACE_VERSION}"
+            )
 
         def ragged(name: str) -> Ragged:
             return Ragged(
