@@ -7,7 +7,7 @@ in its place in the engine right before it is asked for, so far-away bodies cost
 import math
 from dataclasses import dataclass
 
-from sim.bullet.engine import BodyId, Box, Engine
+from sim.bullet.engine import BodyId, Box, Closest, Engine
 from sim.driving.interface import LightState
 from sim.requirements.requirement import Collision, CollisionKind, WorldSample
 from sim.world.roadside import fixtures
@@ -19,6 +19,14 @@ from sim.world.world import UrbanWorld
 FRONT_RANGE_M = 50.0
 NEAR_M = 8.0
 CORRIDOR_MARGIN_M = 0.2
+BESIDE_WITHIN_M = 5.0
+AHEAD_COS = math.cos(math.radians(45.0))
+"""Nearer than `BESIDE_WITHIN_M`, only what lies within this angle of the heading is ahead of the bumper.
+
+Where the route bends across the oncoming lane, a car that passes beside a waiting ego is in its corridor, too, and
+yet not ahead of it.
+"""
+
 CREEPING_MPS = 0.05
 """Slower than this towards somebody, the ego hits nobody: they walk or drive into it."""
 
@@ -165,10 +173,17 @@ class Facts:
                 continue
             self._engine.move(body, vehicle.x_m, vehicle.y_m, vehicle.yaw_rad, vehicle.size.height_m)
             limit_m = FRONT_RANGE_M if ahead else nearest.gap_m
-            gap_m = self._ask(vehicle, body, CollisionKind.VEHICLE, limit_m, nearest)
-            if ahead and gap_m is not None and (front_m is None or gap_m < front_m):
-                front_m = max(gap_m, 0.0)
+            found = self._ask(vehicle, body, CollisionKind.VEHICLE, limit_m, nearest)
+            if not ahead or found is None or (front_m is not None and found.clearance_m >= front_m):
+                continue
+            if found.clearance_m > BESIDE_WITHIN_M or self._before_bumper(found):
+                front_m = max(found.clearance_m, 0.0)
         return front_m
+
+    def _before_bumper(self, found: Closest) -> bool:
+        """Return whether the shortest line to somebody leads ahead rather than to the side."""
+        yaw_rad = self._world.ego.yaw_rad
+        return -(found.normal_x * math.cos(yaw_rad) + found.normal_y * math.sin(yaw_rad)) > AHEAD_COS
 
     def _walkers_around(self, nearest: _Nearest) -> None:
         x_m, y_m, radius_m = self._world.ego.x_m, self._world.ego.y_m, self._ego_radius_m
@@ -180,9 +195,9 @@ class Facts:
             if bound_m < nearest.pedestrian_m:
                 self._engine.move(body, walker.x_m, walker.y_m, walker.yaw_rad, WALKER_HEIGHT_M)
                 limit_m = nearest.pedestrian_m
-                gap_m = self._ask(walker, body, CollisionKind.PEDESTRIAN, limit_m, nearest)
-                if gap_m is not None and gap_m < nearest.pedestrian_m:
-                    nearest.pedestrian_m = max(gap_m, 0.0)
+                found = self._ask(walker, body, CollisionKind.PEDESTRIAN, limit_m, nearest)
+                if found is not None and found.clearance_m < nearest.pedestrian_m:
+                    nearest.pedestrian_m = max(found.clearance_m, 0.0)
 
     def _ask(
         self,
@@ -191,8 +206,8 @@ class Facts:
         kind: CollisionKind,
         limit_m: float,
         nearest: _Nearest,
-    ) -> float | None:
-        """Return the clearance to somebody, and take note if nobody is nearer."""
+    ) -> Closest | None:
+        """Return how somebody lies to the ego, and take note if nobody is nearer."""
         found = self._engine.closest(self._ego_body, body, limit_m)
         if found is None:
             return None
@@ -208,7 +223,7 @@ class Facts:
                 nearest.collision = Collision(
                     kind=kind, counterpart=mover.name, impact_speed_mps=max(nearest.closing_mps, 0.0)
                 )
-        return gap_m
+        return found
 
     def _fixtures_around(self, nearest: _Nearest) -> None:
         """Take note of the nearest body that never moves, if the ego could have come near one since the last."""

@@ -128,6 +128,28 @@ def test_what_is_behind_or_beside_is_not_ahead(world: UrbanWorld, engine: Engine
     assert sample.nearest_gap_m == pytest.approx(2.5 - 1.8, abs=1e-4)
 
 
+def test_a_car_that_passes_beside_one_who_waits_to_turn_left_is_not_ahead(engine: Engine) -> None:
+    turning = replace(
+        SCENARIO, road_curve=RoadCurve.CROSSROAD, driving_task=DrivingTask.SECOND_EXIT, pedestrians=0
+    )
+    world = make_world(turning, seed=1)
+    for vehicle in world.vehicles:
+        vehicle.x_m, vehicle.speed_mps = vehicle.x_m + 5000.0, 0.0
+    facts = Facts(world, engine)
+    ego, oncoming = world.ego, world.vehicles[1]
+    turn_m = world.leaves_road_m
+    ego.x_m, ego.y_m, ego.yaw_rad = world.route.pose_at(turn_m - 1.0)
+    for back_m in (3.0, 0.0, -3.0):
+        oncoming.x_m, oncoming.y_m = ego.x_m + 2.25 + 1.0 + back_m, ego.y_m + 3.3
+        oncoming.yaw_rad = math.pi
+        front_m = facts.measure(0.0).front_gap_m
+        assert front_m is None or front_m > 1.5
+    oncoming.x_m, oncoming.y_m = ego.x_m + 2.25 + 3.0, ego.y_m + 1.0
+    front_m = facts.measure(0.0).front_gap_m
+    assert front_m is not None
+    assert front_m < 1.5
+
+
 def test_a_rear_end_collision_is_the_egos(world: UrbanWorld, engine: Engine) -> None:
     ego, lead = world.ego, world.vehicles[0]
     facts = Facts(world, engine)
