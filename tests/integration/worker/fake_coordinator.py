@@ -69,6 +69,7 @@ class FakeCoordinator:
         self.requests: list[tuple[str, Message]] = []
         self.statuses: list[ResultStatus] = []
         self.refused_jobs: set[int] = set()
+        self.delivered: set[int] = set()
         self.port = 0
         self._bearer = token
         self._tokens = itertools.count()
@@ -196,6 +197,14 @@ class FakeCoordinator:
     def next_fault(self, name: str) -> int | Fault | None:
         with self.changed:
             return self.faults[name].popleft() if self.faults[name] else None
+
+    def note_delivered(self, reply: Message | dict[str, Any]) -> None:
+        """Remember which grants went out: one that is cut off is lost until its lease runs out."""
+        lease = reply.lease if isinstance(reply, ResultsReply) else reply
+        if isinstance(lease, LeaseReply):
+            with self.changed:
+                self.delivered.update(job.job for job in lease.jobs)
+                self.changed.notify_all()
 
     def _note(self, name: str, message: Message) -> None:
         with self.changed:
@@ -326,6 +335,7 @@ def _handler(coordinator: FakeCoordinator) -> type[BaseHTTPRequestHandler]:
                 self.close_connection = True
                 return
             self._send(status, reply)
+            coordinator.note_delivered(reply)
 
         def _gone(self) -> bool:
             self.connection.setblocking(False)

@@ -95,7 +95,7 @@ def test_results_survive_a_coordinator_that_vanishes_and_comes_back(
         coordinator.add()
         coordinator.wait_for_all()
         jobs = [coordinator.add({"fault": "wait", "slow_s": 0.05}) for _ in range(8)]
-        coordinator.wait_until(lambda c: c.jobs[jobs[0]].token is not None)
+        coordinator.wait_until(lambda c: c.delivered.issuperset(jobs))
         with caplog.at_level(logging.INFO):
             coordinator.disappear()
             _wait_for_line(caplog, "waiting for the coordinator")
