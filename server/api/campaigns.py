@@ -4,15 +4,18 @@ import base64
 import binascii
 import hashlib
 from datetime import UTC, datetime
+from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request, Response
 
-from server.api.context import Services
+from server.api.context import Context, Services
 from server.api.schemas import MAX_NUMBER, CampaignList, CampaignView, Progress
+from server.campaigns.archives import ReadArchive
 from server.campaigns.body import CampaignBody
 from server.campaigns.service import read
 from server.campaigns.store import ENDED
+from server.campaigns.values import Campaign
 from server.campaigns.views import campaign_view, read_progress
 from server.db.models import CampaignStatus
 from server.errors import FieldError, InvalidInput
@@ -98,25 +101,40 @@ async def get_progress(
     ] = 0,
 ) -> Progress:
     """Return counts and rates, and the series of generations from `since` on. Answers 304 to a known ETag."""
-    campaign = await services.campaigns.get(campaign_id)
-    archive = await services.archives.get(campaign) if campaign.status in ENDED else None
-    progress = await read(
-        services.engines,
-        lambda connection: read_progress(
-            connection,
-            campaign.id,
-            since,
-            services.settings.worker_seen_s,
-            archive,
-            services.queue.writer.trouble,
-        ),
-    )
+    progress = await _progress(services, campaign_id, since)
     known = progress.model_dump_json(exclude={"elapsed_s", "rate_per_s", "remaining_s", "trouble_s"})
     etag = f'"{hashlib.sha256(known.encode()).hexdigest()[:32]}"'
     response.headers["ETag"] = etag
     if request.headers.get("if-none-match") == etag:
         response.status_code = 304
     return progress
+
+
+async def _progress(services: Context, campaign_id: str, since: int) -> Progress:
+    while True:
+        campaign = await services.campaigns.get(campaign_id)
+        archive = await _final_archive(services, campaign)
+        look = partial(
+            read_progress,
+            campaign_id=campaign.id,
+            since=since,
+            worker_seen_s=services.settings.worker_seen_s,
+            archive=archive,
+            trouble=services.queue.writer.trouble,
+        )
+        progress = await read(services.engines, look)
+        if progress.status is campaign.status:
+            return progress  # else it ended in between, and its digest must not be missing
+
+
+async def _final_archive(services: Context, campaign: Campaign) -> ReadArchive | None:
+    """Return the archive of a campaign that has ended; None if it runs, or its plug-ins are not installed here."""
+    if campaign.status not in ENDED:
+        return None
+    try:
+        return await services.archives.get(campaign)
+    except InvalidInput:
+        return None
 
 
 def _cursor(moment: datetime, campaign_id: str) -> str:
