@@ -1,10 +1,27 @@
 """Submitting, pausing, resuming, cancelling, deleting, retrying: over the API, on both databases."""
 
+from typing import Any
+
 import httpx
 import pytest
-from support.api import FakeWorker, Judge, ball, completes, eventually, expect, progress, row_counts, submit
+from support.api import (
+    FakeWorker,
+    Judge,
+    ball,
+    completes,
+    coordinator,
+    eventually,
+    expect,
+    progress,
+    row_counts,
+    submit,
+)
 
+from server.api import campaigns as campaign_routes
+from server.api.schemas import Progress
+from server.campaigns import views
 from server.db.engine import Engines
+from sim import catalogue
 from worker.wire import Completed, JobFailed, LeasedJob
 
 
@@ -216,6 +233,37 @@ def test_an_in_process_problem_needs_no_worker(client: httpx.Client) -> None:
     solution = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/0"))
     assert (solution["spec"], solution["attempts"]) == (None, None)
     expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/0/trace"), 404)
+
+
+def test_a_campaign_that_ends_while_it_is_looked_at_has_its_digest(
+    client: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    worker, campaign = FakeWorker(client), submit(client, ball())
+    read = views.read_progress
+
+    def end_meanwhile(*arguments: Any, **options: Any) -> Progress:
+        monkeypatch.setattr(campaign_routes, "read_progress", read)
+        assert worker.work(campaign)["status"] == "finished"
+        return read(*arguments, **options)
+
+    monkeypatch.setattr(campaign_routes, "read_progress", end_meanwhile)
+    with httpx.Client(base_url=client.base_url, timeout=60) as other:
+        seen = progress(other, campaign)
+    assert (seen["status"], len(seen["digest"] or "")) == ("finished", 64)
+
+
+def test_a_campaign_can_be_looked_at_without_its_plugin(
+    database_url: str, small_problems: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with coordinator(database_url) as client:
+        campaign = submit(client, ball())
+        FakeWorker(client).work(campaign)
+    monkeypatch.setattr(catalogue, "_registered", {})
+    with coordinator(database_url) as client:
+        seen = progress(client, campaign)
+        assert (seen["status"], seen["digest"]) == ("finished", None)
+        (error,) = expect(client.get(f"/api/v1/campaigns/{campaign}/boundary"), 422)["errors"]
+        assert "ball@1" in error["message"]
 
 
 @pytest.mark.parametrize("verb", ["pause", "resume", "cancel"])
