@@ -1,10 +1,10 @@
 """Owns the measurement of what episodes cost: processor time by kind of episode, and memory of a process."""
 
-import multiprocessing
+import json
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -129,9 +129,12 @@ def process_memory_mb(episodes: int, settle: int = 20) -> tuple[float, float]:
         episodes: How many in all.
         settle: How many before the first figure.
     """
-    context = multiprocessing.get_context("spawn")
-    with single_threaded(), ProcessPoolExecutor(1, mp_context=context) as pool:
-        return pool.submit(_memory_after, episodes, settle).result()
+    # A process of its own, not a spawned one: that would import whatever this one was started with.
+    command = [sys.executable, "-m", "sim.urban.benchmark", str(episodes), str(settle)]
+    with single_threaded():
+        answer = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    first_mb, last_mb = json.loads(answer.splitlines()[-1])
+    return first_mb, last_mb
 
 
 def _memory_after(episodes: int, settle: int) -> tuple[float, float]:
@@ -154,3 +157,7 @@ def resident_mb() -> float:
 
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / 1e6 if sys.platform == "darwin" else peak / 1024.0
+
+
+if __name__ == "__main__":
+    sys.stdout.write(json.dumps(_memory_after(int(sys.argv[1]), int(sys.argv[2]))) + "\n")
