@@ -13,7 +13,7 @@ from server.cli.api import Api
 from server.cli.coordinator import check_exposed, listen, prepare_database, server_config
 from server.cli.live import CampaignDisplay
 from server.cli.options import AsJson, CampaignFile, Database, console, print_json, settings_with, with_api
-from server.db.engine import open_engines
+from server.db.engine import open_engines, parse_url
 from server.db.upgrade import current_revision, head_revision
 from server.settings import Settings
 from worker.log import configure_logging
@@ -145,7 +145,7 @@ def db_upgrade(database: Database = None) -> None:
     """
     settings = settings_with(database=database)
     before, after = prepare_database(settings)
-    where = open_engines(settings.database).writer.url.render_as_string(hide_password=True)
+    where = parse_url(settings.database).render_as_string(hide_password=True)
     if before == after:
         typer.echo(f"{where}: schema {after} already")
     else:
@@ -160,9 +160,13 @@ def db_status(database: Database = None) -> None:
     """
     settings = settings_with(database=database)
     path: Path | None = settings.sqlite_file
-    revision = (
-        None if path is not None and not path.exists() else current_revision(open_engines(settings.database))
-    )
+    revision = None
+    if path is None or path.exists():
+        engines = open_engines(settings.database)
+        try:
+            revision = current_revision(engines)
+        finally:
+            engines.dispose()
     typer.echo(f"schema {revision or 'none'}; this version needs {head_revision()}")
     if revision != head_revision():
         raise typer.Exit(1)
