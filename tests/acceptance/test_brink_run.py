@@ -1,0 +1,72 @@
+"""`brink run`: one command from a campaign file to results, stopped and gone on with at will."""
+
+import json
+import signal
+from pathlib import Path
+from typing import Any
+
+import yaml
+from support.api import ball
+from support.databases import Databases
+from support.processes import BRINK, TOY, Program, brink
+from support.reference import undisturbed_digest
+
+BALL = ball(
+    seed=3,
+    simulations=120,
+    problem={"id": "ball@1", "params": {"slow_s": 0.05}},
+    algorithm={"id": "mlcshe@1", "params": {"population_size": 6, "archive_size": 2}},
+)
+
+
+def written(folder: Path, body: dict[str, Any]) -> str:
+    file = folder / "campaign.yaml"
+    file.write_text(yaml.safe_dump(body))
+    return str(file)
+
+
+def test_a_campaign_file_becomes_results_and_a_summary(databases: Databases, tmp_path: Path) -> None:
+    body = {
+        "name": "known boundary", "problem": {"id": "mtq@1"}, "algorithm": {"id": "mlcshe@1"},
+        "budget": {"simulations": 300}, "seed": 1,
+    }  # fmt: skip
+    with databases.database(migrated=False) as url:
+        said = brink("run", written(tmp_path, body), "--database", url, "--workers", "1", cwd=tmp_path)
+        assert said.returncode == 0, said.stderr
+        assert "distinct boundary solutions" in said.stdout
+        assert "archive sha256 " in said.stdout
+        again = brink(
+            "run", written(tmp_path, body), "--database", url, "--workers", "1", "--no-pictures", "--json",
+            cwd=tmp_path,
+        )  # fmt: skip
+        summary = json.loads(again.stdout)
+        assert summary["digest"] in said.stdout
+        assert summary["evaluated"] >= 300
+        for name in summary["files"]:
+            assert (tmp_path / name).stat().st_size > 0
+    folders = list((tmp_path / "brink-results").glob("known-boundary-*"))
+    assert len(folders) == 2
+    assert any(list(folder.glob("*.png")) for folder in folders)
+
+
+def test_a_run_that_is_stopped_goes_on_to_the_same_end(
+    databases: Databases, tmp_path: Path, small_problems: None
+) -> None:
+    stop = signal.SIGINT if databases.backend == "sqlite" else signal.SIGTERM
+    file = written(tmp_path, BALL)
+    with databases.database() as url:
+        options = ["--database", url, "--workers", "2", "--no-pictures"]
+        with Program([BRINK, "-v", "run", file, *options], cwd=tmp_path, env=TOY) as running:
+            running.await_line(r"generation=1 ")
+            running.signal(stop)
+            assert running.wait() == 1
+        assert "nothing is lost" in running.output
+        assert f"brink run {file} --resume" in running.output
+        assert "Traceback" not in running.output
+        refused = brink("run", file, *options, cwd=tmp_path, env=TOY)
+        assert refused.returncode == 1
+        assert "--resume" in refused.stderr
+        resumed = brink("run", file, *options, "--resume", "--json", cwd=tmp_path, env=TOY)
+        assert resumed.returncode == 0, resumed.stderr
+    assert "going on at" in resumed.stderr
+    assert json.loads(resumed.stdout)["digest"] == undisturbed_digest(BALL)
