@@ -117,6 +117,10 @@ def new_solutions(problem: Problem, candidates: Sequence[Candidate], campaign_se
     return solutions
 
 
+class _MovedOn(Exception):
+    """Another coordinator took the step meanwhile."""
+
+
 class Stepper:
     """Advances campaigns, one at a time."""
 
@@ -162,11 +166,13 @@ class Stepper:
             return False
         try:
             return self._tell(campaign, jobs)
+        except _MovedOn:
+            return False
         except InvalidInput as error:
             reason = (
                 f"generation {campaign.generation} cannot be told here: {error}. Resume once that is mended."
             )
-            self._end(campaign_id, CampaignStatus.PAUSED, reason)
+            self._end(campaign, CampaignStatus.PAUSED, reason)
             return False
         except Exception as error:
             if _passes(error):
@@ -174,7 +180,7 @@ class Stepper:
                 raise
             log.exception("campaign %s: generation %d cannot be told", campaign_id, campaign.generation)
             reason = f"generation {campaign.generation} cannot be told: {type(error).__name__}: {error}"
-            self._end(campaign_id, CampaignStatus.FAILED, reason)
+            self._end(campaign, CampaignStatus.FAILED, reason)
             raise
 
     def _tell(self, campaign: Campaign, jobs: Sequence[Row[*tuple[Any, ...]]]) -> bool:
@@ -183,7 +189,7 @@ class Stepper:
         evaluations = _evaluations(live.plan.problem, live.state.pending, jobs)
         pause = _too_many_failures(campaign, evaluations, len(live.state.pending))
         if pause:
-            self._end(campaign.id, CampaignStatus.PAUSED, pause)
+            self._end(campaign, CampaignStatus.PAUSED, pause)
             return False
         algorithm = live.plan.algorithm
         told = algorithm.tell(live.state, evaluations)
@@ -279,8 +285,11 @@ class Stepper:
             return first_generation(campaign.body)[0]
         plan = make_plan(campaign.body)
         with self._engines.reader.connect() as connection:
+            now = store.find_campaign(connection, campaign.id)
             checkpoint = step_store.find_checkpoint(connection, campaign.id)
             stored = step_store.read_archive(connection, campaign.id, plan.problem.space.dimension)
+        if now is None or now.generation != campaign.generation:
+            raise _MovedOn
         if checkpoint is None or checkpoint.generation != campaign.generation:
             raise ValueError(f"campaign {campaign.id}: no checkpoint of generation {campaign.generation}")
         state = plan.algorithm.load(
@@ -293,12 +302,12 @@ class Stepper:
         log.info("campaign=%s restored at generation %d", campaign.id, campaign.generation)
         return Live(plan=plan, generation=campaign.generation, state=state)
 
-    def _end(self, campaign_id: str, status: CampaignStatus, reason: str) -> None:
-        self._live.pop(campaign_id, None)
+    def _end(self, campaign: Campaign, status: CampaignStatus, reason: str) -> None:
+        self._live.pop(campaign.id, None)
         self._writer.submit(
-            lambda connection: store.end_running(connection, campaign_id, status, reason)
+            lambda connection: store.end_running(connection, campaign.id, campaign.generation, status, reason)
         ).result()
-        log.warning("campaign=%s %s: %s", campaign_id, status, reason)
+        log.warning("campaign=%s %s: %s", campaign.id, status, reason)
 
 
 def restored_archive(plan: Plan, stored: StoredArchive) -> Archive:

@@ -93,10 +93,16 @@ def running_idle(connection: Connection) -> list[str]:
     return list(connection.execute(query).scalars())
 
 
-def end_running(connection: Connection, campaign_id: str, status: CampaignStatus, reason: str) -> None:
-    """Change what a campaign is, unless somebody changed it meanwhile."""
+def end_running(
+    connection: Connection, campaign_id: str, generation: int, status: CampaignStatus, reason: str
+) -> None:
+    """Change what a campaign is, unless somebody changed or advanced it meanwhile."""
     campaign = find_campaign(connection, campaign_id, lock=True)
-    if campaign is not None and campaign.status is CampaignStatus.RUNNING:
+    if (
+        campaign is not None
+        and campaign.status is CampaignStatus.RUNNING
+        and campaign.generation == generation
+    ):
         set_status(connection, campaign_id, status, reason)
 
 

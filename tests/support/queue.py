@@ -1,8 +1,9 @@
 """The queue's SQL in the hands of a test: campaigns made of jobs, units run one at a time, time moved by hand."""
 
+import itertools
 import secrets
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from typing import Any, TypeVar
 
@@ -34,6 +35,7 @@ class Queue:
     """One database's queue."""
 
     engines: Engines
+    _numbers: Iterator[int] = field(default_factory=itertools.count)
 
     def run(self, unit: Callable[[Connection], T]) -> T:
         """Run a unit in a transaction of its own."""
@@ -55,7 +57,7 @@ class Queue:
             budget=Budget(simulations=1000), priority=priority,
             execution=Execution(cache=cache, max_attempts=max_attempts),
         )  # fmt: skip
-        name = secrets.token_hex(4)
+        name = f"{next(self._numbers):08x}"  # the same each time: ties between campaigns are broken by id
         hashes = [secrets.token_hex(32) for _ in range(jobs)] if isinstance(jobs, int) else list(jobs)
         solutions = [
             NewSolution(

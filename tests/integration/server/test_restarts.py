@@ -163,6 +163,26 @@ def test_a_stale_step_is_not_written(two: Coordinators) -> None:
     assert two.campaign.generation == 1
 
 
+def test_a_campaign_that_moves_on_while_it_is_restored_is_left_to_the_other(
+    two: Coordinators, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    two.simulate()
+    first, second = two.steppers
+    assert first.advance("c0ffee")
+    two.simulate()
+    look = step_store.generation_jobs
+
+    def overtaken(*arguments: Any) -> Any:
+        monkeypatch.setattr(step_store, "generation_jobs", look)
+        jobs = look(*arguments)
+        assert first.advance("c0ffee")
+        return jobs
+
+    monkeypatch.setattr(step_store, "generation_jobs", overtaken)
+    assert not second.advance("c0ffee")
+    assert (two.campaign.generation, two.campaign.status) == (2, CampaignStatus.RUNNING)
+
+
 def test_a_step_on_a_campaign_that_was_paused_meanwhile_is_not_written(
     two: Coordinators, monkeypatch: pytest.MonkeyPatch
 ) -> None:
