@@ -1,10 +1,12 @@
 """Fixtures of all tests: a database of one's own on SQLite and on a real Postgres."""
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
 import pytest
+from hypothesis import settings
 from support.api import coordinator
 from support.databases import BACKENDS, Databases, sqlite_template
 from support.postgres import NoPostgres, PostgresDatabases, running_postgres
@@ -14,6 +16,11 @@ from support.queue import Queue
 from server.catalogue import PROBLEMS
 from server.db.engine import Engines, open_engines
 from sim import catalogue
+
+# A check that everybody must pass tries the same examples each time; people's own runs go on looking for new ones.
+settings.register_profile("ci", derandomize=True, deadline=None)
+if os.environ.get("CI"):
+    settings.load_profile("ci")
 
 
 @pytest.fixture(scope="session")
