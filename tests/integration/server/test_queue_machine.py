@@ -117,6 +117,16 @@ class QueueMachine(RuleBasedStateMachine):
         self.queue.run_out(lease)
         job.status, job.token = "quarantined" if job.attempt >= MAX_ATTEMPTS else "queued", None
 
+    @precondition(lambda self: any(self.lost(lease) for lease in self.leases))
+    @rule(data=st.data())
+    def report_late(self, data: st.DataObject) -> None:
+        lease = data.draw(st.sampled_from([lease for lease in self.leases if self.lost(lease)]))
+        assert self.queue.complete(lease) == ("stale",)
+
+    def lost(self, lease: LeasedJob) -> bool:
+        """Whether somebody else has what this lease was for, or nobody."""
+        return self.jobs[lease.job].token != lease.token
+
     @rule()
     def end_backoffs(self) -> None:
         self.queue.end_backoffs()
