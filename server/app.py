@@ -70,7 +70,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
     )  # fmt: skip
     install(app)
     api = APIRouter(prefix="/api/v1")
-    for module in (campaigns, solutions, jobs, catalogue):
+    for module in (jobs, campaigns, solutions, catalogue):  # the busiest first: routes are tried in order
         api.include_router(module.router)
     app.include_router(api)
     app.include_router(health.router)

@@ -141,7 +141,8 @@ class Holdings:
                 self._finished.append(
                     Outcome(leased=job, outcome=outcome, size_bytes=size_bytes, finished_s=now_s)
                 )
-            self._nothing_new = False
+            if not self._waiting and not self._in_child:
+                self._nothing_new = False
             self._note_idle()
             self.changed.notify_all()
 
@@ -326,10 +327,11 @@ class Holdings:
             # Alone and without a lease request, so that a refusal can mean nothing but this outcome.
             return Report(outcomes=batch, release=(), room=0)
         ahead = len(self._waiting) + len(self._in_child) - 1
-        running_low = ahead <= self._pace.low
+        # Where the queue was found empty, one report of all that is left will do: nobody waits for a part of it.
+        running_low = ahead <= self._pace.low and not (self._nothing_new and ahead >= 0)
         if batch and (running_low or now_s >= batch[0].finished_s + self._report_after_s):
             return Report(outcomes=batch, release=(), room=room)
-        if running_low and room and not self._nothing_new:
+        if running_low and room:
             return Report(outcomes=batch, release=(), room=room)
         return None
 

@@ -26,7 +26,7 @@ class Context:
     archives: Archives
 
 
-def context_of(request: Request) -> Context:
+async def context_of(request: Request) -> Context:  # async: another thread would cost more than this does
     """Return the services of the app that serves a request."""
     return cast(Context, request.app.state.context)
 

@@ -42,12 +42,20 @@ _GRANTED = (
 _HOLDINGS = select(JobRow.attempt).where(
     JobRow.status == JobStatus.LEASED, JobRow.lease_worker == bindparam("worker")
 )
-_WAITING = select(func.count()).select_from(
-    select(JobRow.id)
-    .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
-    .where(JobRow.status == JobStatus.QUEUED, CampaignRow.status == CampaignStatus.RUNNING)
-    .limit(bindparam("enough"))
-    .subquery()
+_WAITING = select(
+    select(func.count())
+    .select_from(
+        select(JobRow.id)
+        .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
+        .where(JobRow.status == JobStatus.QUEUED, CampaignRow.status == CampaignStatus.RUNNING)
+        .limit(bindparam("enough"))
+        .subquery()
+    )
+    .scalar_subquery()
+    .label("jobs"),
+    exists(select(JobRow.id).where(JobRow.status == JobStatus.QUEUED, JobRow.kind == JobKind.TRACE)).label(
+        "traces"
+    ),
 )
 _FRESH = select(*_GRANTED).where(*_ELIGIBLE, JobRow.attempt == 0)
 _FRESH_TRACES = _FRESH.where(JobRow.kind == JobKind.TRACE).order_by(JobRow.id).limit(bindparam("most"))
@@ -84,7 +92,7 @@ _CAMPAIGNS_IN_TURN = (
     )
     .order_by(CampaignRow.priority.desc(), CampaignRow.turn, CampaignRow.id)
 )
-_NEXT_TURN = select(func.coalesce(func.max(CampaignRow.turn), 0) + 1)
+_EVERY_CAMPAIGN = CampaignRow.__table__.alias("every_campaign")
 _GRANT = (
     update(JobRow)
     .where(JobRow.id == bindparam("granted"))
@@ -100,7 +108,7 @@ _GRANT = (
 _TAKE_TURN = (
     update(CampaignRow)
     .where(CampaignRow.id.in_(bindparam("served", expanding=True)))
-    .values(turn=bindparam("next_turn"))
+    .values(turn=select(func.coalesce(func.max(_EVERY_CAMPAIGN.c.turn), 0) + 1).scalar_subquery())
 )
 
 
@@ -118,8 +126,9 @@ def lease(
     held, holds_retry = _holdings(connection, worker)
     if holds_retry:
         return []
-    allowed = min(max_jobs, _fair_share(connection, terms.live_workers, max_jobs))
-    rows = _pick_fresh(connection, capabilities, allowed, now)
+    waiting = connection.execute(_WAITING, {"enough": terms.live_workers * (max_jobs + 1) * 3 // 2}).one()
+    limit = min(max_jobs, _fair_share(waiting.jobs, terms.live_workers))
+    rows = _pick_fresh(connection, capabilities, limit, now, traces=waiting.traces)
     if not rows and not held:
         rows = _pick_retry(connection, capabilities, now)
     return _grant(connection, rows, worker, now, terms.lease_s)
@@ -179,17 +188,19 @@ def _holdings(connection: Connection, worker: str) -> tuple[int, bool]:
     return len(attempts), any(attempt > 1 for attempt in attempts)
 
 
-def _fair_share(connection: Connection, live_workers: int, max_jobs: int) -> int:
-    """Return half of an equal share of what is queued: large grants first, single jobs at the end."""
-    waiting = connection.execute(_WAITING, {"enough": 2 * live_workers * max_jobs}).scalar_one()
-    return max(1, -(-waiting // (2 * live_workers)))
+def _fair_share(waiting: int, live_workers: int) -> int:
+    """Return two thirds of an equal share of what is queued: large grants first, single jobs at the end.
+
+    Half would need a fifth more requests and gain nothing; all of it lets the slowest worker keep the others waiting.
+    """
+    return max(1, -(-2 * waiting // (3 * live_workers)))
 
 
 def _pick_fresh(
-    connection: Connection, capabilities: Sequence[str], limit: int, now: datetime
+    connection: Connection, capabilities: Sequence[str], limit: int, now: datetime, *, traces: bool
 ) -> list[JobRecord]:
     known = {"capabilities": list(capabilities), "now": now}
-    rows = _locked_rows(connection, _FRESH_TRACES, {**known, "most": limit})
+    rows = _locked_rows(connection, _FRESH_TRACES, {**known, "most": limit}) if traces else []
     campaigns = connection.execute(_CAMPAIGNS_IN_TURN, known).all() if len(rows) < limit else []
     for place, (campaign, priority) in enumerate(campaigns):
         if len(rows) >= limit:
@@ -243,7 +254,5 @@ def _grant(
         _GRANT,
         [{"granted": job.job, "token": job.token, "worker": worker, "expires": expires} for job in granted],
     )
-    turn = connection.execute(_NEXT_TURN).scalar_one()
-    served = sorted({row.campaign_id for row in rows})
-    connection.execute(_TAKE_TURN, {"served": served, "next_turn": turn})
+    connection.execute(_TAKE_TURN, {"served": sorted({row.campaign_id for row in rows})})
     return granted

@@ -18,22 +18,46 @@ from server.queue.values import JobRecord, LeaseTerms, Outcome, Report
 MAX_ERROR_CHARACTERS = 4000
 MAX_BACKOFF_S = 300.0
 
+# Built once: making a statement costs more than running it.
+_REPORTED = select(
+    JobRow.id, JobRow.campaign_id, JobRow.kind, JobRow.status, JobRow.lease_token,
+    JobRow.attempt, JobRow.max_attempts, JobRow.spec_hash, JobRow.cache,
+).where(JobRow.id.in_(bindparam("jobs", expanding=True)))  # fmt: skip
+_FINISH = (
+    update(JobRow)
+    .where(JobRow.id == bindparam("finished"))
+    .values(
+        status=JobStatus.DONE,
+        result=bindparam("outcome"),
+        finished_at=bindparam("now"),
+        lease_expires_at=None,
+    )
+)
+_TWINS = select(JobRow.id, JobRow.spec_hash, JobRow.kind, JobRow.campaign_id).where(
+    JobRow.spec_hash.in_(bindparam("spec_hashes", expanding=True)),
+    JobRow.status == JobStatus.QUEUED,
+    JobRow.cache,
+)
+_IDLE = select(CampaignRow.id).where(
+    CampaignRow.id.in_(bindparam("campaigns", expanding=True)),
+    CampaignRow.status == CampaignStatus.RUNNING,
+    ~exists(
+        select(JobRow.id).where(
+            JobRow.campaign_id == CampaignRow.id,
+            JobRow.kind == JobKind.EPISODE,
+            JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),
+        )
+    ),
+)
+
 
 def report(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms) -> Report:
     """Store outcomes of jobs whose lease still holds; everything else changes nothing."""
+    if not outcomes:
+        return Report(statuses=(), campaigns=(), requeued=False)
     now = database_now(connection)
-    rows = {
-        row.id: row
-        for row in connection.execute(
-            locked(
-                select(
-                    JobRow.id, JobRow.campaign_id, JobRow.kind, JobRow.status, JobRow.lease_token,
-                    JobRow.attempt, JobRow.max_attempts, JobRow.spec_hash, JobRow.cache,
-                ).where(JobRow.id.in_([outcome.job for outcome in outcomes])),
-                connection, JobRow,
-            )
-        )
-    }  # fmt: skip
+    known = {"jobs": [outcome.job for outcome in outcomes]}
+    rows = {row.id: row for row in connection.execute(locked(_REPORTED, connection, JobRow), known)}
     statuses: list[str] = []
     accepted: dict[int, Outcome] = {}
     for outcome in outcomes:
@@ -96,15 +120,7 @@ def idle_campaigns(connection: Connection, campaigns: Iterable[str]) -> tuple[st
     names = list(campaigns)
     if not names:
         return ()
-    busy = select(JobRow.id).where(
-        JobRow.campaign_id == CampaignRow.id,
-        JobRow.kind == JobKind.EPISODE,
-        JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),
-    )
-    query = select(CampaignRow.id).where(
-        CampaignRow.id.in_(names), CampaignRow.status == CampaignStatus.RUNNING, ~exists(busy)
-    )
-    return tuple(sorted(connection.execute(query).scalars()))
+    return tuple(sorted(connection.execute(_IDLE, {"campaigns": names}).scalars()))
 
 
 def _judge(row: JobRecord | None, outcome: Outcome, reported_before: bool) -> str:
@@ -121,10 +137,7 @@ def _finish(connection: Connection, done: Mapping[int, str], now: datetime) -> N
     if not done:
         return
     connection.execute(
-        update(JobRow)
-        .where(JobRow.id == bindparam("finished"))
-        .values(status=JobStatus.DONE, result=bindparam("outcome"), finished_at=now, lease_expires_at=None),
-        [{"finished": job, "outcome": result} for job, result in done.items()],
+        _FINISH, [{"finished": job, "outcome": result, "now": now} for job, result in done.items()]
     )
 
 
@@ -150,10 +163,8 @@ def _share(
     if not rows:
         return set()
     results = {(row.spec_hash, row.kind): done[row.id] for row in rows}
-    query = select(JobRow.id, JobRow.spec_hash, JobRow.kind, JobRow.campaign_id).where(
-        JobRow.spec_hash.in_([row.spec_hash for row in rows]), JobRow.status == JobStatus.QUEUED, JobRow.cache
-    )
-    twins = [twin for twin in connection.execute(query) if (twin.spec_hash, twin.kind) in results]
+    wanted = {"spec_hashes": [row.spec_hash for row in rows]}
+    twins = [twin for twin in connection.execute(_TWINS, wanted) if (twin.spec_hash, twin.kind) in results]
     _finish(connection, {twin.id: results[twin.spec_hash, twin.kind] for twin in twins}, now)
     return {twin.campaign_id for twin in twins}
 

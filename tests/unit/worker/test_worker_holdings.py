@@ -80,6 +80,22 @@ def test_the_last_outcome_is_reported_at_once() -> None:
     assert len(report(held).outcomes) == 1
 
 
+def test_what_is_left_of_an_empty_queue_is_reported_at_once_when_it_is_done() -> None:
+    held = holdings(Clock(), report_after_s=3600.0)
+    held.granted(grant(1, 2, 3))
+    finish(held, take(held))
+    last = [take(held), take(held)]
+    errand = report(held)
+    held.granted(LeaseReply(jobs=[], lease_s=60.0))
+    accept(held, errand)
+    finish(held, last[0])
+    assert held._errand(100.0) is None  # not yet: nobody waits for a part of a generation
+    finish(held, last[1])
+    errand = report(held)
+    assert [outcome.leased.job for outcome in errand.outcomes] == [2, 3]
+    assert errand.room == 5
+
+
 def test_an_outcome_does_not_grow_old_while_others_run() -> None:
     clock = Clock()
     held = holdings(clock, hold=50, report_after_s=1.0)
