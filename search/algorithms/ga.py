@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from search.algorithm import Candidate, Evaluation
-from search.algorithms.ledger import BoundaryConfig, Ledger, check_budget, stored_rows
+from search.algorithms.ledger import BoundaryConfig, Ledger, LedgerState, check_budget, stored_rows
 from search.archive import Archive
 from search.component import FloatArray, frozen_array
 from search.document import Document
@@ -42,33 +42,16 @@ class GeneticAlgorithmConfig(BoundaryConfig):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class GeneticAlgorithmState:
+class GeneticAlgorithmState(LedgerState):
     """State of the genetic algorithm.
 
     Attributes:
         config: Settings.
-        ledger: All candidates.
         population: The current generation as rows, shape ``(population_size, d)``; evaluated, failed or queued.
     """
 
     config: GeneticAlgorithmConfig
-    ledger: Ledger
     population: FloatArray
-
-    @property
-    def generation(self) -> int:
-        """Generations told so far."""
-        return self.ledger.generation
-
-    @property
-    def archive(self) -> Archive:
-        """All complete solutions that were evaluated and did not fail."""
-        return self.ledger.archive
-
-    @property
-    def pending(self) -> tuple[Candidate, ...]:
-        """Candidates asked and not yet told, ascending by number."""
-        return self.ledger.pending
 
 
 class GeneticAlgorithm:

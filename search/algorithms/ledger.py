@@ -254,3 +254,29 @@ def stored_rows(document: Document, name: str, width: int) -> FloatArray:
         got = "nothing" if rows is None else f"{rows.dtype} of shape {rows.shape}"
         raise DocumentError(f"{name}: expected float64 rows of {width} numbers, got {got}")
     return frozen_array(rows)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LedgerState:
+    """What the states of all these algorithms have in common.
+
+    Attributes:
+        ledger: All candidates.
+    """
+
+    ledger: Ledger
+
+    @property
+    def generation(self) -> int:
+        """Generations told so far."""
+        return self.ledger.generation
+
+    @property
+    def archive(self) -> Archive:
+        """All complete solutions that were evaluated and did not fail."""
+        return self.ledger.archive
+
+    @property
+    def pending(self) -> tuple[Candidate, ...]:
+        """Candidates asked and not yet told, ascending by number."""
+        return self.ledger.pending

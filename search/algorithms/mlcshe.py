@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from search.algorithm import Candidate, Evaluation
-from search.algorithms.ledger import BoundaryConfig, Ledger, check_budget, stored_rows
+from search.algorithms.ledger import BoundaryConfig, Ledger, LedgerState, check_budget, stored_rows
 from search.archive import Archive
 from search.component import FloatArray, frozen_array
 from search.document import Document
@@ -69,33 +69,16 @@ class Population:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class MlcsheState:
+class MlcsheState(LedgerState):
     """State of MLCSHE.
 
     Attributes:
         config: Settings.
-        ledger: All candidates.
         populations: Of the first and of the second component.
     """
 
     config: MlcsheConfig
-    ledger: Ledger
     populations: tuple[Population, Population]
-
-    @property
-    def generation(self) -> int:
-        """Generations told so far."""
-        return self.ledger.generation
-
-    @property
-    def archive(self) -> Archive:
-        """All complete solutions that were evaluated and did not fail."""
-        return self.ledger.archive
-
-    @property
-    def pending(self) -> tuple[Candidate, ...]:
-        """Candidates asked and not yet told, ascending by number."""
-        return self.ledger.pending
 
 
 class Mlcshe:

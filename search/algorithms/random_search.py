@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from search.algorithm import Candidate, Evaluation
-from search.algorithms.ledger import BoundaryConfig, Ledger, check_budget
+from search.algorithms.ledger import BoundaryConfig, Ledger, LedgerState, check_budget
 from search.archive import Archive
 from search.component import FloatArray
 from search.document import Document
@@ -28,26 +28,10 @@ class RandomSearchConfig(BoundaryConfig):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RandomSearchState:
+class RandomSearchState(LedgerState):
     """State of random search: the ledger is all there is."""
 
     config: RandomSearchConfig
-    ledger: Ledger
-
-    @property
-    def generation(self) -> int:
-        """Generations told so far."""
-        return self.ledger.generation
-
-    @property
-    def archive(self) -> Archive:
-        """All complete solutions that were evaluated and did not fail."""
-        return self.ledger.archive
-
-    @property
-    def pending(self) -> tuple[Candidate, ...]:
-        """Candidates asked and not yet told, ascending by number."""
-        return self.ledger.pending
 
 
 class RandomSearch:
