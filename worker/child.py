@@ -1,27 +1,28 @@
 """The simulation process: runs episodes one after the other, so that a crash of the physics kills only itself.
 
 Run as ``python -m worker.child`` with three pipes: requests in, replies out, and a lifeline that ends this process
-with its parent. Standard output and error belong to the simulators; nothing here is spoken over them.
+with its parent. Standard output and error belong to the simulators; nothing here is spoken over them. The messages
+are those of `worker.child_wire`.
 """
 
 import argparse
 import gc
+import json
 import logging
 import os
 import sys
 import time
 import traceback
 from collections.abc import Sequence
+from typing import Any
 
 from sim.catalogue import SIMULATORS, Simulator, load_plugin, make_simulator, simulator_ids
-from sim.episode import EpisodeSpec
+from sim.episode import EpisodeSpec, Json, JsonObject
 from sim.errors import InvalidEpisode, SimulationCrashed
 from worker.child_guards import die_with_parent, leave_signals_to_the_parent, limit_memory
-from worker.child_wire import EpisodeReply, Hello, RunEpisode
-from worker.codec import failure_text, to_wire
 from worker.errors import BrokenFrame, UnsendableResult
-from worker.frames import encode_frame, read_frame, write_all
-from worker.wire import Completed, JobFailed
+from worker.frames import encode_document, read_frame, write_all
+from worker.outcome_document import completed, failed
 
 log = logging.getLogger(__name__)
 
@@ -44,14 +45,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     unlimited = limit_memory(options.memory_mib)
     if unlimited is not None:
         log.warning("no memory limit: %s", unlimited)
-    write_all(options.replies, encode_frame(hello.model_dump_json().encode()))
+    write_all(options.replies, encode_document(hello))
     serve(options.requests, options.replies)
     return 0
 
 
-def probe() -> Hello:
-    """Import every registered simulator and return which of them can be made here."""
-    simulators, left_out = [], {}
+def probe() -> JsonObject:
+    """Import every registered simulator; return a `Hello` that says which of them can be made here."""
+    simulators: list[Json] = []
+    left_out: JsonObject = {}
     for simulator_id in simulator_ids():
         try:
             load_plugin(SIMULATORS, simulator_id)
@@ -59,18 +61,18 @@ def probe() -> Hello:
             left_out[simulator_id] = one_line(error)
         else:
             simulators.append(simulator_id)
-    return Hello(simulators=tuple(simulators), left_out=left_out)
+    return {"simulators": simulators, "left_out": left_out}
 
 
 def serve(requests: int, replies: int) -> None:
     """Answer every request in order until the pipe ends."""
     host = SimulatorHost()
     while (frame := read_frame(requests)) is not None:
-        request = RunEpisode.model_validate_json(frame)
+        request = json.loads(frame)
         began_s = time.perf_counter()
-        outcome = host.run(request)
-        reply = EpisodeReply(ticket=request.ticket, wall_s=time.perf_counter() - began_s, outcome=outcome)
-        write_all(replies, _reply_frame(reply))
+        outcome = host.run(request["spec"], record=request["record"])
+        wall_s = time.perf_counter() - began_s
+        write_all(replies, _reply_frame(request["ticket"], wall_s, outcome))
 
 
 class SimulatorHost:
@@ -79,26 +81,26 @@ class SimulatorHost:
     def __init__(self) -> None:
         self._simulators: dict[str, Simulator] = {}
 
-    def run(self, request: RunEpisode) -> Completed | JobFailed:
-        """Run one episode and return what came out, never raising."""
+    def run(self, document: JsonObject, *, record: bool) -> JsonObject:
+        """Run the episode that an `EpisodeSpec` as JSON asks for; return its outcome as JSON, never raising."""
         spec: EpisodeSpec | None = None
         try:
-            spec = EpisodeSpec.from_json(request.spec)
+            spec = EpisodeSpec.from_json(document)
             simulator = self._simulators.get(spec.simulator)
             if simulator is None:
                 simulator = self._simulators[spec.simulator] = make_simulator(spec.simulator)
-            return to_wire(simulator.run(spec, record=request.record))
+            return completed(simulator.run(spec, record=record))
         except InvalidEpisode as error:
-            return JobFailed(reason="invalid", message=failure_text(str(error)))
+            return failed("invalid", str(error))
         except SimulationCrashed as error:
-            failure = JobFailed(reason="crashed", message=failure_text(str(error), _stack(error)))
+            failure = failed("crashed", str(error), _stack(error))
         except UnsendableResult as error:
-            failure = JobFailed(reason="error", message=failure_text(f"the result cannot be sent: {error}"))
+            failure = failed("error", f"the result cannot be sent: {error}")
         except MemoryError as error:
-            failure = JobFailed(reason="out-of-memory", message=failure_text(one_line(error)))
+            failure = failed("out-of-memory", one_line(error))
         # SystemExit too: a simulator that calls `sys.exit` must not take the process with it.
         except (Exception, SystemExit) as error:  # noqa: BLE001  (foreign code; reported with its stack)
-            failure = JobFailed(reason="error", message=failure_text(one_line(error), _stack(error)))
+            failure = failed("error", one_line(error), _stack(error))
         if spec is not None:
             # After anything unforeseen its state cannot be trusted: the next episode gets a new one.
             self._simulators.pop(spec.simulator, None)
@@ -116,12 +118,13 @@ def _stack(error: BaseException) -> str:
     return "".join(traceback.format_tb(error.__traceback__))
 
 
-def _reply_frame(reply: EpisodeReply) -> bytes:
+def _reply_frame(ticket: int, wall_s: float, outcome: JsonObject) -> bytes:
+    reply: dict[str, Any] = {"ticket": ticket, "wall_s": wall_s, "outcome": outcome}
     try:
-        return encode_frame(reply.model_dump_json().encode())
-    except BrokenFrame as error:
-        failure = JobFailed(reason="error", message=f"the result cannot be sent: {error}")
-        return encode_frame(reply.model_copy(update={"outcome": failure}).model_dump_json().encode())
+        return encode_document(reply)
+    # What no pipe carries: too long, or not even JSON in a field that the bounds do not look into.
+    except (BrokenFrame, TypeError, ValueError) as error:
+        return encode_document(reply | {"outcome": failed("error", f"the result cannot be sent: {error}")})
 
 
 if __name__ == "__main__":

@@ -1,14 +1,12 @@
-"""The messages between a worker and its simulation process.
+"""The messages between a worker and its simulation process, as the worker's side sees them.
 
 The process sends one `Hello`; then the worker sends any number of `RunEpisode` ahead, and the process answers
-each with one `EpisodeReply`, in the same order.
+each with one `EpisodeReply`, in the same order. The process itself reads and writes plain JSON (`worker.child`).
 """
 
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import Field
-
-from worker.wire import Completed, JobFailed, Message
+from worker.wire import Message
 
 
 class Hello(Message):
@@ -43,8 +41,9 @@ class EpisodeReply(Message):
     Attributes:
         ticket: Of the request.
         wall_s: Wall-clock time that the episode took.
+        outcome: A `Completed` or a `JobFailed`, read by `worker.codec.outcome_from`.
     """
 
     ticket: int
     wall_s: float
-    outcome: Annotated[Completed | JobFailed, Field(discriminator="kind")]
+    outcome: dict[str, Any]

@@ -16,8 +16,9 @@ from pydantic import ValidationError
 
 from worker.child_handle import ChildHandle
 from worker.child_wire import EpisodeReply, Hello, RunEpisode
-from worker.codec import failure_text
+from worker.codec import outcome_from
 from worker.errors import BrokenFrame, ChildFailedToStart, EpisodeAbandoned
+from worker.outcome_document import failure_text
 from worker.wire import Completed, JobFailed
 
 log = logging.getLogger(__name__)
@@ -216,16 +217,13 @@ class EpisodeProcess:
             self._bury(child)
             failure = JobFailed(reason="crashed", message=failure_text(f"broken reply: {error}"))
             return self._failed(failure)
+        outcome = outcome_from(reply.outcome)
         child.stderr.forget()
         # A process that was killed just after it had answered must not be blamed on the next episode; and what
         # a hungry episode left in the allocator must not count against it.
-        if self._advance() or (
-            isinstance(reply.outcome, JobFailed) and reply.outcome.reason == "out-of-memory"
-        ):
+        if self._advance() or (isinstance(outcome, JobFailed) and outcome.reason == "out-of-memory"):
             self._bury(child)
-        return Finished(
-            ticket=episode.ticket, outcome=reply.outcome, wall_s=reply.wall_s, size_bytes=len(frame)
-        )
+        return Finished(ticket=episode.ticket, outcome=outcome, wall_s=reply.wall_s, size_bytes=len(frame))
 
     def _died(self, child: ChildHandle) -> Finished:
         how = self._bury(child)

@@ -4,7 +4,7 @@ A worker in any language needs three requests: lease, heartbeat, results. Times 
 coordinator's clock alone decides.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -125,12 +125,15 @@ class JobFailed(Message):
     message: Annotated[str, Field(max_length=4000)]
 
 
+Outcome: TypeAlias = Annotated[Completed | JobFailed, Field(discriminator="kind")]
+
+
 class JobResult(Message):
     """The outcome of one leased job."""
 
     job: JobNumber
     token: LeaseToken
-    outcome: Annotated[Completed | JobFailed, Field(discriminator="kind")]
+    outcome: Outcome
 
 
 class ResultsRequest(Message):

@@ -1,5 +1,6 @@
 """Between the simulator's values and the wire: nothing changes, and nothing gets on the wire that cannot arrive."""
 
+import json
 import math
 from typing import Any
 
@@ -7,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.episode import EpisodeResult, EpisodeSpec, Verdict
-from sim.errors import InvalidEpisode
-from worker.codec import MESSAGE_LENGTH, episode_spec, failure_text, from_wire, to_wire
+from sim.episode import EpisodeResult, Verdict
+from worker.codec import from_wire, outcome_from
 from worker.errors import UnexpectedReply, UnsendableResult
-from worker.wire import Completed, JobFailed, LeasedJob
+from worker.outcome_document import MESSAGE_LENGTH, completed, failure_text
+from worker.wire import Completed, JobFailed
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 NAMES = st.text("abc@1-", min_size=1, max_size=8)
@@ -38,7 +39,9 @@ RESULTS = st.builds(
 
 @given(result=RESULTS)
 def test_a_result_survives_the_wire(result: EpisodeResult) -> None:
-    assert from_wire(Completed.model_validate_json(to_wire(result).model_dump_json())) == result
+    outcome = outcome_from(json.loads(json.dumps(completed(result))))
+    assert isinstance(outcome, Completed)
+    assert from_wire(outcome) == result
 
 
 def result(**changed: Any) -> EpisodeResult:
@@ -55,32 +58,39 @@ def result(**changed: Any) -> EpisodeResult:
             {"verdicts": {"r": Verdict(robustness=math.nan, unit="m", violated_at_s=None)}},
             "verdicts.r.robustness",
         ),
-        ({"verdicts": {"r": Verdict(robustness=1.0, unit="m" * 17, violated_at_s=None)}}, "verdicts.r.unit"),
+        ({"objectives": {"gap": "near"}}, "objectives.gap"),
         ({"features": {"deep": [{"x": math.nan}]}}, "features"),
         ({"features": {"odd": object()}}, "features"),
         ({"provenance": {"x": -math.inf}}, "provenance"),
-        ({"trace": b"x" * 6_000_001}, "trace"),
     ],
 )
 def test_what_json_cannot_carry_is_refused_with_its_place(changed: dict[str, Any], place: str) -> None:
     with pytest.raises(UnsendableResult, match=place) as caught:
-        to_wire(result(**changed))
+        completed(result(**changed))
     assert len(str(caught.value)) < 400
+
+
+@pytest.mark.parametrize(
+    ("changed", "place"),
+    [
+        ({"verdicts": {"r": Verdict(robustness=1.0, unit="m" * 17, violated_at_s=None)}}, "verdicts.r.unit"),
+        ({"verdicts": {"r": Verdict(robustness=1.0, unit="m", violated_at_s=-1.0)}}, "violated_at_s"),
+        ({"trace": b"x" * 6_000_001}, "trace"),
+    ],
+)
+def test_what_breaks_the_bounds_of_the_wire_is_a_failure_that_names_its_place(
+    changed: dict[str, Any], place: str
+) -> None:
+    outcome = outcome_from(completed(result(**changed)))
+    assert isinstance(outcome, JobFailed)
+    assert outcome.reason == "error"
+    assert place in outcome.message
+    assert len(outcome.message) < 400
 
 
 def test_a_trace_that_is_no_base64_is_refused() -> None:
     with pytest.raises(UnexpectedReply, match="base64"):
         from_wire(Completed(verdicts={}, trace="not base64!"))
-
-
-def test_a_leased_job_holds_a_specification() -> None:
-    spec = EpisodeSpec(
-        simulator="s@1", scenario={"fog": 0.5}, behaviour={}, requirements=("r@1",), seed=3, duration_s=2.0
-    )
-    job = LeasedJob(job=1, token="t", attempt=1, spec=spec.to_json(), timeout_s=1.0)
-    assert episode_spec(job) == spec
-    with pytest.raises(InvalidEpisode):
-        episode_spec(job.model_copy(update={"spec": {}}))
 
 
 @given(message=st.text(max_size=9000), context=st.text(max_size=9000))
