@@ -105,7 +105,7 @@ class Component:
         return size
 
     def sample(self, rng: np.random.Generator) -> FloatArray:
-        """Return a random vector that complies: uniform draws, ordered and mended by the constraints."""
+        """Return a random vector that complies: uniform draws, mended by the constraints."""
         return self.repair(np.full(self.dimension, np.nan), rng)
 
     def _asleep(self, values: Values) -> set[str]:
@@ -113,8 +113,8 @@ class Component:
             name for block in self._blocks if block.asleep(values, self.by_name) for name in block.members
         }
 
-    def _wake(self, values: Values, asleep: set[str], rng: np.random.Generator) -> set[str]:
-        """Give every awake number without a value a fresh one; return which got one."""
+    def _wake(self, values: Values, asleep: set[str], rng: np.random.Generator) -> None:
+        """Give every awake number without a value a fresh one."""
         fresh = {name for name, value in values.items() if math.isnan(value) and name not in asleep}
         for block in self._blocks:
             awake = block.members[0] not in asleep
@@ -128,7 +128,6 @@ class Component:
             while fresh.issuperset(block.members) and all(values[name] == 0 for name in block.members):
                 for name in block.members:
                     values[name] = self.by_name[name].draw(rng)
-        return fresh
 
     def repair(self, vector: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return the nearest vector that complies, read-only; the given one is not touched.
@@ -160,11 +159,9 @@ class Component:
                 values[number.name] = number.clipped(values[number.name])
         asleep = self._asleep(values)
         values.update(dict.fromkeys(asleep, 0.0))
-        fresh = self._wake(values, asleep, rng)
+        self._wake(values, asleep, rng)
         for rule in self._rules:
             if asleep.isdisjoint(rule.names):
-                if fresh.issuperset(rule.names):
-                    rule.arrange(values)
                 rule.repair(values, self.by_name)
         # Adding 0.0 turns -0.0 into 0.0: equal solutions must have equal bytes.
         return frozen_array(np.fromiter(values.values(), np.float64, self.dimension) + 0.0)

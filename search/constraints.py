@@ -30,10 +30,6 @@ class Constraint(Protocol):
         """Raise SpaceError if the constraint cannot be kept with these parameters."""
         ...
 
-    def arrange(self, values: Values) -> None:
-        """Put freshly drawn numbers in order, in place, so that a draw wastes nothing on repair."""
-        ...
-
     def repair(self, values: Values, parameters: Mapping[str, Parameter]) -> None:
         """Mend the owned values in place, their ranges included; values that comply stay as they are."""
         ...
@@ -108,11 +104,6 @@ def _pair_problem(
     return f"expected {names[1]} at least {apart:g} above {names[0]}, got {low!r} and {high!r}"
 
 
-def _in_order(values: Values, low: str, high: str) -> None:
-    if values[high] < values[low]:
-        values[low], values[high] = values[high], values[low]
-
-
 @dataclass(frozen=True, slots=True)
 class Extent:
     """One axis of a box: ``high`` at least ``minimum`` above ``low``, both in [0, size].
@@ -137,10 +128,6 @@ class Extent:
     def fit(self, parameters: Mapping[str, Parameter]) -> None:
         """Raise SpaceError if the constraint cannot be kept with these parameters."""
         _fit_pair(parameters, "Extent", self.names, self.minimum, self.size)
-
-    def arrange(self, values: Values) -> None:
-        """Put freshly drawn sides in order, in place."""
-        _in_order(values, *self.names)
 
     def repair(self, values: Values, parameters: Mapping[str, Parameter]) -> None:
         """Mend the sides in place, in the order that the paper's encoding fixes."""
@@ -193,15 +180,10 @@ class Duration:
         """Raise SpaceError if the constraint cannot be kept with these parameters."""
         _fit_pair(parameters, "Duration", self.names, self.minimum, self.horizon)
 
-    def arrange(self, values: Values) -> None:
-        """Put freshly drawn times in order, in place."""
-        _in_order(values, *self.names)
-
     def repair(self, values: Values, parameters: Mapping[str, Parameter]) -> None:
         """Mend the times in place: in order, inside the horizon, then the minimum apart."""
-        _in_order(values, *self.names)
         horizon = float(self.horizon)
-        start, end = (min(max(values[name], 0.0), horizon) for name in self.names)
+        start, end = sorted(min(max(values[name], 0.0), horizon) for name in self.names)
         minimum = _apart(self.minimum, self.names, parameters)
         values[self.start], values[self.end] = _stretched(start, end, minimum, horizon)
 

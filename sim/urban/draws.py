@@ -4,6 +4,7 @@ The twenty-nine parameters, their ranges and their repair are those of Sharifi e
 simulator itself; a campaign draws its candidates from the search space of its problem.
 """
 
+import math
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -178,21 +179,21 @@ def _fill(values: dict[str, Value], ghost: int, rng: np.random.Generator) -> Non
 
 
 def _repair(values: dict[str, Value], ghost: int) -> None:
-    least = MIN_DURATION_SHARE * LAST_STEP
-    first, last = float(values[f"{ghost}.t0_step"]), float(values[f"{ghost}.t1_step"])
-    if last - first < least:
-        last = min(first + least, LAST_STEP)
-        first = min(first, last - least)
-    values[f"{ghost}.t0_step"], values[f"{ghost}.t1_step"] = first, last
-    for low_name, high_name in zip(BOX_FIELDS[::2], BOX_FIELDS[1::2], strict=True):
-        size = float(IMAGE_WIDTH_PX if low_name.startswith("x") else IMAGE_HEIGHT_PX)
-        low, high = float(values[f"{ghost}.{low_name}"]), float(values[f"{ghost}.{high_name}"])
+    """Mend a trajectory in place, by the rules of the paper's encoding."""
+    names = (f"{ghost}.t0_step", f"{ghost}.t1_step")
+    first, last = sorted(float(round(float(values[name]))) for name in names)
+    least = float(math.ceil(MIN_DURATION_SHARE * LAST_STEP))
+    values[names[0]], values[names[1]] = _apart(first, last, least, LAST_STEP)
+    for names in zip(BOX_FIELDS[::2], BOX_FIELDS[1::2], strict=True):
+        size = float(IMAGE_WIDTH_PX if names[0].startswith("x") else IMAGE_HEIGHT_PX)
+        low, high = (float(values[f"{ghost}.{name}"]) for name in names)
         if high < low:
             high = low + MIN_BOX_PX
-        low, high = max(low, 0.0), min(high, size)
-        if high - low < MIN_BOX_PX:
-            if low + MIN_BOX_PX <= size:
-                high = low + MIN_BOX_PX
-            else:
-                low = high - MIN_BOX_PX
-        values[f"{ghost}.{low_name}"], values[f"{ghost}.{high_name}"] = low, high
+        low, high = _apart(max(low, 0.0), min(high, size), MIN_BOX_PX, size)
+        values[f"{ghost}.{names[0]}"], values[f"{ghost}.{names[1]}"] = low, high
+
+
+def _apart(low: float, high: float, least: float, size: float) -> tuple[float, float]:
+    if high - low >= least:
+        return low, high
+    return (low, low + least) if low + least <= size else (high - least, high)

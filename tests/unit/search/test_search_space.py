@@ -151,9 +151,9 @@ def test_woken_label_gets_fresh_numbers() -> None:
         assert list(BEHAVIOUR.problems(row)) == []
         assert row[0] == 2.0
         assert row[5] == 1.5
-    # Fresh pairs are put in order before they are mended, so that few shrink to the smallest box.
+    # Uniform ends that come in the wrong order, half of them, make the smallest box.
     widths = np.array([row[4] - row[3] for row in awake])
-    assert np.count_nonzero(widths <= 50.0) < 15
+    assert 15 < np.count_nonzero(widths <= 50.0) < 40
 
 
 def test_woken_block_of_whole_numbers_never_looks_asleep() -> None:
