@@ -116,6 +116,15 @@ def problem_type(problem_id: str) -> type[Any]:
     return cast(type[Any], _load(PROBLEMS, problem_id, "/problem/id", "problem"))
 
 
+def read_problem_params(problem_id: str, values: Mapping[str, Any]) -> Any:
+    """Return the parameters of a problem, defaults included.
+
+    Raises:
+        InvalidInput: There is no problem of that id, or its parameters are wrong.
+    """
+    return make_params(problem_type(problem_id).params_type, values, "/problem/params")
+
+
 def make_problem(problem_id: str, params: Mapping[str, Any]) -> Problem:
     """Return a problem.
 
@@ -123,7 +132,7 @@ def make_problem(problem_id: str, params: Mapping[str, Any]) -> Problem:
         InvalidInput: There is none of that id, or its parameters are wrong.
     """
     kind = problem_type(problem_id)
-    problem = kind(make_params(kind.params_type, params, "/problem/params"))
+    problem = kind(read_problem_params(problem_id, params))
     if not isinstance(problem, SimulatedProblem | InProcessProblem):
         raise TypeError(f"plug-in {problem_id}: has neither episode and evaluation nor evaluate")
     return problem

@@ -4,9 +4,11 @@ A worker in any language needs three requests: lease, heartbeat, results. Times 
 coordinator's clock alone decides.
 """
 
+import json
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 WIRE_VERSION = 1
 NO_NUL = r"^[^\x00]*$"
@@ -93,6 +95,34 @@ class HeartbeatReply(Message):
     lease_s: float
 
 
+MAX_DEPTH = 32
+
+
+def _plain_json(value: dict[str, Any]) -> dict[str, Any]:
+    """Refuse what cannot be written as JSON again: nesting without end, half a surrogate pair, NaN."""
+    level: list[Any] = [value]
+    for _ in range(MAX_DEPTH):
+        level = [inner for item in level for inner in _inside(item)]
+        if not level:
+            break
+    else:
+        raise ValueError(f"expected at most {MAX_DEPTH} levels of nesting")
+    try:
+        json.dumps(value, allow_nan=False, ensure_ascii=False).encode()
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"expected plain JSON: {error}") from None
+    return value
+
+
+def _inside(item: object) -> Iterable[Any]:
+    if isinstance(item, dict):
+        return item.values()
+    return item if isinstance(item, list | tuple) else ()
+
+
+JsonValues = Annotated[dict[str, Any], AfterValidator(_plain_json)]
+
+
 class WireVerdict(Message):
     """What a requirement says of an episode."""
 
@@ -109,8 +139,8 @@ class Completed(Message):
     objectives: Annotated[dict[str, Annotated[float, Field(allow_inf_nan=False)]], Field(max_length=64)] = (
         Field(default_factory=dict)
     )
-    features: Annotated[dict[str, Any], Field(max_length=256)] = Field(default_factory=dict)
-    provenance: Annotated[dict[str, Any], Field(max_length=64)] = Field(default_factory=dict)
+    features: Annotated[JsonValues, Field(max_length=256)] = Field(default_factory=dict)
+    provenance: Annotated[JsonValues, Field(max_length=64)] = Field(default_factory=dict)
     trace: Annotated[str, Field(max_length=8_000_000, description="Base64 of the npz trace.")] | None = None
 
 

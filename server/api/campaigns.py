@@ -1,8 +1,8 @@
 """Routes of campaigns: submit, list, look, control, progress."""
 
 import base64
-import binascii
 import hashlib
+import re
 from datetime import UTC, datetime
 from functools import partial
 from typing import Annotated
@@ -11,16 +11,19 @@ from fastapi import APIRouter, Header, Query, Request, Response
 
 from server.api.context import Context, Services
 from server.api.schemas import MAX_NUMBER, CampaignList, CampaignView, Progress
+from server.api.views import campaign_view, read_progress
 from server.campaigns.archives import ReadArchive
 from server.campaigns.body import CampaignBody
 from server.campaigns.service import read
 from server.campaigns.store import ENDED
 from server.campaigns.values import Campaign
-from server.campaigns.views import campaign_view, read_progress
 from server.db.models import CampaignStatus
 from server.errors import FieldError, InvalidInput
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"])
+
+LATEST_S = 4e9
+"""Later than any campaign, and a time that every platform can name."""
 
 
 @router.post("", status_code=201)
@@ -142,9 +145,15 @@ def _cursor(moment: datetime, campaign_id: str) -> str:
 
 
 def _read_cursor(cursor: str) -> tuple[datetime, str]:
-    try:
-        moment, campaign_id = base64.urlsafe_b64decode(cursor).decode().split(" ")
-        return datetime.fromtimestamp(float(moment), UTC), campaign_id
-    except (ValueError, binascii.Error, OverflowError, OSError):
+    known = re.fullmatch(r"(\d+\.\d+) ([0-9a-z]+)", _decoded(cursor))
+    if known is None:
         message = "expected the value of `next` of an earlier page"
-        raise InvalidInput([FieldError(pointer="/query/cursor", message=message)]) from None
+        raise InvalidInput([FieldError(pointer="/query/cursor", message=message)])
+    return datetime.fromtimestamp(min(float(known[1]), LATEST_S), UTC), known[2]
+
+
+def _decoded(cursor: str) -> str:
+    try:
+        return base64.urlsafe_b64decode(cursor).decode()
+    except ValueError:
+        return ""

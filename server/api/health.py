@@ -33,6 +33,8 @@ async def readyz(services: Services) -> Response:
         revision = await loop.run_in_executor(None, current_revision, services.engines)
         writing = asyncio.wrap_future(services.queue.writer.submit(lambda c: c.execute(text("SELECT 1"))))
         await asyncio.wait_for(writing, READY_S)
+        if trouble := services.queue.writer.trouble:  # a full disk still answers a question
+            return problem(503, "Not ready", trouble.reason)
     except (DatabaseError, TimeoutError) as error:
         return problem(503, "Not ready", str(error) or "the database takes no writes")
     if revision != head_revision():

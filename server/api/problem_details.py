@@ -12,6 +12,7 @@ from sqlalchemy.exc import DBAPIError
 from starlette.exceptions import HTTPException
 
 from server.campaigns.body import field_errors
+from server.db.writer import passes
 from server.errors import Conflict, FieldError, InvalidInput, NotFound, Unavailable
 
 MEDIA_TYPE = "application/problem+json"
@@ -59,7 +60,9 @@ def install(app: FastAPI) -> None:
         return problem(503, "Unavailable", str(error), headers={"Retry-After": "1"})
 
     @app.exception_handler(DBAPIError)
-    async def database_away(_: Request, error: DBAPIError) -> JSONResponse:
+    async def database_away(request: Request, error: DBAPIError) -> JSONResponse:
+        if not passes(error):
+            return await unexpected(request, error)
         log.error("database: %s", error.orig)
         return problem(503, "Unavailable", "the database did not answer", headers={"Retry-After": "1"})
 

@@ -14,12 +14,12 @@ from starlette.responses import Response as PlainResponse
 
 from server.api.context import Context, Services, client_gone
 from server.api.schemas import MAX_NUMBER, Boundary, DistanceBlock, SolutionPage, SolutionView
+from server.api.views import boundary_view, solution_views
 from server.campaigns import view_store
 from server.campaigns.advance import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.service import read
 from server.campaigns.traces import find_trace, trace_job
 from server.campaigns.values import Campaign
-from server.campaigns.views import boundary_view, solution_views
 from server.db.models import JobStatus
 from server.errors import Conflict, FieldError, InvalidInput, NotFound
 from sim.errors import InvalidEpisode
@@ -28,7 +28,7 @@ from sim.trace import Trace
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
 
-MAX_DISTANCES = 2_000
+MAX_DISTANCES = 1_000
 LOOK_AGAIN_S = 0.25
 
 Threshold = Annotated[float, Query(ge=0, le=1)]
@@ -113,10 +113,10 @@ def boundary_csv(boundary: Boundary) -> str:
     return text.getvalue()
 
 
-@router.get("/distances")
+@router.get("/distances", response_model=DistanceBlock)
 async def get_distances(
     campaign_id: str, services: Services, numbers: Annotated[str, Query(description="Comma-separated.")]
-) -> DistanceBlock:
+) -> Response:
     """Return the distances between some evaluated solutions."""
     campaign = await services.campaigns.get(campaign_id)
     archive = (await services.archives.get(campaign)).archive
@@ -133,8 +133,10 @@ async def get_distances(
     if unknown:
         raise NotFound(f"campaign {campaign.id} has no evaluated solution {unknown[0]}")
     rows = [place[number] for number in wanted]
-    distances = await asyncio.get_running_loop().run_in_executor(None, archive.distances, rows, rows)
-    return DistanceBlock(numbers=wanted, distances=distances.tolist())
+    distances = await services.archives.distances(campaign, archive, rows)
+    block = DistanceBlock.model_construct(numbers=wanted, distances=distances.tolist())
+    text = await asyncio.get_running_loop().run_in_executor(None, block.model_dump_json)
+    return Response(text, media_type="application/json")
 
 
 @router.get("/archive.npz", response_class=Response)

@@ -10,7 +10,7 @@ import logging
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from search.document import Document
 from search.metric import METRIC_VERSION
 from search.streams import episode_seed
 from server.campaigns import step_store, store
-from server.campaigns.body import CampaignBody
+from server.campaigns.body import CampaignBody, PluginChoice
 from server.campaigns.values import (
     Block,
     Campaign,
@@ -36,11 +36,11 @@ from server.campaigns.values import (
     Step,
     StoredArchive,
 )
-from server.catalogue import make_algorithm, make_params, make_problem
+from server.catalogue import make_algorithm, make_params, make_problem, read_problem_params
 from server.db.engine import Engines
 from server.db.models import CampaignStatus, JobStatus, SolutionVerdict
 from server.db.writer import Writer
-from server.errors import InvalidInput, Unavailable
+from server.errors import FieldError, InvalidInput, Unavailable
 from server.problems.base import InProcessProblem, Problem, SimulatedProblem
 from worker.wire import Completed
 
@@ -62,6 +62,8 @@ class Plan:
     algorithm: Algorithm
     config: Any
     neighbourhood: Neighbourhood
+    body: CampaignBody
+    """With every parameter spelled out: what is stored, so that no later default changes a campaign."""
 
 
 def make_plan(body: CampaignBody) -> Plan:
@@ -70,13 +72,22 @@ def make_plan(body: CampaignBody) -> Plan:
     Raises:
         InvalidInput: With a pointer to each wrong field.
     """
-    problem = make_problem(body.problem.id, body.problem.params)
+    problem_params = read_problem_params(body.problem.id, body.problem.params)
+    problem = make_problem(body.problem.id, asdict(problem_params))
     algorithm = make_algorithm(body.algorithm.id)
     known = set(algorithm.config_type.__dataclass_fields__)
     defaults = {name: value for name, value in problem.algorithm_defaults.items() if name in known}
     config = make_params(algorithm.config_type, {**defaults, **body.algorithm.params}, "/algorithm/params")
     neighbourhood = Neighbourhood.of(config)
-    return Plan(problem=problem, algorithm=algorithm, config=config, neighbourhood=neighbourhood)
+    resolved = body.model_copy(
+        update={
+            "problem": PluginChoice(id=body.problem.id, params=asdict(problem_params)),
+            "algorithm": PluginChoice(id=body.algorithm.id, params=asdict(config)),
+        }
+    )
+    return Plan(
+        problem=problem, algorithm=algorithm, config=config, neighbourhood=neighbourhood, body=resolved
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,9 +123,14 @@ def new_solutions(problem: Problem, candidates: Sequence[Candidate], campaign_se
                 needs=problem.needs,
                 timeout_s=problem.timeout_s,
             )
-        vector = np.concatenate(candidate.vectors).astype("<f8").tobytes()
-        solutions.append(NewSolution(number=candidate.number, vector=vector, seed=seed, job=job))
+        solutions.append(
+            NewSolution(number=candidate.number, vector=_vector_bytes(candidate), seed=seed, job=job)
+        )
     return solutions
+
+
+def _vector_bytes(candidate: Candidate) -> bytes:
+    return np.concatenate(candidate.vectors).astype("<f8").tobytes()
 
 
 class _MovedOn(Exception):
@@ -187,9 +203,10 @@ class Stepper:
         began = time.perf_counter()
         live = self._state(campaign)
         evaluations = _evaluations(live.plan.problem, live.state.pending, jobs)
-        pause = _too_many_failures(campaign, evaluations, len(live.state.pending))
+        failed = campaign.failed + sum(isinstance(e, Failed) for e in evaluations.values())
+        pause = _too_many_failures(campaign, evaluations, failed, len(live.state.pending))
         if pause:
-            self._end(campaign, CampaignStatus.PAUSED, pause)
+            self._end(campaign, CampaignStatus.PAUSED, pause, failures=failed)
             return False
         algorithm = live.plan.algorithm
         told = algorithm.tell(live.state, evaluations)
@@ -282,12 +299,17 @@ class Stepper:
     def _restore(self, campaign: Campaign) -> Live:
         """Return the state from the database, with its pending generation asked again."""
         if campaign.generation == 0:
-            return first_generation(campaign.body)[0]
+            live, _ = first_generation(campaign.body)
+            with self._engines.reader.connect() as connection:
+                asked = step_store.read_vectors(connection, campaign.id, 0)
+            _check_same(campaign, live.state.pending, asked)
+            return live
         plan = make_plan(campaign.body)
         with self._engines.reader.connect() as connection:
             now = store.find_campaign(connection, campaign.id)
             checkpoint = step_store.find_checkpoint(connection, campaign.id)
             stored = step_store.read_archive(connection, campaign.id, plan.problem.space.dimension)
+            asked = step_store.read_vectors(connection, campaign.id, campaign.generation)
         if now is None or now.generation != campaign.generation:
             raise _MovedOn
         if checkpoint is None or checkpoint.generation != campaign.generation:
@@ -298,16 +320,31 @@ class Stepper:
             Document.from_bytes(checkpoint.document),
             restored_archive(plan, stored),
         )
-        state, _ = plan.algorithm.ask(state)
+        state, candidates = plan.algorithm.ask(state)
+        _check_same(campaign, candidates, asked)
         log.info("campaign=%s restored at generation %d", campaign.id, campaign.generation)
         return Live(plan=plan, generation=campaign.generation, state=state)
 
-    def _end(self, campaign: Campaign, status: CampaignStatus, reason: str) -> None:
+    def _end(
+        self, campaign: Campaign, status: CampaignStatus, reason: str, *, failures: int | None = None
+    ) -> None:
         self._live.pop(campaign.id, None)
         self._writer.submit(
-            lambda connection: store.end_running(connection, campaign.id, campaign.generation, status, reason)
+            lambda connection: store.end_running(
+                connection, campaign.id, campaign.generation, status, reason, failures=failures
+            )
         ).result()
         log.warning("campaign=%s %s: %s", campaign.id, status, reason)
+
+
+def _check_same(campaign: Campaign, candidates: Sequence[Candidate], asked: Mapping[int, bytes]) -> None:
+    """Raise InvalidInput unless the candidates asked again are those that are being simulated."""
+    if {candidate.number: _vector_bytes(candidate) for candidate in candidates} != asked:
+        message = (
+            f"expected the candidates that were asked for, got others: {campaign.body.algorithm.id} or "
+            f"{campaign.body.problem.id} has changed since; go on with the version that the campaign began with"
+        )
+        raise InvalidInput([FieldError(pointer="/algorithm/id", message=message)])
 
 
 def restored_archive(plan: Plan, stored: StoredArchive) -> Archive:
@@ -370,9 +407,10 @@ def _judged(number: int, evaluation: Evaluation) -> Judged:
     )
 
 
-def _too_many_failures(campaign: Campaign, evaluations: Mapping[int, Evaluation], pending: int) -> str | None:
+def _too_many_failures(
+    campaign: Campaign, evaluations: Mapping[int, Evaluation], failed: int, pending: int
+) -> str | None:
     """Return why a campaign must pause for its failures, or None."""
-    failed = campaign.failed + sum(isinstance(e, Failed) for e in evaluations.values())
     asked = campaign.evaluated + campaign.failed + pending
     limit = campaign.body.execution.max_failed_share
     if failed <= max(FEW_FAILURES, campaign.failures_accepted) or failed <= limit * asked:

@@ -2,11 +2,13 @@
 
 import asyncio
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from sqlalchemy import Connection
 
 from search.archive import Archive
+from search.component import FloatArray
 from server.campaigns import step_store
 from server.campaigns.advance import Plan, Stepper, make_plan, restored_archive
 from server.campaigns.values import Campaign, StoredArchive
@@ -49,6 +51,19 @@ class Archives:
         with self.engines.reader.connect() as connection:
             stored = step_store.read_archive(connection, campaign.id, plan.problem.space.dimension)
         return stored, restored_archive(plan, stored)
+
+    async def distances(self, campaign: Campaign, archive: Archive, rows: Sequence[int]) -> FloatArray:
+        """Return the distances between solutions at some positions of an archive, shape ``(rows, rows)``.
+
+        They come from the stored matrix as far as it goes, and are computed where it does not.
+        """
+
+        def look() -> FloatArray:
+            with self.engines.reader.connect() as connection:
+                stored = step_store.read_distances(connection, campaign.id, rows)
+            return archive.distances(rows, rows) if stored is None else stored
+
+        return await asyncio.get_running_loop().run_in_executor(None, look)
 
     def _load(self, campaign: Campaign) -> ReadArchive:
         plan = make_plan(campaign.body)

@@ -74,9 +74,9 @@ def retry(connection: Connection, job: int) -> None:
         raise Conflict(f"job {job} is {row.status}; only a quarantined job can be retried")
     if row.kind == JobKind.EPISODE:
         _check_awaited(connection, job, campaign, row.number)
-    connection.execute(
+    changed = connection.execute(
         update(JobRow)
-        .where(JobRow.id == job)
+        .where(JobRow.id == job, JobRow.status == JobStatus.QUARANTINED)
         .values(
             status=JobStatus.QUEUED,
             max_attempts=row.attempt + campaign.body.execution.max_attempts,
@@ -85,6 +85,8 @@ def retry(connection: Connection, job: int) -> None:
             finished_at=None,
         )
     )
+    if changed.rowcount == 0:
+        raise Conflict(f"job {job} was changed by somebody else just now; look again")
 
 
 def _check_awaited(connection: Connection, job: int, campaign: Campaign, number: int) -> None:

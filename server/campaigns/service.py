@@ -81,7 +81,7 @@ class CampaignService:
             known = store.find_by_key(connection, key) if key is not None else None
             if known is not None:
                 return _same(known, body), False
-            store.insert_campaign(connection, campaign_id, body, key)
+            store.insert_campaign(connection, campaign_id, live.plan.body, body.document_hash(), key)
             campaign = _found(store.find_campaign(connection, campaign_id), campaign_id)
             step_store.insert_solutions(connection, campaign, 0, solutions)
             return campaign, True
@@ -136,9 +136,7 @@ class CampaignService:
 
     async def resume(self, campaign_id: str) -> Campaign:
         """Go on with a paused campaign, without the candidates that failed so far."""
-        campaign = await self._change(
-            campaign_id, "resume", (CampaignStatus.PAUSED,), CampaignStatus.RUNNING, accept_failures=True
-        )
+        campaign = await self._change(campaign_id, "resume", (CampaignStatus.PAUSED,), CampaignStatus.RUNNING)
         self.queue.wakeups.wake()
         self.queue.advance_soon([campaign.id])
         return campaign
@@ -189,8 +187,6 @@ class CampaignService:
         verb: str,
         allowed: tuple[CampaignStatus, ...],
         status: CampaignStatus,
-        *,
-        accept_failures: bool = False,
     ) -> Campaign:
         found = await self.get(campaign_id)
 
@@ -202,7 +198,11 @@ class CampaignService:
                     raise Conflict(
                         f"campaign {found.id} is {current.status}; to {verb} it, it must be {expected}"
                     )
-                store.set_status(connection, found.id, status, "", accept_failures=accept_failures)
+                accepted = None
+                if status is CampaignStatus.RUNNING:
+                    quarantined = store.count_quarantined(connection, found.id)
+                    accepted = max(current.failures_accepted, quarantined)
+                store.set_status(connection, found.id, status, "", failures_accepted=accepted)
             return _found(store.find_campaign(connection, found.id), found.id)
 
         return await self._write(unit)
@@ -231,6 +231,6 @@ def _found(campaign: Campaign | None, campaign_id: str) -> Campaign:
 
 
 def _same(known: Campaign, body: CampaignBody) -> Campaign:
-    if known.body.document_hash() != body.document_hash():
+    if known.document_hash != body.document_hash():
         raise Conflict(f"this Idempotency-Key was used for another campaign, {known.id}")
     return known

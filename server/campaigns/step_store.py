@@ -1,12 +1,15 @@
 """The SQL of the generation step: solutions and jobs asked for, verdicts told, checkpoint and distances."""
 
 import hashlib
+import logging
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from sqlalchemy import Connection, Row, bindparam, delete, insert, select, update
 
+from search.component import FloatArray
+from search.metric import METRIC_VERSION
 from server.campaigns.store import find_campaign, set_status
 from server.campaigns.values import Campaign, Checkpoint, NewJob, NewSolution, Step, StoredArchive
 from server.db.clock import database_now
@@ -22,6 +25,8 @@ from server.db.models import (
     SolutionRow,
     SolutionVerdict,
 )
+
+log = logging.getLogger(__name__)
 
 MAX_NAMED = 10_000
 """Values that one statement may name: databases bound how many there can be."""
@@ -86,8 +91,17 @@ def _known_results(connection: Connection, hashes: Sequence[str], kind: JobKind)
     return known
 
 
-def jobs_again(connection: Connection, campaign_id: str, numbers: Sequence[int]) -> list[tuple[int, NewJob]]:
-    """Return the episodes of some solutions, to be run again for their traces."""
+def enqueue_traces(connection: Connection, campaign: Campaign, numbers: Sequence[int]) -> None:
+    """Have the episodes of some solutions run again for their traces, unless that was asked for before."""
+    asked = select(JobRow.number).where(
+        JobRow.campaign_id == campaign.id, JobRow.kind == JobKind.TRACE, JobRow.number.in_(list(numbers))
+    )
+    present = set(connection.execute(asked).scalars())
+    jobs = _jobs_again(connection, campaign.id, [number for number in numbers if number not in present])
+    insert_jobs(connection, campaign, jobs, JobKind.TRACE)
+
+
+def _jobs_again(connection: Connection, campaign_id: str, numbers: Sequence[int]) -> list[tuple[int, NewJob]]:
     query = (
         select(JobRow.number, JobRow.spec, JobRow.spec_hash, JobRow.needs, JobRow.timeout_s)
         .where(
@@ -128,22 +142,22 @@ def write_step(connection: Connection, step: Step) -> bool:
     """Write a generation step, all or nothing, only if nobody wrote it before.
 
     Returns:
-        Whether it was written: False if the campaign has moved on, was paused, cancelled or deleted.
+        Whether it was written: False if the campaign has moved on, was paused, cancelled or deleted, or if one of
+        the generation's jobs was put back into the queue meanwhile.
     """
     campaign = find_campaign(connection, step.campaign, lock=True)
     if (
         campaign is None
         or campaign.status is not CampaignStatus.RUNNING
         or campaign.generation != step.generation
+        or _has_open_jobs(connection, step)
     ):
         return False
     _write_judged(connection, step)
     _write_archive(connection, step)
     told = step.generation + 1
     insert_solutions(connection, campaign, told, step.asked)
-    if step.traces:
-        jobs = jobs_again(connection, campaign.id, step.traces)
-        insert_jobs(connection, campaign, jobs, JobKind.TRACE)
+    enqueue_traces(connection, campaign, step.traces)
     connection.execute(
         update(CampaignRow)
         .where(CampaignRow.id == campaign.id)
@@ -155,6 +169,15 @@ def write_step(connection: Connection, step: Step) -> bool:
     if step.status is not CampaignStatus.RUNNING:
         set_status(connection, campaign.id, step.status, step.reason)
     return True
+
+
+def _has_open_jobs(connection: Connection, step: Step) -> bool:
+    still_open = select(JobRow.id).where(
+        JobRow.campaign_id == step.campaign,
+        JobRow.kind == JobKind.EPISODE,
+        JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),
+    )
+    return connection.execute(still_open.limit(1)).first() is not None
 
 
 def _write_judged(connection: Connection, step: Step) -> None:
@@ -176,6 +199,18 @@ def _write_judged(connection: Connection, step: Step) -> None:
             for j in step.judged
         ],
     )  # fmt: skip
+    failed = [j.number for j in step.judged if j.verdict is SolutionVerdict.FAILED]
+    # A result that cannot be judged must not be handed to other campaigns as one that is known.
+    for start in range(0, len(failed), MAX_NAMED):
+        connection.execute(
+            update(JobRow)
+            .where(
+                JobRow.campaign_id == step.campaign,
+                JobRow.kind == JobKind.EPISODE,
+                JobRow.number.in_(failed[start : start + MAX_NAMED]),
+            )
+            .values(cache=False)
+        )
 
 
 def _write_archive(connection: Connection, step: Step) -> None:
@@ -225,6 +260,46 @@ def find_checkpoint(connection: Connection, campaign_id: str) -> Checkpoint | No
     if checkpoint.sha256() != row.sha256:
         raise ValueError(f"campaign {campaign_id}: the checkpoint of generation {row.generation} is damaged")
     return checkpoint
+
+
+def read_distances(connection: Connection, campaign_id: str, rows: Sequence[int]) -> FloatArray | None:
+    """Return the stored distances between solutions at some positions of the archive, shape ``(rows, rows)``.
+
+    None if they are not all stored, or stored by another version of the metric, or damaged.
+    """
+    wanted = np.asarray(rows, dtype=np.int64)
+    half = np.full((len(wanted), len(wanted)), np.nan, dtype=np.float32)
+    query = select(DistanceBlockRow.__table__).where(
+        DistanceBlockRow.campaign_id == campaign_id,
+        DistanceBlockRow.first_row <= int(wanted.max()),
+        DistanceBlockRow.first_row + DistanceBlockRow.rows > int(wanted.min()),
+        DistanceBlockRow.metric_version == METRIC_VERSION,
+    )
+    # One block at a time: all of them may take more memory than there is.
+    with connection.execution_options(stream_results=True, yield_per=1).execute(query) as blocks:
+        for block in blocks:
+            inside = np.flatnonzero((wanted >= block.first_row) & (wanted < block.first_row + block.rows))
+            known = np.flatnonzero(wanted < block.columns)
+            if not inside.size:
+                continue
+            if hashlib.sha256(block.data).hexdigest() != block.sha256:
+                log.error(
+                    "campaign=%s generation=%d: its distances are damaged", campaign_id, block.generation
+                )
+                return None
+            matrix = np.frombuffer(block.data, dtype="<f4").reshape(block.rows, block.columns)
+            half[np.ix_(inside, known)] = matrix[np.ix_(wanted[inside] - block.first_row, wanted[known])]
+    # A row knows the solutions of its own generation and of those before; of later ones, their rows know it.
+    whole = np.where(np.isnan(half), half.T, half).astype(np.float64)
+    return None if np.isnan(whole).any() else whole
+
+
+def read_vectors(connection: Connection, campaign_id: str, generation: int) -> dict[int, bytes]:
+    """Return the vectors of a generation's solutions by number."""
+    query = select(SolutionRow.number, SolutionRow.vector).where(
+        SolutionRow.campaign_id == campaign_id, SolutionRow.generation == generation
+    )
+    return {row.number: row.vector for row in connection.execute(query)}
 
 
 def read_archive(connection: Connection, campaign_id: str, dimension: int) -> StoredArchive:

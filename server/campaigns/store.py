@@ -18,12 +18,22 @@ from server.db.models import CampaignRow, CampaignStatus, JobKind, JobRow, JobSt
 ENDED = (CampaignStatus.FINISHED, CampaignStatus.CANCELLED, CampaignStatus.FAILED)
 
 
-def insert_campaign(connection: Connection, campaign_id: str, body: CampaignBody, key: str | None) -> None:
-    """Store a new campaign, running, with nothing asked yet."""
+def insert_campaign(
+    connection: Connection, campaign_id: str, body: CampaignBody, document_hash: str, key: str | None
+) -> None:
+    """Store a new campaign, running, with nothing asked yet.
+
+    Args:
+        connection: In a write transaction.
+        campaign_id: Its id.
+        body: With every parameter spelled out.
+        document_hash: Of the body as it was submitted.
+        key: Idempotency key.
+    """
     connection.execute(
         insert(CampaignRow).values(
             id=campaign_id, name=body.name, document=body.model_dump(mode="json"),
-            document_hash=body.document_hash(), idempotency_key=key, status=CampaignStatus.RUNNING,
+            document_hash=document_hash, idempotency_key=key, status=CampaignStatus.RUNNING,
             status_reason="", seed=body.seed, priority=body.priority, budget=body.budget.simulations,
             generation=0, evaluated=0, unsafe=0, failed=0, failures_accepted=0, turn=0,
             created_at=database_now(connection), finished_at=None,
@@ -94,16 +104,31 @@ def running_idle(connection: Connection) -> list[str]:
 
 
 def end_running(
-    connection: Connection, campaign_id: str, generation: int, status: CampaignStatus, reason: str
+    connection: Connection,
+    campaign_id: str,
+    generation: int,
+    status: CampaignStatus,
+    reason: str,
+    *,
+    failures: int | None = None,
 ) -> None:
-    """Change what a campaign is, unless somebody changed or advanced it meanwhile."""
+    """Change what a campaign is, unless somebody changed or advanced it meanwhile.
+
+    Args:
+        connection: In a write transaction.
+        campaign_id: The campaign.
+        generation: Where it must still stand.
+        status: What it becomes.
+        reason: Why.
+        failures: How many failed candidates whoever resumes it accepts.
+    """
     campaign = find_campaign(connection, campaign_id, lock=True)
     if (
         campaign is not None
         and campaign.status is CampaignStatus.RUNNING
         and campaign.generation == generation
     ):
-        set_status(connection, campaign_id, status, reason)
+        set_status(connection, campaign_id, status, reason, failures_accepted=failures)
 
 
 def set_status(
@@ -112,20 +137,21 @@ def set_status(
     status: CampaignStatus,
     reason: str,
     *,
-    accept_failures: bool = False,
+    failures_accepted: int | None = None,
 ) -> None:
-    """Change what a campaign is; on cancelling, its open jobs end too."""
+    """Change what a campaign is; on cancelling, its open episodes end too, but not the pictures asked for."""
     values: dict[str, Any] = {"status": status, "status_reason": reason}
     if status in (CampaignStatus.FINISHED, CampaignStatus.CANCELLED, CampaignStatus.FAILED):
         values["finished_at"] = database_now(connection)
-    if accept_failures:
-        values["failures_accepted"] = count_quarantined(connection, campaign_id)
+    if failures_accepted is not None:
+        values["failures_accepted"] = failures_accepted
     connection.execute(update(CampaignRow).where(CampaignRow.id == campaign_id).values(values))
     if status is CampaignStatus.CANCELLED:
         connection.execute(
             update(JobRow)
             .where(
                 JobRow.campaign_id == campaign_id,
+                JobRow.kind == JobKind.EPISODE,
                 JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),
             )
             .values(
@@ -160,7 +186,8 @@ def delete_campaign(connection: Connection, campaign_id: str) -> None:
 
 def _campaign(row: Row[*tuple[Any, ...]]) -> Campaign:
     return Campaign(
-        id=row.id, body=CampaignBody.model_validate(row.document), status=CampaignStatus(row.status),
+        id=row.id, body=CampaignBody.model_validate(row.document), document_hash=row.document_hash,
+        status=CampaignStatus(row.status),
         status_reason=row.status_reason, generation=row.generation, evaluated=row.evaluated,
         unsafe=row.unsafe, failed=row.failed, failures_accepted=row.failures_accepted,
         created_at=row.created_at, finished_at=row.finished_at,

@@ -4,7 +4,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, select
 
-from server.campaigns.step_store import insert_jobs, jobs_again
+from server.campaigns.step_store import enqueue_traces
 from server.campaigns.values import Campaign
 from server.db.models import JobKind, JobRow, SolutionRow, TraceRow
 
@@ -29,13 +29,5 @@ def trace_job(connection: Connection, campaign_id: str, number: int) -> Row[*tup
 
 def request_trace(connection: Connection, campaign: Campaign, number: int) -> bool:
     """Enqueue the trace of a solution unless it is enqueued already; return whether that is possible."""
-    present = connection.execute(
-        select(JobRow.id).where(
-            JobRow.campaign_id == campaign.id, JobRow.number == number, JobRow.kind == JobKind.TRACE
-        )
-    ).one_or_none()
-    if present is not None:
-        return True
-    jobs = jobs_again(connection, campaign.id, [number])
-    insert_jobs(connection, campaign, jobs, JobKind.TRACE)
-    return bool(jobs)
+    enqueue_traces(connection, campaign, [number])
+    return trace_job(connection, campaign.id, number) is not None

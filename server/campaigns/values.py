@@ -14,10 +14,16 @@ from server.db.models import CampaignStatus, SolutionVerdict
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Campaign:
-    """A campaign as it stands in the database."""
+    """A campaign as it stands in the database.
+
+    Attributes:
+        body: What was asked for, with every parameter spelled out.
+        document_hash: Of the body as it was submitted.
+    """
 
     id: str
     body: CampaignBody
+    document_hash: str
     status: CampaignStatus
     status_reason: str
     generation: int

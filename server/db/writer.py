@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from sqlalchemy import Connection, Engine
-from sqlalchemy.exc import DBAPIError, OperationalError, SQLAlchemyError
+from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError, SQLAlchemyError
 
 from server.errors import Unavailable
 
@@ -164,9 +164,14 @@ class Writer:
         waiting.answer.set_exception(translated)
 
 
+def passes(error: DBAPIError) -> bool:
+    """Whether the same may work later: the database is away, locked or full, or had another one go first."""
+    return error.connection_invalidated or isinstance(error, OperationalError | InterfaceError)
+
+
 def _translated(error: Exception) -> Exception:
     """Name the database's own troubles in the coordinator's words."""
-    if isinstance(error, DBAPIError):
+    if isinstance(error, DBAPIError) and passes(error):
         reason = (
             str(error.orig).strip().splitlines()[0] if str(error.orig).strip() else type(error.orig).__name__
         )

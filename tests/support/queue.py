@@ -68,7 +68,7 @@ class Queue:
         ]  # fmt: skip
 
         def unit(connection: Connection) -> None:
-            store.insert_campaign(connection, name, body, None)
+            store.insert_campaign(connection, name, body, body.document_hash(), None)
             found = store.find_campaign(connection, name)
             assert found is not None
             step_store.insert_solutions(connection, found, 0, solutions)

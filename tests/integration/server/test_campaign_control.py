@@ -1,9 +1,15 @@
 """Submitting, pausing, resuming, cancelling, deleting, retrying: over the API, on both databases."""
 
+import base64
+import hashlib
+import json
+from dataclasses import asdict
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
+from sqlalchemy import select, update
 from support.api import (
     FakeWorker,
     Judge,
@@ -17,10 +23,14 @@ from support.api import (
     submit,
 )
 
+from search.algorithms.ga import GeneticAlgorithmConfig
+from search.metric import Metric
 from server.api import campaigns as campaign_routes
+from server.api import views
 from server.api.schemas import Progress
-from server.campaigns import views
+from server.catalogue import make_problem
 from server.db.engine import Engines
+from server.db.models import DistanceBlockRow
 from sim import catalogue
 from worker.wire import Completed, JobFailed, LeasedJob
 
@@ -190,6 +200,91 @@ def test_a_result_that_the_problem_cannot_read_fails_its_candidate_alone(client:
     done = worker.work(campaign)
     assert done["status"] == "finished"
     assert done["failed"] > 0
+
+
+def test_a_campaign_goes_on_without_results_that_cannot_be_read(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=lambda job: Completed(verdicts={}))
+    campaign = submit(client, ball())
+    assert worker.work(campaign)["status"] == "paused"
+    post(client, campaign, "resume")
+    worker.judge = completes
+    done = worker.work(campaign)
+    assert (done["status"], done["failed"]) == ("finished", 20)
+
+
+def test_a_result_that_cannot_be_read_is_not_handed_to_other_campaigns(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=lambda job: Completed(verdicts={}))
+    campaign = submit(client, ball(execution={"max_failed_share": 1.0}))
+    worker.work(campaign, until=lambda now: now["generation"] >= 1)
+    worker.judge = completes
+    worker.work(campaign)
+    again = submit(client, ball(name="again"))
+    done = worker.work(again)
+    assert (done["status"], done["failed"]) == ("finished", 0)
+
+
+def test_a_campaign_shows_every_parameter_that_it_runs_with(client: httpx.Client) -> None:
+    body = expect(client.get(f"/api/v1/campaigns/{submit(client, ball())}"))["body"]
+    assert body["algorithm"]["params"] == asdict(
+        GeneticAlgorithmConfig(radius=0.2, population_size=20, mutation_probability=0.5)
+    )  # the radius is the ball's own default
+
+
+def test_a_cursor_that_no_page_gave_is_refused(client: httpx.Client) -> None:
+    for text in ("1.0 \0", "nan x", "1e999 x", "1.0", "", "\ud7ff"):
+        cursor = base64.urlsafe_b64encode(text.encode()).decode()
+        expect(client.get("/api/v1/campaigns", params={"cursor": cursor}), 422 if cursor else 200)
+
+
+def test_distances_are_those_of_the_metric(client: httpx.Client, engines: Engines) -> None:
+    campaign = submit(client, ball())
+    FakeWorker(client).work(campaign)
+    solutions = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions", params={"limit": 60}))[
+        "solutions"
+    ]
+    numbers = [s["number"] for s in reversed(solutions)][::3]
+    values = {s["number"]: s["parameters"] for s in solutions}
+    space = make_problem("ball@1", {}).space
+    rows = np.array([space.join(space.encode(values[number])) for number in numbers])
+    expected = Metric.of_space(space).between(rows, rows)
+    wanted = {"numbers": ",".join(map(str, numbers))}
+    answer = expect(client.get(f"/api/v1/campaigns/{campaign}/distances", params=wanted))
+    assert answer["numbers"] == numbers
+    np.testing.assert_allclose(answer["distances"], expected, atol=1e-6)
+    # They come from the stored matrix; a damaged block is not believed.
+    with engines.writer.begin() as connection:
+        block = connection.execute(select(DistanceBlockRow.data).limit(1)).scalar_one()
+        zeros = bytes(len(block))
+        digest = hashlib.sha256(zeros).hexdigest()
+        first = DistanceBlockRow.generation == 0
+        connection.execute(update(DistanceBlockRow).where(first).values(data=zeros, sha256=digest))
+    forged = expect(client.get(f"/api/v1/campaigns/{campaign}/distances", params=wanted))
+    assert not np.allclose(forged["distances"], expected, atol=1e-6)
+    with engines.writer.begin() as connection:
+        connection.execute(update(DistanceBlockRow).where(first).values(sha256="0" * 64))
+    answer = expect(client.get(f"/api/v1/campaigns/{campaign}/distances", params=wanted))
+    np.testing.assert_allclose(answer["distances"], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("value", ["\ud800", [[[]]] * 2, {"deep": None}])
+def test_values_that_cannot_be_written_again_are_refused_with_their_place(
+    client: httpx.Client, value: object
+) -> None:
+    for _ in range(40):
+        value = value if isinstance(value, str) else [value]
+    campaign, worker = submit(client, ball()), FakeWorker(client)
+    (job,) = worker.lease(max_jobs=1)
+    outcome = completes(job).model_dump() | {"features": {"odd": value}}
+    body = {
+        "worker": worker.identity,
+        "results": [{"job": job.job, "token": job.token, "outcome": outcome}],
+    }
+    headers = {"Content-Type": "application/json"}
+    answer = client.post("/api/v1/jobs/results", content=json.dumps(body), headers=headers)
+    refused = expect(answer, 422)
+    assert "features" in refused["errors"][0]["pointer"]
+    assert worker.report([job]) == ["accepted"]
+    assert progress(client, campaign)["status"] == "running"
 
 
 def test_campaigns_with_equal_simulations_share_them(client: httpx.Client) -> None:

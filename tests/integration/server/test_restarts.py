@@ -15,12 +15,12 @@ from support.queue import Queue
 from support.reference import undisturbed_digest
 
 from search.digest import archive_digest
-from server.campaigns import step_store, store
+from server.campaigns import jobs, step_store, store
 from server.campaigns.advance import Stepper, first_generation, make_plan, restored_archive
 from server.campaigns.body import parse_body
 from server.campaigns.values import Campaign
 from server.db.engine import Engines
-from server.db.models import CampaignStatus, CheckpointRow, GenerationRow
+from server.db.models import CampaignStatus, CheckpointRow, GenerationRow, SolutionRow
 from server.db.writer import Writer
 from server.errors import Unavailable
 from server.queue.values import Outcome
@@ -79,7 +79,7 @@ class Coordinators:
         live, solutions = first_generation(self.body)
 
         def unit(connection: Connection) -> None:
-            store.insert_campaign(connection, "c0ffee", self.body, None)
+            store.insert_campaign(connection, "c0ffee", self.body, self.body.document_hash(), None)
             found = store.find_campaign(connection, "c0ffee")
             assert found is not None
             step_store.insert_solutions(connection, found, 0, solutions)
@@ -239,6 +239,42 @@ def test_a_campaign_whose_problem_is_missing_waits_for_it(
     assert "ball@1" in two.campaign.status_reason
     two.queue.set_status("c0ffee", CampaignStatus.RUNNING)
     assert two.steppers[1].advance("c0ffee")
+
+
+def test_a_job_that_is_retried_during_the_step_is_waited_for(
+    two: Coordinators, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, *others = two.queue.lease(max_jobs=1)
+    two.queue.report(Outcome(job=first.job, token=first.token, result=None, error="invalid: no", final=True))
+    assert not others
+    two.simulate()
+    stepper = two.steppers[0]
+    write_up = stepper._write_up
+
+    def retried_meanwhile(*args: Any) -> Any:
+        step = write_up(*args)
+        two.queue.run(lambda connection: jobs.retry(connection, first.job))
+        return step
+
+    with monkeypatch.context() as patched:
+        patched.setattr(stepper, "_write_up", retried_meanwhile)
+        assert not stepper.advance("c0ffee")
+    two.simulate()
+    assert stepper.advance("c0ffee")
+    assert (two.campaign.failed, two.campaign.evaluated) == (0, 20)
+
+
+def test_a_campaign_goes_on_only_with_the_candidates_that_it_asked_for(two: Coordinators) -> None:
+    two.simulate()
+    assert two.steppers[0].advance("c0ffee")
+    two.simulate()
+    with two.engines.writer.begin() as connection:
+        pending = SolutionRow.generation == 1
+        vector = connection.execute(select(SolutionRow.vector).where(pending).limit(1)).scalar_one()
+        connection.execute(update(SolutionRow).where(pending).values(vector=bytes(len(vector))))
+    assert not two.steppers[1].advance("c0ffee")  # it has to restore the state, and asks again
+    assert two.campaign.status is CampaignStatus.PAUSED
+    assert "has changed since" in two.campaign.status_reason
 
 
 def test_the_sweeper_takes_a_step_that_nobody_took(database_url: str, two: Coordinators) -> None:

@@ -128,3 +128,24 @@ def test_the_best_boundary_solutions_are_kept_as_evidence(client: httpx.Client) 
     for solution in boundary["solutions"][:wanted]:
         path = f"/api/v1/campaigns/{campaign}/solutions/{solution['number']}/trace"
         assert client.get(path, params={"wait_s": 0}).content == b"evidence"
+
+
+def test_pictures_that_were_looked_at_do_not_keep_a_campaign_from_its_end(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=traces(b"the trace"))
+    campaign = submit(client, ball(execution={"keep_traces": 12}, simulations=120))
+    worker.work(campaign, until=lambda now: now["generation"] >= 1)
+    for number in range(20):
+        client.get(f"/api/v1/campaigns/{campaign}/solutions/{number}/trace", params={"wait_s": 0})
+    done = worker.work(campaign)
+    assert (done["status"], done["status_reason"]) == ("finished", "")
+
+
+def test_a_cancelled_campaign_still_shows_pictures(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=traces(b"the trace"))
+    campaign = submit(client, ball())
+    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
+    assert client.get(path, params={"wait_s": 0}).status_code == 202
+    expect(client.post(f"/api/v1/campaigns/{campaign}/cancel"))
+    assert worker.report(worker.lease()) == ["accepted"]
+    assert client.get(path, params={"wait_s": 0}).content == b"the trace"
+    assert worker.lease() == []
