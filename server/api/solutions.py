@@ -16,7 +16,7 @@ from server.api.context import Context, Services, client_gone
 from server.api.schemas import MAX_NUMBER, Boundary, DistanceBlock, SolutionPage, SolutionView
 from server.api.views import boundary_view, solution_views
 from server.campaigns import view_store
-from server.campaigns.advance import DEFAULT_D_TH, DEFAULT_T_B
+from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.service import read
 from server.campaigns.traces import find_trace, trace_job
 from server.campaigns.values import Campaign

@@ -21,8 +21,8 @@ from server.api.schemas import (
     SolutionView,
 )
 from server.campaigns import store, view_store
-from server.campaigns.advance import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.archives import ReadArchive
+from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.values import Campaign, GenerationSummary
 from server.db.models import CampaignStatus, JobStatus
 from server.db.writer import Trouble

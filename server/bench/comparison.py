@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from search.archive import Archive
 from search.boundary import PAPER_D_THS, PAPER_T_BS, DbsGrid, dbs_grid
 from search.control import BlindProblem, ScenarioRisk, blind_archive
-from server.campaigns.advance import Plan
 from server.campaigns.body import CampaignBody
+from server.campaigns.plan import Plan
 
 DRAWS = 5
 """Controls a campaign: their figures are means."""

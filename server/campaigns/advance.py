@@ -10,33 +10,37 @@ import logging
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from sqlalchemy import Row
 from sqlalchemy.exc import InterfaceError, OperationalError
 
-from search.algorithm import Algorithm, Candidate, Evaluation, Failed, Scored
-from search.archive import Archive, Neighbourhood
+from search.algorithm import Candidate, Evaluation, Failed, Scored
+from search.archive import Archive
 from search.boundary import distinct_boundary
 from search.document import Document
 from search.metric import METRIC_VERSION
-from search.streams import episode_seed
 from server.campaigns import step_store, store
-from server.campaigns.body import CampaignBody, PluginChoice
+from server.campaigns.plan import (
+    DEFAULT_D_TH,
+    DEFAULT_T_B,
+    Live,
+    Plan,
+    first_generation,
+    make_plan,
+    new_solutions,
+    restored_archive,
+    vector_bytes,
+)
 from server.campaigns.values import (
     Block,
     Campaign,
     Checkpoint,
     GenerationSummary,
     Judged,
-    NewJob,
-    NewSolution,
     Step,
-    StoredArchive,
 )
-from server.catalogue import make_algorithm, make_params, make_problem, read_problem_params
 from server.db.engine import Engines
 from server.db.models import CampaignStatus, JobStatus, SolutionVerdict
 from server.db.writer import Writer
@@ -44,93 +48,10 @@ from server.errors import FieldError, InvalidInput, Unavailable
 from server.problems.base import InProcessProblem, Problem, SimulatedProblem
 from worker.wire import Completed
 
-DEFAULT_T_B = 0.10
-"""Fitness up to which a solution counts as boundary, where nobody says otherwise."""
-DEFAULT_D_TH = 0.20
-"""Distance from which boundary solutions count as distinct, where nobody says otherwise."""
 FEW_FAILURES = 3
 """A campaign is not paused for this many failures or fewer."""
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
-    """A campaign's problem and algorithm, made from its body."""
-
-    problem: Problem
-    algorithm: Algorithm
-    config: Any
-    neighbourhood: Neighbourhood
-    body: CampaignBody
-    """With every parameter spelled out: what is stored, so that no later default changes a campaign."""
-
-
-def make_plan(body: CampaignBody) -> Plan:
-    """Return the problem and the algorithm of a campaign, checked against each other.
-
-    Raises:
-        InvalidInput: With a pointer to each wrong field.
-    """
-    problem_params = read_problem_params(body.problem.id, body.problem.params)
-    problem = make_problem(body.problem.id, asdict(problem_params))
-    algorithm = make_algorithm(body.algorithm.id)
-    known = set(algorithm.config_type.__dataclass_fields__)
-    defaults = {name: value for name, value in problem.algorithm_defaults.items() if name in known}
-    config = make_params(algorithm.config_type, {**defaults, **body.algorithm.params}, "/algorithm/params")
-    neighbourhood = Neighbourhood.of(config)
-    resolved = body.model_copy(
-        update={
-            "problem": PluginChoice(id=body.problem.id, params=asdict(problem_params)),
-            "algorithm": PluginChoice(id=body.algorithm.id, params=asdict(config)),
-        }
-    )
-    return Plan(
-        problem=problem, algorithm=algorithm, config=config, neighbourhood=neighbourhood, body=resolved
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Live:
-    """A campaign's state in memory: its pending generation is what the database calls the current one."""
-
-    plan: Plan
-    generation: int
-    state: Any
-
-
-def first_generation(body: CampaignBody) -> tuple[Live, list[NewSolution]]:
-    """Return the state of a new campaign with its first generation asked, and that generation's rows."""
-    plan = make_plan(body)
-    state = plan.algorithm.start(
-        plan.problem.space, plan.config, seed=body.seed, budget=body.budget.simulations
-    )
-    state, candidates = plan.algorithm.ask(state)
-    return Live(plan=plan, generation=0, state=state), new_solutions(plan.problem, candidates, body.seed)
-
-
-def new_solutions(problem: Problem, candidates: Sequence[Candidate], campaign_seed: int) -> list[NewSolution]:
-    """Return the rows of a generation that was asked for."""
-    solutions = []
-    for candidate in candidates:
-        seed = episode_seed(campaign_seed, candidate.number)
-        job = None
-        if not isinstance(problem, InProcessProblem):
-            spec = problem.episode(candidate.vectors, seed)
-            job = NewJob(
-                spec=spec.canonical_json(),
-                spec_hash=spec.digest(),
-                needs=problem.needs,
-                timeout_s=problem.timeout_s,
-            )
-        solutions.append(
-            NewSolution(number=candidate.number, vector=_vector_bytes(candidate), seed=seed, job=job)
-        )
-    return solutions
-
-
-def _vector_bytes(candidate: Candidate) -> bytes:
-    return np.concatenate(candidate.vectors).astype("<f8").tobytes()
 
 
 class _MovedOn(Exception):
@@ -339,26 +260,12 @@ class Stepper:
 
 def _check_same(campaign: Campaign, candidates: Sequence[Candidate], asked: Mapping[int, bytes]) -> None:
     """Raise InvalidInput unless the candidates asked again are those that are being simulated."""
-    if {candidate.number: _vector_bytes(candidate) for candidate in candidates} != asked:
+    if {candidate.number: vector_bytes(candidate) for candidate in candidates} != asked:
         message = (
             f"expected the candidates that were asked for, got others: {campaign.body.algorithm.id} or "
             f"{campaign.body.problem.id} has changed since; go on with the version that the campaign began with"
         )
         raise InvalidInput([FieldError(pointer="/algorithm/id", message=message)])
-
-
-def restored_archive(plan: Plan, stored: StoredArchive) -> Archive:
-    """Return the archive that was stored, without computing a distance."""
-    return Archive.restore(
-        plan.problem.space,
-        plan.neighbourhood,
-        numbers=stored.numbers,
-        vectors=stored.vectors,
-        unsafe=stored.unsafe,
-        robustness=stored.robustness,
-        neighbours=stored.neighbours,
-        unsafe_neighbours=stored.unsafe_neighbours,
-    )
 
 
 def _evaluations(

@@ -10,7 +10,8 @@ from sqlalchemy import Connection
 from search.archive import Archive
 from search.component import FloatArray
 from server.campaigns import step_store
-from server.campaigns.advance import Plan, Stepper, make_plan, restored_archive
+from server.campaigns.advance import Stepper
+from server.campaigns.plan import Plan, make_plan, restored_archive
 from server.campaigns.values import Campaign, StoredArchive
 from server.db.engine import Engines
 

@@ -12,8 +12,9 @@ from sqlalchemy import Connection
 from search.errors import ConfigError, UnsupportedSpace
 from server.campaigns import jobs as job_store
 from server.campaigns import step_store, store, traces
-from server.campaigns.advance import Live, Stepper, first_generation, make_plan
+from server.campaigns.advance import Stepper
 from server.campaigns.body import CampaignBody
+from server.campaigns.plan import Live, first_generation, make_plan
 from server.campaigns.store import ENDED
 from server.campaigns.values import Campaign, NewSolution
 from server.catalogue import config_field_error

@@ -9,7 +9,7 @@ import typer
 from rich.progress import Progress
 from rich.table import Table
 
-from server.campaigns.advance import DEFAULT_D_TH, DEFAULT_T_B
+from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from server.cli.api import Api
 from server.cli.live import spark
 from server.cli.options import (

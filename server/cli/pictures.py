@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from search.archive import Archive
-from server.campaigns.advance import Plan, make_plan
 from server.campaigns.body import CampaignBody
+from server.campaigns.plan import Plan, make_plan
 from server.cli.api import Api
 from server.plots import CampaignFigures, write_campaign_figures
 

@@ -14,8 +14,8 @@ import httpx
 import typer
 from rich.console import Console
 
-from server.campaigns.advance import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.body import CampaignBody, read_campaign_file
+from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.service import check_submission
 from server.cli.api import TIMEOUT, Api, CoordinatorSaid
 from server.cli.coordinator import (

@@ -3,8 +3,8 @@
 from typing import Any
 
 from search.digest import archive_digest
-from server.campaigns.advance import make_plan, new_solutions
 from server.campaigns.body import parse_body
+from server.campaigns.plan import make_plan, new_solutions
 from support.problems import Ball, simulated
 
 

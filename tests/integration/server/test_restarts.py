@@ -16,8 +16,9 @@ from support.reference import undisturbed_digest
 
 from search.digest import archive_digest
 from server.campaigns import jobs, step_store, store
-from server.campaigns.advance import Stepper, first_generation, make_plan, restored_archive
+from server.campaigns.advance import Stepper
 from server.campaigns.body import parse_body
+from server.campaigns.plan import first_generation, make_plan, restored_archive
 from server.campaigns.values import Campaign
 from server.db.engine import Engines
 from server.db.models import CampaignStatus, CheckpointRow, GenerationRow, SolutionRow
