@@ -1,8 +1,7 @@
 """`progress`: the ego is not stuck, and does not stand where that is dangerous.
 
 A standstill with a cause (a red light, a vehicle or person close ahead, the goal) is no lack of progress. Standing
-without one is allowed for ten seconds in its lane, and for four in the oncoming lane, in a junction or on a
-crossing; there a cause excuses only if the light or the traffic gives it.
+without one is allowed for ten seconds in its lane, and for four in the oncoming lane, in a junction or on a crossing.
 """
 
 from collections.abc import Mapping

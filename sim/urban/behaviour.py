@@ -48,7 +48,7 @@ def trajectory_ranges(duration_s: float = DEFAULT_DURATION_S) -> dict[str, tuple
 
 
 def last_perception_step(duration_s: float) -> int:
-    """Return T: the last perception step of an episode; there are T + 1."""
+    """Return T, the end of an episode in perception steps: the detector is asked at 0 to T - 1."""
     return round(duration_s / PERCEPTION_STEP_S)
 
 

@@ -77,6 +77,7 @@ def run_loop(
         sample = loop.step(step)
         if (sample.collision is not None or sample.goal_reached) and not to_the_end:
             break
+    loop.close((step + 1) * STEP_S)
     return loop.outcome()
 
 
@@ -155,6 +156,12 @@ class _Loop:
             shown = self._sample.light.value if self._sample.light is not None else ""
             self._recorder.sample(time_s, self._driving, sensing.truth(), boxes, shown)
         return command
+
+    def close(self, time_s: float) -> None:
+        """Record where everybody is at the end, which may be a collision between two perception steps."""
+        if self._recorder is not None:
+            shown = self._sample.light.value if self._sample.light is not None else ""
+            self._recorder.end(time_s, self._driving, shown)
 
     def outcome(self) -> Outcome:
         """Return how it went."""

@@ -28,9 +28,15 @@ yet not ahead of it.
 """
 
 CREEPING_MPS = 0.05
-"""Slower than this towards somebody, the ego hits nobody: they walk or drive into it."""
+"""An ego that is slower hits nobody: they walk or drive into it."""
+
+SUNK_IN_M = 0.3
+SUNK_IN_S = 0.1
+"""A vehicle is still ahead when the ego's bumper has gone into it by this much, and this much of its way."""
 
 WAITING_RANGE_M = 10.0
+WAITING_ASIDE_M = 3.0
+"""A person so far aside of the ego's middle, or nearer, is in its way."""
 JUNCTION_REACH_M = 7.0
 CROSSING_REACH_M = 2.0
 
@@ -55,6 +61,7 @@ class _Nearest:
     closing_mps: float
     collision: Collision | None
     pedestrian_m: float
+    person_ahead: bool = False
 
 
 class Facts:
@@ -71,6 +78,9 @@ class Facts:
         self._near_station_m = 0.0
         self._still_clear_m = 0.0
         ego = world.ego
+        self._junctions = [
+            world.road.forward.pose_at(junction.forward_m)[:2] for junction in world.road.junctions
+        ]
         self._ego_radius_m = 0.5 * math.hypot(ego.length_m, ego.width_m)
         self._ego_height_m = ego.model.height_m
         boxes = [_box(ego.length_m, ego.width_m, self._ego_height_m, ego.x_m, ego.y_m, ego.yaw_rad)]
@@ -117,9 +127,13 @@ class Facts:
         goal = station_m + 0.5 * ego.length_m >= route.length_m
         waiting = (
             goal
-            or (light is not None and light is not LightState.GREEN and line_gap_m is not None)
+            or (
+                light not in (None, LightState.GREEN)
+                and line_gap_m is not None
+                and line_gap_m < WAITING_RANGE_M
+            )
             or (front_m is not None and front_m < WAITING_RANGE_M)
-            or nearest.pedestrian_m < NEAR_M
+            or nearest.person_ahead
         )
         return WorldSample(
             time_s=time_s,
@@ -153,7 +167,7 @@ class Facts:
         x_m, y_m, radius_m = ego.x_m, ego.y_m, self._ego_radius_m
         front_m: float | None = None
         half_ego_m = 0.5 * ego.width_m + CORRIDOR_MARGIN_M
-        bumper_m = station_m + 0.5 * ego.length_m
+        still_ahead_m = station_m + 0.5 * ego.length_m - SUNK_IN_M - SUNK_IN_S * abs(ego.speed_mps)
         for vehicle, body in self._vehicles:
             dx, dy = vehicle.x_m - x_m, vehicle.y_m - y_m
             if not -56.0 < dx < 56.0 or not -56.0 < dy < 56.0:
@@ -168,7 +182,7 @@ class Facts:
                 half_width_m = 0.5 * vehicle.width_m
                 across_m = half_width_m * cos_turn + half_length_m * sin_turn
                 along_m = half_length_m * cos_turn + half_width_m * sin_turn
-                ahead = at_m - along_m > bumper_m - 0.3 and abs(off_m - offset_m) < across_m + half_ego_m
+                ahead = at_m - along_m > still_ahead_m and abs(off_m - offset_m) < across_m + half_ego_m
             if not ahead and bound_m >= nearest.gap_m:
                 continue
             self._engine.move(body, vehicle.x_m, vehicle.y_m, vehicle.yaw_rad, vehicle.size.height_m)
@@ -186,11 +200,16 @@ class Facts:
         return -(found.normal_x * math.cos(yaw_rad) + found.normal_y * math.sin(yaw_rad)) > AHEAD_COS
 
     def _walkers_around(self, nearest: _Nearest) -> None:
-        x_m, y_m, radius_m = self._world.ego.x_m, self._world.ego.y_m, self._ego_radius_m
+        ego = self._world.ego
+        x_m, y_m, radius_m = ego.x_m, ego.y_m, self._ego_radius_m
+        cos_yaw, sin_yaw = math.cos(ego.yaw_rad), math.sin(ego.yaw_rad)
+        reach_m = 0.5 * ego.length_m + WAITING_RANGE_M
         for walker, body in self._walkers:
             dx, dy = walker.x_m - x_m, walker.y_m - y_m
-            if not -11.0 < dx < 11.0 or not -11.0 < dy < 11.0:
+            if not -15.0 < dx < 15.0 or not -15.0 < dy < 15.0:
                 continue
+            if 0.0 < dx * cos_yaw + dy * sin_yaw < reach_m:
+                nearest.person_ahead |= abs(dy * cos_yaw - dx * sin_yaw) < WAITING_ASIDE_M
             bound_m = math.sqrt(dx * dx + dy * dy) - radius_m - 0.4
             if bound_m < nearest.pedestrian_m:
                 self._engine.move(body, walker.x_m, walker.y_m, walker.yaw_rad, WALKER_HEIGHT_M)
@@ -219,10 +238,10 @@ class Facts:
             other_y = mover.speed_mps * math.sin(mover.yaw_rad)
             nearest.gap_m = max(gap_m, 0.0)
             nearest.closing_mps = (other_x - ego_x) * normal_x + (other_y - ego_y) * normal_y
-            if gap_m <= 0.0 and -(ego_x * normal_x + ego_y * normal_y) > CREEPING_MPS:
-                nearest.collision = Collision(
-                    kind=kind, counterpart=mover.name, impact_speed_mps=max(nearest.closing_mps, 0.0)
-                )
+            if gap_m <= 0.0 and abs(ego.speed_mps) > CREEPING_MPS:
+                # The way out of an overlap may lead sideways though the ego came from behind: so not by the normal.
+                impact_mps = math.hypot(other_x - ego_x, other_y - ego_y)
+                nearest.collision = Collision(kind=kind, counterpart=mover.name, impact_speed_mps=impact_mps)
         return found
 
     def _fixtures_around(self, nearest: _Nearest) -> None:
@@ -246,13 +265,12 @@ class Facts:
             clear_m = min(clear_m, gap_m)
             if gap_m < nearest.gap_m:
                 nearest.gap_m = max(gap_m, 0.0)
-                closing = -ego.speed_mps * (
+                nearest.closing_mps = -ego.speed_mps * (
                     math.cos(ego.yaw_rad) * normal_x + math.sin(ego.yaw_rad) * normal_y
                 )
-                nearest.closing_mps = closing
-                if gap_m <= 0.0 and closing > CREEPING_MPS:
+                if gap_m <= 0.0 and abs(ego.speed_mps) > CREEPING_MPS:
                     nearest.collision = Collision(
-                        kind=still.kind, counterpart=still.name, impact_speed_mps=closing
+                        kind=still.kind, counterpart=still.name, impact_speed_mps=abs(ego.speed_mps)
                     )
         self._still_clear_m = clear_m
 
@@ -267,10 +285,14 @@ class Facts:
         return None, None
 
     def _in_the_way(self, station_m: float) -> bool:
-        road = self._world.road
-        if abs(station_m - road.crossing_m) < CROSSING_REACH_M + 2.0:
+        world = self._world
+        on_road = station_m < world.leaves_road_m  # a side street's stations are not those of the road
+        if on_road and abs(station_m - world.road.crossing_m) < CROSSING_REACH_M + 2.0:
             return True
-        return any(abs(station_m - junction.forward_m) < JUNCTION_REACH_M for junction in road.junctions)
+        ego = world.ego
+        return any(
+            math.hypot(ego.x_m - x_m, ego.y_m - y_m) < JUNCTION_REACH_M for x_m, y_m in self._junctions
+        )
 
 
 def _box(length_m: float, width_m: float, height_m: float, x_m: float, y_m: float, yaw_rad: float) -> Box:

@@ -61,6 +61,7 @@ class Recorder:
         self._robustness: dict[str, list[float]] = {name: [] for name in requirements}
         self._least: dict[str, float] = dict.fromkeys(requirements, math.inf)
         self._events: list[Event] = []
+        self._shown: tuple[Sequence[Box], Sequence[Box]] = ((), ())
         self._mode: PlanMode | None = None
 
     def sample(
@@ -68,6 +69,7 @@ class Recorder:
     ) -> None:
         """Record a perception step, after the driving system has decided."""
         ego = self._world.ego
+        self._shown = seen, given
         self._close_sample()
         self._times.append(time_s)
         self._ego.append((ego.x_m, ego.y_m, ego.yaw_rad, ego.speed_mps, ego.accel_mps2))
@@ -100,6 +102,10 @@ class Recorder:
         self._offsets.append(plan.target_offset_m)
         self._lights.append(light)
 
+    def end(self, time_s: float, driving: DrivingSystem, light: str) -> None:
+        """Record the end of the episode, with what was last seen and given."""
+        self.sample(time_s, driving, *self._shown, light)
+
     def judge(self, requirement: str, robustness: float) -> None:
         """Record a requirement's robustness at a control step; a sample keeps the least since the last one."""
         if robustness < self._least[requirement]:
@@ -108,7 +114,9 @@ class Recorder:
     def _close_sample(self) -> None:
         if len(self._times) > len(next(iter(self._robustness.values()), self._times)):
             for name, series in self._robustness.items():
-                series.append(self._least[name])
+                least = self._least[name]
+                # Nothing is judged after the end: it stands as it stood.
+                series.append(series[-1] if series and math.isinf(least) else least)
                 self._least[name] = math.inf
 
     def event(self, time_s: float, kind: str, text: str) -> None:

@@ -46,15 +46,15 @@ class Sensing:
         self._camera = camera
         self._station_m = 0.0
         weather = world.weather
-        errors = generator(seed, Stream.LOCALISATION).normal(size=(perception_steps + 1, 3))
+        errors = generator(seed, Stream.LOCALISATION).normal(size=(perception_steps + 2, 3))
         keep = math.exp(-step_s / DRIFT_S)
         self._keep = keep
         self._fresh = weather.position_noise_m * math.sqrt(1.0 - keep * keep)
         self._errors: list[list[float]] = errors.tolist()
         self._along_bias_m = weather.position_bias_m * self._errors[-1][0]
         self._side_bias_m = weather.position_bias_m * self._errors[-1][1]
-        self._along_m = weather.position_noise_m * self._errors[0][0]
-        self._side_m = weather.position_noise_m * self._errors[0][1]
+        self._along_m = weather.position_noise_m * self._errors[-2][0]
+        self._side_m = weather.position_noise_m * self._errors[-2][1]
         self._yaw_rad = 0.0
         chances = generator(seed, Stream.LIGHT_DETECTION).random(size=perception_steps)
         self._light_chances: list[float] = chances.tolist()

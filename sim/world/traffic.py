@@ -202,7 +202,7 @@ class _Makers:
         rng = generator(self.seed, Stream.VEHICLE, 140)
         lane = self.road.forward
         at_m = 0.62 * self.road.length_m
-        manner = self._manner(4, share=0.7)
+        manner = self._manner(6, share=0.7)
         return Vehicle(
             name="pulling-out",
             size=CAR,

@@ -8,7 +8,6 @@ from search.algorithms.random_search import RandomSearch
 from search.archive import Archive
 from search.boundary import dbs_grid, distinct_boundary
 from search.problems import mtq, onemax
-from search.space import SearchSpace
 from search.testing import play
 
 
@@ -60,10 +59,13 @@ def test_mlcshe_finds_the_circle_that_bounds_the_safe_disc() -> None:
 
 def test_mlcshe_finds_boundary_solutions_of_onemax_that_random_search_does_not() -> None:
     found = {}
-    space: SearchSpace = onemax.SPACE
     for algorithm in (Mlcshe(), RandomSearch()):
         config = algorithm.config_type(radius=onemax.RADIUS)
-        run = play(algorithm, space, config, lambda c: onemax.evaluate(c.vectors), seed=1, budget=1300)
-        found[algorithm.id] = int(dbs_grid(run.archive, (0.20,), (0.1,)).dbs[0, 0])
-    assert found["mlcshe@1"] >= 50
-    assert found["random@1"] == 0
+        archive = play(
+            algorithm, onemax.SPACE, config, lambda c: onemax.evaluate(c.vectors), seed=4, budget=5000
+        ).archive
+        found[algorithm.id] = archive.vectors[distinct_boundary(archive, 0.10, 0.1, strict=True)]
+    assert len(found["random@1"]) == 0
+    assert len(found["mlcshe@1"]) >= 5
+    # Unsafe are fewer than five bits; a neighbour differs in at most two.
+    assert set(found["mlcshe@1"].sum(axis=1)) <= {5.0, 6.0}

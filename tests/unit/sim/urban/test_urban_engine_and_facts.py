@@ -1,6 +1,7 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -176,6 +177,72 @@ def test_somebody_who_walks_into_a_standing_ego_is_not_its_collision(
     sample = facts.measure(0.05)
     assert sample.collision is not None
     assert sample.collision.kind is CollisionKind.PEDESTRIAN
+
+
+@pytest.mark.parametrize("overlap_m", [0.02, 0.1, 0.3, 0.9])
+@pytest.mark.parametrize("phase_m", [0.0, 0.1, 0.2, 0.3, 0.39])
+def test_whoever_a_moving_ego_touches_it_has_hit(
+    world: UrbanWorld, engine: Engine, overlap_m: float, phase_m: float
+) -> None:
+    """A person at the corner, one who walks into the flank, a car that comes from the side, a parked corner."""
+    ego, person, car = world.ego, world.walkers[0], world.vehicles[0]
+    facts = Facts(world, engine)
+    ego.speed_mps = 8.0
+    at_corner = (
+        ego.x_m + 0.5 * ego.length_m + 0.225 - phase_m,
+        ego.y_m + 0.5 * ego.width_m + 0.275 - overlap_m,
+    )
+    person.x_m, person.y_m, person.yaw_rad, person.phase = *at_corner, 0.0, Phase.CROSSING
+    hit = facts.measure(0.0).collision
+    assert (hit is not None) == (phase_m > 0.0)
+    person.x_m, person.y_m, person.speed_mps = ego.x_m, ego.y_m + 0.5 * ego.width_m + 0.2, 1.4
+    hit = facts.measure(0.05).collision
+    assert hit is not None
+    assert hit.kind is CollisionKind.PEDESTRIAN
+    person.x_m += 500.0
+    car.yaw_rad, car.speed_mps = -0.5 * math.pi, 8.0
+    car.x_m, car.y_m = ego.x_m + phase_m, ego.y_m + 0.5 * ego.width_m + 0.5 * car.length_m - overlap_m
+    hit = facts.measure(0.1).collision
+    assert hit is not None
+    assert hit.impact_speed_mps == pytest.approx(8.0 * math.sqrt(2.0), abs=0.01)
+
+
+@pytest.mark.parametrize("sunk_m", [0.05, 0.2, 0.31, 0.39])
+def test_a_vehicle_that_was_run_into_is_still_ahead(world: UrbanWorld, engine: Engine, sunk_m: float) -> None:
+    ego, lead = world.ego, world.vehicles[0]
+    facts = Facts(world, engine)
+    ego.speed_mps, lead.speed_mps = 8.0, 0.0
+    lead.x_m, lead.y_m = ego.x_m + 0.5 * (ego.length_m + lead.length_m) - sunk_m, ego.y_m
+    lead.yaw_rad = 0.0
+    sample = facts.measure(0.0)
+    assert sample.collision is not None
+    assert sample.front_gap_m == 0.0
+
+
+def test_only_a_person_in_the_way_is_a_reason_to_wait(world: UrbanWorld, engine: Engine) -> None:
+    ego, person = world.ego, world.walkers[0]
+    facts = Facts(world, engine)
+    for ahead_m, aside_m, waits in (
+        (6.0, 1.0, True),
+        (-5.0, 1.0, False),
+        (6.0, 4.0, False),
+        (25.0, 0.0, False),
+    ):
+        person.x_m, person.y_m = ego.x_m + ahead_m, ego.y_m + aside_m
+        assert facts.measure(0.0).may_wait is waits
+
+
+def test_the_side_street_is_no_junction(engine: Engine) -> None:
+    turning = replace(SCENARIO, driving_task=DrivingTask.FIRST_EXIT, pedestrians=0)
+    world = make_world(turning, seed=1)
+    facts = Facts(world, engine)
+    ego, in_the_way = world.ego, []
+    stations_m = np.arange(world.leaves_road_m, world.route.length_m - 5.0, 1.0)
+    for station_m in stations_m:
+        ego.x_m, ego.y_m, ego.yaw_rad = world.route.pose_at(float(station_m))
+        in_the_way.append(facts.measure(0.0).in_conflict_area)
+    assert any(in_the_way[:10])
+    assert not any(in_the_way[15:])
 
 
 def test_leaving_the_road_ends_at_an_object(world: UrbanWorld, engine: Engine) -> None:

@@ -1,4 +1,5 @@
 import hashlib
+import math
 import subprocess
 import sys
 from dataclasses import replace
@@ -118,7 +119,7 @@ def test_a_trace_is_complete_and_agrees_with_the_verdicts(simulator: BrinkDrive)
     assert result.trace is not None
     trace = Trace.from_bytes(result.trace)
     count = len(trace.time_s)
-    assert count == 120 or result.features["ended"] != "time"
+    assert count == 121 or result.features["ended"] != "time"  # 120 perception steps, and the end
     assert np.allclose(np.diff(trace.time_s), 0.1, atol=1e-5)
     assert trace.ego.shape == (count, 5)
     assert all(actor.motion.shape == (count, 4) for actor in trace.actors)
@@ -132,6 +133,28 @@ def test_a_trace_is_complete_and_agrees_with_the_verdicts(simulator: BrinkDrive)
         series = trace.robustness[name]
         assert series.shape == (count,)
         assert float(series.min()) == pytest.approx(verdict.robustness, abs=1e-4)
+
+
+def test_the_last_picture_of_a_collision_shows_the_contact(simulator: BrinkDrive) -> None:
+    collisions = 0
+    for seed in range(60):
+        spec = draw(np.random.default_rng(seed)).spec(seed, ("no-collision@1",))
+        if simulator.run(spec).features["ended"] != "collision":
+            continue
+        result = simulator.run(spec, record=True)
+        assert result.trace is not None
+        trace = Trace.from_bytes(result.trace)
+        (hit,) = [event for event in trace.events if event.kind == "collision"]
+        assert trace.time_s[-1] == pytest.approx(hit.time_s, abs=1e-4)
+        assert np.isfinite(trace.robustness["no-collision@1"]).all()
+        named = [actor for actor in trace.actors if f" {actor.name} " in hit.text]
+        for actor in named:
+            away_m = math.dist(actor.motion[-1][:2], trace.ego[-1][:2])
+            assert away_m <= 0.5 * (math.hypot(*trace.ego_size_m) + math.hypot(actor.length_m, actor.width_m))
+        collisions += bool(named)
+        if collisions == 3:
+            return
+    pytest.fail("too few collisions with somebody to look at")
 
 
 def test_injected_boxes_are_what_the_driving_system_gets_and_truth_is_what_the_camera_sees(

@@ -148,3 +148,17 @@ def test_other_vehicles_do_not_drive_through_each_other() -> None:
             for a, b in itertools.combinations(world.vehicles, 2):
                 if (a.x_m - b.x_m) ** 2 + (a.y_m - b.y_m) ** 2 < 1.6**2:
                     pytest.fail(f"{curve} {seed}: {a.name} and {b.name} at {step * STEP_S} s")
+
+
+@pytest.mark.parametrize("curve", list(RoadCurve))
+@pytest.mark.parametrize("road_id", [0, 1, 2])
+def test_every_vehicle_has_a_temper_of_its_own(curve: RoadCurve, road_id: int) -> None:
+    scenario = UrbanScenario(
+        time_of_day=TimeOfDay.NOON, weather=Weather.CLEAR, pedestrians=0, road_curve=curve, road_id=road_id,
+        road_length=1, driving_task=DrivingTask.FIRST_EXIT,
+    )  # fmt: skip
+    for seed in range(3):
+        vehicles = make_world(scenario, seed).vehicles
+        shares = {"joining": 0.8, "pulling-out": 0.7, "local": 0.55}
+        tempers = [vehicle.manner.speed_mps / shares.get(vehicle.name, 1.0) for vehicle in vehicles]
+        assert len({round(temper, 9) for temper in tempers}) == len(vehicles)
