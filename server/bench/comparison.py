@@ -1,7 +1,6 @@
 """DBS and strict DBS of campaigns side by side, each with its control.
 
 A control has verdicts that ignore behaviour (`search.control`), so what it reaches is owed to scenarios and chance.
-Two forms: the same solutions judged anew, and a whole search of its own among such verdicts.
 """
 
 from collections.abc import Sequence
@@ -12,10 +11,14 @@ from numpy.typing import NDArray
 
 from search.archive import Archive
 from search.boundary import PAPER_D_THS, PAPER_T_BS, DbsGrid, dbs_grid
-from search.control import BlindProblem, ScenarioRisk, blind_archive
+from search.control import ScenarioRisk, blind_archive
 from server.campaigns.body import CampaignBody
 from server.campaigns.plan import Plan
 
+SCENARIO = "scenario"
+"""Name of the component whose effect a control keeps."""
+ENOUGH_REPEATS = 3.0
+"""Evaluations a scenario from which on a control can be believed."""
 DRAWS = 5
 """Controls a campaign: their figures are means."""
 
@@ -48,46 +51,24 @@ class Row:
 
 
 def compare(campaigns: Sequence[ComparedCampaign], *, control: bool = True) -> list[Row]:
-    """Return a row for each campaign, and two for its controls."""
+    """Return a row for each campaign, and one for its control if its space has a scenario.
+
+    What an algorithm simulated beyond its budget, to end a generation, is not counted.
+    """
     rows = []
     for campaign in campaigns:
-        rows.append(_row(campaign.label, [campaign.archive]))
-        if control and len(campaign.archive) and len(campaign.plan.problem.space.components) > 1:
-            rows.append(_row(f"{campaign.label}, control: same solutions", same_solutions(campaign)))
-            rows.append(_row(f"{campaign.label}, control: own search", own_search(campaign)))
+        archive = campaign.archive
+        within = archive.first(int(np.searchsorted(archive.numbers, campaign.body.budget.simulations)))
+        rows.append(_row(campaign.label, [within]))
+        names = [component.name for component in campaign.plan.problem.space.components]
+        if control and len(within) and SCENARIO in names and len(names) > 1:
+            risk = ScenarioRisk.fitted(within, campaign.plan.problem.space, scenario=names.index(SCENARIO))
+            label = f"{campaign.label}, control"
+            if risk.repeats < ENOUGH_REPEATS:
+                label += f" (reads low: {risk.repeats:.1f} behaviours a scenario)"
+            blind = [blind_archive(within, risk, seed=campaign.body.seed, draw=draw) for draw in range(DRAWS)]
+            rows.append(_row(label, blind))
     return rows
-
-
-def same_solutions(campaign: ComparedCampaign, draws: int = DRAWS) -> list[Archive]:
-    """Return the campaign's solutions with verdicts that ignore behaviour."""
-    risk = _risk(campaign)
-    return [
-        blind_archive(campaign.archive, risk, seed=campaign.body.seed, draw=draw) for draw in range(draws)
-    ]
-
-
-def own_search(campaign: ComparedCampaign, draws: int = DRAWS) -> list[Archive]:
-    """Return archives of the campaign's algorithm, run anew among verdicts that ignore behaviour."""
-    risk = _risk(campaign)
-    plan = campaign.plan
-    archives = []
-    for draw in range(draws):
-        problem = BlindProblem(space=plan.problem.space, risk=risk, seed=campaign.body.seed, draw=draw)
-        state = plan.algorithm.start(
-            plan.problem.space,
-            plan.config,
-            seed=campaign.body.seed + draw,
-            budget=campaign.body.budget.simulations,
-        )
-        while not plan.algorithm.finished(state):
-            state, candidates = plan.algorithm.ask(state)
-            state = plan.algorithm.tell(state, {c.number: problem.evaluate(c) for c in candidates})
-        archives.append(state.archive)
-    return archives
-
-
-def _risk(campaign: ComparedCampaign) -> ScenarioRisk:
-    return ScenarioRisk.fitted(campaign.archive, campaign.plan.problem.space)
 
 
 def _row(label: str, archives: Sequence[Archive]) -> Row:

@@ -2,9 +2,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from search.algorithm import Candidate
 from search.archive import Archive, Neighbourhood
-from search.control import BlindProblem, ScenarioRisk, blind_archive
+from search.control import ScenarioRisk, blind_archive
 from search.space import Categorical, Component, Real, SearchSpace
 
 SPACE = SearchSpace(
@@ -87,16 +86,10 @@ def test_equal_seeds_and_draws_give_equal_controls() -> None:
     assert np.array_equal(first.vectors, archive.vectors)
 
 
-def test_blind_problem_gives_the_verdicts_of_the_blind_archive() -> None:
-    archive = archive_of(np.random.default_rng(2).random(len(ROWS)) < 0.4)
-    risk = ScenarioRisk.fitted(archive, SPACE)
-    blind = blind_archive(archive, risk, seed=9, draw=2)
-    problem = BlindProblem(space=SPACE, risk=risk, seed=9, draw=2)
-    for number in range(0, 1500, 100):
-        candidate = Candidate(number=number, vectors=SPACE.split(archive.vectors[number]))
-        assert problem.evaluate(candidate).unsafe == blind.unsafe[number]
-        moved = Candidate(number=number, vectors=(candidate.vectors[0], np.array([0.123, 0.456])))
-        assert problem.evaluate(moved) == problem.evaluate(candidate)
+def test_repeats_are_evaluations_a_scenario() -> None:
+    risk = ScenarioRisk.fitted(archive_of(ROWS[:, 4] < 0.5), SPACE)
+    different = len(np.unique(ROWS[:, SPACE.slices[0]], axis=0))
+    assert risk.repeats == pytest.approx(len(ROWS) / different)
 
 
 def test_nothing_evaluated_has_no_risk() -> None:
