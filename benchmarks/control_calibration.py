@@ -77,7 +77,7 @@ def main() -> None:
                     state = algorithm.tell(state, evaluations)
                 archive = state.archive
                 risk = ScenarioRisk.fitted(archive, problem.space)
-                real = dbs_grid(archive, PAPER_T_BS, (D_TH,)).dbs[:, 0]
+                real = dbs_grid(archive, PAPER_T_BS, (D_TH,)).dbs[:, 0].astype(np.float64)
                 blind = [
                     dbs_grid(blind_archive(archive, risk, seed=seed, draw=i), PAPER_T_BS, (D_TH,)).dbs[:, 0]
                     for i in range(DRAWS)

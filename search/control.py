@@ -4,14 +4,15 @@
 verdicts with that probability, each solution by itself. What can still be found then is owed to scenarios and to
 chance; what the real verdicts give beyond it is owed to behaviour.
 
-`blind_archive` keeps the solutions that a search evaluated and redraws their verdicts. The positions were chosen under
-the real verdicts. A search of its own among blind verdicts was tried and dropped: where behaviour has no effect at all, it
-found a quarter of MLCSHE's figure and twice the GA's.
+`blind_archive` keeps the solutions that a search evaluated and redraws their verdicts. The positions were chosen
+under the real verdicts. A search of its own among blind verdicts was tried and dropped: where behaviour has no effect
+at all, it found a quarter of MLCSHE's figure and twice the GA's.
 
 What it does not say: that behaviour has no effect where the figures agree (DBS counts neighbourhoods, and can miss a
 dependence that is real), nor how large the effect on any one solution is. It takes scenarios that were evaluated
 several times: of one that was evaluated once, most of the estimate comes from similar ones, which flattens the
-landscape, and the control reads far too low. `ScenarioRisk.repeats` tells; `benchmarks/control_calibration.py` measures.
+landscape, and the control reads far too low. `ScenarioRisk.repeats` tells, and `benchmarks/control_calibration.py`
+measures it.
 """
 
 from dataclasses import dataclass
