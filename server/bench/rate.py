@@ -81,8 +81,7 @@ def measure_service(workers: int, algorithm: str, *, episodes: int = 240, repeat
         episodes: Simulations a run.
         repeats: Runs of each kind.
     """
-    services: list[_Run] = []
-    bares: list[tuple[float, float]] = []
+    runs: list[tuple[int, _Run, float, float]] = []
     with (
         tempfile.TemporaryDirectory(prefix="brink-bench-") as folder,
         _bare_pool(workers) as pool,
@@ -92,20 +91,18 @@ def measure_service(workers: int, algorithm: str, *, episodes: int = 240, repeat
         for repeat in range(repeats):
             body = _body(algorithm, episodes, seed=100 + repeat)
             run, specs = asyncio.run(_campaign(url, processes, body))
-            services.append(run)
-            bares.append(_run_bare(pool, specs))
-            count = len(specs)
+            runs.append((len(specs), run, *_run_bare(pool, specs)))
     return ServiceRate(
         workers=workers,
         algorithm=algorithm,
-        episodes=count,
-        service_per_s=statistics.median(count / run.seconds for run in services),
-        bare_per_s=statistics.median(count / seconds for seconds, _ in bares),
-        share=statistics.median(bare[0] / run.seconds for run, bare in zip(services, bares, strict=True)),
-        coordinator_ms=1e3 * statistics.median(run.coordinator_s for run in services) / count,
-        worker_ms=1e3 * statistics.median(run.worker_s for run in services) / count,
-        episode_ms=1e3 * statistics.median(run.episode_s for run in services) / count,
-        bare_ms=1e3 * statistics.median(cpu for _, cpu in bares) / count,
+        episodes=round(statistics.median(count for count, *_ in runs)),
+        service_per_s=statistics.median(count / run.seconds for count, run, _, _ in runs),
+        bare_per_s=statistics.median(count / seconds for count, _, seconds, _ in runs),
+        share=statistics.median(seconds / run.seconds for _, run, seconds, _ in runs),
+        coordinator_ms=1e3 * statistics.median(run.coordinator_s / count for count, run, _, _ in runs),
+        worker_ms=1e3 * statistics.median(run.worker_s / count for count, run, _, _ in runs),
+        episode_ms=1e3 * statistics.median(run.episode_s / count for count, run, _, _ in runs),
+        bare_ms=1e3 * statistics.median(cpu / count for count, _, _, cpu in runs),
     )
 
 
@@ -168,8 +165,12 @@ async def _campaign(
 
 
 async def _specs(api: Api, campaign: str) -> list[dict[str, Any]]:
-    page = await api.get(f"/campaigns/{campaign}/solutions", {"limit": 1000})
-    numbers = [solution["number"] for solution in page["solutions"]]
+    numbers: list[int] = []
+    after: int | None = -1
+    while after is not None:
+        page = await api.get(f"/campaigns/{campaign}/solutions", {"limit": 1000, "after": after})
+        numbers += [solution["number"] for solution in page["solutions"]]
+        after = page["next"]
     return [(await api.get(f"/campaigns/{campaign}/solutions/{number}"))["spec"] for number in numbers]
 
 
