@@ -154,6 +154,7 @@ def upgrade() -> None:
         sa.Column("lease_token", sa.String(length=64), nullable=True),
         sa.Column("lease_worker", sa.String(length=64), nullable=True),
         sa.Column("lease_expires_at", server.db.types.UtcDateTime(timezone=True), nullable=True),
+        sa.Column("failed_worker", sa.String(length=64), nullable=True),
         sa.Column("result", sa.Text(), nullable=True),
         sa.Column("last_error", sa.Text(), nullable=True),
         sa.Column("created_at", server.db.types.UtcDateTime(timezone=True), nullable=False),

@@ -235,6 +235,7 @@ class JobRow(Base):
     lease_token: Mapped[str | None] = mapped_column(String(64))
     lease_worker: Mapped[str | None] = mapped_column(String(64))
     lease_expires_at: Mapped[datetime | None]
+    failed_worker: Mapped[str | None] = mapped_column(String(64))
     result: Mapped[str | None] = mapped_column(Text)
     last_error: Mapped[str | None] = mapped_column(Text)
     created_at: Mapped[datetime]

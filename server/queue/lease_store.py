@@ -70,6 +70,11 @@ _RETRY = (
     .where(
         *_ELIGIBLE,
         JobRow.attempt > 0,
+        or_(
+            JobRow.failed_worker.is_(None),
+            JobRow.failed_worker != bindparam("worker"),
+            JobRow.needs.not_in(bindparam("elsewhere", expanding=True)),
+        ),
         or_(JobRow.kind == JobKind.TRACE, CampaignRow.status == CampaignStatus.RUNNING),
     )
     .order_by(CampaignRow.priority.desc(), JobRow.not_before, JobRow.id)
@@ -120,7 +125,8 @@ def lease(
     Traces come first: somebody is waiting for a picture. Episodes are taken from the running campaigns by priority,
     then in turn. The closer the queue is to its end, the smaller the grant, so that a generation's last jobs spread
     over all workers. A job that was tried before is granted alone, to a worker that holds nothing else: if it kills
-    its worker, nobody is buried with it.
+    its worker, nobody is buried with it. It is not granted to the worker that failed it last as long as another one
+    can run it: the fault may be the worker's.
     """
     now = database_now(connection)
     held, holds_retry = _holdings(connection, worker)
@@ -130,7 +136,7 @@ def lease(
     limit = min(max_jobs, _fair_share(waiting.jobs, terms.live_workers))
     rows = _pick_fresh(connection, capabilities, limit, now, traces=waiting.traces)
     if not rows and not held:
-        rows = _pick_retry(connection, capabilities, now)
+        rows = _pick_retry(connection, worker, capabilities, now, terms.elsewhere)
     return _grant(connection, rows, worker, now, terms.lease_s)
 
 
@@ -211,8 +217,11 @@ def _pick_fresh(
     return _without_twins(rows)
 
 
-def _pick_retry(connection: Connection, capabilities: Sequence[str], now: datetime) -> list[JobRecord]:
-    return _locked_rows(connection, _RETRY, {"capabilities": list(capabilities), "now": now})
+def _pick_retry(
+    connection: Connection, worker: str, capabilities: Sequence[str], now: datetime, elsewhere: Iterable[str]
+) -> list[JobRecord]:
+    known = {"worker": worker, "capabilities": list(capabilities), "now": now, "elsewhere": list(elsewhere)}
+    return _locked_rows(connection, _RETRY, known)
 
 
 def _locked_rows(

@@ -21,7 +21,7 @@ MAX_BACKOFF_S = 300.0
 # Built once: making a statement costs more than running it.
 _REPORTED = select(
     JobRow.id, JobRow.campaign_id, JobRow.kind, JobRow.status, JobRow.lease_token,
-    JobRow.attempt, JobRow.max_attempts, JobRow.spec_hash, JobRow.cache,
+    JobRow.lease_worker, JobRow.attempt, JobRow.max_attempts, JobRow.spec_hash, JobRow.cache,
 ).where(JobRow.id.in_(bindparam("jobs", expanding=True)))  # fmt: skip
 _FINISH = (
     update(JobRow)
@@ -187,6 +187,7 @@ def _fail(
         values.append(
             {
                 "failed": row.id,
+                "by": row.lease_worker,
                 "next_status": JobStatus.QUEUED if retry else JobStatus.QUARANTINED,
                 "wait_until": now + timedelta(seconds=wait_s) if retry else None,
                 "error": outcome.error[-MAX_ERROR_CHARACTERS:],
@@ -199,6 +200,7 @@ def _fail(
         .values(
             status=bindparam("next_status"),
             not_before=bindparam("wait_until"),
+            failed_worker=bindparam("by"),
             last_error=bindparam("error"),
             finished_at=bindparam("ended"),
             lease_expires_at=None,  # the token stays, so that the same report sent again is known

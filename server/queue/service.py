@@ -7,6 +7,7 @@ wakes waiting workers, whoever finishes a generation has its campaign advanced.
 import asyncio
 import base64
 import binascii
+import itertools
 import logging
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -75,14 +76,16 @@ class QueueService:
         """Let the step that is running end, and take no more."""
         self._steps.shutdown(wait=True, cancel_futures=True)
 
-    def terms(self) -> LeaseTerms:
-        """Return how leases are granted now."""
+    def terms(self, worker: str | None = None) -> LeaseTerms:
+        """Return how leases are granted now, to a worker if one is named."""
         horizon = self.clock() - self.settings.worker_seen_s
-        live = sum(seen.at >= horizon for seen in self._seen.values())
+        live = {name: seen.capabilities for name, seen in self._seen.items() if seen.at >= horizon}
+        others = (capabilities for name, capabilities in live.items() if name != worker)
         return LeaseTerms(
             lease_s=self.settings.lease_s,
             retry_backoff_s=self.settings.retry_backoff_s,
-            live_workers=max(1, live),
+            live_workers=max(1, len(live)),
+            elsewhere=frozenset(itertools.chain.from_iterable(others)),
         )
 
     async def lease(self, request: LeaseRequest, gone: asyncio.Event) -> LeaseReply:
@@ -116,10 +119,10 @@ class QueueService:
             _outcome(index, item.job, item.token, item.outcome) for index, item in enumerate(request.results)
         ]
         note = self._heard_of(request.worker, None, outcomes)
-        terms = self.terms()
         wanted = request.lease
         if wanted is not None:
             self._heard_of(wanted.worker, wanted.capabilities)
+        terms = self.terms(wanted.worker.id if wanted is not None else None)
 
         def unit(connection: Connection) -> tuple[Report, int, list[LeasedJob]]:
             note(connection)
@@ -195,7 +198,7 @@ class QueueService:
 
     async def _lease_now(self, request: LeaseRequest) -> list[LeasedJob]:
         note = self._heard_of(request.worker, request.capabilities)
-        terms = self.terms()
+        terms = self.terms(request.worker.id)
 
         def unit(connection: Connection) -> list[LeasedJob]:
             note(connection)

@@ -17,11 +17,13 @@ class LeaseTerms:
         lease_s: How long a lease holds.
         retry_backoff_s: Wait before the first retry; doubles each time.
         live_workers: Workers that share the queue now, at least 1.
+        elsewhere: What live workers other than the one that asks can run.
     """
 
     lease_s: float
     retry_backoff_s: float
     live_workers: int
+    elsewhere: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,12 +1,14 @@
 """Episodes that kill, hang or starve their process: retried, put into quarantine, and shown."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
-from support.api import ball
+import httpx
+from support.api import ball, eventually
 from support.databases import Databases
-from support.processes import TOY, brink, site
+from support.processes import TOY, Program, Site, brink, site
 from support.reference import undisturbed_digest
 
 QUICK = {**TOY, "BRINK_RETRY_BACKOFF_S": "0.05", "BRINK_SWEEP_S": "0.1"}
@@ -28,9 +30,20 @@ def campaign(fault: str, **params: Any) -> dict[str, Any]:
     )
 
 
+def seen_workers(running: Site) -> int:
+    return len(httpx.get(f"{running.url}/api/v1/workers").json())
+
+
+def failed_attempts(worker: Program) -> dict[int, int]:
+    """Return which attempt at which job a worker says it saw fail."""
+    told = re.findall(r"job failed: .* job=(\d+) attempt=(\d+)", worker.output)
+    return {int(job): int(attempt) for job, attempt in told}
+
+
 def test_guilty_jobs_are_retried_quarantined_and_shown(databases: Databases, tmp_path: Path) -> None:
     with databases.database() as url, site(tmp_path, url, QUICK) as running:
         running.start_workers(2)
+        eventually(lambda: seen_workers(running) == 2, "both workers asked for jobs")
         submitted = {
             fault: running.submit(campaign(fault, timeout_s=0.5 if fault == "hang" else 20.0))
             for fault in WORDS
@@ -39,10 +52,12 @@ def test_guilty_jobs_are_retried_quarantined_and_shown(databases: Databases, tmp
             done = running.await_end(campaign_id)
             assert done["status"] == "finished", (fault, done["status_reason"])
         assert [worker.process.poll() for worker in running.workers] == [None, None]
+        attempts = [failed_attempts(worker) for worker in running.workers]
         said = {
             fault: brink("status", campaign_id, "--database", url, "--json", cwd=tmp_path)
             for fault, campaign_id in submitted.items()
         }
+    guilty_jobs = set[int]()
     for fault, (reason, words) in WORDS.items():
         assert said[fault].returncode == 0, said[fault].stderr
         document = json.loads(said[fault].stdout)
@@ -54,6 +69,9 @@ def test_guilty_jobs_are_retried_quarantined_and_shown(databases: Databases, tmp
             assert job["attempt"] == 2
             assert job["last_error"].startswith(f"{reason}: ")
             assert words in job["last_error"]
+            guilty_jobs.add(job["id"])
+    for job_id in guilty_jobs:  # once here, once there
+        assert sorted(seen[job_id] for seen in attempts) == [1, 2]
 
 
 def test_a_fault_that_passes_leaves_no_mark(

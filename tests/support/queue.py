@@ -88,9 +88,10 @@ class Queue:
         *,
         live_workers: int = 1,
         lease_s: float = 60.0,
+        elsewhere: Sequence[str] = (),
     ) -> list[LeasedJob]:
         """Lease jobs."""
-        terms = replace(TERMS, live_workers=live_workers, lease_s=lease_s)
+        terms = replace(TERMS, live_workers=live_workers, lease_s=lease_s, elsewhere=frozenset(elsewhere))
         return self.run(lambda c: lease_store.lease(c, worker, capabilities, max_jobs, terms))
 
     def lease_all(self, worker: str = "w1") -> list[LeasedJob]:

@@ -4,6 +4,7 @@ import itertools
 from datetime import timedelta
 
 import pytest
+from support.problems import SIMULATOR
 from support.queue import Queue
 
 from server.db.clock import database_now
@@ -186,6 +187,42 @@ def test_fresh_jobs_go_before_those_that_were_tried_before(queue: Queue) -> None
     queue.campaign(2)
     granted = queue.lease("w2", max_jobs=8)
     assert tried.job not in [job.job for job in granted]
+
+
+@pytest.mark.parametrize("lost", ["failed", "ran out"])
+def test_a_job_is_retried_by_another_worker_than_the_one_that_failed_it(queue: Queue, lost: str) -> None:
+    queue.campaign(1)
+    (job,) = queue.lease("w1")
+    if lost == "failed":
+        queue.fail(job)
+    else:
+        queue.run_out(job)
+    queue.end_backoffs()
+    assert queue.lease("w1", elsewhere=[SIMULATOR]) == []
+    (again,) = queue.lease("w2", elsewhere=[SIMULATOR])
+    queue.fail(again)
+    queue.end_backoffs()
+    assert queue.lease("w2", elsewhere=[SIMULATOR]) == []
+    assert [third.attempt for third in queue.lease("w1", elsewhere=[SIMULATOR])] == [3]
+
+
+@pytest.mark.parametrize("elsewhere", [(), ("other@1",)])
+def test_a_job_that_nobody_else_can_run_is_retried_by_the_worker_that_failed_it(
+    queue: Queue, elsewhere: tuple[str, ...]
+) -> None:
+    queue.campaign(1)
+    queue.fail(*queue.lease("w1"))
+    queue.end_backoffs()
+    assert [job.attempt for job in queue.lease("w1", elsewhere=elsewhere)] == [2]
+
+
+def test_a_retry_that_is_given_back_still_avoids_the_worker_that_failed_it(queue: Queue) -> None:
+    queue.campaign(1)
+    queue.fail(*queue.lease("w1"))
+    queue.end_backoffs()
+    queue.release(*queue.lease("w2", elsewhere=[SIMULATOR]))
+    assert queue.lease("w1", elsewhere=[SIMULATOR]) == []
+    assert len(queue.lease("w2", elsewhere=[SIMULATOR])) == 1
 
 
 def test_a_released_job_costs_no_attempt(queue: Queue) -> None:
