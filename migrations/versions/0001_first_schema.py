@@ -201,6 +201,13 @@ def upgrade() -> None:
             sqlite_where=sa.text("status = 'queued'"),
             postgresql_where=sa.text("status = 'queued'"),
         )
+        batch_op.create_index(
+            "ix_jobs_retries",
+            ["not_before"],
+            unique=False,
+            sqlite_where=sa.text("status = 'queued' AND attempt > 0"),
+            postgresql_where=sa.text("status = 'queued' AND attempt > 0"),
+        )
         batch_op.create_index("ix_jobs_spec_hash_status", ["spec_hash", "status"], unique=False)
 
     op.create_table(
@@ -246,6 +253,11 @@ def downgrade() -> None:
     op.drop_table("solutions")
     with op.batch_alter_table("jobs", schema=None) as batch_op:
         batch_op.drop_index("ix_jobs_spec_hash_status")
+        batch_op.drop_index(
+            "ix_jobs_retries",
+            sqlite_where=sa.text("status = 'queued' AND attempt > 0"),
+            postgresql_where=sa.text("status = 'queued' AND attempt > 0"),
+        )
         batch_op.drop_index(
             "ix_jobs_queued",
             sqlite_where=sa.text("status = 'queued'"),

@@ -25,10 +25,11 @@ _SOMEBODY_RUNS_IT = exists(
         _TWIN.c.spec_hash == JobRow.spec_hash, _TWIN.c.kind == JobRow.kind, _TWIN.c.status == JobStatus.LEASED
     )
 )
+_DUE = or_(JobRow.not_before.is_(None), JobRow.not_before <= bindparam("now"))
 _ELIGIBLE = (
     JobRow.status == JobStatus.QUEUED,
     JobRow.needs.in_(bindparam("capabilities", expanding=True)),
-    or_(JobRow.not_before.is_(None), JobRow.not_before <= bindparam("now")),
+    _DUE,
     ~(_SOMEBODY_RUNS_IT & JobRow.cache),
 )
 """A worker with these capabilities could run it now, and nobody runs the same simulation already."""
@@ -56,6 +57,9 @@ _WAITING = select(
     exists(select(JobRow.id).where(JobRow.status == JobStatus.QUEUED, JobRow.kind == JobKind.TRACE)).label(
         "traces"
     ),
+    exists(select(JobRow.id).where(JobRow.status == JobStatus.QUEUED, JobRow.attempt > 0, _DUE)).label(
+        "retries"
+    ),
 )
 _FRESH = select(*_GRANTED).where(*_ELIGIBLE, JobRow.attempt == 0)
 _FRESH_TRACES = _FRESH.where(JobRow.kind == JobKind.TRACE).order_by(JobRow.id).limit(bindparam("most"))
@@ -65,7 +69,7 @@ _FRESH_EPISODES = (
     .limit(bindparam("most"))
 )
 _RETRY = (
-    select(*_GRANTED)
+    select(*_GRANTED, CampaignRow.priority)
     .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
     .where(
         *_ELIGIBLE,
@@ -77,7 +81,9 @@ _RETRY = (
         ),
         or_(JobRow.kind == JobKind.TRACE, CampaignRow.status == CampaignStatus.RUNNING),
     )
-    .order_by(CampaignRow.priority.desc(), JobRow.not_before, JobRow.id)
+    .order_by(
+        (JobRow.kind == JobKind.TRACE).desc(), CampaignRow.priority.desc(), JobRow.not_before, JobRow.id
+    )
     .limit(1)
 )
 _CAMPAIGNS_IN_TURN = (
@@ -124,19 +130,32 @@ def lease(
 
     Traces come first: somebody is waiting for a picture. Episodes are taken from the running campaigns by priority,
     then in turn. The closer the queue is to its end, the smaller the grant, so that a generation's last jobs spread
-    over all workers. A job that was tried before is granted alone, to a worker that holds nothing else: if it kills
-    its worker, nobody is buried with it. It is not granted to the worker that failed it last as long as another one
-    can run it: the fault may be the worker's.
+    over all workers.
+
+    A job that was tried before is granted alone, to a worker that holds nothing else: if it kills its worker, nobody
+    is buried with it. It is not granted to the worker that failed it last as long as another one can run it: the
+    fault may be the worker's. Once its backoff is over it goes before fresh jobs of its own priority and of lower
+    ones; and as workers fetch ahead, whoever could take it but still holds jobs gets no fresh ones, so that somebody
+    comes with empty hands soon.
     """
     now = database_now(connection)
     held, holds_retry = _holdings(connection, worker)
     if holds_retry:
         return []
-    waiting = connection.execute(_WAITING, {"enough": terms.live_workers * (max_jobs + 1) * 3 // 2}).one()
-    limit = min(max_jobs, _fair_share(waiting.jobs, terms.live_workers))
-    rows = _pick_fresh(connection, capabilities, limit, now, traces=waiting.traces)
-    if not rows and not held:
-        rows = _pick_retry(connection, worker, capabilities, now, terms.elsewhere)
+    enough = terms.live_workers * (max_jobs + 1) * 3 // 2
+    waiting = connection.execute(_WAITING, {"enough": enough, "now": now}).one()
+    known = {"capabilities": list(capabilities), "now": now}
+    rows: list[JobRecord] = []
+    if waiting.retries:
+        mine = {**known, "worker": worker, "elsewhere": list(terms.elsewhere)}
+        retry = connection.execute(_RETRY, mine).first()
+        if retry is not None and _goes_first(connection, retry, known, traces=waiting.traces):
+            if held:
+                return []
+            rows = _locked_rows(connection, _RETRY, mine)  # none if another coordinator is just granting it
+    if not rows:
+        limit = min(max_jobs, _fair_share(waiting.jobs, terms.live_workers))
+        rows = _pick_fresh(connection, known, limit, traces=waiting.traces)
     return _grant(connection, rows, worker, now, terms.lease_s)
 
 
@@ -202,10 +221,19 @@ def _fair_share(waiting: int, live_workers: int) -> int:
     return max(1, -(-2 * waiting // (3 * live_workers)))
 
 
+def _goes_first(connection: Connection, retry: JobRecord, known: dict[str, Any], *, traces: bool) -> bool:
+    """Return whether a job that was tried before goes before all fresh ones that the worker could have."""
+    if retry.kind == JobKind.TRACE:
+        return True
+    if traces and connection.execute(_FRESH_TRACES, {**known, "most": 1}).first() is not None:
+        return False
+    best = connection.execute(_CAMPAIGNS_IN_TURN, known).first()
+    return best is None or retry.priority >= best.priority
+
+
 def _pick_fresh(
-    connection: Connection, capabilities: Sequence[str], limit: int, now: datetime, *, traces: bool
+    connection: Connection, known: dict[str, Any], limit: int, *, traces: bool
 ) -> list[JobRecord]:
-    known = {"capabilities": list(capabilities), "now": now}
     rows = _locked_rows(connection, _FRESH_TRACES, {**known, "most": limit}) if traces else []
     campaigns = connection.execute(_CAMPAIGNS_IN_TURN, known).all() if len(rows) < limit else []
     for place, (campaign, priority) in enumerate(campaigns):
@@ -215,13 +243,6 @@ def _pick_fresh(
         share = -(-(limit - len(rows)) // peers)
         rows += _locked_rows(connection, _FRESH_EPISODES, {**known, "campaign": campaign, "most": share})
     return _without_twins(rows)
-
-
-def _pick_retry(
-    connection: Connection, worker: str, capabilities: Sequence[str], now: datetime, elsewhere: Iterable[str]
-) -> list[JobRecord]:
-    known = {"worker": worker, "capabilities": list(capabilities), "now": now, "elsewhere": list(elsewhere)}
-    return _locked_rows(connection, _RETRY, known)
 
 
 def _locked_rows(

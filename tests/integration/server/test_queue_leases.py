@@ -7,6 +7,8 @@ import pytest
 from support.problems import SIMULATOR
 from support.queue import Queue
 
+from server.campaigns import store
+from server.campaigns.traces import request_trace
 from server.db.clock import database_now
 from server.db.models import CampaignStatus
 from worker.wire import LeasedJob
@@ -179,14 +181,92 @@ def test_a_worker_that_holds_jobs_gets_no_job_that_was_tried_before(queue: Queue
     assert [job.job for job in queue.lease("w1")] == [first.job]
 
 
-def test_fresh_jobs_go_before_those_that_were_tried_before(queue: Queue) -> None:
-    queue.campaign(1)
-    (tried,) = queue.lease()
+def failed_once(queue: Queue, *, priority: int = 0, worker: str = "w1") -> LeasedJob:
+    """Return a job that was tried before and is due again."""
+    queue.campaign(1, priority=priority)
+    (tried,) = queue.lease(worker, max_jobs=1)
     queue.fail(tried)
     queue.end_backoffs()
-    queue.campaign(2)
-    granted = queue.lease("w2", max_jobs=8)
-    assert tried.job not in [job.job for job in granted]
+    return tried
+
+
+@pytest.mark.parametrize("priority", [0, 3])
+def test_a_due_retry_goes_alone_before_fresh_jobs_of_its_priority_or_lower(
+    queue: Queue, priority: int
+) -> None:
+    tried = failed_once(queue, priority=priority)
+    queue.campaign(8)
+    assert [(job.job, job.attempt) for job in queue.lease("w2")] == [(tried.job, 2)]
+    assert len(queue.lease("w3", max_jobs=4)) == 4
+
+
+def test_a_due_retry_waits_for_fresh_jobs_of_a_higher_priority(queue: Queue) -> None:
+    tried = failed_once(queue)
+    high = queue.campaign(2, priority=1)
+    fresh = queue.lease("w2")
+    assert campaigns_of(queue, fresh) == [high, high]
+    queue.complete(*fresh)
+    assert [job.job for job in queue.lease("w2")] == [tried.job]
+
+
+def test_a_worker_that_holds_jobs_drains_for_a_due_retry(queue: Queue) -> None:
+    queue.campaign(9)
+    held = queue.lease("w1", max_jobs=2)
+    tried = failed_once(queue, priority=1, worker="w2")
+    assert queue.lease("w1") == []
+    queue.complete(held[0])
+    assert queue.lease("w1") == []
+    queue.complete(held[1])
+    assert [job.job for job in queue.lease("w1")] == [tried.job]
+    assert len(queue.lease("w2", max_jobs=4)) == 4  # nothing waits any more
+
+
+def test_a_worker_that_fetches_ahead_takes_a_retry_within_one_round_of_its_holdings(queue: Queue) -> None:
+    queue.campaign(60)
+    tried = failed_once(queue, priority=1)
+    queue.campaign(1, priority=9)
+    order: list[LeasedJob] = []
+    held: list[LeasedJob] = []
+    while tried.job not in [job.job for job in order]:
+        granted = queue.lease("w1", max_jobs=max(1, 8 - len(held)))
+        held += granted
+        order += granted
+        queue.complete(held.pop(0))  # always asks before the last one is done
+    assert len(order) == 8 + 1
+
+
+def test_a_worker_does_not_drain_for_a_retry_that_it_must_not_have(queue: Queue) -> None:
+    queue.campaign(9)
+    queue.lease("w1", max_jobs=2)
+    (bad,) = queue.lease("w1", max_jobs=1)
+    queue.fail(bad)
+    queue.end_backoffs()
+    assert len(queue.lease("w1", max_jobs=3, elsewhere=[SIMULATOR])) == 3
+    assert queue.lease("w1", max_jobs=3) == []
+
+
+def test_nobody_drains_for_a_retry_before_its_backoff_is_over(queue: Queue) -> None:
+    queue.campaign(9)
+    _, failed = queue.lease("w1", max_jobs=2)
+    queue.fail(failed)
+    assert len(queue.lease("w1", max_jobs=3)) == 3
+
+
+def test_a_picture_is_waited_for_whether_it_was_tried_before_or_not(queue: Queue) -> None:
+    shown = queue.campaign(2, priority=-1)
+    queue.complete(*queue.lease())
+    found = queue.run(lambda connection: store.find_campaign(connection, shown))
+    assert found is not None
+    tried = failed_once(queue)
+    queue.run(lambda connection: request_trace(connection, found, 0))
+    (trace,) = queue.lease("w2")
+    assert trace.record  # a fresh picture before an episode that was tried before
+    queue.fail(trace)
+    queue.end_backoffs()
+    queue.campaign(5, priority=5)
+    (again,) = queue.lease("w3")
+    assert (again.job, again.attempt) == (trace.job, 2)  # before everything
+    assert tried.job not in [job.job for job in queue.lease("w4")]
 
 
 @pytest.mark.parametrize("lost", ["failed", "ran out"])
