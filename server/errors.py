@@ -33,7 +33,8 @@ class FieldError:
 
     def __str__(self) -> str:
         hint = f" (did you mean {self.nearest!r}?)" if self.nearest else ""
-        return f"{self.pointer or '/'}: {self.message}{hint}"
+        place = f"{self.pointer}: " if self.pointer else ""
+        return f"{place}{self.message}{hint}"
 
 
 class InvalidInput(ServerError):

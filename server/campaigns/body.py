@@ -82,13 +82,9 @@ def parse_body(document: object) -> CampaignBody:
         InvalidInput: With a pointer to each wrong field.
     """
     if not isinstance(document, Mapping):
-        raise InvalidInput(
-            [
-                FieldError(
-                    pointer="", message=f"expected a campaign as a mapping, got {type(document).__name__}"
-                )
-            ]
-        )
+        came = "nothing" if document is None else f"a {type(document).__name__}"
+        message = f"expected a campaign with name, problem, algorithm and budget, got {came}"
+        raise InvalidInput([FieldError(pointer="", message=message)])
     try:
         return CampaignBody.model_validate(dict(document))
     except ValidationError as error:

@@ -116,7 +116,7 @@ def test_an_unknown_field_in_a_file_is_one_line(brink: Command, tmp_path: Path, 
         ("name: [", "not YAML"),
         ("- 1", "expected a campaign as a mapping"),
         ("\0", "not YAML"),
-        ("", "mapping"),
+        ("", "name, problem, algorithm and budget"),
     ],
 )
 def test_a_file_that_is_no_campaign_is_one_line(
