@@ -118,7 +118,16 @@ _GRANT = (
 )
 _TAKE_TURN = (
     update(CampaignRow)
-    .where(CampaignRow.id.in_(bindparam("served", expanding=True)))
+    .where(
+        CampaignRow.id.in_(
+            # A campaign that somebody else is writing keeps its turn: coordinators that waited for one another here,
+            # each with several campaigns in one commit, would deadlock. SQLite knows no row locks and leaves it out.
+            select(CampaignRow.id)
+            .where(CampaignRow.id.in_(bindparam("served", expanding=True)))
+            .with_for_update(key_share=True, skip_locked=True)
+            .scalar_subquery()
+        )
+    )
     .values(turn=select(func.coalesce(func.max(_EVERY_CAMPAIGN.c.turn), 0) + 1).scalar_subquery())
 )
 
@@ -164,9 +173,9 @@ def renew(connection: Connection, leases: Iterable[HeldLease], lease_s: float) -
     wanted = {held.job: held.token for held in leases}
     rows = connection.execute(
         locked(
-            select(JobRow.id, JobRow.lease_token).where(
-                JobRow.id.in_(wanted), JobRow.status == JobStatus.LEASED
-            ),
+            select(JobRow.id, JobRow.lease_token)
+            .where(JobRow.id.in_(wanted), JobRow.status == JobStatus.LEASED)
+            .order_by(JobRow.id),
             connection,
             JobRow,
         )

@@ -19,10 +19,11 @@ MAX_ERROR_CHARACTERS = 4000
 MAX_BACKOFF_S = 300.0
 
 # Built once: making a statement costs more than running it.
+# Rows are locked in the order of their ids, so that coordinators do not wait for one another in a circle.
 _REPORTED = select(
     JobRow.id, JobRow.campaign_id, JobRow.kind, JobRow.status, JobRow.lease_token,
     JobRow.lease_worker, JobRow.attempt, JobRow.max_attempts, JobRow.spec_hash, JobRow.cache,
-).where(JobRow.id.in_(bindparam("jobs", expanding=True)))  # fmt: skip
+).where(JobRow.id.in_(bindparam("jobs", expanding=True))).order_by(JobRow.id)  # fmt: skip
 _FINISH = (
     update(JobRow)
     .where(JobRow.id == bindparam("finished"))
@@ -33,10 +34,14 @@ _FINISH = (
         lease_expires_at=None,
     )
 )
-_TWINS = select(JobRow.id, JobRow.spec_hash, JobRow.kind, JobRow.campaign_id).where(
-    JobRow.spec_hash.in_(bindparam("spec_hashes", expanding=True)),
-    JobRow.status == JobStatus.QUEUED,
-    JobRow.cache,
+_TWINS = (
+    select(JobRow.id, JobRow.spec_hash, JobRow.kind, JobRow.campaign_id)
+    .where(
+        JobRow.spec_hash.in_(bindparam("spec_hashes", expanding=True)),
+        JobRow.status == JobStatus.QUEUED,
+        JobRow.cache,
+    )
+    .order_by(JobRow.id)
 )
 _IDLE = select(CampaignRow.id).where(
     CampaignRow.id.in_(bindparam("campaigns", expanding=True)),
