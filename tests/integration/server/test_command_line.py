@@ -114,7 +114,7 @@ def test_an_unknown_field_in_a_file_is_one_line(brink: Command, tmp_path: Path, 
     ("content", "words"),
     [
         ("name: [", "not YAML"),
-        ("- 1", "expected a campaign as a name, problem, algorithm and budget"),
+        ("- 1", "expected a campaign with name"),
         ("\0", "not YAML"),
         ("", "name, problem, algorithm and budget"),
     ],
