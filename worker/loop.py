@@ -18,6 +18,7 @@ from worker.client import CoordinatorClient
 from worker.errors import ChildFailedToStart, EpisodeAbandoned, WorkerError
 from worker.heartbeat import Heartbeat
 from worker.holdings import Holdings
+from worker.machine import machine_name
 from worker.pace import Pace
 from worker.process import EpisodeProcess
 from worker.reporter import Reporter
@@ -217,4 +218,6 @@ def _identity(worker_id: str) -> WorkerIdentity:
         installed = version("brink")
     except PackageNotFoundError:
         installed = ""
-    return WorkerIdentity(id=worker_id, host=socket.gethostname()[:255], pid=os.getpid(), version=installed)
+    return WorkerIdentity(
+        id=worker_id, host=socket.gethostname()[:255], pid=os.getpid(), version=installed, machine=machine_name()
+    )  # fmt: skip

@@ -42,6 +42,15 @@ class WorkerIdentity(Message):
     version: Annotated[
         str, Field(max_length=64, pattern=NO_NUL, description="Version of the worker's software.")
     ] = ""
+    machine: Annotated[
+        str,
+        Field(
+            max_length=128,
+            pattern=NO_NUL,
+            description="Boot id and PID namespace of the process. A coordinator of the same machine looks `pid` up "
+            "and takes the leases of a dead process back at once; empty: it never does.",
+        ),
+    ] = ""
 
 
 class LeaseRequest(Message):

@@ -71,6 +71,7 @@ def upgrade() -> None:
         sa.Column("id", sa.String(length=64), nullable=False),
         sa.Column("host", sa.String(length=255), nullable=False),
         sa.Column("pid", sa.BigInteger(), nullable=False),
+        sa.Column("machine", sa.String(length=128), nullable=False),
         sa.Column("version", sa.String(length=64), nullable=False),
         sa.Column("capabilities", sa.JSON(), nullable=False),
         sa.Column("first_seen_at", server.db.types.UtcDateTime(timezone=True), nullable=False),

@@ -263,6 +263,7 @@ class WorkerRow(Base):
     id: Mapped[str] = mapped_column(String(64), primary_key=True)
     host: Mapped[str] = mapped_column(String(255))
     pid: Mapped[int] = mapped_column(BigInteger)
+    machine: Mapped[str] = mapped_column(String(128), default="")
     version: Mapped[str] = mapped_column(String(64))
     capabilities: Mapped[list[str]]
     first_seen_at: Mapped[datetime]

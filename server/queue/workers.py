@@ -1,15 +1,16 @@
 """Which workers were heard of."""
 
 import os
-import socket
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from typing import Any
 
 from sqlalchemy import Connection, delete, func, insert, select, update
 
 from server.db.clock import database_now
 from server.db.models import JobRow, JobStatus, WorkerRow
+from worker.machine import machine_name
 from worker.wire import HeldLease, WorkerIdentity
 
 
@@ -35,7 +36,10 @@ def note(
 ) -> None:
     """Note that a worker was heard of, and how many more jobs it finished."""
     now = database_now(connection)
-    values = {"host": worker.host, "pid": worker.pid, "version": worker.version, "last_seen_at": now}
+    values: dict[str, Any] = {
+        "host": worker.host, "pid": worker.pid, "machine": worker.machine, "version": worker.version,
+        "last_seen_at": now,
+    }  # fmt: skip
     if capabilities:
         values["capabilities"] = list(capabilities)
     changed = connection.execute(
@@ -81,23 +85,23 @@ def leases_of(connection: Connection, gone: Callable[[str, int], bool]) -> list[
 
     Args:
         connection: To the database.
-        gone: Whether the process of a host and a process id is no more.
+        gone: Whether the process of a machine and a process id is no more.
     """
     holding = (
-        select(JobRow.id, JobRow.lease_token, WorkerRow.host, WorkerRow.pid)
+        select(JobRow.id, JobRow.lease_token, WorkerRow.machine, WorkerRow.pid)
         .join(WorkerRow, WorkerRow.id == JobRow.lease_worker)
         .where(JobRow.status == JobStatus.LEASED)
     )
     return [
         HeldLease(job=row.id, token=row.lease_token)
         for row in connection.execute(holding)
-        if gone(row.host, row.pid)
+        if gone(row.machine, row.pid)
     ]
 
 
-def process_is_gone(host: str, pid: int) -> bool:
-    """Return whether a process ran on this machine and is no more."""
-    if host != socket.gethostname() or pid <= 0:
+def process_is_gone(machine: str, pid: int) -> bool:
+    """Return whether a process ran on this machine (`worker.machine`) and is no more."""
+    if not machine or machine != machine_name() or pid <= 0:
         return False
     try:
         os.kill(pid, 0)

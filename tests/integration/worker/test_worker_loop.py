@@ -1,6 +1,7 @@
 """A worker against a real HTTP coordinator that fails in every way a coordinator can."""
 
 import logging
+import os
 import threading
 import time
 from collections.abc import Iterator
@@ -9,6 +10,7 @@ import pytest
 from fake_coordinator import FakeCoordinator, Fault
 from working import use_faulty_simulator, working
 
+from worker.machine import machine_name
 from worker.wire import Completed, HeartbeatRequest, JobFailed, LeaseRequest, ResultsRequest
 
 
@@ -33,6 +35,14 @@ def test_every_job_is_run_once_and_accepted(coordinator: FakeCoordinator) -> Non
         assert job.attempt == 1
         assert isinstance(job.outcome, Completed)
         assert job.outcome.objectives["distance"] == pytest.approx(job.spec["behaviour"]["x"])
+
+
+def test_a_worker_says_where_its_process_can_be_looked_up(coordinator: FakeCoordinator) -> None:
+    coordinator.add()
+    with working(coordinator.url):
+        coordinator.wait_for_all()
+    identities = {asked.worker for asked in coordinator.of(LeaseRequest) if isinstance(asked, LeaseRequest)}
+    assert [(who.pid, who.machine) for who in identities] == [(os.getpid(), machine_name())]
 
 
 def test_results_travel_in_batches_with_the_next_lease(coordinator: FakeCoordinator) -> None:
