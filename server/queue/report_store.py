@@ -59,7 +59,7 @@ _IDLE = select(CampaignRow.id).where(
 def report(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms) -> Report:
     """Store outcomes of jobs whose lease still holds; everything else changes nothing."""
     if not outcomes:
-        return Report(statuses=(), campaigns=(), requeued=False)
+        return Report(statuses=(), campaigns=())
     now = database_now(connection)
     known = {"jobs": [outcome.job for outcome in outcomes]}
     rows = {row.id: row for row in connection.execute(locked(_REPORTED, connection, JobRow), known)}
@@ -74,14 +74,14 @@ def report(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerm
     _finish(connection, done, now)
     _keep_traces(connection, {rows[o.job].spec_hash: o.trace for o in accepted.values() if o.trace}, now)
     sharing = _share(connection, [rows[job] for job in done if rows[job].cache], done, now)
-    requeued = _fail(
+    _fail(
         connection,
         [(rows[job], o) for job, o in accepted.items() if o.result is None],
         now,
         terms.retry_backoff_s,
     )
     touched = {rows[job].campaign_id for job in accepted} | sharing
-    return Report(statuses=tuple(statuses), campaigns=idle_campaigns(connection, touched), requeued=requeued)
+    return Report(statuses=tuple(statuses), campaigns=idle_campaigns(connection, touched))
 
 
 def expire(connection: Connection, terms: LeaseTerms) -> tuple[tuple[str, ...], int]:
@@ -179,15 +179,13 @@ def _fail(
     failures: Sequence[tuple[JobRecord, Outcome]],
     now: datetime,
     backoff_s: float,
-) -> bool:
-    """Put failed jobs back after a backoff, or into quarantine; return whether any went back."""
+) -> None:
+    """Put failed jobs back after a backoff, or into quarantine."""
     if not failures:
-        return False
-    requeued = False
+        return
     values = []
     for row, outcome in failures:
         retry = not outcome.final and row.attempt < row.max_attempts
-        requeued |= retry
         wait_s = min(MAX_BACKOFF_S, backoff_s * 2 ** (row.attempt - 1))
         values.append(
             {
@@ -212,4 +210,3 @@ def _fail(
         ),
         values,
     )
-    return requeued

@@ -41,6 +41,8 @@ RECHECK_S = 1.0
 """Pause after which a waiting lease looks again by itself: backoffs end, other coordinators enqueue."""
 TOUCH_S = 5.0
 """Pause between two notes in the database that a worker was heard of."""
+FORGET_S = 24 * 3600.0
+"""A worker that was not heard of for so long is no longer listed."""
 
 log = logging.getLogger(__name__)
 
@@ -49,6 +51,7 @@ log = logging.getLogger(__name__)
 class _Seen:
     """What this process remembers of a worker."""
 
+    identity: WorkerIdentity
     at: float
     noted_at: float = 0.0
     capabilities: tuple[str, ...] = ()
@@ -66,6 +69,7 @@ class QueueService:
     wakeups: Wakeups = field(default_factory=Wakeups)
     clock: Callable[[], float] = time.monotonic
     _seen: dict[str, _Seen] = field(default_factory=dict)
+    _with_others: dict[str, tuple[str, ...]] = field(default_factory=dict)
     _due: set[str] = field(default_factory=set)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
     _steps: ThreadPoolExecutor = field(
@@ -79,7 +83,8 @@ class QueueService:
     def terms(self, worker: str | None = None) -> LeaseTerms:
         """Return how leases are granted now, to a worker if one is named."""
         horizon = self.clock() - self.settings.worker_seen_s
-        live = {name: seen.capabilities for name, seen in self._seen.items() if seen.at >= horizon}
+        mine = {name: seen.capabilities for name, seen in self._seen.items() if seen.at >= horizon}
+        live = self._with_others | mine
         others = (capabilities for name, capabilities in live.items() if name != worker)
         return LeaseTerms(
             lease_s=self.settings.lease_s,
@@ -120,12 +125,13 @@ class QueueService:
         ]
         note = self._heard_of(request.worker, None, outcomes)
         wanted = request.lease
-        if wanted is not None:
-            self._heard_of(wanted.worker, wanted.capabilities)
+        note_wanted = self._heard_of(wanted.worker, wanted.capabilities) if wanted is not None else None
         terms = self.terms(wanted.worker.id if wanted is not None else None)
 
         def unit(connection: Connection) -> tuple[Report, int, list[LeasedJob]]:
             note(connection)
+            if note_wanted is not None:
+                note_wanted(connection)
             report = report_store.report(connection, outcomes, terms)
             released = lease_store.release(connection, request.release)
             granted: list[LeasedJob] = []
@@ -180,21 +186,39 @@ class QueueService:
             self.wakeups.wake()
 
     async def sweep(self) -> None:
-        """Take back leases that ran out."""
+        """Take back leases that ran out, and forget workers that are gone."""
         terms = self.terms()
         local = self.settings.sqlite_file is not None
+        unnoted = self._drop_absent()
 
-        def unit(connection: Connection) -> tuple[tuple[str, ...], int]:
+        def unit(connection: Connection) -> tuple[tuple[str, ...], int, dict[str, tuple[str, ...]]]:
+            for name, seen in unnoted.items():
+                workers.add_counts(connection, name, done=seen.done, failed=seen.failed)
+            workers.forget_absent(connection, FORGET_S)
+            live = {} if local else workers.capabilities_of_live(connection, self.settings.worker_seen_s)
             if local:  # then workers of this machine can be looked up, and need not be waited for
                 dead = workers.leases_of(connection, workers.process_is_gone)
                 lease_store.cut_short(connection, dead)
-            return report_store.expire(connection, terms)
+            return *report_store.expire(connection, terms), live
 
-        idle, expired = await asyncio.wrap_future(self.writer.submit(unit))
+        idle, expired, live = await asyncio.wrap_future(self.writer.submit(unit))
+        self._with_others = {name: known for name, known in live.items() if name not in self._seen}
         if expired:
             log.warning("leases that ran out: %d", expired)
             self.wakeups.wake(expired)
         self.advance_soon(idle)
+
+    def _drop_absent(self) -> dict[str, _Seen]:
+        """Drop workers that were not heard of lately, or are dead; return those with counts not yet noted."""
+        horizon = self.clock() - self.settings.worker_seen_s
+        absent = {
+            name: seen
+            for name, seen in self._seen.items()
+            if seen.at < horizon or workers.process_is_gone(seen.identity.machine, seen.identity.pid)
+        }
+        for name in absent:
+            del self._seen[name]
+        return {name: seen for name, seen in absent.items() if seen.done or seen.failed}
 
     async def _lease_now(self, request: LeaseRequest) -> list[LeasedJob]:
         note = self._heard_of(request.worker, request.capabilities)
@@ -221,8 +245,8 @@ class QueueService:
     ) -> Callable[[Connection], None]:
         """Remember a worker; return what notes it in the database, if that is due."""
         now = self.clock()
-        seen = self._seen.setdefault(worker.id, _Seen(at=now))
-        seen.at = now
+        seen = self._seen.setdefault(worker.id, _Seen(identity=worker, at=now))
+        seen.at, seen.identity = now, worker
         seen.done += sum(outcome.result is not None for outcome in outcomes)
         seen.failed += sum(outcome.result is None for outcome in outcomes)
         changed = capabilities is not None and tuple(capabilities) != seen.capabilities

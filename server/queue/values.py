@@ -52,9 +52,7 @@ class Report:
     Attributes:
         statuses: ``accepted``, ``duplicate`` or ``stale``, in the order of the outcomes.
         campaigns: Campaigns that have no open episode left because of them.
-        requeued: Whether a job went back to the queue.
     """
 
     statuses: tuple[str, ...]
     campaigns: tuple[str, ...]
-    requeued: bool

@@ -1,14 +1,15 @@
-"""Which workers were heard of."""
+"""Which workers were heard of, and which of them are dead."""
 
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Any
 
-from sqlalchemy import Connection, delete, func, insert, select, update
+from sqlalchemy import Connection, delete, exists, func, insert, select, update
 
 from server.db.clock import database_now
+from server.db.locking import locked
 from server.db.models import JobRow, JobStatus, WorkerRow
 from worker.machine import machine_name
 from worker.wire import HeldLease, WorkerIdentity
@@ -56,6 +57,15 @@ def note(
         )
 
 
+def add_counts(connection: Connection, worker_id: str, *, done: int, failed: int) -> None:
+    """Note jobs that a worker finished, of which there was no news since."""
+    connection.execute(
+        update(WorkerRow)
+        .where(WorkerRow.id == worker_id)
+        .values(jobs_done=WorkerRow.jobs_done + done, jobs_failed=WorkerRow.jobs_failed + failed)
+    )
+
+
 def list_seen(connection: Connection, *, within_s: float | None = None) -> list[SeenWorker]:
     """Return workers, the latest heard of first; with `within_s`, only those heard of lately."""
     now = database_now(connection)
@@ -65,19 +75,31 @@ def list_seen(connection: Connection, *, within_s: float | None = None) -> list[
         .group_by(JobRow.lease_worker)
     )
     held = {str(row[0]): int(row[1]) for row in connection.execute(holding)}
-    rows = connection.execute(
-        select(WorkerRow.__table__).order_by(WorkerRow.last_seen_at.desc(), WorkerRow.id)
-    )
-    seen = [
+    query = select(WorkerRow.__table__).order_by(WorkerRow.last_seen_at.desc(), WorkerRow.id)
+    if within_s is not None:
+        query = query.where(WorkerRow.last_seen_at >= now - timedelta(seconds=within_s))
+    return [
         SeenWorker(
             id=row.id, host=row.host, pid=row.pid, version=row.version,
             capabilities=tuple(row.capabilities), first_seen_at=row.first_seen_at,
             last_seen_at=row.last_seen_at, seen_s_ago=max(0.0, (now - row.last_seen_at).total_seconds()),
             jobs_done=row.jobs_done, jobs_failed=row.jobs_failed, jobs_held=held.get(row.id, 0),
         )
-        for row in rows
+        for row in connection.execute(query)
     ]  # fmt: skip
-    return [worker for worker in seen if within_s is None or worker.seen_s_ago <= within_s]
+
+
+def capabilities_of_live(connection: Connection, within_s: float) -> dict[str, tuple[str, ...]]:
+    """Return what each worker can run that any coordinator heard of lately, but for those known to be dead."""
+    horizon = database_now(connection) - timedelta(seconds=within_s)
+    query = select(WorkerRow.id, WorkerRow.machine, WorkerRow.pid, WorkerRow.capabilities).where(
+        WorkerRow.last_seen_at >= horizon
+    )
+    return {
+        row.id: tuple(row.capabilities)
+        for row in connection.execute(query)
+        if not process_is_gone(row.machine, row.pid)
+    }
 
 
 def leases_of(connection: Connection, gone: Callable[[str, int], bool]) -> list[HeldLease]:
@@ -112,6 +134,15 @@ def process_is_gone(machine: str, pid: int) -> bool:
     return False
 
 
-def forget(connection: Connection, worker_id: str) -> None:
-    """Forget a worker."""
-    connection.execute(delete(WorkerRow).where(WorkerRow.id == worker_id))
+def forget_absent(connection: Connection, after_s: float) -> int:
+    """Forget workers that were not heard of for so long and hold nothing; return how many."""
+    holding = exists(
+        select(JobRow.id).where(JobRow.status == JobStatus.LEASED, JobRow.lease_worker == WorkerRow.id)
+    )
+    absent = select(WorkerRow.id).where(
+        WorkerRow.last_seen_at < database_now(connection) - timedelta(seconds=after_s), ~holding
+    )
+    names = list(connection.execute(locked(absent, connection, WorkerRow, skip_locked=True)).scalars())
+    if names:
+        connection.execute(delete(WorkerRow).where(WorkerRow.id.in_(names)))
+    return len(names)

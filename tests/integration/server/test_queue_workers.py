@@ -1,15 +1,27 @@
 """What is known of workers: which of them are dead, and which are forgotten."""
 
+import asyncio
 import os
 import subprocess
 import sys
+from contextlib import AsyncExitStack
+from datetime import timedelta
 
 import pytest
+from sqlalchemy import update
+from support.api import settings_for
+from support.postgres import PostgresDatabases
 from support.queue import Queue
 
+from server.app import create_app
+from server.db.clock import database_now
+from server.db.models import WorkerRow
 from server.queue import lease_store, workers
+from server.queue.service import QueueService
 from worker.machine import machine_name
-from worker.wire import WorkerIdentity
+from worker.wire import JobFailed, JobResult, LeaseRequest, ResultsRequest, WorkerIdentity
+
+PATIENCE_S = 30.0
 
 
 @pytest.fixture
@@ -54,3 +66,128 @@ def test_a_machine_is_this_boot_seen_from_this_pid_namespace() -> None:
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert child.stdout.strip() == machine_name()
+
+
+def silent_for(queue: Queue, silence: timedelta) -> None:
+    """Have all workers not heard of for a while."""
+    queue.run(lambda c: c.execute(update(WorkerRow).values(last_seen_at=database_now(c) - silence)))
+
+
+def names(queue: Queue, within_s: float | None = None) -> set[str]:
+    return {seen.id for seen in queue.run(lambda c: workers.list_seen(c, within_s=within_s))}
+
+
+def test_workers_heard_of_lately_can_be_listed(queue: Queue) -> None:
+    noted(queue, "", 1, "silent")
+    silent_for(queue, timedelta(seconds=60))
+    noted(queue, "", 1, "w1")
+    assert names(queue) == {"silent", "w1"}
+    assert names(queue, within_s=61) == {"silent", "w1"}
+    assert names(queue, within_s=59) == {"w1"}
+
+
+def test_workers_that_were_not_heard_of_for_long_are_forgotten_unless_they_hold_a_job(queue: Queue) -> None:
+    queue.campaign(1)
+    queue.lease("holds")
+    for worker in ("holds", "holds-nothing"):
+        noted(queue, "", 1, worker)
+    silent_for(queue, timedelta(hours=2))
+    noted(queue, "", 1, "live")
+    assert queue.run(lambda c: workers.forget_absent(c, after_s=3600.0)) == 1
+    assert names(queue) == {"holds", "live"}
+
+
+def test_what_live_workers_can_run_leaves_out_the_dead(queue: Queue, dead_pid: int) -> None:
+    noted(queue, "", 1, "silent")
+    silent_for(queue, timedelta(seconds=60))
+    noted(queue, machine_name(), dead_pid, "dead")
+    noted(queue, machine_name(), os.getpid(), "live")
+    assert queue.run(lambda c: workers.capabilities_of_live(c, 45.0)) == {"live": ("x",)}
+
+
+class Coordinators:
+    """The queues of coordinators in this loop; their sweeps are made by hand."""
+
+    def __init__(self, stack: AsyncExitStack) -> None:
+        self._stack = stack
+
+    async def start(self, database_url: str) -> QueueService:
+        app = create_app(settings_for(database_url), sweeping=False)
+        await self._stack.enter_async_context(app.router.lifespan_context(app))
+        queue: QueueService = app.state.context.queue
+        return queue
+
+
+def identity(worker: str, machine: str = "", pid: int = 0) -> WorkerIdentity:
+    return WorkerIdentity(id=worker, machine=machine, pid=pid)
+
+
+async def ask(service: QueueService, who: WorkerIdentity, *capabilities: str) -> None:
+    wanted = LeaseRequest(worker=who, capabilities=list(capabilities), wait_s=0)
+    await service.lease(wanted, asyncio.Event())
+
+
+def test_a_coordinator_forgets_who_was_not_heard_of_lately_but_not_what_they_did(
+    database_url: str, queue: Queue
+) -> None:
+    async def body() -> None:
+        async with AsyncExitStack() as stack:
+            service = await Coordinators(stack).start(database_url)
+            now_s = 1000.0
+            service.clock = lambda: now_s
+            await ask(service, identity("w1"), "x")
+            await ask(service, identity("w2"), "y")
+            outcome = JobFailed(reason="error", message="no")
+            reported = ResultsRequest(
+                worker=identity("w1"), results=[JobResult(job=1, token="t", outcome=outcome)]
+            )
+            await service.results(reported, asyncio.Event())
+            now_s += service.settings.worker_seen_s + 1
+            await ask(service, identity("w2"), "y")
+            await service.sweep()
+            assert set(service._seen) == {"w2"}
+
+    asyncio.run(asyncio.wait_for(body(), PATIENCE_S))
+    told = queue.run(workers.list_seen)
+    assert {seen.id: seen.jobs_failed for seen in told} == {"w1": 1, "w2": 0}
+
+
+def test_a_dead_worker_of_this_machine_is_not_waited_for(database_url: str, dead_pid: int) -> None:
+    async def body() -> None:
+        async with AsyncExitStack() as stack:
+            service = await Coordinators(stack).start(database_url)
+            await ask(service, identity("dead", machine_name(), dead_pid), "x")
+            await ask(service, identity("w1", machine_name(), os.getpid()), "x")
+            assert service.terms("w1").elsewhere == {"x"}
+            await service.sweep()
+            assert service.terms("w1").elsewhere == frozenset()
+            assert service.terms("w1").live_workers == 1
+
+    asyncio.run(asyncio.wait_for(body(), PATIENCE_S))
+
+
+def test_a_coordinator_knows_the_workers_of_the_others(postgres_databases: PostgresDatabases) -> None:
+    async def body(database_url: str) -> None:
+        async with AsyncExitStack() as stack:
+            coordinators = Coordinators(stack)
+            first, second = await coordinators.start(database_url), await coordinators.start(database_url)
+            await ask(first, identity("w1"), "x")
+            await ask(second, identity("w2"), "x", "y")
+            await first.sweep()
+            assert first.terms("w1").live_workers == 2
+            assert first.terms("w1").elsewhere == {"x", "y"}
+
+    with postgres_databases.database() as url:
+        asyncio.run(asyncio.wait_for(body(url), PATIENCE_S))
+
+
+def test_what_a_worker_can_run_is_noted_if_it_reports_before_it_asks(database_url: str, queue: Queue) -> None:
+    async def body() -> None:
+        async with AsyncExitStack() as stack:
+            service = await Coordinators(stack).start(database_url)
+            wanted = LeaseRequest(worker=identity("w1"), capabilities=["x"], wait_s=0)
+            reported = ResultsRequest(worker=identity("w1"), results=[], lease=wanted)
+            await service.results(reported, asyncio.Event())
+
+    asyncio.run(asyncio.wait_for(body(), PATIENCE_S))
+    assert [seen.capabilities for seen in queue.run(workers.list_seen)] == [("x",)]
