@@ -2,7 +2,8 @@
 
 A campaign asks for generations of solutions; each solution that needs a simulation has a job; a job keeps the
 outcome of its simulation, which other jobs with the same hash of the specification take over. Rows never leave the
-stores that own them (`server.queue.store`, `server.campaigns.store`).
+modules whose SQL reads them (`lease_store`, `report_store` and `workers` of `server.queue`; `store`, `step_store` and
+`view_store` of `server.campaigns`).
 """
 
 from datetime import datetime
