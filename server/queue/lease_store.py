@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from datetime import datetime, timedelta
 from typing import Any
 
-from sqlalchemy import Connection, Select, bindparam, exists, func, or_, select, update
+from sqlalchemy import Connection, Select, bindparam, exists, func, literal, or_, select, update
 
 from server.db.clock import database_now
 from server.db.locking import locked
@@ -19,6 +19,11 @@ from server.db.models import CampaignRow, CampaignStatus, JobKind, JobRow, JobSt
 from server.queue.values import JobRecord, LeaseTerms
 from worker.wire import HeldLease, LeasedJob
 
+# Spelled out in the SQL: Postgres' plans for prepared statements do not know the values of parameters, and could not
+# use the indexes that hold queued or leased jobs alone.
+_IS_QUEUED = JobRow.status == literal(JobStatus.QUEUED, literal_execute=True)
+_IS_LEASED = JobRow.status == literal(JobStatus.LEASED, literal_execute=True)
+_WAS_TRIED = JobRow.attempt > literal(0, literal_execute=True)
 _TWIN = JobRow.__table__.alias("twin")
 _SOMEBODY_RUNS_IT = exists(
     select(_TWIN.c.id).where(
@@ -27,7 +32,7 @@ _SOMEBODY_RUNS_IT = exists(
 )
 _DUE = or_(JobRow.not_before.is_(None), JobRow.not_before <= bindparam("now"))
 _ELIGIBLE = (
-    JobRow.status == JobStatus.QUEUED,
+    _IS_QUEUED,
     JobRow.needs.in_(bindparam("capabilities", expanding=True)),
     _DUE,
     ~(_SOMEBODY_RUNS_IT & JobRow.cache),
@@ -40,26 +45,20 @@ _GRANTED = (
 )  # fmt: skip
 
 # Built once: making a statement costs more than running it.
-_HOLDINGS = select(JobRow.attempt).where(
-    JobRow.status == JobStatus.LEASED, JobRow.lease_worker == bindparam("worker")
-)
+_HOLDINGS = select(JobRow.attempt).where(_IS_LEASED, JobRow.lease_worker == bindparam("worker"))
 _WAITING = select(
     select(func.count())
     .select_from(
         select(JobRow.id)
         .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
-        .where(JobRow.status == JobStatus.QUEUED, CampaignRow.status == CampaignStatus.RUNNING)
+        .where(_IS_QUEUED, CampaignRow.status == CampaignStatus.RUNNING)
         .limit(bindparam("enough"))
         .subquery()
     )
     .scalar_subquery()
     .label("jobs"),
-    exists(select(JobRow.id).where(JobRow.status == JobStatus.QUEUED, JobRow.kind == JobKind.TRACE)).label(
-        "traces"
-    ),
-    exists(select(JobRow.id).where(JobRow.status == JobStatus.QUEUED, JobRow.attempt > 0, _DUE)).label(
-        "retries"
-    ),
+    exists(select(JobRow.id).where(_IS_QUEUED, JobRow.kind == JobKind.TRACE)).label("traces"),
+    exists(select(JobRow.id).where(_IS_QUEUED, _WAS_TRIED, _DUE)).label("retries"),
 )
 _FRESH = select(*_GRANTED).where(*_ELIGIBLE, JobRow.attempt == 0)
 _FRESH_TRACES = _FRESH.where(JobRow.kind == JobKind.TRACE).order_by(JobRow.id).limit(bindparam("most"))
@@ -73,7 +72,7 @@ _RETRY = (
     .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
     .where(
         *_ELIGIBLE,
-        JobRow.attempt > 0,
+        _WAS_TRIED,
         or_(
             JobRow.failed_worker.is_(None),
             JobRow.failed_worker != bindparam("worker"),
