@@ -89,7 +89,8 @@ def _load(group: str, plugin_id: str, pointer: str, what: str) -> Any:
             [
                 FieldError(
                     pointer=pointer,
-                    message=f"unknown {what} {plugin_id!r}; expected one of {', '.join(known)}",
+                    message=f"unknown {what} {plugin_id!r}; expected one of {', '.join(known)}, or one that a "
+                    "plug-in registers: brink --plugin MODULE …",
                     nearest=nearest(plugin_id, known),
                 )
             ]

@@ -59,9 +59,10 @@ def _import_plugin_modules() -> None:
     for name in filter(None, os.environ.get(PLUGINS_VARIABLE, "").split(",")):
         try:
             importlib.import_module(name.strip())
-        except ImportError as error:
+        except Exception as error:  # (foreign code may raise anything)
             raise PluginMissing(
-                f"{PLUGINS_VARIABLE} names {name.strip()!r}, which cannot be imported from here: {error}"
+                f"plug-in {name.strip()!r} (--plugin, or {PLUGINS_VARIABLE}) cannot be imported from here: "
+                f"{type(error).__name__}: {error}"
             ) from error
 
 

@@ -11,7 +11,7 @@ import httpx
 
 from server.app import create_app
 from server.db.engine import open_engines
-from server.db.upgrade import current_revision, head_revision
+from server.db.upgrade import check_known, current_revision, head_revision
 from server.errors import DatabaseError, ServerError
 from server.settings import Settings
 
@@ -125,6 +125,7 @@ def check_database(settings: Settings) -> None:
         revision = current_revision(engines)
     finally:
         engines.dispose()
+    check_known(revision)
     if revision != head_revision():
         raise DatabaseError(
             f"the database has schema {revision or 'none'}, this version needs {head_revision()}; "

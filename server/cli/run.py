@@ -32,6 +32,7 @@ from server.cli.summary import print_summary
 from server.errors import Conflict, Unavailable
 from server.settings import Settings
 
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 LOOK_EVERY_S = 0.3
 TRACES_S = 30.0
 TROUBLE_S = 5.0
@@ -102,6 +103,8 @@ def run(
     finally:
         processes.stop()
         coordinator.stop()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
     if not finished:
         raise typer.Exit(1)
 
@@ -185,16 +188,16 @@ async def _campaign(api: Api, plan: RunPlan, screen: Console) -> str:
 
 @contextlib.contextmanager
 def _stopping(stop: asyncio.Event) -> Iterator[None]:
-    """Set the event on Ctrl-C or SIGTERM instead of dying."""
+    """Set the event on Ctrl-C or SIGTERM instead of dying; afterwards, while all is being stopped, ignore both."""
     loop = asyncio.get_running_loop()
-    signals = (signal.SIGINT, signal.SIGTERM)
-    for number in signals:
+    for number in STOP_SIGNALS:
         loop.add_signal_handler(number, stop.set)
     try:
         yield
     finally:
-        for number in signals:
+        for number in STOP_SIGNALS:
             loop.remove_signal_handler(number)
+            signal.signal(number, signal.SIG_IGN)
 
 
 async def _watch(

@@ -1,11 +1,13 @@
 """What `brink run` says at the end: what was found, where it lies, what to try next."""
 
+import os
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
 from server.campaigns.body import CampaignBody
+from sim.catalogue import PLUGINS_VARIABLE
 
 SHOWN = 5
 
@@ -35,24 +37,36 @@ def print_summary(
     for path in summary["files"]:
         screen.print(f"  {path.removeprefix(summary['folder'] + '/')}")
     drawn = any("replay-" in path for path in summary["files"])
-    _print_next(screen, campaign, boundary, database, replays=drawn)
+    _print_next(screen, body, campaign, boundary, database, replays=drawn)
 
 
 def _print_next(
-    screen: Console, campaign: str, boundary: dict[str, Any], database: str, *, replays: bool
+    screen: Console,
+    body: CampaignBody,
+    campaign: str,
+    boundary: dict[str, Any],
+    database: str,
+    *,
+    replays: bool,
 ) -> None:
     option = f" {database}" if database else ""
+    plugins = filter(None, os.environ.get(PLUGINS_VARIABLE, "").split(","))
+    brink = "brink" + "".join(f" --plugin {name}" for name in plugins)
     screen.print()
     screen.print("next:")
     if replays:
         best = boundary["solutions"][0]["number"]
-        screen.print(f"  brink replay {campaign} {best} --out replay.mp4{option}   watch the best one")
-    screen.print(f"  brink results {campaign} --t-b 0.15 --d-th 0.1{option}   other thresholds")
+        screen.print(f"  {brink} replay {campaign} {best} --out replay.mp4{option}   watch the best one")
+    screen.print(f"  {brink} results {campaign} --t-b 0.15 --d-th 0.1{option}   other thresholds")
     if boundary["strict_dbs"] == 0:
         screen.print(
             "  raise budget.simulations: a fitness of .10 takes at least 35 neighbours, .05 takes 165"
         )
-    screen.print("  brink run examples/paper-mlcshe.yaml   the paper's budget of 1,300 simulations")
+    screen.print(
+        f"  {brink} compare {campaign}{option}   how much of it is owed to the component's behaviour"
+    )
+    if body.problem.id == "urban-injected@1":
+        screen.print("  brink run examples/paper-mlcshe.yaml   the paper's budget of 1,300 simulations")
 
 
 def solution_table(boundary: dict[str, Any], shown: int = SHOWN) -> Table:

@@ -105,7 +105,7 @@ def _plot_robustness(axes: Axes, trace: Trace, story: Story) -> None:
     values = np.asarray(trace.robustness[story.requirement], dtype=np.float64)
     least = min(story.least, 0.0) if np.isfinite(story.least) else 0.0
     most = min(TOLD_ROBUSTNESS, float(values[np.isfinite(values)].max(initial=1.0)))
-    most = max(most, 1.0)
+    most = max(most, 1.0, 1.3 * story.least if np.isfinite(story.least) else 0.0)
     shown = np.minimum(np.where(np.isfinite(values), values, most * 2), most * 2)
     axes.axhspan(least - 2 * most, 0, color=hexadecimal(VIOLATION), alpha=0.07, linewidth=0)
     axes.axhline(0, color=hexadecimal(VIOLATION), linewidth=1.2)
