@@ -23,6 +23,10 @@ from server.errors import Unavailable
 T = TypeVar("T")
 Unit = Callable[[Connection], T]
 MAX_UNITS_A_COMMIT = 256
+TRIES = 3
+ANOTHER_WENT_FIRST = frozenset({"40001", "40P01", "23505"})
+"""SQLSTATE of serialization_failure, deadlock_detected, unique_violation: run again, a unit sees what the other
+process has written."""
 TROUBLE_S = 30.0
 """Failures with a longer pause between them are not the same trouble."""
 
@@ -135,7 +139,7 @@ class Writer:
             with self._engine.begin() as connection:
                 results = [waiting.unit(connection) for waiting in batch]
         except Exception as error:  # noqa: BLE001  (every unit gets its own answer)
-            if len(batch) == 1:
+            if len(batch) == 1 and not _another_went_first(error):
                 self._fail(batch[0], error)
                 return
             for waiting in batch:
@@ -145,13 +149,17 @@ class Writer:
             waiting.answer.set_result(result)
 
     def _commit_alone(self, waiting: _Waiting) -> None:
-        try:
-            with self._engine.begin() as connection:
-                result = waiting.unit(connection)
-        except Exception as error:  # noqa: BLE001  (answered to the one who asked)
-            self._fail(waiting, error)
-        else:
-            waiting.answer.set_result(result)
+        for tries_left in reversed(range(TRIES)):
+            try:
+                with self._engine.begin() as connection:
+                    result = waiting.unit(connection)
+            except Exception as error:  # noqa: BLE001  (answered to the one who asked)
+                if tries_left and _another_went_first(error):
+                    continue
+                self._fail(waiting, error)
+            else:
+                waiting.answer.set_result(result)
+            return
 
     def _fail(self, waiting: _Waiting, error: Exception) -> None:
         translated = _translated(error)
@@ -167,6 +175,10 @@ class Writer:
 def passes(error: DBAPIError) -> bool:
     """Whether the same may work later: the database is away, locked or full, or had another one go first."""
     return error.connection_invalidated or isinstance(error, OperationalError | InterfaceError)
+
+
+def _another_went_first(error: Exception) -> bool:
+    return isinstance(error, DBAPIError) and getattr(error.orig, "sqlstate", None) in ANOTHER_WENT_FIRST
 
 
 def _translated(error: Exception) -> Exception:

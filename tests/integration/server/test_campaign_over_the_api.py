@@ -81,7 +81,13 @@ def test_a_known_etag_is_answered_without_a_body(finished: Finished) -> None:
 def test_a_campaign_is_found_by_the_beginning_of_its_id(finished: Finished) -> None:
     found = expect(finished.client.get(f"/api/v1/campaigns/{finished.id[:4]}"))
     assert found["id"] == finished.id
-    assert found["body"]["problem"] == {"id": "ball@1", "params": {}}
+    assert found["body"]["problem"]["id"] == "ball@1"
+
+
+def test_a_campaign_names_every_parameter_that_it_ran_with(finished: Finished) -> None:
+    body = expect(finished.client.get(f"/api/v1/campaigns/{finished.id}"))["body"]
+    assert body["problem"]["params"]["limit"] == 1.0
+    assert body["algorithm"]["params"]
 
 
 @pytest.mark.parametrize(
