@@ -31,6 +31,12 @@ log = logging.getLogger(__name__)
 LAST_REPORT_S: Final = 5.0
 """How long the last report may take, after the running episode has ended."""
 
+LAST_ANSWER_S: Final = 0.5
+"""How long an idle request that is under way may take when asked to stop: its grant must not be lost on the way."""
+
+SIGNALS_S: Final = 0.5
+"""Longest wait of the main thread: Python may miss a signal that comes just before a wait, and look only after."""
+
 JOIN_S: Final = 2.0
 
 
@@ -151,21 +157,28 @@ class Worker:
         """Wait for the end; once asked to stop, end the running episode when its time is over."""
         changed = self._holdings.changed
         with changed:
-            changed.wait_for(lambda: self._reported_all or self._grace_end_s is not None)
+            while not self._reported_all and self._grace_end_s is None:
+                changed.wait(SIGNALS_S)
             if self._grace_end_s is None:
                 return
             log.info("stopping", extra={"held": len(self._holdings.leases())})
             report_end_s: float | None = None
-            # An idle request may take long to be answered, and nothing is lost by leaving it.
-            while not self._reported_all and not self._holdings.polling:
+            poll_end_s = time.monotonic() + LAST_ANSWER_S
+            while not self._reported_all:
                 now_s = time.monotonic()
+                if self._holdings.polling:
+                    # An idle request may take long to be answered, and nothing is lost by leaving it then.
+                    if now_s >= poll_end_s:
+                        return
+                    changed.wait(poll_end_s - now_s)
+                    continue
                 if report_end_s is None and (self._holdings.runner_ended or now_s >= self._grace_end_s):
                     self._process.kill()
                     report_end_s = now_s + LAST_REPORT_S
                 end_s = self._grace_end_s if report_end_s is None else report_end_s
                 if now_s >= end_s:
                     return
-                changed.wait(end_s - now_s)
+                changed.wait(min(end_s - now_s, SIGNALS_S))
 
     def _end_of_reports(self) -> None:
         with self._holdings.changed:
