@@ -105,6 +105,7 @@ class SolutionView(View):
     ]
     seed: int
     attempts: int | None
+    words: Annotated[str, Field(description="What it is, for people.")]
     parameters: Annotated[dict[str, dict[str, Any]], Field(description="By component, then by name.")]
     verdicts: Annotated[dict[str, Any] | None, Field(description="All requirements.")] = None
     features: dict[str, Any] | None = None

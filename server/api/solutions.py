@@ -3,6 +3,7 @@
 import asyncio
 import csv
 import io
+import json
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -12,6 +13,8 @@ from fastapi.responses import JSONResponse
 from sqlalchemy import Connection, Row
 from starlette.responses import Response as PlainResponse
 
+from search.parameters import Categorical
+from search.space import SearchSpace
 from server.api.context import Context, Services, client_gone
 from server.api.schemas import MAX_NUMBER, Boundary, DistanceBlock, SolutionPage, SolutionView
 from server.api.views import boundary_view, solution_views
@@ -59,7 +62,7 @@ async def get_solutions(
             wanted &= archive.unsafe == unsafe
         numbers = [int(number) for number in np.sort(archive.numbers[wanted])[:limit]]
         rows = await read(services.engines, lambda c: view_store.read_solutions(c, campaign.id, numbers))
-    views = solution_views(rows, found.plan.problem.space, archive)
+    views = solution_views(rows, found.plan.problem, archive)
     return SolutionPage(solutions=views, next=views[-1].number if len(views) == limit else None)
 
 
@@ -71,7 +74,7 @@ async def get_solution(campaign_id: str, number: Number, services: Services) -> 
     rows = await read(services.engines, lambda c: view_store.read_solutions(c, campaign.id, [number]))
     if not rows:
         raise NotFound(f"campaign {campaign.id} has no solution {number}")
-    return solution_views(rows, found.plan.problem.space, found.archive, full=True)[0]
+    return solution_views(rows, found.plan.problem, found.archive, full=True)[0]
 
 
 @router.get("/boundary", responses={200: {"content": {"text/csv": {}}}})
@@ -103,13 +106,15 @@ def boundary_csv(boundary: Boundary) -> str:
         for name in values
     ]
     columns = [f"{component}.{name}" for component, name in parameters]
-    writer.writerow([*fixed, "interval_low", "interval_high", "strict", "seed", *columns])
+    writer.writerow([*fixed, "interval_low", "interval_high", "strict", "seed", "words", *columns])
     strict = set(boundary.strict)
     for solution in boundary.solutions:
         low, high = solution.interval or (None, None)
         values = [getattr(solution, name) for name in fixed]
         decoded = [solution.parameters[component][name] for component, name in parameters]
-        writer.writerow([*values, low, high, solution.number in strict, solution.seed, *decoded])
+        writer.writerow(
+            [*values, low, high, solution.number in strict, solution.seed, solution.words, *decoded]
+        )
     return text.getvalue()
 
 
@@ -141,15 +146,21 @@ async def get_distances(
 
 @router.get("/archive.npz", response_class=Response)
 async def get_archive(campaign_id: str, services: Services) -> Response:
-    """Return all evaluated solutions as numpy arrays: numbers, vectors, verdicts, counts, fitness."""
+    """Return all evaluated solutions as numpy arrays: numbers, vectors, verdicts, counts, fitness.
+
+    `columns` names the columns of `vectors`; `choices` has, for each that is categorical, its choices as a JSON list
+    in the order of their indices, and an empty text for the others.
+    """
     campaign = await services.campaigns.get(campaign_id)
-    stored, archive = await asyncio.get_running_loop().run_in_executor(
+    plan, stored, archive = await asyncio.get_running_loop().run_in_executor(
         None, services.archives.stored, campaign
     )
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer,
         allow_pickle=False,
+        columns=np.array(plan.problem.space.column_names()),
+        choices=np.array(_choices(plan.problem.space)),
         numbers=stored.numbers,
         vectors=stored.vectors,
         unsafe=stored.unsafe,
@@ -160,6 +171,14 @@ async def get_archive(campaign_id: str, services: Services) -> Response:
         fitness=archive.fitness,
     )
     return Response(buffer.getvalue(), media_type="application/x-npz")
+
+
+def _choices(space: SearchSpace) -> list[str]:
+    return [
+        json.dumps(parameter.choices) if isinstance(parameter, Categorical) else ""
+        for component in space.components
+        for parameter in component.parameters
+    ]
 
 
 Wait = Annotated[float, Query(ge=0, le=60, description="How long to wait for workers to make the trace.")]
@@ -235,7 +254,8 @@ async def _trace(
                 raise Conflict(f"solution {number}: its simulator records no traces")
             if job is not None and job.status in (JobStatus.QUARANTINED, JobStatus.CANCELLED):
                 raise Conflict(f"solution {number}: the trace cannot be made: {job.last_error}")
-            if asyncio.get_running_loop().time() >= deadline or gone.is_set():
+            late = asyncio.get_running_loop().time() >= deadline
+            if late or gone.is_set() or services.queue.stopping:
                 return None
             await asyncio.sleep(LOOK_AGAIN_S)
 

@@ -11,7 +11,6 @@ from sqlalchemy import Connection, Row
 from search.archive import Archive
 from search.boundary import PAPER_D_THS, PAPER_T_BS, dbs_grid, distinct_boundary
 from search.digest import archive_digest
-from search.space import SearchSpace
 from server.api.schemas import (
     Boundary,
     CampaignView,
@@ -27,6 +26,7 @@ from server.campaigns.values import Campaign, GenerationSummary
 from server.db.models import CampaignStatus, JobStatus
 from server.db.writer import Trouble
 from server.errors import NotFound
+from server.problems.base import Problem, words_of
 from server.queue.workers import list_seen
 
 RATE_WINDOW = 5
@@ -103,24 +103,25 @@ def _rate(campaign: Campaign, series: list[GenerationSummary], done: int, end: d
 
 
 def solution_views(
-    rows: Iterable[Row[*tuple[Any, ...]]], space: SearchSpace, archive: Archive, *, full: bool = False
+    rows: Iterable[Row[*tuple[Any, ...]]], problem: Problem, archive: Archive, *, full: bool = False
 ) -> list[SolutionView]:
     """Return solutions with decoded parameters and their place in the archive.
 
     Args:
         rows: From the store.
-        space: The campaign's search space.
+        problem: The campaign's problem.
         archive: Its archive.
         full: Whether to add all verdicts, features, provenance and the episode.
     """
     place = {int(number): index for index, number in enumerate(archive.numbers)}
-    return [_solution(row, space, archive, place.get(row.number), full=full) for row in rows]
+    return [_solution(row, problem, archive, place.get(row.number), full=full) for row in rows]
 
 
 def _solution(
-    row: Row[*tuple[Any, ...]], space: SearchSpace, archive: Archive, index: int | None, *, full: bool
+    row: Row[*tuple[Any, ...]], problem: Problem, archive: Archive, index: int | None, *, full: bool
 ) -> SolutionView:
     result: Mapping[str, Any] = json.loads(row.result) if full and row.result else {}
+    vectors = problem.space.split(np.frombuffer(row.vector, dtype="<f8"))
     return SolutionView(
         number=row.number, generation=row.generation, verdict=row.verdict, robustness=row.robustness,
         objectives=row.objectives, failure=row.failure,
@@ -129,7 +130,7 @@ def _solution(
         unsafe_neighbours=None if index is None else int(archive.unsafe_neighbours[index]),
         interval=None if index is None else (float(archive.interval[index, 0]), float(archive.interval[index, 1])),
         seed=row.seed, attempts=row.attempt,
-        parameters=space.decode(space.split(np.frombuffer(row.vector, dtype="<f8"))),
+        words=words_of(problem, vectors), parameters=problem.space.decode(vectors),
         verdicts=result.get("verdicts"), features=result.get("features"),
         provenance=result.get("provenance"),
         spec=json.loads(row.spec) if full and row.spec else None,
@@ -157,9 +158,7 @@ def boundary_view(
             for row, t in enumerate(grid.t_bs)
             for column, d in enumerate(grid.d_ths)
         ],
-        solutions=solution_views(
-            [rows[number] for number in numbers], read.plan.problem.space, archive, full=True
-        ),
+        solutions=solution_views([rows[number] for number in numbers], read.plan.problem, archive, full=True),
         strict=[int(number) for number in archive.numbers[strict]],
     )
 

@@ -46,12 +46,12 @@ class Archives:
             self._kept.popitem(last=False)
         return kept
 
-    def stored(self, campaign: Campaign) -> tuple[StoredArchive, Archive]:
-        """Return the stored rows of a campaign's archive, and the archive that they make."""
+    def stored(self, campaign: Campaign) -> tuple[Plan, StoredArchive, Archive]:
+        """Return a campaign's plan, the stored rows of its archive, and the archive that they make."""
         plan = make_plan(campaign.body)
         with self.engines.reader.connect() as connection:
             stored = step_store.read_archive(connection, campaign.id, plan.problem.space.dimension)
-        return stored, restored_archive(plan, stored)
+        return plan, stored, restored_archive(plan, stored)
 
     async def distances(self, campaign: Campaign, archive: Archive, rows: Sequence[int]) -> FloatArray:
         """Return the distances between solutions at some positions of an archive, shape ``(rows, rows)``.

@@ -75,4 +75,26 @@ class InProcessProblem(_Problem, Protocol):
         ...
 
 
+@runtime_checkable
+class InWords(Protocol):
+    """A problem that can say what a candidate is; may be left out."""
+
+    def words(self, vectors: Vectors) -> str:
+        """Return a candidate in a line of words."""
+        ...
+
+
 Problem: TypeAlias = SimulatedProblem | InProcessProblem
+
+
+def words_of(problem: Problem, vectors: Vectors) -> str:
+    """Return a candidate in words: the problem's own, or else its categories, and all of it if it has none."""
+    if isinstance(problem, InWords):
+        return problem.words(vectors)
+    words = []
+    for values in problem.space.decode(tuple(vectors)).values():
+        chosen = {name: value for name, value in values.items() if isinstance(value, str)}
+        words += [f"{name} {value}" for name, value in chosen.items()]
+        if not chosen:
+            words += [f"{name} {value:.3g}" for name, value in values.items()]
+    return ", ".join(words)

@@ -32,6 +32,7 @@ from sim.catalogue import plugin_ids
 from sim.episode import EpisodeSpec, Json
 from sim.urban import behaviour as b
 from sim.urban.scenario import PEDESTRIAN_COUNTS, ROAD_IDS, ROAD_LENGTHS, SCENARIO_CHOICES
+from sim.urban.words import words_of_behaviour, words_of_scenario
 from worker.wire import Completed
 
 SIMULATOR = "brink-drive@1"
@@ -151,6 +152,12 @@ class UrbanInjected:
             duration_s=self.params.duration_s,
             options={"fidelity": self.params.fidelity},
         )
+
+    def words(self, vectors: Vectors) -> str:
+        """Return a candidate in words."""
+        decoded = self.space.decode(tuple(vectors))
+        behaviour = _behaviour(decoded["behaviour"])
+        return f"{words_of_scenario(_scenario(decoded['scenario']))}; {words_of_behaviour(behaviour['trajectories'])}"
 
     def evaluation(self, outcome: Completed) -> Evaluation:
         """Return the chosen requirement's verdict and all objectives."""

@@ -74,15 +74,20 @@ def tell(trace: Trace, requirement: str | None = None, *, most: int = 6) -> Stor
     )
 
 
-def _appearances(trace: Trace, until: int) -> list[tuple[int, str]]:
-    """Return the last two samples at which an injected box appears, latest first, with its label."""
-    found: list[tuple[int, str]] = []
+def _injections(trace: Trace, decisive: int) -> list[tuple[int, str]]:
+    """Return a sample within each injected detection, those before the decisive one first, with its label."""
+    before: list[tuple[int, str]] = []
+    after: list[tuple[int, str]] = []
     for label, word in enumerate(("vehicle", "person")):
         of_label = np.concatenate([[0], np.cumsum(trace.given_boxes.rows[:, 0].astype(int) == label)])
         counts = of_label[trace.given_boxes.first[1:]] - of_label[trace.given_boxes.first[:-1]]
-        appear = np.flatnonzero(np.diff(counts, prepend=0) > 0)
-        found += [(sample, word) for sample in appear[appear <= until].tolist()]
-    return sorted(found, reverse=True)[:2]
+        edges = np.flatnonzero(np.diff((counts > 0).astype(int), prepend=0, append=0))
+        for start, end in edges.reshape(-1, 2).tolist():
+            if start <= decisive:
+                before.append(((start + min(end - 1, decisive)) // 2, word))
+            else:
+                after.append(((start + end - 1) // 2, word))
+    return [*sorted(before, reverse=True), *sorted(after)]
 
 
 def told_events(trace: Trace) -> list[Event]:
@@ -130,8 +135,7 @@ def _before(trace: Trace, decisive: int) -> list[Moment]:
 
     lead_up(LEAD_UP_S[0])
     found += [
-        Moment(sample=sample, reason=f"injected {word} appears")
-        for sample, word in _appearances(trace, decisive)
+        Moment(sample=sample, reason=f"injected {word}") for sample, word in _injections(trace, decisive)
     ]
     changes = [i for i in range(1, decisive + 1) if trace.plan_mode[i] != trace.plan_mode[i - 1]]
     found += [Moment(sample=i, reason=f"plan: {trace.plan_mode[i]}") for i in changes[::-1][:2]]

@@ -189,6 +189,8 @@ def test_the_archive_holds_all_solutions(finished: Finished) -> None:
     assert arrays["fitness"].tolist() == [s["fitness"] for s in everything]
     assert arrays["neighbours"].tolist() == [s["neighbours"] for s in everything]
     assert arrays["vectors"].shape == (len(everything), 2)
+    assert arrays["columns"].tolist() == ["where.x", "what.y"]
+    assert arrays["choices"].tolist() == ["", ""]
 
 
 def test_jobs_and_workers_are_listed(finished: Finished) -> None:
