@@ -7,6 +7,7 @@ from contextlib import asynccontextmanager, suppress
 from importlib.metadata import version
 
 from fastapi import APIRouter, FastAPI
+from fastapi_offline import FastAPIOffline
 
 from server.api import campaigns, catalogue, health, jobs, solutions
 from server.api.context import Context
@@ -64,8 +65,9 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
             await loop.run_in_executor(None, context.queue.writer.close)
             engines.dispose()
 
-    app = FastAPI(
-        title="Brink", description=DESCRIPTION, version=version("brink"), lifespan=lifespan,
+    app = FastAPIOffline(  # the pages of the API must work where there is no way out to the internet
+        redoc_url=None, static_url="/docs-files", title="Brink", description=DESCRIPTION,
+        version=version("brink"), lifespan=lifespan,
         responses={"4XX": {"model": ProblemDetail, "description": "What is wrong, as problem+json."}},
     )  # fmt: skip
     install(app)

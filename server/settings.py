@@ -38,9 +38,14 @@ class Settings(BaseSettings):
 
     @field_validator("token")
     @classmethod
-    def _empty_is_none(cls, token: SecretStr | None) -> SecretStr | None:
+    def _fits_a_header(cls, token: SecretStr | None) -> SecretStr | None:
         """Take an empty token for what it is: no token, with which nobody may listen to other machines."""
-        return token if token is not None and token.get_secret_value() else None
+        text = token.get_secret_value() if token is not None else ""
+        if not all("!" <= letter <= "~" for letter in text):
+            raise ValueError(
+                "expected printable ASCII characters without spaces, such as: openssl rand -hex 24"
+            )
+        return token if text else None
 
     @property
     def sqlite_file(self) -> Path | None:

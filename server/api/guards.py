@@ -6,7 +6,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from server.api.problem_details import problem
 
-OPEN_PATHS = ("/healthz", "/readyz")
+OPEN_PATHS = ("/healthz", "/readyz", "/docs", "/openapi.json")
+"""What says nothing of any campaign: whether the coordinator lives, and what its API is."""
+OPEN_FOLDERS = ("/docs-files/",)
 
 
 class Guards:
@@ -23,7 +25,7 @@ class Guards:
             await self._app(scope, receive, send)
             return
         headers = {name.lower(): value for name, value in scope["headers"]}
-        if self._token and scope["path"] not in OPEN_PATHS and not self._authorised(headers):
+        if self._token and not _is_open(scope["path"]) and not self._authorised(headers):
             response = problem(
                 401,
                 "Unauthorised",
@@ -55,6 +57,10 @@ class Guards:
         assert self._token is not None
         given = headers.get(b"authorization", b"")
         return secrets.compare_digest(given, b"Bearer " + self._token.encode())
+
+
+def _is_open(path: str) -> bool:
+    return path in OPEN_PATHS or path.startswith(OPEN_FOLDERS)
 
 
 class _Bounded:

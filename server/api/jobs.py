@@ -76,7 +76,7 @@ async def get_workers(services: Services) -> list[WorkerView]:
         WorkerView(
             id=w.id, host=w.host, pid=w.pid, version=w.version, capabilities=list(w.capabilities),
             first_seen_at=w.first_seen_at, last_seen_at=w.last_seen_at, seen_s_ago=w.seen_s_ago,
-            live=w.seen_s_ago <= horizon, jobs_done=w.jobs_done, jobs_failed=w.jobs_failed,
+            live=w.seen_s_ago <= horizon and not w.gone, jobs_done=w.jobs_done, jobs_failed=w.jobs_failed,
             jobs_held=w.jobs_held,
         )
         for w in seen

@@ -3,6 +3,7 @@
 A control has verdicts that ignore behaviour (`search.control`), so what it reaches is owed to scenarios and chance.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -21,12 +22,17 @@ ENOUGH_REPEATS = 3.0
 """Evaluations a scenario from which on a control can be believed."""
 DRAWS = 5
 """Controls a campaign: their figures are means."""
+SPREADS = 2.0
+"""Standard deviations of its draws by which a campaign must exceed its control, to owe anything to behaviour."""
+CALIBRATION = 0.15
+"""Share of a control by which it can read low though behaviour has no effect (docs/mlcshe.md)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComparedCampaign:
     """A campaign to compare."""
 
+    id: str
     label: str
     body: CampaignBody
     plan: Plan
@@ -39,19 +45,30 @@ class Row:
 
     Attributes:
         label: What the figures are of.
+        campaign: Id of the campaign, its own or that of its control.
         unsafe_share: Unsafe share of the archive.
         dbs: Shape ``(len(PAPER_T_BS), len(PAPER_D_THS))``; means for a control.
         strict: The same for strict DBS.
+        strict_spread: Standard deviation of strict DBS over a control's draws, same shape; zero for a campaign.
+        repeats: Evaluated behaviours a scenario, for a control; None for a campaign.
     """
 
     label: str
+    campaign: str
     unsafe_share: float
     dbs: NDArray[np.float64]
     strict: NDArray[np.float64]
+    strict_spread: NDArray[np.float64]
+    repeats: float | None
+
+    @property
+    def reads_low(self) -> bool:
+        """Whether this is a control that too few behaviours a scenario make too low."""
+        return self.repeats is not None and self.repeats < ENOUGH_REPEATS
 
 
 def compare(campaigns: Sequence[ComparedCampaign], *, control: bool = True) -> list[Row]:
-    """Return a row for each campaign, and one for its control if its space has a scenario.
+    """Return a row for each campaign, followed by one for its control if its space has a scenario.
 
     What an algorithm simulated beyond its budget, to end a generation, is not counted.
     """
@@ -59,25 +76,56 @@ def compare(campaigns: Sequence[ComparedCampaign], *, control: bool = True) -> l
     for campaign in campaigns:
         archive = campaign.archive
         within = archive.first(int(np.searchsorted(archive.numbers, campaign.body.budget.simulations)))
-        rows.append(_row(campaign.label, [within]))
+        rows.append(_row(campaign.label, campaign.id, [within]))
         names = [component.name for component in campaign.plan.problem.space.components]
         if control and len(within) and SCENARIO in names and len(names) > 1:
             risk = ScenarioRisk.fitted(within, campaign.plan.problem.space, scenario=names.index(SCENARIO))
-            label = f"{campaign.label}, control"
-            if risk.repeats < ENOUGH_REPEATS:
-                label += f" (reads low: {risk.repeats:.1f} behaviours a scenario)"
             blind = [blind_archive(within, risk, seed=campaign.body.seed, draw=draw) for draw in range(DRAWS)]
-            rows.append(_row(label, blind))
+            rows.append(_row(f"{campaign.label}, control", campaign.id, blind, repeats=risk.repeats))
     return rows
 
 
-def _row(label: str, archives: Sequence[Archive]) -> Row:
+def in_words(rows: Sequence[Row], t_b: float, d_th: float) -> list[str]:
+    """Return, for each campaign that has a control, what the two say together, in a sentence.
+
+    Args:
+        rows: From `compare`.
+        t_b: One of the paper's thresholds.
+        d_th: One of the paper's thresholds.
+    """
+    place = PAPER_T_BS.index(t_b), PAPER_D_THS.index(d_th)
+    return [
+        f"{row.label}: {_said(row, control, place)}"
+        for row, control in itertools.pairwise(rows)
+        if row.repeats is None and control.repeats is not None
+    ]
+
+
+def _said(row: Row, control: Row, place: tuple[int, int]) -> str:
+    found, blind = float(row.strict[place]), float(control.strict[place])
+    facts = (
+        f"strict DBS {found:g} within its budget, {blind:.3g} if verdicts ignored the component's behaviour"
+    )
+    if control.reads_low:
+        return f"{facts}; with {control.repeats:.1f} behaviours a scenario that figure reads low and proves nothing"
+    if not found:
+        return f"{facts}: nothing that could be owed to it"
+    beyond = found - blind
+    if beyond > max(SPREADS * float(control.strict_spread[place]), CALIBRATION * blind):
+        return f"{facts}: about {beyond:.0f} of {found:g} are owed to how the component behaves"
+    return f"{facts}: no more than scenarios and chance give, so it does not show that the component matters"
+
+
+def _row(label: str, campaign: str, archives: Sequence[Archive], *, repeats: float | None = None) -> Row:
     grids: list[DbsGrid] = [dbs_grid(archive, PAPER_T_BS, PAPER_D_THS) for archive in archives]
     return Row(
         label=label,
+        campaign=campaign,
         unsafe_share=float(
             np.mean([np.mean(archive.unsafe) if len(archive) else 0.0 for archive in archives])
         ),
         dbs=np.mean([grid.dbs for grid in grids], axis=0),
         strict=np.mean([grid.strict for grid in grids], axis=0),
+        strict_spread=np.std([grid.strict for grid in grids], axis=0),
+        repeats=repeats,
     )

@@ -107,11 +107,33 @@ def read_campaign_file(path: Path) -> CampaignBody:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise InvalidInput([FieldError(pointer="", message=f"{path}: {reason}")]) from None
     try:
-        document = yaml.safe_load(text)
+        document = yaml.load(text, _Loader)
     except yaml.YAMLError as error:
-        reason = " ".join(str(error).split())
-        raise InvalidInput([FieldError(pointer="", message=f"{path}: not YAML: {reason}")]) from None
+        raise InvalidInput([FieldError(pointer="", message=f"{path}: {_yaml_trouble(error)}")]) from None
     return parse_body(document)
+
+
+class _Loader(yaml.SafeLoader):
+    """Takes no key twice: the second one would silently win."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        for key, _ in reversed(node.value):
+            if isinstance(key, yaml.ScalarNode) and key.value != "<<" and keys.count(key.value) > 1:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"{key.value!r} is given twice", key.start_mark
+                )
+        return super().construct_mapping(node, deep)
+
+
+def _yaml_trouble(error: yaml.YAMLError) -> str:
+    mark = getattr(error, "problem_mark", None)
+    if mark is None:
+        return f"not YAML: {' '.join(str(error).split())}"
+    problem = str(getattr(error, "problem", None) or "cannot be read")
+    if "\\t" in problem:
+        problem = "a tab; YAML is indented by spaces"
+    return f"line {mark.line + 1}, column {mark.column + 1}: {problem}"
 
 
 def invalid_input(error: ValidationError, model: type[BaseModel], prefix: str = "") -> InvalidInput:
@@ -146,6 +168,11 @@ def _field_error(item: Any, model: type[BaseModel], prefix: str) -> FieldError:
         where = location[-1] if location else 0
         reason = item.get("ctx", {}).get("error", "malformed")
         return FieldError(pointer=prefix, message=f"expected JSON: {reason} at character {where}")
+    if item["type"] in ("model_type", "model_attributes_type", "dict_type"):
+        valid = sorted(_fields_at(model, location))
+        fields = f" with {', '.join(valid)}" if valid else ""
+        message = f"expected a mapping{fields}, got {repr(item['input'])[:120]}"
+        return FieldError(pointer=pointer, message=message)
     message = item["msg"].removeprefix("Value error, ")
     valid = [str(value) for value in _literals(item)]
     shown = repr(item.get("input"))

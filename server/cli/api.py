@@ -12,7 +12,7 @@ import httpx
 from server.app import create_app
 from server.db.engine import open_engines
 from server.db.upgrade import check_known, current_revision, head_revision
-from server.errors import DatabaseError, ServerError
+from server.errors import DatabaseError, FieldError, InvalidInput, ServerError
 from server.settings import Settings
 
 TIMEOUT = httpx.Timeout(90.0, connect=5.0)
@@ -61,6 +61,10 @@ class Api:
             ) from None
         if response.is_success:
             return response
+        if response.status_code == httpx.codes.UNAUTHORIZED:
+            raise CoordinatorSaid(
+                f"the coordinator at {self.where} wants its token: set the environment variable BRINK_TOKEN to it"
+            )
         raise CoordinatorSaid(_what_it_said(response))
 
 
@@ -89,10 +93,14 @@ async def open_api(server: str | None, settings: Settings) -> AsyncIterator[Api]
 
     Raises:
         DatabaseError: There is no database, or it cannot be used as it is.
+        InvalidInput: The URL is none.
     """
     token = settings.token.get_secret_value() if settings.token else None
     headers = {"Authorization": f"Bearer {token}"} if token else {}
     if server is not None:
+        if not server.startswith(("http://", "https://")):
+            message = f"expected a URL such as http://127.0.0.1:8700, got {server!r}"
+            raise InvalidInput([FieldError(pointer="--server", message=message)])
         async with httpx.AsyncClient(base_url=server, timeout=TIMEOUT, headers=headers) as client:
             yield Api(client, server)
         return

@@ -8,8 +8,9 @@ from rich.console import Console
 from rich.table import Table
 
 from search.boundary import PAPER_D_THS, PAPER_T_BS
-from server.bench.comparison import DRAWS, ComparedCampaign, Row
+from server.bench.comparison import DRAWS, ComparedCampaign, Row, in_words
 from server.bench.comparison import compare as compare_campaigns
+from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from server.cli.api import Api
 from server.cli.options import AsJson, Database, Server, console, print_json, with_api
 from server.cli.pictures import fetch_archive
@@ -28,7 +29,8 @@ def compare(
 
     Example: brink compare 3f2a 91bc 77d0
     """
-    rows = with_api(server, database, lambda api: compared(api, campaigns, control=control))
+    unique = list(dict.fromkeys(campaigns))
+    rows = with_api(server, database, lambda api: compared(api, unique, control=control))
     if as_json:
         print_json(rows_json(rows))
     else:
@@ -38,16 +40,18 @@ def compare(
 async def compared(api: Api, campaigns: Sequence[str], *, control: bool) -> list[Row]:
     """Return the comparison of some campaigns."""
     fetched = [await fetch_archive(api, campaign) for campaign in campaigns]
+    fetched = list({item.id: item for item in fetched}.values())
     names = [item.body.name for item in fetched]
-    labels = (
-        names
-        if len(set(names)) == len(names)
-        else [f"{n} {c}" for n, c in zip(names, campaigns, strict=True)]
-    )
     return compare_campaigns(
         [
-            ComparedCampaign(label=label, body=item.body, plan=item.plan, archive=item.archive)
-            for label, item in zip(labels, fetched, strict=True)
+            ComparedCampaign(
+                id=item.id,
+                label=item.body.name if names.count(item.body.name) == 1 else f"{item.body.name} {item.id}",
+                body=item.body,
+                plan=item.plan,
+                archive=item.archive,
+            )
+            for item in fetched
         ],
         control=control,
     )
@@ -57,7 +61,10 @@ def rows_json(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Return a comparison for programs."""
     return [
         {
+            "campaign": row.campaign,
             "label": row.label,
+            "control": row.repeats is not None,
+            "behaviours_a_scenario": row.repeats,
             "unsafe_share": row.unsafe_share,
             "grid": [
                 {"t_b": t, "d_th": d, "dbs": float(row.dbs[i, j]), "strict_dbs": float(row.strict[i, j])}
@@ -83,10 +90,18 @@ def print_rows(screen: Console, rows: Sequence[Row]) -> None:
             cells = [
                 f"{row.dbs[i, column]:.4g} ({row.strict[i, column]:.4g})" for i in range(len(PAPER_T_BS))
             ]
-            table.add_row(row.label, f"{row.unsafe_share:.0%}", *cells)
+            label = f"{row.label} (reads low)" if row.reads_low else row.label
+            table.add_row(label, f"{row.unsafe_share:.0%}", *cells)
         screen.print(table)
         screen.print()
+    if any(row.repeats is not None for row in rows):
+        screen.print(f"At t_b {DEFAULT_T_B:g}, d_th {DEFAULT_D_TH:g}:")
+        for sentence in in_words(rows, DEFAULT_T_B, DEFAULT_D_TH):
+            screen.print(f"  {sentence}")
+        screen.print(
+            f"[dim]Controls: verdicts redrawn without regard to behaviour; means of {DRAWS} draws.[/dim]"
+        )
     screen.print(
-        f"[dim]Controls have verdicts that ignore behaviour; means over {DRAWS} draws. t_b >= 1/9 counts all-safe "
-        "neighbourhoods as boundary; strict DBS does not.[/dim]"
+        "[dim]t_b >= 1/9 counts all-safe neighbourhoods as boundary; strict DBS does not. "
+        "Both are greedy counts, so that either may be larger by a few.[/dim]"
     )

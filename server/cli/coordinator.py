@@ -14,7 +14,7 @@ from pathlib import Path
 import uvicorn
 
 from server.app import create_app
-from server.db.engine import open_engines
+from server.db.engine import open_engines, parse_url
 from server.db.upgrade import upgrade
 from server.errors import ServerError
 from server.queue.lease_store import release
@@ -94,16 +94,37 @@ def listen(settings: Settings) -> socket.socket:
     return listener
 
 
-def server_config(settings: Settings) -> uvicorn.Config:
-    """Return how the app is served."""
-    return uvicorn.Config(
-        create_app(settings),
-        log_config=None,
-        access_log=False,
-        lifespan="on",
-        timeout_keep_alive=75,
-        timeout_graceful_shutdown=3,
-    )
+def url_of(listener: socket.socket) -> str:
+    """Return the URL at which a listening socket is reached from this machine."""
+    host, port = listener.getsockname()[:2]
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
+def shown_url(settings: Settings) -> str:
+    """Return the URL of the database without its password."""
+    return parse_url(settings.database).render_as_string(hide_password=True)
+
+
+class CoordinatorServer(uvicorn.Server):
+    """Serves the coordinator; asked to stop, it answers those who wait for work, so that nobody is cut off."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._app = create_app(settings)
+        super().__init__(
+            uvicorn.Config(
+                self._app,
+                log_config=None,
+                access_log=False,
+                lifespan="on",
+                timeout_keep_alive=75,
+                timeout_graceful_shutdown=3,
+            )
+        )
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Stop serving."""
+        self._app.state.context.queue.end_waits()
+        await super().shutdown(sockets)
 
 
 class EmbeddedCoordinator:
@@ -111,9 +132,8 @@ class EmbeddedCoordinator:
 
     def __init__(self, settings: Settings) -> None:
         self._listener = listen(settings)
-        host, port = self._listener.getsockname()[:2]
-        self.url = f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
-        self._server = uvicorn.Server(server_config(settings))
+        self.url = url_of(self._listener)
+        self._server = CoordinatorServer(settings)
         self._thread = threading.Thread(
             target=self._server.run, kwargs={"sockets": [self._listener]}, name="brink-coordinator"
         )

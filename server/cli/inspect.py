@@ -18,6 +18,7 @@ from server.cli.options import (
     Database,
     Server,
     Threshold,
+    brink,
     console,
     print_json,
     with_api,
@@ -30,6 +31,8 @@ from sim.replay import render
 
 PATIENCE_S = 120.0
 ERRORS_SHOWN = 5
+LATEST = 10**9
+"""A generation that no campaign reaches."""
 
 
 def status(
@@ -63,11 +66,13 @@ def status(
         for name in ("id", "name", "status", "simulations", "unsafe", "failed", "submitted"):
             table.add_column(name)
         for item in listed["campaigns"]:
+            if item["status"] in ("running", "paused"):  # with what is done of the generation under way
+                item = {**item, **await api.get(f"/campaigns/{item['id']}/progress", {"since": LATEST})}
             table.add_row(
                 item["id"], item["name"], item["status"], f"{item['simulations']} of {item['budget']}",
                 str(item["unsafe"]), str(item["failed"]), item["created_at"][:16].replace("T", " "),
             )  # fmt: skip
-        console().print(table if listed["campaigns"] else "no campaign yet: brink run FILE starts one")
+        console().print(table if listed["campaigns"] else f"no campaign yet: {brink()} run FILE starts one")
 
     with_api(server, database, lambda api: one(api, campaign) if campaign else everything(api))
 
@@ -101,7 +106,9 @@ def _print_status(progress: dict[str, Any], quarantined: list[Any], workers: lis
             markup=False,
         )
     if len(quarantined) > ERRORS_SHOWN:
-        screen.print(f"  and {len(quarantined) - ERRORS_SHOWN} more: brink status {progress['id']} --json")
+        screen.print(
+            f"  and {len(quarantined) - ERRORS_SHOWN} more: {brink()} status {progress['id']} --json"
+        )
     if progress["digest"]:
         screen.print(f"archive sha256 {progress['digest']}")
 
@@ -197,6 +204,8 @@ def replay(
     if out.suffix not in (".png", ".gif", ".mp4"):
         message = f"{out}: expected a file name that ends in .png, .gif or .mp4"
         raise InvalidInput([FieldError(pointer="--out", message=message)])
+    if not out.parent.is_dir():
+        raise InvalidInput([FieldError(pointer="--out", message=f"{out.parent}: no such folder")])
 
     async def work(api: Api) -> None:
         requirement = await requirement_of(api, campaign)

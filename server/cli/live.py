@@ -84,13 +84,14 @@ class CampaignDisplay:
             ("rate", f"{_rate(progress)}   left {_duration(progress['remaining_s'])}", ""),
             (
                 "workers",
-                f"{progress['workers']}   running {progress['leased']}   queued {progress['queued']}",
+                f"{progress['workers'] or 'none yet'}   running {progress['leased']}   queued {progress['queued']}",
                 "",
             ),
         ]
         if progress["quarantined"] or progress["failed"]:
             rows.append(("failed", f"{progress['failed']}   in quarantine {progress['quarantined']}", ""))
-        for needs, count in progress["unrunnable"].items():
+        # At a start no worker has been heard of yet, which is nothing to say of what they offer.
+        for needs, count in progress["unrunnable"].items() if progress["workers"] else ():
             rows.append(("waiting", f"{count} jobs need {needs}, which no worker offers", ""))
         if progress["trouble"]:
             rows.append(("trouble", progress["trouble"], ""))

@@ -1,74 +1,34 @@
-"""The command `brink`. Exits 0, 1 if something failed, 2 if it was called wrongly."""
+"""The command `brink`. Exits 0, 1 if something failed, 2 if it was called wrongly, 130 after Ctrl-C."""
 
-import logging
-import os
 import sys
-from typing import Annotated
 
-import typer
-
-from server.cli import bench, inspect, operate
-from server.cli.compare import compare
-from server.cli.run import run
-from server.errors import InvalidInput, ServerError
-from sim.catalogue import PLUGINS_VARIABLE
-from sim.errors import SimulatorError
-from worker.errors import WorkerError
-
-app = typer.Typer(
-    name="brink",
-    help="Find where a driving system with a machine-learned component stops being safe.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
-app.command()(run)
-app.command()(operate.serve)
-app.command()(operate.worker)
-app.command()(operate.submit)
-app.command()(inspect.status)
-app.command()(inspect.results)
-app.command()(inspect.plot)
-app.command()(inspect.replay)
-app.command()(compare)
-app.add_typer(operate.db, name="db")
-app.add_typer(bench.bench, name="bench")
-
-
-@app.callback()
-def options(
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log what happens to stderr.")] = False,
-    plugin: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Module with plug-ins, importable from here; may be given again.", metavar="MODULE"
-        ),
-    ] = None,
-) -> None:
-    """Find where a driving system with a machine-learned component stops being safe."""
-    if plugin:
-        named = [*filter(None, os.environ.get(PLUGINS_VARIABLE, "").split(",")), *plugin]
-        os.environ[PLUGINS_VARIABLE] = ",".join(named)  # for the workers that this command starts, too
-        sys.path.insert(0, os.getcwd())
-    logging.basicConfig(
-        level=logging.INFO if verbose else logging.WARNING,
-        format="%(asctime)s %(levelname)s %(name)s %(message)s",
-    )
+INTERRUPTED = 130
 
 
 def main() -> None:
-    """Run the command line."""
+    """Run the command line; what goes wrong is said in a line, not in a traceback."""
+    try:
+        sys.exit(_run())
+    except KeyboardInterrupt:
+        print("brink: interrupted", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+
+
+def _run() -> int:
+    # The commands load numpy, scipy and a web server, which takes a second: Ctrl-C may come meanwhile.
+    from server.cli.commands import app
+    from server.errors import InvalidInput, ServerError
+    from sim.errors import SimulatorError
+    from worker.errors import WorkerError
+
     try:
         app()
     except InvalidInput as error:
         for item in error.errors:
             print(f"brink: {item}", file=sys.stderr)
-        sys.exit(1)
     except (ServerError, WorkerError, SimulatorError) as error:
         print(f"brink: {error}", file=sys.stderr)
-        sys.exit(1)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         print(f"brink: {where}{error.strerror or error}", file=sys.stderr)
-        sys.exit(1)
+    return 1

@@ -2,20 +2,28 @@
 
 import asyncio
 import logging
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
 import typer
-import uvicorn
 
 from server.campaigns.body import read_campaign_file
 from server.cli.api import Api
-from server.cli.coordinator import check_exposed, listen, prepare_database, server_config
+from server.cli.coordinator import CoordinatorServer, listen, prepare_database, shown_url, url_of
 from server.cli.live import CampaignDisplay
-from server.cli.options import AsJson, CampaignFile, Database, console, print_json, settings_with, with_api
-from server.db.engine import open_engines, parse_url
+from server.cli.options import (
+    AsJson,
+    CampaignFile,
+    Database,
+    brink,
+    console,
+    print_json,
+    settings_with,
+    with_api,
+)
+from server.db.engine import open_engines
 from server.db.upgrade import current_revision, head_revision
-from server.settings import Settings
 from worker.log import configure_logging
 from worker.run import run_worker
 from worker.settings import WorkerSettings
@@ -37,16 +45,18 @@ def serve(
     Example: brink serve --database postgresql://brink:secret@db/brink --port 8700
     """
     settings = settings_with(database=database, host=host, port=port)
-    check_exposed(settings)
     logging.getLogger().setLevel(settings.log_level.upper())
     logging.getLogger("alembic").setLevel(logging.WARNING)
-    before, after = prepare_database(settings)
-    if before != after:
-        console().print(f"database upgraded from schema {before or 'none'} to {after}")
-    listener = listen(settings)
-    bound = listener.getsockname()
-    console().print(f"coordinator at http://{bound[0]}:{bound[1]} (API described at /docs)")
-    uvicorn.Server(server_config(settings)).run(sockets=[listener])
+    with closing(listen(settings)) as listener:
+        before, after = prepare_database(settings)
+        if before != after:
+            console().print(f"database upgraded from schema {before or 'none'} to {after}")
+        url = url_of(listener)
+        console().print(
+            f"coordinator at {url} on {shown_url(settings)}; API described at {url}/docs; Ctrl-C stops it",
+            soft_wrap=True,
+        )
+        CoordinatorServer(settings).run(sockets=[listener])
 
 
 def worker(
@@ -79,7 +89,7 @@ def worker(
 
 
 def _token() -> str | None:
-    token = Settings().token
+    token = settings_with().token
     return token.get_secret_value() if token else None
 
 
@@ -109,6 +119,9 @@ def submit(
         elif not as_json:
             known = "" if response.status_code == 201 else " (submitted before with this key)"
             console().print(f"campaign {campaign['id']}{known}")
+            if not watch:
+                hint = f"see how it goes with: {brink()} status {campaign['id']} --server {server}"
+                console().print(hint, soft_wrap=True)
         return await follow(api, campaign["id"], as_json=as_json) if watch else True
 
     if not with_api(server, None, work):
@@ -145,7 +158,7 @@ def db_upgrade(database: Database = None) -> None:
     """
     settings = settings_with(database=database)
     before, after = prepare_database(settings)
-    where = parse_url(settings.database).render_as_string(hide_password=True)
+    where = shown_url(settings)
     if before == after:
         typer.echo(f"{where}: schema {after} already")
     else:

@@ -2,15 +2,21 @@
 
 import asyncio
 import json
+import os
+import shutil
+import sys
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import typer
+from pydantic import ValidationError
 from rich.console import Console
 
 from server.cli.api import Api, open_api
+from server.errors import FieldError, InvalidInput
 from server.settings import Settings
+from sim.catalogue import PLUGINS_VARIABLE
 
 T = TypeVar("T")
 PLAIN_WIDTH = 140
@@ -41,8 +47,44 @@ Threshold = Annotated[float, typer.Option(min=0.0, max=1.0)]
 
 
 def settings_with(**given: Any) -> Settings:
-    """Return settings from the environment, with what was given on the command line."""
-    return Settings(**{name: value for name, value in given.items() if value is not None})
+    """Return settings from the environment, with what was given on the command line.
+
+    Raises:
+        InvalidInput: A setting is not what was expected; names its variable, and never shows a secret.
+    """
+    try:
+        return Settings(**{name: value for name, value in given.items() if value is not None})
+    except ValidationError as error:
+        raise InvalidInput(_setting_errors(error, given)) from None
+
+
+def _setting_errors(error: ValidationError, given: dict[str, Any]) -> list[FieldError]:
+    errors = []
+    for item in error.errors(include_url=False):
+        name = str(item["loc"][0])
+        place = f"--{name}" if given.get(name) is not None else f"BRINK_{name.upper()}"
+        shown = "" if name == "token" else f", got {item['input']!r}"
+        message = item["msg"].removeprefix("Value error, ")
+        errors.append(FieldError(pointer=place, message=f"{message[0].lower()}{message[1:]}{shown}"))
+    return errors
+
+
+def brink() -> str:
+    """Return how this command was called, for hints that can be pasted: its path if it is not found without."""
+    called = Path(sys.argv[0])
+    found = shutil.which(called.name)
+    if called.name != "brink" or (found and Path(found).resolve() == called.resolve()):
+        name = "brink"  # otherwise called from Python
+    else:
+        name = min(os.path.relpath(called), str(called.absolute()), key=len)
+    plugins = filter(None, os.environ.get(PLUGINS_VARIABLE, "").split(","))
+    return " ".join([name, *(f"--plugin {plugin}" for plugin in plugins)])
+
+
+def database_option(settings: Settings) -> str:
+    """Return the option that names the database in a hint; empty for the default one."""
+    default = Settings.model_fields["database"].default
+    return "" if settings.database == default else f" --database {settings.database}"
 
 
 def with_api(server: str | None, database: str | None, work: Callable[[Api], Awaitable[T]]) -> T:

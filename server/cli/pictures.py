@@ -12,13 +12,13 @@ from search.archive import Archive
 from server.campaigns.body import CampaignBody
 from server.campaigns.plan import Plan, make_plan
 from server.cli.api import Api
-from server.plots import CampaignFigures, write_campaign_figures
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FetchedArchive:
     """A campaign's archive, fetched over the API."""
 
+    id: str
     body: CampaignBody
     plan: Plan
     archive: Archive
@@ -31,7 +31,8 @@ async def fetch_archive(api: Api, campaign_id: str) -> FetchedArchive:
     Raises:
         CoordinatorSaid: There is no such campaign.
     """
-    body = CampaignBody.model_validate((await api.get(f"/campaigns/{campaign_id}"))["body"])
+    campaign = await api.get(f"/campaigns/{campaign_id}")
+    body = CampaignBody.model_validate(campaign["body"])
     response = await api.request("GET", f"/campaigns/{campaign_id}/archive.npz")
     with np.load(io.BytesIO(response.content), allow_pickle=False) as npz:
         arrays = {name: npz[name] for name in npz.files}
@@ -46,13 +47,18 @@ async def fetch_archive(api: Api, campaign_id: str) -> FetchedArchive:
     )
     generations = arrays["generations"]
     ends = np.searchsorted(generations, np.unique(generations), side="right")
-    return FetchedArchive(body=body, plan=plan, archive=archive, generations=tuple(int(end) for end in ends))
+    return FetchedArchive(
+        id=campaign["id"], body=body, plan=plan, archive=archive, generations=tuple(int(end) for end in ends)
+    )
 
 
 def draw_figures(
     fetched: FetchedArchive, folder: Path, *, t_b: float, d_th: float, formats: tuple[str, ...] = ("png",)
 ) -> list[Path]:
     """Write all figures of a campaign; return their files."""
+    # matplotlib takes half a second to load: only those who draw wait for it.
+    from server.plots import CampaignFigures, write_campaign_figures
+
     figures = CampaignFigures(
         archive=fetched.archive,
         space=fetched.plan.problem.space,

@@ -14,10 +14,12 @@ import httpx
 import typer
 from rich.console import Console
 
+from server.bench.comparison import in_words
 from server.campaigns.body import CampaignBody, read_campaign_file
 from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.service import check_submission
 from server.cli.api import TIMEOUT, Api, CoordinatorSaid
+from server.cli.compare import compared
 from server.cli.coordinator import (
     EmbeddedCoordinator,
     WorkerProcesses,
@@ -25,7 +27,15 @@ from server.cli.coordinator import (
     release_leases_of_the_dead,
 )
 from server.cli.live import CampaignDisplay
-from server.cli.options import CampaignFile, Database, console, print_json, settings_with
+from server.cli.options import (
+    CampaignFile,
+    Database,
+    brink,
+    console,
+    database_option,
+    print_json,
+    settings_with,
+)
 from server.cli.pictures import draw_figures, fetch_archive, write_results
 from server.cli.replays import write_replays
 from server.cli.summary import print_summary
@@ -63,10 +73,13 @@ def run(
     workers: Annotated[int, typer.Option(min=1, max=256, help="Worker processes.")] = 2,
     database: Database = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with this file's unfinished campaign, if there is one.")
+        bool,
+        typer.Option(
+            "--resume", help="Go on with this file's latest campaign, or show it if it is finished."
+        ),
     ] = False,
     new: Annotated[
-        bool, typer.Option("--new", help="Start another campaign even if one of this file is unfinished.")
+        bool, typer.Option("--new", help="Start another campaign even if there is one of this file.")
     ] = False,
     out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = RESULTS,
     pictures: Annotated[bool, typer.Option(help="Draw figures and replays at the end.")] = True,
@@ -89,6 +102,7 @@ def run(
     check_submission(plan.body)
     settings = settings_with(database=database, port=port)
     screen = Console(stderr=True, highlight=False) if as_json else console()
+    out.mkdir(parents=True, exist_ok=True)  # what cannot be written is known before an hour of simulations
     prepare_database(settings)
     release_leases_of_the_dead(settings)
     coordinator = EmbeddedCoordinator(settings)
@@ -99,20 +113,21 @@ def run(
         token=settings.token.get_secret_value() if settings.token else None,
     )
     try:
-        finished = asyncio.run(_run(plan, settings, coordinator.url, processes, screen))
+        status = asyncio.run(_run(plan, settings, coordinator.url, processes, screen))
     finally:
         processes.stop()
         coordinator.stop()
         signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    if not finished:
-        raise typer.Exit(1)
+    raise typer.Exit(status)
 
 
 async def _run(
     plan: RunPlan, settings: Settings, url: str, processes: WorkerProcesses, screen: Console
-) -> bool:
+) -> int:
+    """Return the exit status: 0 only if everything that was asked for is there."""
     stop = asyncio.Event()
+    database = database_option(settings)
     token = settings.token.get_secret_value() if settings.token else None
     headers = {"Authorization": f"Bearer {token}"} if token else {}
     async with httpx.AsyncClient(base_url=url, timeout=TIMEOUT, headers=headers) as client:
@@ -122,14 +137,14 @@ async def _run(
             processes.start(plan.workers)
             progress = await _watch(api, campaign_id, processes, stop, screen)
             if stop.is_set():
-                await _set_aside(api, campaign_id, plan, progress, screen)
-                return False
+                await _set_aside(api, campaign_id, plan, progress, screen, database)
+                return 1
             if progress["status"] != "finished":
                 screen.print(f"campaign {campaign_id} is {progress['status']}: {progress['status_reason']}")
-                screen.print(f"look closer with: brink status {campaign_id} {_database_option(settings)}")
-                return False
+                screen.print(f"look closer with: {brink()} status {campaign_id}{database}", soft_wrap=True)
+                return 1
             folder = plan.out / f"{_file_name(plan.body.name)}-{campaign_id}"
-            boundary, files = await _write_all(api, campaign_id, plan, folder, stop, screen)
+            boundary, files, control = await _write_all(api, campaign_id, plan, folder, stop, screen)
     summary = {
         "campaign": campaign_id,
         "digest": progress["digest"],
@@ -143,19 +158,19 @@ async def _run(
         "dbs": boundary["dbs"],
         "strict_dbs": boundary["strict_dbs"],
         "grid": boundary["grid"],
+        "control": control,
         "folder": str(folder),
         "files": [str(path) for path in files],
     }
     if plan.json:
         print_json(summary)
     else:
-        print_summary(screen, plan.body, summary, boundary, _database_option(settings))
-    return True
-
-
-def _database_option(settings: Settings) -> str:
-    default = Settings.model_fields["database"].default
-    return "" if settings.database == default else f"--database {settings.database}"
+        print_summary(screen, plan.body, summary, boundary, brink=brink(), database=database)
+    if not stop.is_set():
+        return 0
+    screen.print("[yellow]interrupted: not all pictures are drawn[/yellow]")
+    screen.print(f"draw them with: {brink()} run {plan.file} --resume{database}", soft_wrap=True)
+    return 1
 
 
 def _file_name(name: str) -> str:
@@ -163,21 +178,25 @@ def _file_name(name: str) -> str:
 
 
 async def _campaign(api: Api, plan: RunPlan, screen: Console) -> str:
-    """Return the campaign to watch: an unfinished one of this file, or a new one."""
-    params = {"document_hash": plan.body.document_hash(), "status": list(UNFINISHED)}
-    unfinished = (await api.get("/campaigns", params))["campaigns"]
-    if unfinished and plan.resume:
-        found = unfinished[0]
+    """Return the campaign to watch: the latest one of this file that was not cancelled, or a new one."""
+    states = [*UNFINISHED, "finished"] if plan.resume else UNFINISHED
+    params = {"document_hash": plan.body.document_hash(), "status": list(states), "limit": 1}
+    known = (await api.get("/campaigns", params))["campaigns"]
+    if known and not plan.new:
+        found = await api.get(f"/campaigns/{known[0]['id']}/progress")
+        stands = f"{found['simulations']} of {found['budget']} simulations"
+        if not plan.resume:
+            raise Conflict(
+                f"campaign {found['id']} of this file stands at {stands}: "
+                f"go on with it by --resume, or start another by --new"
+            )
         if found["status"] == "paused":
             await api.post(f"/campaigns/{found['id']}/resume")
-        screen.print(f"campaign {found['id']}: going on at {found['simulations']} of {found['budget']}")
+        if found["status"] == "finished":
+            screen.print(f"campaign {found['id']} of this file is finished; --new starts another")
+        else:
+            screen.print(f"campaign {found['id']}: going on at {stands}")
         return str(found["id"])
-    if unfinished and not plan.new:
-        found = unfinished[0]
-        raise Conflict(
-            f"campaign {found['id']} of this file stands at {found['simulations']} of {found['budget']}: "
-            f"go on with it by --resume, or start another by --new"
-        )
     campaign = await api.post("/campaigns", plan.body.model_dump(mode="json"))
     screen.print(
         f"campaign {campaign['id']}: {plan.body.algorithm.id} on {plan.body.problem.id}, "
@@ -221,25 +240,32 @@ async def _watch(
 
 
 async def _set_aside(
-    api: Api, campaign_id: str, plan: RunPlan, progress: dict[str, Any], screen: Console
+    api: Api, campaign_id: str, plan: RunPlan, progress: dict[str, Any], screen: Console, database: str
 ) -> None:
     """Pause a campaign that was stopped, so that it takes no workers until somebody goes on with it."""
     with contextlib.suppress(CoordinatorSaid):
         await api.post(f"/campaigns/{campaign_id}/pause")
     screen.print(f"stopped at {progress['simulations']} of {progress['budget']} simulations; nothing is lost")
-    screen.print(f"go on with: brink run {plan.file} --resume")
+    screen.print(f"go on with: {brink()} run {plan.file} --resume{database}", soft_wrap=True)
 
 
 async def _write_all(
     api: Api, campaign_id: str, plan: RunPlan, folder: Path, stop: asyncio.Event, screen: Console
-) -> tuple[dict[str, Any], list[Path]]:
-    """Write results and pictures; Ctrl-C leaves out the pictures that are not drawn yet."""
+) -> tuple[dict[str, Any], list[Path], list[str]]:
+    """Write results and pictures, and compare with the control; Ctrl-C leaves out what is not drawn yet.
+
+    Returns:
+        The boundary, the files, and what the control says in words.
+    """
     boundary = await write_results(api, campaign_id, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH)
     files = [folder / name for name in ("boundary.csv", "boundary.json", "archive.npz")]
-    if not plan.pictures:
-        return boundary, files
-    began = time.monotonic()
-    with screen.status("drawing the boundary") as status:
+    with screen.status("comparing with a control") as status:
+        rows = await compared(api, [campaign_id], control=True)
+        control = in_words(rows, DEFAULT_T_B, DEFAULT_D_TH)
+        if not plan.pictures or stop.is_set():
+            return boundary, files, control
+        began = time.monotonic()
+        status.update("drawing the boundary")
         fetched = await fetch_archive(api, campaign_id)
         files += await asyncio.to_thread(draw_figures, fetched, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH)
         numbers = [s["number"] for s in boundary["solutions"] if s["spec"] is not None]
@@ -248,4 +274,4 @@ async def _write_all(
             api, campaign_id, numbers[: plan.replays], folder, stop=stop, patience_s=TRACES_S
         )
     log.info("pictures took %.1f s", time.monotonic() - began)
-    return boundary, files
+    return boundary, files, control

@@ -1,26 +1,41 @@
 """What `brink run` says at the end: what was found, where it lies, what to try next."""
 
-import os
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
 from server.campaigns.body import CampaignBody
-from sim.catalogue import PLUGINS_VARIABLE
 
 SHOWN = 5
+PAPER_BUDGET = 1300
 
 
 def print_summary(
-    screen: Console, body: CampaignBody, summary: dict[str, Any], boundary: dict[str, Any], database: str
+    screen: Console,
+    body: CampaignBody,
+    summary: dict[str, Any],
+    boundary: dict[str, Any],
+    *,
+    brink: str,
+    database: str,
 ) -> None:
-    """Print the end of a campaign for people."""
-    campaign = summary["campaign"]
+    """Print the end of a campaign for people.
+
+    Args:
+        screen: Where to.
+        body: The campaign.
+        summary: What ``brink run --json`` prints.
+        boundary: The distinct boundary solutions.
+        brink: How to call the command line, for hints.
+        database: The option that names the database, for hints.
+    """
     share = summary["unsafe"] / summary["evaluated"] if summary["evaluated"] else 0.0
+    beyond = summary["simulations"] - body.budget.simulations
+    extra = f" ({beyond} beyond the budget, to end a generation)" if beyond > 0 else ""
     screen.print()
     screen.print(
-        f"[bold]{body.name}[/bold]: {summary['simulations']} simulations in {summary['elapsed_s']:.0f} s, "
+        f"[bold]{body.name}[/bold]: {summary['simulations']} simulations{extra} in {summary['elapsed_s']:.0f} s, "
         f"{share:.0%} unsafe, {summary['failed']} failed"
     )
     screen.print(
@@ -31,42 +46,45 @@ def print_summary(
         screen.print(solution_table(boundary))
     screen.print(grid_table(boundary["grid"]))
     screen.print(f"[dim]{boundary['note']}[/dim]")
+    for sentence in summary["control"]:
+        screen.print(sentence)
     screen.print(f"archive sha256 {summary['digest']}")
     screen.print()
     screen.print(f"files in {summary['folder']}:")
     for path in summary["files"]:
         screen.print(f"  {path.removeprefix(summary['folder'] + '/')}")
-    drawn = any("replay-" in path for path in summary["files"])
-    _print_next(screen, body, campaign, boundary, database, replays=drawn)
+    _print_next(screen, body, summary, boundary, brink=brink, database=database)
 
 
 def _print_next(
     screen: Console,
     body: CampaignBody,
-    campaign: str,
+    summary: dict[str, Any],
     boundary: dict[str, Any],
-    database: str,
     *,
-    replays: bool,
+    brink: str,
+    database: str,
 ) -> None:
-    option = f" {database}" if database else ""
-    plugins = filter(None, os.environ.get(PLUGINS_VARIABLE, "").split(","))
-    brink = "brink" + "".join(f" --plugin {name}" for name in plugins)
+    campaign = summary["campaign"]
+    hints = []
+    if any("replay-" in path for path in summary["files"]):
+        best = boundary["solutions"][0]["number"]
+        hints.append((f"replay {campaign} {best} --out replay.mp4{database}", "watch the best one"))
+    hints.append((f"results {campaign} --t-b 0.15 --d-th 0.1{database}", "other thresholds"))
+    if summary["control"]:
+        hints.append((f"compare {campaign}{database}", "what is owed to the component's behaviour, in full"))
+    if body.problem.id == "urban-injected@1" and body.budget.simulations < PAPER_BUDGET:
+        hints.append(("run examples/paper-mlcshe.yaml", "the paper's budget of 1,300 simulations"))
+    table = Table.grid(padding=(0, 2))
+    for command, what in hints:
+        table.add_row(f"  {brink} {command}", f"[dim]{what}[/dim]")
     screen.print()
     screen.print("next:")
-    if replays:
-        best = boundary["solutions"][0]["number"]
-        screen.print(f"  {brink} replay {campaign} {best} --out replay.mp4{option}   watch the best one")
-    screen.print(f"  {brink} results {campaign} --t-b 0.15 --d-th 0.1{option}   other thresholds")
+    screen.print(table)
     if boundary["strict_dbs"] == 0:
         screen.print(
             "  raise budget.simulations: a fitness of .10 takes at least 35 neighbours, .05 takes 165"
         )
-    screen.print(
-        f"  {brink} compare {campaign}{option}   how much of it is owed to the component's behaviour"
-    )
-    if body.problem.id == "urban-injected@1":
-        screen.print("  brink run examples/paper-mlcshe.yaml   the paper's budget of 1,300 simulations")
 
 
 def solution_table(boundary: dict[str, Any], shown: int = SHOWN) -> Table:
@@ -81,23 +99,11 @@ def solution_table(boundary: dict[str, Any], shown: int = SHOWN) -> Table:
             f"{solution['robustness']:.2f}",
             f"{solution['fitness']:.3f}",
             f"{solution['unsafe_neighbours']} of {solution['neighbours']}",
-            describe(solution["parameters"]),
+            solution["words"],
         )
     if len(boundary["solutions"]) > shown:
         table.add_row("…", "", "", "", "", f"and {len(boundary['solutions']) - shown} more in boundary.csv")
     return table
-
-
-def describe(parameters: dict[str, dict[str, Any]]) -> str:
-    """Return a solution in a few words: its categories."""
-    words = []
-    for values in parameters.values():
-        for name, value in values.items():
-            if isinstance(value, str):
-                words.append(f"{name.split('.')[-1]}={value}" if value.isdigit() else value)
-            elif not any(isinstance(v, str) for v in values.values()):
-                words.append(f"{name}={value:.3g}")
-    return ", ".join(words)
 
 
 def grid_table(grid: list[dict[str, Any]]) -> Table:

@@ -68,6 +68,7 @@ class QueueService:
     stepper: Stepper
     wakeups: Wakeups = field(default_factory=Wakeups)
     clock: Callable[[], float] = time.monotonic
+    stopping: bool = False
     _seen: dict[str, _Seen] = field(default_factory=dict)
     _with_others: dict[str, tuple[str, ...]] = field(default_factory=dict)
     _due: set[str] = field(default_factory=set)
@@ -75,6 +76,11 @@ class QueueService:
     _steps: ThreadPoolExecutor = field(
         default_factory=lambda: ThreadPoolExecutor(max_workers=1, thread_name_prefix="brink-step")
     )
+
+    def end_waits(self) -> None:
+        """Answer those who wait for work with none, and let nobody wait any more."""
+        self.stopping = True
+        self.wakeups.wake()
 
     def close(self) -> None:
         """Let the step that is running end, and take no more."""
@@ -102,7 +108,7 @@ class QueueService:
             if granted and gone.is_set():
                 await self._give_back(granted)
                 break
-            if granted or remaining <= 0:
+            if granted or remaining <= 0 or self.stopping:
                 return LeaseReply(jobs=granted, lease_s=self.settings.lease_s)
             await self.wakeups.wait(min(remaining, RECHECK_S), gone)
         return LeaseReply(jobs=[], lease_s=self.settings.lease_s)

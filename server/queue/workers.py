@@ -30,6 +30,8 @@ class SeenWorker:
     jobs_done: int
     jobs_failed: int
     jobs_held: int
+    gone: bool
+    """Known to be dead: its process was on this machine, and is no more."""
 
 
 def note(
@@ -67,7 +69,7 @@ def add_counts(connection: Connection, worker_id: str, *, done: int, failed: int
 
 
 def list_seen(connection: Connection, *, within_s: float | None = None) -> list[SeenWorker]:
-    """Return workers, the latest heard of first; with `within_s`, only those heard of lately."""
+    """Return workers, the latest heard of first; with `within_s`, only those heard of lately and not known dead."""
     now = database_now(connection)
     holding = (
         select(JobRow.lease_worker, func.count())
@@ -78,15 +80,17 @@ def list_seen(connection: Connection, *, within_s: float | None = None) -> list[
     query = select(WorkerRow.__table__).order_by(WorkerRow.last_seen_at.desc(), WorkerRow.id)
     if within_s is not None:
         query = query.where(WorkerRow.last_seen_at >= now - timedelta(seconds=within_s))
-    return [
+    seen = [
         SeenWorker(
             id=row.id, host=row.host, pid=row.pid, version=row.version,
             capabilities=tuple(row.capabilities), first_seen_at=row.first_seen_at,
             last_seen_at=row.last_seen_at, seen_s_ago=max(0.0, (now - row.last_seen_at).total_seconds()),
             jobs_done=row.jobs_done, jobs_failed=row.jobs_failed, jobs_held=held.get(row.id, 0),
+            gone=process_is_gone(row.machine, row.pid),
         )
         for row in connection.execute(query)
     ]  # fmt: skip
+    return seen if within_s is None else [worker for worker in seen if not worker.gone]
 
 
 def capabilities_of_live(connection: Connection, within_s: float) -> dict[str, tuple[str, ...]]:

@@ -1,6 +1,7 @@
 """`brink run`: one command from a campaign file to results, stopped and gone on with at will."""
 
 import json
+import re
 import signal
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,10 @@ def test_a_campaign_file_becomes_results_and_a_summary(databases: Databases, tmp
         assert said.returncode == 0, said.stderr
         assert "distinct boundary solutions" in said.stdout
         assert "archive sha256 " in said.stdout
+        shown = brink("run", written(tmp_path, body), "--database", url, "--resume", cwd=tmp_path)
+        assert shown.returncode == 0, shown.stderr
+        assert "is finished" in shown.stdout
+        assert len(list((tmp_path / "brink-results").glob("known-boundary-*"))) == 1
         again = brink(
             "run", written(tmp_path, body), "--database", url, "--workers", "1", "--no-pictures", "--json",
             cwd=tmp_path,
@@ -61,7 +66,7 @@ def test_a_run_that_is_stopped_goes_on_to_the_same_end(
             running.signal(stop)
             assert running.wait() == 1
         assert "nothing is lost" in running.output
-        assert f"brink run {file} --resume" in running.output
+        assert re.search(rf"go on with: .*brink( --plugin \S+)+ run {file} --resume", running.output)
         assert "Traceback" not in running.output
         refused = brink("run", file, *options, cwd=tmp_path, env=TOY)
         assert refused.returncode == 1

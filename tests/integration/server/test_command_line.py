@@ -15,7 +15,9 @@ from support.api import FakeWorker, ball, coordinator, submit
 from support.databases import Databases
 from typer.testing import CliRunner
 
-from server.cli.main import app, main
+from server.cli import commands
+from server.cli.commands import app
+from server.cli.main import main
 from server.db.engine import Engines, open_engines
 from server.db.upgrade import upgrade
 
@@ -113,9 +115,9 @@ def test_an_unknown_field_in_a_file_is_one_line(brink: Command, tmp_path: Path, 
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("name: [", "not YAML"),
+        ("name: [", "line 1, column 8: expected"),
         ("- 1", "expected a campaign with name"),
-        ("\0", "not YAML"),
+        ("\0", "not YAML: unacceptable character"),
         ("", "name, problem, algorithm and budget"),
     ],
 )
@@ -125,6 +127,50 @@ def test_a_file_that_is_no_campaign_is_one_line(
     file = tmp_path / "broken.yaml"
     file.write_text(content)
     assert words in brink("run", str(file)).line
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("name: x\nproblem:\n\tid: y\n", "line 3, column 1: a tab"),
+        ("name: x\nseed: 1\nname: y\n", "line 3, column 1: 'name' is given twice"),
+        (
+            "name: x\nproblem: mtq@1\nalgorithm: {id: mlcshe@1}\nbudget: {simulations: 1}\n",
+            "a mapping with id, params",
+        ),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_shown(brink: Command, tmp_path: Path, text: str, message: str) -> None:
+    file = tmp_path / "campaign.yaml"
+    file.write_text(text)
+    assert message in brink("run", str(file)).line
+
+
+def test_a_server_that_is_no_url_is_one_line(brink: Command) -> None:
+    assert "expected a URL such as http://" in brink("status", "--server", "localhost:8700").line
+
+
+def test_a_token_that_no_header_can_carry_is_one_line(
+    brink: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("BRINK_TOKEN", "schlüssel")
+    line = brink("status").line
+    assert "BRINK_TOKEN: expected printable ASCII" in line
+    assert "schl" not in line
+
+
+def test_a_missing_token_is_named(brink: Command, database_url: str, small_problems: None) -> None:
+    with coordinator(database_url, token="secret") as client:
+        assert "BRINK_TOKEN" in brink("status", "--server", str(client.base_url)).line
+
+
+def test_ctrl_c_is_one_line(brink: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(commands, "app", interrupted)
+    said = brink("status")
+    assert (said.status, said.err) == (130, "brink: interrupted\n")
 
 
 def test_a_file_that_is_missing_is_one_line(brink: Command) -> None:

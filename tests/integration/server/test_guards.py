@@ -1,10 +1,12 @@
 """What stands before every request: the bearer token, and the bound on bodies."""
 
+import re
 import socket
 from collections.abc import Iterator
 
 import httpx
 import pytest
+from pydantic import SecretStr, ValidationError
 from support.api import ball, coordinator, expect
 
 from server.cli.coordinator import CannotListen, listen
@@ -12,7 +14,7 @@ from server.db.engine import parse_url
 from server.errors import DatabaseError
 from server.settings import Settings
 
-SECRET = "correct horse"
+SECRET = "correct-horse"
 
 
 @pytest.fixture
@@ -21,11 +23,11 @@ def guarded(database_url: str, small_problems: None) -> Iterator[httpx.Client]:
         yield client
 
 
-@pytest.mark.parametrize("header", [None, "Bearer wrong", "Basic correct horse", "bearer", SECRET])
+@pytest.mark.parametrize("header", [None, "Bearer wrong", "Basic correct-horse", "bearer", SECRET])
 def test_without_the_token_nothing_is_answered(guarded: httpx.Client, header: str | None) -> None:
     with httpx.Client(base_url=guarded.base_url) as stranger:
         headers = {"Authorization": header} if header else {}
-        for path in ("/api/v1/campaigns", "/metrics", "/openapi.json", "/docs", "/nothing"):
+        for path in ("/api/v1/campaigns", "/metrics", "/nothing", "/docs-files", "/docs/x"):
             answer = stranger.get(path, headers=headers)
             assert answer.status_code == 401, path
             assert answer.headers["WWW-Authenticate"] == "Bearer"
@@ -42,6 +44,23 @@ def test_health_needs_no_token(guarded: httpx.Client) -> None:
     with httpx.Client(base_url=guarded.base_url) as stranger:
         assert stranger.get("/healthz").status_code == 200
         assert stranger.get("/readyz").status_code == 200
+
+
+def test_the_description_of_the_api_needs_neither_token_nor_internet(guarded: httpx.Client) -> None:
+    with httpx.Client(base_url=guarded.base_url) as stranger:
+        assert "/api/v1/jobs/lease" in stranger.get("/openapi.json").json()["paths"]
+        page = stranger.get("/docs").text
+        files = re.findall(r'(?:src|href)="([^"]+)"', page)
+        assert len(files) >= 2
+        for file in files:
+            assert file.startswith("/docs-files/")
+            assert stranger.get(file).status_code == 200
+
+
+@pytest.mark.parametrize("token", ["schlüssel", "two words", "line\n"])
+def test_a_token_that_no_header_can_carry_is_refused(token: str) -> None:
+    with pytest.raises(ValidationError, match="printable ASCII"):
+        Settings(token=SecretStr(token))
 
 
 @pytest.mark.parametrize("chunked", [False, True])

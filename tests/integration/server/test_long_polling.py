@@ -1,6 +1,7 @@
 """Waiting for work: woken by news, and no lease for a client that has gone."""
 
 import asyncio
+import contextlib
 import threading
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -211,3 +212,16 @@ def test_a_connection_that_is_closed_while_waiting_takes_no_lease(client: httpx.
     eventually(lambda: len(FakeWorker(client, id="patient").lease(max_jobs=1)) == 1, "a lease")
     held = {worker["id"]: worker["jobs_held"] for worker in expect(client.get("/api/v1/workers"))}
     assert held["impatient"] == 0
+
+
+def test_a_coordinator_that_stops_answers_who_waits(database_url: str, small_problems: None) -> None:
+    with contextlib.ExitStack() as stack:
+        with coordinator(database_url) as client:
+            own = stack.enter_context(httpx.Client(base_url=client.base_url, timeout=PATIENCE_S))
+            thread, got = wait_in_thread(FakeWorker(own), wait_s=PATIENCE_S)
+            eventually(lambda: len(expect(client.get("/api/v1/workers"))) == 1, "the worker asked")
+            began = time.monotonic()
+        thread.join(PATIENCE_S)
+    assert not thread.is_alive()
+    assert got == []
+    assert time.monotonic() - began < PATIENCE_S / 2

@@ -1,0 +1,54 @@
+"""All commands of `brink`, and the options that they share."""
+
+import logging
+import os
+import sys
+from typing import Annotated
+
+import typer
+
+from server.cli import bench, inspect, operate
+from server.cli.compare import compare
+from server.cli.run import run
+from sim.catalogue import PLUGINS_VARIABLE
+
+app = typer.Typer(
+    name="brink",
+    help="Find where a driving system with a machine-learned component stops being safe.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+app.command()(run)
+app.command()(operate.serve)
+app.command()(operate.worker)
+app.command()(operate.submit)
+app.command()(inspect.status)
+app.command()(inspect.results)
+app.command()(inspect.plot)
+app.command()(inspect.replay)
+app.command()(compare)
+app.add_typer(operate.db, name="db")
+app.add_typer(bench.bench, name="bench")
+
+
+@app.callback()
+def options(
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log what happens to stderr.")] = False,
+    plugin: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Module with plug-ins, importable from here; may be given again.", metavar="MODULE"
+        ),
+    ] = None,
+) -> None:
+    """Find where a driving system with a machine-learned component stops being safe."""
+    if plugin:
+        named = [*filter(None, os.environ.get(PLUGINS_VARIABLE, "").split(",")), *plugin]
+        os.environ[PLUGINS_VARIABLE] = ",".join(named)  # for the workers that this command starts, too
+        sys.path.insert(0, os.getcwd())
+    logging.basicConfig(
+        level=logging.INFO if verbose else logging.WARNING,
+        format="%(asctime)s %(levelname)s %(name)s %(message)s",
+    )
