@@ -112,9 +112,9 @@ def sim(
     """
     from sim.urban.benchmark import measure_costs
 
-    kinds = list(measure_costs())
     rates = []
-    with Console(stderr=True).status("measuring") as status:
+    with Console(stderr=True).status("CPU time and memory of episodes; takes some minutes") as status:
+        kinds = list(measure_costs())
         for algorithm in ("random@1", "mlcshe@1"):
             for workers in (1, 2):
                 status.update(f"{algorithm} with {workers} workers against a bare loop")

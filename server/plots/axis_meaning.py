@@ -30,9 +30,9 @@ class AxisMeaning:
 
     @property
     def text(self) -> str:
-        """In words, such as ``mostly scenario.weather (81%)``."""
+        """In words, such as ``mostly scenario.weather (explains 81% of this axis)``."""
         how = "mostly" if self.explained >= 0.5 else "partly"
-        return f"{how} {self.name} ({self.explained:.0%} of the spread)"
+        return f"{how} {self.name} (explains {self.explained:.0%} of this axis)"
 
 
 def axis_meanings(
