@@ -1,0 +1,1 @@
+"""Learned components: the detector, its training, adapters for those of users."""

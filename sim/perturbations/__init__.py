@@ -1,0 +1,1 @@
+"""Image perturbations: 15 genes in 175 levels, applied to camera frames."""
