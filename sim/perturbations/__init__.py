@@ -1,1 +1,34 @@
 """Image perturbations: 15 genes in 175 levels, applied to camera frames."""
+
+from sim.perturbations.catalogue import CATALOGUE, find_gene, register
+from sim.perturbations.errors import (
+    InvalidFrame,
+    InvalidPerturbation,
+    PerturbationError,
+    PerturbationFailed,
+    VisionMissing,
+)
+from sim.perturbations.gene import Frame, Gene, Transform
+from sim.perturbations.perturbation import Perturbation, mean_intensity, parse_perturbations
+from sim.perturbations.pipeline import Mode, Pipeline, apply, generator
+
+__all__ = [
+    "CATALOGUE",
+    "Frame",
+    "Gene",
+    "InvalidFrame",
+    "InvalidPerturbation",
+    "Mode",
+    "Perturbation",
+    "PerturbationError",
+    "PerturbationFailed",
+    "Pipeline",
+    "Transform",
+    "VisionMissing",
+    "apply",
+    "find_gene",
+    "generator",
+    "mean_intensity",
+    "parse_perturbations",
+    "register",
+]

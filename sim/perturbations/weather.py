@@ -1,0 +1,86 @@
+"""Weather: snow that whitens what is dark, rain."""
+
+from dataclasses import dataclass
+from typing import cast
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from sim.perturbations.droplets import wet_lens
+from sim.perturbations.gene import Frame
+from sim.perturbations.layers import change_lightness, pixels, scale_of
+
+SNOW_THRESHOLD = 85.0
+SNOW_THRESHOLD_MORE = 127.5
+RAIN_BLUR_PX = 7
+RAIN_LIGHTNESS = 0.7
+DROP_GREY = 200
+DROP_WIDTH_PX = 2
+STEEPEST_SLANT = 0.3
+"""Sideways over down."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Rain:
+    """A kind of rain, at 1280x720.
+
+    Attributes:
+        area_px: Pixels of the frame for each drop.
+        length_px: Length of a drop.
+        wet: Whether water stands on the lens.
+    """
+
+    area_px: float
+    length_px: float
+    wet: bool = False
+
+
+_RAIN = {
+    1: _Rain(area_px=770, length_px=10),
+    2: _Rain(area_px=600, length_px=30),
+    3: _Rain(area_px=500, length_px=60),
+    4: _Rain(area_px=600, length_px=30, wet=True),
+    5: _Rain(area_px=500, length_px=60, wet=True),
+}
+
+
+def snow(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
+    """Return the frame with the lightness below a threshold scaled by `value`.
+
+    The threshold is ``85 + 127.5 U(0, 0.5)`` of 255.
+    """
+    threshold = SNOW_THRESHOLD + SNOW_THRESHOLD_MORE * rng.uniform(0, 0.5)
+
+    def whiten(lightness: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        return np.where(lightness < threshold, value * lightness, lightness)
+
+    return change_lightness(frame, whiten)
+
+
+def rain(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
+    """Return the frame in rain: slanted drops, all of it blurred and darkened, water on the lens for kinds 4 and 5.
+
+    The number of drops goes by the frame's area in reference pixels, so a smaller frame shows the same rain.
+    """
+    kind = _RAIN[int(value)]
+    scale = scale_of(frame)
+    height, width = frame.shape[:2]
+    length = pixels(kind.length_px, scale)
+    slant = round(length * rng.uniform(-STEEPEST_SLANT, STEEPEST_SLANT))
+    count = max(1, round(height * width / scale**2 / kind.area_px))
+    top = np.stack(
+        [
+            rng.integers(-abs(slant), width + abs(slant), size=count),
+            rng.integers(-length, height, size=count),
+        ],
+        axis=1,
+    )
+    drops = np.stack([top, top + np.array([slant, length])], axis=1).astype(np.int32)
+    rainy = frame.copy()
+    thickness = pixels(DROP_WIDTH_PX, scale)
+    cv2.polylines(rainy, list(drops), False, (DROP_GREY, DROP_GREY, DROP_GREY), thickness)
+    side = 2 * round((RAIN_BLUR_PX - 1) / 2 * scale) + 1
+    rainy = cast(Frame, cv2.blur(rainy, (side, side)))
+    rainy = change_lightness(rainy, lambda lightness: RAIN_LIGHTNESS * lightness)
+    return wet_lens(rainy, rng) if kind.wet else rainy
