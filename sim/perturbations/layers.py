@@ -69,6 +69,8 @@ def change_lightness(
     lightness = cv2.extractChannel(hls, 1)
     cv2.insertChannel(cv2.LUT(lightness, table), hls, 1)
     changed = cast(Frame, cv2.cvtColor(hls, cv2.COLOR_HLS2RGB, dst=hls))
+    if np.count_nonzero(table == before) <= 1:
+        return changed
     # To HLS and back costs a few grey values: what keeps its lightness keeps its bytes.
     unchanged = cv2.LUT(lightness, np.where(table == before, 255, 0).astype(np.uint8))
     return cast(Frame, cv2.copyTo(frame, unchanged, changed))
@@ -84,14 +86,13 @@ def clouds(shape: tuple[int, int], cell_px: float, octaves: int, rng: np.random.
         rng: Draws the blobs.
     """
     height, width = shape
-    total = np.zeros(shape, dtype=np.float32)
+    total = np.full((2, 2), 0.5, dtype=np.float32)
     for octave in range(octaves):
         cell = cell_px / 2**octave
-        # Two more each way: a cubic curve flattens towards its ends.
-        grid = rng.random((round(height / cell) + 2, round(width / cell) + 2), dtype=np.float32)
-        smooth = cv2.resize(grid - 0.5, (width, height), interpolation=cv2.INTER_CUBIC)
-        cv2.scaleAdd(smooth, 0.5**octave, total, dst=total)
-    return cast(Field, total * 0.75 + 0.5)
+        grid = rng.random((round(height / cell) + 2, round(width / cell) + 2), dtype=np.float32) - 0.5
+        coarser = cv2.resize(total, (grid.shape[1], grid.shape[0]), interpolation=cv2.INTER_CUBIC)
+        total = coarser + grid * np.float32(0.75 * 0.5**octave)
+    return cast(Field, cv2.resize(total, (width, height), interpolation=cv2.INTER_CUBIC))
 
 
 def enlarge(field: Field, shape: tuple[int, int]) -> Field:

@@ -1,5 +1,6 @@
 """A lens that was hit, and one that is dirty."""
 
+from functools import cache
 from typing import TypeAlias, cast
 
 import cv2
@@ -82,9 +83,8 @@ def dirty(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
     height, width = frame.shape[:2]
     scale = scale_of(frame)
     half = (max(2, height // 2), max(2, width // 2))
-    noise = clouds(half, DIRT_CELL_PX * scale / 2, 5, rng)
-    smears = np.clip((noise - SMEAR_FROM) / (SMEAR_FULL - SMEAR_FROM), 0, 1)
-    dirt = to_layer(smears * smears * (3 - 2 * smears))
+    noise = to_layer(clouds(half, DIRT_CELL_PX * scale / 2, 5, rng))
+    dirt = cv2.LUT(noise, _smears())
     specks = np.zeros(half, dtype=np.uint8)
     for _ in range(int(rng.integers(*SPECKS))):
         _draw_speck(specks, scale / 2, rng)
@@ -94,10 +94,17 @@ def dirty(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
     return lay_over(frame, cast(Layer, cv2.bitwise_not(opacity)), cast(Frame, light))
 
 
+@cache
+def _smears() -> Layer:
+    """Return how thick the dirt is for each grey value of the noise, shape ``(256,)``."""
+    rise = np.clip((np.arange(256) / 255 - SMEAR_FROM) / (SMEAR_FULL - SMEAR_FROM), 0, 1)
+    return np.rint(255 * rise * rise * (3 - 2 * rise)).astype(np.uint8)
+
+
 def _draw_speck(specks: Layer, scale: float, rng: np.random.Generator) -> None:
     height, width = specks.shape
     middle = (int(rng.integers(width)), int(rng.integers(height)))
     size = rng.gamma(1.5, 4.0) + 2
     axes = (pixels(size, scale), pixels(size * rng.uniform(0.4, 1), scale))
     turn, opacity = rng.uniform(0, 180), int(rng.integers(130, 256))
-    cv2.ellipse(specks, middle, axes, turn, 0, 360, opacity, -1, cv2.LINE_AA)
+    cv2.ellipse(specks, middle, axes, turn, 0, 360, opacity, -1)

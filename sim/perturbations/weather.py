@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from sim.perturbations.droplets import wet_lens
 from sim.perturbations.gene import Frame
-from sim.perturbations.layers import change_lightness, pixels, scale_of
+from sim.perturbations.layers import Layer, change_lightness, pixels, scale_of
 
 SNOW_THRESHOLD = 85.0
 SNOW_THRESHOLD_MORE = 127.5
@@ -64,23 +64,26 @@ def rain(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
     The number of drops goes by the frame's area in reference pixels, so a smaller frame shows the same rain.
     """
     kind = _RAIN[int(value)]
-    scale = scale_of(frame)
-    height, width = frame.shape[:2]
-    length = pixels(kind.length_px, scale)
-    slant = round(length * rng.uniform(-STEEPEST_SLANT, STEEPEST_SLANT))
-    count = max(1, round(height * width / scale**2 / kind.area_px))
-    top = np.stack(
-        [
-            rng.integers(-abs(slant), width + abs(slant), size=count),
-            rng.integers(-length, height, size=count),
-        ],
-        axis=1,
-    )
-    drops = np.stack([top, top + np.array([slant, length])], axis=1).astype(np.int32)
-    rainy = frame.copy()
-    thickness = pixels(DROP_WIDTH_PX, scale)
-    cv2.polylines(rainy, list(drops), False, (DROP_GREY, DROP_GREY, DROP_GREY), thickness)
-    side = 2 * round((RAIN_BLUR_PX - 1) / 2 * scale) + 1
+    drops = _draw_drops(frame, kind, rng)
+    rainy = cast(Frame, cv2.copyTo(np.full_like(frame, DROP_GREY), drops, frame.copy()))
+    side = 2 * round((RAIN_BLUR_PX - 1) / 2 * scale_of(frame)) + 1
     rainy = cast(Frame, cv2.blur(rainy, (side, side)))
     rainy = change_lightness(rainy, lambda lightness: RAIN_LIGHTNESS * lightness)
     return wet_lens(rainy, rng) if kind.wet else rainy
+
+
+def _draw_drops(frame: Frame, kind: _Rain, rng: np.random.Generator) -> Layer:
+    """Return 255 where a drop falls and 0 elsewhere, drawn in pixels as wide as a drop."""
+    height, width = frame.shape[:2]
+    scale = scale_of(frame)
+    width_px = pixels(DROP_WIDTH_PX, scale)
+    rows, columns = -(-height // width_px), -(-width // width_px)
+    length = pixels(kind.length_px / width_px, scale)
+    slant = round(length * rng.uniform(-STEEPEST_SLANT, STEEPEST_SLANT))
+    count = max(1, round(height * width / scale**2 / kind.area_px))
+    left = rng.integers(-abs(slant), columns + abs(slant), size=count)
+    top = np.stack([left, rng.integers(-length, rows, size=count)], axis=1)
+    ends = np.stack([top, top + np.array([slant, length])], axis=1).astype(np.int32)
+    drops = np.zeros((rows, columns), dtype=np.uint8)
+    cv2.polylines(drops, list(ends), False, 255)
+    return cast(Layer, cv2.resize(drops, (width, height), interpolation=cv2.INTER_NEAREST))
