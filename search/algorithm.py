@@ -8,6 +8,7 @@ calls give equal states, bit for bit. The coordinator stores a state between `te
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
@@ -20,6 +21,15 @@ from search.space import SearchSpace
 FloatArray: TypeAlias = NDArray[np.float64]
 
 
+class Question(StrEnum):
+    """What is asked about a candidate."""
+
+    EPISODE = "episode"
+    """Simulate it and give a verdict: the answer is `Scored`."""
+    DATASET = "dataset-evaluation"
+    """Measure it on a data set, without a simulation and without a verdict: the answer is `Measured`."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Candidate:
     """A complete solution to evaluate.
@@ -27,10 +37,12 @@ class Candidate:
     Attributes:
         number: Stable in its campaign, counting from 0 in the order of asking.
         vectors: One read-only float64 vector a component, in the space's order.
+        question: What is to be found out.
     """
 
     number: int
     vectors: tuple[FloatArray, ...]
+    question: Question = Question.EPISODE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,13 +61,24 @@ class Scored:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Measured:
+    """The evaluation of a candidate that was measured on a data set: neither safe nor unsafe, so not archived.
+
+    Attributes:
+        objectives: Measures to search on, all minimised, by name.
+    """
+
+    objectives: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Failed:
     """The evaluation of a candidate of which no verdict could be had: neither safe nor unsafe."""
 
     reason: str
 
 
-Evaluation: TypeAlias = Scored | Failed
+Evaluation: TypeAlias = Scored | Measured | Failed
 
 
 class State(Protocol):
@@ -68,7 +91,12 @@ class State(Protocol):
 
     @property
     def archive(self) -> Archive:
-        """All complete solutions that were evaluated and did not fail."""
+        """All complete solutions that were simulated and did not fail."""
+        ...
+
+    @property
+    def fitness(self) -> FloatArray:
+        """What the search minimises, of those that it looks at now, shape ``(n,)``; for progress."""
         ...
 
     @property

@@ -19,6 +19,7 @@ class Stream(IntEnum):
     BREEDING = 4
     CONTROL = 5
     CONTRACT = 6
+    FINALISTS = 7
 
 
 def _sequence(seed: int, stream: int, index: tuple[int, ...]) -> np.random.SeedSequence:

@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from search.algorithm import Algorithm, Candidate, Evaluation, Failed, Scored
+from search.algorithm import Algorithm, Candidate, Evaluation, Failed, Measured, Question, Scored
 from search.archive import Archive
 from search.digest import archive_digest
 from search.document import Document
 from search.errors import OrderError, SearchError
+from search.levels import Slots
 from search.space import Categorical, Component, Dormant, Duration, Extent, Integer, Real, SearchSpace
 from search.streams import Stream, generator
 
@@ -58,7 +59,23 @@ def example_spaces() -> dict[str, SearchSpace]:
             Component("behaviour", tuple(Categorical(f"fault-{i}", ("off", "on")) for i in range(8))),
         )
     )
-    return {"mixed": mixed, "numeric": numeric, "categorical": categorical}
+    techniques = ("noise", "blur", "rain", "dirt", "flare")
+    slots = SearchSpace(
+        (
+            Component("scenario", (Categorical("weather", ("dry", "wet")), Real("gap", 1.0, 60.0, "m"))),
+            Component(
+                "perturbation",
+                (
+                    Categorical("gene_1", techniques),
+                    Real("intensity_1", 0.0, 1.0),
+                    Categorical("gene_2", techniques),
+                    Real("intensity_2", 0.0, 1.0),
+                ),
+                (Slots((("gene_1", "intensity_1"), ("gene_2", "intensity_2")), (9, 24, 6, 11, 31)),),
+            ),
+        )
+    )
+    return {"mixed": mixed, "numeric": numeric, "categorical": categorical, "slots": slots}
 
 
 class ContractBroken(SearchError, AssertionError):
@@ -88,6 +105,8 @@ class Run:
 def made_up_verdicts(space: SearchSpace, failing: float = 0.1, seed: int = 0) -> Evaluate:
     """Return verdicts for any space, by candidate: unsafe below a plane through it; some fail.
 
+    What is asked of a data set gets the objective ``alpha``, which episodes have beside ``robustness``.
+
     Args:
         space: What the candidates come from.
         failing: Share of candidates that fail, in [0, 1].
@@ -102,7 +121,11 @@ def made_up_verdicts(space: SearchSpace, failing: float = 0.1, seed: int = 0) ->
         if generator(seed, Stream.CONTRACT, candidate.number).random() < failing:
             return Failed(reason="made up")
         robustness = float((space.join(candidate.vectors) * slant).sum()) - threshold
-        return Scored(unsafe=robustness < 0, robustness=robustness, objectives={"robustness": robustness})
+        alpha = float(1 / (1 + np.exp(-robustness)))
+        if candidate.question is Question.DATASET:
+            return Measured(objectives={"alpha": alpha})
+        objectives = {"robustness": robustness, "alpha": alpha}
+        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=objectives)
 
     return evaluate
 
@@ -115,6 +138,7 @@ def check_algorithm(
     config: Any = None,
     evaluate: Evaluate | None = None,
     seed: int = 1,
+    ends_itself: bool = False,
 ) -> Run:
     """Check that an algorithm keeps its contract on a space; return the campaign that it played.
 
@@ -125,6 +149,7 @@ def check_algorithm(
         config: Its settings; the defaults if None.
         evaluate: Verdicts, a function of the candidate alone; made up if None.
         seed: The campaign's seed.
+        ends_itself: Whether the algorithm has an end of its own before the budget is spent.
 
     Raises:
         ContractBroken: It does not.
@@ -141,7 +166,7 @@ def check_algorithm(
     run = played()
     _check_candidates(space, run)
     _check_archive(run, verdicts)
-    spent = len(run.candidates) >= budget or budget > space.size / 10
+    spent = len(run.candidates) >= budget or budget > space.size / 10 or ends_itself
     _expect(spent, "budget: expected all of it to be spent on a space with room for more")
     _check_same(run, played(), "the same seed must give the same campaign")
     _check_same(run, played(order=-1), "the order in which evaluations arrive must not matter")
@@ -209,8 +234,8 @@ def _check_candidates(space: SearchSpace, run: Run) -> None:
         space.check(candidate.vectors)
         frozen = not any(vector.flags.writeable for vector in candidate.vectors)
         _expect(frozen, f"candidate {candidate.number}: expected read-only vectors")
-    rows = {space.join(candidate.vectors).tobytes() for candidate in run.candidates}
-    _expect(len(rows) == len(numbers), "duplicates: expected no solution to be asked twice")
+    asked = {(candidate.question, space.join(candidate.vectors).tobytes()) for candidate in run.candidates}
+    _expect(len(asked) == len(numbers), "duplicates: expected no solution to be asked the same thing twice")
 
 
 def _check_archive(run: Run, evaluate: Evaluate) -> None:
@@ -298,8 +323,8 @@ def _check_reload(
 
 
 def _same_candidates(first: Sequence[Candidate], second: Sequence[Candidate]) -> bool:
-    def content(candidate: Candidate) -> tuple[int, list[bytes]]:
-        return candidate.number, [vector.tobytes() for vector in candidate.vectors]
+    def content(candidate: Candidate) -> tuple[int, Question, list[bytes]]:
+        return candidate.number, candidate.question, [vector.tobytes() for vector in candidate.vectors]
 
     return [content(candidate) for candidate in first] == [content(candidate) for candidate in second]
 

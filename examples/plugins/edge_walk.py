@@ -31,6 +31,7 @@ class EdgeWalkState:
     ledger: Ledger
     generation = property(lambda self: self.ledger.generation)
     archive = property(lambda self: self.ledger.archive)
+    fitness = property(lambda self: self.ledger.archive.fitness)
     pending = property(lambda self: self.ledger.pending)
 
 

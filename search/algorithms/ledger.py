@@ -12,7 +12,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from search.algorithm import Candidate, Evaluation, Failed, Scored
+from search.algorithm import Candidate, Evaluation, Failed, Measured, Question, Scored
 from search.archive import Archive, Neighbourhood
 from search.component import FloatArray, frozen_array
 from search.document import Document
@@ -59,6 +59,7 @@ class Ledger:
         generation: Generations told so far.
         archive: Evaluated solutions.
         failed: Solutions of which no verdict could be had, as rows, shape ``(f, d)``.
+        measured: Solutions that were measured on a data set, as rows, shape ``(m, d)``; they may be simulated yet.
         queue: The planned generation, ascending by number; empty when the search is over.
         asked: Whether the queue has been asked and not been told.
     """
@@ -69,6 +70,7 @@ class Ledger:
     generation: int
     archive: Archive
     failed: FloatArray
+    measured: FloatArray
     queue: tuple[Candidate, ...]
     asked: bool
 
@@ -82,14 +84,15 @@ class Ledger:
             generation=0,
             archive=Archive.empty(space, Neighbourhood.of(config)),
             failed=frozen_array(np.empty((0, space.dimension))),
+            measured=frozen_array(np.empty((0, space.dimension))),
             queue=(),
             asked=False,
         )
 
     @property
     def spent(self) -> int:
-        """Simulations that were told, failed ones included."""
-        return len(self.archive) + len(self.failed)
+        """Evaluations that were told, failed ones included."""
+        return len(self.archive) + len(self.failed) + len(self.measured)
 
     @property
     def left(self) -> float:
@@ -112,10 +115,10 @@ class Ledger:
                 fresh.append(row)
         return tuple(fresh)
 
-    def planned(self, rows: Iterable[FloatArray]) -> Self:
+    def planned(self, rows: Iterable[FloatArray], question: Question = Question.EPISODE) -> Self:
         """Return the ledger with the next generation queued; the rows must be unseen."""
         queue = tuple(
-            Candidate(number=number, vectors=self.space.split(row))
+            Candidate(number=number, vectors=self.space.split(row), question=question)
             for number, row in enumerate(rows, start=self.spent)
         )
         return replace(self, queue=queue)
@@ -147,11 +150,13 @@ class Ledger:
                 f"missing {sorted(expected - got)[:5]}, not pending {sorted(got - expected)[:5]}"
             )
         scored: list[tuple[Candidate, Scored]] = []
-        failed = [self.failed]
+        failed, measured = [self.failed], [self.measured]
         for candidate in self.queue:
             match evaluations[candidate.number]:
                 case Scored() as evaluation:
                     scored.append((candidate, evaluation))
+                case Measured():
+                    measured.append(self.space.join(candidate.vectors)[None])
                 case Failed():
                     failed.append(self.space.join(candidate.vectors)[None])
         rows = [self.space.join(candidate.vectors) for candidate, _ in scored]
@@ -166,6 +171,7 @@ class Ledger:
             generation=self.generation + 1,
             archive=archive,
             failed=frozen_array(np.concatenate(failed)),
+            measured=frozen_array(np.concatenate(measured)),
             queue=(),
             asked=False,
         )
@@ -200,10 +206,12 @@ class Ledger:
                 "generation": self.generation,
                 "asked": self.asked,
                 "archived": len(self.archive),
+                "question": self.queue[0].question.value if self.queue else Question.EPISODE.value,
                 **header,
             },
             arrays={
                 "failed": self.failed,
+                "measured": self.measured,
                 "queue": np.reshape(rows, (len(rows), self.space.dimension)).astype(np.float64),
                 **arrays,
             },
@@ -218,12 +226,20 @@ class Ledger:
         """
         header = document.header
         failed = stored_rows(document, "failed", space.dimension)
+        measured = (
+            stored_rows(document, "measured", space.dimension)
+            if "measured" in document.arrays
+            else np.empty((0, space.dimension))  # written before there were data sets
+        )
+        question = header.get("question", Question.EPISODE.value)
         queue = stored_rows(document, "queue", space.dimension)
         for name in ("seed", "budget", "generation", "archived"):
             if not isinstance(header.get(name), int):
                 raise DocumentError(f"{name}: expected a whole number, got {header.get(name)!r}")
         if not isinstance(header.get("asked"), bool):
             raise DocumentError(f"asked: expected true or false, got {header.get('asked')!r}")
+        if question not in set(Question):
+            raise DocumentError(f"question: expected a known one, got {question!r}")
         if len(archive) != header["archived"]:
             raise DocumentError(f"expected the archive of {header['archived']} solutions, got {len(archive)}")
         if archive.neighbourhood != Neighbourhood.of(config):
@@ -237,10 +253,11 @@ class Ledger:
             generation=header["generation"],
             archive=archive,
             failed=frozen_array(failed),
+            measured=frozen_array(measured),
             queue=(),
             asked=header["asked"],
         )
-        return ledger.planned(queue)
+        return ledger.planned(queue, Question(question))
 
 
 def stored_rows(document: Document, name: str, width: int) -> FloatArray:
@@ -275,6 +292,11 @@ class LedgerState:
     def archive(self) -> Archive:
         """All complete solutions that were evaluated and did not fail."""
         return self.ledger.archive
+
+    @property
+    def fitness(self) -> FloatArray:
+        """Boundary fitness of all archived solutions."""
+        return self.archive.fitness
 
     @property
     def pending(self) -> tuple[Candidate, ...]:

@@ -25,10 +25,13 @@ class CampaignView(View):
     name: str
     status: CampaignStatus
     status_reason: str
-    simulations: Annotated[int, Field(description="Candidates judged so far, failed ones included.")]
+    simulations: Annotated[
+        int, Field(description="Candidates evaluated so far, measured and failed ones included.")
+    ]
     budget: int
     unsafe: int
     failed: int
+    measured: Annotated[int, Field(description="Of them, measured on a data set and not simulated.")]
     generation: int
     created_at: datetime
     finished_at: datetime | None
@@ -49,7 +52,8 @@ class GenerationView(View):
     evaluated: int
     unsafe: int
     failed: int
-    best_fitness: float | None
+    measured: int
+    best_fitness: Annotated[float | None, Field(description="Of what the algorithm minimises.")]
     median_fitness: float | None
     dbs: int
     strict_dbs: int
@@ -69,6 +73,7 @@ class Progress(View):
     evaluated: int
     unsafe: int
     failed: int
+    measured: Annotated[int, Field(description="Measured on a data set and not simulated.")]
     quarantined: int
     queued: int
     leased: int

@@ -37,9 +37,10 @@ def campaign_view(campaign: Campaign) -> CampaignView:
     """Return a campaign."""
     return CampaignView(
         id=campaign.id, name=campaign.body.name, status=campaign.status,
-        status_reason=campaign.status_reason, simulations=campaign.evaluated + campaign.failed,
+        status_reason=campaign.status_reason, simulations=campaign.told,
         budget=campaign.body.budget.simulations, unsafe=campaign.unsafe, failed=campaign.failed,
-        generation=campaign.generation, created_at=campaign.created_at, finished_at=campaign.finished_at,
+        measured=campaign.measured, generation=campaign.generation, created_at=campaign.created_at,
+        finished_at=campaign.finished_at,
         body=campaign.body,
     )  # fmt: skip
 
@@ -67,14 +68,14 @@ def read_progress(
     seen = list_seen(connection, within_s=worker_seen_s)
     capabilities = {name for worker in seen for name in worker.capabilities}
     waiting = view_store.waiting_needs(connection, campaign.id) if queued else {}
-    done = campaign.evaluated + campaign.failed + in_generation
+    done = campaign.told + in_generation
     end = campaign.finished_at or datetime.now(UTC)
     rate = _rate(campaign, series, done, end)
     remaining = max(0, campaign.body.budget.simulations - done)
     return Progress(
         id=campaign.id, name=campaign.body.name, status=campaign.status,
         status_reason=campaign.status_reason, budget=campaign.body.budget.simulations, simulations=done,
-        evaluated=campaign.evaluated, unsafe=campaign.unsafe, failed=campaign.failed,
+        evaluated=campaign.evaluated, unsafe=campaign.unsafe, failed=campaign.failed, measured=campaign.measured,
         quarantined=open_jobs.get(JobStatus.QUARANTINED, 0), queued=queued, leased=leased,
         generation=campaign.generation, rate_per_s=rate,
         remaining_s=remaining / rate if rate and not ended else None,
@@ -97,7 +98,7 @@ def _rate(campaign: Campaign, series: list[GenerationSummary], done: int, end: d
     if campaign.status is CampaignStatus.RUNNING and len(series) > RATE_WINDOW:
         base = series[-RATE_WINDOW - 1]
         assert base.told_at is not None
-        start, before = base.told_at, base.evaluated + base.failed
+        start, before = base.told_at, base.told
     elapsed = (end - start).total_seconds()
     return (done - before) / elapsed if elapsed > 0 and done > before else None
 

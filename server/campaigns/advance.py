@@ -16,7 +16,7 @@ import numpy as np
 from sqlalchemy import Row
 from sqlalchemy.exc import InterfaceError, OperationalError
 
-from search.algorithm import Candidate, Evaluation, Failed, Scored
+from search.algorithm import Candidate, Evaluation, Failed, Measured, Question, Scored
 from search.archive import Archive
 from search.boundary import distinct_boundary
 from search.document import Document
@@ -45,7 +45,7 @@ from server.db.engine import Engines
 from server.db.models import CampaignStatus, JobStatus, SolutionVerdict
 from server.db.writer import Writer
 from server.errors import FieldError, InvalidInput, Unavailable
-from server.problems.base import InProcessProblem, Problem, SimulatedProblem
+from server.problems.base import InProcessProblem, MeasuresOnData, Problem, SimulatedProblem
 from worker.wire import Completed
 
 FEW_FAILURES = 3
@@ -162,9 +162,10 @@ class Stepper:
     ) -> Step:
         archive: Archive = told.archive
         failed = campaign.failed + sum(isinstance(e, Failed) for e in evaluations.values())
+        measured = campaign.measured + sum(isinstance(e, Measured) for e in evaluations.values())
         boundary = distinct_boundary(archive, DEFAULT_T_B, DEFAULT_D_TH)
         strict = distinct_boundary(archive, DEFAULT_T_B, DEFAULT_D_TH, strict=True)
-        fitness = archive.fitness
+        fitness = told.fitness
         return Step(
             campaign=campaign.id,
             generation=campaign.generation,
@@ -174,8 +175,9 @@ class Stepper:
                 evaluated=len(archive),
                 unsafe=int(np.count_nonzero(archive.unsafe)),
                 failed=failed,
-                best_fitness=float(fitness.min()) if len(archive) else None,
-                median_fitness=float(np.median(fitness)) if len(archive) else None,
+                measured=measured,
+                best_fitness=_finite(fitness.min()) if fitness.size else None,
+                median_fitness=_finite(np.median(fitness)) if fitness.size else None,
                 dbs=len(boundary),
                 strict_dbs=len(strict),
                 step_s=time.perf_counter() - began,
@@ -258,6 +260,10 @@ class Stepper:
         log.warning("campaign=%s %s: %s", campaign.id, status, reason)
 
 
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
 def _check_same(campaign: Campaign, candidates: Sequence[Candidate], asked: Mapping[int, bytes]) -> None:
     """Raise InvalidInput unless the candidates asked again are those that are being simulated."""
     if {candidate.number: vector_bytes(candidate) for candidate in candidates} != asked:
@@ -273,19 +279,24 @@ def _evaluations(
 ) -> dict[int, Evaluation]:
     if isinstance(problem, InProcessProblem):
         return {candidate.number: problem.evaluate(candidate.vectors) for candidate in pending}
+    questions = {candidate.number: candidate.question for candidate in pending}
     evaluations: dict[int, Evaluation] = {}
     for job in jobs:
         if job.status == JobStatus.DONE:
-            evaluations[job.number] = _evaluation(problem, job.result)
+            evaluations[job.number] = _evaluation(problem, questions[job.number], job.result)
         else:
             evaluations[job.number] = Failed(reason=job.last_error or str(job.status))
     return evaluations
 
 
-def _evaluation(problem: SimulatedProblem, result: str) -> Evaluation:
+def _evaluation(problem: SimulatedProblem, question: Question, result: str) -> Evaluation:
     """Return what a result says; one that the problem cannot read says nothing, and must not stop the others."""
     try:
-        return problem.evaluation(Completed.model_validate_json(result))
+        outcome = Completed.model_validate_json(result)
+        if question is Question.DATASET:
+            assert isinstance(problem, MeasuresOnData)  # checked when it was asked
+            return problem.measurement(outcome)
+        return problem.evaluation(outcome)
     except (LookupError, ValueError, TypeError, ArithmeticError) as error:
         return Failed(reason=f"error: the result cannot be judged: {type(error).__name__}: {error}")
 
@@ -305,6 +316,14 @@ def _judged(number: int, evaluation: Evaluation) -> Judged:
             objectives=evaluation.objectives,
             failure=None,
         )
+    if isinstance(evaluation, Measured):
+        return Judged(
+            number=number,
+            verdict=SolutionVerdict.MEASURED,
+            robustness=None,
+            objectives=evaluation.objectives,
+            failure=None,
+        )
     return Judged(
         number=number,
         verdict=SolutionVerdict.FAILED,
@@ -318,7 +337,7 @@ def _too_many_failures(
     campaign: Campaign, evaluations: Mapping[int, Evaluation], failed: int, pending: int
 ) -> str | None:
     """Return why a campaign must pause for its failures, or None."""
-    asked = campaign.evaluated + campaign.failed + pending
+    asked = campaign.told + pending
     limit = campaign.body.execution.max_failed_share
     if failed <= max(FEW_FAILURES, campaign.failures_accepted) or failed <= limit * asked:
         return None

@@ -6,13 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from search.algorithm import Algorithm, Candidate
+from search.algorithm import Algorithm, Candidate, Question
 from search.archive import Archive, Neighbourhood
 from search.streams import episode_seed
 from server.campaigns.body import CampaignBody, PluginChoice
 from server.campaigns.values import NewJob, NewSolution, StoredArchive
 from server.catalogue import make_algorithm, make_params, make_problem, read_problem_params
-from server.problems.base import InProcessProblem, Problem
+from server.db.models import JobKind
+from server.errors import FieldError, InvalidInput
+from server.problems.base import InProcessProblem, MeasuresOnData, Problem, SimulatedProblem
 
 DEFAULT_T_B = 0.10
 """Fitness up to which a solution counts as boundary, where nobody says otherwise."""
@@ -76,23 +78,41 @@ def first_generation(body: CampaignBody) -> tuple[Live, list[NewSolution]]:
 
 
 def new_solutions(problem: Problem, candidates: Sequence[Candidate], campaign_seed: int) -> list[NewSolution]:
-    """Return the rows of a generation that was asked for."""
+    """Return the rows of a generation that was asked for.
+
+    Raises:
+        InvalidInput: A data-set evaluation is asked of a problem that has none.
+    """
     solutions = []
     for candidate in candidates:
         seed = episode_seed(campaign_seed, candidate.number)
-        job = None
-        if not isinstance(problem, InProcessProblem):
-            spec = problem.episode(candidate.vectors, seed)
-            job = NewJob(
-                spec=spec.canonical_json(),
-                spec_hash=spec.digest(),
-                needs=problem.needs,
-                timeout_s=problem.timeout_s,
-            )
+        job = None if isinstance(problem, InProcessProblem) else _job(problem, candidate, seed)
+        if candidate.question is Question.DATASET and job is None:
+            raise _no_data(problem)
+        kind = JobKind.DATASET if candidate.question is Question.DATASET else JobKind.EPISODE
         solutions.append(
-            NewSolution(number=candidate.number, vector=vector_bytes(candidate), seed=seed, job=job)
+            NewSolution(
+                number=candidate.number, vector=vector_bytes(candidate), seed=seed, job=job, kind=kind
+            )
         )
     return solutions
+
+
+def _job(problem: SimulatedProblem, candidate: Candidate, seed: int) -> NewJob:
+    if candidate.question is Question.DATASET:
+        if not isinstance(problem, MeasuresOnData):
+            raise _no_data(problem)
+        spec = problem.dataset_evaluation(candidate.vectors)
+        needs, timeout_s = problem.dataset_needs, problem.dataset_timeout_s
+    else:
+        spec = problem.episode(candidate.vectors, seed)
+        needs, timeout_s = problem.needs, problem.timeout_s
+    return NewJob(spec=spec.canonical_json(), spec_hash=spec.digest(), needs=needs, timeout_s=timeout_s)
+
+
+def _no_data(problem: Problem) -> InvalidInput:
+    message = f"this algorithm measures on a data set, which {problem.id} does not have"
+    return InvalidInput([FieldError(pointer="/algorithm/id", message=message)])
 
 
 def vector_bytes(candidate: Candidate) -> bytes:

@@ -14,6 +14,7 @@ from server.campaigns.store import find_campaign, set_status
 from server.campaigns.values import Campaign, Checkpoint, NewJob, NewSolution, Step, StoredArchive
 from server.db.clock import database_now
 from server.db.models import (
+    EVALUATES,
     CampaignRow,
     CampaignStatus,
     CheckpointRow,
@@ -49,8 +50,9 @@ def insert_solutions(
             for s in solutions
         ],
     )  # fmt: skip
-    jobs = [(s.number, s.job) for s in solutions if s.job is not None]
-    insert_jobs(connection, campaign, jobs, JobKind.EPISODE)
+    for kind in (JobKind.EPISODE, JobKind.DATASET):
+        jobs = [(s.number, s.job) for s in solutions if s.job is not None and s.kind is kind]
+        insert_jobs(connection, campaign, jobs, kind)
 
 
 def insert_jobs(
@@ -131,7 +133,7 @@ def generation_jobs(connection: Connection, campaign_id: str, generation: int) -
         .where(
             JobRow.campaign_id == campaign_id,
             SolutionRow.generation == generation,
-            JobRow.kind == JobKind.EPISODE,
+            EVALUATES,
         )
         .order_by(JobRow.number)
     )
@@ -163,7 +165,7 @@ def write_step(connection: Connection, step: Step) -> bool:
         .where(CampaignRow.id == campaign.id)
         .values(
             generation=told, evaluated=step.summary.evaluated, unsafe=step.summary.unsafe,
-            failed=step.summary.failed,
+            failed=step.summary.failed, measured=step.summary.measured,
         )
     )  # fmt: skip
     if step.status is not CampaignStatus.RUNNING:
@@ -174,7 +176,7 @@ def write_step(connection: Connection, step: Step) -> bool:
 def _has_open_jobs(connection: Connection, step: Step) -> bool:
     still_open = select(JobRow.id).where(
         JobRow.campaign_id == step.campaign,
-        JobRow.kind == JobKind.EPISODE,
+        EVALUATES,
         JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),
     )
     return connection.execute(still_open.limit(1)).first() is not None
@@ -206,7 +208,7 @@ def _write_judged(connection: Connection, step: Step) -> None:
             update(JobRow)
             .where(
                 JobRow.campaign_id == step.campaign,
-                JobRow.kind == JobKind.EPISODE,
+                EVALUATES,
                 JobRow.number.in_(failed[start : start + MAX_NAMED]),
             )
             .values(cache=False)
@@ -218,8 +220,9 @@ def _write_archive(connection: Connection, step: Step) -> None:
     connection.execute(
         insert(GenerationRow).values(
             campaign_id=step.campaign, number=summary.number, evaluated=summary.evaluated,
-            unsafe=summary.unsafe, failed=summary.failed, best_fitness=summary.best_fitness,
-            median_fitness=summary.median_fitness, dbs=summary.dbs, strict_dbs=summary.strict_dbs,
+            unsafe=summary.unsafe, failed=summary.failed, measured=summary.measured,
+            best_fitness=summary.best_fitness, median_fitness=summary.median_fitness, dbs=summary.dbs,
+            strict_dbs=summary.strict_dbs,
             step_s=summary.step_s, told_at=database_now(connection),
         )
     )  # fmt: skip

@@ -13,7 +13,7 @@ from sqlalchemy import Connection, Row, delete, func, insert, select, update
 from server.campaigns.body import CampaignBody
 from server.campaigns.values import Campaign
 from server.db.clock import database_now
-from server.db.models import CampaignRow, CampaignStatus, JobKind, JobRow, JobStatus, TraceRow
+from server.db.models import EVALUATES, CampaignRow, CampaignStatus, JobRow, JobStatus, TraceRow
 
 ENDED = (CampaignStatus.FINISHED, CampaignStatus.CANCELLED, CampaignStatus.FAILED)
 
@@ -96,7 +96,7 @@ def running_idle(connection: Connection) -> list[str]:
     """Return running campaigns without an open episode: their next step is due."""
     busy = select(JobRow.id).where(
         JobRow.campaign_id == CampaignRow.id,
-        JobRow.kind == JobKind.EPISODE,
+        EVALUATES,
         JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),
     )
     query = select(CampaignRow.id).where(CampaignRow.status == CampaignStatus.RUNNING, ~busy.exists())
@@ -151,7 +151,7 @@ def set_status(
             update(JobRow)
             .where(
                 JobRow.campaign_id == campaign_id,
-                JobRow.kind == JobKind.EPISODE,
+                EVALUATES,
                 JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),
             )
             .values(
@@ -168,7 +168,7 @@ def count_quarantined(connection: Connection, campaign_id: str) -> int:
     return connection.execute(
         select(func.count()).where(
             JobRow.campaign_id == campaign_id,
-            JobRow.kind == JobKind.EPISODE,
+            EVALUATES,
             JobRow.status == JobStatus.QUARANTINED,
         )
     ).scalar_one()
@@ -189,6 +189,6 @@ def _campaign(row: Row[*tuple[Any, ...]]) -> Campaign:
         id=row.id, body=CampaignBody.model_validate(row.document), document_hash=row.document_hash,
         status=CampaignStatus(row.status),
         status_reason=row.status_reason, generation=row.generation, evaluated=row.evaluated,
-        unsafe=row.unsafe, failed=row.failed, failures_accepted=row.failures_accepted,
+        unsafe=row.unsafe, failed=row.failed, measured=row.measured, failures_accepted=row.failures_accepted,
         created_at=row.created_at, finished_at=row.finished_at,
     )  # fmt: skip

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from server.campaigns.body import CampaignBody
-from server.db.models import CampaignStatus, SolutionVerdict
+from server.db.models import CampaignStatus, JobKind, SolutionVerdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,14 +30,20 @@ class Campaign:
     evaluated: int
     unsafe: int
     failed: int
+    measured: int
     failures_accepted: int
     created_at: datetime
     finished_at: datetime | None
 
+    @property
+    def told(self) -> int:
+        """Candidates of which all is known that was asked: simulated, measured or failed."""
+        return self.evaluated + self.measured + self.failed
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NewJob:
-    """A simulation that a solution needs."""
+    """An episode or a data-set evaluation that a solution needs."""
 
     spec: str
     spec_hash: str
@@ -53,6 +59,7 @@ class NewSolution:
     vector: bytes
     seed: int
     job: NewJob | None
+    kind: JobKind = JobKind.EPISODE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,12 +106,18 @@ class GenerationSummary:
     evaluated: int
     unsafe: int
     failed: int
+    measured: int
     best_fitness: float | None
     median_fitness: float | None
     dbs: int
     strict_dbs: int
     step_s: float
     told_at: datetime | None = None
+
+    @property
+    def told(self) -> int:
+        """Candidates of which all is known that was asked."""
+        return self.evaluated + self.measured + self.failed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,7 +7,14 @@ from sqlalchemy import Connection, Row, Select, func, select
 
 from server.campaigns.step_store import MAX_NAMED
 from server.campaigns.values import Campaign, GenerationSummary
-from server.db.models import GenerationRow, JobKind, JobRow, JobStatus, SolutionRow, SolutionVerdict
+from server.db.models import (
+    EVALUATES,
+    GenerationRow,
+    JobRow,
+    JobStatus,
+    SolutionRow,
+    SolutionVerdict,
+)
 
 
 def list_generations(connection: Connection, campaign_id: str, since: int) -> list[GenerationSummary]:
@@ -19,7 +26,7 @@ def list_generations(connection: Connection, campaign_id: str, since: int) -> li
     )
     return [
         GenerationSummary(
-            number=row.number, evaluated=row.evaluated, unsafe=row.unsafe, failed=row.failed,
+            number=row.number, evaluated=row.evaluated, unsafe=row.unsafe, failed=row.failed, measured=row.measured,
             best_fitness=row.best_fitness, median_fitness=row.median_fitness, dbs=row.dbs,
             strict_dbs=row.strict_dbs, step_s=row.step_s, told_at=row.told_at,
         )
@@ -31,7 +38,7 @@ def count_open_jobs(connection: Connection, campaign_id: str) -> dict[str, int]:
     """Return how many of a campaign's jobs are in each state that is not done, and done in this generation."""
     query = (
         select(JobRow.status, func.count())
-        .where(JobRow.campaign_id == campaign_id, JobRow.kind == JobKind.EPISODE)
+        .where(JobRow.campaign_id == campaign_id, EVALUATES)
         .where(JobRow.status != JobStatus.DONE)
         .group_by(JobRow.status)
     )
@@ -91,7 +98,7 @@ def _solutions(campaign_id: str) -> Select[*tuple[Any, ...]]:
             JobRow,
             (JobRow.campaign_id == SolutionRow.campaign_id)
             & (JobRow.number == SolutionRow.number)
-            & (JobRow.kind == JobKind.EPISODE),
+            & EVALUATES,
         )
         .where(SolutionRow.campaign_id == campaign_id)
         .order_by(SolutionRow.number)

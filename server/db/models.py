@@ -23,6 +23,7 @@ from sqlalchemy import (
     String,
     Text,
     UniqueConstraint,
+    literal,
     text,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
@@ -56,6 +57,7 @@ class JobKind(StrEnum):
     """What a job is for."""
 
     EPISODE = "episode"
+    DATASET = "dataset-evaluation"
     TRACE = "trace"
 
 
@@ -65,6 +67,7 @@ class SolutionVerdict(StrEnum):
     PENDING = "pending"
     SAFE = "safe"
     UNSAFE = "unsafe"
+    MEASURED = "measured"
     FAILED = "failed"
 
 
@@ -121,6 +124,7 @@ class CampaignRow(Base):
     evaluated: Mapped[int] = mapped_column(BigInteger, default=0)
     unsafe: Mapped[int] = mapped_column(BigInteger, default=0)
     failed: Mapped[int] = mapped_column(BigInteger, default=0)
+    measured: Mapped[int] = mapped_column(BigInteger, default=0, server_default="0")
     failures_accepted: Mapped[int] = mapped_column(BigInteger, default=0)
     turn: Mapped[int] = mapped_column(BigInteger, default=0)
     created_at: Mapped[datetime]
@@ -137,6 +141,7 @@ class GenerationRow(Base):
     evaluated: Mapped[int] = mapped_column(BigInteger)
     unsafe: Mapped[int] = mapped_column(BigInteger)
     failed: Mapped[int] = mapped_column(BigInteger)
+    measured: Mapped[int] = mapped_column(BigInteger, default=0, server_default="0")
     best_fitness: Mapped[float | None]
     median_fitness: Mapped[float | None]
     dbs: Mapped[int] = mapped_column(Integer)
@@ -210,8 +215,12 @@ class JobRow(Base):
         ),
         CheckConstraint("status <> 'leased' OR lease_token IS NOT NULL", name="leases_have_tokens"),
         UniqueConstraint("campaign_id", "number", "kind"),
-        Index("ix_jobs_queued", "kind", "campaign_id", "id",
-              sqlite_where=text("status = 'queued'"), postgresql_where=text("status = 'queued'")),
+        Index("ix_jobs_queued", "campaign_id", "attempt", "id",
+              sqlite_where=text("status = 'queued' AND kind <> 'trace'"),
+              postgresql_where=text("status = 'queued' AND kind <> 'trace'")),
+        Index("ix_jobs_queued_traces", "id",
+              sqlite_where=text("status = 'queued' AND kind = 'trace'"),
+              postgresql_where=text("status = 'queued' AND kind = 'trace'")),
         Index("ix_jobs_retries", "not_before",
               sqlite_where=text("status = 'queued' AND attempt > 0"),
               postgresql_where=text("status = 'queued' AND attempt > 0")),
@@ -226,7 +235,7 @@ class JobRow(Base):
     id: Mapped[int] = mapped_column(JobId, primary_key=True, autoincrement=True)
     campaign_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="CASCADE"))
     number: Mapped[int] = mapped_column(BigInteger)
-    kind: Mapped[str] = mapped_column(String(8))
+    kind: Mapped[str] = mapped_column(String(20))
     spec: Mapped[str] = mapped_column(Text)
     spec_hash: Mapped[str] = mapped_column(String(64))
     needs: Mapped[str] = mapped_column(String(128))
@@ -254,6 +263,10 @@ class TraceRow(Base):
     spec_hash: Mapped[str] = mapped_column(String(64), primary_key=True)
     data: Mapped[bytes]
     created_at: Mapped[datetime]
+
+
+EVALUATES = JobRow.kind != literal(JobKind.TRACE, literal_execute=True)
+"""Of jobs that evaluate a solution, in an episode or on a data set; spelled out, so that plans use the indexes."""
 
 
 class WorkerRow(Base):

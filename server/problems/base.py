@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from search.algorithm import Evaluation
+from search.algorithm import Evaluation, Measured
 from search.space import SearchSpace
 from sim.episode import EpisodeSpec
 from worker.wire import Completed
@@ -63,6 +63,27 @@ class SimulatedProblem(_Problem, Protocol):
 
     def evaluation(self, outcome: Completed) -> Evaluation:
         """Return what a completed episode says of its candidate."""
+        ...
+
+
+@runtime_checkable
+class MeasuresOnData(Protocol):
+    """What a simulated problem may do besides: measure a candidate on a data set, which gives no verdict.
+
+    Attributes:
+        dataset_needs: What a worker must be capable of: the id of the evaluator, run as a simulator is.
+        dataset_timeout_s: Wall-clock time after which an evaluation is given up.
+    """
+
+    dataset_needs: str
+    dataset_timeout_s: float
+
+    def dataset_evaluation(self, vectors: Vectors) -> EpisodeSpec:
+        """Return what measures a candidate."""
+        ...
+
+    def measurement(self, outcome: Completed) -> Measured:
+        """Return what a completed evaluation says of its candidate."""
         ...
 
 

@@ -15,13 +15,14 @@ from sqlalchemy import Connection, Select, bindparam, exists, func, literal, or_
 
 from server.db.clock import database_now
 from server.db.locking import locked
-from server.db.models import CampaignRow, CampaignStatus, JobKind, JobRow, JobStatus
+from server.db.models import EVALUATES, CampaignRow, CampaignStatus, JobKind, JobRow, JobStatus
 from server.queue.values import JobRecord, LeaseTerms
 from worker.wire import HeldLease, LeasedJob
 
 # Spelled out in the SQL: Postgres' plans for prepared statements do not know the values of parameters, and could not
 # use the indexes that hold queued or leased jobs alone.
 _IS_QUEUED = JobRow.status == literal(JobStatus.QUEUED, literal_execute=True)
+_IS_TRACE = JobRow.kind == literal(JobKind.TRACE, literal_execute=True)
 _IS_LEASED = JobRow.status == literal(JobStatus.LEASED, literal_execute=True)
 _WAS_TRIED = JobRow.attempt > literal(0, literal_execute=True)
 _TWIN = JobRow.__table__.alias("twin")
@@ -51,19 +52,19 @@ _WAITING = select(
     .select_from(
         select(JobRow.id)
         .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
-        .where(_IS_QUEUED, CampaignRow.status == CampaignStatus.RUNNING)
+        .where(_IS_QUEUED, EVALUATES, CampaignRow.status == CampaignStatus.RUNNING)
         .limit(bindparam("enough"))
         .subquery()
     )
     .scalar_subquery()
     .label("jobs"),
-    exists(select(JobRow.id).where(_IS_QUEUED, JobRow.kind == JobKind.TRACE)).label("traces"),
+    exists(select(JobRow.id).where(_IS_QUEUED, _IS_TRACE)).label("traces"),
     exists(select(JobRow.id).where(_IS_QUEUED, _WAS_TRIED, _DUE)).label("retries"),
 )
 _FRESH = select(*_GRANTED).where(*_ELIGIBLE, JobRow.attempt == 0)
-_FRESH_TRACES = _FRESH.where(JobRow.kind == JobKind.TRACE).order_by(JobRow.id).limit(bindparam("most"))
-_FRESH_EPISODES = (
-    _FRESH.where(JobRow.kind == JobKind.EPISODE, JobRow.campaign_id == bindparam("campaign"))
+_FRESH_TRACES = _FRESH.where(_IS_TRACE).order_by(JobRow.id).limit(bindparam("most"))
+_FRESH_WORK = (
+    _FRESH.where(EVALUATES, JobRow.campaign_id == bindparam("campaign"))
     .order_by(JobRow.id)
     .limit(bindparam("most"))
 )
@@ -78,11 +79,9 @@ _RETRY = (
             JobRow.failed_worker != bindparam("worker"),
             JobRow.needs.not_in(bindparam("elsewhere", expanding=True)),
         ),
-        or_(JobRow.kind == JobKind.TRACE, CampaignRow.status == CampaignStatus.RUNNING),
+        or_(_IS_TRACE, CampaignRow.status == CampaignStatus.RUNNING),
     )
-    .order_by(
-        (JobRow.kind == JobKind.TRACE).desc(), CampaignRow.priority.desc(), JobRow.not_before, JobRow.id
-    )
+    .order_by(_IS_TRACE.desc(), CampaignRow.priority.desc(), JobRow.not_before, JobRow.id)
     .limit(1)
 )
 _CAMPAIGNS_IN_TURN = (
@@ -94,7 +93,7 @@ _CAMPAIGNS_IN_TURN = (
             .where(
                 *_ELIGIBLE,
                 JobRow.campaign_id == CampaignRow.id,
-                JobRow.kind == JobKind.EPISODE,
+                EVALUATES,
                 JobRow.attempt == 0,
             )
             .correlate(CampaignRow)
@@ -249,7 +248,7 @@ def _pick_fresh(
             break
         peers = sum(other.priority == priority for other in campaigns[place:])
         share = -(-(limit - len(rows)) // peers)
-        rows += _locked_rows(connection, _FRESH_EPISODES, {**known, "campaign": campaign, "most": share})
+        rows += _locked_rows(connection, _FRESH_WORK, {**known, "campaign": campaign, "most": share})
     return _without_twins(rows)
 
 

@@ -12,7 +12,7 @@ from sqlalchemy import Connection, bindparam, exists, insert, select, update
 
 from server.db.clock import database_now
 from server.db.locking import locked
-from server.db.models import CampaignRow, CampaignStatus, JobKind, JobRow, JobStatus, TraceRow
+from server.db.models import EVALUATES, CampaignRow, CampaignStatus, JobRow, JobStatus, TraceRow
 from server.queue.values import JobRecord, LeaseTerms, Outcome, Report
 
 MAX_ERROR_CHARACTERS = 4000
@@ -49,7 +49,7 @@ _IDLE = select(CampaignRow.id).where(
     ~exists(
         select(JobRow.id).where(
             JobRow.campaign_id == CampaignRow.id,
-            JobRow.kind == JobKind.EPISODE,
+            EVALUATES,
             JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),
         )
     ),

@@ -9,13 +9,15 @@ import pytest
 from search.algorithm import Algorithm, Candidate, Evaluation, Failed, Scored
 from search.algorithms.random_search import RandomSearch, RandomSearchConfig, RandomSearchState
 from search.document import Document
-from search.errors import DocumentError
+from search.errors import DocumentError, UnsupportedSpace
+from search.levels import Slots
 from search.problems import mtq, onemax
 from search.space import SearchSpace
 from search.testing import ContractBroken, check_algorithm, example_spaces
 from sim.catalogue import load_plugin, plugin_ids
 
 GROUP = "brink.algorithms"
+SIMOOD = "simood-ga@1"
 SPACES = {**example_spaces(), "mtq": mtq.SPACE, "onemax": onemax.SPACE}
 
 
@@ -26,7 +28,7 @@ def algorithm(plugin_id: str) -> Algorithm:
 
 
 def test_the_projects_own_algorithms_are_registered() -> None:
-    assert {"mlcshe@1", "ga@1", "random@1"} <= set(plugin_ids(GROUP))
+    assert {"mlcshe@1", "ga@1", "random@1", "simood-ga@1"} <= set(plugin_ids(GROUP))
 
 
 @pytest.mark.parametrize("space", SPACES.values(), ids=SPACES)
@@ -34,13 +36,19 @@ def test_the_projects_own_algorithms_are_registered() -> None:
 def test_algorithm_keeps_its_contract(plugin_id: str, space: SearchSpace) -> None:
     checked = algorithm(plugin_id)
     assert checked.id == plugin_id
-    run = check_algorithm(checked, space, budget=170)
+    if plugin_id == SIMOOD and not any(
+        c.constraints and isinstance(c.constraints[0], Slots) for c in space.components
+    ):
+        with pytest.raises(UnsupportedSpace, match="slots"):
+            checked.check(space, checked.config_type(), budget=170)
+        return
+    run = check_algorithm(checked, space, budget=170, ends_itself=plugin_id == SIMOOD)
     assert len(run.generations) >= 2
 
 
 @pytest.mark.parametrize("plugin_id", plugin_ids(GROUP))
 def test_state_of_another_algorithm_is_refused(plugin_id: str) -> None:
-    checked, space = algorithm(plugin_id), SPACES["mixed"]
+    checked, space = algorithm(plugin_id), SPACES["slots"]
     state = checked.start(space, checked.config_type(), seed=1, budget=170)
     stored = checked.dump(state)
     for foreign in (replace(stored, kind="other@1"), replace(stored, version=stored.version + 1)):

@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
 import pytest
+from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.config import Config
 from alembic.migration import MigrationContext
@@ -21,8 +22,8 @@ import migrations
 from server.db import upgrade as upgrading
 from server.db.clock import database_now
 from server.db.engine import Engines, open_engines
-from server.db.models import Base, JobRow, TraceRow
-from server.db.upgrade import current_revision, head_revision, upgrade
+from server.db.models import Base, CampaignRow, JobRow, SolutionRow, TraceRow
+from server.db.upgrade import alembic_config, current_revision, head_revision, upgrade
 from server.errors import DatabaseError
 
 
@@ -53,6 +54,43 @@ def test_the_checks_of_the_models_are_what_the_migrations_make(empty: Engines) -
         wanted = {str(c.name) for c in table.constraints if type(c).__name__ == "CheckConstraint"}
         made = {str(check["name"]) for check in inspector.get_check_constraints(table.name)}
         assert made == wanted, table.name
+
+
+def test_an_upgrade_keeps_what_is_stored(empty: Engines) -> None:
+    migrate(empty, "upgrade", "0001")
+    moment = datetime(2026, 1, 2, tzinfo=UTC)
+    with empty.writer.begin() as connection:
+        connection.execute(
+            text(
+                "INSERT INTO campaigns (id, name, document, document_hash, status, status_reason, seed, priority,"
+                " budget, generation, evaluated, unsafe, failed, failures_accepted, turn, created_at)"
+                " VALUES ('a', 'old', '{}', 'h', 'running', '', 1, 0, 9, 1, 3, 1, 0, 0, 0, :moment)"
+            ),
+            {"moment": moment.isoformat(" ") if empty.writer.dialect.name == "sqlite" else moment},
+        )
+        connection.execute(
+            text(
+                "INSERT INTO solutions (campaign_id, number, generation, vector, seed, verdict, robustness)"
+                " VALUES ('a', 7, 0, :vector, 5, 'unsafe', -1.5)"
+            ),
+            {"vector": b"1234"},
+        )
+    assert upgrade(empty) == ("0001", head_revision())
+    with empty.reader.connect() as connection:
+        assert connection.execute(select(CampaignRow.name, CampaignRow.measured)).one() == ("old", 0)
+        kept = select(SolutionRow.number, SolutionRow.vector, SolutionRow.verdict, SolutionRow.robustness)
+        assert connection.execute(kept).one() == (7, b"1234", "unsafe", -1.5)
+    migrate(empty, "downgrade", "0001")
+    with empty.reader.connect() as connection:
+        assert connection.execute(text("SELECT number FROM solutions")).scalars().all() == [7]
+    assert upgrade(empty) == ("0001", head_revision())
+
+
+def migrate(engines: Engines, direction: str, revision: str) -> None:
+    config = alembic_config()
+    with engines.writer.begin() as connection:
+        config.attributes["connection"] = connection
+        getattr(command, direction)(config, revision)
 
 
 def test_upgrading_twice_changes_nothing(empty: Engines) -> None:

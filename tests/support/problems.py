@@ -5,9 +5,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from search.algorithm import Evaluation, Scored
+from search.algorithm import Evaluation, Measured, Scored
 from search.settings import check_settings, setting
 from search.space import Component, Real, SearchSpace
+from search.testing import example_spaces
 from server.catalogue import PROBLEMS
 from server.problems.base import NoParams, Vectors
 from sim.catalogue import register
@@ -103,7 +104,61 @@ class Line:
         return Scored(unsafe=x < 0.5, robustness=x - 0.5)
 
 
-PLUGINS: dict[str, type[Any]] = {Ball.id: Ball, Line.id: Line}
+class SlottedBlind:
+    """Two perturbations in order: strong ones that come first are unsafe."""
+
+    id: ClassVar[str] = "slotted-blind@1"
+    summary: ClassVar[str] = "Two perturbations in order, without data."
+    params_type: ClassVar[type[Any]] = NoParams
+
+    def __init__(self, params: NoParams) -> None:
+        self.space = example_spaces()["slots"]
+        self.algorithm_defaults: Mapping[str, Any] = {}
+        self.needs = SIMULATOR
+        self.timeout_s = 20.0
+
+    def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
+        """Return the episode of a scenario and its perturbations."""
+        decoded = self.space.decode(tuple(vectors))
+        return EpisodeSpec(
+            simulator=SIMULATOR, scenario={"gap": float(decoded["scenario"]["gap"]) / 60.0, "limit": 1.2},
+            behaviour={"strong": decoded["perturbation"]["intensity_1"]}, requirements=(REQUIREMENT,),
+            seed=seed, duration_s=1.0,
+        )  # fmt: skip
+
+    def evaluation(self, outcome: Completed) -> Evaluation:
+        """Return the verdict."""
+        robustness = outcome.verdicts[REQUIREMENT].robustness
+        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=outcome.objectives)
+
+
+class Slotted(SlottedBlind):
+    """The same, which can be measured on data, too."""
+
+    id: ClassVar[str] = "slotted@1"
+    summary: ClassVar[str] = "Two perturbations in order."
+    dataset_needs = SIMULATOR
+    dataset_timeout_s = 20.0
+
+    def dataset_evaluation(self, vectors: Vectors) -> EpisodeSpec:
+        """Return what measures the perturbations: they alone decide it, whatever the seed."""
+        first, strong, second, weak = (float(value) for value in vectors[1])
+        return EpisodeSpec(
+            simulator=SIMULATOR, scenario={}, behaviour={"first": first, "strong": strong, "weak": weak},
+            requirements=(), seed=0, duration_s=1.0, options={"second": second},
+        )  # fmt: skip
+
+    def measurement(self, outcome: Completed) -> Measured:
+        """Return alpha."""
+        return Measured(objectives={"alpha": 1.0 / (1.0 + outcome.objectives["distance"])})
+
+
+PLUGINS: dict[str, type[Any]] = {
+    Ball.id: Ball,
+    Line.id: Line,
+    Slotted.id: Slotted,
+    SlottedBlind.id: SlottedBlind,
+}
 
 
 def register_all() -> None:
