@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from server.cli import bench, inspect, operate
+from server.cli import bench, inspect, operate, perturbations
 from server.cli.compare import compare
 from server.cli.run import run
 from sim.catalogue import PLUGINS_VARIABLE
@@ -31,6 +31,7 @@ app.command()(inspect.replay)
 app.command()(compare)
 app.add_typer(operate.db, name="db")
 app.add_typer(bench.bench, name="bench")
+app.add_typer(perturbations.perturbations, name="perturbations")
 
 
 @app.callback()

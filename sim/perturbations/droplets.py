@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from sim.perturbations.gene import Frame
-from sim.perturbations.layers import Layer, clouds, enlarge, lay_over, pixels, scale_of, to_layer
+from sim.perturbations.layers import Layer, clouds, lay_over, pixels, scale_of, to_layer
 
 FILM_GREY = 205
 FILM_CELL_PX = 220
@@ -38,8 +38,8 @@ def _film(frame: Frame, least: float, most: float, rng: np.random.Generator) -> 
     height, width = frame.shape[:2]
     coarse = clouds((max(2, height // 4), max(2, width // 4)), FILM_CELL_PX * scale_of(frame) / 4, 2, rng)
     film = np.clip(least + (most - least) * (coarse * 1.6 - 0.3), 0, 1).astype(np.float32)
-    opacity = to_layer(enlarge(film, (height, width)))
-    return opacity, np.full((height, width), FILM_GREY, dtype=np.uint8)
+    opacity = cv2.resize(to_layer(film), (width, height), interpolation=cv2.INTER_LINEAR)
+    return cast(Layer, opacity), np.full((height, width), FILM_GREY, dtype=np.uint8)
 
 
 def _draw_streak(opacity: Layer, light: Layer, scale: float, rng: np.random.Generator) -> None:

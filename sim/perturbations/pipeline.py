@@ -52,7 +52,7 @@ def apply(frame: Frame, perturbation: Perturbation, rng: np.random.Generator) ->
         PerturbationFailed: The transform broke; names the gene.
         VisionMissing: OpenCV is not installed here.
     """
-    _check(frame)
+    check_frame(frame)
     value = perturbation.value
     if value is None:
         return frame
@@ -104,7 +104,7 @@ class Pipeline:
             PerturbationFailed: A transform broke; names the gene.
             VisionMissing: OpenCV is not installed here.
         """
-        _check(frame)
+        check_frame(frame)
         drawn_at = index if self.mode is Mode.PER_FRAME else 0
         for position, perturbation in enumerate(self.perturbations):
             frame = apply(frame, perturbation, generator(self.seed, position, drawn_at))
@@ -127,7 +127,16 @@ def _transform(name: str) -> Transform:
     return TRANSFORMS[name]
 
 
-def _check(frame: Frame) -> None:
+def check_frame(frame: Frame, where: str = "") -> None:
+    """Check that something is a picture that can be perturbed.
+
+    Args:
+        frame: What should be RGB, uint8, shape ``(height, width, 3)``, at least 16 px a side.
+        where: What the message begins with, such as the name of a file.
+
+    Raises:
+        InvalidFrame: It is not.
+    """
     if (
         isinstance(frame, np.ndarray)
         and frame.dtype == np.uint8
@@ -137,7 +146,7 @@ def _check(frame: Frame) -> None:
     ):
         return
     raise InvalidFrame(
-        f"expected an RGB picture: a uint8 array of shape (height, width, 3), at least {MIN_SIDE_PX} px a side; "
+        f"{where}expected an RGB picture: uint8, shape (height, width, 3), at least {MIN_SIDE_PX} px a side; "
         f"got {_describe(frame)}"
     )
 
