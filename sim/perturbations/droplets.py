@@ -13,7 +13,7 @@ FILM_CELL_PX = 220
 DROPLETS = 200
 STREAKS = (4, 9)
 WET_OPACITY = 0.15
-WET_DROPS = 70
+WET_DROPS = 45
 
 
 def condensation(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
@@ -29,7 +29,7 @@ def condensation(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
 def wet_lens(frame: Frame, rng: np.random.Generator) -> Frame:
     """Return the frame behind a film of water with large drops, of opacity 0.15."""
     opacity, light = _film(frame, 0.3, 0.8, rng)
-    _draw_drops(opacity, light, rng.gamma(2.5, 4.5, WET_DROPS) + 3, scale_of(frame), rng)
+    _draw_drops(opacity, light, rng.gamma(2.5, 5.0, WET_DROPS) + 3, scale_of(frame), rng)
     return _behind(frame, opacity, light, WET_OPACITY)
 
 

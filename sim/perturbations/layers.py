@@ -3,7 +3,6 @@
 A layer is two pictures: how much of the frame it lets through, and the light that it adds itself.
 """
 
-from collections.abc import Callable
 from typing import TypeAlias, cast
 
 import cv2
@@ -56,24 +55,25 @@ def to_layer(field: Field) -> Layer:
     return cast(Layer, cv2.convertScaleAbs(field, alpha=255))
 
 
-def change_lightness(
-    frame: Frame, curve: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]]
-) -> Frame:
-    """Return the frame with its lightness (L of HLS, 0 to 255) put through a curve; hue and saturation stay.
+def scale_lightness(frame: Frame, factor: float, below: float = 256.0) -> Frame:
+    """Return the frame with its lightness (L of HLS, 0 to 255) multiplied and clipped; hue and saturation stay.
 
-    Pixels that the curve leaves alone keep their bytes.
+    Args:
+        frame: Shape ``(height, width, 3)``.
+        factor: By what to multiply.
+        below: Pixels that are at least as light keep their bytes.
     """
-    before = np.arange(256, dtype=np.float64)
-    table = np.clip(np.rint(curve(before)), 0, 255).astype(np.uint8)
+    before = np.arange(256)
+    table = np.where(before < below, np.clip(np.rint(factor * before), 0, 255), before).astype(np.uint8)
     hls = cv2.cvtColor(frame, cv2.COLOR_RGB2HLS)
     lightness = cv2.extractChannel(hls, 1)
     cv2.insertChannel(cv2.LUT(lightness, table), hls, 1)
-    changed = cast(Frame, cv2.cvtColor(hls, cv2.COLOR_HLS2RGB, dst=hls))
-    if np.count_nonzero(table == before) <= 1:
-        return changed
-    # To HLS and back costs a few grey values: what keeps its lightness keeps its bytes.
-    unchanged = cv2.LUT(lightness, np.where(table == before, 255, 0).astype(np.uint8))
-    return cast(Frame, cv2.copyTo(frame, unchanged, changed))
+    scaled = cast(Frame, cv2.cvtColor(hls, cv2.COLOR_HLS2RGB, dst=hls))
+    if below > 255:
+        return scaled
+    # To HLS and back costs a few grey values, which a pixel that keeps its lightness must not lose.
+    kept = cv2.LUT(lightness, np.where(before < below, 0, 255).astype(np.uint8))
+    return cast(Frame, cv2.copyTo(frame, kept, scaled))
 
 
 def clouds(shape: tuple[int, int], cell_px: float, octaves: int, rng: np.random.Generator) -> Field:

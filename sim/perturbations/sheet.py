@@ -55,12 +55,12 @@ def _strip(picture: Frame, gene: Gene, seed: int, tile: tuple[int, int]) -> Fram
 
 def _caption(gene: Gene, level: int) -> str:
     value = gene.value(level)
-    return "no effect" if value is None else f"{gene.name} {level}/{gene.levels - 1}: {value:.3g}"
+    return "no effect" if value is None else f"{gene.name} {level} of {gene.levels - 1} (v = {value:.3g})"
 
 
 def _captioned(tile: Frame, caption: str) -> Frame:
     banner = np.full((CAPTION_PX, tile.shape[1] + 2 * MARGIN_PX, 3), PAPER, dtype=np.uint8)
-    size = min(0.5, 0.5 * tile.shape[1] / 240)
+    size = min(0.5, 0.5 * tile.shape[1] / 280)
     cv2.putText(
         banner, caption, (MARGIN_PX, CAPTION_PX - 9), cv2.FONT_HERSHEY_SIMPLEX, size, INK, 1, cv2.LINE_AA
     )

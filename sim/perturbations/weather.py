@@ -5,11 +5,10 @@ from typing import cast
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from sim.perturbations.droplets import wet_lens
 from sim.perturbations.gene import Frame
-from sim.perturbations.layers import Layer, change_lightness, pixels, scale_of
+from sim.perturbations.layers import Layer, pixels, scale_lightness, scale_of
 
 SNOW_THRESHOLD = 85.0
 SNOW_THRESHOLD_MORE = 127.5
@@ -51,11 +50,7 @@ def snow(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
     The threshold is ``85 + 127.5 U(0, 0.5)`` of 255.
     """
     threshold = SNOW_THRESHOLD + SNOW_THRESHOLD_MORE * rng.uniform(0, 0.5)
-
-    def whiten(lightness: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        return np.where(lightness < threshold, value * lightness, lightness)
-
-    return change_lightness(frame, whiten)
+    return scale_lightness(frame, value, below=threshold)
 
 
 def rain(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
@@ -68,7 +63,7 @@ def rain(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
     rainy = cast(Frame, cv2.copyTo(np.full_like(frame, DROP_GREY), drops, frame.copy()))
     side = 2 * round((RAIN_BLUR_PX - 1) / 2 * scale_of(frame)) + 1
     rainy = cast(Frame, cv2.blur(rainy, (side, side)))
-    rainy = change_lightness(rainy, lambda lightness: RAIN_LIGHTNESS * lightness)
+    rainy = scale_lightness(rainy, RAIN_LIGHTNESS)
     return wet_lens(rainy, rng) if kind.wet else rainy
 
 
