@@ -1,0 +1,224 @@
+"""Owns trees: trunks, crowns of leaves, and a tree that lies on the road."""
+
+import math
+from functools import lru_cache
+from typing import Final
+
+import cv2
+import numpy as np
+
+from sim.rendering.canvas import Coverage, Mark, Rgb, Stamp, Stroke
+from sim.rendering.light import Lighting
+from sim.rendering.looks import choice
+from sim.rendering.rounded import cut_at_near, radius_px, rounded
+from sim.rendering.scene import Body, FloatArray, Picture, Tree
+from sim.rendering.textures import leaves
+from sim.rendering.view import View
+
+TRUNK_SHARE: Final = 0.42
+"""Share of a tree's height at which its crown begins."""
+_CROWN_FILL: Final = 0.47
+"""Radius of the crown in its texture, as a share of the texture's side."""
+_BARK: Final = ((92, 74, 58), (108, 92, 74), (76, 64, 54))
+_NEAREST_M: Final = 0.6
+_FALLEN_STREAM: Final = 75
+
+
+@lru_cache(maxsize=32)
+def _levels(kind: int, fallen: bool, tint: tuple[float, float, float]) -> list[tuple[Picture, Coverage]]:
+    levels = []
+    for image, cover in leaves(kind, fallen=fallen):
+        tinted = np.clip(image * np.array(tint), 0, 255).astype(np.uint8)
+        levels.append((tinted, cover))
+    return levels
+
+
+class Foliage:
+    """Makes the marks of trees under one light.
+
+    Args:
+        lighting: The light.
+    """
+
+    def __init__(self, lighting: Lighting) -> None:
+        self._lighting = lighting
+        red, green, blue = lighting.tint.tolist()
+        self._tint = (red, green, blue)
+        self._veils: dict[tuple[int, int], Picture] = {}
+
+    def trunk(self, tree: Tree, view: View, lit: float) -> list[Mark]:
+        """Return the trunk of a tree up to somewhat into its crown."""
+        base = 0.035 * tree.height_m
+        joints = np.array([[(tree.x_m, tree.y_m, 0.0), (tree.x_m, tree.y_m, 0.6 * tree.height_m)]])
+        rgb = _BARK[choice(tree.look, 31, len(_BARK))]
+        return self.limbs(joints, np.array([(base, 0.6 * base)]), rgb, view, lit, flat_foot=True)
+
+    def crown(self, tree: Tree, view: View, lit: float) -> list[Mark]:
+        """Return the leaves of a tree."""
+        low = TRUNK_SHARE * tree.height_m
+        tall = tree.height_m - low
+        centre = (tree.x_m, tree.y_m, low + 0.5 * tall)
+        levels = _levels(choice(tree.look, 32, 8), False, self._tint)
+        stamp = self._stamp(levels, centre, (tree.crown_m / 2, tall / 2), view, lit)
+        return [] if stamp is None else [stamp]
+
+    def fallen(self, body: Body, view: View, lit: float) -> list[Mark]:
+        """Return a tree that lies along its heading, roots behind, crown ahead."""
+        joints, radii, rgb, blobs = _fallen_shape(body.look, body.length_m, body.width_m, body.height_m)
+        cosine, sine = math.cos(body.yaw_rad), math.sin(body.yaw_rad)
+
+        def world(points: FloatArray) -> FloatArray:
+            turned = points.copy()
+            turned[..., 0] = body.x_m + cosine * points[..., 0] - sine * points[..., 1]
+            turned[..., 1] = body.y_m + sine * points[..., 0] + cosine * points[..., 1]
+            return turned
+
+        parts: list[tuple[float, list[Mark]]] = []
+        for limb, radius in zip(world(joints), radii, strict=True):
+            marks = self.limbs(limb[None], radius[None], rgb, view, lit)
+            depth = float(view.to_camera(limb)[:, 0].mean())
+            parts.append((depth, marks))
+        levels = _levels(choice(body.look, 33, 4), True, self._tint)
+        for centre, half in zip(world(blobs[:, :3]), blobs[:, 3:], strict=True):
+            place = (float(centre[0]), float(centre[1]), float(centre[2]))
+            stamp = self._stamp(levels, place, (float(half[0]), float(half[1])), view, lit)
+            if stamp is not None:
+                parts.append((float(view.to_camera(centre[None])[0, 0]), [stamp]))
+        parts.sort(key=lambda part: -part[0])
+        return [mark for _, marks in parts for mark in marks]
+
+    def limbs(
+        self,
+        joints: FloatArray,
+        radii_m: FloatArray,
+        rgb: tuple[float, float, float],
+        view: View,
+        lit: float,
+        *,
+        flat_foot: bool = False,
+    ) -> list[Mark]:
+        seen = view.to_camera(joints.reshape(-1, 3)).reshape(-1, 2, 3)
+        gone = cut_at_near(seen)
+        radius = radius_px(seen, radii_m, view)
+        polygons, shades = rounded(seen, radius, view)
+        if flat_foot:
+            foot = np.rint(view.pixels(seen[:, 0])[:, 1] * 16).astype(np.int32)
+            polygons[..., 1] = np.minimum(polygons[..., 1], foot[:, None])
+            shades[..., 1] = np.minimum(shades[..., 1], foot[:, None])
+        colour = self._shaded(rgb, joints.mean(axis=1)[0], view, lit)
+        dark = (0.72 * colour[0], 0.72 * colour[1], 0.74 * colour[2])
+        marks: list[Mark] = []
+        for polygon, shade, hidden, wide in zip(polygons, shades, gone, radius.max(axis=1), strict=True):
+            if not hidden:
+                marks.append(Stroke(polygon, colour, True))
+                if wide > 2.0:
+                    marks.append(Stroke(shade, dark, False))
+        return marks
+
+    def _shaded(self, rgb: tuple[float, float, float], at: FloatArray, view: View, lit: float) -> Rgb:
+        light = self._lighting
+        haze = float(light.haze(np.hypot(at[0] - view.x_m, at[1] - view.y_m)))
+        share = light.ambient_share + 0.5 * light.sun_share + 0.8 * lit
+        mixed = np.array(rgb) * light.tint * share * (1 - haze) + np.array(light.haze_rgb) * haze
+        red, green, blue = np.clip(mixed, 0, 255).tolist()
+        return red, green, blue
+
+    def _stamp(
+        self,
+        levels: list[tuple[Picture, Coverage]],
+        centre_m: tuple[float, float, float],
+        half_m: tuple[float, float],
+        view: View,
+        lit: float,
+    ) -> Stamp | None:
+        """Return the texture of leaves that fills an upright ellipse, cropped to the picture."""
+        seen = view.to_camera(np.array([centre_m]))
+        depth = float(seen[0, 0])
+        if depth < _NEAREST_M:
+            return None
+        column, row = view.pixels(seen)[0].tolist()
+        scale = view.focal_px / depth / (2 * _CROWN_FILL)
+        wide, high = 2 * half_m[0] * scale, 2 * half_m[1] * scale
+        left, top = max(math.floor(column - wide / 2), 0), max(math.floor(row - high / 2), 0)
+        right = min(math.ceil(column + wide / 2) + 1, view.width_px)
+        bottom = min(math.ceil(row + high / 2) + 1, view.height_px)
+        if right - left < 1 or bottom - top < 1:
+            return None
+        image, cover = next(
+            (level for level in reversed(levels) if level[1].shape[0] >= 0.8 * max(wide, high)), levels[0]
+        )
+        side = cover.shape[0]
+        per_x, per_y = side / wide, side / high
+        to_texture = np.array(
+            [
+                [per_x, 0.0, (left - column + wide / 2 + 0.5) * per_x - 0.5],
+                [0.0, per_y, (top - row + high / 2 + 0.5) * per_y - 0.5],
+            ]
+        )
+        size = (right - left, bottom - top)
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        pixels = cv2.warpAffine(image, to_texture, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+        covered = cv2.warpAffine(cover, to_texture, size, flags=flags, borderMode=cv2.BORDER_CONSTANT)
+        light = self._lighting
+        haze = float(light.haze(np.array(math.hypot(depth, float(seen[0, 1])))))
+        share = light.ambient_share + 0.55 * light.sun_share + 0.7 * lit
+        veil = self._veil(size)
+        mixed = cv2.addWeighted(pixels, share * (1 - haze), veil, haze, 0.0)
+        mask = cv2.threshold(covered, 127, 255, cv2.THRESH_BINARY)[1]
+        return Stamp(left, top, mixed.astype(np.uint8, copy=False), mask.astype(np.uint8, copy=False))
+
+    def _veil(self, size: tuple[int, int]) -> Picture:
+        """Return haze, shape ``(height, width, 3)``, at least of a size and cut to it."""
+        stored = self._veils.get((0, 0))
+        if stored is None or stored.shape[0] < size[1] or stored.shape[1] < size[0]:
+            rows = max(size[1], 0 if stored is None else stored.shape[0])
+            columns = max(size[0], 0 if stored is None else stored.shape[1])
+            stored = np.empty((rows, columns, 3), np.uint8)
+            stored[:] = np.array(self._lighting.haze_rgb).astype(np.uint8)
+            self._veils[0, 0] = stored
+        return stored[: size[1], : size[0]]
+
+
+@lru_cache(maxsize=64)
+def _fallen_shape(
+    look: int, length_m: float, width_m: float, height_m: float
+) -> tuple[FloatArray, FloatArray, tuple[float, float, float], FloatArray]:
+    """Return limbs (n, 2, 3), their radii (n, 2), the bark's colour, and leaves (n, 5): centre and half sizes."""
+    rng = np.random.default_rng((look & 0xFFFFFFFF, _FALLEN_STREAM))
+    thick = min(0.17 * height_m, 0.045 * length_m)
+    root, tip = -0.5 * length_m + thick, 0.42 * length_m
+    lift = thick + 0.01
+    limbs = []
+    for number in range(3):
+        a, b = number / 3, (number + 1) / 3
+        bend = 0.03 * width_m * np.sin(3.0 * np.array([a, b]))
+        start = (root + a * (tip - root), bend[0], lift * (1 + 0.6 * a))
+        end = (root + b * (tip - root), bend[1], lift * (1 + 0.6 * b))
+        limbs.append((start, end, thick * (1 - 0.55 * a), thick * (1 - 0.55 * b)))
+    for _ in range(6):
+        angle, reach = rng.uniform(0, 2 * math.pi), rng.uniform(0.6, 0.95)
+        side = np.clip(0.5 * height_m * reach * np.sin(angle) + lift, 0.03, 0.9 * height_m)
+        limbs.append(
+            (
+                (root, 0.0, lift),
+                (root - 0.4 * thick, 0.34 * width_m * reach * np.cos(angle), side),
+                0.42 * thick,
+                0.16 * thick,
+            )
+        )
+    for _ in range(8):
+        x = rng.uniform(-0.1, 0.3) * length_m
+        out = rng.uniform(0.25, 0.46) * width_m * rng.choice((-1.0, 1.0))
+        top = rng.uniform(0.2, 0.9) * height_m
+        limbs.append(((x, 0.0, lift), (x + 0.12 * length_m, out, top), 0.34 * thick, 0.12 * thick))
+    blobs = []
+    for _ in range(13):
+        x = rng.uniform(-0.02, 0.40) * length_m
+        half = rng.uniform(0.20, 0.34) * height_m
+        wide = min(half * rng.uniform(1.1, 1.6), 0.1 * length_m, 0.3 * width_m)
+        y = rng.uniform(-1.0, 1.0) * max(0.5 * width_m - wide, 0.0)
+        z = rng.uniform(half, max(height_m - half, half + 1e-6))
+        blobs.append((x, y, z, wide, half))
+    joints = np.array([(start, end) for start, end, _, _ in limbs], dtype=np.float64)
+    radii = np.array([(a, b) for _, _, a, b in limbs], dtype=np.float64)
+    return joints, radii, _BARK[choice(look, 34, len(_BARK))], np.array(blobs)
