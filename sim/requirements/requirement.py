@@ -70,6 +70,8 @@ class WorldSample:
             or the goal is reached.
         in_conflict_area: Whether part of the ego is in the oncoming lane, in a junction or on a crossing.
         goal_reached: Whether the ego has come to the end of its route.
+        brakes_for_nothing: Whether emergency braking is on, and since it began nobody was in the region that calls
+            for it, or on a course into it.
     """
 
     time_s: float
@@ -95,6 +97,7 @@ class WorldSample:
     may_wait: bool = False
     in_conflict_area: bool = False
     goal_reached: bool = False
+    brakes_for_nothing: bool = False
 
 
 class Requirement(Protocol):

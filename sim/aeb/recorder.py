@@ -1,0 +1,160 @@
+"""Records an emergency-braking episode as a `sim.trace.Trace`, so that every replay can draw it.
+
+Boxes are in the coordinates of the trace's 800 x 600 picture: cameras with the same horizontal field of view see the
+same there, however many pixels they have.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from sim.aeb.braking import Detection
+from sim.aeb.sight import Look, boxes_of
+from sim.aeb.street import CRUISE_MPS, END_M, LANE_Y_M, Street
+from sim.episode import Json
+from sim.rendering.scene import BodyKind, Material
+from sim.trace import (
+    BOX_COLUMNS,
+    PERCEIVED_COLUMNS,
+    ActorTrack,
+    Event,
+    FloatArray,
+    Ragged,
+    Surface,
+    Trace,
+)
+from sim.world.ego import EgoCar
+
+TRACE_PX: Final = (800.0, 600.0)
+_SURFACES: Final = {Material.ASPHALT: "road", Material.PAVEMENT: "pavement", Material.MARKING: "marking"}
+
+
+class AebRecorder:
+    """Takes one sample a frame.
+
+    Args:
+        street: Where it happens.
+        ego: The car under test.
+        size_px: Of the camera's picture.
+    """
+
+    def __init__(self, street: Street, ego: EgoCar, size_px: tuple[int, int]) -> None:
+        self._street = street
+        self._ego = ego
+        self._size_px = size_px
+        self._time_s: list[float] = []
+        self._ego_rows: list[tuple[float, ...]] = []
+        self._actor_rows: list[list[tuple[float, float, float, float]]] = []
+        self._truth: list[list[tuple[float, ...]]] = []
+        self._given: list[list[tuple[float, ...]]] = []
+        self._brakes: list[bool] = []
+        self._robustness: dict[str, list[float]] = {}
+        self._events: list[Event] = []
+
+    def sample(self, time_s: float, look: Look, *, brakes: bool) -> None:
+        """Take a frame."""
+        if brakes and not (self._brakes and self._brakes[-1]):
+            self._events.append(Event(time_s=time_s, kind="brakes", text="emergency braking begins"))
+        self._place(time_s)
+        self._truth.append(self._scaled(look.truth))
+        self._given.append(self._scaled(look.detections))
+        self._brakes.append(brakes)
+
+    def judge(self, name: str, robustness: float) -> None:
+        """Take the robustness of a requirement at the end of the frame."""
+        self._robustness.setdefault(name, []).append(robustness)
+
+    def end(self, time_s: float) -> None:
+        """Take where everybody is at the end."""
+        if self._brakes:
+            self._place(time_s)
+            self._truth.append([])
+            self._given.append([])
+            self._brakes.append(self._brakes[-1])
+            for series in self._robustness.values():
+                series.append(series[-1])
+
+    def _place(self, time_s: float) -> None:
+        ego = self._ego
+        self._time_s.append(time_s)
+        self._ego_rows.append((ego.x_m, ego.y_m, ego.yaw_rad, ego.speed_mps, ego.accel_mps2))
+        self._actor_rows.append([(a.x_m, a.y_m, a.body.yaw_rad, a.speed_mps) for a in self._street.actors])
+
+    def _scaled(self, boxes: Sequence[Detection]) -> list[tuple[float, ...]]:
+        width_px, height_px = self._size_px
+        scale = TRACE_PX[0] / width_px
+        shift_px = 0.5 * TRACE_PX[1] - 0.5 * height_px * scale
+        return [
+            (label, x_min * scale, x_max * scale, y_min * scale + shift_px, y_max * scale + shift_px)
+            for label, x_min, x_max, y_min, y_max in boxes_of(boxes)
+        ]
+
+    def trace(self, about: Mapping[str, Json]) -> Trace:
+        """Return what was recorded."""
+        count = len(self._time_s)
+        tracks = np.array(self._actor_rows, dtype=np.float32).reshape(count, len(self._street.actors), 4)
+        return Trace(
+            time_s=_array(self._time_s),
+            ego=_array(self._ego_rows),
+            ego_size_m=(self._ego.length_m, self._ego.width_m),
+            route=_array([(-10.0, LANE_Y_M), (END_M, LANE_Y_M)]),
+            actors=tuple(
+                ActorTrack(
+                    name=actor.name,
+                    kind="pedestrian" if actor.body.kind is BodyKind.PERSON else "vehicle",
+                    length_m=actor.body.length_m,
+                    width_m=actor.body.width_m,
+                    motion=np.ascontiguousarray(tracks[:, index]),
+                )
+                for index, actor in enumerate(self._street.actors)
+            ),
+            seen_boxes=_ragged(self._truth),
+            given_boxes=_ragged(self._given),
+            perceived=Ragged(
+                columns=PERCEIVED_COLUMNS,
+                first=np.zeros(count + 1, np.int32),
+                rows=np.zeros((0, len(PERCEIVED_COLUMNS)), np.float32),
+            ),
+            plan_mode=tuple("brake" if brakes else "cruise" for brakes in self._brakes),
+            target_speed_mps=_array([0.0 if brakes else CRUISE_MPS for brakes in self._brakes]),
+            target_offset_m=_array([0.0] * count),
+            lights=("",) * count,
+            robustness={name: _array(series) for name, series in self._robustness.items()},
+            events=tuple(self._events),
+            scene=_surfaces(self._street),
+            about=about,
+        )
+
+
+def _array(values: Sequence[object]) -> FloatArray:
+    return np.asarray(values, dtype=np.float32)
+
+
+def _ragged(rows: Sequence[Sequence[tuple[float, ...]]]) -> Ragged:
+    first = np.concatenate([[0], np.cumsum([len(part) for part in rows])]).astype(np.int32)
+    flat = [row for part in rows for row in part]
+    return Ragged(
+        columns=BOX_COLUMNS, first=first, rows=np.array(flat, np.float32).reshape(len(flat), len(BOX_COLUMNS))
+    )
+
+
+def _surfaces(street: Street) -> tuple[Surface, ...]:
+    """Return what does not move, seen from above."""
+    scene = street.scene
+    surfaces = [
+        Surface(kind=_SURFACES[g.material], points=g.points.astype(np.float32), closed=True, width_m=0.0)
+        for g in scene.ground
+        if g.material in _SURFACES
+    ]
+    boxes = [("building", b.x_m, b.y_m, b.length_m, b.width_m) for b in scene.buildings]
+    boxes += [("parked-car", b.x_m, b.y_m, b.length_m, b.width_m) for b in scene.parked]
+    boxes += [("tree", t.x_m, t.y_m, 0.6 * t.crown_m, 0.6 * t.crown_m) for t in scene.trees]
+    for kind, x_m, y_m, length_m, width_m in boxes:
+        along, across = 0.5 * length_m, 0.5 * width_m
+        corners = [
+            (x_m - along, y_m - across), (x_m + along, y_m - across), (x_m + along, y_m + across),
+            (x_m - along, y_m + across),
+        ]  # fmt: skip
+        surfaces.append(Surface(kind=kind, points=_array(corners), closed=True, width_m=0.0))
+    return tuple(surfaces)

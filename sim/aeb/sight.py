@@ -1,0 +1,78 @@
+"""What the brake is told: by ground truth, by nobody, or by a detector that looks at pictures."""
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple, Protocol
+
+from sim.aeb.braking import PERSON, VEHICLE, Detection
+from sim.aeb.street import Street
+from sim.driving.camera import Body as Prism
+from sim.driving.camera import Camera
+from sim.driving.interface import ObstacleLabel
+from sim.rendering.scene import Body, BodyKind
+from sim.world.ego import EgoCar
+
+MIN_HEIGHT_SHARE: Final = 8.0 / 360.0
+"""Lower ground-truth boxes do not count: 8 px in a picture of 640 x 360."""
+
+
+class Look(NamedTuple):
+    """What one frame gave.
+
+    Attributes:
+        truth: Ground-truth boxes, unusual bodies included: a fallen tree is labelled a vehicle, since it stands in
+            the way like one.
+        detections: What the brake is told.
+    """
+
+    truth: tuple[Detection, ...]
+    detections: tuple[Detection, ...]
+
+
+class Sight(Protocol):
+    """Gives each frame of an episode."""
+
+    def look(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> Look:
+        """Return what is seen in a frame."""
+        ...
+
+
+class GroundTruth:
+    """Boxes of everybody in view, by geometry; a body that a nearer one covers is not seen.
+
+    Args:
+        width_px: Of the picture.
+        height_px: Of the picture.
+        told: Whether the brake is told; otherwise it is told nothing.
+    """
+
+    def __init__(self, width_px: int, height_px: int, *, told: bool = True) -> None:
+        self._camera = Camera(
+            width_px=width_px, height_px=height_px, min_height_px=MIN_HEIGHT_SHARE * height_px
+        )
+        self._told = told
+
+    def look(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> Look:
+        """Return what is seen in a frame."""
+        bodies = [*(actor.now() for actor in street.actors), *street.scene.parked]
+        seen = self._camera.look(ego.x_m, ego.y_m, ego.yaw_rad, [_prism(body) for body in bodies])
+        truth = tuple(
+            Detection(
+                label=PERSON if sight.box.label is ObstacleLabel.PERSON else VEHICLE,
+                x_min_px=sight.box.x_min_px,
+                y_min_px=sight.box.y_min_px,
+                x_max_px=sight.box.x_max_px,
+                y_max_px=sight.box.y_max_px,
+            )
+            for sight in seen
+        )
+        return Look(truth, truth if self._told else ())
+
+
+def _prism(body: Body) -> Prism:
+    label = ObstacleLabel.PERSON if body.kind is BodyKind.PERSON else ObstacleLabel.VEHICLE
+    return Prism(label, body.x_m, body.y_m, body.yaw_rad, body.length_m, body.width_m, body.height_m)
+
+
+def boxes_of(detections: Sequence[Detection]) -> list[tuple[float, float, float, float, float]]:
+    """Return boxes as rows of label (0 vehicle, 1 person), x_min, x_max, y_min, y_max."""
+    return [(float(d.label == PERSON), d.x_min_px, d.x_max_px, d.y_min_px, d.y_max_px) for d in detections]

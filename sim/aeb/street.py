@@ -1,0 +1,307 @@
+"""Owns the street of an emergency-braking episode: what stands there, and who moves how.
+
+The street runs along x. The ego's lane lies around y = -1.75 m, the oncoming one around y = +1.75 m, then on each
+side a strip with parked vehicles, a pavement and houses. What no scenario parameter fixes (looks, gaps, who walks on
+the pavement) comes from the episode's seed.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from sim.aeb.scenario import AebScenario, Obstacle, Occluder
+from sim.rendering.scene import Body, BodyKind, Building, Ground, Lamp, Material, StreetScene, Tree
+
+LANE_M: Final = 3.5
+LANE_Y_M: Final = -0.5 * LANE_M
+CRUISE_MPS: Final = 8.0
+WALKING_MPS: Final = 2.0
+STRIP_M: Final = 2.2
+KERB_M: Final = LANE_M + STRIP_M
+PAVEMENT_M: Final = 3.0
+BEGIN_M: Final = -40.0
+END_M: Final = 160.0
+EGO_FRONT_M: Final = 2.25
+"""From the middle of the ego to its front bumper."""
+PERSON: Final = (0.45, 0.55, 1.75)
+CAR: Final = (4.4, 1.8, 1.5)
+VAN: Final = (5.6, 2.0, 2.3)
+TREE_TRUNK: Final = (2.6, 1.0, 0.9)
+ON_ITS_ROOF: Final = (4.4, 1.8, 1.35)
+GAP_M: Final = 1.6
+"""Between the two parked vehicles from which the pedestrian comes."""
+BRAKES_MPS2: Final = 5.0
+STARTS_MPS2: Final = 1.5
+YIELDS_WITHIN_M: Final = 16.0
+"""Oncoming vehicles that are nearer to a crossing pedestrian brake."""
+STREAMS: Final = {"looks": 0, "street": 1, "people": 2, "traffic": 3}
+
+
+def stream(seed: int, name: str, index: int = 0) -> np.random.Generator:
+    """Return the generator for one thing that chance decides in an episode."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(100 + STREAMS[name], index)))
+
+
+@dataclass(slots=True, kw_only=True)
+class Actor:
+    """Somebody or something with a body; moves along its heading.
+
+    Attributes:
+        name: Unique in the episode.
+        body: How it looks and how big it is; its pose is that of the start.
+        x_m: Where it is now.
+        y_m: The same.
+        speed_mps: How fast it moves along its heading now.
+        starts_s: When it begins to move.
+        stops_after_m: Way after which it stands.
+        way_m: Way so far.
+    """
+
+    name: str
+    body: Body
+    x_m: float
+    y_m: float
+    speed_mps: float = 0.0
+    cruise_mps: float = 0.0
+    starts_s: float = 0.0
+    stops_after_m: float = math.inf
+    way_m: float = field(default=0.0)
+
+    def advance(self, time_s: float, dt_s: float, *, waits: bool = False) -> None:
+        """Move on by a step that begins at a time.
+
+        Args:
+            time_s: When the step begins.
+            dt_s: How long it is.
+            waits: Whether it gives way: a vehicle then brakes.
+        """
+        moves = time_s >= self.starts_s - 1e-9 and self.way_m < self.stops_after_m and not waits
+        wanted = self.cruise_mps if moves else 0.0
+        if self.body.kind is BodyKind.VEHICLE:
+            wanted = min(
+                max(wanted, self.speed_mps - BRAKES_MPS2 * dt_s), self.speed_mps + STARTS_MPS2 * dt_s
+            )
+        self.speed_mps = wanted
+        step_m = self.speed_mps * dt_s
+        self.way_m += step_m
+        self.x_m += step_m * math.cos(self.body.yaw_rad)
+        self.y_m += step_m * math.sin(self.body.yaw_rad)
+
+    def now(self) -> Body:
+        """Return its body where it is now."""
+        body = self.body
+        person = body.kind is BodyKind.PERSON
+        return Body(
+            id=body.id, kind=body.kind, x_m=self.x_m, y_m=self.y_m, yaw_rad=body.yaw_rad,
+            length_m=body.length_m, width_m=body.width_m, height_m=body.height_m, look=body.look,
+            phase=(self.way_m * 2.0 * math.pi / 1.4) if person else 0.0,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Street:
+    """The street of one episode.
+
+    Attributes:
+        scene: All that does not move.
+        actors: Everybody but the ego; changes in place. The pedestrian comes first.
+    """
+
+    scene: StreetScene
+    actors: tuple[Actor, ...]
+
+    def advance(self, time_s: float, dt_s: float) -> None:
+        """Let everybody go on; oncoming vehicles give way to the pedestrian."""
+        pedestrian = self.actors[0]
+        for actor in self.actors:
+            actor.advance(
+                time_s, dt_s, waits=actor.name.startswith("oncoming") and _gives_way(actor, pedestrian)
+            )
+
+
+def _gives_way(vehicle: Actor, pedestrian: Actor) -> bool:
+    ahead_m = vehicle.x_m - 0.5 * vehicle.body.length_m - pedestrian.x_m
+    walks = 0.0 < pedestrian.way_m < pedestrian.stops_after_m
+    return walks and 0.0 < ahead_m < YIELDS_WITHIN_M and pedestrian.y_m < vehicle.y_m + 2.0
+
+
+def make_street(scenario: AebScenario, seed: int) -> Street:
+    """Return the street of an episode at time 0.
+
+    The ego starts with its middle at x = 0; the pedestrian's line is where its bumper has gone `crossing_m`.
+    """
+    line_x_m = EGO_FRONT_M + scenario.crossing_m
+    parked = _parked(scenario, seed, line_x_m)
+    return Street(
+        scene=StreetScene(
+            ground=_ground(),
+            buildings=_buildings(seed),
+            trees=_trees(seed),
+            parked=parked,
+            lamps=_lamps(),
+        ),
+        actors=_actors(scenario, seed, line_x_m, first_id=len(parked) + 1),
+    )
+
+
+def _strip(
+    y_low: float, y_high: float, material: Material, x_low: float = BEGIN_M, x_high: float = END_M
+) -> Ground:
+    points = np.array([[x_low, y_low], [x_high, y_low], [x_high, y_high], [x_low, y_high]])
+    return Ground(material=material, points=points)
+
+
+def _ground() -> tuple[Ground, ...]:
+    far_m = KERB_M + PAVEMENT_M
+    surfaces = [_strip(-60.0, 60.0, Material.GRASS), _strip(-far_m, far_m, Material.PAVEMENT)]
+    surfaces.append(_strip(-KERB_M - 0.15, KERB_M + 0.15, Material.KERB))
+    surfaces.append(_strip(-KERB_M, KERB_M, Material.ASPHALT))
+    for side in (-1.0, 1.0):
+        edge = side * LANE_M
+        surfaces.append(_strip(edge - 0.05, edge + 0.05, Material.MARKING))
+    dashes = np.arange(BEGIN_M, END_M, 6.0).tolist()
+    surfaces += [_strip(-0.06, 0.06, Material.MARKING, start_m, start_m + 3.0) for start_m in dashes]
+    return tuple(surfaces)
+
+
+def _buildings(seed: int) -> tuple[Building, ...]:
+    rng = stream(seed, "street")
+    houses = []
+    for side in (-1.0, 1.0):
+        x_m = BEGIN_M
+        while x_m < END_M + 20.0:
+            length_m, depth_m = float(rng.uniform(9.0, 17.0)), float(rng.uniform(8.0, 12.0))
+            houses.append(
+                Building(
+                    x_m=x_m + 0.5 * length_m,
+                    y_m=side * (KERB_M + PAVEMENT_M + 0.3 + 0.5 * depth_m),
+                    yaw_rad=0.0 if side < 0 else math.pi,
+                    length_m=length_m,
+                    width_m=depth_m,
+                    height_m=float(rng.uniform(6.0, 14.0)),
+                    look=int(rng.integers(1_000)),
+                )
+            )
+            x_m += length_m + float(rng.choice([0.2, 0.2, 3.0]))
+    return tuple(houses)
+
+
+def _trees(seed: int) -> tuple[Tree, ...]:
+    rng = stream(seed, "street", 1)
+    return tuple(
+        Tree(
+            x_m=x_m + float(rng.uniform(-2.0, 2.0)), y_m=side * (KERB_M + 0.7),
+            height_m=float(rng.uniform(5.0, 7.5)), crown_m=float(rng.uniform(2.4, 3.6)),
+            look=int(rng.integers(1_000)),
+        )
+        for side in (-1.0, 1.0)
+        for x_m in np.arange(BEGIN_M + 5.0, END_M, 19.0).tolist()
+    )  # fmt: skip
+
+
+def _lamps() -> tuple[Lamp, ...]:
+    return tuple(
+        Lamp(x_m=x_m, y_m=-KERB_M - 0.5, yaw_rad=0.5 * math.pi)
+        for x_m in np.arange(BEGIN_M, END_M, 28.0).tolist()
+    )
+
+
+def _parked(scenario: AebScenario, seed: int, line_x_m: float) -> tuple[Body, ...]:
+    """Return parked vehicles on both sides; on the ego's side two stand around the pedestrian's gap."""
+    rng = stream(seed, "looks")
+    places: list[tuple[float, float, tuple[float, float, float]]] = []
+    before = VAN if scenario.occluder is Occluder.VAN else CAR
+    first_x_m = line_x_m - 0.5 * GAP_M - 0.5 * before[0]
+    places += [(first_x_m, -1.0, before), (line_x_m + 0.5 * (GAP_M + CAR[0]), -1.0, CAR)]
+    for side in (-1.0, 1.0):
+        x_m = BEGIN_M + 4.0
+        while x_m < END_M - 10.0:
+            size = VAN if rng.random() < 0.15 else CAR
+            free = rng.random() < 0.25
+            near_gap = side < 0 and first_x_m - 5.2 - before[0] / 2 < x_m < line_x_m + 10.5
+            if not (free or near_gap):
+                places.append((x_m, side, size))
+            x_m += size[0] + float(rng.uniform(0.8, 1.6))
+    return tuple(
+        Body(
+            id=index + 1, kind=BodyKind.VEHICLE, x_m=x_m,
+            y_m=side * (LANE_M + 0.5 * STRIP_M + 0.05), yaw_rad=0.0 if side < 0 else math.pi,
+            length_m=size[0], width_m=size[1], height_m=size[2], look=int(rng.integers(1_000)),
+        )
+        for index, (x_m, side, size) in enumerate(places)
+    )  # fmt: skip
+
+
+def _actors(scenario: AebScenario, seed: int, line_x_m: float, first_id: int) -> tuple[Actor, ...]:
+    people, traffic = stream(seed, "people"), stream(seed, "traffic")
+    actors = [_pedestrian(scenario, people, line_x_m, first_id), _stroller(people, first_id + 1)]
+    for index, ahead_m in enumerate(
+        (scenario.oncoming_m, scenario.oncoming_m + float(traffic.uniform(25.0, 45.0)))
+    ):
+        size = VAN if traffic.random() < 0.3 else CAR
+        actors.append(
+            _vehicle(
+                f"oncoming-{index + 1}", first_id + 2 + index, traffic, size, ahead_m, 0.5 * LANE_M, math.pi
+            )
+        )
+    ahead_m = float(traffic.uniform(38.0, 50.0))
+    actors.append(_vehicle("ahead", first_id + 4, traffic, CAR, ahead_m, LANE_Y_M, 0.0))
+    if scenario.obstacle is not Obstacle.NONE:
+        actors.append(_lying(scenario.obstacle, people, line_x_m, first_id + 5))
+    return tuple(actors)
+
+
+def _pedestrian(scenario: AebScenario, rng: np.random.Generator, line_x_m: float, number: int) -> Actor:
+    """Return the pedestrian, who reaches the middle of the lane when an ego that does not brake is there."""
+    from_y_m = -(LANE_M + STRIP_M - 0.3)
+    way_m = LANE_Y_M - from_y_m
+    arrival_s = scenario.crossing_m / CRUISE_MPS + scenario.arrival_s
+    length_m, width_m, height_m = PERSON
+    body = Body(
+        id=number, kind=BodyKind.PERSON, x_m=line_x_m, y_m=from_y_m, yaw_rad=0.5 * math.pi,
+        length_m=length_m, width_m=width_m, height_m=height_m + float(rng.uniform(-0.1, 0.1)),
+        look=int(rng.integers(1_000)),
+    )  # fmt: skip
+    return Actor(
+        name="pedestrian", body=body, x_m=line_x_m, y_m=from_y_m, cruise_mps=WALKING_MPS,
+        starts_s=arrival_s - way_m / WALKING_MPS, stops_after_m=2.0 * (KERB_M + 0.8),
+    )  # fmt: skip
+
+
+def _stroller(rng: np.random.Generator, number: int) -> Actor:
+    """Return the second walker, who stays on the pavement."""
+    length_m, width_m, height_m = PERSON
+    along = float(rng.choice([0.0, math.pi]))
+    x_m, y_m = float(rng.uniform(15.0, 50.0)), -(KERB_M + float(rng.uniform(1.3, 2.3)))
+    body = Body(
+        id=number, kind=BodyKind.PERSON, x_m=x_m, y_m=y_m, yaw_rad=along, length_m=length_m,
+        width_m=width_m, height_m=height_m, look=int(rng.integers(1_000)),
+    )  # fmt: skip
+    return Actor(name="stroller", body=body, x_m=x_m, y_m=y_m, cruise_mps=float(rng.uniform(1.0, 1.5)))
+
+
+def _vehicle(
+    name: str, number: int, rng: np.random.Generator, size: tuple[float, float, float], x_m: float, y_m: float,
+    yaw_rad: float,
+) -> Actor:  # fmt: skip
+    body = Body(
+        id=number, kind=BodyKind.VEHICLE, x_m=x_m, y_m=y_m, yaw_rad=yaw_rad, length_m=size[0],
+        width_m=size[1], height_m=size[2], look=int(rng.integers(1_000)),
+    )  # fmt: skip
+    cruise_mps = float(rng.uniform(8.2, 9.5))
+    return Actor(name=name, body=body, x_m=x_m, y_m=y_m, speed_mps=cruise_mps, cruise_mps=cruise_mps)
+
+
+def _lying(obstacle: Obstacle, rng: np.random.Generator, line_x_m: float, number: int) -> Actor:
+    """Return the unusual body, on a random point of the ego's lane before the pedestrian's line."""
+    tree = obstacle is Obstacle.NOVELTY
+    length_m, width_m, height_m = TREE_TRUNK if tree else ON_ITS_ROOF
+    x_m, y_m = float(rng.uniform(25.0, line_x_m - 12.0)), LANE_Y_M + float(rng.uniform(-0.5, 0.5))
+    body = Body(
+        id=number, kind=BodyKind.FALLEN_TREE if tree else BodyKind.OVERTURNED_VEHICLE, x_m=x_m, y_m=y_m,
+        yaw_rad=float(rng.uniform(1.2, 1.9)), length_m=length_m, width_m=width_m, height_m=height_m,
+        look=int(rng.integers(1_000)),
+    )  # fmt: skip
+    return Actor(name=obstacle.value, body=body, x_m=x_m, y_m=y_m)

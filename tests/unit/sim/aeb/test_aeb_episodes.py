@@ -1,0 +1,170 @@
+"""Emergency-braking episodes: the safe baseline, what counts as a hazard, repeatability, bad input."""
+
+import hashlib
+import subprocess
+import sys
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from aeb_episodes import spec
+
+from sim.aeb.braking import Detection, EmergencyBrake
+from sim.aeb.episode import Episode
+from sim.aeb.facts import Facts
+from sim.aeb.scenario import AebScenario
+from sim.aeb.sight import GroundTruth, Look
+from sim.aeb.simulator import BrinkAeb
+from sim.aeb.street import CRUISE_MPS, LANE_Y_M, Street, make_street
+from sim.bullet.engine import process_engine
+from sim.episode import EpisodeResult, Json
+from sim.errors import InvalidEpisode
+from sim.replay import render_bytes
+from sim.requirements.registry import make_requirements
+from sim.trace import Trace
+from sim.world.ego import EgoCar
+
+SEEDS = range(20)
+SIMULATOR = BrinkAeb()
+
+
+def stops(result: EpisodeResult) -> Json:
+    return result.features["no-dangerous-stop@1:dangerous_stops"]
+
+
+def test_with_ground_truth_nobody_is_hit_and_nothing_stops_for_nothing() -> None:
+    for seed in SEEDS:
+        result = SIMULATOR.run(spec(seed))
+        assert result.features["collision"] is None, seed
+        assert stops(result) == 0, seed
+        assert result.features["ended"] == "past"
+        braked_s, stopped_s = result.features["braked_at_s"], result.features["stopped_at_s"]
+        assert isinstance(braked_s, float)
+        assert isinstance(stopped_s, float)
+        assert braked_s < stopped_s
+        assert all(not verdict.violated for verdict in result.verdicts.values())
+
+
+@pytest.mark.parametrize("off", [{"mode": "blind"}, {"braking": False}])
+def test_without_braking_the_pedestrian_is_hit_every_time(off: dict[str, Any]) -> None:
+    for seed in SEEDS:
+        result = SIMULATOR.run(spec(seed, **off))
+        assert result.features["collided_with"] == "pedestrian", seed
+        assert result.verdicts["no-collision@1"].violated
+        assert result.features["impact_speed_mps"] == pytest.approx((CRUISE_MPS**2 + 2.0**2) ** 0.5, rel=0.03)
+
+
+@pytest.mark.parametrize("obstacle", ["novelty", "anomaly"])
+def test_an_unusual_body_is_hit_by_who_does_not_see_it(obstacle: str) -> None:
+    for seed in range(5):
+        assert (
+            SIMULATOR.run(spec(seed, mode="blind", obstacle=obstacle)).features["collided_with"] == obstacle
+        )
+        assert SIMULATOR.run(spec(seed, obstacle=obstacle)).features["collision"] is None
+
+
+class Ghost:
+    """Ground truth, and for a while a person who is not there."""
+
+    def __init__(self, from_s: float, to_s: float) -> None:
+        self.truth = GroundTruth(640, 360)
+        self.span_s = from_s, to_s
+
+    def look(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> Look:
+        """Return what is seen in a frame."""
+        truth = self.truth.look(frame, time_s, street, ego).truth
+        ghost = (Detection("person", 300.0, 150.0, 340.0, 300.0),)
+        return Look(truth, truth + (ghost if self.span_s[0] <= time_s < self.span_s[1] else ()))
+
+
+def played(seed: int, ghost: Ghost) -> tuple[Episode, dict[str, Json]]:
+    episode_spec = spec(seed)
+    scenario = replace(AebScenario.from_json(episode_spec.scenario), crossing_m=65.0)
+    engine = process_engine()
+    engine.reset()
+    street = make_street(scenario, seed)
+    ego = EgoCar((0.0, LANE_Y_M, 0.0), CRUISE_MPS, friction=0.9)
+    requirements = make_requirements(episode_spec.requirements)
+    episode = Episode(
+        street=street, ego=ego, facts=Facts(street, ego, engine), sight=ghost,
+        brake=EmergencyBrake.for_picture(640, 360), requirements=requirements, line_m=scenario.crossing_m,
+    )  # fmt: skip
+    episode.run(15.0)
+    features = {key: value for r in requirements.values() for key, value in r.features().items()}
+    features["violated"] = requirements["no-dangerous-stop@1"].verdict().violated
+    return episode, features
+
+
+def test_a_stop_for_a_ghost_is_dangerous() -> None:
+    _, features = played(3, Ghost(1.0, 2.5))
+    assert (features["dangerous_stops"], features["violated"]) == (1, True)
+
+
+def test_a_ghost_that_vanishes_before_the_car_stands_is_none() -> None:
+    episode, features = played(3, Ghost(1.0, 1.1))
+    assert (features["dangerous_stops"], features["violated"]) == (0, False)
+    assert episode.outcome.braked_at_s == 1.0
+
+
+def test_a_ghost_beside_a_real_pedestrian_is_no_dangerous_stop() -> None:
+    _, features = played(3, Ghost(7.0, 9.5))
+    assert features["dangerous_stops"] == 0
+
+
+def test_the_same_specification_gives_the_same_trace_in_any_process() -> None:
+    first = SIMULATOR.run(spec(4), record=True)
+    SIMULATOR.run(spec(5, mode="blind"))
+    again = SIMULATOR.run(spec(4), record=True)
+    assert first.trace == again.trace
+    assert first.verdicts == again.verdicts
+    script = (
+        "import sys, hashlib; sys.path.insert(0, 'tests/unit/sim/aeb'); from aeb_episodes import spec;"
+        "from sim.aeb.simulator import BrinkAeb;"
+        "sys.stderr.write(hashlib.sha256(BrinkAeb().run(spec(4), record=True).trace).hexdigest())"
+    )
+
+    other = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stderr
+    assert first.trace is not None
+    assert other.strip().endswith(hashlib.sha256(first.trace).hexdigest())
+
+
+def test_a_trace_can_be_drawn() -> None:
+    result = SIMULATOR.run(spec(4), record=True)
+    assert result.trace is not None
+    trace = Trace.from_bytes(result.trace)
+    assert {actor.name for actor in trace.actors} >= {"pedestrian", "stroller", "oncoming-1", "ahead"}
+    assert "brake" in trace.plan_mode
+    assert len(trace.robustness["no-collision@1"]) == len(trace.time_s)
+    assert render_bytes(trace, ".png", requirement="no-collision@1")[:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"scenario": {"weather": "hard_rain"}}, "scenario.weather: expected one of clear, cloudy"),
+        ({"scenario": {"crossing_m": 3.0}}, r"scenario.crossing_m: expected a number in \[45, 65\]"),
+        ({"scenario": {"ocluder": "car"}}, "unknown field 'ocluder' \\(did you mean 'occluder'"),
+        ({"behaviour": {"mode": "oracel"}}, "behaviour.mode: expected one of"),
+        ({"behaviour": {"boxes": 1}}, "behaviour: unknown field 'boxes'"),
+        ({"options": {"braking": 1}}, "options.braking: expected true or false"),
+        ({"options": {"width_px": 8}}, r"options.width_px: expected a number in \[64, 4096\]"),
+        ({"options": {"heigth_px": 360}}, "did you mean 'height_px'"),
+        ({"simulator": "brink-drive@1"}, "this is brink-aeb@1"),
+        ({"duration_s": 600.0}, "duration_s: expected at most 60"),
+    ],
+)
+def test_what_can_never_run_is_told(changes: dict[str, Any], message: str) -> None:
+    good = spec(1)
+    merged: dict[str, Any] = {
+        name: {**getattr(good, name), **value} if isinstance(value, dict) else value
+        for name, value in changes.items()
+    }
+    with pytest.raises(InvalidEpisode, match=message):
+        SIMULATOR.run(replace(good, **merged))
+
+
+def test_a_missing_field_is_named() -> None:
+    good = spec(1)
+    scenario = {name: value for name, value in good.scenario.items() if name != "occluder"}
+    with pytest.raises(InvalidEpisode, match=r"scenario\.occluder: missing"):
+        SIMULATOR.run(replace(good, scenario=scenario))
