@@ -18,7 +18,7 @@ def grid_dropout(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
     return cast(Frame, cv2.bitwise_and(frame, _grid(frame.shape[0], frame.shape[1], value)))
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=2)
 def _grid(height: int, width: int, value: float) -> Frame:
     """Return 0 in the squares and 255 elsewhere, shape ``(height, width, 3)``."""
     cell_px = max(2.0, GRID_PX * value * height / REFERENCE_HEIGHT_PX)
@@ -46,13 +46,6 @@ def coarse_dropout(frame: Frame, value: float, rng: np.random.Generator) -> Fram
 def channel_dropout(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
     """Return the frame with `value` random channels at 0."""
     lost = rng.choice(3, size=int(value), replace=False)
-    kept = tuple(channel not in lost for channel in range(3))
-    return cast(Frame, cv2.bitwise_and(frame, _channels(frame.shape[0], frame.shape[1], kept)))
-
-
-@lru_cache(maxsize=6)
-def _channels(height: int, width: int, kept: tuple[bool, ...]) -> Frame:
-    """Return 255 in the channels that are kept and 0 in the others, shape ``(height, width, 3)``."""
-    mask = np.zeros((height, width, 3), dtype=np.uint8)
-    mask[..., list(kept)] = 255
-    return mask
+    row = np.full(frame.shape[1:], 255, dtype=np.uint8)
+    row[:, lost] = 0
+    return frame & row

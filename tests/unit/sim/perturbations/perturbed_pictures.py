@@ -1,0 +1,34 @@
+"""Pictures to perturb, and all perturbations there are."""
+
+import numpy as np
+
+from sim.perturbations import CATALOGUE, Frame, Perturbation, apply, generator
+from sim.perturbations.street import draw_street
+
+EFFECTIVE = [Perturbation(gene.name, level) for gene in CATALOGUE.values() for level in range(1, gene.levels)]
+
+
+def street(height: int = 180) -> Frame:
+    return draw_street(height)
+
+
+def night(height: int = 180) -> Frame:
+    """The street, so dark that nothing in it is lighter than 63 of 255."""
+    return (draw_street(height) // 4).astype(np.uint8)
+
+
+def blocks(height: int = 180) -> Frame:
+    """Random colours in blocks of 6 px, every value of every channel among them."""
+    rng = np.random.default_rng(11)
+    coarse = rng.integers(0, 256, (height // 6 + 1, height * 16 // 54 + 1, 3), dtype=np.uint8)
+    return np.ascontiguousarray(coarse.repeat(6, axis=0).repeat(6, axis=1)[:height, : height * 16 // 9])
+
+
+def grey(value: int, height: int = 720, width: int = 1280) -> Frame:
+    return np.full((height, width, 3), value, dtype=np.uint8)
+
+
+def perturb(
+    frame: Frame, gene: str, level: int, *, seed: int = 0, position: int = 0, index: int = 0
+) -> Frame:
+    return apply(frame, Perturbation(gene, level), generator(seed, position, index))

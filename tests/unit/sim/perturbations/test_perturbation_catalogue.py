@@ -1,0 +1,145 @@
+"""The table of genes and levels, and how perturbations are named."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sim.errors import InvalidEpisode
+from sim.perturbations import (
+    CATALOGUE,
+    Frame,
+    Gene,
+    InvalidPerturbation,
+    Perturbation,
+    apply,
+    catalogue,
+    find_gene,
+    generator,
+    mean_intensity,
+    parse_perturbations,
+    register,
+)
+from sim.perturbations.transforms import TRANSFORMS
+
+# Ferreira et al. 2022, table I: level 0 included.
+PUBLISHED = {
+    "shifted_pixels": 11, "gaussian_noise": 8, "gaussian_blur": 24, "grid_dropout": 9, "coarse_dropout": 31,
+    "channel_dropout": 3, "snow": 6, "broken_lens": 11, "dirty": 11, "condensation": 11, "sun_flare": 11,
+    "brightness": 11, "contrast": 11, "rain": 6, "smoke": 11,
+}  # fmt: skip
+
+
+def test_there_are_15_genes_with_the_published_175_levels_of_which_160_have_an_effect() -> None:
+    assert {name: gene.levels for name, gene in CATALOGUE.items()} == PUBLISHED
+    assert list(CATALOGUE) == list(PUBLISHED) == list(TRANSFORMS)
+    assert sum(gene.levels for gene in CATALOGUE.values()) == 175
+    assert sum(len(gene.values) for gene in CATALOGUE.values()) == 160
+
+
+def test_values_are_those_of_the_table() -> None:
+    values = {name: gene.values for name, gene in CATALOGUE.items()}
+    assert values["shifted_pixels"] == (0.5, 0.45, 0.4, 0.35, 0.3, 0.25, 0.2, 0.15, 0.1, 0.05)
+    assert values["gaussian_noise"] == (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
+    assert list(values["gaussian_blur"]) == list(range(1, 46, 2))
+    assert list(values["coarse_dropout"]) == [*range(10, 39), 40]
+    assert values["smoke"] == tuple(round(0.03 * i, 2) for i in range(1, 11))
+    for name, ends in {
+        "broken_lens": (0.3, 0.8), "dirty": (0.3, 0.8), "condensation": (0.1, 0.6), "sun_flare": (400, 900),
+        "brightness": (0.3, 0.8), "contrast": (0.2, 0.7),
+    }.items():  # fmt: skip
+        assert values[name] == pytest.approx(np.linspace(*ends, 10), abs=0.5 if name == "sun_flare" else 1e-4)
+
+
+def test_the_two_levels_that_did_nothing_are_replaced() -> None:
+    assert CATALOGUE["snow"].values == (1.5, 2, 3, 4, 5)
+    assert CATALOGUE["gaussian_blur"].values[0] == 1  # on a kernel of 3: see the known values
+
+
+def test_intensity_is_the_rank_of_the_level_not_its_value() -> None:
+    shifted = CATALOGUE["shifted_pixels"]
+    assert [shifted.intensity(level) for level in (0, 1, 10)] == [0, 0.1, 1]
+    assert shifted.value(10) == 0.05  # the strong end
+    for gene in CATALOGUE.values():
+        ranks = [gene.intensity(level) for level in range(gene.levels)]
+        assert ranks == sorted(ranks)
+        assert (ranks[0], ranks[-1]) == (0, 1)
+
+
+def test_mean_intensity_is_over_the_genes() -> None:
+    assert mean_intensity([Perturbation("smoke", 10), Perturbation("snow", 0)]) == 0.5
+    assert mean_intensity([]) == 0
+
+
+@given(st.sampled_from(list(CATALOGUE.values())), st.data())
+def test_a_perturbation_survives_json_and_text(gene: Gene, data: st.DataObject) -> None:
+    perturbation = Perturbation(gene.name, data.draw(st.integers(0, gene.levels - 1)))
+    assert Perturbation.from_json(perturbation.to_json()) == perturbation
+    assert Perturbation.parse(str(perturbation)) == perturbation
+
+
+def test_an_ordered_list_is_read_in_its_order() -> None:
+    read = parse_perturbations(["rain:2", {"gene": "smoke", "level": 3}])
+    assert read == (Perturbation("rain", 2), Perturbation("smoke", 3))
+
+
+@pytest.mark.parametrize(
+    ("item", "words"),
+    [
+        ("fog:1", "unknown perturbation 'fog'; expected one of shifted_pixels"),
+        ("rain", "such as smoke:3, got 'rain'"),
+        ("rain:-1", "such as smoke:3, got 'rain:-1'"),
+        ("rain:6", r"rain: expected a level in 0 to 5 \(0 has no effect\), got 6"),
+        ({"gene": "rain"}, "expected a perturbation such as"),
+        ({"gene": "rain", "level": 1, "x": 2}, "expected a perturbation such as"),
+        ({"gene": "rain", "level": 1.0}, "expected a level in 0 to 5"),
+        ({"gene": "rain", "level": True}, "expected a level in 0 to 5"),
+        ({"gene": ["rain"], "level": 1}, "expected the name of a perturbation"),
+        (None, "expected a perturbation such as"),
+    ],
+)
+def test_what_is_no_perturbation_is_refused_with_its_place(item: object, words: str) -> None:
+    with pytest.raises(InvalidPerturbation, match=rf"^perturbations\[1\]: .*{words}") as caught:
+        parse_perturbations(["rain:1", item])  # type: ignore[list-item]
+    assert isinstance(caught.value, InvalidEpisode)  # final: a worker must not try it again
+
+
+@pytest.fixture
+def own_gene() -> Iterator[Gene]:
+    gene = Gene(name="upside_down", values=(1,), unit="", effect="turned over")
+    yield gene
+    catalogue._registered.pop(gene.name, None)
+
+
+def test_a_registered_gene_is_used_like_those_of_the_catalogue(own_gene: Gene) -> None:
+    def turn(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
+        return frame[::-1]
+
+    register(own_gene, turn)
+    assert find_gene("upside_down") is own_gene
+    frame = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
+    turned = apply(frame, Perturbation.parse("upside_down:1"), generator(0, 0, 0))
+    np.testing.assert_array_equal(turned, frame[::-1])
+
+
+def test_a_registered_gene_cannot_take_a_name_of_the_catalogue() -> None:
+    gene = Gene(name="rain", values=(1,), unit="", effect="")
+    with pytest.raises(InvalidPerturbation, match="rain: the catalogue has a gene of that name"):
+        register(gene, lambda frame, value, rng: frame)
+
+
+def test_the_catalogue_is_read_without_opencv() -> None:
+    code = (
+        "import sys; sys.modules['cv2'] = None\n"
+        "import numpy as np\n"
+        "from sim.perturbations import CATALOGUE, VisionMissing, Perturbation, apply, generator\n"
+        "assert len(CATALOGUE) == 15\n"
+        "try: apply(np.zeros((20, 20, 3), np.uint8), Perturbation('rain', 1), generator(0, 0, 0))\n"
+        "except VisionMissing as error: print(error)\n"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert ".venv/bin/pip install -c constraints.txt -e '.[vision]'" in said

@@ -1,0 +1,131 @@
+"""A perturbation is a pure function of frame, level and address: nothing else decides a byte."""
+
+import hashlib
+import itertools
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from perturbed_pictures import EFFECTIVE, blocks, night, perturb, street
+
+from sim.perturbations import CATALOGUE, Frame, Mode, Perturbation, Pipeline, apply, generator
+
+GENES = list(CATALOGUE)
+DETERMINISTIC = {"gaussian_blur", "grid_dropout", "brightness", "contrast"}
+TOP = {name: gene.levels - 1 for name, gene in CATALOGUE.items()}
+PAIRS = list(itertools.permutations(GENES, 2))
+
+
+def digest(frame: Frame) -> str:
+    return hashlib.sha256(np.ascontiguousarray(frame).tobytes()).hexdigest()
+
+
+def all_digests() -> str:
+    """One line for each gene's top level at an address, in the order of the catalogue."""
+    frame = street()
+    return "\n".join(digest(perturb(frame, gene, TOP[gene], seed=9, position=1, index=4)) for gene in GENES)
+
+
+@pytest.mark.parametrize("gene", GENES)
+def test_level_0_is_the_frame_byte_for_byte(gene: str) -> None:
+    frame = street()
+    assert digest(perturb(frame, gene, 0)) == digest(frame)
+
+
+@pytest.mark.parametrize("perturbation", EFFECTIVE, ids=str)
+def test_every_other_level_changes_the_frame_and_leaves_the_original_alone(
+    perturbation: Perturbation,
+) -> None:
+    for draw in (street, night, blocks):
+        frame = draw()
+        before = frame.copy()
+        perturbed = apply(frame, perturbation, generator(3, 0, 0))
+        np.testing.assert_array_equal(frame, before)
+        assert (perturbed.shape, perturbed.dtype) == (frame.shape, frame.dtype)
+        assert not np.array_equal(perturbed, frame), draw.__name__
+        assert not np.shares_memory(perturbed, frame)
+
+
+@pytest.mark.parametrize("gene", GENES)
+def test_the_same_address_gives_the_same_bytes_whatever_came_before(gene: str) -> None:
+    frame = street()
+    first = digest(perturb(frame, gene, TOP[gene], seed=1, index=5))
+    for height, level in ((100, 1), (180, 2), (216, TOP[gene])):
+        perturb(street(height), gene, min(level, TOP[gene]), seed=2, index=height)
+    assert digest(perturb(frame, gene, TOP[gene], seed=1, index=5)) == first
+
+
+def test_another_process_gives_the_same_bytes() -> None:
+    code = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n" + (
+        "import cv2; cv2.setNumThreads(1)\nimport test_perturbation_purity as t; print(t.all_digests())"
+    )
+    other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert other.split() == all_digests().split()
+
+
+@pytest.mark.parametrize("gene", [gene for gene in GENES if gene not in DETERMINISTIC])
+def test_seed_position_and_frame_each_draw_other_fields(gene: str) -> None:
+    frame = blocks()
+    level = 1 if gene == "channel_dropout" else TOP[gene]
+    for word in ("seed", "position", "index"):
+        drawn = {digest(perturb(frame, gene, level, **{word: value})) for value in range(12)}
+        assert len(drawn) > 1, word
+
+
+@pytest.mark.parametrize("gene", sorted(DETERMINISTIC))
+def test_genes_without_chance_do_not_depend_on_the_address(gene: str) -> None:
+    frame = blocks()
+    assert digest(perturb(frame, gene, 3, seed=1)) == digest(perturb(frame, gene, 3, seed=2, index=7))
+
+
+def test_generators_are_none_of_the_driving_world() -> None:
+    ours = generator(5, 1, 2).random()
+    world = np.random.default_rng(np.random.SeedSequence(5, spawn_key=(1, 2))).random()
+    assert ours != world
+    assert ours == generator(5, 1, 2).random()
+
+
+def test_all_210_ordered_pairs_run() -> None:
+    frame = street(90)
+    assert len(PAIRS) == 210
+    for first, second in PAIRS:
+        pair = (Perturbation(first, TOP[first]), Perturbation(second, TOP[second]))
+        perturbed = Pipeline(pair, seed=1)(frame, 0)
+        assert (perturbed.shape, perturbed.dtype) == (frame.shape, frame.dtype)
+
+
+def test_order_matters() -> None:
+    frame = street()
+    noise, blur = Perturbation("gaussian_noise", 7), Perturbation("gaussian_blur", 23)
+    grainy = Pipeline((blur, noise), seed=1)(frame, 0)
+    smooth = Pipeline((noise, blur), seed=1)(frame, 0)
+    steps = [np.abs(np.diff(picture.astype(int), axis=1)).mean() for picture in (grainy, smooth)]
+    assert steps[0] > 5 * steps[1]
+
+
+def test_the_second_gene_works_on_what_the_first_one_left() -> None:
+    frame = street()
+    first, second = Perturbation("smoke", 5), Perturbation("rain", 3)
+    both = Pipeline((first, second), seed=4)(frame, 7)
+    half = apply(frame, first, generator(4, 0, 7))
+    np.testing.assert_array_equal(both, apply(half, second, generator(4, 1, 7)))
+    assert not np.array_equal(both, apply(frame, second, generator(4, 1, 7)))
+
+
+@pytest.mark.parametrize("gene", ["dirty", "broken_lens", "gaussian_noise", "rain"])
+def test_fields_stay_for_an_episode_or_are_drawn_for_each_frame(gene: str) -> None:
+    frame = street()
+    perturbations = (Perturbation(gene, TOP[gene]),)
+    static = Pipeline(perturbations, seed=2, mode=Mode.PER_EPISODE)
+    changing = Pipeline(perturbations, seed=2)
+    assert changing.mode is Mode.PER_FRAME
+    assert digest(static(frame, 0)) == digest(static(frame, 9)) == digest(changing(frame, 0))
+    assert digest(changing(frame, 9)) != digest(changing(frame, 0))
+
+
+def test_an_empty_list_and_levels_0_leave_the_frame() -> None:
+    frame = street()
+    assert Pipeline((), seed=0)(frame, 0) is frame
+    assert Pipeline((Perturbation("rain", 0), Perturbation("smoke", 0)), seed=0)(frame, 3) is frame
