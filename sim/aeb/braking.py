@@ -2,8 +2,8 @@
 
 The regions are trapezoids, given for a picture of 1280 x 720 and scaled with it: *warning*, in which a person brakes
 the car, and inside it *danger*, in which a vehicle does. A person's box need only meet its region. A vehicle must
-stand in its own with the middle of the box's lower edge: the rectangle around a long vehicle that is parked beside the
-lane reaches far into the picture.
+stand in its own with the middle of the box's lower edge: the rectangle around a long vehicle that is parked beside
+the lane reaches far into the picture.
 
 Source: Ferreira et al. 2022, automatic emergency braking; the test is against the trapezoid, not against the
 rectangle around it.

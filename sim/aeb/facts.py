@@ -68,17 +68,20 @@ class Facts:
             self._engine.move(body, actor.x_m, actor.y_m, actor.body.yaw_rad, actor.body.height_m)
             heading = actor.body.yaw_rad
             velocity = (actor.speed_mps * math.cos(heading), actor.speed_mps * math.sin(heading))
-            self._ask(body, actor.body, actor.name, velocity)
+            self._ask(body, actor.body, actor.name, velocity, beside=actor.name.startswith("oncoming"))
         for still, body in self._parked:
             if not self._far(still.x_m, still.y_m, still):
-                self._ask(body, still, "parked-car", (0.0, 0.0))
+                self._ask(body, still, "parked-car", (0.0, 0.0), beside=True)
 
     def _far(self, x_m: float, y_m: float, body: Body) -> bool:
         ego = self._ego
         reach_m = NEAR_M + 0.5 * (ego.length_m + body.length_m + body.width_m) + 1.0
         return abs(x_m - ego.x_m) > reach_m or abs(y_m - ego.y_m) > reach_m
 
-    def _ask(self, body: BodyId, shape: Body, name: str, velocity: tuple[float, float]) -> None:
+    def _ask(
+        self, body: BodyId, shape: Body, name: str, velocity: tuple[float, float], *, beside: bool
+    ) -> None:
+        """Look how one body lies to the ego; of what only passes beside it, nothing but contacts counts."""
         found = self._engine.closest(self._ego_body, body, NEAR_M)
         if found is None:
             return
@@ -88,7 +91,7 @@ class Facts:
         gap_m = max(found.clearance_m, 0.0)
         if shape.kind is BodyKind.PERSON:
             self._person_m = gap_m if self._person_m is None else min(gap_m, self._person_m)
-        if self._gap_m is None or gap_m < self._gap_m:
+        if not beside and (self._gap_m is None or gap_m < self._gap_m):
             self._gap_m = gap_m
             self._closing_mps = along * found.normal_x + across * found.normal_y
         if found.clearance_m <= 0.0 and abs(ego.speed_mps) > CREEPING_MPS and self._collision is None:
