@@ -1,154 +1,205 @@
-"""Owns how a house comes into the picture: its visible walls, as textures in perspective."""
+"""Owns how houses come into the picture: their visible walls, as textures in perspective.
+
+The walls of all houses are placed at once, once a frame; then each house is painted when its turn comes.
+"""
 
 import math
-from typing import Final, NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from sim.rendering.canvas import Canvas, Rgb
 from sim.rendering.facades import facade, shrunk
 from sim.rendering.light import Lighting
 from sim.rendering.scene import Building, FloatArray, Picture
-from sim.rendering.view import SHIFT, IntArray, View, beyond_near, fixed_point
+from sim.rendering.view import NEAR_M, SHIFT, IntArray, View, beyond_near, fixed_point
 
 _MAX_HALVINGS: Final = 5
-_EDGE_NEAR_M: Final = 0.3
-
-
-class Wall(NamedTuple):
-    """One face of a house: from start to end as seen from outside, left to right."""
-
-    start: FloatArray
-    end: FloatArray
-    length_m: float
-    normal: tuple[float, float]
-    front: bool
+_PLAIN_BELOW_PX: Final = 5.0
+"""A wall that is narrower in the picture is painted in one colour."""
 
 
 def footprint(x_m: float, y_m: float, yaw_rad: float, length_m: float, width_m: float) -> FloatArray:
     """Return the corners of an oriented rectangle, counter-clockwise, shape ``(4, 2)``."""
     cosine, sine = math.cos(yaw_rad), math.sin(yaw_rad)
-    half_l, half_w = length_m / 2, width_m / 2
-    corners = np.array([(half_l, half_w), (-half_l, half_w), (-half_l, -half_w), (half_l, -half_w)])
-    return corners @ np.array([[cosine, sine], [-sine, cosine]]) + (x_m, y_m)
+    along = (length_m / 2 * cosine, length_m / 2 * sine)
+    across = (-width_m / 2 * sine, width_m / 2 * cosine)
+    return np.array(
+        [(x_m + a * along[0] + b * across[0], y_m + a * along[1] + b * across[1]) for a, b in _CORNERS]
+    )
 
 
-def walls_of(building: Building) -> list[Wall]:
-    """Return the four walls of a house."""
-    corners = footprint(building.x_m, building.y_m, building.yaw_rad, building.length_m, building.width_m)
-    walls = []
-    for number in range(4):
-        # Seen from outside, a counter-clockwise outline runs from left to right.
-        start, end = corners[number], corners[(number + 1) % 4]
-        length = float(np.hypot(*(end - start)))
-        normal = (float(end[1] - start[1]) / length, float(start[0] - end[0]) / length)
-        walls.append(Wall(start, end, length, normal, number % 2 == 0))
-    return walls
+_CORNERS: Final = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenWalls:
+    """The walls of all houses from one place.
+
+    Attributes:
+        seen: Camera coordinates: top left, top right, bottom right, bottom left; shape ``(walls, 4, 3)``.
+        pixels: Shape ``(walls, 4, 2)``.
+        to_picture: From a wall's unit square to pixels of the picture, shape ``(walls, 3, 3)``.
+        shown: Whether a wall looks at the camera and reaches before it, shape ``(walls,)``.
+        near: Whether a wall must be cut at the near plane.
+        haze: How much of it is haze.
+    """
+
+    seen: FloatArray
+    pixels: FloatArray
+    to_picture: FloatArray
+    shown: NDArray[np.bool_]
+    near: NDArray[np.bool_]
+    haze: FloatArray
 
 
 class Facades:
     """Paints houses under one light.
 
     Args:
+        buildings: All of them.
         lighting: The light.
         width_px: Of the picture.
         height_px: Of the picture.
     """
 
-    def __init__(self, lighting: Lighting, width_px: int, height_px: int) -> None:
+    def __init__(
+        self, buildings: Sequence[Building], lighting: Lighting, width_px: int, height_px: int
+    ) -> None:
+        self._buildings = list(buildings)
         self._lighting = lighting
         self._veil: Picture = np.empty((height_px, width_px, 3), np.uint8)
         self._veil[:] = np.array(lighting.haze_rgb).astype(np.uint8)
+        rectangles = [footprint(b.x_m, b.y_m, b.yaw_rad, b.length_m, b.width_m) for b in buildings]
+        start = np.array(rectangles).reshape(-1, 4, 2)
+        # Seen from outside, a counter-clockwise outline runs from left to right.
+        end = np.roll(start, -1, axis=1)
+        start, end = start.reshape(-1, 2), end.reshape(-1, 2)
+        heights = np.repeat([b.height_m for b in buildings], 4)
+        self._corners = np.zeros((len(start), 4, 3))
+        self._corners[:, (0, 3), :2] = start[:, None]
+        self._corners[:, (1, 2), :2] = end[:, None]
+        self._corners[:, :2, 2] = heights[:, None]
+        length = np.hypot(*(end - start).T)
+        self._normals = np.stack((end[:, 1] - start[:, 1], start[:, 0] - end[:, 0]), axis=1) / length[:, None]
+        self._sizes = [
+            (_quarters(a), _quarters(h)) for a, h in zip(length.tolist(), heights.tolist(), strict=True)
+        ]
+        self._light = self._light_on_walls()
 
-    def paint(self, building: Building, canvas: Canvas, view: View) -> None:
-        """Paint the walls that look at the camera."""
-        for wall in walls_of(building):
-            if (view.x_m - wall.start[0]) * wall.normal[0] + (view.y_m - wall.start[1]) * wall.normal[1] > 0:
-                self._paint_wall(building, wall, canvas, view)
-
-    def light_on(self, wall: Wall) -> float:
-        """Return how bright a wall is, as a share of its texture."""
+    def _light_on_walls(self) -> list[float]:
+        """Return how bright each wall is, as a share of its texture; night is in the texture."""
         light = self._lighting
         if light.night:
-            return 1.0
-        to_sun = wall.normal[0] * float(light.sun[0]) + wall.normal[1] * float(light.sun[1])
-        return light.ambient_share + light.sun_share * max(to_sun, 0.0)
+            return [1.0] * len(self._normals)
+        to_sun = self._normals[:, 0] * light.sun[0] + self._normals[:, 1] * light.sun[1]
+        share: list[float] = (light.ambient_share + light.sun_share * np.maximum(to_sun, 0.0)).tolist()
+        return share
 
-    def mirrored(self, building: Building, view: View) -> list[tuple[IntArray, Rgb]]:
-        """Return the visible walls upside down, below the ground, in one colour each."""
+    def place(self, view: View) -> SeenWalls:
+        """Return all walls as a view has them."""
+        count = len(self._corners)
+        seen = view.to_camera(self._corners.reshape(-1, 3)).reshape(count, 4, 3)
+        pixels = view.pixels(seen.reshape(-1, 3)).reshape(count, 4, 2)
+        outward = self._normals[:, 0] * (view.x_m - self._corners[:, 0, 0])
+        outward += self._normals[:, 1] * (view.y_m - self._corners[:, 0, 1])
+        depth = seen[..., 0]
+        middle = seen.mean(axis=1)
+        columns = np.stack((seen[:, 1] - seen[:, 0], seen[:, 3] - seen[:, 0], seen[:, 0]), axis=2)
+        to_picture = np.empty_like(columns)
+        to_picture[:, 0] = (view.width_px / 2 - 0.5) * columns[:, 0] - view.focal_px * columns[:, 1]
+        to_picture[:, 1] = (view.height_px / 2 - 0.5) * columns[:, 0] - view.focal_px * columns[:, 2]
+        to_picture[:, 2] = columns[:, 0]
+        return SeenWalls(
+            seen,
+            pixels,
+            to_picture,
+            (outward > 1e-3) & (depth.max(axis=1) > NEAR_M),
+            depth.min(axis=1) < NEAR_M,
+            self._lighting.haze(np.hypot(middle[:, 0], middle[:, 1])),
+        )
+
+    def paint(self, number: int, walls: SeenWalls, canvas: Canvas, view: View) -> None:
+        """Paint the walls of a house that look at the camera."""
+        for wall in range(4 * number, 4 * number + 4):
+            if walls.shown[wall]:
+                self._paint_wall(wall, walls, canvas, view)
+
+    def mirrored(self, number: int, walls: SeenWalls, view: View) -> list[tuple[IntArray, Rgb]]:
+        """Return the visible walls of a house upside down, below the ground, in one colour each."""
         found = []
-        for wall in walls_of(building):
-            if (view.x_m - wall.start[0]) * wall.normal[0] + (view.y_m - wall.start[1]) * wall.normal[1] > 0:
-                polygon = view.polygon(view.to_camera(_corners(wall, -building.height_m)))
-                night = self._lighting.night
-                mean = facade(
-                    building.look, _size(wall.length_m), _size(building.height_m), night, wall.front
-                )
-                rgb = mean[::8, ::8].reshape(-1, 3).mean(axis=0) * self.light_on(wall)
-                red, green, blue = rgb.tolist()
-                found.append((polygon, (red, green, blue)))
+        for wall in range(4 * number, 4 * number + 4):
+            if walls.shown[wall]:
+                below = walls.seen[wall].copy()
+                below[:2] = 2 * below[[3, 2]] - below[:2]
+                found.append((view.polygon(below), self._plain(wall, 0.0)))
         return found
 
-    def _paint_wall(self, building: Building, wall: Wall, canvas: Canvas, view: View) -> None:
-        seen = view.to_camera(_corners(wall, building.height_m))
-        kept = beyond_near(seen)
-        if len(kept) < 3:
-            return
-        pixels = view.pixels(kept)
-        low = np.floor(pixels.min(axis=0)).astype(int)
-        high = np.ceil(pixels.max(axis=0)).astype(int)
-        left, top = max(int(low[0]), 0), max(int(low[1]), 0)
-        right, bottom = min(int(high[0]) + 1, view.width_px), min(int(high[1]) + 1, view.height_px)
+    def _plain(self, wall: int, haze: float) -> Rgb:
+        """Return a wall's colour from afar."""
+        rgb = self._texture(wall, _MAX_HALVINGS, _MAX_HALVINGS).reshape(-1, 3).mean(axis=0)
+        mixed = rgb * (self._light[wall] * (1 - haze)) + np.array(self._lighting.haze_rgb) * haze
+        red, green, blue = mixed.tolist()
+        return red, green, blue
+
+    def _texture(self, wall: int, along: int, up: int) -> Picture:
+        building = self._buildings[wall // 4]
+        return shrunk(building.look, *self._sizes[wall], self._lighting.night, wall % 2 == 0, along, up)
+
+    def _paint_wall(self, wall: int, walls: SeenWalls, canvas: Canvas, view: View) -> None:
+        pixels = walls.pixels[wall]
+        if walls.near[wall]:
+            pixels = view.pixels(beyond_near(walls.seen[wall]))
+        low_x, low_y = pixels.min(axis=0).tolist()
+        high_x, high_y = pixels.max(axis=0).tolist()
+        left, top = max(math.floor(low_x), 0), max(math.floor(low_y), 0)
+        right, bottom = min(math.ceil(high_x) + 1, view.width_px), min(math.ceil(high_y) + 1, view.height_px)
         if right <= left or bottom <= top:
             return
-        texture = self._texture(building, wall, pixels)
+        outline = fixed_point(pixels)
+        haze = float(walls.haze[wall])
+        cv2.fillConvexPoly(canvas.ids, outline, (0,), cv2.LINE_8, SHIFT)
+        if high_x - low_x < _PLAIN_BELOW_PX:
+            cv2.fillConvexPoly(canvas.image, outline, self._plain(wall, haze), cv2.LINE_AA, SHIFT)
+            return
+        texture = self._fitting(wall, high_x - low_x, high_y - low_y)
         size = (right - left, bottom - top)
-        to_texture = _to_texture(seen, texture.shape[1], texture.shape[0], view, left, top)
+        to_texture = _to_texture(walls.to_picture[wall], texture.shape[1], texture.shape[0], left, top)
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         warped = cv2.warpPerspective(texture, to_texture, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
-        middle = seen.mean(axis=0)
-        haze = float(self._lighting.haze(np.hypot(*np.maximum(np.abs(middle[:2]), 0.0))))
         veil = self._veil[: size[1], : size[0]]
-        cv2.addWeighted(warped, self.light_on(wall) * (1 - haze), veil, haze, 0.0, dst=warped)
+        cv2.addWeighted(warped, self._light[wall] * (1 - haze), veil, haze, 0.0, dst=warped)
         mask = np.zeros((size[1], size[0]), np.uint8)
-        outline = fixed_point(pixels - (left, top))
-        cv2.fillConvexPoly(mask, outline, 255, cv2.LINE_8, SHIFT)
+        cv2.fillConvexPoly(
+            mask, outline - np.array((left << SHIFT, top << SHIFT), np.int32), (255,), cv2.LINE_8, SHIFT
+        )
         cv2.copyTo(warped, mask, canvas.image[top:bottom, left:right])
-        cv2.fillConvexPoly(canvas.ids, fixed_point(pixels), 0, cv2.LINE_8, SHIFT)
 
-    def _texture(self, building: Building, wall: Wall, pixels: FloatArray) -> Picture:
+    def _fitting(self, wall: int, wide_px: float, high_px: float) -> Picture:
         """Return the wall's texture, halved until about one of its pixels falls on one of the picture."""
-        length, height = _size(wall.length_m), _size(building.height_m)
-        night = self._lighting.night
-        full = facade(building.look, length, height, night, wall.front)
-        spread = pixels.max(axis=0) - pixels.min(axis=0)
-        along = math.log2(max(full.shape[1] / max(float(spread[0]), 1.0), 1.0))
-        up = math.log2(max(full.shape[0] / max(float(spread[1]), 1.0), 1.0))
-        halvings = (min(int(along + 0.3), _MAX_HALVINGS), min(int(up + 0.3), _MAX_HALVINGS))
-        return shrunk(building.look, length, height, night, wall.front, *halvings)
+        building = self._buildings[wall // 4]
+        full = facade(building.look, *self._sizes[wall], self._lighting.night, wall % 2 == 0)
+        along = math.log2(max(full.shape[1] / max(wide_px, 1.0), 1.0))
+        up = math.log2(max(full.shape[0] / max(high_px, 1.0), 1.0))
+        return self._texture(wall, min(int(along + 0.3), _MAX_HALVINGS), min(int(up + 0.3), _MAX_HALVINGS))
 
 
-def _size(length_m: float) -> float:
+def _quarters(length_m: float) -> float:
     """Return a length to a quarter of a metre, so that walls of nearly the same size share a texture."""
     return max(round(length_m * 4) / 4, 0.25)
 
 
-def _corners(wall: Wall, top_m: float) -> FloatArray:
-    """Return top left, top right, bottom right, bottom left of a wall, shape ``(4, 3)``."""
-    corners = np.zeros((4, 3))
-    corners[0, :2] = corners[3, :2] = wall.start
-    corners[1, :2] = corners[2, :2] = wall.end
-    corners[:2, 2] = top_m
-    return corners
-
-
-def _to_texture(seen: FloatArray, wide: int, high: int, view: View, left: int, top: int) -> FloatArray:
-    """Return the homography from pixels of a region at (left, top) to pixels of the wall's texture."""
-    along, down, origin = (seen[1] - seen[0]) / wide, (seen[3] - seen[0]) / high, seen[0]
-    corner = origin + 0.5 * (along + down)
-    columns = np.stack((along, down, corner), axis=1)
-    centre_x, centre_y = view.width_px / 2 - 0.5 - left, view.height_px / 2 - 0.5 - top
-    lens = np.array([[centre_x, -view.focal_px, 0.0], [centre_y, 0.0, -view.focal_px], [1.0, 0.0, 0.0]])
-    inverse: FloatArray = np.linalg.inv(lens @ columns)
+def _to_texture(to_picture: FloatArray, wide: int, high: int, left: int, top: int) -> FloatArray:
+    """Return the homography from pixels of a region at (left, top) to pixels of a wall's texture."""
+    moved = to_picture.copy()
+    moved[0] -= left * to_picture[2]
+    moved[1] -= top * to_picture[2]
+    moved[:, 2] += moved[:, 0] * (0.5 / wide) + moved[:, 1] * (0.5 / high)
+    moved[:, 0] /= wide
+    moved[:, 1] /= high
+    inverse: FloatArray = np.linalg.inv(moved)
     return inverse

@@ -1,6 +1,8 @@
 """Owns what bodies do to the ground around them: shadows, the light of lamps, and their images in a wet road."""
 
-from typing import Final
+import math
+from collections.abc import Sequence
+from typing import Final, TypeAlias
 
 import cv2
 import numpy as np
@@ -19,6 +21,12 @@ _OCTAGON: Final = np.stack(
 )
 _CONTACT: Final = 128
 _ARM_M: Final = 1.6
+_WHITE: Final = (255.0, 246.0, 224.0)
+_RED: Final = (220.0, 30.0, 26.0)
+_BRAKE: Final = (255.0, 40.0, 32.0)
+
+Shadow: TypeAlias = tuple[FloatArray, int]
+"""An area of the ground, shape ``(k, 2)``, and how bright the ground in it still is, 0 to 255."""
 
 
 class Caster:
@@ -36,11 +44,9 @@ class Caster:
         self._shift = shift * min(_LONGEST / max(float(np.hypot(*shift)), 1e-9), 1.0)
         self._casts = lighting.shadow_share > 0.3
 
-    def of_box(
-        self, corners_m: FloatArray, height_m: float, *, contact: bool
-    ) -> list[tuple[FloatArray, int]]:
+    def of_box(self, corners_m: FloatArray, height_m: float, *, contact: bool) -> list[Shadow]:
         """Return the shadow of an upright box, on the ground, and the dark below it, at last."""
-        found: list[tuple[FloatArray, int]] = []
+        found: list[Shadow] = []
         if self._casts:
             found.append((self._hull(corners_m, corners_m + self._shift * height_m), self._left))
         if contact:
@@ -48,7 +54,7 @@ class Caster:
             found.append((middle + (corners_m - middle) * 1.04, self._contact))
         return found
 
-    def of_tree(self, tree: Tree, low_m: float) -> list[tuple[FloatArray, int]]:
+    def of_tree(self, tree: Tree, low_m: float) -> list[Shadow]:
         """Return the shadow of a crown."""
         if not self._casts:
             return []
@@ -72,12 +78,34 @@ def half_size(polygon: IntArray, first_row_px: int) -> IntArray:
     return moved
 
 
-def on_ground(points_m: FloatArray, view: View) -> IntArray:
-    """Return a polygon of the ground, shape ``(k, 2)``, in sixteenths of a pixel; empty if behind the camera."""
-    return fixed_point(view.pixels(beyond_near(view.ground_to_camera(points_m), _GROUND_NEAR_M)))
+def on_half_sheet(areas: Sequence[Shadow], view: View, first_row_px: int) -> list[tuple[IntArray, int]]:
+    """Return areas of the ground as polygons of a half-size sheet that begins at a row; what is not seen is left out."""
+    if not areas:
+        return []
+    seen = view.ground_to_camera(np.concatenate([points for points, _ in areas]))
+    ends = np.cumsum([0, *(len(points) for points, _ in areas)])
+    nearest = np.minimum.reduceat(seen[:, 0], ends[:-1])
+    half = view.width_px / 2 / view.focal_px
+    beside = np.minimum.reduceat(np.abs(seen[:, 1]) - half * seen[:, 0], ends[:-1]) > 0
+    left = np.minimum.reduceat(seen[:, 1], ends[:-1]) > 0
+    right = np.maximum.reduceat(seen[:, 1], ends[:-1]) < 0
+    gone = (np.maximum.reduceat(seen[:, 0], ends[:-1]) < _GROUND_NEAR_M) | (beside & (left | right))
+    pixels = half_size(fixed_point(view.pixels(seen)), first_row_px)
+    bounds = ends.tolist()
+    found: list[tuple[IntArray, int]] = []
+    for index, ((_, value), near) in enumerate(zip(areas, nearest.tolist(), strict=True)):
+        if gone[index]:
+            continue
+        first, last = bounds[index], bounds[index + 1]
+        if near >= _GROUND_NEAR_M:
+            found.append((pixels[first:last], value))
+        else:
+            cut = fixed_point(view.pixels(beyond_near(seen[first:last], _GROUND_NEAR_M)))
+            found.append((half_size(cut, first_row_px), value))
+    return found
 
 
-def lamp_pools(lamp: Lamp) -> list[tuple[FloatArray, int]]:
+def lamp_pools(lamp: Lamp) -> list[Shadow]:
     """Return rings of light below a lamp and what each adds, the widest first."""
     x_m, y_m = lamp_head(lamp)
     return [
@@ -91,7 +119,7 @@ def lamp_head(lamp: Lamp) -> tuple[float, float]:
     return lamp.x_m + _ARM_M * float(np.cos(lamp.yaw_rad)), lamp.y_m + _ARM_M * float(np.sin(lamp.yaw_rad))
 
 
-def mirrored_body(body: Body, rgb: Rgb, lighting: Lighting, view: View) -> list[tuple[IntArray, Rgb]]:
+def mirrored_body(body: Body, rgb: Rgb, view: View, *, lights: bool) -> list[tuple[IntArray, Rgb]]:
     """Return a body's image below the ground, plain, and those of its lights."""
     corners = footprint(body.x_m, body.y_m, body.yaw_rad, body.length_m, body.width_m)
     box = np.zeros((8, 3))
@@ -102,48 +130,33 @@ def mirrored_body(body: Body, rgb: Rgb, lighting: Lighting, view: View) -> list[
         return []
     hull = cv2.convexHull(view.pixels(seen).astype(np.float32))[:, 0].astype(np.float64)
     found = [(fixed_point(hull), rgb)]
-    if body.kind is BodyKind.VEHICLE and (lighting.lights_on or body.braking):
-        found += _mirrored_lights(body, lighting, view)
+    if body.kind is BodyKind.VEHICLE and (lights or body.braking):
+        found += _mirrored_lights(body, view, lights=lights)
     return found
 
 
-def _mirrored_lights(body: Body, lighting: Lighting, view: View) -> list[tuple[IntArray, Rgb]]:
+def _mirrored_lights(body: Body, view: View, *, lights: bool) -> list[tuple[IntArray, Rgb]]:
     found: list[tuple[IntArray, Rgb]] = []
-    for place, (x, y, z), front in light_places(body):
-        if (view.x_m - body.x_m) * np.cos(body.yaw_rad) * front + (view.y_m - body.y_m) * np.sin(
-            body.yaw_rad
-        ) * front <= 0 or (front > 0 and not lighting.lights_on):
+    cosine, sine = math.cos(body.yaw_rad), math.sin(body.yaw_rad)
+    ahead_m = (view.x_m - body.x_m) * cosine + (view.y_m - body.y_m) * sine
+    across_x, across_y = -0.16 * view.sin_yaw, 0.16 * view.cos_yaw
+    for (x, y, z), end in light_places(body):
+        if ahead_m * end <= 0 or (end > 0 and not lights):
             continue
-        del place
-        half = 0.16
-        across = (-float(np.sin(view.yaw_rad)) * half, float(np.cos(view.yaw_rad)) * half)
-        quad = np.array(
-            [
-                (x - across[0], y - across[1], -z - 0.5),
-                (x + across[0], y + across[1], -z - 0.5),
-                (x + across[0], y + across[1], -z + 0.35),
-                (x - across[0], y - across[1], -z + 0.35),
-            ]
-        )
-        rgb = (
-            (255.0, 246.0, 224.0)
-            if front > 0
-            else ((255.0, 40.0, 32.0) if body.braking else (220.0, 30.0, 26.0))
-        )
+        corners = ((-1, -z - 0.5), (1, -z - 0.5), (1, -z + 0.35), (-1, -z + 0.35))
+        quad = np.array([(x + side * across_x, y + side * across_y, up) for side, up in corners])
+        rgb = _WHITE if end > 0 else (_BRAKE if body.braking else _RED)
         found.append((view.polygon(view.to_camera(quad)), rgb))
     return found
 
 
-def light_places(body: Body) -> list[tuple[int, tuple[float, float, float], float]]:
-    """Return a vehicle's four lights: number, place in the world, and 1.0 for ahead or -1.0 for behind."""
-    cosine, sine = float(np.cos(body.yaw_rad)), float(np.sin(body.yaw_rad))
+def light_places(body: Body) -> list[tuple[tuple[float, float, float], float]]:
+    """Return a vehicle's four lights: the place in the world, and 1.0 for ahead or -1.0 for behind."""
+    cosine, sine = math.cos(body.yaw_rad), math.sin(body.yaw_rad)
+    up = min(0.46 * body.height_m, 0.8)
     places = []
-    for number, (end, side) in enumerate(((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0))):
+    for end, side in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)):
         along, across = end * body.length_m / 2, side * 0.36 * body.width_m
-        place = (
-            body.x_m + along * cosine - across * sine,
-            body.y_m + along * sine + across * cosine,
-            min(0.46 * body.height_m, 0.8),
-        )
-        places.append((number, place, end))
+        x_m, y_m = body.x_m + along * cosine - across * sine, body.y_m + along * sine + across * cosine
+        places.append(((x_m, y_m, up), end))
     return places

@@ -1,16 +1,17 @@
 """Owns trees: trunks, crowns of leaves, and a tree that lies on the road."""
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Final
 
 import cv2
 import numpy as np
 
-from sim.rendering.canvas import Coverage, Mark, Rgb, Stamp, Stroke
+from sim.rendering.canvas import Coverage, Mark, Rgb, Stamp
 from sim.rendering.light import Lighting
 from sim.rendering.looks import choice
-from sim.rendering.rounded import cut_at_near, radius_px, rounded
+from sim.rendering.rounded import limb_marks
 from sim.rendering.scene import Body, FloatArray, Picture, Tree
 from sim.rendering.textures import leaves
 from sim.rendering.view import View
@@ -46,12 +47,13 @@ class Foliage:
         self._tint = (red, green, blue)
         self._veils: dict[tuple[int, int], Picture] = {}
 
-    def trunk(self, tree: Tree, view: View, lit: float) -> list[Mark]:
-        """Return the trunk of a tree up to somewhat into its crown."""
-        base = 0.035 * tree.height_m
-        joints = np.array([[(tree.x_m, tree.y_m, 0.0), (tree.x_m, tree.y_m, 0.6 * tree.height_m)]])
-        rgb = _BARK[choice(tree.look, 31, len(_BARK))]
-        return self.limbs(joints, np.array([(base, 0.6 * base)]), rgb, view, lit, flat_foot=True)
+    def trunks(self, trees: Sequence[Tree], view: View, lit: FloatArray) -> list[list[Mark]]:
+        """Return the trunk of each tree up to somewhat into its crown."""
+        joints = np.array([_trunk(tree) for tree in trees]).reshape(-1, 2, 3)
+        radii = np.array([(0.035 * tree.height_m, 0.021 * tree.height_m) for tree in trees]).reshape(-1, 2)
+        bark = np.array([_BARK[choice(tree.look, 31, len(_BARK))] for tree in trees]).reshape(-1, 3)
+        colours = self.shaded(bark, joints[:, 0], view, lit)
+        return limb_marks(joints, radii, colours, view, flat_feet=True)
 
     def crown(self, tree: Tree, view: View, lit: float) -> list[Mark]:
         """Return the leaves of a tree."""
@@ -74,10 +76,11 @@ class Foliage:
             return turned
 
         parts: list[tuple[float, list[Mark]]] = []
-        for limb, radius in zip(world(joints), radii, strict=True):
-            marks = self.limbs(limb[None], radius[None], rgb, view, lit)
-            depth = float(view.to_camera(limb)[:, 0].mean())
-            parts.append((depth, marks))
+        placed = world(joints)
+        bark = np.repeat(np.array([rgb]), len(joints), axis=0)
+        colours = self.shaded(bark, placed.mean(axis=1), view, np.full(len(joints), lit))
+        depths = view.to_camera(placed.mean(axis=1))[:, 0].tolist()
+        parts += zip(depths, limb_marks(placed, radii, colours, view, flat_feet=False), strict=True)
         levels = _levels(choice(body.look, 33, 4), True, self._tint)
         for centre, half in zip(world(blobs[:, :3]), blobs[:, 3:], strict=True):
             place = (float(centre[0]), float(centre[1]), float(centre[2]))
@@ -87,41 +90,13 @@ class Foliage:
         parts.sort(key=lambda part: -part[0])
         return [mark for _, marks in parts for mark in marks]
 
-    def limbs(
-        self,
-        joints: FloatArray,
-        radii_m: FloatArray,
-        rgb: tuple[float, float, float],
-        view: View,
-        lit: float,
-        *,
-        flat_foot: bool = False,
-    ) -> list[Mark]:
-        seen = view.to_camera(joints.reshape(-1, 3)).reshape(-1, 2, 3)
-        gone = cut_at_near(seen)
-        radius = radius_px(seen, radii_m, view)
-        polygons, shades = rounded(seen, radius, view)
-        if flat_foot:
-            foot = np.rint(view.pixels(seen[:, 0])[:, 1] * 16).astype(np.int32)
-            polygons[..., 1] = np.minimum(polygons[..., 1], foot[:, None])
-            shades[..., 1] = np.minimum(shades[..., 1], foot[:, None])
-        colour = self._shaded(rgb, joints.mean(axis=1)[0], view, lit)
-        dark = (0.72 * colour[0], 0.72 * colour[1], 0.74 * colour[2])
-        marks: list[Mark] = []
-        for polygon, shade, hidden, wide in zip(polygons, shades, gone, radius.max(axis=1), strict=True):
-            if not hidden:
-                marks.append(Stroke(polygon, colour, True))
-                if wide > 2.0:
-                    marks.append(Stroke(shade, dark, False))
-        return marks
-
-    def _shaded(self, rgb: tuple[float, float, float], at: FloatArray, view: View, lit: float) -> Rgb:
+    def shaded(self, rgb: FloatArray, at_m: FloatArray, view: View, lit: FloatArray) -> list[Rgb]:
+        """Return colours, shape ``(n, 3)``, under the light and through the haze at places, shape ``(n, 3)``."""
         light = self._lighting
-        haze = float(light.haze(np.hypot(at[0] - view.x_m, at[1] - view.y_m)))
-        share = light.ambient_share + 0.5 * light.sun_share + 0.8 * lit
-        mixed = np.array(rgb) * light.tint * share * (1 - haze) + np.array(light.haze_rgb) * haze
-        red, green, blue = np.clip(mixed, 0, 255).tolist()
-        return red, green, blue
+        haze = light.haze(np.hypot(at_m[:, 0] - view.x_m, at_m[:, 1] - view.y_m))[:, None]
+        share = (light.ambient_share + 0.5 * light.sun_share + 0.8 * lit)[:, None]
+        mixed = rgb * light.tint * share * (1 - haze) + np.array(light.haze_rgb) * haze
+        return [(red, green, blue) for red, green, blue in np.clip(mixed, 0, 255).tolist()]
 
     def _stamp(
         self,
@@ -132,11 +107,11 @@ class Foliage:
         lit: float,
     ) -> Stamp | None:
         """Return the texture of leaves that fills an upright ellipse, cropped to the picture."""
-        seen = view.to_camera(np.array([centre_m]))
-        depth = float(seen[0, 0])
+        depth, left_m, up_m = view.place(*centre_m)
         if depth < _NEAREST_M:
             return None
-        column, row = view.pixels(seen)[0].tolist()
+        column = view.width_px / 2 - 0.5 - left_m * view.focal_px / depth
+        row = view.height_px / 2 - 0.5 - up_m * view.focal_px / depth
         scale = view.focal_px / depth / (2 * _CROWN_FILL)
         wide, high = 2 * half_m[0] * scale, 2 * half_m[1] * scale
         left, top = max(math.floor(column - wide / 2), 0), max(math.floor(row - high / 2), 0)
@@ -160,7 +135,7 @@ class Foliage:
         pixels = cv2.warpAffine(image, to_texture, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
         covered = cv2.warpAffine(cover, to_texture, size, flags=flags, borderMode=cv2.BORDER_CONSTANT)
         light = self._lighting
-        haze = float(light.haze(np.array(math.hypot(depth, float(seen[0, 1])))))
+        haze = 1.0 - math.exp(-math.hypot(depth, left_m) / light.haze_m)
         share = light.ambient_share + 0.55 * light.sun_share + 0.7 * lit
         veil = self._veil(size)
         mixed = cv2.addWeighted(pixels, share * (1 - haze), veil, haze, 0.0)
@@ -177,6 +152,10 @@ class Foliage:
             stored[:] = np.array(self._lighting.haze_rgb).astype(np.uint8)
             self._veils[0, 0] = stored
         return stored[: size[1], : size[0]]
+
+
+def _trunk(tree: Tree) -> list[tuple[float, float, float]]:
+    return [(tree.x_m, tree.y_m, 0.0), (tree.x_m, tree.y_m, 0.6 * tree.height_m)]
 
 
 @lru_cache(maxsize=64)

@@ -7,7 +7,7 @@ and listed in painting order within their group; groups are ordered by where the
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ from sim.rendering.canvas import Mark, Stroke
 from sim.rendering.light import Lighting
 from sim.rendering.scene import FloatArray
 from sim.rendering.view import NEAR_M, View, fixed_point
+
+Plane: TypeAlias = tuple[tuple[float, float, float], float]
+"""Normal and offset of a plane in a model's axes."""
 
 
 class Finish(IntEnum):
@@ -83,13 +86,11 @@ class Mesh:
     group: NDArray[np.int64]
     solid: NDArray[np.bool_]
     shown_px: FloatArray
-    floor: tuple[FloatArray, float]
-    belt: tuple[FloatArray, float]
+    floor: Plane
+    belt: Plane
 
 
-def mesh_of(
-    faces: Sequence[Face], *, floor: tuple[FloatArray, float], belt: tuple[FloatArray, float]
-) -> Mesh:
+def mesh_of(faces: Sequence[Face], *, floor: Plane, belt: Plane) -> Mesh:
     """Return faces as a mesh."""
     ordered = sorted(faces, key=lambda face: face.group)
     arrays = [np.array(face.corners, dtype=np.float64) for face in ordered]
@@ -126,6 +127,7 @@ class Placed(NamedTuple):
     yaw_rad: float
     height_m: float
     braking: bool
+    parked: bool
 
 
 def mesh_marks(placed: Sequence[Placed], view: View, lighting: Lighting, lit: FloatArray) -> list[list[Mark]]:
@@ -149,20 +151,37 @@ def mesh_marks(placed: Sequence[Placed], view: View, lighting: Lighting, lit: Fl
     )
     faces = np.array([len(mesh.normals) for mesh in meshes])
     owner = np.repeat(np.arange(len(placed)), faces)
+    towards = eyes[owner] - np.concatenate([mesh.centres for mesh in meshes])
     normals = np.concatenate([mesh.normals for mesh in meshes])
-    centres = np.concatenate([mesh.centres for mesh in meshes])
-    towards = eyes[owner] - centres
-    distance = np.linalg.norm(towards, axis=1)
+    across = np.einsum("ij,ij->i", towards, normals)
     ahead = np.hypot(dx, dy)
     tall_px = view.focal_px * np.array([item.height_m for item in placed]) / np.maximum(ahead, 0.5)
-    shown = (np.einsum("ij,ij->i", towards, normals) > 1e-6) & (
-        np.concatenate([mesh.shown_px for mesh in meshes]) <= tall_px[owner]
-    )
-    facing = np.einsum("ij,ij->i", towards, normals) / np.maximum(distance, 1e-6)
-    rgb = _shaded(placed, meshes, owner, normals, facing, cosine, sine, lighting, lit)
+    large = np.concatenate([mesh.shown_px for mesh in meshes]) <= tall_px[owner]
+    shown = np.flatnonzero((across > 1e-6) & large)
+    shown = shown[np.argsort(_ranks(meshes, eyes, owner)[shown], kind="stable")]
+    owner, towards, normals = owner[shown], towards[shown], normals[shown]
+    facing = across[shown] / np.sqrt(np.einsum("ij,ij->i", towards, towards))
+    rgb = _shaded(placed, meshes, shown, owner, normals, facing, cosine, sine, lighting, lit)
     haze = lighting.haze(ahead)[owner][:, None]
     rgb = np.clip(rgb * (1 - haze) + np.array(lighting.haze_rgb) * haze, 0, 255)
-    return _strokes(meshes, eyes, seen, shown, rgb, view)
+    return _strokes(meshes, seen, shown, owner, rgb, view)
+
+
+def _ranks(meshes: list[Mesh], eyes: FloatArray, owner: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return numbers that rise in painting order: model by model, hidden groups of a model first."""
+    order = np.zeros((len(meshes), len(Group)), dtype=np.int64)
+    order[:, Group.DISCS] = 4
+    for row, (mesh, eye) in enumerate(zip(meshes, eyes.tolist(), strict=True)):
+        order[row, Group.LOWER], order[row, Group.CABIN] = (1, 2) if _beyond(mesh.belt, eye) else (2, 1)
+        order[row, Group.WHEELS] = 0 if _beyond(mesh.floor, eye) else 3
+    group = np.concatenate([mesh.group for mesh in meshes])
+    ranks: NDArray[np.int64] = owner * 8 + order[owner, group]
+    return ranks
+
+
+def _beyond(plane: Plane, eye: list[float]) -> bool:
+    (x, y, z), offset = plane
+    return x * eye[0] + y * eye[1] + z * eye[2] >= offset
 
 
 def _seen(
@@ -182,6 +201,7 @@ def _seen(
 def _shaded(
     placed: Sequence[Placed],
     meshes: list[Mesh],
+    shown: NDArray[np.int64],
     owner: NDArray[np.int64],
     normals: FloatArray,
     facing: FloatArray,
@@ -190,9 +210,9 @@ def _shaded(
     lighting: Lighting,
     lit: FloatArray,
 ) -> FloatArray:
-    """Return the colours of all faces under the light, shape ``(faces, 3)``."""
-    finish = np.concatenate([mesh.finish for mesh in meshes])
-    rgb = np.concatenate([mesh.rgb for mesh in meshes])
+    """Return the colours of the faces that are shown, under the light, shape ``(shown, 3)``."""
+    finish = np.concatenate([mesh.finish for mesh in meshes])[shown]
+    rgb = np.concatenate([mesh.rgb for mesh in meshes])[shown]
     sun_x = lighting.sun[0] * cosine + lighting.sun[1] * sine
     sun_y = lighting.sun[1] * cosine - lighting.sun[0] * sine
     to_sun = normals[:, 0] * sun_x[owner] + normals[:, 1] * sun_y[owner] + normals[:, 2] * lighting.sun[2]
@@ -211,6 +231,9 @@ def _shaded(
     braking = np.array([item.braking for item in placed])[owner]
     tail, lamp, third = finish == Finish.TAIL, finish == Finish.LAMP, finish == Finish.BRAKE
     if lighting.lights_on:
+        driven = np.array([not item.parked for item in placed])[owner]
+        lamp &= driven
+        tail &= driven
         shaded[lamp] = (255, 250, 232)
         shaded[tail] = np.maximum(shaded[tail], (176, 22, 20))
     shaded[tail & braking] = (255, 56, 44)
@@ -220,44 +243,26 @@ def _shaded(
 
 def _strokes(
     meshes: list[Mesh],
-    eyes: FloatArray,
     seen: FloatArray,
-    shown: NDArray[np.bool_],
+    shown: NDArray[np.int64],
+    owner: NDArray[np.int64],
     rgb: FloatArray,
     view: View,
 ) -> list[list[Mark]]:
     pixels = fixed_point(view.pixels(seen))
     clipped = seen[:, 0] < NEAR_M
-    colours = [tuple(row) for row in rgb.tolist()]
-    marks: list[list[Mark]] = []
-    first_point, first_face = 0, 0
-    for mesh, eye in zip(meshes, eyes, strict=True):
-        count = len(mesh.normals)
-        starts = (mesh.starts + first_point).tolist()
-        solid = mesh.solid.tolist()
-        some_clipped = bool(clipped[first_point : starts[-1]].any())
-        mine: list[Mark] = []
-        for face in _in_order(mesh, eye, shown[first_face : first_face + count]):
-            points = slice(starts[face], starts[face + 1])
-            polygon = pixels[points]
-            if some_clipped and clipped[points].any():
-                polygon = view.polygon(seen[points])
-            mine.append(Stroke(polygon, colours[first_face + face], solid[face]))
-        marks.append(mine)
-        first_point, first_face = starts[-1], first_face + count
+    some_clipped = bool(clipped.any())
+    offsets = np.cumsum([0, *(len(mesh.points) for mesh in meshes)])
+    starts = np.concatenate(
+        [mesh.starts[:-1] + offset for mesh, offset in zip(meshes, offsets, strict=False)]
+    )
+    ends = np.concatenate([mesh.starts[1:] + offset for mesh, offset in zip(meshes, offsets, strict=False)])
+    solid = np.concatenate([mesh.solid for mesh in meshes])[shown].tolist()
+    marks: list[list[Mark]] = [[] for _ in meshes]
+    rows = zip(owner.tolist(), starts[shown].tolist(), ends[shown].tolist(), rgb.tolist(), solid, strict=True)
+    for model, first, last, (red, green, blue), counts in rows:
+        polygon = pixels[first:last]
+        if some_clipped and clipped[first:last].any():
+            polygon = view.polygon(seen[first:last])
+        marks[model].append(Stroke(polygon, (red, green, blue), counts))
     return marks
-
-
-def _in_order(mesh: Mesh, eye: FloatArray, shown: NDArray[np.bool_]) -> list[int]:
-    """Return the faces that are shown, hidden parts first."""
-    faces = np.flatnonzero(shown)
-    groups = mesh.group[faces]
-    parts = [Group.LOWER, Group.CABIN]
-    if float(mesh.belt[0] @ eye) < mesh.belt[1]:
-        parts.reverse()
-    above_floor = float(mesh.floor[0] @ eye) >= mesh.floor[1]
-    order = [Group.WHEELS, *parts, Group.DISCS] if above_floor else [*parts, Group.WHEELS, Group.DISCS]
-    ordered: list[int] = []
-    for group in order:
-        ordered += faces[groups == group].tolist()
-    return ordered

@@ -5,10 +5,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.rendering.canvas import Mark, Rgb, Stroke
 from sim.rendering.scene import FloatArray
 from sim.rendering.view import NEAR_M, View, fixed_point
 
 _CAP_POINTS: Final = 5
+_SHADED_FROM_PX: Final = 2.0
 _SHRINK_PX: Final = 0.35
 """OpenCV fills half a pixel beyond a polygon's edge: thin strokes would come out fat."""
 
@@ -21,7 +23,7 @@ def cut_at_near(seen: FloatArray) -> NDArray[np.bool_]:
         if cut.any():
             part = (NEAR_M - depth[cut, end]) / (depth[cut, other] - depth[cut, end])
             seen[cut, end] += part[:, None] * (seen[cut, other] - seen[cut, end])
-    gone: NDArray[np.bool_] = (depth < NEAR_M).all(axis=1)
+    gone: NDArray[np.bool_] = np.asarray((depth < NEAR_M).all(axis=1))
     return gone
 
 
@@ -56,6 +58,40 @@ def rounded(seen: FloatArray, radius: FloatArray, view: View) -> tuple[NDArray[n
     axis = _axis_column(pixels, points)
     shade[..., 0] = axis + (points[..., 0] - axis) * 0.5 + 0.46 * reach.mean(axis=1)[:, None]
     return fixed_point(points), fixed_point(shade)
+
+
+def limb_marks(
+    joints_m: FloatArray, radii_m: FloatArray, colours: list[Rgb], view: View, *, flat_feet: bool
+) -> list[list[Mark]]:
+    """Return each limb's strokes: one in its colour and, if it is wide enough, a darker one for its shade.
+
+    Args:
+        joints_m: Both ends in the world, shape ``(n, 2, 3)``.
+        radii_m: At both ends, shape ``(n, 2)``.
+        colours: Of each.
+        view: Whence they are seen.
+        flat_feet: Whether limbs end flat where they begin, on the ground.
+    """
+    if len(joints_m) == 0:
+        return []
+    seen = view.to_camera(joints_m.reshape(-1, 3)).reshape(-1, 2, 3)
+    gone = cut_at_near(seen).tolist()
+    radius = radius_px(seen, radii_m, view)
+    polygons, shades = rounded(seen, radius, view)
+    if flat_feet:
+        foot = fixed_point(view.pixels(seen[:, 0]))[:, 1, None]
+        polygons[..., 1] = np.minimum(polygons[..., 1], foot)
+        shades[..., 1] = np.minimum(shades[..., 1], foot)
+    wide = (radius.max(axis=1) > _SHADED_FROM_PX).tolist()
+    marks: list[list[Mark]] = []
+    for index, (red, green, blue) in enumerate(colours):
+        mine: list[Mark] = []
+        if not gone[index]:
+            mine.append(Stroke(polygons[index], (red, green, blue), True))
+            if wide[index]:
+                mine.append(Stroke(shades[index], (0.72 * red, 0.72 * green, 0.74 * blue), False))
+        marks.append(mine)
+    return marks
 
 
 def _axis_column(pixels: FloatArray, points: FloatArray) -> FloatArray:

@@ -125,8 +125,8 @@ def vehicle_mesh(look: int, length_m: float, width_m: float, height_m: float) ->
     builder = _Builder(look, length_m, width_m, height_m)
     return mesh_of(
         builder.faces(turned=False),
-        floor=(np.array([0.0, 0.0, 1.0]), builder.floor_m),
-        belt=(np.array([0.0, 0.0, 1.0]), builder.belt_m),
+        floor=((0.0, 0.0, 1.0), builder.floor_m),
+        belt=((0.0, 0.0, 1.0), builder.belt_m),
     )
 
 
@@ -147,9 +147,9 @@ def overturned_mesh(look: int, length_m: float, width_m: float, height_m: float)
     for face in builder.faces(turned=True):
         corners = (np.array(face.corners) @ turn.T + shift).tolist()
         faces.append(face._replace(corners=corners))
-    up = turn @ np.array([0.0, 0.0, 1.0])
-    lift = float(up @ shift)
-    return mesh_of(faces, floor=(up, builder.floor_m + lift), belt=(up, builder.belt_m + lift))
+    x, y, z = turn[:, 2].tolist()
+    lift = float(turn[:, 2] @ shift)
+    return mesh_of(faces, floor=((x, y, z), builder.floor_m + lift), belt=((x, y, z), builder.belt_m + lift))
 
 
 def paint_of(look: int, height_m: float) -> Rgb:

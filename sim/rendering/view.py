@@ -48,6 +48,17 @@ class View:
         left = dy * self.cos_yaw - dx * self.sin_yaw
         return self.pitched(ahead, left, points_m[:, 2] - self.height_m)
 
+    def place(self, x_m: float, y_m: float, z_m: float) -> tuple[float, float, float]:
+        """Return one world point as (depth, left, up) in m."""
+        dx, dy = x_m - self.x_m, y_m - self.y_m
+        ahead = dx * self.cos_yaw + dy * self.sin_yaw
+        up = z_m - self.height_m
+        return (
+            ahead * self.cos_pitch + up * self.sin_pitch,
+            dy * self.cos_yaw - dx * self.sin_yaw,
+            up * self.cos_pitch - ahead * self.sin_pitch,
+        )
+
     def ground_to_camera(self, points_m: FloatArray) -> FloatArray:
         """Return points of the ground, shape ``(n, 2)``, as (depth, left, up) in m, shape ``(n, 3)``."""
         dx, dy = points_m[:, 0] - self.x_m, points_m[:, 1] - self.y_m

@@ -1,0 +1,117 @@
+"""Owns street lamps and the halos around lights."""
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import cv2
+import numpy as np
+
+from sim.rendering.canvas import Canvas, Mark, Rgb, Stroke
+from sim.rendering.cover import lamp_head, light_places
+from sim.rendering.foliage import Foliage
+from sim.rendering.items import Thing
+from sim.rendering.rounded import limb_marks
+from sim.rendering.scene import Body, BodyKind, FloatArray, Lamp, Picture
+from sim.rendering.view import View
+
+_POST: Final = (92.0, 96.0, 98.0)
+_LAMP_LIGHT: Final = (230.0, 190.0, 120.0)
+_HEADLIGHT: Final = (220.0, 214.0, 196.0)
+_TAIL_LIGHT: Final = (120.0, 12.0, 10.0)
+_BRAKE_LIGHT: Final = (200.0, 30.0, 20.0)
+
+
+def lamp_marks(
+    lamps: Sequence[Lamp], foliage: Foliage, view: View, lit: FloatArray, *, burning: bool
+) -> list[list[Mark]]:
+    """Return post, arm and head of each lamp, in painting order."""
+    if not lamps:
+        return []
+    joints = np.array([limb for lamp in lamps for limb in _limbs(lamp)])
+    radii = np.array([(0.085, 0.055), (0.05, 0.04)] * len(lamps))
+    steel = np.array([_POST] * len(joints))
+    colours = foliage.shaded(steel, joints[:, 0], view, np.repeat(lit, 2))
+    limbs = limb_marks(joints, radii, colours, view, flat_feet=False)
+    rgb = (255.0, 232.0, 184.0) if burning else (150.0, 152.0, 154.0)
+    heads = view.to_camera(np.array([corner for lamp in lamps for corner in _head(lamp)])).reshape(-1, 4, 3)
+    return [
+        [*limbs[2 * number], *limbs[2 * number + 1], Stroke(view.polygon(head), rgb, True)]
+        for number, head in enumerate(heads)
+    ]
+
+
+def _limbs(lamp: Lamp) -> list[list[tuple[float, float, float]]]:
+    x_m, y_m = lamp_head(lamp)
+    top = (lamp.x_m, lamp.y_m, lamp.height_m)
+    return [[(lamp.x_m, lamp.y_m, 0.0), top], [top, (x_m, y_m, lamp.height_m + 0.1)]]
+
+
+def _head(lamp: Lamp) -> list[tuple[float, float, float]]:
+    x_m, y_m = lamp_head(lamp)
+    cosine, sine = math.cos(lamp.yaw_rad), math.sin(lamp.yaw_rad)
+    corners = ((-0.15, -0.16), (0.45, -0.16), (0.45, 0.16), (-0.15, 0.16))
+    return [
+        (x_m + a * cosine - b * sine, y_m + a * sine + b * cosine, lamp.height_m + 0.04) for a, b in corners
+    ]
+
+
+class Halos:
+    """Lays halos around the lights that are seen.
+
+    Args:
+        night: Whether it is dark: else halos are faint and lamps do not burn.
+    """
+
+    def __init__(self, *, night: bool) -> None:
+        self._strength = 1.0 if night else 0.4
+        self._lamps_burn = night
+        line = (np.arange(65) - 32) / 32
+        fall = np.clip(1 - np.hypot(line[:, None], line[None, :]), 0, 1) ** 2.4
+        self._disc: Picture = np.clip(255 * fall, 0, 255).astype(np.uint8)
+
+    def lay(self, canvas: Canvas, things: Sequence[Thing], parked: frozenset[int], view: View) -> None:
+        """Lay the halos of what was painted; a light is seen if its pixel belongs to its body."""
+        for thing in things:
+            if isinstance(thing, Lamp) and self._lamps_burn:
+                x_m, y_m = lamp_head(thing)
+                self._lay(canvas, (x_m, y_m, thing.height_m), 1.5, _LAMP_LIGHT, 0, view)
+            elif isinstance(thing, Body) and thing.kind is BodyKind.VEHICLE and thing.id not in parked:
+                self._lay_vehicle(canvas, thing, view)
+
+    def _lay_vehicle(self, canvas: Canvas, body: Body, view: View) -> None:
+        ahead_m = (view.x_m - body.x_m) * math.cos(body.yaw_rad) + (view.y_m - body.y_m) * math.sin(
+            body.yaw_rad
+        )
+        for place, end in light_places(body):
+            if ahead_m * end <= body.length_m / 2:
+                continue
+            rgb = _HEADLIGHT if end > 0 else (_BRAKE_LIGHT if body.braking else _TAIL_LIGHT)
+            red, green, blue = (self._strength * part for part in rgb)
+            self._lay(canvas, place, 0.75 if end > 0 else 0.4, (red, green, blue), body.id, view)
+
+    def _lay(
+        self,
+        canvas: Canvas,
+        place: tuple[float, float, float],
+        size_m: float,
+        rgb: Rgb,
+        number: int,
+        view: View,
+    ) -> None:
+        depth, left_m, up_m = view.place(*place)
+        if depth < 1.0:
+            return
+        scale = view.focal_px / depth
+        x = round(view.width_px / 2 - 0.5 - left_m * scale)
+        y = round(view.height_px / 2 - 0.5 - up_m * scale)
+        if not (0 <= x < view.width_px and 0 <= y < view.height_px) or canvas.ids[y, x] != number:
+            return
+        half = round(min(max(size_m * scale, 0.008 * view.width_px), 0.2 * view.width_px))
+        left, top = max(x - half, 0), max(y - half, 0)
+        right, bottom = min(x + half + 1, view.width_px), min(y + half + 1, view.height_px)
+        disc = cv2.resize(self._disc, (2 * half + 1, 2 * half + 1), interpolation=cv2.INTER_LINEAR)
+        cut = disc[top - y + half : bottom - y + half, left - x + half : right - x + half]
+        halo = cv2.merge([cv2.convertScaleAbs(cut, alpha=part / 255) for part in rgb])
+        region = canvas.image[top:bottom, left:right]
+        cv2.add(region, halo, dst=region)
