@@ -63,16 +63,14 @@ def scale_lightness(frame: Frame, factor: float, below: float = 256.0) -> Frame:
         factor: By what to multiply.
         below: Pixels that are at least as light keep their bytes.
     """
-    before = np.arange(256)
-    table = np.where(before < below, np.clip(np.rint(factor * before), 0, 255), before).astype(np.uint8)
     hls = cv2.cvtColor(frame, cv2.COLOR_RGB2HLS)
     lightness = cv2.extractChannel(hls, 1)
-    cv2.insertChannel(cv2.LUT(lightness, table), hls, 1)
+    cv2.insertChannel(cv2.convertScaleAbs(lightness, alpha=factor), hls, 1)
     scaled = cast(Frame, cv2.cvtColor(hls, cv2.COLOR_HLS2RGB, dst=hls))
     if below > 255:
         return scaled
     # To HLS and back costs a few grey values, which a pixel that keeps its lightness must not lose.
-    kept = cv2.LUT(lightness, np.where(before < below, 0, 255).astype(np.uint8))
+    _, kept = cv2.threshold(lightness, np.ceil(below) - 1, 255, cv2.THRESH_BINARY)
     return cast(Frame, cv2.copyTo(frame, kept, scaled))
 
 

@@ -56,7 +56,7 @@ def test_values_are_those_of_the_table() -> None:
 
 
 def test_the_two_levels_that_did_nothing_are_replaced() -> None:
-    assert CATALOGUE["snow"].values == (1.5, 2, 3, 4, 5)
+    assert list(CATALOGUE["snow"].values) == [1.5, 2, 3, 4, 5]
     assert CATALOGUE["gaussian_blur"].values[0] == 1  # on a kernel of 3: see the known values
 
 
