@@ -43,7 +43,7 @@ class SeenWalls:
     Attributes:
         seen: Camera coordinates: top left, top right, bottom right, bottom left; shape ``(walls, 4, 3)``.
         pixels: Shape ``(walls, 4, 2)``.
-        to_picture: From a wall's unit square to pixels of the picture, shape ``(walls, 3, 3)``.
+        to_wall: From pixels of the picture to a wall's unit square, up to scale, shape ``(walls, 3, 3)``.
         shown: Whether a wall looks at the camera and reaches before it, shape ``(walls,)``.
         near: Whether a wall must be cut at the near plane.
         haze: How much of it is haze.
@@ -51,7 +51,7 @@ class SeenWalls:
 
     seen: FloatArray
     pixels: FloatArray
-    to_picture: FloatArray
+    to_wall: FloatArray
     shown: NDArray[np.bool_]
     near: NDArray[np.bool_]
     haze: FloatArray
@@ -117,7 +117,7 @@ class Facades:
         return SeenWalls(
             seen,
             pixels,
-            to_picture,
+            _inverses(to_picture),
             (outward > 1e-3) & (depth.max(axis=1) > NEAR_M),
             depth.min(axis=1) < NEAR_M,
             self._lighting.haze(np.hypot(middle[:, 0], middle[:, 1])),
@@ -168,7 +168,7 @@ class Facades:
             return
         texture = self._fitting(wall, high_x - low_x, high_y - low_y)
         size = (right - left, bottom - top)
-        to_texture = _to_texture(walls.to_picture[wall], texture.shape[1], texture.shape[0], left, top)
+        to_texture = _to_texture(walls.to_wall[wall], texture.shape[1], texture.shape[0], left, top)
         flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         warped = cv2.warpPerspective(texture, to_texture, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
         veil = self._veil[: size[1], : size[0]]
@@ -193,13 +193,16 @@ def _quarters(length_m: float) -> float:
     return max(round(length_m * 4) / 4, 0.25)
 
 
-def _to_texture(to_picture: FloatArray, wide: int, high: int, left: int, top: int) -> FloatArray:
+def _to_texture(to_wall: FloatArray, wide: int, high: int, left: int, top: int) -> FloatArray:
     """Return the homography from pixels of a region at (left, top) to pixels of a wall's texture."""
-    moved = to_picture.copy()
-    moved[0] -= left * to_picture[2]
-    moved[1] -= top * to_picture[2]
-    moved[:, 2] += moved[:, 0] * (0.5 / wide) + moved[:, 1] * (0.5 / high)
-    moved[:, 0] /= wide
-    moved[:, 1] /= high
-    inverse: FloatArray = np.linalg.inv(moved)
-    return inverse
+    moved = to_wall.copy()
+    moved[:, 2] += left * to_wall[:, 0] + top * to_wall[:, 1]
+    moved[0] = wide * moved[0] - 0.5 * moved[2]
+    moved[1] = high * moved[1] - 0.5 * moved[2]
+    return moved
+
+
+def _inverses(matrices: FloatArray) -> FloatArray:
+    """Return the inverses of 3 x 3 matrices up to scale, shape ``(n, 3, 3)``; scale is nothing to a homography."""
+    a, b, c = matrices[:, :, 0], matrices[:, :, 1], matrices[:, :, 2]
+    return np.stack((np.cross(b, c), np.cross(c, a), np.cross(a, b)), axis=1)

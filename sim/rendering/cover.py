@@ -79,7 +79,7 @@ def half_size(polygon: IntArray, first_row_px: int) -> IntArray:
 
 
 def on_half_sheet(areas: Sequence[Shadow], view: View, first_row_px: int) -> list[tuple[IntArray, int]]:
-    """Return areas of the ground as polygons of a half-size sheet that begins at a row; what is not seen is left out."""
+    """Return the areas of the ground that are seen, as polygons of a half-size sheet that begins at a row."""
     if not areas:
         return []
     seen = view.ground_to_camera(np.concatenate([points for points, _ in areas]))

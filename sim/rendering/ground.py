@@ -4,6 +4,7 @@ Surfaces are painted flat, in order; then one map of brightness (texture times s
 them, and haze over that. Rows of the picture are lines of equal depth, so each row knows its texture's scale.
 """
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Final
@@ -114,7 +115,7 @@ class GroundPainter:
         bright = cv2.extractChannel(texture, 0)
         for channel in (1, 2):
             cv2.copyTo(
-                cv2.extractChannel(texture, channel), cv2.compare(channels, channel, cv2.CMP_EQ), bright
+                cv2.extractChannel(texture, channel), cv2.inRange(channels, (channel,), (channel,)), bright
             )
         if cover.shadows:
             bright = cv2.multiply(bright, self._shadow(cover, rows, region.shape[:2]), scale=1 / 255)
@@ -254,7 +255,7 @@ class GroundPainter:
         wanted = np.log2(np.maximum(footprint_m * TILE_PX_PER_M, 1e-6)) + 0.2
         levels = np.clip(np.floor(wanted), 0, len(self._tiles) - 1).astype(int)
         breaks = [0, *(np.flatnonzero(np.diff(levels)) + 1).tolist(), len(levels)]
-        bands = tuple((a, b, int(levels[a])) for a, b in zip(breaks[:-1], breaks[1:], strict=True) if b > a)
+        bands = tuple((a, b, int(levels[a])) for a, b in itertools.pairwise(breaks) if b > a)
         haze = self._lighting.haze(ahead)
         columns = (view.width_px / 2 - 0.5 - np.arange(view.width_px)) / view.focal_px
         share = np.ones((len(ahead), view.width_px))

@@ -251,18 +251,21 @@ def _strokes(
 ) -> list[list[Mark]]:
     pixels = fixed_point(view.pixels(seen))
     clipped = seen[:, 0] < NEAR_M
-    some_clipped = bool(clipped.any())
     offsets = np.cumsum([0, *(len(mesh.points) for mesh in meshes)])
     starts = np.concatenate(
         [mesh.starts[:-1] + offset for mesh, offset in zip(meshes, offsets, strict=False)]
     )
     ends = np.concatenate([mesh.starts[1:] + offset for mesh, offset in zip(meshes, offsets, strict=False)])
     solid = np.concatenate([mesh.solid for mesh in meshes])[shown].tolist()
+    cut_before = np.concatenate(([0], np.cumsum(clipped)))
+    cut = (cut_before[ends[shown]] > cut_before[starts[shown]]).tolist()
     marks: list[list[Mark]] = [[] for _ in meshes]
-    rows = zip(owner.tolist(), starts[shown].tolist(), ends[shown].tolist(), rgb.tolist(), solid, strict=True)
-    for model, first, last, (red, green, blue), counts in rows:
+    rows = zip(
+        owner.tolist(), starts[shown].tolist(), ends[shown].tolist(), rgb.tolist(), solid, cut, strict=True
+    )
+    for model, first, last, (red, green, blue), counts, near in rows:
         polygon = pixels[first:last]
-        if some_clipped and clipped[first:last].any():
+        if near:
             polygon = view.polygon(seen[first:last])
         marks[model].append(Stroke(polygon, (red, green, blue), counts))
     return marks

@@ -1,4 +1,4 @@
-"""Owns what lies behind everything: sky, sun, clouds, and the far edge of the town, as one panorama of a whole turn."""
+"""Owns what lies behind everything, as one panorama: sky, sun, clouds, and the far edge of the town."""
 
 import math
 from dataclasses import dataclass
@@ -136,8 +136,8 @@ def _with_town(
     light = lighting.ambient_share + 0.5 * lighting.sun_share
     haze = np.array(lighting.haze_rgb)
     far = float(lighting.haze(np.array(260.0)))
-    for top, rgb in ((roofs, (126, 118, 112)), (trees, (72, 88, 62))):
-        cover = np.clip((top[None, :] - degrees) / 0.25 + 0.5, 0, 1)[..., None]
+    for skyline, rgb in ((roofs, (126, 118, 112)), (trees, (72, 88, 62))):
+        cover = np.clip((skyline[None, :] - degrees) / 0.25 + 0.5, 0, 1)[..., None]
         colour = np.array(rgb) * lighting.tint * light * (1 - far) + haze * far
         sky = sky * (1 - cover) + colour * cover
     return sky

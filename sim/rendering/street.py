@@ -1,0 +1,159 @@
+"""Owns how a road of the simulator becomes a street that can be drawn."""
+
+import math
+from typing import Final
+
+import numpy as np
+
+from sim.rendering.looks import choice, share
+from sim.rendering.scene import (
+    Body,
+    BodyKind,
+    Building,
+    FloatArray,
+    Ground,
+    Lamp,
+    Material,
+    StreetScene,
+    Tree,
+)
+from sim.trace import Surface
+from sim.world.line import Piece, ReferenceLine
+from sim.world.road import Road
+from sim.world.roadside import Fixture, fixtures
+from sim.world.scene import BEFORE_M, BEYOND_M, scene_surfaces
+
+FIRST_PARKED_ID: Final = 1_000_001
+"""Parked vehicles are numbered from here, in the order of the road's fixtures."""
+_MATERIALS: Final = {
+    "pavement": Material.PAVEMENT,
+    "road": Material.ASPHALT,
+    "marking": Material.MARKING,
+    "crossing": Material.CROSSING,
+    "stop-line": Material.MARKING,
+}
+_KERB_M: Final = 0.18
+_GUTTER_M: Final = 0.12
+_LAMP_EVERY_M: Final = 24.0
+_CROWN_M: Final = 3.2
+_STEP_M: Final = 2.0
+
+
+def street_of(road: Road, *, seed: int = 0) -> StreetScene:
+    """Return a road with its surfaces, houses, trees, parked vehicles and lamps.
+
+    Args:
+        road: The road.
+        seed: Chooses how houses, trees and parked vehicles look; where they stand is the road's.
+    """
+    surfaces = [surface for surface in scene_surfaces(road) if surface.kind in _MATERIALS]
+    beside = [_ground(surface) for surface in surfaces if surface.kind == "pavement"]
+    upon = [_ground(surface) for surface in surfaces if surface.kind != "pavement"]
+    buildings: list[Building] = []
+    trees: list[Tree] = []
+    parked: list[Body] = []
+    for number, fixture in enumerate(fixtures(road)):
+        look = choice(seed, 1000 + number, 1 << 20)
+        if fixture.kind == "building":
+            buildings.append(_building(fixture, look))
+        elif fixture.kind == "tree":
+            trees.append(_tree(fixture, look))
+        else:
+            parked.append(_parked(road, fixture, FIRST_PARKED_ID + len(parked), look))
+    return StreetScene(
+        ground=(*beside, *_kerbs(road), *upon),
+        buildings=tuple(buildings),
+        trees=tuple(trees),
+        parked=tuple(parked),
+        lamps=tuple(_lamps(road)),
+    )
+
+
+def _ground(surface: Surface) -> Ground:
+    points = surface.points.astype(np.float64)
+    if not surface.closed:
+        points = _widened(points, surface.width_m)
+    return Ground(material=_MATERIALS[surface.kind], points=points)
+
+
+def _widened(points: FloatArray, width_m: float) -> FloatArray:
+    """Return a line of a width as an area."""
+    along = np.gradient(points, axis=0)
+    along /= np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
+    across = np.stack((-along[:, 1], along[:, 0]), axis=1) * (width_m / 2)
+    return np.concatenate((points + across, (points - across)[::-1]))
+
+
+def _kerbs(road: Road) -> list[Ground]:
+    """Return kerbs and gutters as strips wider than the asphalt that will cover them."""
+    lines = [(road.centre, -BEFORE_M, road.length_m + BEYOND_M)]
+    for junction in road.junctions:
+        for turn, there in ((-0.5, junction.right), (0.5, junction.left)):
+            if there:
+                yaw_rad = junction.yaw_rad + turn * math.pi
+                street = ReferenceLine(junction.x_m, junction.y_m, yaw_rad, (Piece(road.side_street_m),))
+                lines.append((street, 0.0, street.length_m))
+    kerbs = [_strip(*line, road.kerb_m + _KERB_M, Material.KERB) for line in lines]
+    return (
+        kerbs
+        + [_strip(*line, road.kerb_m, Material.GUTTER) for line in lines]
+        + [_strip(*line, road.kerb_m - _GUTTER_M, Material.ASPHALT) for line in lines]
+    )
+
+
+def _strip(line: ReferenceLine, from_m: float, to_m: float, half_m: float, material: Material) -> Ground:
+    stations = np.linspace(from_m, to_m, max(int((to_m - from_m) / _STEP_M), 1) + 1).tolist()
+    left = [line.pose_at(station, half_m)[:2] for station in stations]
+    right = [line.pose_at(station, -half_m)[:2] for station in stations]
+    return Ground(material=material, points=np.array(left + right[::-1]))
+
+
+def _building(fixture: Fixture, look: int) -> Building:
+    return Building(
+        x_m=fixture.x_m,
+        y_m=fixture.y_m,
+        yaw_rad=fixture.yaw_rad,
+        length_m=fixture.length_m,
+        width_m=fixture.width_m,
+        height_m=fixture.height_m,
+        look=look,
+    )
+
+
+def _tree(fixture: Fixture, look: int) -> Tree:
+    height_m = fixture.height_m * (1.0 + 0.3 * share(look, 1))
+    return Tree(x_m=fixture.x_m, y_m=fixture.y_m, height_m=height_m, crown_m=_CROWN_M, look=look)
+
+
+def _parked(road: Road, fixture: Fixture, number: int, look: int) -> Body:
+    """Return a parked vehicle, which faces as the traffic on its side does."""
+    nearest_m = min(
+        np.arange(0.0, road.length_m + _STEP_M, _STEP_M).tolist(),
+        key=lambda station_m: math.dist(road.centre.pose_at(station_m)[:2], (fixture.x_m, fixture.y_m)),
+    )
+    left = road.centre.project(fixture.x_m, fixture.y_m, nearest_m)[1] > 0
+    return Body(
+        id=number,
+        kind=BodyKind.VEHICLE,
+        x_m=fixture.x_m,
+        y_m=fixture.y_m,
+        yaw_rad=fixture.yaw_rad + (math.pi if left else 0.0),
+        length_m=fixture.length_m,
+        width_m=fixture.width_m,
+        height_m=fixture.height_m,
+        look=look,
+    )
+
+
+def _lamps(road: Road) -> list[Lamp]:
+    """Return lamps on alternating sides, out of the way of side streets and of the crossing."""
+    found = []
+    for number in range(int((road.length_m + BEYOND_M) / _LAMP_EVERY_M)):
+        station_m, side = 8.0 + _LAMP_EVERY_M * number, 1.0 if number % 2 else -1.0
+        if abs(station_m - road.crossing_m) < 3.0 or any(
+            abs(station_m - junction.station_m) < road.kerb_m + 3.0 for junction in road.junctions
+        ):
+            continue
+        x_m, y_m, yaw_rad = road.centre.pose_at(station_m, side * (road.kerb_m + 0.4))
+        found.append(Lamp(x_m=x_m, y_m=y_m, yaw_rad=yaw_rad - side * math.pi / 2))
+    return found
