@@ -4,9 +4,10 @@ from typing import cast
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from sim.perturbations.gene import Frame
-from sim.perturbations.layers import Layer, clouds, lay_over, pixels, scale_of, to_layer
+from sim.perturbations.layers import REFERENCE_HEIGHT_PX, Layer, clouds, lay_over, pixels, scale_of, to_layer
 
 FILM_GREY = 205
 FILM_CELL_PX = 220
@@ -22,14 +23,14 @@ def condensation(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
     scale = scale_of(frame)
     for _ in range(int(rng.integers(*STREAKS))):
         _draw_streak(opacity, light, scale, rng)
-    _draw_drops(opacity, light, rng.gamma(2.0, 1.6, DROPLETS) + 1.5, scale, rng)
+    _draw_drops(opacity, light, rng.gamma(2.0, 1.6, DROPLETS) + 1.5, rng)
     return _behind(frame, opacity, light, value)
 
 
 def wet_lens(frame: Frame, rng: np.random.Generator) -> Frame:
     """Return the frame behind a film of water with large drops, of opacity 0.15."""
     opacity, light = _film(frame, 0.3, 0.8, rng)
-    _draw_drops(opacity, light, rng.gamma(2.5, 5.0, WET_DROPS) + 3, scale_of(frame), rng)
+    _draw_drops(opacity, light, rng.gamma(2.5, 5.0, WET_DROPS) + 3, rng, edge=cv2.LINE_8)
     return _behind(frame, opacity, light, WET_OPACITY)
 
 
@@ -53,29 +54,31 @@ def _draw_streak(opacity: Layer, light: Layer, scale: float, rng: np.random.Gene
     radius = rng.uniform(5, 9)
     cv2.polylines(opacity, [track], False, 90, pixels(2.2 * radius, scale), cv2.LINE_AA)
     cv2.polylines(opacity, [track], False, 25, pixels(1.5 * radius, scale), cv2.LINE_AA)
-    _draw_drop(opacity, light, (int(track[-1, 0]), int(track[-1, 1])), radius, scale)
+    _draw_drop(opacity, light, (int(track[-1, 0]), int(track[-1, 1])), pixels(radius, scale))
 
 
 def _draw_drops(
     opacity: Layer,
     light: Layer,
-    radii_px: np.typing.NDArray[np.float64],
-    scale: float,
+    radii_px: npt.NDArray[np.float64],
     rng: np.random.Generator,
+    edge: int = cv2.LINE_AA,
 ) -> None:
     height, width = opacity.shape
+    scale = height / REFERENCE_HEIGHT_PX
     xs = rng.integers(0, width, size=len(radii_px)).tolist()
     ys = rng.integers(0, height, size=len(radii_px)).tolist()
     for x, y, radius in zip(xs, ys, radii_px.tolist(), strict=True):
-        _draw_drop(opacity, light, (x, y), radius, scale)
+        _draw_drop(opacity, light, (x, y), pixels(radius, scale), edge)
 
 
-def _draw_drop(opacity: Layer, light: Layer, middle: tuple[int, int], radius_px: float, scale: float) -> None:
+def _draw_drop(
+    opacity: Layer, light: Layer, middle: tuple[int, int], radius: int, edge: int = cv2.LINE_AA
+) -> None:
     """Draw a drop: dark above and bright below, for it turns the scene upside down, with a glint."""
-    radius = pixels(radius_px, scale)
     x, y = middle
     # Smooth edges cost more than the rest of the drop, and do not show on small ones.
-    line = cv2.LINE_AA if radius > 4 else cv2.LINE_8
+    line = edge if radius > 4 else cv2.LINE_8
     cv2.circle(opacity, middle, radius, 255, -1, line)
     cv2.circle(light, middle, radius, 70, -1, line)
     if radius < 2:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Self
 
 from sim.episode import Json, JsonObject
@@ -27,6 +28,9 @@ class Perturbation:
     def __post_init__(self) -> None:
         if not isinstance(self.gene, str):
             raise InvalidPerturbation(f"gene: expected the name of a perturbation, got {self.gene!r}")
+        level: object = self.level
+        if not isinstance(level, bool) and isinstance(level, Integral):
+            object.__setattr__(self, "level", int(level))  # numpy's integers are no JSON
         find_gene(self.gene).check(self.level)
 
     def __str__(self) -> str:

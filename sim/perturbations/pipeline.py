@@ -12,7 +12,7 @@ from enum import StrEnum
 import numpy as np
 
 from sim.perturbations.catalogue import registered_transform
-from sim.perturbations.errors import InvalidFrame, PerturbationFailed, VisionMissing
+from sim.perturbations.errors import InvalidFrame, InvalidPerturbation, PerturbationFailed, VisionMissing
 from sim.perturbations.gene import Frame, Transform
 from sim.perturbations.perturbation import Perturbation
 
@@ -82,6 +82,9 @@ class Pipeline:
         seed: The episode's seed, >= 0.
         mode: `PER_FRAME` draws the fields of every frame afresh; `PER_EPISODE` draws them once, as if dirt stayed
             where it is on the lens.
+
+    Raises:
+        InvalidPerturbation: Something in the list is no perturbation, or the seed is negative.
     """
 
     perturbations: tuple[Perturbation, ...]
@@ -91,6 +94,13 @@ class Pipeline:
     def __post_init__(self) -> None:
         object.__setattr__(self, "perturbations", tuple(self.perturbations))
         object.__setattr__(self, "mode", Mode(self.mode))
+        for perturbation in self.perturbations:
+            if not isinstance(perturbation, Perturbation):
+                raise InvalidPerturbation(
+                    f"expected perturbations; parse_perturbations reads {perturbation!r}"
+                )
+        if self.seed < 0:
+            raise InvalidPerturbation(f"seed: expected an integer >= 0, got {self.seed!r}")
 
     def __call__(self, frame: Frame, index: int) -> Frame:
         """Return the perturbed frame; the given one is not touched.

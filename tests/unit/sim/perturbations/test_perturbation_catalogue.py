@@ -16,6 +16,7 @@ from sim.perturbations import (
     Gene,
     InvalidPerturbation,
     Perturbation,
+    Pipeline,
     apply,
     catalogue,
     find_gene,
@@ -68,6 +69,19 @@ def test_intensity_is_the_rank_of_the_level_not_its_value() -> None:
         ranks = [gene.intensity(level) for level in range(gene.levels)]
         assert ranks == sorted(ranks)
         assert (ranks[0], ranks[-1]) == (0, 1)
+
+
+def test_levels_may_be_numpy_integers_and_are_kept_as_plain_ones() -> None:
+    perturbation = Perturbation("rain", np.int64(3))  # type: ignore[arg-type]
+    assert perturbation == Perturbation("rain", 3)
+    assert type(perturbation.to_json()["level"]) is int
+
+
+def test_a_pipeline_refuses_what_is_no_perturbation_and_negative_seeds() -> None:
+    with pytest.raises(InvalidPerturbation, match="parse_perturbations reads 'rain:3'"):
+        Pipeline(("rain:3",), seed=0)  # type: ignore[arg-type]
+    with pytest.raises(InvalidPerturbation, match="seed: expected an integer >= 0, got -1"):
+        Pipeline((), seed=-1)
 
 
 def test_mean_intensity_is_over_the_genes() -> None:
