@@ -19,6 +19,8 @@ from sim.rendering.scene import Building, FloatArray, Picture
 from sim.rendering.view import NEAR_M, SHIFT, IntArray, View, beyond_near, fixed_point
 
 _MAX_HALVINGS: Final = 5
+_COARSE_FROM: Final = 1.5
+"""A wall that is this many times as high in the picture as its texture is drawn at half size."""
 _PLAIN_BELOW_PX: Final = 5.0
 """A wall that is narrower in the picture is painted in one colour."""
 
@@ -75,10 +77,9 @@ class Facades:
         self._veil: Picture = np.empty((height_px, width_px, 3), np.uint8)
         self._veil[:] = np.array(lighting.haze_rgb).astype(np.uint8)
         rectangles = [footprint(b.x_m, b.y_m, b.yaw_rad, b.length_m, b.width_m) for b in buildings]
-        start = np.array(rectangles).reshape(-1, 4, 2)
+        outlines = np.array(rectangles).reshape(-1, 4, 2)
         # Seen from outside, a counter-clockwise outline runs from left to right.
-        end = np.roll(start, -1, axis=1)
-        start, end = start.reshape(-1, 2), end.reshape(-1, 2)
+        start, end = outlines.reshape(-1, 2), np.roll(outlines, -1, axis=1).reshape(-1, 2)
         heights = np.repeat([b.height_m for b in buildings], 4)
         self._corners = np.zeros((len(start), 4, 3))
         self._corners[:, (0, 3), :2] = start[:, None]
@@ -169,8 +170,8 @@ class Facades:
         texture = self._fitting(wall, high_x - low_x, high_y - low_y)
         size = (right - left, bottom - top)
         to_texture = _to_texture(walls.to_wall[wall], texture.shape[1], texture.shape[0], left, top)
-        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        warped = cv2.warpPerspective(texture, to_texture, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+        coarse = high_y - low_y > _COARSE_FROM * texture.shape[0] and min(size) > 8
+        warped = _warped(texture, to_texture, size, coarse=coarse)
         veil = self._veil[: size[1], : size[0]]
         cv2.addWeighted(warped, self._light[wall] * (1 - haze), veil, haze, 0.0, dst=warped)
         mask = np.zeros((size[1], size[0]), np.uint8)
@@ -200,6 +201,23 @@ def _to_texture(to_wall: FloatArray, wide: int, high: int, left: int, top: int) 
     moved[0] = wide * moved[0] - 0.5 * moved[2]
     moved[1] = high * moved[1] - 0.5 * moved[2]
     return moved
+
+
+def _warped(texture: Picture, to_texture: FloatArray, size: tuple[int, int], *, coarse: bool) -> Picture:
+    """Return a region of the picture filled with a texture; a coarse one is drawn at half size and enlarged."""
+    drawn = size
+    if coarse:
+        drawn = ((size[0] + 1) // 2, (size[1] + 1) // 2)
+        grow_x, grow_y = size[0] / drawn[0], size[1] / drawn[1]
+        moved = np.array(
+            [[grow_x, 0.0, 0.5 * grow_x - 0.5], [0.0, grow_y, 0.5 * grow_y - 0.5], [0.0, 0.0, 1.0]]
+        )
+        to_texture = np.einsum("ij,jk->ik", to_texture, moved)
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    warped = cv2.warpPerspective(texture, to_texture, drawn, flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    if coarse:
+        warped = cv2.resize(warped, size, interpolation=cv2.INTER_LINEAR)
+    return warped.astype(np.uint8, copy=False)
 
 
 def _inverses(matrices: FloatArray) -> FloatArray:

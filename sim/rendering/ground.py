@@ -57,7 +57,10 @@ class GroundCover:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
-    """What the rows below the horizon know, for one pitch."""
+    """What the rows below the horizon know, for one pitch.
+
+    Bands are runs of rows of one level of the texture: first, last, level; -1 is finer than the texture.
+    """
 
     first_px: int
     ahead_m: FloatArray
@@ -90,6 +93,8 @@ class GroundPainter:
         self._points = np.concatenate([np.zeros((0, 2)), *(surface.points for surface in ground)])
         self._starts = np.cumsum([0, *(len(surface.points) for surface in ground)])
         self._rgb = {material: self._lit(material) for material in Material}
+        self._backdrop = np.empty((camera.height_px, camera.width_px, 3), np.uint8)
+        self._backdrop[:] = np.array(self._rgb[_BACKDROP]).astype(np.uint8)
         self._rows: dict[float, _Rows] = {}
 
     def _lit(self, material: Material) -> Rgb:
@@ -109,7 +114,7 @@ class GroundPainter:
         region = image[rows.first_px :]
         mirror = self._mirror(image, rows, cover) if self._lighting.wet else None
         channels = np.full(region.shape[:2], _CHANNEL[_BACKDROP], np.uint8)
-        region[:] = np.array(self._rgb[_BACKDROP]).astype(np.uint8)
+        np.copyto(region, self._backdrop[: len(region)])
         self._surfaces(region, channels, view, rows.first_px)
         texture = self._texture(view, rows)
         bright = cv2.extractChannel(texture, 0)
@@ -167,30 +172,35 @@ class GroundPainter:
 
     def _texture(self, view: View, rows: _Rows) -> Picture:
         """Return the texture as the camera sees it, shape ``(rows, columns, channels)``."""
-        across = (view.width_px / 2 - 0.5 - np.arange(view.width_px)) / view.focal_px
-        origin_x, origin_y = view.x_m % TILE_M, view.y_m % TILE_M
-        start_x = (origin_x + rows.ahead_m * view.cos_yaw) * TILE_PX_PER_M
-        start_y = (origin_y + rows.ahead_m * view.sin_yaw) * TILE_PX_PER_M
-        step_x = -rows.spread_m * view.sin_yaw * TILE_PX_PER_M
-        step_y = rows.spread_m * view.cos_yaw * TILE_PX_PER_M
-        row = across.astype(np.float32)
         out = np.empty((len(rows.ahead_m), view.width_px, self._tiles[0].shape[2]), np.uint8)
         for first, last, level in rows.bands:
-            scale = 0.5**level
-            maps = []
-            for start, step in ((start_x, step_x), (start_y, step_y)):
-                slope = (step[first:last] * scale).astype(np.float32)[:, None]
-                offset = (start[first:last] * scale - 0.5).astype(np.float32)[:, None]
-                maps.append(slope * row + offset)
-            cv2.remap(
-                self._tiles[level],
-                maps[0],
-                maps[1],
-                cv2.INTER_LINEAR,
-                dst=out[first:last],
-                borderMode=cv2.BORDER_WRAP,
+            if level >= 0:
+                self._texture_band(view, rows, (first, last, level, 1), out[first:last])
+                continue
+            # So near, a pixel of the texture covers several of the picture: half of them are enough.
+            half = np.empty(((last - first + 1) // 2, (view.width_px + 1) // 2, out.shape[2]), np.uint8)
+            self._texture_band(view, rows, (first, last, 0, 2), half)
+            cv2.resize(
+                half, (view.width_px, last - first), dst=out[first:last], interpolation=cv2.INTER_LINEAR
             )
         return out
+
+    def _texture_band(self, view: View, rows: _Rows, band: tuple[int, int, int, int], out: Picture) -> None:
+        """Draw some rows of the texture: first and last, level of the tile, and every how many pixels."""
+        first, last, level, step = band
+        ahead, spread = rows.ahead_m[first:last:step], rows.spread_m[first:last:step]
+        across = (view.width_px / 2 - 0.5 - np.arange(0, view.width_px, step)) / view.focal_px
+        row = across.astype(np.float32)
+        scale = TILE_PX_PER_M * 0.5**level
+        maps = []
+        for origin_m, along, aside in (
+            (view.x_m % TILE_M, view.cos_yaw, -view.sin_yaw),
+            (view.y_m % TILE_M, view.sin_yaw, view.cos_yaw),
+        ):
+            slope = (spread * (aside * scale)).astype(np.float32)[:, None]
+            offset = ((origin_m + ahead * along) * scale - 0.5).astype(np.float32)[:, None]
+            maps.append(slope * row + offset)
+        cv2.remap(self._tiles[level], maps[0], maps[1], cv2.INTER_LINEAR, dst=out, borderMode=cv2.BORDER_WRAP)
 
     def _shadow(self, cover: GroundCover, rows: _Rows, shape: tuple[int, int]) -> Picture:
         mask = self._half_sheet(rows, shape, 255)
@@ -253,7 +263,7 @@ class GroundPainter:
         ahead = reach * (view.cos_pitch - up * view.sin_pitch)
         footprint_m = np.sqrt(reach / view.focal_px * (ahead * reach / (view.focal_px * view.height_m)))
         wanted = np.log2(np.maximum(footprint_m * TILE_PX_PER_M, 1e-6)) + 0.2
-        levels = np.clip(np.floor(wanted), 0, len(self._tiles) - 1).astype(int)
+        levels = np.clip(np.floor(wanted), -1, len(self._tiles) - 1).astype(int)
         breaks = [0, *(np.flatnonzero(np.diff(levels)) + 1).tolist(), len(levels)]
         bands = tuple((a, b, int(levels[a])) for a, b in itertools.pairwise(breaks) if b > a)
         haze = self._lighting.haze(ahead)

@@ -13,7 +13,7 @@ from sim.rendering.foliage import Foliage
 from sim.rendering.items import Thing
 from sim.rendering.rounded import limb_marks
 from sim.rendering.scene import Body, BodyKind, FloatArray, Lamp, Picture
-from sim.rendering.view import View
+from sim.rendering.view import NEAR_M, View, fixed_point
 
 _POST: Final = (92.0, 96.0, 98.0)
 _LAMP_LIGHT: Final = (230.0, 190.0, 120.0)
@@ -34,11 +34,14 @@ def lamp_marks(
     colours = foliage.shaded(steel, joints[:, 0], view, np.repeat(lit, 2))
     limbs = limb_marks(joints, radii, colours, view, flat_feet=False)
     rgb = (255.0, 232.0, 184.0) if burning else (150.0, 152.0, 154.0)
-    heads = view.to_camera(np.array([corner for lamp in lamps for corner in _head(lamp)])).reshape(-1, 4, 3)
-    return [
-        [*limbs[2 * number], *limbs[2 * number + 1], Stroke(view.polygon(head), rgb, True)]
-        for number, head in enumerate(heads)
-    ]
+    seen = view.to_camera(np.array([corner for lamp in lamps for corner in _head(lamp)]))
+    heads = fixed_point(view.pixels(seen)).reshape(-1, 4, 2)
+    before = (seen[:, 0].reshape(-1, 4) > NEAR_M).all(axis=1).tolist()
+    marks: list[list[Mark]] = []
+    for number, head in enumerate(heads):
+        mine = [*limbs[2 * number], *limbs[2 * number + 1]]
+        marks.append([*mine, Stroke(head, rgb, True)] if before[number] else mine)
+    return marks
 
 
 def _limbs(lamp: Lamp) -> list[list[tuple[float, float, float]]]:

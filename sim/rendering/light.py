@@ -98,7 +98,7 @@ def lighting_of(light: Light, seed: int) -> Lighting:
         sky_low_rgb=_scaled(low_rgb, dim),
         cloud_share=_CLOUDS.get(light.weather, 0.95),
         cloud_rgb=_scaled(cloud, dim),
-        shadow_share=0.0 if night else (0.55 if sunny else 0.08),
+        shadow_share=0.0 if night else ((0.36 if low else 0.46) if sunny else 0.08),
         wet=light.weather not in (Weather.CLEAR, Weather.CLOUDY),
         rain_share=rain,
         night=night,
@@ -116,8 +116,8 @@ def _colours(time: TimeOfDay, sunny: bool) -> tuple[float, float, _Rgb, _Rgb, _R
     if time is TimeOfDay.SUNSET:
         if sunny:
             return (
-                0.62,
-                0.40,
+                0.60,
+                0.48,
                 (1.16, 0.93, 0.76),
                 (216, 160, 118),
                 (92, 112, 158),

@@ -238,7 +238,8 @@ def _shaded(
         shaded[tail] = np.maximum(shaded[tail], (176, 22, 20))
     shaded[tail & braking] = (255, 56, 44)
     shaded[third & braking] = (255, 48, 40)
-    return shaded
+    result: FloatArray = shaded
+    return result
 
 
 def _strokes(

@@ -4,6 +4,7 @@ Joints are shares of the height: x ahead, y left, z up. The joints of all people
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -182,17 +183,21 @@ def _colours(
     veil = np.array(lighting.haze_rgb)
     colours: list[tuple[float, float, float]] = []
     for index, body in enumerate(people):
-        look = body.look
-        palette = (
-            _SKINS[choice(look, 21, len(_SKINS))],
-            _HAIRS[choice(look, 22, len(_HAIRS))],
-            _TOPS[choice(look, 23, len(_TOPS))],
-            _BOTTOMS[choice(look, 24, len(_BOTTOMS))],
-            _SHOES[choice(look, 25, len(_SHOES))],
-            _TOPS[choice(look, 26, len(_TOPS))],
-        )
         light = lighting.ambient_share + 0.55 * lighting.sun_share + 0.85 * float(lit[index])
-        shades = np.array(palette) * light * lighting.tint
+        shades = np.array(_palette(body.look)) * (light * lighting.tint)
         mixed = np.clip(shades * (1 - haze[index]) + veil * haze[index], 0, 255).tolist()
         colours += [tuple(mixed[limb.colour]) for limb in limbs[index]]
     return colours
+
+
+@lru_cache(maxsize=1024)
+def _palette(look: int) -> tuple[tuple[int, int, int], ...]:
+    """Return the colours of skin, hair, top, bottom, shoes and bag."""
+    return (
+        _SKINS[choice(look, 21, len(_SKINS))],
+        _HAIRS[choice(look, 22, len(_HAIRS))],
+        _TOPS[choice(look, 23, len(_TOPS))],
+        _BOTTOMS[choice(look, 24, len(_BOTTOMS))],
+        _SHOES[choice(look, 25, len(_SHOES))],
+        _TOPS[choice(look, 26, len(_TOPS))],
+    )

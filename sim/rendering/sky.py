@@ -54,7 +54,7 @@ class Sky:
         if rays.lines_px == 0:
             return
         turn = (-view.yaw_rad / (2 * math.pi) * _WIDTH_PX) % _WIDTH_PX
-        columns = np.mod(rays.columns + np.float32(turn), np.float32(_WIDTH_PX))
+        columns = rays.columns + np.float32(turn + _WIDTH_PX // 2)
         small = cv2.remap(
             self.panorama, columns, rays.rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
@@ -77,7 +77,7 @@ class Sky:
 
 
 def _panorama(lighting: Lighting, seed: int) -> Picture:
-    """Return the panorama, shape ``(rows, columns, 3)``; column 0 looks along yaw 0, columns go clockwise."""
+    """Return two turns, shape ``(rows, columns, 3)``: clockwise, yaw 0 a quarter of the way along."""
     rng = np.random.default_rng((seed, _SKY_STREAM))
     elevation = _HIGH - (np.arange(_ROWS) + 0.5) / _ROWS * (_HIGH - _LOW)
     azimuth = -(np.arange(_WIDTH_PX) + 0.5) / _WIDTH_PX * 2 * math.pi
@@ -89,8 +89,9 @@ def _panorama(lighting: Lighting, seed: int) -> Picture:
     sky += _sun_glow(lighting, elevation, azimuth)
     sky = _clouded(rng, lighting, sky, elevation)
     sky = _with_town(rng, lighting, sky, elevation)
-    wrapped = np.concatenate((sky, sky[:, :1]), axis=1)
-    return np.clip(wrapped, 0, 255).astype(np.uint8)
+    turn = np.clip(sky, 0, 255).astype(np.uint8)
+    half = _WIDTH_PX // 2
+    return np.concatenate((turn[:, half:], turn, turn[:, :half]), axis=1)
 
 
 def _sun_glow(lighting: Lighting, elevation: FloatArray, azimuth: FloatArray) -> FloatArray:

@@ -415,7 +415,8 @@ class _Builder:
             j = (i + 1) % 4
             faces.append(self._face([rim[i], rim[j], top[j], top[i]], self.paint, Group.CABIN, solid=True))
         faces.append(self._face(top, self.paint, Group.CABIN, solid=True))
-        return [*faces, *self._mirrors()]
+        # Seen past the cabin, a mirror on the far side must be hidden by it.
+        return [*self._mirrors(), *faces]
 
     def _mirrors(self) -> list[Face]:
         """Return the two outside mirrors, within the width of the body."""
