@@ -50,13 +50,11 @@ def _draw_impact(cracks: Layer, impact: Points, scale: float, rng: np.random.Gen
 
     _draw_splinters(cracks, knots, rng)
     for ray, bright in zip(rays, rng.integers(170, 256, count).tolist(), strict=True):
-        _draw_line(cracks, ray, bright, pixels(2, scale))
-        _draw_line(cracks, ray[: CRACK_POINTS // 2], 255, pixels(3, scale))
-    torn = rng.random((rings, count)) < 0.25
-    for ring, torn_at in zip(knots, torn, strict=True):
-        for start, end, gone in zip(ring, np.roll(ring, -1, axis=0), torn_at.tolist(), strict=True):
-            if not gone:
-                _draw_line(cracks, np.stack([start, end]), 200, pixels(1.5, scale))
+        _draw_lines(cracks, ray[None], bright, pixels(2, scale))
+    _draw_lines(cracks, rays[:, : CRACK_POINTS // 2], 255, pixels(3, scale))
+    whole = rng.random((rings, count)) >= 0.25
+    joints = np.stack([knots, np.roll(knots, -1, axis=1)], axis=2)
+    _draw_lines(cracks, joints[whole], 200, pixels(1.5, scale))
     _fill(cracks, knots[0], 230)
 
 
@@ -70,8 +68,9 @@ def _draw_splinters(cracks: Layer, knots: Points, rng: np.random.Generator) -> N
         _fill(cracks, np.array(corners), int(brightness[ring, ray]))
 
 
-def _draw_line(cracks: Layer, points: Points, bright: int, thickness: int) -> None:
-    cv2.polylines(cracks, [points.round().astype(np.int32)], False, bright, thickness, cv2.LINE_AA)
+def _draw_lines(cracks: Layer, lines: Points, bright: int, thickness: int) -> None:
+    """Draw lines through points, shape ``(lines, points, 2)``."""
+    cv2.polylines(cracks, list(lines.round().astype(np.int32)), False, bright, thickness, cv2.LINE_AA)
 
 
 def _fill(cracks: Layer, corners: Points, bright: int) -> None:
