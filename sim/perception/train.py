@@ -1,0 +1,181 @@
+"""Trains `brink-det@1` on pictures that the simulator makes, and writes weights, figures and a record of both.
+
+    python -m sim.perception.train --out FOLDER
+
+Pictures, start and order come from seeds and everything runs on one thread, so that a second run on the same kind of
+processor gives the same weights.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+import torch
+
+from sim.perception.detector import INPUT_PX, Picture, decoded, fitted
+from sim.perception.frames import LabelledFrame, Split, labelled_frames
+from sim.perception.network import Network
+from sim.perception.quality import Found, Truth, curves, mean_average_precision
+from sim.perception.targets import loss_of, target_of
+
+FRAMES: Final = 6000
+VALIDATION_FRAMES: Final = 600
+EPOCHS: Final = 10
+BATCH: Final = 32
+RATE: Final = 3e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Pictures:
+    """Pictures as the network takes them.
+
+    Attributes:
+        planes: Shape ``(n, 192, 320, 3)``, uint8.
+        truths: In px of the network's input.
+    """
+
+    planes: Picture
+    truths: tuple[Truth, ...]
+
+
+def gathered(frames: Iterator[LabelledFrame], count: int, what: str) -> Pictures:
+    """Return pictures fitted to the network."""
+    planes = np.empty((count, INPUT_PX[1], INPUT_PX[0], 3), np.uint8)
+    truths = []
+    began = time.monotonic()
+    for index, frame in enumerate(frames):
+        planes[index], scale = fitted(frame.picture)
+        truth = frame.truth
+        scaled = (truth.boxes * np.float32(scale)).astype(np.float32)
+        truths.append(Truth(labels=truth.labels, boxes=scaled, ignored=truth.ignored))
+        if (index + 1) % 500 == 0:
+            print(f"{what}: {index + 1} of {count} pictures, {time.monotonic() - began:.0f} s", flush=True)  # noqa: T201
+    return Pictures(planes=planes, truths=tuple(truths))
+
+
+def _flipped(truth: Truth) -> Truth:
+    boxes = truth.boxes.copy()
+    boxes[:, [0, 2]] = INPUT_PX[0] - truth.boxes[:, [2, 0]]
+    return Truth(labels=truth.labels, boxes=boxes, ignored=truth.ignored)
+
+
+def tensor_of(planes: Picture) -> torch.Tensor:
+    """Return pictures as the network's input, shape ``(n, 3, 192, 320)``, in [0, 1]."""
+    tensor = torch.from_numpy(np.ascontiguousarray(planes.transpose(0, 3, 1, 2))).float() / 255.0
+    return tensor.contiguous(memory_format=torch.channels_last)
+
+
+def trained(
+    pictures: Pictures, validation: Pictures, *, epochs: int, seed: int
+) -> tuple[Network, list[float]]:
+    """Return a trained network, and its mAP on the validation pictures after each epoch."""
+    torch.manual_seed(seed)
+    rng = np.random.default_rng(seed)
+    network = Network()
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  (the stubs lack it)
+    optimiser = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=1e-4)
+    count = len(pictures.truths)
+    steps = epochs * (count // BATCH)
+    plan = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=max(1, steps), pct_start=0.1)
+    course = []
+    began = time.monotonic()
+    for epoch in range(epochs):
+        network.train()
+        order = rng.permutation(count)
+        total = 0.0
+        for step in range(count // BATCH):
+            chosen = order[step * BATCH : (step + 1) * BATCH]
+            flips = rng.random(BATCH) < 0.5
+            planes = pictures.planes[chosen]
+            planes[flips] = planes[flips, :, ::-1]
+            truths = [
+                _flipped(pictures.truths[i]) if flip else pictures.truths[i]
+                for i, flip in zip(chosen.tolist(), flips.tolist(), strict=True)
+            ]
+            heat, edges = network(tensor_of(planes))
+            loss = loss_of(heat, edges, target_of(truths))
+            optimiser.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            torch.nn.utils.clip_grad_norm_(network.parameters(), 10.0)
+            optimiser.step()
+            plan.step()
+            total += loss.item()
+        course.append(mean_average_precision(validation.truths, answers(network, validation.planes)))
+        print(  # noqa: T201
+            f"epoch {epoch + 1} of {epochs}: loss {total / max(1, count // BATCH):.3f}, "
+            f"validation mAP {course[-1]:.3f}, {time.monotonic() - began:.0f} s",
+            flush=True,
+        )
+    return network.eval(), course
+
+
+def answers(network: Network, planes: Picture) -> list[Found]:
+    """Return what a network finds in pictures."""
+    network.eval()
+    found = []
+    with torch.no_grad():
+        for start in range(0, len(planes), BATCH):
+            heat, edges = network(tensor_of(planes[start : start + BATCH]))
+            found += [decoded(h, e) for h, e in zip(heat.numpy(), edges.numpy(), strict=True)]
+    return found
+
+
+def export(network: Network, file: Path) -> None:
+    """Write a network as ONNX."""
+    picture = torch.zeros(1, 3, INPUT_PX[1], INPUT_PX[0])
+    network.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]  (the stubs lack it)
+    torch.onnx.export(
+        network,
+        (picture,),
+        str(file),
+        dynamo=False,
+        opset_version=17,
+        input_names=["picture"],
+        output_names=["heat", "edges"],
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Train, judge on the test pictures, and write everything."""
+    parser = argparse.ArgumentParser(prog="python -m sim.perception.train", description=__doc__)
+    parser.add_argument("--out", type=Path, required=True, help="folder for weights and figures")
+    parser.add_argument("--frames", type=int, default=FRAMES, help="training pictures (%(default)s)")
+    parser.add_argument("--epochs", type=int, default=EPOCHS, help="epochs (%(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of start and order (%(default)s)")
+    given = parser.parse_args(arguments)
+    given.out.mkdir(parents=True, exist_ok=True)
+    torch.set_num_threads(1)
+    cv2.setNumThreads(1)
+    torch.use_deterministic_algorithms(True)
+    validation = gathered(
+        labelled_frames(Split.VALIDATION, VALIDATION_FRAMES), VALIDATION_FRAMES, "validation"
+    )
+    pictures = gathered(labelled_frames(Split.TRAIN, given.frames), given.frames, "training")
+    network, course = trained(pictures, validation, epochs=given.epochs, seed=given.seed)
+    test = gathered(labelled_frames(Split.TEST, VALIDATION_FRAMES), VALIDATION_FRAMES, "test")
+    found = answers(network, test.planes)
+    record = {
+        "frames": given.frames,
+        "epochs": given.epochs,
+        "seed": given.seed,
+        "parameters": sum(weights.numel() for weights in network.parameters()),
+        "validation_map": course,
+        "test_map": mean_average_precision(test.truths, found),
+        "test_average_precision": {
+            ("vehicle", "person")[curve.label]: curve.average_precision
+            for curve in curves(test.truths, found)
+        },
+    }
+    export(network, given.out / "brink-det-1.onnx")
+    (given.out / "training.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    print(json.dumps(record, indent=2))  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()
