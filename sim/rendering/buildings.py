@@ -19,7 +19,7 @@ from sim.rendering.scene import Building, FloatArray, Picture
 from sim.rendering.view import NEAR_M, SHIFT, IntArray, View, beyond_near, fixed_point
 
 _MAX_HALVINGS: Final = 5
-_COARSE_FROM: Final = 1.5
+_COARSE_FROM: Final = 2.6
 """A wall that is this many times as high in the picture as its texture is drawn at half size."""
 _PLAIN_BELOW_PX: Final = 5.0
 """A wall that is narrower in the picture is painted in one colour."""

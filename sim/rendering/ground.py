@@ -293,5 +293,5 @@ def headlight_share(ahead_m: FloatArray, left_m: FloatArray) -> FloatArray:
     wide = 1.6 + 0.34 * ahead
     across = np.exp(-((left_m / wide) ** 2))
     along = np.clip((ahead_m - 0.8) / 3.5, 0, 1) * np.exp(-ahead / 24.0)
-    share: FloatArray = np.clip(1.05 * across * along, 0, 1)
+    share: FloatArray = np.clip(0.72 * across * along, 0, 1)
     return share

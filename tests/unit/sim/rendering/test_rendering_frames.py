@@ -1,0 +1,167 @@
+import hashlib
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sim.rendering import (
+    Body,
+    BodyKind,
+    Ground,
+    InvalidCamera,
+    InvalidScene,
+    Light,
+    Material,
+    PictureCamera,
+    Renderer,
+    StreetScene,
+    Tree,
+    Viewpoint,
+)
+from sim.rendering.sample import EGO, fallen_tree, sample_street, sample_traffic, vehicle
+from sim.urban.scenario import TimeOfDay, Weather
+
+CAMERA = PictureCamera(width_px=320, height_px=192)
+STREET = sample_street()
+NIGHT_RAIN = Light(time_of_day=TimeOfDay.NIGHT, weather=Weather.HARD_RAIN)
+UNUSUAL = (
+    fallen_tree(51, 14.0, 1.5, yaw_rad=0.4),
+    vehicle(52, 22.0, -1.0, yaw_rad=0.5, kind=BodyKind.OVERTURNED_VEHICLE),
+)
+NOON = Renderer(STREET, Light(time_of_day=TimeOfDay.NOON, weather=Weather.CLEAR), CAMERA, 5)
+
+
+def digest() -> str:
+    frame = Renderer(STREET, NIGHT_RAIN, CAMERA, 5).frame(EGO, (*sample_traffic(), *UNUSUAL), 1.7)
+    return hashlib.sha256(frame.image.tobytes() + frame.ids.tobytes()).hexdigest()
+
+
+def test_another_process_draws_the_same_bytes() -> None:
+    script = f"import sys; sys.path.insert(0, {str(__file__).rsplit('/', 1)[0]!r}); "
+    script += "from test_rendering_frames import digest; print(digest())"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == digest()
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.permutations((*sample_traffic(), *UNUSUAL)))
+def test_the_order_in_which_bodies_are_given_does_not_matter(bodies: list[Body]) -> None:
+    expected = NOON.frame(EGO, (*sample_traffic(), *UNUSUAL), 0.0)
+    found = NOON.frame(EGO, bodies, 0.0)
+    assert np.array_equal(found.image, expected.image)
+    assert np.array_equal(found.ids, expected.ids)
+
+
+def test_light_and_weather_change_the_picture_and_never_the_mask() -> None:
+    expected = NOON.frame(EGO, sample_traffic(), 0.0)
+    for time_of_day in TimeOfDay:
+        for weather in Weather:
+            if (time_of_day, weather) == (TimeOfDay.NOON, Weather.CLEAR):
+                continue
+            light = Light(time_of_day=time_of_day, weather=weather)
+            found = Renderer(STREET, light, CAMERA, 5).frame(EGO, sample_traffic(), 0.0)
+            assert np.array_equal(found.ids, expected.ids)
+            assert not np.array_equal(found.image, expected.image)
+
+
+def test_rain_falls_with_time_and_leaves_the_mask_alone() -> None:
+    renderer = Renderer(STREET, NIGHT_RAIN, CAMERA, 5)
+    first, second = (renderer.frame(EGO, sample_traffic(), time_s) for time_s in (0.0, 0.1))
+    assert not np.array_equal(first.image, second.image)
+    assert np.array_equal(first.ids, second.ids)
+
+
+def test_a_frame_does_not_depend_on_the_frames_before_it() -> None:
+    far = Viewpoint(x_m=40.0, y_m=-1.0, yaw_rad=0.7, pitch_rad=0.04)
+    used = Renderer(STREET, NIGHT_RAIN, CAMERA, 5)
+    used.frame(EGO, sample_traffic(), 0.0)
+    fresh = Renderer(STREET, NIGHT_RAIN, CAMERA, 5)
+    assert np.array_equal(used.frame(far, UNUSUAL, 2.0).image, fresh.frame(far, UNUSUAL, 2.0).image)
+
+
+def test_the_seed_changes_the_picture_and_not_the_mask() -> None:
+    other = Renderer(STREET, Light(time_of_day=TimeOfDay.NOON, weather=Weather.CLEAR), CAMERA, 6)
+    expected, found = NOON.frame(EGO, sample_traffic(), 0.0), other.frame(EGO, sample_traffic(), 0.0)
+    assert not np.array_equal(found.image, expected.image)
+    assert np.array_equal(found.ids, expected.ids)
+
+
+def test_night_is_darker_than_noon_and_a_wet_road_darker_than_a_dry_one() -> None:
+    def road(time_of_day: TimeOfDay, weather: Weather) -> float:
+        light = Light(time_of_day=time_of_day, weather=weather)
+        image = Renderer(STREET, light, CAMERA, 5).frame(EGO, (), 0.0).image
+        return float(image[150:, 120:200].mean())
+
+    dry, wet = road(TimeOfDay.NOON, Weather.CLOUDY), road(TimeOfDay.NOON, Weather.WET_CLOUDY)
+    assert wet < 0.9 * dry
+    assert road(TimeOfDay.NIGHT, Weather.CLOUDY) < 0.8 * dry
+
+
+def test_a_moving_camera_changes_the_picture_a_little_at_a_time() -> None:
+    here, there = (
+        NOON.frame(Viewpoint(x_m=x_m, y_m=-1.75, yaw_rad=0.0), sample_traffic(), 0.0).image.astype(int)
+        for x_m in (0.0, 0.02)
+    )
+    assert np.abs(here - there).mean() < 4.0
+
+
+def test_brake_lights_redden_the_rear() -> None:
+    images = [
+        NOON.frame(EGO, [vehicle(1, 12.0, -1.75, braking=braking)], 0.0).image.astype(int)
+        for braking in (False, True)
+    ]
+    redder = images[1][..., 0] - images[0][..., 0]
+    assert (redder > 60).sum() > 30
+
+
+@pytest.mark.parametrize("name", ["length_m", "width_m", "height_m"])
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
+def test_impossible_sizes_are_refused(name: str, value: float) -> None:
+    sizes = {"length_m": 4.0, "width_m": 2.0, "height_m": 1.5, name: value}
+    with pytest.raises(InvalidScene, match=name):
+        Body(id=1, kind=BodyKind.VEHICLE, x_m=0.0, y_m=0.0, yaw_rad=0.0, look=0, **sizes)
+
+
+def test_trees_and_surfaces_must_be_possible_too() -> None:
+    with pytest.raises(InvalidScene, match="crown_m"):
+        Tree(x_m=0.0, y_m=0.0, height_m=5.0, crown_m=0.0, look=1)
+    with pytest.raises(InvalidScene, match="points"):
+        Ground(material=Material.GRASS, points=np.zeros((2, 2)))
+
+
+@pytest.mark.parametrize("number", [0, -3, 2**31])
+def test_ids_must_be_positive_and_fit_the_mask(number: int) -> None:
+    with pytest.raises(InvalidScene, match=r"body\.id"):
+        vehicle(number, 10.0, 0.0)
+
+
+def test_ids_must_be_unique_parked_vehicles_included() -> None:
+    twice = vehicle(9, 10.0, 0.0)
+    with pytest.raises(InvalidScene, match="9 twice"):
+        NOON.frame(EGO, [twice, twice], 0.0)
+    with pytest.raises(InvalidScene, match="1001 twice"):
+        NOON.frame(EGO, [vehicle(1001, 10.0, 0.0)], 0.0)
+    with pytest.raises(InvalidScene, match="9 twice"):
+        StreetScene(parked=(twice, twice))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"width_px": 0, "height_px": 10},
+        {"width_px": 10, "height_px": -1},
+        {"width_px": 10, "height_px": 10, "fov_deg": 180.0},
+        {"width_px": 10, "height_px": 10, "height_m": 0.0},
+    ],
+)
+def test_impossible_cameras_are_refused(arguments: dict[str, float]) -> None:
+    with pytest.raises(InvalidCamera):
+        PictureCamera(**arguments)  # type: ignore[arg-type]
+
+
+def test_a_viewpoint_must_be_finite() -> None:
+    with pytest.raises(InvalidCamera):
+        Viewpoint(x_m=float("nan"), y_m=0.0, yaw_rad=0.0)
