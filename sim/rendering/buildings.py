@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.rendering.canvas import Canvas, Rgb
-from sim.rendering.facades import facade, shrunk
+from sim.rendering.facades import facade, mean_colour, shrunk
 from sim.rendering.light import Lighting
 from sim.rendering.scene import Building, FloatArray, Picture
 from sim.rendering.view import NEAR_M, SHIFT, IntArray, View, beyond_near, fixed_point
@@ -21,7 +21,7 @@ from sim.rendering.view import NEAR_M, SHIFT, IntArray, View, beyond_near, fixed
 _MAX_HALVINGS: Final = 5
 _COARSE_FROM: Final = 2.6
 """A wall that is this many times as high in the picture as its texture is drawn at half size."""
-_PLAIN_BELOW_PX: Final = 5.0
+_PLAIN_BELOW_PX: Final = 7.0
 """A wall that is narrower in the picture is painted in one colour."""
 
 
@@ -130,22 +130,28 @@ class Facades:
             if walls.shown[wall]:
                 self._paint_wall(wall, walls, canvas, view)
 
-    def mirrored(self, number: int, walls: SeenWalls, view: View) -> list[tuple[IntArray, Rgb]]:
-        """Return the visible walls of a house upside down, below the ground, in one colour each."""
-        found = []
-        for wall in range(4 * number, 4 * number + 4):
-            if walls.shown[wall]:
-                below = walls.seen[wall].copy()
-                below[:2] = 2 * below[[3, 2]] - below[:2]
-                found.append((view.polygon(below), self._plain(wall, 0.0)))
+    def mirrored(self, walls: SeenWalls, view: View) -> list[list[tuple[IntArray, Rgb]]]:
+        """Return the visible walls of each house upside down, below the ground, in one colour each."""
+        below = walls.seen.copy()
+        below[:, :2] = 2 * below[:, (3, 2)] - below[:, :2]
+        polygons = fixed_point(view.pixels(below.reshape(-1, 3))).reshape(-1, 4, 2)
+        found: list[list[tuple[IntArray, Rgb]]] = [[] for _ in self._buildings]
+        for wall in np.flatnonzero(walls.shown).tolist():
+            polygon = view.polygon(below[wall]) if walls.near[wall] else polygons[wall]
+            found[wall // 4].append((polygon, self._plain(wall, 0.0)))
         return found
 
     def _plain(self, wall: int, haze: float) -> Rgb:
         """Return a wall's colour from afar."""
-        rgb = self._texture(wall, _MAX_HALVINGS, _MAX_HALVINGS).reshape(-1, 3).mean(axis=0)
-        mixed = rgb * (self._light[wall] * (1 - haze)) + np.array(self._lighting.haze_rgb) * haze
-        red, green, blue = mixed.tolist()
-        return red, green, blue
+        share = self._light[wall] * (1 - haze)
+        building = self._buildings[wall // 4]
+        rgb = mean_colour(building.look, *self._sizes[wall], self._lighting.night, wall % 2 == 0)
+        veil = self._lighting.haze_rgb
+        return (
+            rgb[0] * share + veil[0] * haze,
+            rgb[1] * share + veil[1] * haze,
+            rgb[2] * share + veil[2] * haze,
+        )
 
     def _texture(self, wall: int, along: int, up: int) -> Picture:
         building = self._buildings[wall // 4]

@@ -119,19 +119,34 @@ def lamp_head(lamp: Lamp) -> tuple[float, float]:
     return lamp.x_m + _ARM_M * float(np.cos(lamp.yaw_rad)), lamp.y_m + _ARM_M * float(np.sin(lamp.yaw_rad))
 
 
-def mirrored_body(body: Body, rgb: Rgb, view: View, *, lights: bool) -> list[tuple[IntArray, Rgb]]:
-    """Return a body's image below the ground, plain, and those of its lights."""
-    corners = footprint(body.x_m, body.y_m, body.yaw_rad, body.length_m, body.width_m)
-    box = np.zeros((8, 3))
-    box[:4, :2] = box[4:, :2] = corners
-    box[4:, 2] = -body.height_m
-    seen = view.to_camera(box)
-    if (seen[:, 0] < _GROUND_NEAR_M).any():
-        return []
-    hull = cv2.convexHull(view.pixels(seen).astype(np.float32))[:, 0].astype(np.float64)
-    found = [(fixed_point(hull), rgb)]
-    if body.kind is BodyKind.VEHICLE and (lights or body.braking):
-        found += _mirrored_lights(body, view, lights=lights)
+def mirrored_bodies(
+    bodies: Sequence[Body], colours: Sequence[Rgb], lit: Sequence[bool], view: View
+) -> list[list[tuple[IntArray, Rgb]]]:
+    """Return the image of each body below the ground, plain, and those of its lights.
+
+    Args:
+        bodies: Which.
+        colours: Of each.
+        lit: Whether each drives with its lights on.
+        view: Whence they are seen.
+    """
+    box = np.zeros((len(bodies), 8, 3))
+    for row, body in enumerate(bodies):
+        box[row, :4, :2] = box[row, 4:, :2] = footprint(
+            body.x_m, body.y_m, body.yaw_rad, body.length_m, body.width_m
+        )
+        box[row, 4:, 2] = -body.height_m
+    seen = view.to_camera(box.reshape(-1, 3))
+    before: list[bool] = np.all(seen[:, 0].reshape(-1, 8) > _GROUND_NEAR_M, axis=1).tolist()
+    pixels = fixed_point(view.pixels(seen)).reshape(-1, 8, 2)
+    found: list[list[tuple[IntArray, Rgb]]] = []
+    for row, (body, rgb, lights) in enumerate(zip(bodies, colours, lit, strict=True)):
+        mine: list[tuple[IntArray, Rgb]] = []
+        if before[row]:
+            mine.append((cv2.convexHull(pixels[row])[:, 0].astype(np.int32, copy=False), rgb))
+            if body.kind is BodyKind.VEHICLE and (lights or body.braking):
+                mine += _mirrored_lights(body, view, lights=lights)
+        found.append(mine)
     return found
 
 

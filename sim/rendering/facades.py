@@ -79,6 +79,16 @@ def shrunk(
     return cv2.resize(full, size, interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)
 
 
+@lru_cache(maxsize=192)
+def mean_colour(
+    look: int, length_m: float, height_m: float, night: bool, front: bool
+) -> tuple[float, float, float]:
+    """Return the colour of a face of a house from afar."""
+    full = facade(look, length_m, height_m, night, front)
+    red, green, blue = full.reshape(-1, 3).mean(axis=0).tolist()
+    return red, green, blue
+
+
 def _bricks(wall: Noise, scale: float, rng: np.random.Generator) -> None:
     high, wide = wall.shape[:2]
     course, brick = max(round(0.16 * scale), 2), max(round(0.42 * scale), 4)

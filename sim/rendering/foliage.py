@@ -185,16 +185,16 @@ def _fallen_shape(
                 0.16 * thick,
             )
         )
-    for _ in range(8):
+    for _ in range(4):
         x = rng.uniform(-0.1, 0.3) * length_m
         out = rng.uniform(0.25, 0.46) * width_m * rng.choice((-1.0, 1.0))
         top = rng.uniform(0.2, 0.9) * height_m
-        limbs.append(((x, 0.0, lift), (x + 0.12 * length_m, out, top), 0.34 * thick, 0.12 * thick))
+        limbs.append(((x, 0.0, lift), (x + 0.12 * length_m, out, top), 0.26 * thick, 0.10 * thick))
     blobs = []
-    for _ in range(13):
-        x = rng.uniform(-0.02, 0.40) * length_m
-        half = rng.uniform(0.20, 0.34) * height_m
-        wide = min(half * rng.uniform(1.1, 1.6), 0.1 * length_m, 0.3 * width_m)
+    for _ in range(20):
+        x = rng.uniform(-0.06, 0.38) * length_m
+        half = rng.uniform(0.24, 0.40) * height_m
+        wide = min(half * rng.uniform(1.0, 1.4), 0.12 * length_m, 0.4 * width_m)
         y = rng.uniform(-1.0, 1.0) * max(0.5 * width_m - wide, 0.0)
         z = rng.uniform(half, max(height_m - half, half + 1e-6))
         blobs.append((x, y, z, wide, half))

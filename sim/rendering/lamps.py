@@ -36,7 +36,7 @@ def lamp_marks(
     rgb = (255.0, 232.0, 184.0) if burning else (150.0, 152.0, 154.0)
     seen = view.to_camera(np.array([corner for lamp in lamps for corner in _head(lamp)]))
     heads = fixed_point(view.pixels(seen)).reshape(-1, 4, 2)
-    before = (seen[:, 0].reshape(-1, 4) > NEAR_M).all(axis=1).tolist()
+    before: list[bool] = np.all(seen[:, 0].reshape(-1, 4) > NEAR_M, axis=1).tolist()
     marks: list[list[Mark]] = []
     for number, head in enumerate(heads):
         mine = [*limbs[2 * number], *limbs[2 * number + 1]]

@@ -12,7 +12,15 @@ import numpy as np
 
 from sim.rendering.buildings import Facades, SeenWalls
 from sim.rendering.canvas import Canvas, Mark, Outline, Rgb
-from sim.rendering.cover import Caster, Shadow, half_size, lamp_head, lamp_pools, mirrored_body, on_half_sheet
+from sim.rendering.cover import (
+    Caster,
+    Shadow,
+    half_size,
+    lamp_head,
+    lamp_pools,
+    mirrored_bodies,
+    on_half_sheet,
+)
 from sim.rendering.foliage import Foliage
 from sim.rendering.ground import GroundCover, GroundPainter, headlight_share
 from sim.rendering.items import Crown, House, Items, SeenItems, Thing, body_items, in_order, items_of
@@ -199,18 +207,23 @@ class Renderer:
         return [shadow for row in near for shadow in self._shadows_of(*rows[row])]
 
     def _mirrored(self, seen: SeenItems, walls: SeenWalls, view: View) -> list[tuple[IntArray, Rgb]]:
-        found: list[tuple[IntArray, Rgb]] = []
         light = self._lighting
         share = 0.7 * (light.ambient_share + 0.4 * light.sun_share)
+        bodies = [thing for thing in seen.things if isinstance(thing, Body)]
+        colours: list[Rgb] = []
+        for body in bodies:
+            vehicle = body.kind is BodyKind.VEHICLE
+            rgb = paint_of(body.look, body.height_m) if vehicle else _OTHERS_RGB
+            colours.append((rgb[0] * share, rgb[1] * share, rgb[2] * share))
+        driven = [light.lights_on and body.id not in self._parked for body in bodies]
+        of_bodies = iter(mirrored_bodies(bodies, colours, driven, view))
+        of_houses = self._facades.mirrored(walls, view)
+        found: list[tuple[IntArray, Rgb]] = []
         for thing in seen.things:
             if isinstance(thing, House):
-                found += self._facades.mirrored(thing.number, walls, view)
+                found += of_houses[thing.number]
             elif isinstance(thing, Body):
-                vehicle = thing.kind is BodyKind.VEHICLE
-                rgb = paint_of(thing.look, thing.height_m) if vehicle else _OTHERS_RGB
-                shade = (rgb[0] * share, rgb[1] * share, rgb[2] * share)
-                lights = light.lights_on and thing.id not in self._parked
-                found += mirrored_body(thing, shade, view, lights=lights)
+                found += next(of_bodies)
         return found
 
 

@@ -452,8 +452,9 @@ class _Builder:
                     ring = _circle(axle, radius, radius, 10)
                     strips = list(zip(ring, [*ring[1:], ring[0]], strict=True))
                 else:
-                    high = 1.2 * radius
-                    strips = [((axle + d, 0.0), (axle + d, high)) for d in (0.8 * radius, -0.8 * radius)]
+                    ring = _circle(axle, radius, radius, 10)
+                    below = [(9, 0), (0, 1), (1, 2), (9, 8), (8, 7)]
+                    strips = [(ring[i], ring[j]) for i, j in below]
                 for (x0, z0), (x1, z1) in strips:
                     quad = [
                         (x0, side * inner, z0),

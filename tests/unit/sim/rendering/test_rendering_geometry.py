@@ -122,7 +122,7 @@ def test_a_silhouette_stays_within_its_box_in_the_world(
         assert box.x_max_px <= right + 1.6
         assert top - 1.6 <= box.y_min_px
         assert box.y_max_px <= bottom + 1.6
-        if 2 < left and right < 638:
+        if left > 2 and right < 638:
             assert (box.y_max_px - box.y_min_px) >= 0.5 * (min(bottom, 360) - max(top, 0)) - 2
 
 
