@@ -5,28 +5,28 @@ import math
 import time
 from collections.abc import Mapping
 
-from sim.aeb.braking import HOLD_S, EmergencyBrake
+from sim.aeb.behaviour import Behaviour, Options, SightMode
+from sim.aeb.braking import EmergencyBrake
+from sim.aeb.camera_sight import CameraSight
 from sim.aeb.episode import Episode, Outcome
 from sim.aeb.facts import Facts
 from sim.aeb.recorder import AebRecorder
 from sim.aeb.scenario import AebScenario
 from sim.aeb.sight import GroundTruth, Sight
-from sim.aeb.street import CRUISE_MPS, LANE_Y_M, make_street
+from sim.aeb.street import CRUISE_MPS, LANE_Y_M, Street, make_street
 from sim.bullet.engine import EngineError, discard_engine, process_engine
 from sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
 from sim.errors import InvalidEpisode, SimulationCrashed
+from sim.perception.registry import find_detector
+from sim.rendering.scene import Light
 from sim.requirements.registry import make_requirements
 from sim.requirements.requirement import Requirement
-from sim.urban.scenario import nearest
 from sim.urban.simulator import instruction_set, versions
 from sim.world.ego import EgoCar
 from sim.world.weather import conditions
 
 SIMULATOR_ID = "brink-aeb@1"
 MAX_DURATION_S = 60.0
-SIZE_PX = (640, 360)
-MODES = ("oracle", "blind")
-OPTIONS = ("width_px", "height_px", "hold_s", "braking")
 
 
 class BrinkAeb:
@@ -51,70 +51,26 @@ class BrinkAeb:
         if spec.duration_s > MAX_DURATION_S:
             raise InvalidEpisode(f"duration_s: expected at most {MAX_DURATION_S:g}, got {spec.duration_s!r}")
         scenario = AebScenario.from_json(spec.scenario)
-        options = _Options.read(spec.options)
-        sight = _sight(spec.behaviour, options)
+        options = Options.from_json(spec.options)
+        behaviour = Behaviour.from_json(spec.behaviour)
         requirements = make_requirements(spec.requirements)
         try:
-            outcome, recorder = _run(spec, scenario, options, sight, requirements, record=record)
+            episode, recorder = _run(spec, scenario, options, behaviour, requirements, record=record)
         except EngineError as error:
             discard_engine()
             raise SimulationCrashed(f"the physics engine broke down: {error}") from error
-        return _result(spec, outcome, requirements, recorder, cpu_s)
-
-
-class _Options:
-    """The options of a specification, checked."""
-
-    __slots__ = ("braking", "hold_s", "size_px")
-
-    def __init__(self, size_px: tuple[int, int], hold_s: float, *, braking: bool) -> None:
-        self.size_px = size_px
-        self.hold_s = hold_s
-        self.braking = braking
-
-    @classmethod
-    def read(cls, options: Mapping[str, Json]) -> "_Options":
-        for name in options:
-            if name not in OPTIONS:
-                raise InvalidEpisode(f"options: unknown field {name!r}{nearest(name, OPTIONS)}")
-        width_px, height_px = (
-            _number(options, name, default, 64, 4096)
-            for name, default in zip(OPTIONS[:2], SIZE_PX, strict=True)
-        )
-        braking = options.get("braking", True)
-        if not isinstance(braking, bool):
-            raise InvalidEpisode(f"options.braking: expected true or false, got {braking!r}")
-        return cls(
-            (round(width_px), round(height_px)), _number(options, "hold_s", HOLD_S, 0, 10), braking=braking
-        )
-
-
-def _number(options: Mapping[str, Json], name: str, default: float, low: float, high: float) -> float:
-    value = options.get(name, default)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise InvalidEpisode(f"options.{name}: expected a number in [{low:g}, {high:g}], got {value!r}")
-    return float(value)
-
-
-def _sight(behaviour: Mapping[str, Json], options: _Options) -> Sight:
-    mode = behaviour.get("mode")
-    if not isinstance(mode, str) or mode not in MODES:
-        raise InvalidEpisode(f"behaviour.mode: expected one of {', '.join(MODES)}; got {mode!r}")
-    for name in behaviour:
-        if name != "mode":
-            raise InvalidEpisode(f"behaviour: unknown field {name!r} for mode {mode}")
-    return GroundTruth(*options.size_px, told=mode == "oracle")
+        return _result(spec, episode, requirements, recorder, cpu_s)
 
 
 def _run(
     spec: EpisodeSpec,
     scenario: AebScenario,
-    options: _Options,
-    sight: Sight,
+    options: Options,
+    behaviour: Behaviour,
     requirements: Mapping[str, Requirement],
     *,
     record: bool,
-) -> tuple[Outcome, AebRecorder | None]:
+) -> tuple[Episode, AebRecorder | None]:
     engine = process_engine()
     engine.reset()
     street = make_street(scenario, spec.seed)
@@ -125,22 +81,41 @@ def _run(
         street=street,
         ego=ego,
         facts=Facts(street, ego, engine),
-        sight=sight,
+        sight=_sight(spec, scenario, options, behaviour, street),
         brake=EmergencyBrake.for_picture(*options.size_px, hold_s=options.hold_s, enabled=options.braking),
         requirements=requirements,
         line_m=scenario.crossing_m,
         recorder=recorder,
     )
-    return episode.run(spec.duration_s), recorder
+    episode.run(spec.duration_s)
+    return episode, recorder
+
+
+def _sight(
+    spec: EpisodeSpec, scenario: AebScenario, options: Options, behaviour: Behaviour, street: Street
+) -> Sight:
+    if behaviour.mode is not SightMode.DETECTOR:
+        return GroundTruth(*options.size_px, told=behaviour.mode is SightMode.ORACLE)
+    return CameraSight(
+        street,
+        Light(time_of_day=scenario.time_of_day, weather=scenario.weather),
+        options.size_px,
+        seed=spec.seed,
+        detector=find_detector(behaviour.detector),
+        threshold=behaviour.threshold,
+        perturbations=behaviour.perturbations,
+        mode=behaviour.fields,
+    )
 
 
 def _result(
     spec: EpisodeSpec,
-    outcome: Outcome,
+    episode: Episode,
     requirements: Mapping[str, Requirement],
     recorder: AebRecorder | None,
     cpu_s: float,
 ) -> EpisodeResult:
+    outcome, sight = episode.outcome, episode.sight
     verdicts = {name: requirement.verdict() for name, requirement in requirements.items()}
     for name, verdict in verdicts.items():
         if not math.isfinite(verdict.robustness):
@@ -149,9 +124,12 @@ def _result(
     if recorder is not None:
         about: JsonObject = {"spec": json.loads(spec.canonical_json()), "versions": dict(versions())}
         trace = recorder.trace(about).to_bytes()
+    objectives = {f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()}
+    if isinstance(sight, CameraSight) and math.isfinite(quality := sight.mean_average_precision()):
+        objectives["alpha"] = quality
     return EpisodeResult(
         verdicts=verdicts,
-        objectives={f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()},
+        objectives=objectives,
         features=_features(outcome, requirements),
         provenance={
             "simulator": SIMULATOR_ID,

@@ -18,8 +18,8 @@ import cv2
 import numpy as np
 import torch
 
+from sim.aeb.pictures import LabelledFrame, Split, labelled_frames
 from sim.perception.detector import INPUT_PX, Picture, decoded, fitted
-from sim.perception.frames import LabelledFrame, Split, labelled_frames
 from sim.perception.network import Network
 from sim.perception.quality import Found, Truth, curves, mean_average_precision
 from sim.perception.targets import loss_of, target_of
@@ -78,7 +78,7 @@ def trained(
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
     network = Network()
-    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  (the stubs lack it)
+    network.to(memory_format=torch.channels_last)  # type: ignore[call-overload] # the stubs lack it
     optimiser = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=1e-4)
     count = len(pictures.truths)
     steps = epochs * (count // BATCH)
@@ -129,7 +129,7 @@ def answers(network: Network, planes: Picture) -> list[Found]:
 def export(network: Network, file: Path) -> None:
     """Write a network as ONNX."""
     picture = torch.zeros(1, 3, INPUT_PX[1], INPUT_PX[0])
-    network.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]  (the stubs lack it)
+    network.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload] # the stubs lack it
     torch.onnx.export(
         network,
         (picture,),

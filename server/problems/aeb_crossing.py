@@ -1,0 +1,160 @@
+"""The problem `aeb-crossing@1`: which perturbations of its pictures make an emergency brake a hazard.
+
+A candidate joins a scenario (when, in which weather, who steps out where) and perturbations in order, each a gene at
+a level. It is simulated, or measured on a data set, which takes the perturbations alone.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from search.algorithm import Evaluation, Measured, Scored
+from search.levels import Slots
+from search.settings import check_settings, setting
+from search.space import Categorical, Component, Real, SearchSpace
+from server.problems.base import Vectors
+from sim.aeb.scenario import ARRIVAL_S, CROSSING_M, ONCOMING_M, TIMES, WEATHERS, Obstacle, Occluder
+from sim.episode import EpisodeSpec, Json
+from sim.perturbations import CATALOGUE
+from worker.wire import Completed
+
+SIMULATOR = "brink-aeb@1"
+EVALUATOR = "brink-dataset@1"
+ACCIDENT = "no-collision@1"
+DANGEROUS_STOP = "no-dangerous-stop@1"
+HAZARDS = ("any", "accident", "dangerous-stop")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AebCrossingParams:
+    """Parameters of the problem."""
+
+    hazard: str = setting("any", help="What counts as unsafe.", choices=HAZARDS)
+    perturbations: int = setting(2, help="Perturbations in a candidate (m).", ge=1, le=4)
+    fields: str = setting(
+        "per_frame", help="How often their random fields are drawn.", choices=("per_frame", "per_episode")
+    )
+    detector: str = setting("brink-det@1", help="Id of the detector.")
+    threshold: float = setting(0.35, help="Least score that the brake is told.", gt=0.0, lt=1.0)
+    obstacle: str = setting(
+        "none", help="What lies on the road besides.", choices=tuple(item.value for item in Obstacle)
+    )
+    duration_s: float = setting(15.0, help="Longest episode.", ge=5.0, le=60.0, unit="s")
+    width_px: int = setting(
+        640, help="Width of the camera's picture; it is 16 : 9.", ge=160, le=1280, unit="px"
+    )
+    dataset_frames: int = setting(120, help="Pictures of the data set.", ge=10, le=5_000)
+    timeout_s: float = setting(120.0, help="Wall-clock limit of an episode.", gt=0.0, le=3600.0, unit="s")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+def scenario_component() -> Component:
+    """Return what a street is like."""
+    return Component(
+        "scenario",
+        (
+            Categorical("time_of_day", tuple(item.value for item in TIMES)),
+            Categorical("weather", tuple(item.value for item in WEATHERS)),
+            Categorical("occluder", tuple(item.value for item in Occluder)),
+            Real("crossing_m", *CROSSING_M, unit="m"),
+            Real("arrival_s", *ARRIVAL_S, unit="s"),
+            Real("oncoming_m", *ONCOMING_M, unit="m"),
+        ),
+    )
+
+
+def perturbation_component(count: int) -> Component:
+    """Return perturbations in order: each a gene and its intensity, which lies on one of the gene's levels."""
+    pairs = tuple((f"gene_{place}", f"intensity_{place}") for place in range(1, count + 1))
+    genes = tuple(CATALOGUE)
+    return Component(
+        "perturbation",
+        tuple(
+            parameter
+            for gene, intensity in pairs
+            for parameter in (Categorical(gene, genes), Real(intensity, 0.0, 1.0))
+        ),
+        (Slots(pairs, tuple(gene.levels for gene in CATALOGUE.values())),),
+    )
+
+
+class AebCrossing:
+    """Perturbed pictures, an emergency brake, and somebody who steps out between parked cars."""
+
+    id: ClassVar[str] = "aeb-crossing@1"
+    summary: ClassVar[str] = "Emergency braking through perturbed pictures: 6 + 2 parameters a perturbation."
+    params_type: ClassVar[type[Any]] = AebCrossingParams
+
+    def __init__(self, params: AebCrossingParams) -> None:
+        self.params = params
+        self.space = SearchSpace((scenario_component(), perturbation_component(params.perturbations)))
+        self.algorithm_defaults: Mapping[str, Any] = {}
+        self.needs = SIMULATOR
+        self.timeout_s = params.timeout_s
+        self.dataset_needs = EVALUATOR
+        self.dataset_timeout_s = max(600.0, 0.5 * params.dataset_frames)
+
+    def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
+        """Return the episode of a scenario and its perturbations."""
+        decoded = self.space.decode(tuple(vectors))
+        params = self.params
+        scenario: dict[str, Json] = {**decoded["scenario"], "obstacle": params.obstacle}
+        return EpisodeSpec(
+            simulator=SIMULATOR,
+            scenario=scenario,
+            behaviour={"mode": "detector", "threshold": params.threshold, **self._seen(vectors)},
+            requirements=(ACCIDENT, DANGEROUS_STOP),
+            seed=seed,
+            duration_s=params.duration_s,
+            options={"width_px": params.width_px, "height_px": params.width_px * 9 // 16},
+        )
+
+    def _seen(self, vectors: Vectors) -> dict[str, Json]:
+        return {
+            "detector": self.params.detector,
+            "fields": self.params.fields,
+            "perturbations": [dict(perturbation) for perturbation in self.perturbations(vectors)],
+        }
+
+    def perturbations(self, vectors: Vectors) -> list[dict[str, Json]]:
+        """Return the perturbations of a candidate in order, each ``{"gene": name, "level": index}``."""
+        decoded = self.space.decode(tuple(vectors))["perturbation"]
+        named: list[dict[str, Json]] = []
+        for place in range(1, self.params.perturbations + 1):
+            gene, intensity = str(decoded[f"gene_{place}"]), float(decoded[f"intensity_{place}"])
+            level = round(intensity * (CATALOGUE[gene].levels - 1))
+            named.append({"gene": gene, "level": level})
+        return named
+
+    def words(self, vectors: Vectors) -> str:
+        """Return a candidate in words."""
+        scenario = self.space.decode(tuple(vectors))["scenario"]
+        chain = ", then ".join(f"{p['gene']} {p['level']}" for p in self.perturbations(vectors))
+        weather = str(scenario["weather"]).replace("_", " ")
+        return f"{chain}; {scenario['time_of_day']}, {weather}, behind a {scenario['occluder']}"
+
+    def evaluation(self, outcome: Completed) -> Evaluation:
+        """Return the verdict: in metres of clearance, or in m/s above a stand, whichever is less for any hazard."""
+        accident = outcome.verdicts[ACCIDENT].robustness
+        stop = outcome.verdicts[DANGEROUS_STOP].robustness
+        robustness = {"any": min(accident, stop), "accident": accident, "dangerous-stop": stop}[
+            self.params.hazard
+        ]
+        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=outcome.objectives)
+
+    def dataset_evaluation(self, vectors: Vectors) -> EpisodeSpec:
+        """Return what measures the perturbations: the scenario does not enter."""
+        return EpisodeSpec(
+            simulator=EVALUATOR,
+            scenario={"dataset": "simulator", "frames": self.params.dataset_frames},
+            behaviour=self._seen(vectors),
+            requirements=(),
+            seed=0,
+            duration_s=1.0,
+        )
+
+    def measurement(self, outcome: Completed) -> Measured:
+        """Return alpha, the detector's mAP."""
+        return Measured(objectives=outcome.objectives)

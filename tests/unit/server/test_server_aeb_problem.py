@@ -1,0 +1,76 @@
+"""The problem of the emergency brake: from candidates to episodes and back."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from search.algorithm import Measured, Scored
+from search.errors import ConfigError
+from server.problems.aeb_crossing import ACCIDENT, DANGEROUS_STOP, AebCrossing, AebCrossingParams
+from server.problems.base import MeasuresOnData, SimulatedProblem
+from sim.aeb.behaviour import Behaviour, Options
+from sim.aeb.scenario import AebScenario
+from sim.perturbations import CATALOGUE
+from worker.wire import Completed, WireVerdict
+
+PROBLEM = AebCrossing(AebCrossingParams())
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_every_candidate_becomes_an_episode_that_can_run(seed: int) -> None:
+    vectors = PROBLEM.space.sample(np.random.default_rng(seed))
+    spec = PROBLEM.episode(vectors, seed)
+    AebScenario.from_json(spec.scenario)
+    behaviour = Behaviour.from_json(spec.behaviour)
+    assert Options.from_json(spec.options).size_px == (640, 360)
+    assert len({p.gene for p in behaviour.perturbations}) == 2
+    assert all(1 <= p.level < CATALOGUE[p.gene].levels for p in behaviour.perturbations)
+
+
+def test_genes_keep_their_order_and_levels_their_rank() -> None:
+    values = {
+        "scenario": {
+            "time_of_day": "noon", "weather": "clear", "occluder": "van", "crossing_m": 50.0, "arrival_s": 0.0,
+            "oncoming_m": 60.0,
+        },
+        "perturbation": {"gene_1": "smoke", "intensity_1": 0.3, "gene_2": "rain", "intensity_2": 1.0},
+    }  # fmt: skip
+    vectors = PROBLEM.space.encode(values)
+    assert PROBLEM.perturbations(vectors) == [{"gene": "smoke", "level": 3}, {"gene": "rain", "level": 5}]
+    assert PROBLEM.words(vectors) == "smoke 3, then rain 5; noon, clear, behind a van"
+    spec = PROBLEM.dataset_evaluation(vectors)
+    assert spec.behaviour["perturbations"] == PROBLEM.perturbations(vectors)
+
+
+def test_a_measurement_does_not_depend_on_the_scenario() -> None:
+    rng = np.random.default_rng(1)
+    first, second = PROBLEM.space.sample(rng), PROBLEM.space.sample(rng)
+    mixed = (second[0], first[1])
+    assert PROBLEM.dataset_evaluation(first).digest() == PROBLEM.dataset_evaluation(mixed).digest()
+    assert PROBLEM.dataset_evaluation(first).digest() != PROBLEM.dataset_evaluation(second).digest()
+
+
+@pytest.mark.parametrize(
+    ("hazard", "robustness"), [("any", -2.0), ("accident", 1.5), ("dangerous-stop", -2.0)]
+)
+def test_the_hazard_that_was_chosen_gives_the_verdict(hazard: str, robustness: float) -> None:
+    outcome = Completed(
+        verdicts={
+            ACCIDENT: WireVerdict(robustness=1.5, unit="m", violated_at_s=None),
+            DANGEROUS_STOP: WireVerdict(robustness=-2.0, unit="m/s", violated_at_s=3.0),
+        },
+        objectives={"alpha": 0.4},
+    )
+    got = AebCrossing(AebCrossingParams(hazard=hazard)).evaluation(outcome)
+    assert isinstance(got, Scored)
+    assert (got.unsafe, got.robustness, got.objectives["alpha"]) == (robustness < 0, robustness, 0.4)
+    assert PROBLEM.measurement(outcome) == Measured(objectives={"alpha": 0.4})
+
+
+def test_it_is_what_it_says() -> None:
+    assert isinstance(PROBLEM, SimulatedProblem)
+    assert isinstance(PROBLEM, MeasuresOnData)
+    assert AebCrossing(AebCrossingParams(perturbations=3)).space.dimension == 12
+    with pytest.raises(ConfigError, match="perturbations"):
+        AebCrossingParams(perturbations=9)
