@@ -35,7 +35,7 @@ _SHOPS: Final = ((40, 84, 64), (148, 40, 38), (44, 54, 92), (196, 152, 60))
 _LIT: Final = ((255, 214, 140), (250, 226, 176), (232, 190, 118))
 
 
-@lru_cache(maxsize=192)
+@lru_cache(maxsize=96)
 def facade(look: int, length_m: float, height_m: float, night: bool, front: bool) -> Picture:
     """Return the face of a house, shape ``(up, along, 3)``, row 0 at the eaves.
 
@@ -67,7 +67,7 @@ def facade(look: int, length_m: float, height_m: float, night: bool, front: bool
     return np.clip(wall, 0, 255).astype(np.uint8)
 
 
-@lru_cache(maxsize=768)
+@lru_cache(maxsize=384)
 def shrunk(
     look: int, length_m: float, height_m: float, night: bool, front: bool, along: int, up: int
 ) -> Picture:

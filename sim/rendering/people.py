@@ -147,8 +147,8 @@ def _arm(side: float, stride: float, broad: float, *, bare: bool) -> list[_Limb]
     hand = (elbow[0] + 0.145 * np.sin(bend), elbow[1], elbow[2] - 0.145 * np.cos(bend))
     tip = (hand[0] + 0.03 * np.sin(bend), hand[1], hand[2] - 0.03 * np.cos(bend))
     return [
-        _Limb(shoulder, elbow, (0.035, 0.028), (0.037, 0.029), _TOP),
-        _Limb(elbow, hand, (0.027, 0.020), (0.028, 0.021), _SKIN if bare else _TOP),
+        _Limb(shoulder, elbow, (0.035, 0.028), (0.037, 0.029), _TOP, 12),
+        _Limb(elbow, hand, (0.027, 0.020), (0.028, 0.021), _SKIN if bare else _TOP, 12),
         _Limb(hand, tip, (0.020, 0.017), (0.020, 0.017), _SKIN, 26),
     ]
 

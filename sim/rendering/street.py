@@ -37,6 +37,8 @@ _GUTTER_M: Final = 0.12
 _LAMP_EVERY_M: Final = 24.0
 _CROWN_M: Final = 3.2
 _STEP_M: Final = 2.0
+_HOUSE_LOOKS: Final = 24
+"""Few, so that streets share the textures of their houses, which cost most to make."""
 
 
 def street_of(road: Road, *, seed: int = 0) -> StreetScene:
@@ -55,7 +57,7 @@ def street_of(road: Road, *, seed: int = 0) -> StreetScene:
     for number, fixture in enumerate(fixtures(road)):
         look = choice(seed, 1000 + number, 1 << 20)
         if fixture.kind == "building":
-            buildings.append(_building(fixture, look))
+            buildings.append(_building(fixture, look % _HOUSE_LOOKS))
         elif fixture.kind == "tree":
             trees.append(_tree(fixture, look))
         else:

@@ -50,6 +50,7 @@ _LAMP: Final[Rgb] = (222, 226, 228)
 _TAIL: Final[Rgb] = (140, 18, 20)
 _PLATE: Final[Rgb] = (232, 230, 218)
 _VAN_FROM_M: Final = 1.9
+_TREADS: Final = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -448,21 +449,21 @@ class _Builder:
         for axle in self._axles():
             for side in (1.0, -1.0):
                 self._inside = np.array([axle, side * 0.5 * (half + inner), radius])
-                if whole:
-                    ring = _circle(axle, radius, radius, 10)
-                    strips = list(zip(ring, [*ring[1:], ring[0]], strict=True))
-                else:
-                    ring = _circle(axle, radius, radius, 10)
-                    below = [(9, 0), (0, 1), (1, 2), (9, 8), (8, 7)]
-                    strips = [(ring[i], ring[j]) for i, j in below]
-                for (x0, z0), (x1, z1) in strips:
+                ring = _circle(axle, radius, radius, _TREADS)
+                # Of a wheel below its arch only the lower quarter shows, ahead and behind.
+                edges = range(_TREADS) if whole else (0, 1, _TREADS - 2, _TREADS - 3)
+                for edge in edges:
+                    (x0, z0), (x1, z1) = ring[edge], ring[(edge + 1) % _TREADS]
                     quad = [
                         (x0, side * inner, z0),
                         (x1, side * inner, z1),
                         (x1, side * half, z1),
                         (x0, side * half, z0),
                     ]
-                    faces.append(self._face(quad, _RUBBER, Group.WHEELS, Finish.FLAT, solid=True))
+                    px = 0.0 if whole or edge in (0, _TREADS - 2) else 26.0
+                    faces.append(
+                        self._face(quad, _RUBBER, Group.WHEELS, Finish.FLAT, solid=True, shown_px=px)
+                    )
         return faces
 
     def _discs(self) -> list[Face]:
