@@ -84,7 +84,8 @@ def _print_status(progress: dict[str, Any], quarantined: list[Any], workers: lis
     screen.print(f"[bold]{progress['name']}[/bold] ({progress['id']}) is {progress['status']}{reason}")
     screen.print(
         f"{progress['simulations']} of {progress['budget']} simulations in {progress['elapsed_s']:.0f} s, "
-        f"{progress['unsafe']} unsafe, {progress['failed']} failed, generation {progress['generation']}"
+        f"{progress['unsafe']} unsafe, {progress['failed']} failed, {progress['measured']} measured on data, "
+        f"generation {progress['generation']}"
     )
     if series:
         last = series[-1]

@@ -59,7 +59,7 @@ class CampaignDisplay:
         head.add_row(
             Text(progress["name"], style="bold"),
             ProgressBar(total=budget, completed=min(done, budget), width=SERIES_WIDTH),
-            f"{done} of {budget} simulations",
+            f"{done} of {budget} {'evaluations' if progress['measured'] else 'simulations'}",
         )
         facts = Table.grid(padding=(0, 2))
         for name, value, series in self._facts(progress):
@@ -88,6 +88,10 @@ class CampaignDisplay:
                 "",
             ),
         ]
+        if progress["measured"]:
+            rows.append(
+                ("on data", f"{progress['measured']} measured   simulated {progress['evaluated']}", "")
+            )
         if progress["quarantined"] or progress["failed"]:
             rows.append(("failed", f"{progress['failed']}   in quarantine {progress['quarantined']}", ""))
         # At a start no worker has been heard of yet, which is nothing to say of what they offer.
