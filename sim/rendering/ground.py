@@ -36,6 +36,8 @@ _CHANNEL: Final = {Material.PAVEMENT: 1, Material.KERB: 1, Material.GRASS: 2, Ma
 _ON_ASPHALT: Final = (Material.MARKING, Material.CROSSING, Material.GUTTER)
 _WET: Final = {0: 0.62, 1: 0.74, 2: 0.86}
 _BACKDROP: Final = Material.GRASS
+_TILE_SEEDS: Final = 8
+"""Few, so that streets share the tiles of their ground."""
 
 Float32 = NDArray[np.float32]
 
@@ -86,7 +88,7 @@ class GroundPainter:
     ) -> None:
         self._lighting = lighting
         self._camera = camera
-        self._tiles = ground_tiles(seed, wet=lighting.wet)
+        self._tiles = list(ground_tiles(seed % _TILE_SEEDS, wet=lighting.wet))
         if not lighting.wet:
             self._tiles = [np.ascontiguousarray(tile[..., :3]) for tile in self._tiles]
         self._materials = [surface.material for surface in ground]

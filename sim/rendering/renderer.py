@@ -43,7 +43,8 @@ from sim.rendering.scene import (
     check_unique,
 )
 from sim.rendering.sky import Sky
-from sim.rendering.vehicles import overturned_mesh, paint_of, vehicle_mesh
+from sim.rendering.vehicle_looks import paint_of
+from sim.rendering.vehicles import overturned_mesh, vehicle_mesh
 from sim.rendering.view import IntArray, View, view_from
 
 _SHADOW_FAR_M: Final = 60.0

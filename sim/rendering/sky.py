@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sim.rendering.light import Lighting
 from sim.rendering.scene import FloatArray, Picture, PictureCamera
-from sim.rendering.textures import Noise, smooth_noise
+from sim.rendering.textures import smooth_noise
 from sim.rendering.view import View
 
 _WIDTH_PX: Final = 2048
@@ -112,8 +112,11 @@ def _sun_glow(lighting: Lighting, elevation: FloatArray, azimuth: FloatArray) ->
 def _clouded(
     rng: np.random.Generator, lighting: Lighting, sky: FloatArray, elevation: FloatArray
 ) -> FloatArray:
-    field: Noise = smooth_noise(rng, (_ROWS, _WIDTH_PX), (7, 12), 6)
-    relief: Noise = smooth_noise(rng, (_ROWS, _WIDTH_PX), (9, 14), 5)
+    half = (_ROWS // 2, _WIDTH_PX // 2)
+    field, relief = (
+        cv2.resize(noise, (_WIDTH_PX, _ROWS), interpolation=cv2.INTER_LINEAR)
+        for noise in (smooth_noise(rng, half, (7, 12), 5), smooth_noise(rng, half, (9, 14), 4))
+    )
     cut = 1.9 - 3.4 * lighting.cloud_share
     cover = np.clip((field - cut) / 0.9, 0, 1) * np.clip(np.degrees(elevation) / 9.0, 0, 1)[:, None]
     cover *= 0.55 if lighting.night else 0.92

@@ -3,6 +3,7 @@
 Ground tiles repeat without a seam. A tile holds how bright the ground is, 128 being its plain colour.
 """
 
+from functools import lru_cache
 from typing import Final
 
 import cv2
@@ -41,7 +42,8 @@ def smooth_noise(
     return spread
 
 
-def ground_tiles(seed: int, *, wet: bool) -> list[Picture]:
+@lru_cache(maxsize=16)
+def ground_tiles(seed: int, *, wet: bool) -> tuple[Picture, ...]:
     """Return the tile of the ground and its halvings, each of shape ``(side, side, 4)``.
 
     The channels are asphalt, pavement, grass, and how much the ground mirrors (255: a puddle).
@@ -62,7 +64,7 @@ def ground_tiles(seed: int, *, wet: bool) -> list[Picture]:
     while tiles[-1].shape[0] > 4:
         side = tiles[-1].shape[0] // 2
         tiles.append(cv2.resize(tiles[-1], (side, side), interpolation=cv2.INTER_AREA).astype(np.uint8))
-    return tiles
+    return tuple(tiles)
 
 
 def _mended(rng: np.random.Generator) -> Noise:
