@@ -9,6 +9,7 @@ processor gives the same weights.
 import argparse
 import json
 import time
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -130,15 +131,18 @@ def export(network: Network, file: Path) -> None:
     """Write a network as ONNX."""
     picture = torch.zeros(1, 3, INPUT_PX[1], INPUT_PX[0])
     network.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload] # the stubs lack it
-    torch.onnx.export(
-        network,
-        (picture,),
-        str(file),
-        dynamo=False,
-        opset_version=17,
-        input_names=["picture"],
-        output_names=["heat", "edges"],
-    )
+    with warnings.catch_warnings():
+        # The exporter that replaces this one needs two packages more, for the same file.
+        warnings.filterwarnings("ignore", message="You are using the legacy", category=DeprecationWarning)
+        torch.onnx.export(
+            network,
+            (picture,),
+            str(file),
+            dynamo=False,
+            opset_version=17,
+            input_names=["picture"],
+            output_names=["heat", "edges"],
+        )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
