@@ -3,10 +3,7 @@
 import math
 from typing import Final
 
-import numpy as np
-
-from sim.rendering.meshes import Face, Finish, Group
-from sim.rendering.scene import FloatArray
+from sim.rendering.meshes import Face, Finish, Group, normal_of
 from sim.rendering.vehicle_looks import VAN_FROM_M, Rgb, paint_of, shape_of
 
 Point = tuple[float, float, float]
@@ -33,15 +30,15 @@ class Bodywork:
         self.floor_m = 0.62 * self.wheel_m
         self.nose_m, self.tail_m = 0.5 * length_m, -0.5 * length_m
         self.shoulder_m, self.haunch_m = 0.43 * length_m, -0.455 * length_m
-        self._inside = np.zeros(3)
+        self._inside = (0.0, 0.0, 0.0)
 
     def faces(self, *, turned: bool) -> list[Face]:
         """Return all faces; a turned vehicle shows its underside and whole wheels as well."""
-        self._inside = np.array([0.0, 0.0, 0.5 * (self.floor_m + self.belt_m)])
+        self._inside = (0.0, 0.0, 0.5 * (self.floor_m + self.belt_m))
         lower = [*self._sides(), *self._front(), *self._rear(), *self._decks()]
         if turned:
             lower += self._underside()
-        self._inside = np.array([0.0, 0.0, 0.5 * (self.height_m + self.belt_m)])
+        self._inside = (0.0, 0.0, 0.5 * (self.height_m + self.belt_m))
         return [*self._treads(whole=turned), *lower, *self._cabin(), *self._discs()]
 
     def _face(
@@ -55,10 +52,10 @@ class Bodywork:
         shown_px: float = 0.0,
     ) -> Face:
         """Return a face of the part that is being built, turned to look away from its inside."""
-        points = np.array(corners)
-        following = np.roll(points, -1, axis=0)
-        normal = np.cross(points - points[0], following - points[0]).sum(axis=0)
-        if float(normal @ (points.mean(axis=0) - self._inside)) < 0:
+        x, y, z = normal_of(corners)
+        inside_x, inside_y, inside_z = self._inside
+        at_x, at_y, at_z = corners[0]
+        if x * (at_x - inside_x) + y * (at_y - inside_y) + z * (at_z - inside_z) < 0:
             corners = corners[::-1]
         return Face(corners, rgb, group, solid, finish, shown_px)
 
@@ -307,7 +304,7 @@ class Bodywork:
         faces = []
         for axle in self._axles():
             for side in (1.0, -1.0):
-                self._inside = np.array([axle, side * 0.5 * (half + inner), radius])
+                self._inside = (axle, side * 0.5 * (half + inner), radius)
                 ring = _circle(axle, radius, radius, _TREADS)
                 # Of a wheel below its arch only the lower quarter shows, ahead and behind.
                 edges = range(_TREADS) if whole else (0, 1, _TREADS - 2, _TREADS - 3)
@@ -327,7 +324,7 @@ class Bodywork:
 
     def _discs(self) -> list[Face]:
         radius, half = self.wheel_m, 0.5 * self.width_m
-        self._inside = np.zeros(3)
+        self._inside = (0.0, 0.0, 0.0)
         faces = []
         for axle in self._axles():
             for y in (half, -half):
@@ -363,6 +360,6 @@ def _circle(x: float, z: float, radius: float, count: int) -> list[tuple[float, 
 
 def _within(quad: list[Point], s: float, t: float) -> Point:
     """Return a point of a quad: s along its first edge, t towards its third."""
-    a, b, c, d = (np.array(corner) for corner in quad)
-    point: FloatArray = (1 - t) * ((1 - s) * a + s * b) + t * ((1 - s) * d + s * c)
-    return float(point[0]), float(point[1]), float(point[2])
+    a, b, c, d = quad
+    x, y, z = ((1 - t) * ((1 - s) * a[i] + s * b[i]) + t * ((1 - s) * d[i] + s * c[i]) for i in range(3))
+    return x, y, z

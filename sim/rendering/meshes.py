@@ -4,6 +4,7 @@ A model stands in its own axes: x ahead, y left, z up, the middle of its footpri
 and listed in painting order within their group; groups are ordered by where the eye is to the planes between them.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -94,7 +95,7 @@ def mesh_of(faces: Sequence[Face], *, floor: Plane, belt: Plane) -> Mesh:
     """Return faces as a mesh."""
     ordered = sorted(faces, key=lambda face: face.group)
     arrays = [np.array(face.corners, dtype=np.float64) for face in ordered]
-    normals = np.array([_normal(corners) for corners in arrays])
+    normals = np.array([normal_of(face.corners) for face in ordered])
     return Mesh(
         points=np.concatenate(arrays),
         starts=np.cumsum([0, *(len(corners) for corners in arrays)]),
@@ -110,12 +111,17 @@ def mesh_of(faces: Sequence[Face], *, floor: Plane, belt: Plane) -> Mesh:
     )
 
 
-def _normal(corners: FloatArray) -> FloatArray:
-    """Return the unit normal of a flat polygon (Newell's sum)."""
-    following = np.roll(corners, -1, axis=0)
-    total = np.cross(corners, following).sum(axis=0)
-    normal: FloatArray = total / max(float(np.linalg.norm(total)), 1e-12)
-    return normal
+def normal_of(corners: Sequence[tuple[float, float, float]]) -> tuple[float, float, float]:
+    """Return the unit normal of a flat polygon (Newell's sum), outward of a counter-clockwise one."""
+    x = y = z = 0.0
+    x0, y0, z0 = corners[-1]
+    for x1, y1, z1 in corners:
+        x += (y0 - y1) * (z0 + z1)
+        y += (z0 - z1) * (x0 + x1)
+        z += (x0 - x1) * (y0 + y1)
+        x0, y0, z0 = x1, y1, z1
+    length = max(math.sqrt(x * x + y * y + z * z), 1e-12)
+    return x / length, y / length, z / length
 
 
 class Placed(NamedTuple):

@@ -37,8 +37,9 @@ _GUTTER_M: Final = 0.12
 _LAMP_EVERY_M: Final = 24.0
 _CROWN_M: Final = 3.2
 _STEP_M: Final = 2.0
+_CAR_LOOKS: Final = 64
 _HOUSE_LOOKS: Final = 24
-"""Few, so that streets share the textures of their houses, which cost most to make."""
+"""Few, so that streets share models and textures, which cost more to make than to draw."""
 
 
 def street_of(road: Road, *, seed: int = 0) -> StreetScene:
@@ -61,7 +62,7 @@ def street_of(road: Road, *, seed: int = 0) -> StreetScene:
         elif fixture.kind == "tree":
             trees.append(_tree(fixture, look))
         else:
-            parked.append(_parked(road, fixture, FIRST_PARKED_ID + len(parked), look))
+            parked.append(_parked(road, fixture, FIRST_PARKED_ID + len(parked), look % _CAR_LOOKS))
     return StreetScene(
         ground=(*beside, *_kerbs(road), *upon),
         buildings=tuple(buildings),
