@@ -133,7 +133,7 @@ def export(network: Network, file: Path) -> None:
     network.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload] # the stubs lack it
     with warnings.catch_warnings():
         # The exporter that replaces this one needs two packages more, for the same file.
-        warnings.filterwarnings("ignore", message="You are using the legacy", category=DeprecationWarning)
+        warnings.simplefilter("ignore", DeprecationWarning)
         torch.onnx.export(
             network,
             (picture,),

@@ -1,5 +1,6 @@
 """The detector: pictures in, boxes out; its network in torch and in onnxruntime; what is refused."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -173,7 +174,8 @@ def test_weights_that_do_not_load_are_refused(tmp_path: Path) -> None:
 def test_weights_with_other_outputs_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "other.onnx"
     other = torch.nn.Conv2d(3, 4, 1)
-    with pytest.warns(DeprecationWarning, match="legacy"):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
         torch.onnx.export(other, (torch.zeros(1, 3, 8, 8),), str(file), dynamo=False)
     with pytest.raises(DetectorError, match="expected input and outputs of shapes"):
         NetworkDetector(file)
