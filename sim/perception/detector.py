@@ -129,5 +129,15 @@ class NetworkDetector:
 
 @cache
 def own_detector() -> NetworkDetector:
-    """Return `brink-det@1` with the weights that ship with the package."""
-    return NetworkDetector(Path(str(files("sim.perception").joinpath(WEIGHTS))))
+    """Return `brink-det@1` with the weights that ship with the package.
+
+    Raises:
+        DetectorError: They are not there.
+    """
+    weights = Path(str(files("sim.perception").joinpath(WEIGHTS)))
+    if not weights.is_file():
+        raise DetectorError(
+            f"brink-det@1 has no weights here: train them with `python -m sim.perception.train --out "
+            f"{weights.parent}`, which takes half an hour"
+        )
+    return NetworkDetector(weights)
