@@ -344,5 +344,5 @@ def _too_many_failures(
     last = next(e.reason for e in reversed(list(evaluations.values())) if isinstance(e, Failed))
     return (
         f"{failed} of {asked} candidates failed, more than max_failed_share {limit:g} allows. Retry their jobs, "
-        f"or resume to go on without them. Last error: {last.strip().splitlines()[-1] if last.strip() else last}"
+        f"or resume to go on without them. Last error: {last.strip().splitlines()[0] if last.strip() else last}"
     )

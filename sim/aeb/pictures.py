@@ -26,6 +26,8 @@ SIZE_PX: Final = (640, 360)
 FRAMES_A_STREET: Final = 10
 MIN_HEIGHT_SHARE: Final = 12.0 / 360.0
 """Lower boxes are ignored: 6 px where the network looks, whose picture is half as large."""
+MIN_WIDTH_SHARE: Final = 6.0 / 640.0
+"""So are narrower ones: 3 px."""
 MIN_VISIBLE: Final = 0.25
 _LABELS: Final = {BodyKind.VEHICLE: 0, BodyKind.PERSON: 1}
 
@@ -145,10 +147,16 @@ def _person(number: int, ego_x_m: float, split: Split, rng: np.random.Generator)
 
 
 def labelled(frame: Frame) -> LabelledFrame:
-    """Return a rendered picture with its ground truth: the visible parts of vehicles and people."""
+    """Return a rendered picture with its ground truth.
+
+    Boxes hold the whole of a body as far as the picture goes, hidden parts included; who is nearly hidden does not
+    count.
+    """
     seen = [body for body in visible_bodies(frame) if body.box is not None and body.kind in _LABELS]
-    boxes = np.array([body.box for body in seen], np.float32).reshape(len(seen), 4)
-    low = (boxes[:, 3] - boxes[:, 1]) < MIN_HEIGHT_SHARE * frame.image.shape[0]
+    boxes = np.array([body.whole_box for body in seen], np.float32).reshape(len(seen), 4)
+    height_px, width_px = frame.image.shape[:2]
+    low = (boxes[:, 3] - boxes[:, 1]) < MIN_HEIGHT_SHARE * height_px
+    low |= (boxes[:, 2] - boxes[:, 0]) < MIN_WIDTH_SHARE * width_px
     hidden = np.array([body.visible_share < MIN_VISIBLE for body in seen], np.bool_)
     return LabelledFrame(
         picture=frame.image,
