@@ -71,7 +71,6 @@ def upgrade() -> None:
         sa.Column("id", sa.String(length=64), nullable=False),
         sa.Column("host", sa.String(length=255), nullable=False),
         sa.Column("pid", sa.BigInteger(), nullable=False),
-        sa.Column("machine", sa.String(length=128), nullable=False),
         sa.Column("version", sa.String(length=64), nullable=False),
         sa.Column("capabilities", sa.JSON(), nullable=False),
         sa.Column("first_seen_at", server.db.types.UtcDateTime(timezone=True), nullable=False),
@@ -155,7 +154,6 @@ def upgrade() -> None:
         sa.Column("lease_token", sa.String(length=64), nullable=True),
         sa.Column("lease_worker", sa.String(length=64), nullable=True),
         sa.Column("lease_expires_at", server.db.types.UtcDateTime(timezone=True), nullable=True),
-        sa.Column("failed_worker", sa.String(length=64), nullable=True),
         sa.Column("result", sa.Text(), nullable=True),
         sa.Column("last_error", sa.Text(), nullable=True),
         sa.Column("created_at", server.db.types.UtcDateTime(timezone=True), nullable=False),
@@ -202,13 +200,6 @@ def upgrade() -> None:
             sqlite_where=sa.text("status = 'queued'"),
             postgresql_where=sa.text("status = 'queued'"),
         )
-        batch_op.create_index(
-            "ix_jobs_retries",
-            ["not_before"],
-            unique=False,
-            sqlite_where=sa.text("status = 'queued' AND attempt > 0"),
-            postgresql_where=sa.text("status = 'queued' AND attempt > 0"),
-        )
         batch_op.create_index("ix_jobs_spec_hash_status", ["spec_hash", "status"], unique=False)
 
     op.create_table(
@@ -254,11 +245,6 @@ def downgrade() -> None:
     op.drop_table("solutions")
     with op.batch_alter_table("jobs", schema=None) as batch_op:
         batch_op.drop_index("ix_jobs_spec_hash_status")
-        batch_op.drop_index(
-            "ix_jobs_retries",
-            sqlite_where=sa.text("status = 'queued' AND attempt > 0"),
-            postgresql_where=sa.text("status = 'queued' AND attempt > 0"),
-        )
         batch_op.drop_index(
             "ix_jobs_queued",
             sqlite_where=sa.text("status = 'queued'"),

@@ -1,4 +1,4 @@
-"""measurements on data sets: a kind of job, a verdict, their counts
+"""measurements on data sets: a kind of job, a verdict, their counts; who failed a job, and on which machine
 
 SQLite cannot change a check, so its tables are made anew; reflection would lose the other checks, so they are
 spelled out.
@@ -20,17 +20,21 @@ depends_on = None
 QUEUED = sa.text("status = 'queued'")
 QUEUED_WORK = sa.text("status = 'queued' AND kind <> 'trace'")
 QUEUED_TRACES = sa.text("status = 'queued' AND kind = 'trace'")
+TRIED = sa.text("status = 'queued' AND attempt > 0")
 
 
 def upgrade() -> None:
     for table in ("campaigns", "generations"):
         op.add_column(table, sa.Column("measured", sa.BigInteger(), nullable=False, server_default="0"))
+    op.add_column("workers", sa.Column("machine", sa.String(length=128), nullable=False, server_default=""))
+    op.add_column("jobs", sa.Column("failed_worker", sa.String(length=64), nullable=True))
     _change(
         kinds=("episode", "dataset-evaluation", "trace"),
         kind_length=20,
         verdicts=("pending", "safe", "unsafe", "measured", "failed"),
     )
     op.drop_index("ix_jobs_queued", "jobs", if_exists=True)
+    op.create_index("ix_jobs_retries", "jobs", ["not_before"], sqlite_where=TRIED, postgresql_where=TRIED)
     op.create_index(
         "ix_jobs_queued",
         "jobs",
@@ -49,11 +53,14 @@ def downgrade() -> None:
     _change(kinds=("episode", "trace"), kind_length=8, verdicts=("pending", "safe", "unsafe", "failed"))
     op.drop_index("ix_jobs_queued", "jobs", if_exists=True)
     op.drop_index("ix_jobs_queued_traces", "jobs", if_exists=True)
+    op.drop_index("ix_jobs_retries", "jobs", if_exists=True)
     op.create_index(
         "ix_jobs_queued", "jobs", ["kind", "campaign_id", "id"], sqlite_where=QUEUED, postgresql_where=QUEUED
     )
     for table in ("campaigns", "generations"):
         op.drop_column(table, "measured")
+    op.drop_column("jobs", "failed_worker")
+    op.drop_column("workers", "machine")
 
 
 def _change(*, kinds: tuple[str, ...], kind_length: int, verdicts: tuple[str, ...]) -> None:
@@ -156,8 +163,7 @@ def _solutions(verdicts: tuple[str, ...]) -> list[sa.schema.SchemaItem]:
 
 def _index_again() -> None:
     """Make those indexes that went with the tables and have not changed."""
-    leased, tried = sa.text("status = 'leased'"), sa.text("status = 'queued' AND attempt > 0")
-    op.create_index("ix_jobs_retries", "jobs", ["not_before"], sqlite_where=tried)
+    leased = sa.text("status = 'leased'")
     op.create_index("ix_jobs_leased", "jobs", ["lease_expires_at"], sqlite_where=leased)
     op.create_index("ix_jobs_lease_worker", "jobs", ["lease_worker"], sqlite_where=leased)
     op.create_index("ix_jobs_spec_hash_status", "jobs", ["spec_hash", "status"])

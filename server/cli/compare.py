@@ -13,7 +13,7 @@ from server.bench.comparison import compare as compare_campaigns
 from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from server.cli.api import Api
 from server.cli.options import AsJson, Database, Server, console, print_json, with_api
-from server.cli.pictures import fetch_archive
+from server.cli.pictures import FetchedArchive, fetch_archive
 
 
 def compare(
@@ -39,7 +39,11 @@ def compare(
 
 async def compared(api: Api, campaigns: Sequence[str], *, control: bool) -> list[Row]:
     """Return the comparison of some campaigns."""
-    fetched = [await fetch_archive(api, campaign) for campaign in campaigns]
+    return compared_archives([await fetch_archive(api, campaign) for campaign in campaigns], control=control)
+
+
+def compared_archives(fetched: Sequence[FetchedArchive], *, control: bool) -> list[Row]:
+    """Return the comparison of some archives, each campaign once."""
     fetched = list({item.id: item for item in fetched}.values())
     names = [item.body.name for item in fetched]
     return compare_campaigns(

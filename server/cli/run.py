@@ -19,7 +19,7 @@ from server.campaigns.body import CampaignBody, read_campaign_file
 from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.service import check_submission
 from server.cli.api import TIMEOUT, Api, CoordinatorSaid
-from server.cli.compare import compared
+from server.cli.compare import compared_archives
 from server.cli.coordinator import (
     EmbeddedCoordinator,
     WorkerProcesses,
@@ -260,13 +260,12 @@ async def _write_all(
     boundary = await write_results(api, campaign_id, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH)
     files = [folder / name for name in ("boundary.csv", "boundary.json", "archive.npz")]
     with screen.status("comparing with a control") as status:
-        rows = await compared(api, [campaign_id], control=True)
-        control = in_words(rows, DEFAULT_T_B, DEFAULT_D_TH)
+        fetched = await fetch_archive(api, campaign_id)
+        control = in_words(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)
         if not plan.pictures or stop.is_set():
             return boundary, files, control
         began = time.monotonic()
         status.update("drawing the boundary")
-        fetched = await fetch_archive(api, campaign_id)
         files += await asyncio.to_thread(draw_figures, fetched, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH)
         numbers = [s["number"] for s in boundary["solutions"] if s["spec"] is not None]
         status.update("drawing replays")

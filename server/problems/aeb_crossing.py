@@ -157,4 +157,4 @@ class AebCrossing:
 
     def measurement(self, outcome: Completed) -> Measured:
         """Return alpha, the detector's mAP."""
-        return Measured(objectives=outcome.objectives)
+        return Measured(objectives={"alpha": outcome.objectives["alpha"]})

@@ -8,7 +8,7 @@ from sim.aeb.braking import PERSON, EmergencyBrake
 from sim.aeb.facts import Facts
 from sim.aeb.recorder import AebRecorder
 from sim.aeb.sight import Look, Sight
-from sim.aeb.street import CRUISE_MPS, EGO_FRONT_M, Street
+from sim.aeb.street import CRUISE_MPS, Street
 from sim.requirements.requirement import Collision, Requirement, WorldSample
 from sim.world.ego import STEP_S as PHYSICS_STEP_S
 from sim.world.ego import EgoCar
@@ -84,7 +84,7 @@ class Episode:
             if sample.collision is not None:
                 self.outcome.ended, self.outcome.collision = "collision", sample.collision
                 break
-            if self.ego.x_m + EGO_FRONT_M > EGO_FRONT_M + self.line_m + PAST_LINE_M:
+            if self.ego.x_m > self.line_m + PAST_LINE_M:
                 self.outcome.ended = "past"
                 break
         if self.recorder is not None:

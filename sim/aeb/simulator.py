@@ -19,7 +19,7 @@ from sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
 from sim.errors import InvalidEpisode, SimulationCrashed
 from sim.perception.registry import find_detector
 from sim.rendering.scene import Light
-from sim.requirements.registry import make_requirements
+from sim.requirements.registry import features_of, make_requirements, verdicts_of
 from sim.requirements.requirement import Requirement
 from sim.urban.simulator import instruction_set, versions
 from sim.world.ego import EgoCar
@@ -116,10 +116,7 @@ def _result(
     cpu_s: float,
 ) -> EpisodeResult:
     outcome, sight = episode.outcome, episode.sight
-    verdicts = {name: requirement.verdict() for name, requirement in requirements.items()}
-    for name, verdict in verdicts.items():
-        if not math.isfinite(verdict.robustness):
-            raise SimulationCrashed(f"{name}: expected a finite robustness, got {verdict.robustness}")
+    verdicts = verdicts_of(requirements)
     trace = None
     if recorder is not None:
         about: JsonObject = {"spec": json.loads(spec.canonical_json()), "versions": dict(versions())}
@@ -144,7 +141,7 @@ def _result(
 
 def _features(outcome: Outcome, requirements: Mapping[str, Requirement]) -> dict[str, Json]:
     hit = outcome.collision
-    features: dict[str, Json] = {
+    return {
         "ended": outcome.ended,
         "ended_at_s": outcome.time_s,
         "frames": outcome.frames,
@@ -155,8 +152,5 @@ def _features(outcome: Outcome, requirements: Mapping[str, Requirement]) -> dict
         "braked_at_s": outcome.braked_at_s,
         "stopped_at_s": outcome.stopped_at_s,
         "stopping_gap_m": outcome.stopping_gap_m,
+        **features_of(requirements),
     }
-    for name, requirement in requirements.items():
-        for key, value in requirement.features().items():
-            features[f"{name}:{key}"] = value
-    return features

@@ -13,6 +13,7 @@ import numpy as np
 
 from sim.aeb.scenario import AebScenario, Obstacle, Occluder
 from sim.rendering.scene import Body, BodyKind, Building, Ground, Lamp, Material, StreetScene, Tree
+from sim.world.streams import Stream, generator
 
 LANE_M: Final = 3.5
 LANE_Y_M: Final = -0.5 * LANE_M
@@ -36,12 +37,6 @@ BRAKES_MPS2: Final = 5.0
 STARTS_MPS2: Final = 1.5
 YIELDS_WITHIN_M: Final = 16.0
 """Oncoming vehicles that are nearer to a crossing pedestrian brake."""
-STREAMS: Final = {"looks": 0, "street": 1, "people": 2, "traffic": 3}
-
-
-def stream(seed: int, name: str, index: int = 0) -> np.random.Generator:
-    """Return the generator for one thing that chance decides in an episode."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(100 + STREAMS[name], index)))
 
 
 @dataclass(slots=True, kw_only=True)
@@ -167,7 +162,7 @@ def _ground() -> tuple[Ground, ...]:
 
 
 def _buildings(seed: int) -> tuple[Building, ...]:
-    rng = stream(seed, "street")
+    rng = generator(seed, Stream.STREET)
     houses = []
     for side in (-1.0, 1.0):
         x_m = BEGIN_M
@@ -189,7 +184,7 @@ def _buildings(seed: int) -> tuple[Building, ...]:
 
 
 def _trees(seed: int) -> tuple[Tree, ...]:
-    rng = stream(seed, "street", 1)
+    rng = generator(seed, Stream.STREET, 1)
     return tuple(
         Tree(
             x_m=x_m + float(rng.uniform(-2.0, 2.0)), y_m=side * (KERB_M + 0.7),
@@ -210,7 +205,7 @@ def _lamps() -> tuple[Lamp, ...]:
 
 def _parked(scenario: AebScenario, seed: int, line_x_m: float) -> tuple[Body, ...]:
     """Return parked vehicles on both sides; on the ego's side two stand around the pedestrian's gap."""
-    rng = stream(seed, "looks")
+    rng = generator(seed, Stream.LOOKS)
     places: list[tuple[float, float, tuple[float, float, float]]] = []
     before = VAN if scenario.occluder is Occluder.VAN else CAR
     first_x_m = line_x_m - 0.5 * GAP_M - 0.5 * before[0]
@@ -235,7 +230,7 @@ def _parked(scenario: AebScenario, seed: int, line_x_m: float) -> tuple[Body, ..
 
 
 def _actors(scenario: AebScenario, seed: int, line_x_m: float, first_id: int) -> tuple[Actor, ...]:
-    people, traffic = stream(seed, "people"), stream(seed, "traffic")
+    people, traffic = generator(seed, Stream.STROLLERS), generator(seed, Stream.OTHER_TRAFFIC)
     actors = [_pedestrian(scenario, people, line_x_m, first_id), _stroller(people, first_id + 1)]
     for index, ahead_m in enumerate(
         (scenario.oncoming_m, scenario.oncoming_m + float(traffic.uniform(25.0, 45.0)))

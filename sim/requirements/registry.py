@@ -1,11 +1,13 @@
 """Makes requirements by id, from the entry-point group `brink.requirements`."""
 
 import difflib
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from typing import cast
 
 from sim.catalogue import REQUIREMENTS, load_plugin, plugin_ids
-from sim.errors import InvalidEpisode
+from sim.episode import Json, Verdict
+from sim.errors import InvalidEpisode, SimulationCrashed
 from sim.requirements.requirement import Requirement
 
 
@@ -44,3 +46,25 @@ def make_requirements(requirement_ids_: Sequence[str]) -> dict[str, Requirement]
             raise InvalidEpisode(f"requirements: {requirement_id!r} is named twice")
         made[requirement_id] = make_requirement(requirement_id)
     return made
+
+
+def verdicts_of(requirements: Mapping[str, Requirement]) -> dict[str, Verdict]:
+    """Return what requirements say at the end of an episode.
+
+    Raises:
+        SimulationCrashed: A robustness is not finite.
+    """
+    verdicts = {name: requirement.verdict() for name, requirement in requirements.items()}
+    for name, verdict in verdicts.items():
+        if not math.isfinite(verdict.robustness):
+            raise SimulationCrashed(f"{name}: expected a finite robustness, got {verdict.robustness}")
+    return verdicts
+
+
+def features_of(requirements: Mapping[str, Requirement]) -> dict[str, Json]:
+    """Return what requirements know besides, each name led by the requirement's id."""
+    return {
+        f"{name}:{key}": value
+        for name, requirement in requirements.items()
+        for key, value in requirement.features().items()
+    }

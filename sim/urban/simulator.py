@@ -19,7 +19,7 @@ from sim.driving.camera import Camera
 from sim.driving.system import ModularDriving
 from sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
 from sim.errors import InvalidEpisode, SimulationCrashed
-from sim.requirements.registry import make_requirements
+from sim.requirements.registry import features_of, make_requirements, verdicts_of
 from sim.requirements.requirement import Requirement
 from sim.urban.behaviour import DetectorBehaviour
 from sim.urban.episode_loop import Outcome, run_loop
@@ -85,10 +85,7 @@ class BrinkDrive:
             duration_s=spec.duration_s,
             recorder=recorder,
         )
-        verdicts = {name: requirement.verdict() for name, requirement in requirements.items()}
-        for name, verdict in verdicts.items():
-            if not math.isfinite(verdict.robustness):
-                raise SimulationCrashed(f"{name}: expected a finite robustness, got {verdict.robustness}")
+        verdicts = verdicts_of(requirements)
         trace = None
         if recorder is not None:
             # From the canonical text, so that the trace does not depend on the order of the fields.
@@ -141,7 +138,7 @@ def _ego_maker(spec: EpisodeSpec, engine: Engine) -> MakeEgo:
 def _features(outcome: Outcome, requirements: Mapping[str, Requirement]) -> dict[str, Json]:
     last = outcome.last
     hit = last.collision
-    features: dict[str, Json] = {
+    return {
         "ended": outcome.ended,
         "ended_at_s": last.time_s,
         "way_m": outcome.way_m,
@@ -149,11 +146,8 @@ def _features(outcome: Outcome, requirements: Mapping[str, Requirement]) -> dict
         "least_front_gap_m": outcome.least_front_gap_m,
         "collision": None if hit is None else hit.kind.value,
         "collided_with": None if hit is None else hit.counterpart,
+        **features_of(requirements),
     }
-    for name, requirement in requirements.items():
-        for key, value in requirement.features().items():
-            features[f"{name}:{key}"] = value
-    return features
 
 
 @cache

@@ -18,6 +18,10 @@ class Stream(IntEnum):
     VEHICLE = 4
     PEDESTRIAN = 5
     DRIVING_SYSTEM = 6
+    LOOKS = 100
+    STREET = 101
+    STROLLERS = 102
+    OTHER_TRAFFIC = 103
 
 
 def generator(seed: int, stream: Stream, index: int = 0) -> np.random.Generator:

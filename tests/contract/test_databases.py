@@ -75,11 +75,21 @@ def test_an_upgrade_keeps_what_is_stored(empty: Engines) -> None:
             ),
             {"vector": b"1234"},
         )
+        connection.execute(
+            text(
+                "INSERT INTO jobs (campaign_id, number, kind, spec, spec_hash, needs, cache, timeout_s, status,"
+                " attempt, max_attempts, result, created_at)"
+                " VALUES ('a', 7, 'episode', '{}', 'h', 'n', true, 1.0, 'done', 1, 3, '{}', :moment)"
+            ),
+            {"moment": moment.isoformat(" ") if empty.writer.dialect.name == "sqlite" else moment},
+        )
     assert upgrade(empty) == ("0001", head_revision())
     with empty.reader.connect() as connection:
         assert connection.execute(select(CampaignRow.name, CampaignRow.measured)).one() == ("old", 0)
         kept = select(SolutionRow.number, SolutionRow.vector, SolutionRow.verdict, SolutionRow.robustness)
         assert connection.execute(kept).one() == (7, b"1234", "unsafe", -1.5)
+        job = select(JobRow.number, JobRow.kind, JobRow.status, JobRow.failed_worker)
+        assert connection.execute(job).one() == (7, "episode", "done", None)
     migrate(empty, "downgrade", "0001")
     with empty.reader.connect() as connection:
         assert connection.execute(text("SELECT number FROM solutions")).scalars().all() == [7]
