@@ -38,11 +38,13 @@ class Candidate:
         number: Stable in its campaign, counting from 0 in the order of asking.
         vectors: One read-only float64 vector a component, in the space's order.
         question: What is to be found out.
+        seed_number: Whose episode seed it has, its own if None; candidates that share one meet the same chance.
     """
 
     number: int
     vectors: tuple[FloatArray, ...]
     question: Question = Question.EPISODE
+    seed_number: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

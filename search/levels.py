@@ -2,7 +2,7 @@
 
 A slot is two parameters: the technique, a category, and its intensity, a real number. Techniques have different
 numbers of levels; level index i of a technique with n levels has the intensity i / (n - 1), so that intensities of
-different techniques compare. Level 0 is "no effect" and belongs in no slot. The techniques of a vector differ.
+different techniques compare. Level 0 is "no effect": a slot at it is empty. The techniques of a vector differ.
 
 Source: Ferreira et al. 2022, individuals of m distinct techniques with a level each; intensity eta.
 """
@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from search.constraints import Values
-from search.errors import SpaceError
+from search.errors import SpaceError, UnsupportedSpace
 from search.parameters import Categorical, Parameter, Real
+from search.space import SearchSpace
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +54,7 @@ class Slots:
             raise SpaceError("Slots: expected the same choices in every slot")
 
     def repair(self, values: Values, parameters: Mapping[str, Parameter]) -> None:
-        """Give a repeated technique the next free choice, and every intensity its nearest level above 0."""
+        """Give a repeated technique the next free choice, and every intensity its nearest level."""
         taken: set[int] = set()
         for technique, intensity in self.pairs:
             choice = int(values[technique])
@@ -77,14 +78,26 @@ class Slots:
         return None
 
     def level(self, choice: int, intensity: float) -> int:
-        """Return the index of the level nearest to an intensity, at least 1."""
-        last = self.levels[choice] - 1
-        return max(1, round(min(max(intensity, 0.0), 1.0) * last))
+        """Return the index of the level nearest to an intensity."""
+        return round(min(max(intensity, 0.0), 1.0) * (self.levels[choice] - 1))
 
     def intensity(self, choice: int, level: int) -> float:
-        """Return the intensity of a level, in (0, 1]."""
+        """Return the intensity of a level, in [0, 1]."""
         return level / (self.levels[choice] - 1)
 
     def describe(self) -> dict[str, Any]:
         """Return the constraint as a JSON object."""
         return {"type": "slots", "pairs": [list(pair) for pair in self.pairs], "levels": list(self.levels)}
+
+
+def slots_of(space: SearchSpace) -> tuple[int, Slots]:
+    """Return which component is made of slots, and the slots.
+
+    Raises:
+        UnsupportedSpace: None is.
+    """
+    for index, component in enumerate(space.components):
+        for rule in component.constraints:
+            if isinstance(rule, Slots) and len(rule.names) == component.dimension:
+                return index, rule
+    raise UnsupportedSpace("expected a component of ordered slots, each a technique and its intensity")

@@ -6,7 +6,7 @@ archive, failed or queued has used up one number. A generation is planned as soo
 there is none, the search is over.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -115,11 +115,24 @@ class Ledger:
                 fresh.append(row)
         return tuple(fresh)
 
-    def planned(self, rows: Iterable[FloatArray], question: Question = Question.EPISODE) -> Self:
-        """Return the ledger with the next generation queued; the rows must be unseen."""
+    def planned(
+        self,
+        rows: Iterable[FloatArray],
+        question: Question = Question.EPISODE,
+        seed_numbers: Sequence[int] | None = None,
+    ) -> Self:
+        """Return the ledger with the next generation queued.
+
+        Args:
+            rows: Unseen solutions.
+            question: What is asked about them.
+            seed_numbers: Numbers whose episode seeds they have; their own if None.
+        """
+        rows = list(rows)
+        seeds: Sequence[int | None] = [None] * len(rows) if seed_numbers is None else seed_numbers
         queue = tuple(
-            Candidate(number=number, vectors=self.space.split(row), question=question)
-            for number, row in enumerate(rows, start=self.spent)
+            Candidate(number=number, vectors=self.space.split(row), question=question, seed_number=seed)
+            for number, (row, seed) in enumerate(zip(rows, seeds, strict=True), start=self.spent)
         )
         return replace(self, queue=queue)
 
@@ -197,6 +210,7 @@ class Ledger:
     def dump(self, kind: str, version: int, header: Mapping[str, Any], arrays: Mapping[str, Any]) -> Document:
         """Return the ledger without its archive, with what else the algorithm's state holds."""
         rows = [self.space.join(candidate.vectors) for candidate in self.queue]
+        seeds = [candidate.seed_number for candidate in self.queue]
         return Document(
             kind=kind,
             version=version,
@@ -207,6 +221,7 @@ class Ledger:
                 "asked": self.asked,
                 "archived": len(self.archive),
                 "question": self.queue[0].question.value if self.queue else Question.EPISODE.value,
+                "seed_numbers": None if None in seeds else seeds,
                 **header,
             },
             arrays={
@@ -238,6 +253,11 @@ class Ledger:
                 raise DocumentError(f"{name}: expected a whole number, got {header.get(name)!r}")
         if not isinstance(header.get("asked"), bool):
             raise DocumentError(f"asked: expected true or false, got {header.get('asked')!r}")
+        seeds = header.get("seed_numbers")
+        if seeds is not None and not (
+            isinstance(seeds, list) and len(seeds) == len(queue) and all(isinstance(s, int) for s in seeds)
+        ):
+            raise DocumentError(f"seed_numbers: expected one a candidate, got {seeds!r}")
         if question not in set(Question):
             raise DocumentError(f"question: expected a known one, got {question!r}")
         if len(archive) != header["archived"]:
@@ -257,7 +277,7 @@ class Ledger:
             queue=(),
             asked=header["asked"],
         )
-        return ledger.planned(queue, Question(question))
+        return ledger.planned(queue, Question(question), seeds)
 
 
 def stored_rows(document: Document, name: str, width: int) -> FloatArray:

@@ -1,9 +1,11 @@
 """SiMOOD: a genetic algorithm for the weakest combinations of perturbations that most harm a component.
 
 Individuals are ordered slots of distinct techniques, each at a level (`search.levels.Slots`). Most evaluations ask
-how the component fares on a data set (`Question.DATASET`), which is cheap; the best individuals, the finalists, are
-then simulated, each in several scenarios, and only those end in the archive. For comparison the same search can ask
-the simulator every time, or draw individuals at random.
+how the component fares on a data set (`Question.DATASET`), which is cheap. The finalists, the best individual of
+each order of techniques, are then simulated, all in the same few scenarios with the same seeds. Those with a hazard
+are explained: what they consist of is simulated in the same places, and what becomes of them in another order. Only
+what was simulated ends in the archive. For comparison the same search can ask the simulator every time, or draw
+individuals at random.
 
 Fitness, minimised: f = alpha + omega eta, or |omega eta - alpha| where alpha counts errors. alpha is the objective
 that the problem measures, eta the mean intensity. No individual is evaluated twice.
@@ -12,8 +14,10 @@ Source: Ferreira, Guerin, Guiochet, Waeselynck, "SiMOOD: Evolutionary Testing Si
 Images", PRDC 2022.
 """
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import Final
 
 import numpy as np
@@ -23,17 +27,25 @@ from search.algorithms.ledger import BoundaryConfig, Ledger, LedgerState, check_
 from search.archive import Archive
 from search.component import Component, FloatArray, frozen_array
 from search.document import Document
-from search.errors import ConfigError, DocumentError, UnsupportedSpace
-from search.levels import Slots
+from search.errors import ConfigError, DocumentError
+from search.levels import Slots, slots_of
 from search.settings import setting
 from search.space import SearchSpace
 from search.streams import Stream, generator
 
-_VERSION: Final = 1
+_VERSION: Final = 2
 _MUTATIONS: Final = 100
 """Mutations without a valid one, as only a tiny catalogue has, after which an individual is drawn afresh."""
 ALPHA: Final = "alpha"
 """Objective that a problem must measure: how well the component fares, or how many errors it makes."""
+
+
+class Stage(StrEnum):
+    """What the evaluations of a generation are for."""
+
+    SEARCH = "search"
+    FINALISTS = "finalists"
+    EXPLANATION = "explanation"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,6 +71,9 @@ class SimoodConfig(BoundaryConfig):
     )
     finalists: int = setting(5, help="Best individuals that are simulated at the end.", ge=0, le=10_000)
     repeats: int = setting(3, help="Scenarios in which each finalist is simulated.", ge=1, le=1_000)
+    explained: int = setting(
+        5, help="Hazardous finalists whose parts and other orders are simulated too.", ge=0, le=10_000
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -73,6 +88,7 @@ class SimoodState(LedgerState):
             until the next is told.
         children: Individuals that are to join the population once they are told, shape ``(c, d)``.
         bred: Generations bred so far.
+        stage: What the queue is for.
     """
 
     config: SimoodConfig
@@ -81,6 +97,7 @@ class SimoodState(LedgerState):
     population: tuple[int, ...]
     children: FloatArray
     bred: int
+    stage: Stage = Stage.SEARCH
 
     @property
     def fitness(self) -> FloatArray:
@@ -121,6 +138,27 @@ class _Genome:
         level = int(rng.integers(1, self.slots.levels[choice]))
         individual[self.columns(slot)] = choice, self.slots.intensity(choice, level)
 
+    @property
+    def variants(self) -> int:
+        """How many variants `taken_apart` gives."""
+        count = len(self.slots.pairs)
+        return max(0, (1 << count) - 2 + count - 1)
+
+    def taken_apart(self, individual: FloatArray) -> list[FloatArray]:
+        """Return an individual's parts, the other slots empty, and what comes of swapping two neighbours."""
+        slots = [self.columns(slot) for slot in range(len(self.slots.pairs))]
+        variants = []
+        for size in range(1, len(slots)):
+            for kept in itertools.combinations(range(len(slots)), size):
+                part = np.array(individual)
+                part[[slots[slot][1] for slot in range(len(slots)) if slot not in kept]] = 0.0
+                variants.append(part)
+        for left, right in itertools.pairwise(slots):
+            swapped = np.array(individual)
+            swapped[left], swapped[right] = individual[right], individual[left]
+            variants.append(swapped)
+        return variants
+
     def varied(self, individual: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Return a copy with one slot redrawn, so that it is another one and no technique comes twice."""
         for _ in range(_MUTATIONS):
@@ -149,12 +187,8 @@ class _Genome:
 
 
 def _genome(space: SearchSpace) -> _Genome:
-    """Return where individuals lie: in the one component whose parameters are all in slots."""
-    for index, component in enumerate(space.components):
-        for rule in component.constraints:
-            if isinstance(rule, Slots) and len(rule.names) == component.dimension:
-                return _Genome(space, index, rule)
-    raise UnsupportedSpace("expected a component of ordered slots, each a technique and its intensity")
+    """Return where individuals lie."""
+    return _Genome(space, *slots_of(space))
 
 
 class Simood:
@@ -166,8 +200,8 @@ class Simood:
 
     def check(self, space: SearchSpace, config: SimoodConfig, *, budget: int) -> None:
         """Raise UnsupportedSpace without slots, ConfigError if the budget or the settings do not fit."""
-        _genome(space)
-        check_budget(budget, config.population_size + _reserve(config))
+        genome = _genome(space)
+        check_budget(budget, config.population_size + _reserve(config, genome))
         if config.parents > config.population_size:
             raise ConfigError("parents", f"expected at most population_size, got {config.parents}")
         if config.evaluate == "data" and not config.finalists:
@@ -204,14 +238,16 @@ class Simood:
         """
         pending = state.ledger.pending
         told = replace(state, ledger=state.ledger.told(evaluations))
-        if not state.children.size:  # these were the finalists
-            return told
         genome = _genome(told.ledger.space)
+        if state.stage is Stage.FINALISTS:
+            return _explaining(told, genome)
+        if state.stage is Stage.EXPLANATION:
+            return told
         told = _with_alphas(told, genome, pending, evaluations)
         return _bred_on(told, genome)
 
     def finished(self, state: SimoodState) -> bool:
-        """Return whether the finalists are simulated, or the budget is spent."""
+        """Return whether the finalists are simulated and explained, or the budget is spent."""
         return not state.ledger.queue
 
     def dump(self, state: SimoodState) -> Document:
@@ -219,7 +255,7 @@ class Simood:
         return state.ledger.dump(
             self.id,
             _VERSION,
-            {"population": list(state.population), "bred": state.bred},
+            {"population": list(state.population), "bred": state.bred, "stage": state.stage.value},
             {
                 "individuals": state.individuals,
                 "alphas": state.alphas[:, None],
@@ -239,6 +275,9 @@ class Simood:
             isinstance(place, int) and 0 <= place < len(individuals) for place in population
         ):
             raise DocumentError(f"population: expected positions of individuals, got {population!r}")
+        stage = document.header.get("stage")
+        if stage not in set(Stage):
+            raise DocumentError(f"stage: expected one of {', '.join(Stage)}, got {stage!r}")
         if not isinstance(bred, int):
             raise DocumentError(f"bred: expected a whole number, got {bred!r}")
         return SimoodState(
@@ -249,14 +288,20 @@ class Simood:
             population=tuple(population),
             children=stored_rows(document, "children", width),
             bred=bred,
+            stage=Stage(str(stage)),
         )
 
 
-def best_individuals(state: SimoodState, count: int) -> FloatArray:
-    """Return the best individuals of all that were evaluated, best first, shape ``(<= count, d)``."""
+def finalists_of(state: SimoodState) -> FloatArray:
+    """Return the best individual of each order of techniques among all evaluated, best first, shape ``(n, d)``."""
+    genome = _genome(state.ledger.space)
+    techniques = [genome.columns(slot)[0] for slot in range(len(genome.slots.pairs))]
     fitness = _fitness(state)
-    order = np.argsort(fitness, kind="stable")
-    return state.individuals[order[np.isfinite(fitness[order])][:count]]
+    best: dict[bytes, int] = {}
+    for place in np.argsort(fitness, kind="stable").tolist():
+        if np.isfinite(fitness[place]):
+            best.setdefault(state.individuals[place, techniques].tobytes(), place)
+    return state.individuals[list(best.values())[: state.config.finalists]]
 
 
 def _fitness(state: SimoodState) -> FloatArray:
@@ -308,14 +353,15 @@ def _bred_on(state: SimoodState, genome: _Genome) -> SimoodState:
             return _final(state, genome)
 
 
-def _reserve(config: SimoodConfig) -> int:
-    """Return how much of the budget is kept for the finalists."""
-    return config.finalists * config.repeats
+def _reserve(config: SimoodConfig, genome: _Genome) -> int:
+    """Return how much of the budget is kept for the finalists and their explanation."""
+    explained = min(config.explained, config.finalists) * genome.variants
+    return (config.finalists + explained) * config.repeats
 
 
 def _room(state: SimoodState) -> int:
     """Return how many more individuals may be evaluated before the finalists."""
-    return int(max(0, state.ledger.left - _reserve(state.config)))
+    return int(max(0, state.ledger.left - _reserve(state.config, _genome(state.ledger.space))))
 
 
 def _joined(state: SimoodState) -> SimoodState:
@@ -360,9 +406,15 @@ def _planned(state: SimoodState, genome: _Genome) -> SimoodState:
         if key not in known:
             fresh.setdefault(key, child)
     question = Question.DATASET if state.config.evaluate == "data" else Question.EPISODE
-    base = state.ledger.space.sample(generator(state.ledger.seed, Stream.START, 1))
-    rows = [_row(genome, base, child) for child in fresh.values()]
-    return replace(state, ledger=state.ledger.planned(rows[: _room(state)], question))
+    base = _scenario(state, 0)
+    rows = [_row(genome, base, child) for child in fresh.values()][: _room(state)]
+    return replace(state, ledger=state.ledger.planned(rows, question, [0] * len(rows)))
+
+
+def _scenario(state: SimoodState, repeat: int) -> tuple[FloatArray, ...]:
+    """Return what a finalist meets at a repeat, and what individuals meet that are simulated: repeat 0."""
+    ledger = state.ledger
+    return ledger.space.sample(generator(ledger.seed, Stream.FINALISTS, repeat))
 
 
 def _row(genome: _Genome, base: Sequence[FloatArray], individual: FloatArray) -> FloatArray:
@@ -370,14 +422,31 @@ def _row(genome: _Genome, base: Sequence[FloatArray], individual: FloatArray) ->
     return genome.space.join(vectors)
 
 
-def _final(state: SimoodState, genome: _Genome) -> SimoodState:
-    """Return the state with the finalists queued, each in the same scenarios; nothing is to join any more."""
-    config, ledger = state.config, state.ledger
-    state = replace(state, children=frozen_array(np.empty((0, state.children.shape[1]))))
-    bases = [
-        ledger.space.sample(generator(ledger.seed, Stream.FINALISTS, repeat))
-        for repeat in range(config.repeats)
-    ]
-    rows = [_row(genome, base, best) for best in best_individuals(state, config.finalists) for base in bases]
+def _simulating(
+    state: SimoodState, genome: _Genome, individuals: Iterable[FloatArray], stage: Stage
+) -> SimoodState:
+    """Return the state with individuals queued that are to be simulated at every repeat, unless they were."""
+    ledger = state.ledger
+    repeats = range(state.config.repeats)
+    bases = [_scenario(state, repeat) for repeat in repeats]
+    rows = [_row(genome, bases[repeat], one) for one in individuals for repeat in repeats]
+    repeat_of = {row.tobytes(): place % len(bases) for place, row in enumerate(rows)}
     fresh = ledger.unseen(rows)[: int(max(0, ledger.left))]
-    return replace(state, ledger=ledger.planned(fresh))
+    seeds = [repeat_of[row.tobytes()] for row in fresh]
+    return replace(state, ledger=ledger.planned(fresh, Question.EPISODE, seeds), stage=stage)
+
+
+def _final(state: SimoodState, genome: _Genome) -> SimoodState:
+    """Return the state with the finalists queued; nothing is to join any more."""
+    state = replace(state, children=frozen_array(np.empty((0, state.children.shape[1]))))
+    state = _simulating(state, genome, finalists_of(state), Stage.FINALISTS)
+    return state if state.ledger.queue else _explaining(state, genome)
+
+
+def _explaining(state: SimoodState, genome: _Genome) -> SimoodState:
+    """Return the state with parts and other orders of the hazardous finalists queued."""
+    archive = state.ledger.archive
+    unsafe = set(row_keys(archive.vectors[archive.unsafe][:, genome.space.slices[genome.index]]))
+    hazardous = [one for one in finalists_of(state) if one.tobytes() in unsafe]
+    variants = [variant for one in hazardous[: state.config.explained] for variant in genome.taken_apart(one)]
+    return _simulating(state, genome, variants, Stage.EXPLANATION)

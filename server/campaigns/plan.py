@@ -85,7 +85,8 @@ def new_solutions(problem: Problem, candidates: Sequence[Candidate], campaign_se
     """
     solutions = []
     for candidate in candidates:
-        seed = episode_seed(campaign_seed, candidate.number)
+        chance = candidate.number if candidate.seed_number is None else candidate.seed_number
+        seed = episode_seed(campaign_seed, chance)
         job = None if isinstance(problem, InProcessProblem) else _job(problem, candidate, seed)
         if candidate.question is Question.DATASET and job is None:
             raise _no_data(problem)

@@ -90,7 +90,7 @@ def _street_frames(split: Split, rng: np.random.Generator) -> Iterator[LabelledF
     people_from = 10_000
     for time_s in np.sort(rng.uniform(0.0, 12.0, FRAMES_A_STREET)).tolist():
         x_m = CRUISE_MPS * time_s
-        walkers = [_person(people_from + index, x_m, split, rng) for index in range(int(rng.integers(2, 9)))]
+        walkers = [_person(people_from + index, x_m, split, rng) for index in range(int(rng.integers(3, 11)))]
         actors = [_with_look(actor.now(), split) for actor in street.actors]
         moved = [replace(body, x_m=x_m + float(rng.uniform(-5.0, 60.0))) for body in actors]
         view = Viewpoint(
@@ -129,7 +129,7 @@ def _with_look(body: Body, split: Split) -> Body:
 
 def _person(number: int, ego_x_m: float, split: Split, rng: np.random.Generator) -> Body:
     """Return somebody on a pavement, between parked vehicles, or on the road, most of them near."""
-    ahead_m = 3.5 + 45.0 * float(rng.random()) ** 1.6
+    ahead_m = 3.5 + 35.0 * float(rng.random()) ** 1.8
     place = rng.random()
     if place < 0.4:
         y_m = float(rng.choice([-1.0, 1.0])) * (KERB_M + float(rng.uniform(0.5, 2.7)))

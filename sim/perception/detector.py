@@ -68,7 +68,7 @@ def decoded(heat: FloatArray, edges: FloatArray) -> Found:
 
     Args:
         heat: Logits of centres, shape ``(classes, h, w)``.
-        edges: Distances to left, upper, right and lower edge in px, shape ``(4, h, w)``.
+        edges: Distances to left, upper, right and lower edge in px, shape ``(classes, 4, h, w)``.
     """
     scores = (1.0 / (1.0 + np.exp(-heat))).astype(np.float32)
     peaks = np.stack([cv2.dilate(plane, np.ones((3, 3), np.uint8)) for plane in scores]) == scores
@@ -77,7 +77,7 @@ def decoded(heat: FloatArray, edges: FloatArray) -> Found:
     best = np.argsort(-found, kind="stable")[:MOST]
     labels, rows, columns, found = labels[best], rows[best], columns[best], found[best]
     x, y = (columns + 0.5) * STRIDE, (rows + 0.5) * STRIDE
-    left, upper, right, lower = edges[:, rows, columns]
+    left, upper, right, lower = edges[labels, :, rows, columns].T
     boxes = np.stack([x - left, y - upper, x + right, y + lower], axis=1).astype(np.float32)
     kept = suppressed(boxes, found, labels, DOUBLE_OVERLAP)
     return Found(labels=labels[kept], boxes=boxes[kept], scores=found[kept])
@@ -106,7 +106,8 @@ class NetworkDetector:
             raise DetectorError(f"{weights}: cannot be loaded as an ONNX network: {error}") from error
         shapes = [tuple(put.shape) for put in (*self._session.get_inputs(), *self._session.get_outputs())]
         across, down = INPUT_PX[0] // STRIDE, INPUT_PX[1] // STRIDE
-        expected = [(1, 3, INPUT_PX[1], INPUT_PX[0]), (1, len(LABELS), down, across), (1, 4, down, across)]
+        grid = (down, across)
+        expected = [(1, 3, *INPUT_PX[::-1]), (1, len(LABELS), *grid), (1, len(LABELS), 4, *grid)]
         if shapes != expected:
             raise DetectorError(f"{weights}: expected input and outputs of shapes {expected}, got {shapes}")
         self._input = self._session.get_inputs()[0].name

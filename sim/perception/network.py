@@ -42,7 +42,7 @@ class Network(nn.Module):
     """Takes pictures, shape ``(n, 3, h, w)`` with h and w divisible by 32, RGB in [0, 1].
 
     Gives the heat map's logits, shape ``(n, classes, h / 4, w / 4)``, and the distances from each cell's middle to
-    the left, upper, right and lower edge, in px, shape ``(n, 4, h / 4, w / 4)``, all positive.
+    the left, upper, right and lower edge, in px, of a box of each class, shape ``(n, classes, 4, h / 4, w / 4)``.
     """
 
     def __init__(self) -> None:
@@ -58,7 +58,7 @@ class Network(nn.Module):
         self.lateral = _conv(second, HEAD, size=1)
         self.join_quarter = _conv(HEAD, HEAD)
         self.heat = nn.Sequential(_conv(HEAD, HEAD), nn.Conv2d(HEAD, len(CLASSES), 1))
-        self.edges = nn.Sequential(_conv(HEAD, HEAD), nn.Conv2d(HEAD, 4, 1))
+        self.box = nn.Sequential(_conv(HEAD, HEAD), nn.Conv2d(HEAD, 4 * len(CLASSES), 1))
         last = self.heat[-1]
         assert isinstance(last, nn.Conv2d)
         assert last.bias is not None
@@ -71,7 +71,19 @@ class Network(nn.Module):
         sixteenth = self.sixteenth(eighth)
         wide = self.join_eighth(eighth + _doubled(self.down_fourth(sixteenth)))
         fine = self.join_quarter(self.lateral(quarter) + _doubled(self.down_third(wide)))
-        return self.heat(fine), torch.exp(torch.clamp(self.edges(fine), -3.0, 3.0)) * (4.0 * STRIDE)
+        return self.heat(fine), _edges(self.box(fine))
+
+
+def _edges(box: Tensor) -> Tensor:
+    """Return the distances to the edges of boxes given by the shift of their middle and the logarithm of their size.
+
+    A box narrower than a cell need not hold the cell's middle: distances may be negative.
+    """
+    count, _, down, across = box.shape
+    box = box.reshape(count, len(CLASSES), 4, down, across)
+    shift, size = box[:, :, :2], box[:, :, 2:]
+    half = torch.exp(torch.clamp(size, -3.0, 3.0)) * (3.0 * STRIDE)
+    return torch.cat((half - STRIDE * shift, half + STRIDE * shift), dim=2)
 
 
 def _doubled(x: Tensor) -> Tensor:

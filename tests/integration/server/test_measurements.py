@@ -66,12 +66,23 @@ def test_a_campaign_is_measured_on_data_and_its_finalists_are_simulated(client: 
     digest, asked = undisturbed()
     measured = sum(candidate.question is Question.DATASET for candidate in asked)
     assert done["status"] == "finished", done["status_reason"]
-    assert (done["measured"], done["evaluated"], done["failed"]) == (measured, 12, 0)
-    assert done["simulations"] == len(asked) == measured + 12
+    simulated = len(asked) - measured
+    assert simulated > 12, "the hazardous ones of 4 finalists at 3 repeats are explained"
+    assert (done["measured"], done["evaluated"], done["failed"]) == (measured, simulated, 0)
+    assert done["simulations"] == len(asked)
     assert done["digest"] == digest
     best = [generation["best_fitness"] for generation in done["generations"]]
     assert best == sorted(best, reverse=True)
     assert [generation["measured"] for generation in done["generations"]][-1] == measured
+    found = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions", params={"limit": 1000}))["solutions"]
+    seeds: dict[str, set[int]] = {}
+    for solution in found:
+        if solution["verdict"] in ("safe", "unsafe"):
+            seeds.setdefault(str(solution["parameters"]["scenario"]), set()).add(solution["seed"])
+    assert len(seeds) == 3
+    assert all(len(of_scenario) == 1 for of_scenario in seeds.values()), (
+        "the same chance in the same scenario"
+    )
 
 
 def test_what_was_measured_is_told_but_not_archived(client: httpx.Client) -> None:
@@ -121,7 +132,7 @@ def test_a_measurement_that_cannot_be_had_is_a_failure(client: httpx.Client) -> 
     done = FakeWorker(client, judge=sometimes).work(submit(client, relaxed))
     assert done["status"] == "finished"
     assert done["failed"] > 0
-    assert done["evaluated"] == 12
+    assert done["evaluated"] >= 12
 
 
 def test_data_that_a_problem_does_not_have_is_told_at_submission(client: httpx.Client) -> None:

@@ -34,11 +34,11 @@ def test_whatever_is_repaired_complies_and_then_stays(vector: NDArray[np.float64
     assert np.array_equal(COMPONENT.repair(mended, rng), mended)
 
 
-def test_intensities_go_to_the_nearest_level_above_nothing() -> None:
+def test_intensities_go_to_the_nearest_level() -> None:
     rng = np.random.default_rng(0)
-    mended = COMPONENT.repair(np.array([1.0, 0.29, 2.0, 0.0]), rng)
-    assert mended.tolist() == [1.0, 1 / 5, 2.0, 1 / 10]
-    assert COMPONENT.repair(np.array([0.0, 7.0, 1.0, -3.0]), rng).tolist() == [0.0, 1.0, 1.0, 1 / 5]
+    mended = COMPONENT.repair(np.array([1.0, 0.29, 2.0, 0.04]), rng)
+    assert mended.tolist() == [1.0, 1 / 5, 2.0, 0.0]
+    assert COMPONENT.repair(np.array([0.0, 7.0, 1.0, -3.0]), rng).tolist() == [0.0, 1.0, 1.0, 0.0]
 
 
 def test_a_technique_that_comes_twice_gives_way_in_the_later_slot() -> None:
@@ -51,7 +51,7 @@ def test_a_technique_that_comes_twice_gives_way_in_the_later_slot() -> None:
     [
         ([1.0, 0.2, 1.0, 0.4], "different techniques"),
         ([1.0, 0.25, 2.0, 0.4], "intensity_1 on a level, the nearest is 0.2"),
-        ([1.0, 0.2, 2.0, 0.0], "intensity_2 on a level, the nearest is 0.1"),
+        ([1.0, 0.2, 2.0, 0.01], "intensity_2 on a level, the nearest is 0.0"),
     ],
 )
 def test_what_does_not_comply_is_named(vector: list[float], problem: str) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from search.algorithm import Candidate, Evaluation, Failed, Measured, Question, Scored
-from search.algorithms.simood import Simood, SimoodConfig, SimoodState, best_individuals
+from search.algorithms.simood import Simood, SimoodConfig, SimoodState, Stage, finalists_of
 from search.errors import ConfigError
 from search.testing import check_algorithm, example_spaces, play
 
@@ -70,20 +70,41 @@ def test_the_paper_s_cost_is_an_upper_bound_and_nothing_is_asked_twice() -> None
     assert len(generations[0]) == 20
     assert 20 + 20 <= len(asked) <= 20 + 2 * 20
     assert len({c.vectors[1].tobytes() for c in asked}) == len(asked) == len(state.individuals)
-    assert all(len(generation) <= 2 for generation in generations[1:-1])
+    bred = [g for g in generations[1:] if g[0].question is Question.DATASET]
+    assert all(len(generation) <= 2 for generation in bred)
 
 
 def test_only_finalists_are_simulated_each_in_the_same_scenarios() -> None:
-    state, generations = run_to_end(finalists=4, repeats=3)
+    state, generations = run_to_end(finalists=4, repeats=3, explained=0)
     *_, last = generations
     assert all(c.question is Question.EPISODE for c in last)
     assert all(c.question is Question.DATASET for generation in generations[:-1] for c in generation)
     assert len(last) == 12 == len(state.archive)
     finalists = {c.vectors[1].tobytes() for c in last}
-    assert finalists == {row.tobytes() for row in best_individuals(state, 4)}
+    assert finalists == {row.tobytes() for row in finalists_of(state)}
+    assert len({tuple(c.vectors[1][[0, 2]]) for c in last}) == 4, "one for each order of techniques"
+    assert [c.seed_number for c in last] == [0, 1, 2] * 4
     scenarios = [{c.vectors[0].tobytes() for c in last if c.vectors[1].tobytes() == f} for f in finalists]
     assert all(len(found) == 3 for found in scenarios)
     assert all(found == scenarios[0] for found in scenarios)
+
+
+def test_hazardous_finalists_are_taken_apart_and_turned_round_in_the_same_places() -> None:
+    state, generations = run_to_end(finalists=4, repeats=3)
+    finalists, variants = generations[-2:]
+    hazardous = {c.vectors[1].tobytes() for c in finalists if harm(c) < 0.5}
+    assert hazardous
+    places = {(c.vectors[0].tobytes(), c.seed_number) for c in finalists}
+    assert len(places) == 3
+    expected = set()
+    for one in (np.frombuffer(row) for row in hazardous):
+        first, strong, second, weak = one.tolist()
+        expected |= {(first, strong, second, 0.0), (first, 0.0, second, weak), (second, weak, first, strong)}
+    expected -= {tuple(c.vectors[1]) for c in finalists}
+    assert {tuple(c.vectors[1]) for c in variants} == expected
+    assert all((c.vectors[0].tobytes(), c.seed_number) in places for c in variants)
+    assert len(variants) == 3 * len(expected)
+    assert len(state.archive) == len(finalists) + len(variants)
 
 
 def test_the_population_keeps_its_size_and_never_gets_worse() -> None:
@@ -92,7 +113,7 @@ def test_the_population_keeps_its_size_and_never_gets_worse() -> None:
     best: list[float] = []
     while True:
         state, candidates = SIMOOD.ask(state)
-        if candidates[0].question is Question.EPISODE:
+        if state.stage is not Stage.SEARCH:
             break
         state = SIMOOD.tell(state, {c.number: answered(c) for c in candidates})
         assert len(state.population) == config.population_size
@@ -134,27 +155,29 @@ def test_a_failed_evaluation_never_becomes_a_finalist() -> None:
 
     state, generations = run_to_end(answer)
     assert np.isinf(state.alphas).any()
-    assert all(candidate.vectors[1][0] != 1 for candidate in generations[-1])
+    finalists = next(g for g in generations if g[0].question is Question.EPISODE)
+    assert all(candidate.vectors[1][0] != 1 for candidate in finalists)
 
 
 def test_the_budget_keeps_room_for_the_finalists() -> None:
-    state, generations = run_to_end(budget=20 + 7 + 15)
+    state, generations = run_to_end(budget=20 + 7 + 15, explained=0)
     assert sum(map(len, generations)) == 42
     assert len(generations[-1]) == 15
     assert len(state.archive) == 15
 
 
 def test_the_same_search_in_the_simulator() -> None:
-    state, generations = run_to_end(evaluate="episode", finalists=2, repeats=2)
+    state, generations = run_to_end(evaluate="episode", finalists=2, repeats=2, explained=0)
     assert all(c.question is Question.EPISODE for generation in generations for c in generation)
     assert len({c.vectors[0].tobytes() for generation in generations[:-1] for c in generation}) == 1
+    assert len(generations[-1]) == 2, "repeat 0 is where the individuals were simulated"
     assert len(state.archive) == sum(map(len, generations))
 
 
 @pytest.mark.parametrize(
     ("changes", "budget", "field"),
     [
-        ({}, 34, "budget"),
+        ({}, 79, "budget"),
         ({"parents": 30}, BUDGET, "parents"),
         ({"finalists": 0}, BUDGET, "finalists"),
     ],

@@ -1,0 +1,87 @@
+"""Combinations: which are hazardous only together, only in one order, and which are minimal."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from search.archive import Archive, Neighbourhood
+from search.combinations import Combination, Step, combinations, tally_by_step, verdicts_by_chain
+from search.errors import UnsupportedSpace
+from search.levels import slots_of
+from search.testing import example_spaces
+
+SPACE = example_spaces()["slots"]
+NOISE, BLUR = Step(0, 4), Step(1, 12)
+
+
+def archive_of(trials: list[tuple[int, tuple[Step, ...], bool]]) -> Archive:
+    """Return an archive; each trial is a place, a chain, and whether it was unsafe."""
+    index, slots = slots_of(SPACE)
+    rng = np.random.default_rng(0)
+    places = [SPACE.sample(rng) for _ in range(6)]
+    rows = []
+    for place, chain, _ in trials:
+        filled = [*chain, *(Step(t, 0) for t in range(5) if t not in {step.technique for step in chain})][:2]
+        vector = np.array([x for t, level in filled for x in (t, slots.intensity(t, level))], np.float64)
+        vectors = [vector if part == index else whole for part, whole in enumerate(places[place])]
+        rows.append(SPACE.join(vectors))
+    unsafe = np.array([trial[2] for trial in trials])
+    archive = Archive.empty(SPACE, Neighbourhood(radius=0.3, p_th=0.1, z=1.96))
+    return archive.grown(np.arange(len(rows)), np.array(rows), unsafe, np.where(unsafe, -1.0, 1.0))
+
+
+def found(trials: list[tuple[int, tuple[Step, ...], bool]]) -> dict[tuple[Step, ...], Combination]:
+    return {one.chain: one for one in combinations(verdicts_by_chain(SPACE, archive_of(trials)))}
+
+
+def test_a_pair_that_is_hazardous_only_together_and_only_in_one_order() -> None:
+    trials = [
+        *((place, (NOISE, BLUR), place != 0) for place in range(5)),
+        *((place, (BLUR, NOISE), place == 1) for place in range(5)),
+        *((place, (NOISE,), False) for place in range(5)),
+        *((place, (BLUR,), place == 1) for place in range(5)),
+    ]
+    one = found(trials)[NOISE, BLUR]
+    assert one.tally == (4, 5)
+    assert one.parts == {(NOISE,): (0, 5), (BLUR,): (1, 5)}
+    assert one.orders == {(BLUR, NOISE): (1, 5)}
+    assert one.only_together
+    assert one.order_matters
+    assert one.minimal
+    assert one.together == (2, 3, 4), "solutions, not places: at place 1 blur alone was unsafe"
+    assert one.turned == (2, 3, 4)
+    other = found(trials)[BLUR, NOISE]
+    assert not any((other.hazardous, other.only_together, other.order_matters))
+
+
+def test_a_pair_with_a_hazardous_part_is_not_minimal() -> None:
+    trials = list(itertools.product(range(3), [(NOISE, BLUR), (BLUR,)], [True]))
+    trials += [(place, (NOISE,), False) for place in range(3)]
+    one = found(trials)[NOISE, BLUR]
+    assert one.hazardous
+    assert one.complete
+    assert not any((one.minimal, one.only_together, one.together))
+
+
+def test_nothing_is_claimed_while_a_part_was_not_simulated_there() -> None:
+    trials = [
+        *((place, (NOISE, BLUR), True) for place in range(3)),
+        *((p, (NOISE,), False) for p in range(3)),
+    ]
+    one = found([*trials, (5, (BLUR,), False)])[NOISE, BLUR]
+    assert one.parts == {(NOISE,): (0, 3)}, "blur was simulated in another place"
+    assert not any((one.complete, one.minimal, one.only_together, one.together))
+
+
+def test_steps_are_counted_alone_and_with_others() -> None:
+    verdicts = verdicts_by_chain(
+        SPACE, archive_of([(0, (NOISE, BLUR), True), (0, (BLUR,), False), (1, (BLUR,), True)])
+    )
+    assert tally_by_step(verdicts) == {NOISE: ((0, 0), (1, 1)), BLUR: ((1, 2), (1, 1))}
+
+
+def test_a_space_without_slots_is_refused() -> None:
+    space = next(space for name, space in example_spaces().items() if name != "slots")
+    with pytest.raises(UnsupportedSpace, match="ordered slots"):
+        verdicts_by_chain(space, Archive.empty(space, Neighbourhood(radius=0.3, p_th=0.1, z=1.96)))
