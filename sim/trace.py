@@ -90,8 +90,71 @@ class Surface:
 BOX_COLUMNS = ("label", "x_min_px", "x_max_px", "y_min_px", "y_max_px")
 """Columns of image boxes; label is 0 for a vehicle, 1 for a person."""
 
+JUDGED_COLUMNS = (*BOX_COLUMNS, "ignored")
+"""Columns of ground truth to score against; ignored is 1 for what counts neither for nor against a detector."""
+
+FOUND_COLUMNS = (*BOX_COLUMNS, "score")
+"""Columns of all that a detector found, however unsure."""
+
 PERCEIVED_COLUMNS = ("track", "label", "x_m", "y_m", "vx_mps", "vy_mps", "length_m", "width_m")
 """Columns of perceived obstacles, as `sim.driving.interface.PerceivedObstacle`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Film:
+    """What a camera in the loop saw, and all that was found in it: enough to score the episode again.
+
+    Attributes:
+        size_px: Width and height of the pictures that the detector was shown.
+        pictures: Some of them, perturbed as they were, as JPEG, perhaps smaller.
+        samples: Which sample each of them is of, ascending, shape ``(len(pictures),)``.
+        judged: Ground truth of every sample, columns `JUDGED_COLUMNS`, in px of the pictures.
+        found: Detections of every sample, columns `FOUND_COLUMNS`, in px of the pictures.
+        regions: Areas of the picture that decide, by name: corners in px, shape ``(k, 2)``.
+    """
+
+    size_px: tuple[int, int]
+    pictures: tuple[bytes, ...]
+    samples: IntArray
+    judged: Ragged
+    found: Ragged
+    regions: Mapping[str, FloatArray]
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return what it holds as named arrays."""
+        lengths = [len(picture) for picture in self.pictures]
+        return {
+            "film.size_px": np.array(self.size_px, np.int32),
+            "film.pictures": np.frombuffer(b"".join(self.pictures), np.uint8),
+            "film.ends": np.cumsum(lengths, dtype=np.int64),
+            "film.samples": self.samples,
+            "film.judged.first": self.judged.first,
+            "film.judged.rows": self.judged.rows,
+            "film.found.first": self.found.first,
+            "film.found.rows": self.found.rows,
+            **{f"film.region.{name}": corners for name, corners in self.regions.items()},
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self | None:
+        """Return what `arrays` gave, or None if there is none of it."""
+        if "film.size_px" not in arrays:
+            return None
+        blob, ends = arrays["film.pictures"].tobytes(), arrays["film.ends"].tolist()
+        width_px, height_px = arrays["film.size_px"].tolist()
+        region = "film.region."
+        return cls(
+            size_px=(width_px, height_px),
+            pictures=tuple(blob[start:end] for start, end in zip([0, *ends], ends, strict=False)),
+            samples=arrays["film.samples"],
+            judged=Ragged(
+                columns=JUDGED_COLUMNS, first=arrays["film.judged.first"], rows=arrays["film.judged.rows"]
+            ),
+            found=Ragged(
+                columns=FOUND_COLUMNS, first=arrays["film.found.first"], rows=arrays["film.found.rows"]
+            ),
+            regions={name.removeprefix(region): a for name, a in arrays.items() if name.startswith(region)},
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,6 +178,7 @@ class Trace:
         events: In order of time.
         scene: What does not move, to be drawn in this order.
         about: Scenario, behaviour and versions, for captions.
+        film: What a camera in the loop saw; None without one.
     """
 
     time_s: FloatArray
@@ -133,6 +197,7 @@ class Trace:
     events: tuple[Event, ...]
     scene: tuple[Surface, ...]
     about: Mapping[str, Json]
+    film: Film | None = None
 
     def to_bytes(self) -> bytes:
         """Return the trace as a compressed npz archive."""
@@ -167,6 +232,8 @@ class Trace:
             "events": [[e.time_s, e.kind, e.text] for e in self.events],
             "about": dict(self.about),
         }
+        if self.film is not None:
+            arrays.update(self.film.arrays())
         arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
         buffer = io.BytesIO()
         np.savez_compressed(buffer, allow_pickle=False, **arrays)
@@ -220,4 +287,5 @@ class Trace:
                 for i, (k, c, w) in enumerate(header["scene"])
             ),
             about=header["about"],
+            film=Film.from_arrays(arrays),
         )

@@ -13,7 +13,6 @@ from worker.codec import from_wire
 from worker.process import EpisodeProcess
 from worker.wire import JobFailed
 
-DEFAULT_REQUIREMENT = "front-gap@1"
 ASK_AGAIN_S = 0.5
 EPISODE_S = 120.0
 
@@ -85,7 +84,7 @@ async def write_replays(
     return files
 
 
-async def requirement_of(api: Api, campaign_id: str) -> str:
-    """Return the requirement that gives a campaign's verdict."""
+async def requirement_of(api: Api, campaign_id: str) -> str | None:
+    """Return the requirement that gives a campaign's verdict; None if several do."""
     params = (await api.get(f"/campaigns/{campaign_id}"))["body"]["problem"]["params"]
-    return str(params.get("requirement", DEFAULT_REQUIREMENT))
+    return str(params["requirement"]) if "requirement" in params else None

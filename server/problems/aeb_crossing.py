@@ -14,6 +14,7 @@ from search.settings import check_settings, setting
 from search.space import Categorical, Component, Real, SearchSpace
 from server.problems.base import Vectors
 from sim.aeb.scenario import ARRIVAL_S, CROSSING_M, ONCOMING_M, TIMES, WEATHERS, Obstacle, Occluder
+from sim.aeb.words import words_of_perturbations, words_of_street
 from sim.episode import EpisodeSpec, Json
 from sim.perturbations import CATALOGUE
 from worker.wire import Completed
@@ -130,10 +131,9 @@ class AebCrossing:
 
     def words(self, vectors: Vectors) -> str:
         """Return a candidate in words."""
-        scenario = self.space.decode(tuple(vectors))["scenario"]
-        chain = ", then ".join(f"{p['gene']} {p['level']}" for p in self.perturbations(vectors))
-        weather = str(scenario["weather"]).replace("_", " ")
-        return f"{chain}; {scenario['time_of_day']}, {weather}, behind a {scenario['occluder']}"
+        scenario = {**self.space.decode(tuple(vectors))["scenario"], "obstacle": self.params.obstacle}
+        chain = words_of_perturbations(self.perturbations(vectors)) or "not perturbed"
+        return f"{chain}; {words_of_street(scenario)}"
 
     def evaluation(self, outcome: Completed) -> Evaluation:
         """Return the verdict: in metres of clearance, or in m/s above a stand, whichever is less for any hazard."""

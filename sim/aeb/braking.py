@@ -11,11 +11,16 @@ rectangle around it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 REFERENCE_PX: Final = (1280, 720)
 TOP_ROW_PX: Final = 470.0
 HOLD_S: Final = 0.5
+
+_Rows = TypeVar("_Rows", float, NDArray[np.floating])
 
 PERSON, VEHICLE = "person", "vehicle"
 
@@ -77,11 +82,19 @@ class Region:
         Rows that both have are an interval; since the trapezoid is widest at its lowest row, the lowest common row
         decides.
         """
-        low = min(box.y_max_px, float(self.height_px))
-        if low < max(box.y_min_px, self.top_row_px):
-            return False
+        return bool(self.met_by(np.array([box[1:5]], np.float64))[0])
+
+    def met_by(self, boxes: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """Return which boxes share a point with the trapezoid.
+
+        Args:
+            boxes: x_min, y_min, x_max, y_max in px, shape ``(n, 4)``.
+        """
+        low = np.minimum(boxes[:, 3], self.height_px)
+        high_enough = low >= np.maximum(boxes[:, 1], self.top_row_px)
         middle, half = 0.5 * self.width_px, self._half_px(low)
-        return box.x_min_px <= middle + half and box.x_max_px >= middle - half
+        met: NDArray[np.bool_] = high_enough & (boxes[:, 0] <= middle + half) & (boxes[:, 2] >= middle - half)
+        return met
 
     def holds(self, box: Detection) -> bool:
         """Return whether the middle of a box's lower edge lies in the trapezoid."""
@@ -89,7 +102,7 @@ class Region:
         aside = abs(0.5 * (box.x_min_px + box.x_max_px) - 0.5 * self.width_px)
         return low >= self.top_row_px and aside <= self._half_px(low)
 
-    def _half_px(self, row_px: float) -> float:
+    def _half_px(self, row_px: _Rows) -> _Rows:
         """Return half the width at a row."""
         depth = (row_px - self.top_row_px) / (self.height_px - self.top_row_px)
         return 0.5 * (self.top_px + depth * (self.base_px - self.top_px))

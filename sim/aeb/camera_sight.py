@@ -6,11 +6,12 @@ from typing import Final
 import cv2
 import numpy as np
 
-from sim.aeb.braking import PERSON, VEHICLE, Detection
-from sim.aeb.sight import MIN_HEIGHT_SHARE, Look
+from sim.aeb.braking import PERSON, VEHICLE, Detection, EmergencyBrake
+from sim.aeb.scores import Scores, scored
+from sim.aeb.sight import MIN_HEIGHT_SHARE, Look, Shot
 from sim.aeb.street import Street
 from sim.perception.detector import LABELS, Detector
-from sim.perception.quality import Found, Truth, mean_average_precision
+from sim.perception.quality import Found, Truth
 from sim.perturbations import Mode, Perturbation, Pipeline
 from sim.rendering.renderer import Renderer
 from sim.rendering.scene import BodyKind, Frame, Light, PictureCamera, Viewpoint
@@ -52,6 +53,7 @@ class CameraSight:
         self._pipeline = Pipeline(tuple(perturbations), seed=seed, mode=mode)
         self._detector = detector
         self._threshold = threshold
+        self._warning = EmergencyBrake.for_picture(*size_px).warning
         self._truths: list[Truth] = []
         self._found: list[Found] = []
 
@@ -60,16 +62,19 @@ class CameraSight:
         view = Viewpoint(x_m=ego.x_m, y_m=ego.y_m, yaw_rad=ego.yaw_rad)
         picture = self._renderer.frame(view, [actor.now() for actor in street.actors], time_s)
         truth, ignored = ground_truth(picture)
-        found = self._detector.detect(self._pipeline(picture.image, frame))
-        self._truths.append(_rows(truth, ignored))
+        shown = self._pipeline(picture.image, frame)
+        shot = Shot(shown, _rows(truth, ignored), self._detector.detect(shown))
+        found = shot.found
+        self._truths.append(shot.truth)
         self._found.append(found)
         sure = np.flatnonzero(found.scores >= self._threshold).tolist()
         detections = tuple(_detection(found, place) for place in sure)
-        return Look(tuple(box for box, skip in zip(truth, ignored, strict=True) if not skip), detections)
+        counting = tuple(box for box, skip in zip(truth, ignored, strict=True) if not skip)
+        return Look(counting, detections, shot)
 
-    def mean_average_precision(self) -> float:
-        """Return the mAP of all frames so far; NaN if there was nothing to find."""
-        return mean_average_precision(self._truths, self._found)
+    def scores(self) -> Scores:
+        """Return how well the detector did in all frames so far."""
+        return scored(self._truths, self._found, self._threshold, self._warning)
 
 
 def ground_truth(frame: Frame) -> tuple[list[Detection], list[bool]]:

@@ -4,21 +4,27 @@ Boxes are in the coordinates of the trace's 800 x 600 picture: cameras with the 
 same there, however many pixels they have.
 """
 
+import io
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
 
-from sim.aeb.braking import Detection
-from sim.aeb.sight import Look, boxes_of
+from sim.aeb.braking import Detection, EmergencyBrake
+from sim.aeb.sight import Look, Picture, Shot, boxes_of
 from sim.aeb.street import CRUISE_MPS, END_M, LANE_Y_M, Street
 from sim.episode import Json
 from sim.rendering.scene import BodyKind, Material
 from sim.trace import (
     BOX_COLUMNS,
+    FOUND_COLUMNS,
+    JUDGED_COLUMNS,
     PERCEIVED_COLUMNS,
     ActorTrack,
     Event,
+    Film,
     FloatArray,
     Ragged,
     Surface,
@@ -27,6 +33,11 @@ from sim.trace import (
 from sim.world.ego import EgoCar
 
 TRACE_PX: Final = (800.0, 600.0)
+PICTURE_EVERY: Final = 2
+"""One frame in two is kept as a picture: ten a second, as films play."""
+JPEG_QUALITY: Final = 70
+PICTURE_WIDTH_PX: Final = 480
+"""Wider pictures are kept at this width: a film of ten seconds is one or two megabytes."""
 _SURFACES: Final = {Material.ASPHALT: "road", Material.PAVEMENT: "pavement", Material.MARKING: "marking"}
 
 
@@ -51,6 +62,7 @@ class AebRecorder:
         self._brakes: list[bool] = []
         self._robustness: dict[str, list[float]] = {}
         self._events: list[Event] = []
+        self._film = _FilmRecorder()
 
     def sample(self, time_s: float, look: Look, *, brakes: bool) -> None:
         """Take a frame."""
@@ -59,6 +71,8 @@ class AebRecorder:
         self._place(time_s)
         self._truth.append(self._scaled(look.truth))
         self._given.append(self._scaled(look.detections))
+        if look.shot is not None:
+            self._film.append(len(self._time_s) - 1, look.shot)
         self._brakes.append(brakes)
 
     def judge(self, name: str, robustness: float) -> None:
@@ -124,18 +138,66 @@ class AebRecorder:
             events=tuple(self._events),
             scene=_surfaces(self._street),
             about=about,
+            film=self._film.film(count, self._size_px),
         )
+
+
+class _FilmRecorder:
+    """Takes what the camera saw, every picture's boxes and every second picture."""
+
+    def __init__(self) -> None:
+        self._pictures: list[bytes] = []
+        self._samples: list[int] = []
+        self._judged: list[list[tuple[float, ...]]] = []
+        self._found: list[list[tuple[float, ...]]] = []
+
+    def append(self, sample: int, shot: Shot) -> None:
+        """Take the shot of a sample."""
+        if sample % PICTURE_EVERY == 0:
+            self._samples.append(sample)
+            self._pictures.append(_jpeg(shot.picture))
+        self._judged.append(_rows(shot.truth.labels, shot.truth.boxes, shot.truth.ignored))
+        self._found.append(_rows(shot.found.labels, shot.found.boxes, shot.found.scores))
+
+    def film(self, samples: int, size_px: tuple[int, int]) -> Film | None:
+        """Return the film of an episode with that many samples; None if there was no camera."""
+        if not self._samples:
+            return None
+        nothing: list[list[tuple[float, ...]]] = [[]] * (samples - len(self._judged))
+        brake = EmergencyBrake.for_picture(*size_px)
+        return Film(
+            size_px=size_px,
+            pictures=tuple(self._pictures),
+            samples=np.array(self._samples, np.int32),
+            judged=_ragged([*self._judged, *nothing], JUDGED_COLUMNS),
+            found=_ragged([*self._found, *nothing], FOUND_COLUMNS),
+            regions={"warning": _array(brake.warning.corners()), "danger": _array(brake.danger.corners())},
+        )
+
+
+def _jpeg(picture: Picture) -> bytes:
+    image = Image.fromarray(picture)
+    image.thumbnail((PICTURE_WIDTH_PX, picture.shape[0]), reducing_gap=2.0)
+    buffer = io.BytesIO()
+    image.save(buffer, "JPEG", quality=JPEG_QUALITY)
+    return buffer.getvalue()
+
+
+def _rows(labels: NDArray[Any], boxes: NDArray[Any], last: NDArray[Any]) -> list[tuple[float, ...]]:
+    """Return boxes as rows of label, x_min, x_max, y_min, y_max and one column more."""
+    whole = np.column_stack([labels, boxes[:, [0, 2, 1, 3]], last])
+    return [tuple(row) for row in whole.tolist()]
 
 
 def _array(values: Sequence[object]) -> FloatArray:
     return np.asarray(values, dtype=np.float32)
 
 
-def _ragged(rows: Sequence[Sequence[tuple[float, ...]]]) -> Ragged:
+def _ragged(rows: Sequence[Sequence[tuple[float, ...]]], columns: tuple[str, ...] = BOX_COLUMNS) -> Ragged:
     first = np.concatenate([[0], np.cumsum([len(part) for part in rows])]).astype(np.int32)
     flat = [row for part in rows for row in part]
     return Ragged(
-        columns=BOX_COLUMNS, first=first, rows=np.array(flat, np.float32).reshape(len(flat), len(BOX_COLUMNS))
+        columns=columns, first=first, rows=np.array(flat, np.float32).reshape(len(flat), len(columns))
     )
 
 

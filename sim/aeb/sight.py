@@ -1,18 +1,38 @@
 """What the brake is told: by ground truth, by nobody, or by a detector that looks at pictures."""
 
 from collections.abc import Sequence
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
 
 from sim.aeb.braking import PERSON, VEHICLE, Detection
 from sim.aeb.street import Street
 from sim.driving.camera import Body as Prism
 from sim.driving.camera import Camera
 from sim.driving.interface import ObstacleLabel
+from sim.perception.quality import Found, Truth
 from sim.rendering.scene import Body, BodyKind
 from sim.world.ego import EgoCar
 
+Picture: TypeAlias = NDArray[np.uint8]
+
 MIN_HEIGHT_SHARE: Final = 8.0 / 360.0
 """Lower ground-truth boxes do not count: 8 px in a picture of 640 x 360."""
+
+
+class Shot(NamedTuple):
+    """One picture of a camera in the loop.
+
+    Attributes:
+        picture: As the detector was shown it, RGB, shape ``(h, w, 3)``.
+        truth: What is there, what does not count included.
+        found: All that the detector found.
+    """
+
+    picture: Picture
+    truth: Truth
+    found: Found
 
 
 class Look(NamedTuple):
@@ -22,10 +42,12 @@ class Look(NamedTuple):
         truth: Ground-truth boxes, unusual bodies included: a fallen tree is labelled a vehicle, since it stands in
             the way like one.
         detections: What the brake is told.
+        shot: What the camera and the detector gave; None without them.
     """
 
     truth: tuple[Detection, ...]
     detections: tuple[Detection, ...]
+    shot: Shot | None = None
 
 
 class Sight(Protocol):

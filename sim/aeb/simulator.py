@@ -4,6 +4,7 @@ import json
 import math
 import time
 from collections.abc import Mapping
+from dataclasses import asdict
 
 from sim.aeb.behaviour import Behaviour, Options, SightMode
 from sim.aeb.braking import EmergencyBrake
@@ -122,12 +123,15 @@ def _result(
         about: JsonObject = {"spec": json.loads(spec.canonical_json()), "versions": dict(versions())}
         trace = recorder.trace(about).to_bytes()
     objectives = {f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()}
-    if isinstance(sight, CameraSight) and math.isfinite(quality := sight.mean_average_precision()):
-        objectives["alpha"] = quality
+    scores: dict[str, float] = {}
+    if isinstance(sight, CameraSight):
+        scores = {name: value for name, value in asdict(sight.scores()).items() if math.isfinite(value)}
+    if "alpha" in scores:
+        objectives["alpha"] = scores["alpha"]
     return EpisodeResult(
         verdicts=verdicts,
         objectives=objectives,
-        features=_features(outcome, requirements),
+        features={**_features(outcome, requirements), **scores},
         provenance={
             "simulator": SIMULATOR_ID,
             **versions(),

@@ -115,6 +115,20 @@ def mean_average_precision(truths: Sequence[Truth], found: Sequence[Found]) -> f
     return float(np.mean(values)) if values else float("nan")
 
 
+def precision_and_recall(
+    truths: Sequence[Truth], found: Sequence[Found], score: float
+) -> tuple[float, float]:
+    """Return precision and recall of all detections with at least a score, classes together; NaN of nothing."""
+    by_class = curves(truths, found)
+    counted = [curve.scores >= score for curve in by_class]
+    said = sum(int(np.count_nonzero(sure)) for sure in counted)
+    right = sum(
+        int(np.count_nonzero(curve.hits[sure])) for curve, sure in zip(by_class, counted, strict=True)
+    )
+    positives = sum(curve.positives for curve in by_class)
+    return (right / said if said else float("nan")), (right / positives if positives else float("nan"))
+
+
 def _curve(label: int, truths: Sequence[Truth], found: Sequence[Found]) -> Curve:
     positives = 0
     scores: list[FloatArray] = []
@@ -143,7 +157,9 @@ def _matched(boxes: FloatArray, truth: FloatArray, ignored: BoolArray) -> tuple[
         return right, counts
     overlap = overlaps(boxes, truth)
     free = ~ignored
-    for index in range(len(boxes)):
+    for index in np.flatnonzero(
+        overlap.max(axis=1) >= MATCH_OVERLAP
+    ).tolist():  # the others are wrong at once
         candidates = np.where(free, overlap[index], -1.0)
         best = int(np.argmax(candidates))
         if candidates[best] >= MATCH_OVERLAP:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Final
 
+from sim.aeb.words import words_of_perturbations, words_of_street
 from sim.trace import Trace
 from sim.urban.words import words_of_scenario
 
@@ -10,6 +11,7 @@ UNITS: Final = {"m": " m", "s": " s", "m/s": " m/s"}
 REQUIREMENT_UNITS: Final = {
     "front-gap": "m",
     "no-collision": "m",
+    "no-dangerous-stop": "m/s",
     "lane-keeping": "m",
     "red-light": "m",
     "speed-limit": "m/s",
@@ -22,12 +24,24 @@ def scenario_words(trace: Trace) -> str:
     """Return the scenario as a line of words, from what the trace says about itself; empty if it says nothing."""
     spec = trace.about.get("spec")
     scenario = spec.get("scenario") if isinstance(spec, Mapping) else None
-    words = words_of_scenario(scenario) if isinstance(scenario, Mapping) else ""
+    words = ""
+    if isinstance(scenario, Mapping):
+        words = words_of_street(scenario) if "crossing_m" in scenario else words_of_scenario(scenario)
     behaviour = spec.get("behaviour") if isinstance(spec, Mapping) else None
     planned = isinstance(behaviour, Mapping) and behaviour.get("trajectories")
     if planned and not len(trace.given_boxes.rows):
         words += "; it ends before anything is injected"
     return words
+
+
+def perturbation_words(trace: Trace) -> str:
+    """Return the perturbations that the camera's pictures went through, in order; empty if there were none."""
+    spec = trace.about.get("spec")
+    behaviour = spec.get("behaviour") if isinstance(spec, Mapping) else None
+    steps = behaviour.get("perturbations") if isinstance(behaviour, Mapping) else None
+    if not isinstance(steps, list):
+        return ""
+    return words_of_perturbations([step for step in steps if isinstance(step, Mapping)])
 
 
 def plain_name(plugin_id: str) -> str:

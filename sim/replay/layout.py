@@ -27,8 +27,12 @@ class Layout:
     time_bar: Rectangle
 
     @classmethod
-    def of(cls, size: Size) -> Self:
+    def of(cls, size: Size, *, filmed: bool = False) -> Self:
         """Return the layout of a frame.
+
+        Args:
+            size: Width and height of the frame.
+            filmed: Whether the camera's picture, 16 to 9, takes the large place and the map the small one.
 
         Raises:
             ReplayError: The size is out of bounds, or odd (H.264 halves both sides for its colours).
@@ -42,12 +46,13 @@ class Layout:
         camera_right, camera_top = width - gap, top + gap
         camera_left = side + gap
         camera_bottom = camera_top + round((camera_right - camera_left) * 3 / 4)
+        large, small = (0, top, side, bottom), (camera_left, camera_top, camera_right, camera_bottom)
         return cls(
             size=size,
             unit=unit,
             header=(0, 0, width, top),
-            map=(0, top, side, bottom),
-            camera=(camera_left, camera_top, camera_right, camera_bottom),
+            map=small if filmed else large,
+            camera=(0, top, side, top + round(side * 9 / 16)) if filmed else small,
             panel=(camera_left, camera_bottom + gap, camera_right, bottom),
             time_bar=(0, bottom, width, height),
         )

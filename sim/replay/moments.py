@@ -99,10 +99,15 @@ def _choose(trace: Trace, requirement: str | None) -> str:
     if requirement is None:
         if not trace.robustness:
             raise ReplayError("the trace records no requirement: there is nothing to judge")
-        return min(
+        told = min(
             trace.robustness,
             key=lambda name: FIRST_TOLD.index(plain_name(name)) if plain_name(name) in FIRST_TOLD else 9,
         )
+        # A camera's episode is about any hazard: the one that happened, if the usual one did not.
+        others = [
+            name for name, series in trace.robustness.items() if trace.film is not None and np.any(series < 0)
+        ]
+        return told if told in others or not others else others[0]
     matching = [name for name in trace.robustness if requirement in (name, plain_name(name))]
     if not matching:
         known = ", ".join(trace.robustness) or "none"
@@ -134,9 +139,10 @@ def _before(trace: Trace, decisive: int) -> list[Moment]:
         found.append(Moment(sample=sample, reason=f"{seconds:g} s before"))
 
     lead_up(LEAD_UP_S[0])
-    found += [
-        Moment(sample=sample, reason=f"injected {word}") for sample, word in _injections(trace, decisive)
-    ]
+    if trace.film is None:
+        found += [
+            Moment(sample=sample, reason=f"injected {word}") for sample, word in _injections(trace, decisive)
+        ]
     changes = [i for i in range(1, decisive + 1) if trace.plan_mode[i] != trace.plan_mode[i - 1]]
     found += [Moment(sample=i, reason=f"plan: {trace.plan_mode[i]}") for i in changes[::-1][:2]]
     for event in reversed(told_events(trace)):

@@ -46,6 +46,11 @@ SURFACES: Final[dict[str, tuple[Rgb, Rgb | None]]] = {
 """Fill and outline of each kind of surface."""
 UNKNOWN_SURFACE: Final[tuple[Rgb, Rgb | None]] = ((215, 215, 215), None)
 
+SEEN_ON_PICTURE: Final[Rgb] = (64, 222, 128)
+FOUND_ON_PICTURE: Final[Rgb] = (255, 52, 52)
+REGION_ON_PICTURE: Final[Rgb] = (255, 214, 64)
+"""Lines on a camera's picture, by day and night: what is there, what was detected, what brakes."""
+
 SKY: Final[Rgb] = (226, 235, 243)
 
 PLAN_MODES: Final[dict[str, Rgb]] = {

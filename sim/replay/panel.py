@@ -141,8 +141,10 @@ class Panel:
             ("camera: what is there", self._key_box(SEEN)),
             ("camera: what was reported", self._key_dashed_box),
         ]
+        if self._trace.film is not None:
+            entries = entries[:4]  # the lines on the picture are explained below it
         spots = [(0, 0), (1, 0), (0, 1), (1, 1), (0, 2), (0, 3), (0, 4)]
-        for (text, key), (column, row) in zip(entries, spots, strict=True):
+        for (text, key), (column, row) in zip(entries, spots, strict=False):
             x = self._left + column * (self._right - self._left) / 2
             y = top + (9 + 20 * row) * unit
             if y + 8 * unit > self._bottom:

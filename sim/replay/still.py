@@ -34,7 +34,7 @@ def still(trace: Trace, *, requirement: str | None = None, size: Size = (1280, 7
     frame = painter.frame(painter.story.decisive)
     if not painter.story.violated:
         unit = painter.layout.unit
-        left, top, right, _ = painter.layout.map
+        left, top, right, _ = painter.layout.camera if painter.filmed else painter.layout.map
         draw_banner(
             ImageDraw.Draw(frame), ((left + right) / 2, top + 22 * unit), painter.verdict(), unit, INK
         )
@@ -58,7 +58,7 @@ def _strip(painter: FramePainter) -> Image.Image:
     moments = painter.story.moments
     columns = max(4, len(moments))
     side = (width - gap * (columns + 1)) // columns
-    high, words = round(side * 0.72), round(38 * unit)
+    high, words = round(side * (0.5625 if painter.filmed else 0.72)), round(38 * unit)
     strip = Image.new("RGB", (width, high + words + 2 * gap), PAPER)
     draw = ImageDraw.Draw(strip)
     draw.line((0, 0, width, 0), fill=HAIRLINE)
@@ -72,7 +72,10 @@ def _strip(painter: FramePainter) -> Image.Image:
     )
     left = (width - len(moments) * (side + gap) + gap) // 2
     for moment in moments:
-        strip.paste(close_up.draw(moment.sample), (left, gap))
+        picture = (
+            painter.picture(moment.sample, (side, high)) if painter.filmed else close_up.draw(moment.sample)
+        )
+        strip.paste(picture, (left, gap))
         _frame_moment(strip, painter, moment, (left, gap, side, high))
         left += side + gap
     return strip

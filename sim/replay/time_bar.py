@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from sim.replay.layout import Layout
@@ -22,6 +23,7 @@ from sim.replay.palette import (
 from sim.trace import Trace
 
 Value = TypeVar("Value")
+PERSON = 1
 
 
 class TimeBar:
@@ -55,13 +57,13 @@ class TimeBar:
         draw = ImageDraw.Draw(frame)
         unit = self._unit
         rows = [self._top + (6 + 13 * row) * unit for row in range(3)]
-        for name, y in zip(("plan", "injected", "violated"), rows, strict=True):
+        reported = "injected" if self._trace.film is None else "person seen"
+        for name, y in zip(("plan", reported, "violated"), rows, strict=True):
             draw.text((self._left - 6 * unit, y + 5 * unit), name, fill=MUTED, font=self._font, anchor="rm")
             draw.rectangle((self._left, y, self._right, y + 10 * unit), fill=(238, 240, 242))
         for mode, first, last in runs(self._trace.plan_mode):
             self._draw_mode(draw, mode, first, last, rows[0])
-        counts = np.diff(self._trace.given_boxes.first)
-        for count, first, last in runs(counts.tolist()):
+        for count, first, last in runs(self._reported().tolist()):
             if count:
                 self._draw_run(draw, first, last, rows[1], GHOST)
         below = np.asarray(self._trace.robustness[self._story.requirement]) < 0
@@ -69,6 +71,14 @@ class TimeBar:
             if violated:
                 self._draw_run(draw, first, last, rows[2], VIOLATION)
         self._draw_axis(draw, self._top + 46 * unit)
+
+    def _reported(self) -> NDArray[np.int64]:
+        """Return how many boxes were reported at each sample; where a camera is in the loop, of people alone."""
+        boxes = self._trace.given_boxes
+        if self._trace.film is None:
+            return np.asarray(np.diff(boxes.first), np.int64)
+        sums = np.concatenate([[0], np.cumsum(boxes.rows[:, 0] == PERSON)])
+        return np.asarray(np.diff(sums[boxes.first]), np.int64)
 
     def draw(self, frame: Image.Image, sample: int) -> None:
         """Draw where the sample is."""

@@ -32,7 +32,8 @@ DPI: Final = 100
 TOLD_ROBUSTNESS: Final = 12.0
 """Robustness is drawn up to this much in its unit: what lies beyond is no danger and would flatten the rest."""
 BANDS: Final = ("plan", "light", "injected vehicle", "injected person")
-LABELS: Final = {"injected vehicle": 0, "injected person": 1}
+FILM_BANDS: Final = ("plan", "detected vehicle", "detected person")
+LABELS: Final = {"injected vehicle": 0, "injected person": 1, "detected vehicle": 0, "detected person": 1}
 
 
 def timeline_figure(
@@ -128,7 +129,8 @@ def _plot_robustness(axes: Axes, trace: Trace, story: Story) -> None:
 
 
 def _plot_bands(axes: Axes, trace: Trace) -> None:
-    for row, name in enumerate(BANDS):
+    names = BANDS if trace.film is None else FILM_BANDS
+    for row, name in enumerate(names):
         axes.axhspan(row - 0.36, row + 0.36, color="#f0f2f4", linewidth=0)
         if name == "plan":
             for mode, first, last in runs(trace.plan_mode):
@@ -142,8 +144,8 @@ def _plot_bands(axes: Axes, trace: Trace) -> None:
             for count, first, last in runs(counts.tolist()):
                 if count:
                     _band(axes, trace, row, first, last, GHOST, f"{count}" if count != 1 else "")
-    axes.set_ylim(len(BANDS) - 0.5, -0.5)
-    axes.set_yticks(range(len(BANDS)), BANDS)
+    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.set_yticks(range(len(names)), names)
     _tidy(axes)
     axes.grid(visible=False)
     axes.tick_params(axis="y", length=0)

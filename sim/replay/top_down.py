@@ -6,16 +6,19 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from sim.replay.camera_view import CameraView
-from sim.replay.captions import scenario_words, with_unit
+from sim.replay.captions import perturbation_words, scenario_words, with_unit
+from sim.replay.errors import ReplayError
 from sim.replay.layout import DEFAULT_SIZE, Layout, Rectangle, Size, extent
 from sim.replay.map_view import MapView
 from sim.replay.moments import Story, tell
 from sim.replay.palette import HAIRLINE, INK, PAPER, VIOLATION, Rgb, typeface
 from sim.replay.panel import Panel, paint_grounds
+from sim.replay.picture_view import PictureView, draw_key, threshold_of
 from sim.replay.time_bar import TimeBar
 from sim.trace import Trace
 
 MAP_WIDTH_M: Final = 62.0
+SMALL_MAP_WIDTH_M: Final = 40.0
 LOOK_AHEAD_M: Final = 9.0
 SCALE_BAR_M: Final = 10.0
 
@@ -35,18 +38,23 @@ class FramePainter:
     def __init__(self, trace: Trace, *, requirement: str | None = None, size: Size = DEFAULT_SIZE) -> None:
         self.trace = trace
         self.story: Story = tell(trace, requirement)
-        self.layout = Layout.of(size)
-        map_size = extent(self.layout.map)
-        self.px_per_m = map_size[0] / MAP_WIDTH_M
+        film = trace.film
+        self.layout = Layout.of(size, filmed=film is not None)
+        self.px_per_m = extent(self.layout.map)[0] / (MAP_WIDTH_M if film is None else SMALL_MAP_WIDTH_M)
         self._map = MapView(
             trace,
             self.story,
-            size_px=map_size,
+            size_px=extent(self.layout.map),
             px_per_m=self.px_per_m,
             look_ahead_m=LOOK_AHEAD_M,
             font_px=round(13 * self.layout.unit),
         )
-        self._camera = CameraView(trace, size_px=extent(self.layout.camera))
+        camera_size = extent(self.layout.camera)
+        self._camera: CameraView | PictureView = (
+            CameraView(trace, size_px=camera_size)
+            if film is None
+            else PictureView(film, threshold=threshold_of(trace), size_px=camera_size)
+        )
         self._panel = Panel(trace, self.story, self.layout)
         self._bar = TimeBar(trace, self.story, self.layout)
         self._still = Image.new("RGB", size, PAPER)
@@ -63,7 +71,7 @@ class FramePainter:
         """Return the frame of a sample, in RGB."""
         frame = self._still.copy()
         frame.paste(self.map(sample), self.layout.map[:2])
-        frame.paste(self._camera.draw(sample), self.layout.camera[:2])
+        frame.paste(self.camera(sample), self.layout.camera[:2])
         draw = ImageDraw.Draw(frame)
         draw.rectangle(_grown(self.layout.camera), outline=HAIRLINE)
         self._panel.draw(frame, sample)
@@ -75,6 +83,30 @@ class FramePainter:
         """Return the map of a sample alone, with its scale bar and, once violated, the verdict."""
         image = self._map.draw(sample)
         self._draw_scale(image)
+        return image if self.filmed else self._judged(image, sample)
+
+    def camera(self, sample: int) -> Image.Image:
+        """Return the camera's picture of a sample alone; where it is the large one, with the verdict."""
+        image = self._camera.draw(sample)
+        return self._judged(image, sample) if self.filmed else image
+
+    def picture(self, sample: int, size_px: Size) -> Image.Image:
+        """Return what the camera saw at a sample, at another size.
+
+        Raises:
+            ReplayError: There are no pictures of a camera.
+        """
+        if self.trace.film is None:
+            raise ReplayError("the trace has no pictures of a camera")
+        view = PictureView(self.trace.film, threshold=threshold_of(self.trace), size_px=size_px)
+        return view.draw(sample)
+
+    @property
+    def filmed(self) -> bool:
+        """Whether there are pictures of a camera in the loop."""
+        return self.trace.film is not None
+
+    def _judged(self, image: Image.Image, sample: int) -> Image.Image:
         if self.story.violated and sample >= self.story.decisive:
             self._draw_violation(image)
         return image
@@ -88,6 +120,12 @@ class FramePainter:
         while draw.textlength(words, font=font) > room and len(words) > 4:
             words = words[:-2].rstrip(" ,…") + "…"
         draw.text((12 * unit, 16 * unit), words, fill=INK, font=font, anchor="lm")
+        if self.filmed:
+            left, _, _, bottom = self.layout.camera
+            seen = typeface(round(15 * unit), bold=True)
+            through = perturbation_words(self.trace) or "not perturbed"
+            draw.text((left + 12 * unit, bottom + 22 * unit), through, fill=INK, font=seen, anchor="lm")
+            draw_key(draw, (left + 12 * unit, bottom + 50 * unit), unit)
 
     def _draw_clock(self, draw: ImageDraw.ImageDraw, sample: int) -> None:
         unit = self.layout.unit
