@@ -63,7 +63,7 @@ class Combination:
     Attributes:
         chain: Two steps or more.
         tally: Of the chain, in all its places.
-        parts: Of each proper part, in its order, that shares a place with it.
+        parts: Of each proper part, nothing at all among them, that shares a place with it.
         orders: Of each other order of the same steps that shares a place with it.
         together: Solutions of the chain that are unsafe where every part is safe: all parts were simulated there.
         turned: Solutions of the chain that are unsafe where another order is safe.
@@ -79,7 +79,7 @@ class Combination:
     @property
     def complete(self) -> bool:
         """Whether every part was simulated."""
-        return len(self.parts) == (1 << len(self.chain)) - 2
+        return len(self.parts) == (1 << len(self.chain)) - 1
 
     @property
     def hazardous(self) -> bool:
@@ -152,7 +152,7 @@ def _combination(
     own = verdicts[chain]
     parts = {
         part: verdicts[part]
-        for size in range(1, len(chain))
+        for size in range(len(chain))
         for part in itertools.combinations(chain, size)
         if part in verdicts and own.keys() & verdicts[part].keys()
     }
@@ -161,7 +161,7 @@ def _combination(
         for other in by_steps[frozenset(chain)]
         if other != chain and own.keys() & verdicts[other].keys()
     }
-    complete = len(parts) == (1 << len(chain)) - 2
+    complete = len(parts) == (1 << len(chain)) - 1
     unsafe = {place: verdict.number for place, verdict in own.items() if verdict.unsafe}
     return Combination(
         chain=chain,
@@ -188,6 +188,25 @@ def _tally(verdicts: Iterable[Verdict]) -> Tally:
 
 def _shared(verdicts: Verdicts, places: Iterable[bytes]) -> Tally:
     return _tally(verdicts[place] for place in places if place in verdicts)
+
+
+def beside(verdicts: Mapping[Chain, Verdicts], chain: Chain, number: int) -> dict[Chain, Verdict]:
+    """Return the verdicts of a chain, its parts and its other orders where one solution of it was simulated.
+
+    Args:
+        verdicts: As `verdicts_by_chain` gives them.
+        chain: The chain.
+        number: Of the solution.
+
+    Raises:
+        KeyError: The chain has no such solution.
+    """
+    places = [place for place, verdict in verdicts[chain].items() if verdict.number == number]
+    if not places:
+        raise KeyError(number)
+    variants = [part for size in range(len(chain) + 1) for part in itertools.combinations(chain, size)]
+    variants += [order for order in verdicts if order != chain and set(order) == set(chain)]
+    return {one: verdicts[one][places[0]] for one in variants if places[0] in verdicts.get(one, {})}
 
 
 def tally_by_step(verdicts: Mapping[Chain, Verdicts]) -> dict[Step, tuple[Tally, Tally]]:

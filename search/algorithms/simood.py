@@ -142,16 +142,20 @@ class _Genome:
     def variants(self) -> int:
         """How many variants `taken_apart` gives."""
         count = len(self.slots.pairs)
-        return max(0, (1 << count) - 2 + count - 1)
+        return (1 << count) - 1 + count - 1
 
     def taken_apart(self, individual: FloatArray) -> list[FloatArray]:
-        """Return an individual's parts, the other slots empty, and what comes of swapping two neighbours."""
+        """Return an individual's parts, from nothing at all up, and what comes of swapping two neighbours."""
         slots = [self.columns(slot) for slot in range(len(self.slots.pairs))]
         variants = []
-        for size in range(1, len(slots)):
+        for size in range(len(slots)):
             for kept in itertools.combinations(range(len(slots)), size):
                 part = np.array(individual)
-                part[[slots[slot][1] for slot in range(len(slots)) if slot not in kept]] = 0.0
+                free = iter(
+                    sorted(set(range(len(self.slots.levels))) - {int(part[slots[slot][0]]) for slot in kept})
+                )
+                for slot in set(range(len(slots))) - set(kept):
+                    part[slots[slot]] = next(free), 0.0  # equal parts of two individuals are one
                 variants.append(part)
         for left, right in itertools.pairwise(slots):
             swapped = np.array(individual)

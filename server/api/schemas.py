@@ -147,6 +147,69 @@ class Boundary(View):
     strict: Annotated[list[int], Field(description="Numbers of the strict distinct boundary solutions.")]
 
 
+class TechniqueLevel(View):
+    """A technique at one of its levels; a chain is a list of them, in order."""
+
+    technique: str
+    level: int
+    levels: Annotated[int, Field(description="The highest level it has.")]
+
+
+class ChainTally(View):
+    """How often a chain was unsafe."""
+
+    chain: list[TechniqueLevel]
+    words: str
+    unsafe: int
+    trials: int
+
+
+class CombinationView(ChainTally):
+    """A chain of techniques, and what became of its parts and other orders in the same places."""
+
+    parts: Annotated[
+        list[ChainTally], Field(description="Where both were simulated; an empty chain is nothing at all.")
+    ]
+    orders: list[ChainTally]
+    hazardous: Annotated[bool, Field(description="Unsafe in at least four places of five.")]
+    minimal: Annotated[bool, Field(description="Hazardous, and no part is.")]
+    only_together: Annotated[
+        bool, Field(description="Hazardous, and every part is safe in four places of five.")
+    ]
+    order_matters: Annotated[
+        bool, Field(description="Hazardous, and another order is safe in four places of five.")
+    ]
+    together: Annotated[list[int], Field(description="Its unsafe solutions where every part is safe.")]
+    turned: Annotated[list[int], Field(description="Its unsafe solutions where another order is safe.")]
+
+
+class StepTally(View):
+    """A technique at a level: how often unsafe alone, and how often with others."""
+
+    step: TechniqueLevel
+    words: str
+    alone_unsafe: int
+    alone_trials: int
+    joined_unsafe: int
+    joined_trials: int
+
+
+class Variant(View):
+    """A solution in the same place as another, with a part of its techniques or another order."""
+
+    number: int
+    unsafe: bool
+    chain: list[TechniqueLevel]
+    words: str
+
+
+class Combinations(View):
+    """What a campaign on ordered techniques found."""
+
+    steps: list[StepTally]
+    combinations: Annotated[list[CombinationView], Field(description="The most telling first.")]
+
+
 class DistanceBlock(View):
     """A block of the distance matrix."""
 

@@ -13,10 +13,20 @@ from fastapi.responses import JSONResponse
 from sqlalchemy import Connection, Row
 from starlette.responses import Response as PlainResponse
 
+from search.errors import UnsupportedSpace
 from search.parameters import Categorical
 from search.space import SearchSpace
+from server.api.combination_views import combinations_view, variants_view
 from server.api.context import Context, Services, client_gone
-from server.api.schemas import MAX_NUMBER, Boundary, DistanceBlock, SolutionPage, SolutionView
+from server.api.schemas import (
+    MAX_NUMBER,
+    Boundary,
+    Combinations,
+    DistanceBlock,
+    SolutionPage,
+    SolutionView,
+    Variant,
+)
 from server.api.views import boundary_view, solution_views
 from server.campaigns import view_store
 from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
@@ -116,6 +126,34 @@ def boundary_csv(boundary: Boundary) -> str:
             [*values, low, high, solution.number in strict, solution.seed, solution.words, *decoded]
         )
     return text.getvalue()
+
+
+@router.get("/combinations")
+async def get_combinations(campaign_id: str, services: Services) -> Combinations:
+    """Return which chains of techniques are hazardous, and which only together or in one order."""
+    campaign = await services.campaigns.get(campaign_id)
+    found = await services.archives.get(campaign)
+    try:
+        return combinations_view(found.plan.problem.space, found.archive)
+    except UnsupportedSpace:
+        raise NotFound(
+            f"campaign {campaign.id}: {campaign.body.problem.id} has no ordered techniques"
+        ) from None
+
+
+@router.get("/solutions/{number}/variants")
+async def get_variants(campaign_id: str, number: Number, services: Services) -> list[Variant]:
+    """Return a solution's parts and other orders that were simulated in its place, itself last."""
+    campaign = await services.campaigns.get(campaign_id)
+    found = await services.archives.get(campaign)
+    try:
+        return variants_view(found.plan.problem.space, found.archive, number)
+    except UnsupportedSpace:
+        raise NotFound(
+            f"campaign {campaign.id}: {campaign.body.problem.id} has no ordered techniques"
+        ) from None
+    except KeyError:
+        raise NotFound(f"campaign {campaign.id} has no evaluated solution {number}") from None
 
 
 @router.get("/distances", response_model=DistanceBlock)
@@ -220,7 +258,7 @@ async def get_replay(
         trace = Trace.from_bytes(data)
     except InvalidEpisode as error:
         raise Conflict(f"solution {number}: its trace cannot be drawn: {error}") from None
-    requirement = str(campaign.body.problem.params.get("requirement", "front-gap@1"))
+    requirement = campaign.body.problem.params.get("requirement")
 
     def draw() -> bytes:
         return render_bytes(trace, f".{extension}", requirement=requirement)

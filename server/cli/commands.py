@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from server.cli import bench, inspect, operate, perturbations
+from server.cli.combinations import combinations
 from server.cli.compare import compare
 from server.cli.run import run
 from sim.catalogue import PLUGINS_VARIABLE
@@ -26,6 +27,7 @@ app.command()(operate.worker)
 app.command()(operate.submit)
 app.command()(inspect.status)
 app.command()(inspect.results)
+app.command()(combinations)
 app.command()(inspect.plot)
 app.command()(inspect.replay)
 app.command()(compare)

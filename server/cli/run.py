@@ -19,6 +19,8 @@ from server.campaigns.body import CampaignBody, read_campaign_file
 from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.service import check_submission
 from server.cli.api import TIMEOUT, Api, CoordinatorSaid
+from server.cli.combinations import draw_combinations, fetch_combinations, write_combinations
+from server.cli.combinations import in_words as in_one_sentence
 from server.cli.compare import compared_archives
 from server.cli.coordinator import (
     EmbeddedCoordinator,
@@ -144,7 +146,8 @@ async def _run(
                 screen.print(f"look closer with: {brink()} status {campaign_id}{database}", soft_wrap=True)
                 return 1
             folder = plan.out / f"{_file_name(plan.body.name)}-{campaign_id}"
-            boundary, files, control = await _write_all(api, campaign_id, plan, folder, stop, screen)
+            written = await _write_all(api, campaign_id, plan, folder, stop, screen)
+    boundary = written.boundary
     summary = {
         "campaign": campaign_id,
         "digest": progress["digest"],
@@ -158,14 +161,17 @@ async def _run(
         "dbs": boundary["dbs"],
         "strict_dbs": boundary["strict_dbs"],
         "grid": boundary["grid"],
-        "control": control,
+        "control": written.control,
+        "combinations": None if written.combinations is None else in_one_sentence(written.combinations),
         "folder": str(folder),
-        "files": [str(path) for path in files],
+        "files": [str(path) for path in written.files],
     }
     if plan.json:
         print_json(summary)
     else:
-        print_summary(screen, plan.body, summary, boundary, brink=brink(), database=database)
+        print_summary(
+            screen, plan.body, summary, boundary, written.combinations, brink=brink(), database=database
+        )
     if not stop.is_set():
         return 0
     screen.print("[yellow]interrupted: not all pictures are drawn[/yellow]")
@@ -249,28 +255,48 @@ async def _set_aside(
     screen.print(f"go on with: {brink()} run {plan.file} --resume{database}", soft_wrap=True)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Written:
+    """What a run found, as it was written.
+
+    Attributes:
+        boundary: The distinct boundary solutions.
+        files: Everything that was written.
+        control: What the control says, in words.
+        combinations: What chains of techniques did; None if the problem has none.
+    """
+
+    boundary: dict[str, Any]
+    files: list[Path]
+    control: list[str]
+    combinations: dict[str, Any] | None
+
+
 async def _write_all(
     api: Api, campaign_id: str, plan: RunPlan, folder: Path, stop: asyncio.Event, screen: Console
-) -> tuple[dict[str, Any], list[Path], list[str]]:
-    """Write results and pictures, and compare with the control; Ctrl-C leaves out what is not drawn yet.
-
-    Returns:
-        The boundary, the files, and what the control says in words.
-    """
+) -> Written:
+    """Write results and pictures, and compare with the control; Ctrl-C leaves out what is not drawn yet."""
     boundary = await write_results(api, campaign_id, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH)
     files = [folder / name for name in ("boundary.csv", "boundary.json", "archive.npz")]
     with screen.status("comparing with a control") as status:
         fetched = await fetch_archive(api, campaign_id)
+        found = await fetch_combinations(api, campaign_id, fetched.plan.problem.space)
+        if found is not None:
+            files += write_combinations(found, folder)
         control = in_words(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)
+        written = Written(boundary=boundary, files=files, control=control, combinations=found)
         if not plan.pictures or stop.is_set():
-            return boundary, files, control
+            return written
         began = time.monotonic()
         status.update("drawing the boundary")
         files += await asyncio.to_thread(draw_figures, fetched, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH)
+        if found is not None:
+            status.update("drawing combinations")
+            files += await draw_combinations(api, campaign_id, found, folder, stop=stop, patience_s=TRACES_S)
         numbers = [s["number"] for s in boundary["solutions"] if s["spec"] is not None]
         status.update("drawing replays")
         files += await write_replays(
             api, campaign_id, numbers[: plan.replays], folder, stop=stop, patience_s=TRACES_S
         )
     log.info("pictures took %.1f s", time.monotonic() - began)
-    return boundary, files, control
+    return written

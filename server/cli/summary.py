@@ -6,6 +6,7 @@ from rich.console import Console
 from rich.table import Table
 
 from server.campaigns.body import CampaignBody
+from server.cli.combinations import print_combinations
 
 SHOWN = 5
 PAPER_BUDGET = 1300
@@ -16,6 +17,7 @@ def print_summary(
     body: CampaignBody,
     summary: dict[str, Any],
     boundary: dict[str, Any],
+    combinations: dict[str, Any] | None = None,
     *,
     brink: str,
     database: str,
@@ -27,6 +29,7 @@ def print_summary(
         body: The campaign.
         summary: What ``brink run --json`` prints.
         boundary: The distinct boundary solutions.
+        combinations: What chains of techniques did, if the problem has them.
         brink: How to call the command line, for hints.
         database: The option that names the database, for hints.
     """
@@ -38,6 +41,9 @@ def print_summary(
         f"[bold]{body.name}[/bold]: {summary['simulations']} simulations{extra} in {summary['elapsed_s']:.0f} s, "
         f"{share:.0%} unsafe, {summary['failed']} failed"
     )
+    if combinations is not None:
+        print_combinations(screen, combinations)
+        screen.print()
     screen.print(
         f"[bold]{summary['dbs']} distinct boundary solutions[/bold] (fitness at most {summary['t_b']:g}, at least "
         f"{summary['d_th']:g} apart), {summary['strict_dbs']} of them strict"
@@ -53,7 +59,7 @@ def print_summary(
     screen.print(f"files in {summary['folder']}:")
     for path in summary["files"]:
         screen.print(f"  {path.removeprefix(summary['folder'] + '/')}")
-    _print_next(screen, body, summary, boundary, brink=brink, database=database)
+    _print_next(screen, body, summary, boundary, combinations, brink=brink, database=database)
 
 
 def _print_next(
@@ -61,12 +67,18 @@ def _print_next(
     body: CampaignBody,
     summary: dict[str, Any],
     boundary: dict[str, Any],
+    combinations: dict[str, Any] | None,
     *,
     brink: str,
     database: str,
 ) -> None:
     campaign = summary["campaign"]
     hints = []
+    if combinations is not None:
+        telling = [n for one in combinations["combinations"] for n in (*one["together"], *one["turned"])]
+        hints.append((f"combinations {campaign}{database}", "all chains of techniques"))
+        if telling:
+            hints.append((f"replay {campaign} {telling[0]} --out hazard.mp4{database}", "watch the hazard"))
     if any("replay-" in path for path in summary["files"]):
         best = boundary["solutions"][0]["number"]
         hints.append((f"replay {campaign} {best} --out replay.mp4{database}", "watch the best one"))
@@ -81,7 +93,7 @@ def _print_next(
     screen.print()
     screen.print("next:")
     screen.print(table)
-    if boundary["strict_dbs"] == 0:
+    if boundary["strict_dbs"] == 0 and combinations is None:
         screen.print(
             "  raise budget.simulations: a fitness of .10 takes at least 35 neighbours, .05 takes 165"
         )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from search.archive import Archive, Neighbourhood
-from search.combinations import Combination, Step, combinations, tally_by_step, verdicts_by_chain
+from search.combinations import Combination, Step, beside, combinations, tally_by_step, verdicts_by_chain
 from search.errors import UnsupportedSpace
 from search.levels import slots_of
 from search.testing import example_spaces
@@ -41,10 +41,11 @@ def test_a_pair_that_is_hazardous_only_together_and_only_in_one_order() -> None:
         *((place, (BLUR, NOISE), place == 1) for place in range(5)),
         *((place, (NOISE,), False) for place in range(5)),
         *((place, (BLUR,), place == 1) for place in range(5)),
+        *((place, (), False) for place in range(5)),
     ]
     one = found(trials)[NOISE, BLUR]
     assert one.tally == (4, 5)
-    assert one.parts == {(NOISE,): (0, 5), (BLUR,): (1, 5)}
+    assert one.parts == {(): (0, 5), (NOISE,): (0, 5), (BLUR,): (1, 5)}
     assert one.orders == {(BLUR, NOISE): (1, 5)}
     assert one.only_together
     assert one.order_matters
@@ -57,7 +58,7 @@ def test_a_pair_that_is_hazardous_only_together_and_only_in_one_order() -> None:
 
 def test_a_pair_with_a_hazardous_part_is_not_minimal() -> None:
     trials = list(itertools.product(range(3), [(NOISE, BLUR), (BLUR,)], [True]))
-    trials += [(place, (NOISE,), False) for place in range(3)]
+    trials += [(place, part, False) for place in range(3) for part in ((NOISE,), ())]
     one = found(trials)[NOISE, BLUR]
     assert one.hazardous
     assert one.complete
@@ -72,6 +73,19 @@ def test_nothing_is_claimed_while_a_part_was_not_simulated_there() -> None:
     one = found([*trials, (5, (BLUR,), False)])[NOISE, BLUR]
     assert one.parts == {(NOISE,): (0, 3)}, "blur was simulated in another place"
     assert not any((one.complete, one.minimal, one.only_together, one.together))
+
+
+def test_what_is_beside_a_solution_was_simulated_in_its_place() -> None:
+    trials = [
+        (0, (NOISE, BLUR), True), (1, (NOISE, BLUR), False), (1, (BLUR, NOISE), True), (1, (BLUR,), False),
+        (0, (), False), (1, (), False), (1, (Step(2, 3),), True),
+    ]  # fmt: skip
+    verdicts = verdicts_by_chain(SPACE, archive_of(trials))
+    assert beside(verdicts, (NOISE, BLUR), 1) == {
+        (): (5, False), (BLUR,): (3, False), (NOISE, BLUR): (1, False), (BLUR, NOISE): (2, True),
+    }  # fmt: skip
+    with pytest.raises(KeyError):
+        beside(verdicts, (NOISE, BLUR), 2)
 
 
 def test_steps_are_counted_alone_and_with_others() -> None:

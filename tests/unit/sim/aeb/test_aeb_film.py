@@ -19,7 +19,9 @@ from sim.episode import Json
 from sim.perception.quality import Found
 from sim.perception.registry import DETECTORS
 from sim.replay import render
+from sim.replay.errors import ReplayError
 from sim.replay.palette import FOUND_ON_PICTURE, SEEN_ON_PICTURE
+from sim.replay.side_by_side import HEADER_PX, MARGIN, TILE_PX, Row, side_by_side
 from sim.replay.top_down import FramePainter
 from sim.trace import Film, Trace
 
@@ -108,3 +110,21 @@ def test_boxes_meet_the_region_together_as_they_do_alone(a: float, b: float, c: 
     half = 0.5 * (115.0 + (inside - 235.0) / 125.0 * 250.0)
     touches = bool(np.any((box.x_min_px <= 320 + half) & (box.x_max_px >= 320 - half)))
     assert WARNING.meets(box) is touches
+
+
+def test_episodes_stand_side_by_side_at_the_same_moments(trace: Trace) -> None:
+    one = side_by_side([Row(words="snow 3/5", trace=trace)], title="one")
+    both = side_by_side(
+        [Row(words="nothing", trace=trace), Row(words="snow 3/5, then rain 5/5", trace=trace)]
+    )
+    assert both.width == one.width
+    assert both.height - one.height == TILE_PX[1] + MARGIN
+    pixels = np.asarray(both)
+    assert np.array_equal(
+        pixels[HEADER_PX : HEADER_PX + TILE_PX[1], -TILE_PX[0] :],
+        pixels[HEADER_PX + TILE_PX[1] + MARGIN : HEADER_PX + 2 * TILE_PX[1] + MARGIN, -TILE_PX[0] :],
+    )
+    with pytest.raises(ReplayError, match="no pictures"):
+        side_by_side([Row(words="x", trace=replace(trace, film=None))])
+    with pytest.raises(ReplayError, match="no episodes"):
+        side_by_side([])
