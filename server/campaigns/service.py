@@ -22,6 +22,7 @@ from server.db.engine import Engines
 from server.db.models import CampaignStatus
 from server.db.writer import Writer
 from server.errors import Conflict, FieldError, InvalidInput, NotFound
+from server.problems.base import ChecksInputs
 from server.queue.service import QueueService
 
 T = TypeVar("T")
@@ -35,6 +36,10 @@ def check_submission(body: CampaignBody) -> tuple[Live, list[NewSolution]]:
         InvalidInput: It cannot; with a pointer to each wrong field.
     """
     plan = make_plan(body)
+    if isinstance(plan.problem, ChecksInputs) and (wrong := plan.problem.wrong_inputs()):
+        raise InvalidInput(
+            [FieldError(pointer=f"/problem/params/{name}", message=message) for name, message in wrong]
+        )
     try:
         plan.algorithm.check(plan.problem.space, plan.config, budget=body.budget.simulations)
     except UnsupportedSpace as error:

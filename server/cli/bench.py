@@ -1,13 +1,14 @@
 """`brink bench`: measurements of this installation, each figure with its target beside it."""
 
 import asyncio
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import httpx
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from server.bench.rate import TARGET_SHARE, ServiceRate, measure_service
@@ -17,12 +18,15 @@ from server.cli.compare import compared, print_rows, rows_json
 from server.cli.coordinator import EmbeddedCoordinator, WorkerProcesses, prepare_database
 from server.cli.operate import follow
 from server.cli.options import AsJson, console, print_json
+from server.errors import FieldError, InvalidInput
 from server.settings import Settings
+from sim.figures import Row
 
 bench = typer.Typer(help="Measure this installation, each figure with its target.", no_args_is_help=True)
 
 PAPER_FILES = tuple(Path("examples") / f"paper-{name}.yaml" for name in ("mlcshe", "ga", "random"))
 PAPER_TARGET_S = 180.0
+SIMOOD_RESULTS = Path("brink-results") / "bench-simood"
 
 
 @bench.command()
@@ -50,19 +54,25 @@ def difficulty(
             for name in ("scenarios", "reruns", "pairs", "redraws", "ends")
         },
     )
-    rows: list[Any] = []
-    screen = Console(stderr=True)
-    with _progress(screen) as progress:
-        parts: dict[str, Any] = {}
+    with _progress(Console(stderr=True)) as progress:
+        rows = list(measure(sizes, seed=seed, processes=processes, progress=_teller(progress)))
+    _print_figures(rows, as_json=as_json)
 
-        def on_progress(part: str, done: int, total: int) -> None:
-            if part not in parts:
-                parts[part] = progress.add_task(part, total=total)
-            progress.update(parts[part], completed=done)
-            if done == total:
-                progress.update(parts[part], visible=False)
 
-        rows += measure(sizes, seed=seed, processes=processes, progress=on_progress)
+def _teller(progress: Progress) -> Callable[[str, int, int], None]:
+    """Return what shows how far each part of a measurement is."""
+    parts: dict[str, TaskID] = {}
+
+    def tell(part: str, done: int, total: int) -> None:
+        if part not in parts:
+            parts[part] = progress.add_task(part, total=total)
+        progress.update(parts[part], completed=done, visible=done < total)
+
+    return tell
+
+
+def _print_figures(rows: list[Row], *, as_json: bool) -> None:
+    """Print measured figures beside their targets; exit with 1 if one is missed."""
     if as_json:
         print_json([{name: getattr(row, name) for name in row.__slots__} for row in rows])
     else:
@@ -72,6 +82,36 @@ def difficulty(
         console().print(table)
     if any(row.met is False for row in rows):
         raise typer.Exit(1)
+
+
+@bench.command()
+def simood(
+    criteria: Annotated[
+        list[str] | None, typer.Argument(metavar="[A0 … A8]", help="Criteria to measure; all without it.")
+    ] = None,
+    processes: Annotated[int, typer.Option(min=1, help="Processes to run episodes in.")] = 2,
+    out: Annotated[Path, typer.Option(help="Folder for tables, figures and what was run.")] = SIMOOD_RESULTS,
+    as_json: AsJson = False,
+) -> None:
+    """Measure what SiMOOD must show: a safe baseline, hazards of perturbations, the search, what it costs.
+
+    All of it takes some hours. What was run is kept in the folder, so that the same command goes on after an
+    interruption and criteria share episodes.
+
+    Example: brink bench simood A0 A2 --processes 2
+    """
+    # Imported here: measuring runs episodes, which a coordinator never does.
+    from server.bench.simood.criteria import CRITERIA, measure_simood
+
+    wanted = [name.upper() for name in criteria or CRITERIA]
+    for name in wanted:
+        if name not in CRITERIA:
+            message = f"expected some of {', '.join(CRITERIA)}, got {name!r}"
+            raise InvalidInput([FieldError(pointer="criteria", message=message)])
+    out.mkdir(parents=True, exist_ok=True)
+    with _progress(Console(stderr=True)) as progress:
+        rows = measure_simood(wanted, out, processes=processes, told=_teller(progress))
+    _print_figures(rows, as_json=as_json)
 
 
 @bench.command()

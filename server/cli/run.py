@@ -7,6 +7,7 @@ import signal
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -41,7 +42,8 @@ from server.cli.options import (
 from server.cli.pictures import draw_figures, fetch_archive, write_results
 from server.cli.replays import write_replays
 from server.cli.summary import print_summary
-from server.errors import Conflict, Unavailable
+from server.errors import Conflict, FieldError, InvalidInput, Unavailable
+from server.problems.base import NeedsExtra, Problem
 from server.settings import Settings
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -101,7 +103,8 @@ def run(
         body=read_campaign_file(file), file=file, workers=workers, out=out, resume=resume, new=new,
         pictures=pictures, replays=replays, json=as_json,
     )  # fmt: skip
-    check_submission(plan.body)
+    live, _ = check_submission(plan.body)
+    _check_extra(live.plan.problem)
     settings = settings_with(database=database, port=port)
     screen = Console(stderr=True, highlight=False) if as_json else console()
     out.mkdir(parents=True, exist_ok=True)  # what cannot be written is known before an hour of simulations
@@ -122,6 +125,20 @@ def run(
         signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
     raise typer.Exit(status)
+
+
+def _check_extra(problem: Problem) -> None:
+    """Refuse a problem that the workers of this machine cannot simulate.
+
+    Raises:
+        InvalidInput: An optional part of Brink is missing here.
+    """
+    if isinstance(problem, NeedsExtra) and any(find_spec(module) is None for module in problem.modules):
+        message = (
+            f"{problem.id} needs the {problem.extra} extra, which is not installed here: "
+            f"pip install -c constraints.txt -e '.[{problem.extra}]'"
+        )
+        raise InvalidInput([FieldError(pointer="/problem/id", message=message)])
 
 
 async def _run(

@@ -6,6 +6,7 @@ a level. It is simulated, or measured on a data set, which takes the perturbatio
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 from search.algorithm import Evaluation, Measured, Scored
@@ -15,7 +16,11 @@ from search.space import Categorical, Component, Real, SearchSpace
 from server.problems.base import Vectors
 from sim.aeb.scenario import ARRIVAL_S, CROSSING_M, ONCOMING_M, TIMES, WEATHERS, Obstacle, Occluder
 from sim.aeb.words import words_of_perturbations, words_of_street
+from sim.catalogue import plugin_ids
 from sim.episode import EpisodeSpec, Json
+from sim.perception.coco import read_coco
+from sim.perception.errors import DatasetError, DetectorError
+from sim.perception.weights_file import KINDS, check_loads, weights_digest
 from sim.perturbations import CATALOGUE
 from worker.wire import Completed
 
@@ -23,6 +28,7 @@ SIMULATOR = "brink-aeb@1"
 EVALUATOR = "brink-dataset@1"
 ACCIDENT = "no-collision@1"
 DANGEROUS_STOP = "no-dangerous-stop@1"
+DETECTORS = "brink.detectors"
 HAZARDS = ("any", "accident", "dangerous-stop")
 
 
@@ -35,7 +41,9 @@ class AebCrossingParams:
     fields: str = setting(
         "per_frame", help="How often their random fields are drawn.", choices=("per_frame", "per_episode")
     )
-    detector: str = setting("brink-det@1", help="Id of the detector.")
+    detector: str = setting(
+        "brink-det@1", help="Id of the detector, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE."
+    )
     threshold: float = setting(0.35, help="Least score that the brake is told.", gt=0.0, lt=1.0)
     obstacle: str = setting(
         "none", help="What lies on the road besides.", choices=tuple(item.value for item in Obstacle)
@@ -44,7 +52,11 @@ class AebCrossingParams:
     width_px: int = setting(
         640, help="Width of the camera's picture; it is 16 : 9.", ge=160, le=1280, unit="px"
     )
-    dataset_frames: int = setting(120, help="Pictures of the data set.", ge=10, le=5_000)
+    dataset: str = setting(
+        "simulator",
+        help="Pictures to measure on: the simulator's, or a file with annotations in COCO format.",
+    )
+    dataset_frames: int = setting(120, help="Pictures of the data set that are used.", ge=10, le=5_000)
     timeout_s: float = setting(120.0, help="Wall-clock limit of an episode.", gt=0.0, le=3600.0, unit="s")
 
     def __post_init__(self) -> None:
@@ -87,6 +99,8 @@ class AebCrossing:
     id: ClassVar[str] = "aeb-crossing@1"
     summary: ClassVar[str] = "Emergency braking through perturbed pictures: 6 + 2 parameters a perturbation."
     params_type: ClassVar[type[Any]] = AebCrossingParams
+    extra: ClassVar[str] = "vision"
+    modules: ClassVar[tuple[str, ...]] = ("cv2", "onnxruntime")
 
     def __init__(self, params: AebCrossingParams) -> None:
         self.params = params
@@ -96,6 +110,29 @@ class AebCrossing:
         self.timeout_s = params.timeout_s
         self.dataset_needs = EVALUATOR
         self.dataset_timeout_s = max(600.0, 0.5 * params.dataset_frames)
+
+    def wrong_inputs(self) -> list[tuple[str, str]]:
+        """Return what is wrong with the detector and the data set."""
+        wrong = []
+        known = plugin_ids(DETECTORS)
+        if ":" not in self.params.detector and self.params.detector not in known:
+            expected = ", ".join([*known, *(f"{kind}:FILE" for kind in KINDS)])
+            wrong.append(("detector", f"expected one of {expected}; got {self.params.detector!r}"))
+        for name, read in (
+            ("detector", lambda: check_loads(self.params.detector)),
+            ("dataset", self._digest),
+        ):
+            try:
+                read()
+            except (DetectorError, DatasetError) as error:
+                wrong.append((name, str(error).removeprefix(f"{name}: ")))
+        return wrong
+
+    def _weights(self) -> str:
+        return weights_digest(self.params.detector)
+
+    def _digest(self) -> str:
+        return "" if self.params.dataset == "simulator" else read_coco(Path(self.params.dataset)).digest
 
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
         """Return the episode of a scenario and its perturbations."""
@@ -113,8 +150,10 @@ class AebCrossing:
         )
 
     def _seen(self, vectors: Vectors) -> dict[str, Json]:
+        weights = self._weights()
         return {
             "detector": self.params.detector,
+            **({"weights": weights} if weights else {}),
             "fields": self.params.fields,
             "perturbations": [dict(perturbation) for perturbation in self.perturbations(vectors)],
         }
@@ -146,9 +185,14 @@ class AebCrossing:
 
     def dataset_evaluation(self, vectors: Vectors) -> EpisodeSpec:
         """Return what measures the perturbations: the scenario does not enter."""
+        digest = self._digest()
         return EpisodeSpec(
             simulator=EVALUATOR,
-            scenario={"dataset": "simulator", "frames": self.params.dataset_frames},
+            scenario={
+                "dataset": self.params.dataset,
+                "frames": self.params.dataset_frames,
+                **({"digest": digest} if digest else {}),
+            },
             behaviour=self._seen(vectors),
             requirements=(),
             seed=0,

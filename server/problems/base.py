@@ -97,6 +97,28 @@ class InProcessProblem(_Problem, Protocol):
 
 
 @runtime_checkable
+class ChecksInputs(Protocol):
+    """A problem that uses files or plug-ins that may be missing or broken; may be left out."""
+
+    def wrong_inputs(self) -> list[tuple[str, str]]:
+        """Return what is wrong with what its parameters name: the parameter and a message each."""
+        ...
+
+
+@runtime_checkable
+class NeedsExtra(Protocol):
+    """A problem that only machines with an optional part of Brink can simulate; may be left out.
+
+    Attributes:
+        extra: Name of the extra.
+        modules: Modules that it brings.
+    """
+
+    extra: str
+    modules: tuple[str, ...]
+
+
+@runtime_checkable
 class InWords(Protocol):
     """A problem that can say what a candidate is; may be left out."""
 

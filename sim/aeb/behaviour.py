@@ -8,6 +8,7 @@ from typing import Final, Self, TypeVar
 from sim.aeb.braking import HOLD_S
 from sim.episode import Json
 from sim.errors import InvalidEpisode
+from sim.perception.weights_file import weights_digest
 from sim.perturbations import Mode, Perturbation, PerturbationError, parse_perturbations
 from sim.urban.scenario import nearest
 
@@ -39,6 +40,7 @@ class Behaviour:
         threshold: Least score of a detection that the brake is told.
         perturbations: Of every picture, applied left to right.
         fields: Whether their random fields are drawn for each frame, or once.
+        weights: Digest of a user's weights file, where the detector is one: nothing else may answer for it.
     """
 
     mode: SightMode
@@ -46,6 +48,7 @@ class Behaviour:
     threshold: float = THRESHOLD
     perturbations: tuple[Perturbation, ...] = ()
     fields: Mode = Mode.PER_FRAME
+    weights: str = ""
 
     @classmethod
     def from_json(cls, document: Mapping[str, Json]) -> Self:
@@ -55,7 +58,7 @@ class Behaviour:
             InvalidEpisode: A field is unknown or wrong.
         """
         mode = _word("behaviour.mode", document.get("mode"), tuple(SightMode))
-        known = ("mode", "detector", "threshold", "perturbations", "fields")
+        known = ("mode", "detector", "threshold", "perturbations", "fields", "weights")
         allowed = known if mode is SightMode.DETECTOR else ("mode",)
         for name in document:
             if name not in allowed:
@@ -68,6 +71,9 @@ class Behaviour:
             raise InvalidEpisode(f"behaviour.perturbations: expected a list, got {perturbations!r}")
         if not isinstance(detector, str):
             raise InvalidEpisode(f"behaviour.detector: expected an id such as {DETECTOR}, got {detector!r}")
+        weights = document.get("weights", "")
+        if not isinstance(weights, str):
+            raise InvalidEpisode(f"behaviour.weights: expected a digest, got {weights!r}")
         try:
             parsed = parse_perturbations(perturbations)
         except PerturbationError as error:
@@ -77,7 +83,16 @@ class Behaviour:
             detector=detector,
             threshold=_number("behaviour.threshold", document.get("threshold", THRESHOLD), 0.0, 1.0),
             perturbations=parsed,
+            weights=weights,
             fields=_word("behaviour.fields", document.get("fields", Mode.PER_FRAME.value), tuple(Mode)),
+        )
+
+
+def check_weights(behaviour: Behaviour) -> None:
+    """Raise InvalidEpisode if the weights file here is not the one that was asked for."""
+    if behaviour.weights and behaviour.weights != weights_digest(behaviour.detector):
+        raise InvalidEpisode(
+            f"behaviour.detector: {behaviour.detector} here is not the file that the campaign was submitted with"
         )
 
 

@@ -3,7 +3,7 @@
 The regions are trapezoids, given for a picture of 1280 x 720 and scaled with it: *warning*, in which a person brakes
 the car, and inside it *danger*, in which a vehicle does. A person's box need only meet its region. A vehicle must
 stand in its own with the middle of the box's lower edge: the rectangle around a long vehicle that is parked beside
-the lane reaches far into the picture.
+the lane reaches far into the picture. It must stand there for a few frames in a row.
 
 Source: Ferreira et al. 2022, automatic emergency braking; the test is against the trapezoid, not against the
 rectangle around it.
@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 REFERENCE_PX: Final = (1280, 720)
 TOP_ROW_PX: Final = 470.0
 HOLD_S: Final = 0.5
+VEHICLE_FRAMES: Final = 3
+"""Frames in a row in which a vehicle must stand in its region: a doubled box of a parked one lasts for one or two."""
 
 _Rows = TypeVar("_Rows", float, NDArray[np.floating])
 
@@ -124,6 +126,7 @@ class EmergencyBrake:
     hold_s: float = HOLD_S
     enabled: bool = True
     _until_s: float = field(default=float("-inf"))
+    _vehicle_frames: int = 0
 
     @classmethod
     def for_picture(
@@ -137,16 +140,11 @@ class EmergencyBrake:
             enabled=enabled,
         )
 
-    def triggers(self, detections: Sequence[Detection]) -> bool:
-        """Return whether any of these detections calls for braking."""
-        return any(
-            (box.label == PERSON and self.warning.meets(box))
-            or (box.label == VEHICLE and self.danger.holds(box))
-            for box in detections
-        )
-
     def decide(self, time_s: float, detections: Sequence[Detection]) -> bool:
-        """Return whether to brake at a time, given what is detected then."""
-        if self.enabled and self.triggers(detections):
+        """Return whether to brake at a time, given what is detected in its frame."""
+        person = any(box.label == PERSON and self.warning.meets(box) for box in detections)
+        vehicle = any(box.label == VEHICLE and self.danger.holds(box) for box in detections)
+        self._vehicle_frames = self._vehicle_frames + 1 if vehicle else 0
+        if self.enabled and (person or self._vehicle_frames >= VEHICLE_FRAMES):
             self._until_s = time_s + self.hold_s
         return time_s < self._until_s

@@ -6,16 +6,22 @@ the one before it left, frame by frame; the same specification gives the same fi
 
 import math
 import time
+from collections.abc import Sequence
 from functools import lru_cache
-from typing import Final
+from pathlib import Path
+from typing import Final, NamedTuple
 
 import cv2
+import numpy as np
 
-from sim.aeb.behaviour import Behaviour, SightMode
-from sim.aeb.pictures import LabelledFrame, Split, labelled_frames
+from sim.aeb.behaviour import Behaviour, SightMode, check_weights
+from sim.aeb.pictures import Split, labelled_frames
 from sim.episode import EpisodeResult, EpisodeSpec, Json
 from sim.errors import InvalidEpisode, SimulationCrashed
-from sim.perception.quality import curves
+from sim.perception.coco import CocoPicture, read_coco
+from sim.perception.detector import Picture
+from sim.perception.errors import DatasetError
+from sim.perception.quality import Truth, curves
 from sim.perception.registry import find_detector
 from sim.perturbations import Pipeline
 from sim.urban.simulator import instruction_set, versions
@@ -44,7 +50,8 @@ class DatasetEvaluator:
         if spec.simulator != EVALUATOR_ID:
             raise InvalidEpisode(f"simulator: this is {EVALUATOR_ID}, the job asks for {spec.simulator!r}")
         behaviour = Behaviour.from_json({"mode": SightMode.DETECTOR.value, **spec.behaviour})
-        frames = _frames(*_wanted(spec))
+        check_weights(behaviour)
+        frames = _frames(_wanted(spec))
         cv2.setNumThreads(1)
         detector = find_detector(behaviour.detector)
         pipeline = Pipeline(behaviour.perturbations, seed=spec.seed, mode=behaviour.fields)
@@ -70,16 +77,26 @@ class DatasetEvaluator:
         )
 
 
-def _wanted(spec: EpisodeSpec) -> tuple[str, int, int]:
-    """Return which data set, how many pictures, and its seed."""
+class _Wanted(NamedTuple):
+    """Which data set: its name or annotations, how many of its pictures, its seed, the digest of its annotations."""
+
+    dataset: str
+    frames: int
+    seed: int
+    digest: str
+
+
+def _wanted(spec: EpisodeSpec) -> _Wanted:
+    """Return which data set a specification asks for."""
+    known = ("dataset", "frames", "seed", "digest")
     for name in spec.scenario:
-        if name not in ("dataset", "frames", "seed"):
-            raise InvalidEpisode(f"scenario: unknown field {name!r}; expected dataset, frames, seed")
-    dataset = spec.scenario.get("dataset", SIMULATOR_DATA)
-    if dataset != SIMULATOR_DATA:
-        raise InvalidEpisode(f"scenario.dataset: expected {SIMULATOR_DATA!r}, got {dataset!r}")
+        if name not in known:
+            raise InvalidEpisode(f"scenario: unknown field {name!r}; expected {', '.join(known)}")
+    dataset, digest = spec.scenario.get("dataset", SIMULATOR_DATA), spec.scenario.get("digest", "")
+    if not isinstance(dataset, str) or not isinstance(digest, str):
+        raise InvalidEpisode(f"scenario.dataset: expected {SIMULATOR_DATA!r} or a file, got {dataset!r}")
     frames = _whole("frames", spec.scenario.get("frames"), 1, MAX_FRAMES)
-    return SIMULATOR_DATA, frames, _whole("seed", spec.scenario.get("seed", 0), 0, 2**31)
+    return _Wanted(dataset, frames, _whole("seed", spec.scenario.get("seed", 0), 0, 2**31), digest)
 
 
 def _whole(name: str, value: Json, low: int, high: int) -> int:
@@ -88,8 +105,43 @@ def _whole(name: str, value: Json, low: int, high: int) -> int:
     return value
 
 
+class _Labelled(NamedTuple):
+    picture: Picture
+    truth: Truth
+
+
 @lru_cache(maxsize=1)
-def _frames(dataset: str, count: int, seed: int) -> tuple[LabelledFrame, ...]:
-    """Return the pictures of a data set; making them takes some 70 ms each, so the last one is kept."""
-    assert dataset == SIMULATOR_DATA
-    return tuple(labelled_frames(Split.VALIDATION, count, seed=seed + 1))
+def _frames(wanted: _Wanted) -> tuple[_Labelled, ...]:
+    """Return the pictures of a data set; making or reading them takes some 50 ms each, so the last one is kept."""
+    if wanted.dataset == SIMULATOR_DATA:
+        made = labelled_frames(Split.VALIDATION, wanted.frames, seed=wanted.seed + 1)
+        return tuple(_Labelled(frame.picture, frame.truth) for frame in made)
+    try:
+        data = read_coco(Path(wanted.dataset))
+    except DatasetError as error:
+        raise InvalidEpisode(f"scenario.dataset: {error}") from None
+    if wanted.digest and data.digest != wanted.digest:
+        raise InvalidEpisode(
+            f"scenario.dataset: {wanted.dataset} here is not the one that the campaign was submitted with"
+        )
+    chosen = spread(data.pictures, wanted.frames)
+    return tuple(_Labelled(_read_picture(one), one.truth) for one in chosen)
+
+
+def spread(pictures: Sequence[CocoPicture], count: int) -> list[CocoPicture]:
+    """Return so many pictures of a data set, evenly over it; all if there are no more."""
+    if count >= len(pictures):
+        return list(pictures)
+    return [pictures[index * len(pictures) // count] for index in range(count)]
+
+
+def _read_picture(one: CocoPicture) -> Picture:
+    picture = cv2.imread(str(one.file), cv2.IMREAD_COLOR_RGB)
+    if picture is None:
+        raise InvalidEpisode(f"scenario.dataset: {one.file} is no picture")
+    if picture.shape[:2] != (one.height_px, one.width_px):
+        raise InvalidEpisode(
+            f"scenario.dataset: {one.file}: expected {one.width_px} x {one.height_px} px as its annotations say, "
+            f"got {picture.shape[1]} x {picture.shape[0]}"
+        )
+    return np.asarray(picture, np.uint8)

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict
 
-from sim.aeb.behaviour import Behaviour, Options, SightMode
+from sim.aeb.behaviour import Behaviour, Options, SightMode, check_weights
 from sim.aeb.braking import EmergencyBrake
 from sim.aeb.camera_sight import CameraSight
 from sim.aeb.episode import Episode, Outcome
@@ -95,6 +95,7 @@ def _run(
 def _sight(
     spec: EpisodeSpec, scenario: AebScenario, options: Options, behaviour: Behaviour, street: Street
 ) -> Sight:
+    check_weights(behaviour)
     if behaviour.mode is not SightMode.DETECTOR:
         return GroundTruth(*options.size_px, told=behaviour.mode is SightMode.ORACLE)
     return CameraSight(

@@ -5,7 +5,10 @@ from typing import Final, cast
 
 from sim.catalogue import load_plugin, plugin_ids
 from sim.errors import InvalidEpisode
+from sim.perception.adapters import file_detector
 from sim.perception.detector import Detector
+from sim.perception.errors import DetectorError
+from sim.perception.weights_file import KINDS
 from sim.urban.scenario import nearest
 
 DETECTORS: Final = "brink.detectors"
@@ -14,13 +17,22 @@ DETECTORS: Final = "brink.detectors"
 def find_detector(detector_id: str) -> Detector:
     """Return the detector of an id; it may be shared, since detectors keep nothing between pictures.
 
+    Args:
+        detector_id: A registered one such as ``brink-det@1``, or a file of a user's: ``onnx:FILE``,
+            ``torchscript:FILE``, ``ultralytics:FILE``.
+
     Raises:
-        InvalidEpisode: None of that id is registered; the message names those that are.
+        InvalidEpisode: None of that id is registered, or the file is no detector.
     """
+    if ":" in detector_id:
+        try:
+            return file_detector(detector_id)
+        except DetectorError as error:
+            raise InvalidEpisode(str(error)) from error
     try:
         factory = load_plugin(DETECTORS, detector_id)
     except KeyError:
         known = plugin_ids(DETECTORS)
-        expected = f"{', '.join(known) or 'none'}{nearest(detector_id, known)}"
+        expected = ", ".join([*known, *(f"{kind}:FILE" for kind in KINDS)]) + nearest(detector_id, known)
         raise InvalidEpisode(f"detector: expected one of {expected}; got {detector_id!r}") from None
     return cast(Callable[[], Detector], factory)()

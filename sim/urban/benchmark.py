@@ -15,10 +15,10 @@ from sim.driving.camera import Camera
 from sim.driving.interface import ObstacleLabel
 from sim.driving.system import ModularDriving
 from sim.requirements.registry import make_requirements
+from sim.trials import run_trial, single_threaded
 from sim.urban.behaviour import BehaviourMode, DetectorBehaviour, InjectedTrajectory
 from sim.urban.draws import draw
 from sim.urban.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
-from sim.urban.trials import run_trial, single_threaded
 from sim.world.world import make_world
 
 DURATION_S = 30.0

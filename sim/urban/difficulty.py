@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.episode import EpisodeSpec
+from sim.figures import Row
+from sim.trials import Trial, run_trials
 from sim.urban.draws import (
     CATEGORICAL,
     PARAMETERS,
@@ -24,7 +26,6 @@ from sim.urban.draws import (
     without_ghosts,
 )
 from sim.urban.scenario import RoadCurve
-from sim.urban.trials import Trial, run_trials
 
 FloatArray: TypeAlias = NDArray[np.float64]
 Progress: TypeAlias = Callable[[str, int, int], None]
@@ -33,25 +34,6 @@ BEHAVIOURS_A_SCENARIO = 20
 NEAR = 0.1
 SIGNIFICANT = 0.05
 MOVED_M = 0.05
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
-    """One measured figure.
-
-    Attributes:
-        what: What was measured.
-        value: The figure.
-        target: What it should be, in words; empty if there is no target.
-        met: Whether it is; None if there is no target.
-        note: Sample sizes and further figures.
-    """
-
-    what: str
-    value: float
-    target: str
-    met: bool | None
-    note: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

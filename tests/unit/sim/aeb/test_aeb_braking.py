@@ -42,9 +42,16 @@ def test_regions_scale_with_the_picture() -> None:
 
 def test_a_vehicle_beside_the_lane_does_not_brake_and_one_in_it_does() -> None:
     brake = EmergencyBrake.for_picture(640, 360)
-    assert not brake.triggers([box(438, 150, 640, 360, "vehicle")])
-    assert brake.triggers([box(260, 200, 380, 300, "vehicle")])
-    assert not brake.triggers([box(260, 180, 380, 230, "vehicle")])  # farther than the region
+    beside, ahead = box(438, 150, 640, 360, "vehicle"), box(260, 200, 380, 300, "vehicle")
+    farther = box(260, 180, 380, 230, "vehicle")
+    assert not any(brake.decide(0.05 * frame, [beside, farther]) for frame in range(20))
+    assert [brake.decide(1.0 + 0.05 * frame, [ahead]) for frame in range(4)] == [False, False, True, True]
+
+
+def test_a_vehicle_that_flickers_does_not_brake() -> None:
+    brake = EmergencyBrake.for_picture(640, 360)
+    ahead = [box(260, 200, 380, 300, "vehicle")]
+    assert not any(brake.decide(0.05 * frame, ahead if frame % 3 else []) for frame in range(30))
 
 
 def test_the_latch_holds_and_lets_go() -> None:

@@ -1,0 +1,129 @@
+"""A7 and A8: what searching on data saves, and what perturbing costs in time and memory."""
+
+import itertools
+import multiprocessing
+import resource
+import statistics
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from typing import Final
+
+from search.algorithms.simood import SimoodConfig
+from server.bench.simood.hazards import Told
+from server.bench.simood.places import Chain, Places
+from sim.episode import EpisodeSpec
+from sim.figures import Row
+from sim.perturbations import CATALOGUE
+from sim.trials import Progress, Records, run_record, single_threaded
+
+FASTER: Final = 10.0
+MOST_TIME: Final = 0.20
+MOST_MEMORY: Final = 0.05
+EVALUATIONS: Final = 12
+"""Individuals that are timed on data and in an episode."""
+PLACES: Final = range(2)
+FINALISTS: Final = 2
+"""The paper's k: what is simulated after the search on data."""
+
+
+class Costs:
+    """Times evaluations and episodes, one at a time in one process.
+
+    Args:
+        records: Where outcomes of the other criteria are.
+        told: Told how far it is.
+    """
+
+    def __init__(self, records: Records, told: Told) -> None:
+        self._records = records
+        self._told = told
+        self._places = Places()
+
+    def time_claim(self) -> list[Row]:
+        """A7: the same individuals on data and in an episode; the ratio of a search, and end to end."""
+        chains = _spread(EVALUATIONS)
+        specs = [self._places.evaluation(chain) for chain in chains]
+        warm = replace(specs[0], behaviour={**specs[0].behaviour, "perturbations": []})
+        began, *data_s = _timed([warm, *specs], lambda done, total: self._told("A7 on data", done, total))
+        episodes = [self._places.episode(0, chain) for chain in chains]
+        _, *episode_s = _timed(
+            [episodes[0], *episodes], lambda done, total: self._told("A7 in episodes", done, total)
+        )
+        config = SimoodConfig()
+        evaluations = config.population_size + config.parents * config.generations
+        on_data, simulated = statistics.fmean(data_s), statistics.fmean(episode_s)
+        search = simulated / on_data
+        # The data set is made once, and the finalists are simulated.
+        making = max(0.0, began - on_data)
+        whole = evaluations * simulated / (making + evaluations * on_data + FINALISTS * simulated)
+        of = (
+            f"an evaluation {on_data:.2f} s, an episode {simulated:.2f} s, making the data set {making:.1f} s; "
+            f"{evaluations} evaluations, {FINALISTS} finalists"
+        )
+        return [
+            Row(what="A7 search on data, times faster", value=search, target=f"at least {FASTER:g}",
+                met=search >= FASTER, note=of),
+            Row(what="A7 end to end, times faster", value=whole, target=f"at least {FASTER:g}", met=whole >= FASTER,
+                note="one process, one episode an individual"),
+        ]  # fmt: skip
+
+    def perturbing(self) -> list[Row]:
+        """A8: CPU time a frame with perturbations against the same place without, and the memory of a process."""
+        chains = _spread(30)
+        specs = [self._places.episode(place, chain) for chain in chains for place in PLACES]
+        perturbed = self._records.run(specs, lambda done, total: self._told("A8 perturbed", done, total))
+        clean_specs = [self._places.episode(place) for place in PLACES]
+        clean = self._records.run(clean_specs)
+        frame_s = [record.cpu_s / float(str(record.features["frames"])) for record in perturbed]
+        base_s = [record.cpu_s / float(str(record.features["frames"])) for record in clean]
+        ratios = [seconds / base_s[index % len(PLACES)] - 1 for index, seconds in enumerate(frame_s)]
+        mean = statistics.fmean(ratios)
+        memory = [_memory_mb(specs[:6]), _memory_mb(clean_specs * 3)]
+        more = memory[0] / memory[1] - 1
+        return [
+            Row(what="A8 time of perturbing, share of an unperturbed frame", value=mean,
+                target=f"at most {MOST_TIME:g}", met=mean <= MOST_TIME,
+                note=f"{len(chains)} random pairs, {len(PLACES)} places; least {min(ratios):.2f}, "
+                f"most {max(ratios):.2f}; a frame without {1e3 * statistics.fmean(base_s):.1f} ms"),
+            Row(what="A8 memory of perturbing", value=more, target=f"at most {MOST_MEMORY:g}",
+                met=more <= MOST_MEMORY, note=f"{memory[0]:.0f} and {memory[1]:.0f} MB"),
+        ]  # fmt: skip
+
+
+def _spread(count: int) -> list[Chain]:
+    """Return pairs of different genes, every gene about as often, at low, middle and top levels in turn."""
+    names = list(CATALOGUE)
+    pairs = [
+        pair for step in range(1, len(names)) for pair in zip(names, names[step:] + names[:step], strict=True)
+    ]
+    stride = max(1, len(pairs) // count)
+    shares = itertools.cycle((0.3, 0.6, 1.0))
+    return [
+        tuple((name, max(1, round(share * (CATALOGUE[name].levels - 1)))) for name in pair)
+        for pair, share in zip(pairs[::stride][:count], shares, strict=False)
+    ]
+
+
+def _timed(specs: Sequence[EpisodeSpec], told: Progress) -> list[float]:
+    """Return the wall-clock seconds of each, one after the other in one fresh process."""
+    seconds = []
+    context = multiprocessing.get_context("spawn")
+    with single_threaded(), ProcessPoolExecutor(1, mp_context=context) as pool:
+        for done, record in enumerate(pool.map(run_record, specs), start=1):
+            seconds.append(record.wall_s)
+            told(done, len(specs))
+    return seconds
+
+
+def _memory_mb(specs: Sequence[EpisodeSpec]) -> float:
+    """Return the greatest memory of a fresh process that runs these."""
+    context = multiprocessing.get_context("spawn")
+    with single_threaded(), ProcessPoolExecutor(1, mp_context=context) as pool:
+        return pool.submit(_greatest_mb, list(specs)).result()
+
+
+def _greatest_mb(specs: list[EpisodeSpec]) -> float:
+    for spec in specs:
+        run_record(spec)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

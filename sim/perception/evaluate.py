@@ -1,0 +1,136 @@
+"""Evaluates a detector on the test pictures, which no training has seen: figures, curves, a table by distance.
+
+    python -m sim.perception.evaluate --out FOLDER
+
+Writes `evaluation.json` and `evaluation.png` (precision over recall, calibration). Test pictures come from seeds and
+looks of their own.
+"""
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from sim.aeb.pictures import LabelledFrame, Split, labelled_frames
+from sim.perception.detector import LABELS, Detector
+from sim.perception.quality import Curve, Found, Truth, calibration, curves
+from sim.perception.registry import find_detector
+
+FRAMES: Final = 600
+DEPTHS_M: Final = ((0.0, 5.0), (5.0, 10.0), (10.0, 20.0), (20.0, 40.0), (40.0, 80.0))
+THRESHOLD: Final = 0.35
+_COLOURS: Final = ("#0072b2", "#d55e00")
+
+
+def evaluated(detector: Detector, frames: Sequence[LabelledFrame]) -> tuple[dict[str, Any], list[Curve]]:
+    """Return all figures of a detector on pictures as plain JSON values, and its curves."""
+    truths = [frame.truth for frame in frames]
+    found = [detector.detect(frame.picture) for frame in frames]
+    by_class = curves(truths, found)
+    figures: dict[str, Any] = {
+        "pictures": len(frames),
+        "map": float(np.mean([curve.average_precision for curve in by_class])),
+        "classes": {LABELS[curve.label]: _class_figures(curve) for curve in by_class},
+    }
+    for name, figure in figures["classes"].items():
+        figure["by_depth"] = _by_depth(LABELS.index(name), frames, found)
+    return figures, by_class
+
+
+def _class_figures(curve: Curve) -> dict[str, Any]:
+    precision, recall = curve.at_score(THRESHOLD)
+    return {
+        "average_precision": curve.average_precision,
+        "positives": curve.positives,
+        "threshold": THRESHOLD,
+        "precision": precision,
+        "recall": recall,
+        "calibration": [
+            {"score": score, "right": right, "detections": count}
+            for score, right, count in calibration(curve)
+        ],
+    }
+
+
+def _by_depth(label: int, frames: Sequence[LabelledFrame], found: Sequence[Found]) -> list[dict[str, Any]]:
+    """Return average precision and recall by distance; bodies at other distances cost nobody anything."""
+    rows = []
+    for low_m, high_m in DEPTHS_M:
+        truths = [
+            Truth(
+                labels=frame.truth.labels,
+                boxes=frame.truth.boxes,
+                ignored=frame.truth.ignored | (frame.depths_m < low_m) | (frame.depths_m >= high_m),
+            )
+            for frame in frames
+        ]
+        rows += [
+            {
+                "from_m": low_m, "to_m": high_m, "positives": curve.positives,
+                "average_precision": curve.average_precision, "recall": curve.at_score(THRESHOLD)[1],
+            }
+            for curve in curves(truths, found) if curve.label == label
+        ]  # fmt: skip
+    return rows
+
+
+def drawn(figures: dict[str, Any], by_class: Sequence[Curve]) -> Figure:
+    """Return the plots: precision over recall, share of right detections over score, recall over distance."""
+    figure = Figure(figsize=(12, 3.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, middle, right = figure.subplots(1, 3)
+    for curve, colour in zip(by_class, _COLOURS, strict=False):
+        name = LABELS[curve.label]
+        left.plot(
+            curve.recall, curve.precision, color=colour, label=f"{name}, AP {curve.average_precision:.2f}"
+        )
+        bins = figures["classes"][name]["calibration"]
+        middle.plot([b["score"] for b in bins], [b["right"] for b in bins], "o-", color=colour, label=name)
+        rows = figures["classes"][name]["by_depth"]
+        depth_m = [0.5 * (row["from_m"] + row["to_m"]) for row in rows]
+        right.plot(depth_m, [row["average_precision"] for row in rows], "o-", color=colour, label=name)
+    middle.plot([0, 1], [0, 1], color="#999999", linewidth=1, linestyle=(0, (3, 3)))
+    left.set(xlabel="recall", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02))
+    middle.set(xlabel="score", ylabel="share of right detections", xlim=(0, 1), ylim=(0, 1.02))
+    right.set(xlabel="distance (m)", ylabel="average precision", ylim=(0, 1.02))
+    for axes in (left, middle, right):
+        axes.legend(frameon=False, fontsize=9)
+        axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Evaluate, print and write."""
+    parser = argparse.ArgumentParser(prog="python -m sim.perception.evaluate", description=__doc__)
+    parser.add_argument("--out", type=Path, required=True, help="folder for figures and plots")
+    parser.add_argument("--detector", default="brink-det@1", help="id of the detector (%(default)s)")
+    parser.add_argument("--frames", type=int, default=FRAMES, help="test pictures (%(default)s)")
+    given = parser.parse_args(arguments)
+    given.out.mkdir(parents=True, exist_ok=True)
+    cv2.setNumThreads(1)
+    frames = list(labelled_frames(Split.TEST, given.frames))
+    figures, by_class = evaluated(find_detector(given.detector), frames)
+    figures = {"detector": given.detector, **figures}
+    (given.out / "evaluation.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    drawn(figures, by_class).savefig(given.out / "evaluation.png", dpi=110, metadata={"Software": None})
+    print(f"{given.detector}: mAP@0.5 {figures['map']:.3f} on {given.frames} test pictures")  # noqa: T201
+    for name, figure in figures["classes"].items():
+        print(  # noqa: T201
+            f"  {name}: AP {figure['average_precision']:.3f} of {figure['positives']}, at {THRESHOLD} "
+            f"precision {figure['precision']:.2f} recall {figure['recall']:.2f}"
+        )
+        for row in figure["by_depth"]:
+            print(  # noqa: T201
+                f"    {row['from_m']:g} to {row['to_m']:g} m: AP {row['average_precision']:.2f}, "
+                f"recall {row['recall']:.2f} of {row['positives']}"
+            )
+
+
+if __name__ == "__main__":
+    main()
