@@ -1,8 +1,11 @@
 """The camera in the loop and the data set, with detectors whose answers are known."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from aeb_episodes import spec
@@ -14,6 +17,7 @@ from sim.aeb.pictures import LabelledFrame, Split, labelled_frames
 from sim.aeb.simulator import BrinkAeb
 from sim.episode import EpisodeSpec, Json
 from sim.errors import InvalidEpisode
+from sim.perception.coco import read_coco
 from sim.perception.quality import Found
 from sim.perception.registry import DETECTORS
 from sim.perturbations import Pipeline, parse_perturbations
@@ -154,7 +158,7 @@ def test_the_second_gene_works_on_what_the_first_one_left(known: Known) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"scenario": {"dataset": "elsewhere", "frames": 3}}, "scenario.dataset: expected 'simulator'"),
+        ({"scenario": {"dataset": "elsewhere", "frames": 3}}, "scenario.dataset: elsewhere: No such file"),
         ({"scenario": {"frames": 0}}, r"scenario.frames: expected a whole number in \[1, 5000\]"),
         ({"scenario": {"frames": 3, "size": 3}}, "unknown field 'size'"),
         ({"behaviour": {"detector": "unknown@1"}}, "detector: expected one of"),
@@ -166,3 +170,33 @@ def test_the_second_gene_works_on_what_the_first_one_left(known: Known) -> None:
 def test_what_can_never_be_evaluated_is_told(known: Known, changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidEpisode, match=message):
         EVALUATOR.run(replace(evaluation(), **changes))
+
+
+def test_a_user_s_own_pictures_are_measured(known: Known, tmp_path: Path) -> None:
+    picture = np.full((180, 320, 3), 90, np.uint8)
+    for name in ("a.png", "b.png", "c.png"):
+        cv2.imwrite(str(tmp_path / name), picture)
+    document = {
+        "images": [
+            {"id": i, "file_name": name, "width": 320, "height": 180}
+            for i, name in enumerate(("a.png", "b.png", "c.png"))
+        ],
+        "annotations": [
+            {"id": i, "image_id": i, "category_id": 1, "bbox": [300 - 10 * i, 150, 20, 30]} for i in range(3)
+        ],
+        "categories": [{"id": 1, "name": "person"}],
+    }
+    file = tmp_path / "labels.json"
+    file.write_text(json.dumps(document))
+    known.found = person(0.9)
+    data: dict[str, Json] = {"dataset": str(file), "frames": 2, "digest": read_coco(file).digest}
+    result = EVALUATOR.run(replace(evaluation(), scenario=data))
+    assert [shown.shape for shown in known.shown] == [(180, 320, 3)] * 2
+    assert 0.0 <= result.objectives["alpha"] <= 1.0
+    file.write_text(json.dumps({**document, "info": {}}))
+    with pytest.raises(InvalidEpisode, match="not the one that the campaign was submitted with"):
+        EVALUATOR.run(replace(evaluation(), scenario={**data, "seed": 1}))
+    file.write_text(json.dumps(document))
+    cv2.imwrite(str(tmp_path / "a.png"), picture[:90])
+    with pytest.raises(InvalidEpisode, match="expected 320 x 180 px"):
+        EVALUATOR.run(replace(evaluation(), scenario={**data, "seed": 2}))
