@@ -132,10 +132,15 @@ class Records:
         self._pool: ProcessPoolExecutor | None = None
         file.parent.mkdir(parents=True, exist_ok=True)
         if file.exists():
-            for line in file.read_text(encoding="utf-8").splitlines():
-                with contextlib.suppress(ValueError, TypeError):  # the last line of a run that was killed
+            text = file.read_text(encoding="utf-8")
+            for line in text.splitlines():
+                with contextlib.suppress(ValueError):  # the last line of a run that was killed
                     document = json.loads(line)
-                    self._known[document.pop("spec")] = Record(**document)
+                    digest = document.pop("spec")
+                    self._known[digest] = Record(**document)
+            if text and not text.endswith("\n"):
+                with file.open("a", encoding="utf-8") as out:
+                    out.write("\n")
 
     def run(self, specs: Sequence[EpisodeSpec], on_progress: Progress | None = None) -> list[Record]:
         """Return the outcomes of specifications, in their order."""

@@ -2,7 +2,7 @@
 
 Training, validation and test draw from disjoint seeds and from disjoint looks (colours, textures, shapes). People
 stand and walk where the emergency-braking episode has them, and elsewhere, at all distances; nothing unusual lies
-on the road, and no picture is perturbed: both must stay new to the detector.
+on the road, and no picture is perturbed: both must stay new to the detector. (Training varies exposure a little.)
 """
 
 import math
