@@ -10,6 +10,7 @@ from sim.episode import Json
 from sim.errors import InvalidEpisode
 from sim.perception.weights_file import weights_digest
 from sim.perturbations import Mode, Perturbation, PerturbationError, parse_perturbations
+from sim.urban.behaviour import DEFAULT_DURATION_S, DetectorBehaviour, InjectedTrajectory
 from sim.urban.scenario import nearest
 
 SIZE_PX: Final = (640, 360)
@@ -24,6 +25,8 @@ class SightMode(StrEnum):
 
     ORACLE = "oracle"
     """Ground truth."""
+    INJECTED = "injected"
+    """Boxes that are made up, as in the urban problem; nothing is rendered."""
     BLIND = "blind"
     """Nothing."""
     DETECTOR = "detector"
@@ -40,6 +43,7 @@ class Behaviour:
         threshold: Least score of a detection that the brake is told.
         perturbations: Of every picture, applied left to right.
         fields: Whether their random fields are drawn for each frame, or once.
+        trajectories: Injected boxes.
         weights: Digest of a user's weights file, where the detector is one: nothing else may answer for it.
     """
 
@@ -49,15 +53,22 @@ class Behaviour:
     perturbations: tuple[Perturbation, ...] = ()
     fields: Mode = Mode.PER_FRAME
     weights: str = ""
+    trajectories: tuple[InjectedTrajectory, ...] = ()
 
     @classmethod
-    def from_json(cls, document: Mapping[str, Json]) -> Self:
+    def from_json(cls, document: Mapping[str, Json], duration_s: float = DEFAULT_DURATION_S) -> Self:
         """Read a behaviour from a JSON object.
+
+        Args:
+            document: Its fields; injected trajectories as the urban simulator takes them, in its image.
+            duration_s: Length of the episode, which bounds trajectories.
 
         Raises:
             InvalidEpisode: A field is unknown or wrong.
         """
         mode = _word("behaviour.mode", document.get("mode"), tuple(SightMode))
+        if mode is SightMode.INJECTED:
+            return cls(mode=mode, trajectories=DetectorBehaviour.from_json(document, duration_s).trajectories)
         known = ("mode", "detector", "threshold", "perturbations", "fields", "weights")
         allowed = known if mode is SightMode.DETECTOR else ("mode",)
         for name in document:

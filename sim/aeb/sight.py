@@ -1,4 +1,4 @@
-"""What the brake is told: by ground truth, by nobody, or by a detector that looks at pictures."""
+"""What the brake is told: by ground truth, by nobody, by boxes that are made up, or by a detector that looks."""
 
 from collections.abc import Sequence
 from typing import Final, NamedTuple, Protocol, TypeAlias
@@ -10,9 +10,10 @@ from sim.aeb.braking import PERSON, VEHICLE, Detection
 from sim.aeb.street import Street
 from sim.driving.camera import Body as Prism
 from sim.driving.camera import Camera
-from sim.driving.interface import ObstacleLabel
+from sim.driving.interface import Box, ObstacleLabel
 from sim.perception.quality import Found, Truth
 from sim.rendering.scene import Body, BodyKind
+from sim.urban.behaviour import IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX, PERCEPTION_STEP_S, InjectedTrajectory
 from sim.world.ego import EgoCar
 
 Picture: TypeAlias = NDArray[np.uint8]
@@ -88,6 +89,38 @@ class GroundTruth:
             for sight in seen
         )
         return Look(truth, truth if self._told else ())
+
+
+class Injected:
+    """Boxes that are made up: the brake is told nothing else.
+
+    Args:
+        width_px: Of the picture.
+        height_px: Of the picture.
+        trajectories: The boxes, in the urban simulator's image.
+    """
+
+    def __init__(self, width_px: int, height_px: int, trajectories: Sequence[InjectedTrajectory]) -> None:
+        self._truth = GroundTruth(width_px, height_px, told=False)
+        self._trajectories = trajectories
+        self._scale = width_px / IMAGE_WIDTH_PX
+        # Cameras with the same horizontal field of view see the same there, around the same horizon.
+        self._shift_px = 0.5 * height_px - 0.5 * IMAGE_HEIGHT_PX * self._scale
+
+    def look(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> Look:
+        """Return what is there, and what was made up for this time."""
+        boxes = [trajectory.box_at(time_s / PERCEPTION_STEP_S) for trajectory in self._trajectories]
+        said = tuple(self._placed(box) for box in boxes if box is not None)
+        return Look(self._truth.look(frame, time_s, street, ego).truth, said)
+
+    def _placed(self, box: Box) -> Detection:
+        return Detection(
+            label=PERSON if box.label is ObstacleLabel.PERSON else VEHICLE,
+            x_min_px=box.x_min_px * self._scale,
+            y_min_px=box.y_min_px * self._scale + self._shift_px,
+            x_max_px=box.x_max_px * self._scale,
+            y_max_px=box.y_max_px * self._scale + self._shift_px,
+        )
 
 
 def _prism(body: Body) -> Prism:

@@ -13,7 +13,7 @@ from sim.aeb.episode import Episode, Outcome
 from sim.aeb.facts import Facts
 from sim.aeb.recorder import AebRecorder
 from sim.aeb.scenario import AebScenario
-from sim.aeb.sight import GroundTruth, Sight
+from sim.aeb.sight import GroundTruth, Injected, Sight
 from sim.aeb.street import CRUISE_MPS, LANE_Y_M, Street, make_street
 from sim.bullet.engine import EngineError, discard_engine, process_engine
 from sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
@@ -53,7 +53,7 @@ class BrinkAeb:
             raise InvalidEpisode(f"duration_s: expected at most {MAX_DURATION_S:g}, got {spec.duration_s!r}")
         scenario = AebScenario.from_json(spec.scenario)
         options = Options.from_json(spec.options)
-        behaviour = Behaviour.from_json(spec.behaviour)
+        behaviour = Behaviour.from_json(spec.behaviour, spec.duration_s)
         requirements = make_requirements(spec.requirements)
         try:
             episode, recorder = _run(spec, scenario, options, behaviour, requirements, record=record)
@@ -96,6 +96,8 @@ def _sight(
     spec: EpisodeSpec, scenario: AebScenario, options: Options, behaviour: Behaviour, street: Street
 ) -> Sight:
     check_weights(behaviour)
+    if behaviour.mode is SightMode.INJECTED:
+        return Injected(*options.size_px, behaviour.trajectories)
     if behaviour.mode is not SightMode.DETECTOR:
         return GroundTruth(*options.size_px, told=behaviour.mode is SightMode.ORACLE)
     return CameraSight(

@@ -72,8 +72,8 @@ def _flipped(truth: Truth) -> Truth:
 def lit_otherwise(planes: Picture, rng: np.random.Generator) -> Picture:
     """Return pictures as another camera might have exposed them: gain, offset, white balance, a little noise.
 
-    One in three stays as it is. It is what cameras differ by, and no more than the weakest levels of contrast; every other
-    perturbation stays new to the detector.
+    One in three stays as it is. It is what cameras differ by, and no more than the weakest levels of contrast; every
+    other perturbation stays new to the detector.
     """
     count = len(planes)
     gain = rng.uniform(0.8, 1.2, (count, 1, 1, 1)) * rng.uniform(0.93, 1.07, (count, 1, 1, 3))

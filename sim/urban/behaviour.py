@@ -77,8 +77,8 @@ class InjectedTrajectory:
     first_px: tuple[float, float, float, float]
     last_px: tuple[float, float, float, float]
 
-    def box_at(self, step: int) -> Box | None:
-        """Return the box at a perception step, or None before and after."""
+    def box_at(self, step: float) -> Box | None:
+        """Return the box at a perception step, perhaps a fraction; None before and after."""
         if not self.t0_step <= step <= self.t1_step:
             return None
         share = (step - self.t0_step) / (self.t1_step - self.t0_step)

@@ -168,3 +168,24 @@ def test_a_missing_field_is_named() -> None:
     scenario = {name: value for name, value in good.scenario.items() if name != "occluder"}
     with pytest.raises(InvalidEpisode, match=r"scenario\.occluder: missing"):
         SIMULATOR.run(replace(good, scenario=scenario))
+
+
+def test_injected_boxes_are_all_that_the_brake_is_told() -> None:
+    ghost: dict[str, Json] = {
+        "label": "person", "t0_step": 10, "t1_step": 30,
+        "x_min_0_px": 360, "x_max_0_px": 440, "y_min_0_px": 300, "y_max_0_px": 480,
+        "x_min_1_px": 360, "x_max_1_px": 440, "y_min_1_px": 300, "y_max_1_px": 480,
+    }  # fmt: skip
+    nothing = SIMULATOR.run(replace(spec(2), behaviour={"mode": "injected", "trajectories": []}))
+    assert nothing.features["collided_with"] == "pedestrian"
+    told = replace(spec(2), duration_s=5.0, behaviour={"mode": "injected", "trajectories": [ghost]})
+    result = SIMULATOR.run(told)
+    assert result.features["braked_at_s"] == pytest.approx(1.0)
+    assert result.verdicts["no-dangerous-stop@1"].violated
+    aside = {**ghost, "x_min_0_px": 0, "x_max_0_px": 60, "x_min_1_px": 0, "x_max_1_px": 60}
+    told = replace(told, behaviour={"mode": "injected", "trajectories": [aside]})
+    assert SIMULATOR.run(told).features["braked_at_s"] is None
+    with pytest.raises(InvalidEpisode, match="t1_step"):
+        SIMULATOR.run(
+            replace(told, behaviour={"mode": "injected", "trajectories": [{**ghost, "t1_step": 5}]})
+        )
