@@ -56,7 +56,7 @@ class AebCrossingParams:
         "simulator",
         help="Pictures to measure on: the simulator's, or a file with annotations in COCO format.",
     )
-    dataset_frames: int = setting(120, help="Pictures of the data set that are used.", ge=10, le=5_000)
+    dataset_frames: int = setting(60, help="Pictures of the data set that are used.", ge=10, le=5_000)
     timeout_s: float = setting(120.0, help="Wall-clock limit of an episode.", gt=0.0, le=3600.0, unit="s")
 
     def __post_init__(self) -> None:
