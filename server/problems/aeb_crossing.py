@@ -44,7 +44,7 @@ class AebCrossingParams:
     detector: str = setting(
         "brink-det@1", help="Id of the detector, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE."
     )
-    threshold: float = setting(0.35, help="Least score that the brake is told.", gt=0.0, lt=1.0)
+    threshold: float = setting(0.5, help="Least score that the brake is told.", gt=0.0, lt=1.0)
     obstacle: str = setting(
         "none", help="What lies on the road besides.", choices=tuple(item.value for item in Obstacle)
     )

@@ -14,7 +14,7 @@ from sim.urban.behaviour import DEFAULT_DURATION_S, DetectorBehaviour, InjectedT
 from sim.urban.scenario import nearest
 
 SIZE_PX: Final = (640, 360)
-THRESHOLD: Final = 0.35
+THRESHOLD: Final = 0.5
 DETECTOR: Final = "brink-det@1"
 
 _Word = TypeVar("_Word", bound=StrEnum)

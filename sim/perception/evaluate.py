@@ -24,7 +24,7 @@ from sim.perception.registry import find_detector
 
 FRAMES: Final = 600
 DEPTHS_M: Final = ((0.0, 5.0), (5.0, 10.0), (10.0, 20.0), (20.0, 40.0), (40.0, 80.0))
-THRESHOLD: Final = 0.35
+THRESHOLD: Final = 0.5
 _COLOURS: Final = ("#0072b2", "#d55e00")
 
 

@@ -1,5 +1,8 @@
 """The problem of the emergency brake: from candidates to episodes and back."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,6 +10,9 @@ from hypothesis import strategies as st
 
 from search.algorithm import Measured, Scored
 from search.errors import ConfigError
+from server.campaigns.body import parse_body
+from server.campaigns.service import check_submission
+from server.errors import InvalidInput
 from server.problems.aeb_crossing import ACCIDENT, DANGEROUS_STOP, AebCrossing, AebCrossingParams
 from server.problems.base import MeasuresOnData, SimulatedProblem
 from sim.aeb.behaviour import Behaviour, Options
@@ -25,7 +31,7 @@ def test_every_candidate_becomes_an_episode_that_can_run(seed: int) -> None:
     behaviour = Behaviour.from_json(spec.behaviour)
     assert Options.from_json(spec.options).size_px == (640, 360)
     assert len({p.gene for p in behaviour.perturbations}) == 2
-    assert all(1 <= p.level < CATALOGUE[p.gene].levels for p in behaviour.perturbations)
+    assert all(0 <= p.level < CATALOGUE[p.gene].levels for p in behaviour.perturbations)
 
 
 def test_genes_keep_their_order_and_levels_their_rank() -> None:
@@ -38,7 +44,9 @@ def test_genes_keep_their_order_and_levels_their_rank() -> None:
     }  # fmt: skip
     vectors = PROBLEM.space.encode(values)
     assert PROBLEM.perturbations(vectors) == [{"gene": "smoke", "level": 3}, {"gene": "rain", "level": 5}]
-    assert PROBLEM.words(vectors) == "smoke 3, then rain 5; noon, clear, behind a van"
+    assert PROBLEM.words(vectors) == (
+        "smoke 3/10, then rain 5/5; noon, clear, somebody from behind a van after 50 m"
+    )
     spec = PROBLEM.dataset_evaluation(vectors)
     assert spec.behaviour["perturbations"] == PROBLEM.perturbations(vectors)
 
@@ -74,3 +82,40 @@ def test_it_is_what_it_says() -> None:
     assert AebCrossing(AebCrossingParams(perturbations=3)).space.dimension == 12
     with pytest.raises(ConfigError, match="perturbations"):
         AebCrossingParams(perturbations=9)
+
+
+BODY: dict[str, Any] = {
+    "name": "p", "problem": {"id": "aeb-crossing@1"}, "algorithm": {"id": "simood-ga@1"},
+    "budget": {"simulations": 200},
+}  # fmt: skip
+
+
+def refused(**params: Any) -> dict[str, str]:
+    with pytest.raises(InvalidInput) as caught:
+        check_submission(parse_body({**BODY, "problem": {"id": "aeb-crossing@1", "params": params}}))
+    return {error.pointer: error.message for error in caught.value.errors}
+
+
+def test_the_first_generation_is_measured_on_data() -> None:
+    _, solutions = check_submission(parse_body(BODY))
+    assert len(solutions) == 20
+    specs = [solution.job.spec for solution in solutions if solution.job is not None]
+    assert len(set(specs)) == 20
+    assert all('"simulator":"brink-dataset@1"' in spec.replace(" ", "") for spec in map(str, specs))
+
+
+def test_what_is_missing_or_broken_is_told_at_submission(tmp_path: Path) -> None:
+    broken = tmp_path / "labels.json"
+    broken.write_text('{"images": []}')
+    weights = tmp_path / "weights.onnx"
+    weights.write_text("nothing")
+    assert refused(dataset=str(broken)) == {
+        "/problem/params/dataset": f"{broken}: expected a list of images that is not empty, as COCO has it"
+    }
+    assert "No such file" in refused(dataset="nowhere.json")["/problem/params/dataset"]
+    assert "no such file" in refused(detector="onnx:nowhere.onnx")["/problem/params/detector"]
+    assert "brink-det@1" in refused(detector="brnk-det@1")["/problem/params/detector"]
+    assert "cannot be loaded" in refused(detector=f"onnx:{weights}")["/problem/params/detector"]
+    assert set(refused(detector="onnx:no.onnx", dataset="no.json")) == {
+        "/problem/params/detector", "/problem/params/dataset",
+    }  # fmt: skip
