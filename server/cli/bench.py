@@ -95,7 +95,7 @@ def simood(
 ) -> None:
     """Measure what SiMOOD must show: a safe baseline, hazards of perturbations, the search, what it costs.
 
-    All of it takes some hours. What was run is kept in the folder, so that the same command goes on after an
+    All of it takes long. What was run is kept in the folder, so that the same command goes on after an
     interruption and criteria share episodes.
 
     Example: brink bench simood A0 A2 --processes 2

@@ -25,12 +25,19 @@ from typing import Any, Final, Protocol
 
 import cv2
 import numpy as np
-import onnxruntime
 from numpy.typing import NDArray
 
 from sim.perception.boxes import FloatArray, suppressed
 from sim.perception.coco import LABELS
-from sim.perception.detector import DOUBLE_OVERLAP, MOST, SCORE_FLOOR, Detector, Picture
+from sim.perception.detector import (
+    DOUBLE_OVERLAP,
+    MOST,
+    SCORE_FLOOR,
+    Detector,
+    Picture,
+    check_picture,
+    onnx_session,
+)
 from sim.perception.errors import DetectorError
 from sim.perception.quality import Found
 from sim.perception.weights_file import KINDS, file_of
@@ -81,15 +88,7 @@ class FileDetector:
 
     def detect(self, picture: Picture) -> Found:
         """Return what is in a picture."""
-        if (
-            picture.dtype != np.uint8
-            or picture.ndim != 3
-            or picture.shape[2] != 3
-            or min(picture.shape[:2]) < 1
-        ):
-            raise DetectorError(
-                f"picture: expected uint8 of shape (h, w, 3), got {picture.dtype} of shape {picture.shape}"
-            )
+        check_picture(picture)
         canvas, scale, left, top = _letterboxed(picture, self._network.input_px)
         planes = np.ascontiguousarray(canvas.transpose(2, 0, 1)[None], dtype=np.float32) / np.float32(255.0)
         boxes, scores, classes, unnamed = self._read(self._network.answer(planes))
@@ -147,15 +146,7 @@ def _letterboxed(picture: Picture, size_px: tuple[int, int]) -> tuple[Picture, f
 
 class _OnnxNetwork:
     def __init__(self, file: Path) -> None:
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = options.inter_op_num_threads = 1
-        options.log_severity_level = 3
-        try:
-            self._session = onnxruntime.InferenceSession(
-                str(file), options, providers=["CPUExecutionProvider"]
-            )
-        except Exception as error:  # onnxruntime has no common class of its errors
-            raise DetectorError(f"{file}: cannot be loaded as an ONNX network: {error}") from error
+        self._session = onnx_session(file)
         inputs = self._session.get_inputs()
         shape = list(inputs[0].shape) if inputs else []
         if len(inputs) != 1 or len(shape) != 4 or shape[1] != 3:

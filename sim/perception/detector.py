@@ -42,6 +42,29 @@ class Detector(Protocol):
         ...
 
 
+def check_picture(picture: Picture) -> None:
+    """Raise DetectorError if this is no RGB picture."""
+    if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3 or min(picture.shape[:2]) < 1:
+        raise DetectorError(
+            f"picture: expected uint8 of shape (h, w, 3), got {picture.dtype} of shape {picture.shape}"
+        )
+
+
+def onnx_session(file: Path) -> onnxruntime.InferenceSession:
+    """Return a session of an ONNX file on one thread.
+
+    Raises:
+        DetectorError: The file does not load.
+    """
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    try:
+        return onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime has no common class of its errors
+        raise DetectorError(f"{file}: cannot be loaded as an ONNX network: {error}") from error
+
+
 def fitted(picture: Picture) -> tuple[Picture, float]:
     """Return a picture as the network takes it, shape ``(192, 320, 3)``, and how much smaller it is.
 
@@ -50,10 +73,7 @@ def fitted(picture: Picture) -> tuple[Picture, float]:
     Raises:
         DetectorError: It is no RGB picture.
     """
-    if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3 or min(picture.shape[:2]) < 1:
-        raise DetectorError(
-            f"picture: expected uint8 of shape (h, w, 3), got {picture.dtype} of shape {picture.shape}"
-        )
+    check_picture(picture)
     height_px, width_px = picture.shape[:2]
     scale = min(INPUT_PX[0] / width_px, INPUT_PX[1] / height_px)
     size = max(1, round(width_px * scale)), max(1, round(height_px * scale))
@@ -95,15 +115,7 @@ class NetworkDetector:
     """
 
     def __init__(self, weights: Path) -> None:
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = options.inter_op_num_threads = 1
-        options.log_severity_level = 3
-        try:
-            self._session = onnxruntime.InferenceSession(
-                str(weights), options, providers=["CPUExecutionProvider"]
-            )
-        except Exception as error:  # onnxruntime has no common class of its errors
-            raise DetectorError(f"{weights}: cannot be loaded as an ONNX network: {error}") from error
+        self._session = onnx_session(weights)
         shapes = [tuple(put.shape) for put in (*self._session.get_inputs(), *self._session.get_outputs())]
         across, down = INPUT_PX[0] // STRIDE, INPUT_PX[1] // STRIDE
         grid = (down, across)
