@@ -60,13 +60,17 @@ def difficulty(
 
 
 def _teller(progress: Progress) -> Callable[[str, int, int], None]:
-    """Return what shows how far each part of a measurement is."""
+    """Return what shows how far each part of a measurement is: bars, or lines where bars cannot be drawn."""
     parts: dict[str, TaskID] = {}
+    bars = progress.console.is_terminal
 
     def tell(part: str, done: int, total: int) -> None:
         if part not in parts:
             parts[part] = progress.add_task(part, total=total)
-        progress.update(parts[part], completed=done, visible=done < total)
+        progress.update(parts[part], completed=done, visible=bars and done < total)
+        tenth = max(1, total // 10)
+        if not bars and (done % tenth == 0 or done == total):
+            progress.console.print(f"{part}: {done} of {total}", highlight=False)
 
     return tell
 

@@ -3,6 +3,7 @@
 import logging
 import os
 import sys
+from importlib.metadata import version
 from typing import Annotated
 
 import typer
@@ -36,6 +37,12 @@ app.add_typer(bench.bench, name="bench")
 app.add_typer(perturbations.perturbations, name="perturbations")
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"brink {version('brink')}")
+        raise typer.Exit
+
+
 @app.callback()
 def options(
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log what happens to stderr.")] = False,
@@ -45,6 +52,10 @@ def options(
             help="Module with plug-ins, importable from here; may be given again.", metavar="MODULE"
         ),
     ] = None,
+    show_version: Annotated[
+        bool,
+        typer.Option("--version", help="Say which version this is.", callback=_print_version, is_eager=True),
+    ] = False,
 ) -> None:
     """Find where a driving system with a machine-learned component stops being safe."""
     if plugin:
