@@ -14,7 +14,6 @@ Source: Ferreira, Guerin, Guiochet, Waeselynck, "SiMOOD: Evolutionary Testing Si
 Images", PRDC 2022.
 """
 
-import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -25,17 +24,15 @@ import numpy as np
 from search.algorithm import Candidate, Evaluation, Failed, Question
 from search.algorithms.ledger import BoundaryConfig, Ledger, LedgerState, check_budget, row_keys, stored_rows
 from search.archive import Archive
-from search.component import Component, FloatArray, frozen_array
+from search.chains import ChainGenome
+from search.component import FloatArray, frozen_array
 from search.document import Document
 from search.errors import ConfigError, DocumentError
-from search.levels import Slots, slots_of
 from search.settings import setting
 from search.space import SearchSpace
 from search.streams import Stream, generator
 
 _VERSION: Final = 2
-_MUTATIONS: Final = 100
-"""Mutations without a valid one, as only a tiny catalogue has, after which an individual is drawn afresh."""
 ALPHA: Final = "alpha"
 """Objective that a problem must measure: how well the component fares, or how many errors it makes."""
 
@@ -105,96 +102,6 @@ class SimoodState(LedgerState):
         return _fitness(self)[list(self.population)]
 
 
-@dataclass(frozen=True, slots=True)
-class _Genome:
-    """Where individuals lie in a space."""
-
-    space: SearchSpace
-    index: int
-    slots: Slots
-
-    @property
-    def component(self) -> Component:
-        return self.space.components[self.index]
-
-    def columns(self, slot: int) -> list[int]:
-        names = [parameter.name for parameter in self.component.parameters]
-        return [names.index(name) for name in self.slots.pairs[slot]]
-
-    def eta(self, individuals: FloatArray) -> FloatArray:
-        """Return the mean intensity of each individual."""
-        columns = [self.columns(slot)[1] for slot in range(len(self.slots.pairs))]
-        return np.asarray(individuals[:, columns].mean(axis=1), dtype=np.float64)
-
-    def draw(self, rng: np.random.Generator) -> FloatArray:
-        """Return a random individual: distinct techniques, then a level of each, both uniform."""
-        count = len(self.slots.pairs)
-        individual = np.zeros(self.component.dimension)
-        for slot, choice in enumerate(rng.permutation(len(self.slots.levels))[:count].tolist()):
-            self._put(individual, slot, choice, rng)
-        return frozen_array(individual)
-
-    def _put(self, individual: FloatArray, slot: int, choice: int, rng: np.random.Generator) -> None:
-        level = int(rng.integers(1, self.slots.levels[choice]))
-        individual[self.columns(slot)] = choice, self.slots.intensity(choice, level)
-
-    @property
-    def variants(self) -> int:
-        """How many variants `taken_apart` gives."""
-        count = len(self.slots.pairs)
-        return (1 << count) - 1 + count - 1
-
-    def taken_apart(self, individual: FloatArray) -> list[FloatArray]:
-        """Return an individual's parts, from nothing at all up, and what comes of swapping two neighbours."""
-        slots = [self.columns(slot) for slot in range(len(self.slots.pairs))]
-        variants = []
-        for size in range(len(slots)):
-            for kept in itertools.combinations(range(len(slots)), size):
-                part = np.array(individual)
-                free = iter(
-                    sorted(set(range(len(self.slots.levels))) - {int(part[slots[slot][0]]) for slot in kept})
-                )
-                for slot in set(range(len(slots))) - set(kept):
-                    part[slots[slot]] = next(free), 0.0  # equal parts of two individuals are one
-                variants.append(part)
-        for left, right in itertools.pairwise(slots):
-            swapped = np.array(individual)
-            swapped[left], swapped[right] = individual[right], individual[left]
-            variants.append(swapped)
-        return variants
-
-    def varied(self, individual: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return a copy with one slot redrawn, so that it is another one and no technique comes twice."""
-        for _ in range(_MUTATIONS):
-            copy = np.array(individual)
-            slot = int(rng.integers(len(self.slots.pairs)))
-            self._put(copy, slot, int(rng.integers(len(self.slots.levels))), rng)
-            if not self.repeats(copy) and not np.array_equal(copy, individual):
-                return copy
-        return self.draw(rng)
-
-    def repeats(self, individual: FloatArray) -> bool:
-        """Return whether a technique comes twice."""
-        chosen = [individual[self.columns(slot)[0]] for slot in range(len(self.slots.pairs))]
-        return len(set(chosen)) < len(chosen)
-
-    def crossed(
-        self, mother: FloatArray, father: FloatArray, rng: np.random.Generator
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return two children that have swapped all slots after a point; of one slot, copies."""
-        first, second = np.array(mother), np.array(father)
-        if len(self.slots.pairs) > 1:
-            for slot in range(int(rng.integers(1, len(self.slots.pairs))), len(self.slots.pairs)):
-                columns = self.columns(slot)
-                first[columns], second[columns] = father[columns], mother[columns]
-        return first, second
-
-
-def _genome(space: SearchSpace) -> _Genome:
-    """Return where individuals lie."""
-    return _Genome(space, *slots_of(space))
-
-
 class Simood:
     """The genetic algorithm on data, and its finalists in the simulator."""
 
@@ -204,7 +111,7 @@ class Simood:
 
     def check(self, space: SearchSpace, config: SimoodConfig, *, budget: int) -> None:
         """Raise UnsupportedSpace without slots, ConfigError if the budget or the settings do not fit."""
-        genome = _genome(space)
+        genome = ChainGenome.of(space)
         check_budget(budget, config.population_size + _reserve(config, genome))
         if config.parents > config.population_size:
             raise ConfigError("parents", f"expected at most population_size, got {config.parents}")
@@ -214,7 +121,7 @@ class Simood:
     def start(self, space: SearchSpace, config: SimoodConfig, *, seed: int, budget: int) -> SimoodState:
         """Return the first state, with nothing asked yet."""
         self.check(space, config, budget=budget)
-        genome = _genome(space)
+        genome = ChainGenome.of(space)
         rng = generator(seed, Stream.START)
         individuals = _drawn(genome, config.population_size, rng)
         state = SimoodState(
@@ -242,7 +149,7 @@ class Simood:
         """
         pending = state.ledger.pending
         told = replace(state, ledger=state.ledger.told(evaluations))
-        genome = _genome(told.ledger.space)
+        genome = ChainGenome.of(told.ledger.space)
         if state.stage is Stage.FINALISTS:
             return _explaining(told, genome)
         if state.stage is Stage.EXPLANATION:
@@ -272,7 +179,7 @@ class Simood:
     ) -> SimoodState:
         """Return the state that `dump` wrote, with the archive that it had then."""
         ledger = Ledger.load(space, config, document.expect(self.id, _VERSION), archive)
-        width = _genome(space).component.dimension
+        width = ChainGenome.of(space).component.dimension
         population, bred = document.header.get("population"), document.header.get("bred")
         individuals = stored_rows(document, "individuals", width)
         if not isinstance(population, list) or not all(
@@ -298,7 +205,7 @@ class Simood:
 
 def finalists_of(state: SimoodState) -> FloatArray:
     """Return the best individual of each order of techniques among all evaluated, best first, shape ``(n, d)``."""
-    genome = _genome(state.ledger.space)
+    genome = ChainGenome.of(state.ledger.space)
     techniques = [genome.columns(slot)[0] for slot in range(len(genome.slots.pairs))]
     fitness = _fitness(state)
     best: dict[bytes, int] = {}
@@ -310,13 +217,13 @@ def finalists_of(state: SimoodState) -> FloatArray:
 
 def _fitness(state: SimoodState) -> FloatArray:
     """Return f of all individuals, shape ``(a,)``; infinite where alpha could not be had."""
-    weighted = state.config.omega * _genome(state.ledger.space).eta(state.individuals)
+    weighted = state.config.omega * ChainGenome.of(state.ledger.space).eta(state.individuals)
     if state.config.alpha == "errors":
         return np.asarray(np.abs(weighted - state.alphas))
     return np.asarray(state.alphas + weighted)
 
 
-def _drawn(genome: _Genome, count: int, rng: np.random.Generator) -> FloatArray:
+def _drawn(genome: ChainGenome, count: int, rng: np.random.Generator) -> FloatArray:
     return np.array([genome.draw(rng) for _ in range(count)])
 
 
@@ -329,7 +236,10 @@ def _places(state: SimoodState) -> dict[bytes, int]:
 
 
 def _with_alphas(
-    state: SimoodState, genome: _Genome, pending: Sequence[Candidate], evaluations: Mapping[int, Evaluation]
+    state: SimoodState,
+    genome: ChainGenome,
+    pending: Sequence[Candidate],
+    evaluations: Mapping[int, Evaluation],
 ) -> SimoodState:
     """Return the state with the alphas of the individuals that were pending."""
     rows, alphas = [state.individuals], [state.alphas]
@@ -343,7 +253,7 @@ def _with_alphas(
     )
 
 
-def _bred_on(state: SimoodState, genome: _Genome) -> SimoodState:
+def _bred_on(state: SimoodState, genome: ChainGenome) -> SimoodState:
     """Let the told children join, breed on until something new is to be evaluated, or plan the finalists."""
     while True:
         state = _joined(state)
@@ -357,7 +267,7 @@ def _bred_on(state: SimoodState, genome: _Genome) -> SimoodState:
             return _final(state, genome)
 
 
-def _reserve(config: SimoodConfig, genome: _Genome) -> int:
+def _reserve(config: SimoodConfig, genome: ChainGenome) -> int:
     """Return how much of the budget is kept for the finalists and their explanation."""
     explained = min(config.explained, config.finalists) * genome.variants
     return (config.finalists + explained) * config.repeats
@@ -365,7 +275,7 @@ def _reserve(config: SimoodConfig, genome: _Genome) -> int:
 
 def _room(state: SimoodState) -> int:
     """Return how many more individuals may be evaluated before the finalists."""
-    return int(max(0, state.ledger.left - _reserve(state.config, _genome(state.ledger.space))))
+    return int(max(0, state.ledger.left - _reserve(state.config, ChainGenome.of(state.ledger.space))))
 
 
 def _joined(state: SimoodState) -> SimoodState:
@@ -381,7 +291,7 @@ def _joined(state: SimoodState) -> SimoodState:
     )
 
 
-def _children(state: SimoodState, genome: _Genome) -> FloatArray:
+def _children(state: SimoodState, genome: ChainGenome) -> FloatArray:
     """Return the children of the next generation, shape ``(parents, d)``."""
     config = state.config
     rng = generator(state.ledger.seed, Stream.BREEDING, state.bred)
@@ -402,7 +312,7 @@ def _children(state: SimoodState, genome: _Genome) -> FloatArray:
     return np.array(children[: config.parents])
 
 
-def _planned(state: SimoodState, genome: _Genome) -> SimoodState:
+def _planned(state: SimoodState, genome: ChainGenome) -> SimoodState:
     """Return the state with those children queued that were never evaluated, as far as the budget goes."""
     known = _places(state)
     fresh: dict[bytes, FloatArray] = {}
@@ -421,13 +331,13 @@ def _scenario(state: SimoodState, repeat: int) -> tuple[FloatArray, ...]:
     return ledger.space.sample(generator(ledger.seed, Stream.FINALISTS, repeat))
 
 
-def _row(genome: _Genome, base: Sequence[FloatArray], individual: FloatArray) -> FloatArray:
+def _row(genome: ChainGenome, base: Sequence[FloatArray], individual: FloatArray) -> FloatArray:
     vectors = [individual if index == genome.index else vector for index, vector in enumerate(base)]
     return genome.space.join(vectors)
 
 
 def _simulating(
-    state: SimoodState, genome: _Genome, individuals: Iterable[FloatArray], stage: Stage
+    state: SimoodState, genome: ChainGenome, individuals: Iterable[FloatArray], stage: Stage
 ) -> SimoodState:
     """Return the state with individuals queued that are to be simulated at every repeat, unless they were."""
     ledger = state.ledger
@@ -440,14 +350,14 @@ def _simulating(
     return replace(state, ledger=ledger.planned(fresh, Question.EPISODE, seeds), stage=stage)
 
 
-def _final(state: SimoodState, genome: _Genome) -> SimoodState:
+def _final(state: SimoodState, genome: ChainGenome) -> SimoodState:
     """Return the state with the finalists queued; nothing is to join any more."""
     state = replace(state, children=frozen_array(np.empty((0, state.children.shape[1]))))
     state = _simulating(state, genome, finalists_of(state), Stage.FINALISTS)
     return state if state.ledger.queue else _explaining(state, genome)
 
 
-def _explaining(state: SimoodState, genome: _Genome) -> SimoodState:
+def _explaining(state: SimoodState, genome: ChainGenome) -> SimoodState:
     """Return the state with parts and other orders of the hazardous finalists queued."""
     archive = state.ledger.archive
     unsafe = set(row_keys(archive.vectors[archive.unsafe][:, genome.space.slices[genome.index]]))
