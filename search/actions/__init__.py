@@ -1,0 +1,1 @@
+"""Scripted traffic participants as genes: how they are written down, move, differ, and vary."""
