@@ -20,6 +20,7 @@ class Stream(IntEnum):
     CONTROL = 5
     CONTRACT = 6
     FINALISTS = 7
+    SEEDS = 8
 
 
 def _sequence(seed: int, stream: int, index: tuple[int, ...]) -> np.random.SeedSequence:

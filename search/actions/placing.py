@@ -1,4 +1,4 @@
-"""Where participants may start: on a lane in its direction, on a pavement, in a side street; never on each other."""
+"""Where participants may start: on a lane, on a pavement, in a side street; never on each other."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -51,7 +51,9 @@ def placed(kind: Kind, start: Start, road: RoadLimits) -> Start:
     own = dd_m < 0.5 * road.lane_width_m
     middle_m = 0.0 if own else road.lane_width_m
     room_m = 0.5 * (road.lane_width_m - SIZES_M[kind][1])
-    return Start(ds_m, min(max(dd_m, middle_m - room_m), middle_m + room_m), 0.0 if own else math.pi)
+    # On the oncoming lane somebody may be overtaking; nobody begins as a wrong-way driver on the ego's.
+    ahead = own or math.cos(start.dyaw_rad) > 0
+    return Start(ds_m, min(max(dd_m, middle_m - room_m), middle_m + room_m), 0.0 if ahead else math.pi)
 
 
 def _on_pavement(dd_m: float, road: RoadLimits) -> float:
