@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from search.actions.road import RoadLimits
+from search.actions.rule import participants_component
 from search.algorithm import Algorithm, Candidate, Evaluation, Failed, Measured, Question, Scored
 from search.archive import Archive
 from search.digest import archive_digest
@@ -75,7 +77,15 @@ def example_spaces() -> dict[str, SearchSpace]:
             ),
         )
     )
-    return {"mixed": mixed, "numeric": numeric, "categorical": categorical, "slots": slots}
+    traffic = SearchSpace(
+        (
+            Component("scenario", (Categorical("weather", ("dry", "wet")),)),
+            participants_component("participants", 4, RoadLimits(streets_m=(30.0,))),
+        )
+    )
+    return {
+        "mixed": mixed, "numeric": numeric, "categorical": categorical, "slots": slots, "traffic": traffic,
+    }  # fmt: skip
 
 
 class ContractBroken(SearchError, AssertionError):
@@ -105,7 +115,7 @@ class Run:
 def made_up_verdicts(space: SearchSpace, failing: float = 0.1, seed: int = 0) -> Evaluate:
     """Return verdicts for any space, by candidate: unsafe below a plane through it; some fail.
 
-    What is asked of a data set gets the objective ``alpha``, which episodes have beside ``robustness``.
+    What is asked of a data set gets the objective ``alpha``; episodes have it, too, and how critical they are.
 
     Args:
         space: What the candidates come from.
@@ -124,7 +134,7 @@ def made_up_verdicts(space: SearchSpace, failing: float = 0.1, seed: int = 0) ->
         alpha = float(1 / (1 + np.exp(-robustness)))
         if candidate.question is Question.DATASET:
             return Measured(objectives={"alpha": alpha})
-        objectives = {"robustness": robustness, "alpha": alpha}
+        objectives = {"robustness": robustness, "alpha": alpha, "criticality_m": robustness}
         return Scored(unsafe=robustness < 0, robustness=robustness, objectives=objectives)
 
     return evaluate

@@ -392,7 +392,8 @@ class _Breeding:
     def _mutant(self, place: int, rng: np.random.Generator) -> Child:
         known_gaps = self._gaps[np.isfinite(self._gaps)]
         near_m = np.quantile(known_gaps, _BEST_SHARE) if known_gaps.size else -np.inf
-        far_m = np.nanquantile(self._unlike, 1.0 - _BEST_SHARE)
+        known = self._unlike[np.isfinite(self._unlike)]
+        far_m = np.quantile(known, 1.0 - _BEST_SHARE) if known.size else np.inf
         changed: list[Any] = []
         for index, one in enumerate(self._solutions[place]):
             good = self._gaps[place, index] <= near_m or self._unlike[place, index] >= far_m
@@ -434,7 +435,7 @@ class _Breeding:
         count = len(self._solutions[place])
         if placings[0] <= placings[1]:
             return int(np.argmin(self._gaps[place, :count]))
-        return int(np.argmax(self._unlike[place, :count]))
+        return int(np.argmax(np.nan_to_num(self._unlike[place, :count], nan=0.0)))
 
     def _child(self, solution: Solution, place: int, origin: Origin, rng: np.random.Generator) -> Child:
         parent = self._state.population[place]

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from search.actions.rule import Participants
 from search.algorithm import Algorithm, Candidate, Evaluation, Failed, Scored
 from search.algorithms.random_search import RandomSearch, RandomSearchConfig, RandomSearchState
 from search.document import Document
@@ -18,6 +19,13 @@ from sim.catalogue import load_plugin, plugin_ids
 
 GROUP = "brink.algorithms"
 SIMOOD = "simood-ga@1"
+NEEDS: dict[str, tuple[type[Any], str]] = {
+    SIMOOD: (Slots, "slots"),
+    "nsga2@1": (Participants, "participants"),
+    "mosat@1": (Participants, "participants"),
+    "mumoea@1": (Participants, "participants"),
+}
+"""Constraint that a space must have for an algorithm, and what the error names."""
 SPACES = {**example_spaces(), "mtq": mtq.SPACE, "onemax": onemax.SPACE}
 
 
@@ -28,7 +36,14 @@ def algorithm(plugin_id: str) -> Algorithm:
 
 
 def test_the_projects_own_algorithms_are_registered() -> None:
-    assert {"mlcshe@1", "ga@1", "random@1", "simood-ga@1"} <= set(plugin_ids(GROUP))
+    known = {"mlcshe@1", "ga@1", "random@1", "simood-ga@1", "nsga2@1", "mosat@1", "mumoea@1"}
+    assert known <= set(plugin_ids(GROUP))
+
+
+def supports(plugin_id: str, space: SearchSpace) -> bool:
+    needed = NEEDS.get(plugin_id)
+    rules = [rule for component in space.components for rule in component.constraints]
+    return needed is None or any(isinstance(rule, needed[0]) for rule in rules)
 
 
 @pytest.mark.parametrize("space", SPACES.values(), ids=SPACES)
@@ -36,10 +51,8 @@ def test_the_projects_own_algorithms_are_registered() -> None:
 def test_algorithm_keeps_its_contract(plugin_id: str, space: SearchSpace) -> None:
     checked = algorithm(plugin_id)
     assert checked.id == plugin_id
-    if plugin_id == SIMOOD and not any(
-        c.constraints and isinstance(c.constraints[0], Slots) for c in space.components
-    ):
-        with pytest.raises(UnsupportedSpace, match="slots"):
+    if not supports(plugin_id, space):
+        with pytest.raises(UnsupportedSpace, match=NEEDS[plugin_id][1]):
             checked.check(space, checked.config_type(), budget=170)
         return
     run = check_algorithm(checked, space, budget=170, ends_itself=plugin_id == SIMOOD)
@@ -48,7 +61,8 @@ def test_algorithm_keeps_its_contract(plugin_id: str, space: SearchSpace) -> Non
 
 @pytest.mark.parametrize("plugin_id", plugin_ids(GROUP))
 def test_state_of_another_algorithm_is_refused(plugin_id: str) -> None:
-    checked, space = algorithm(plugin_id), SPACES["slots"]
+    checked = algorithm(plugin_id)
+    space = next(space for space in SPACES.values() if supports(plugin_id, space))
     state = checked.start(space, checked.config_type(), seed=1, budget=170)
     stored = checked.dump(state)
     for foreign in (replace(stored, kind="other@1"), replace(stored, version=stored.version + 1)):
