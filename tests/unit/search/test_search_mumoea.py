@@ -152,7 +152,7 @@ def test_a_front_that_stays_the_same_brings_differential_seeds() -> None:
         state = MUMOEA.tell(asked, same_front(asked))
         stuck.append(state.stuck)
     assert stuck[:2] == [1, 0]
-    never = run(replace(SMALL, initial="random", differential="never"), 3)
+    never = run(replace(SMALL, initial="random", differential="never", lately=50), 3)
     for _ in range(3):
         asked, _ = MUMOEA.ask(never)
         never = MUMOEA.tell(asked, same_front(asked))
