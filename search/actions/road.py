@@ -10,8 +10,8 @@ from typing import Any
 
 from search.errors import SpaceError
 
-REACH_M = 50.0
-"""Participants start within this distance of the ego, along and across the road."""
+REACH_M = 55.0
+"""Participants start within this distance of the ego, along and across the road: as far as the nearest crossroads."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,11 +59,9 @@ class RoadLimits:
 
         None if there is none within the reach of participants.
         """
-        stations = [middle_m for middle_m in self.streets_m if abs(middle_m) <= REACH_M - self.lane_width_m]
-        if not stations:
-            return None
-        middle_m = min(stations, key=lambda street_m: abs(street_m - station_m))
-        return middle_m + (-0.5 if offset_m > 0 else 0.5) * self.lane_width_m
+        half_m = (-0.5 if offset_m > 0 else 0.5) * self.lane_width_m
+        lanes_m = [middle_m + half_m for middle_m in self.streets_m if abs(middle_m + half_m) <= REACH_M]
+        return min(lanes_m, key=lambda lane_m: abs(lane_m - station_m), default=None)
 
     def describe(self) -> Mapping[str, Any]:
         """Return it as a JSON object."""

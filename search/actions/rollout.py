@@ -45,28 +45,17 @@ class Stretch:
     accel_mps2: float
     aside_m: float
 
-    def at(self, time_s: float) -> tuple[float, float, float, float]:
-        """Return station, offset, heading and speed at a time after the episode's beginning; clipped to itself."""
-        t = min(max(time_s - self.from_s, 0.0), self.lasts_s)
-        along_m = (self.speed_mps + 0.5 * self.accel_mps2 * t) * t
-        share = t / self.lasts_s if self.lasts_s > 0 else 1.0
-        left_m = self.aside_m * share * share * (3.0 - 2.0 * share)
-        speed = max(0.0, self.speed_mps + self.accel_mps2 * t)
-        cos_yaw, sin_yaw = _direction(self.heading_rad)
-        turn = 0.0
-        if self.aside_m and speed > 0.1 and self.lasts_s > 0:
-            turn = math.atan2(self.aside_m * 6.0 * share * (1.0 - share) / self.lasts_s, speed)
-        return (
-            self.s_m + along_m * cos_yaw - left_m * sin_yaw,
-            self.d_m + along_m * sin_yaw + left_m * cos_yaw,
-            self.heading_rad + turn,
-            speed,
-        )
-
     @property
-    def end(self) -> tuple[float, float, float, float]:
-        """Station, offset, heading and speed at its end."""
-        return self.at(self.from_s + self.lasts_s)
+    def end(self) -> tuple[float, float, float]:
+        """Station, offset and speed at its end."""
+        t = self.lasts_s
+        along_m = (self.speed_mps + 0.5 * self.accel_mps2 * t) * t
+        cos_yaw, sin_yaw = _direction(self.heading_rad)
+        return (
+            self.s_m + along_m * cos_yaw - self.aside_m * sin_yaw,
+            self.d_m + along_m * sin_yaw + self.aside_m * cos_yaw,
+            max(0.0, self.speed_mps + self.accel_mps2 * t),
+        )
 
 
 def _direction(heading_rad: float) -> tuple[float, float]:
@@ -192,7 +181,7 @@ class _Mover:
     def _append(self, stretch: Stretch) -> None:
         self.stretches.append(stretch)
         self._time_s = stretch.from_s + stretch.lasts_s
-        self._s_m, self._d_m, _, self._speed = stretch.end
+        self._s_m, self._d_m, self._speed = stretch.end
 
 
 def _time_for(way_m: float, speed_mps: float, accel_mps2: float) -> float:

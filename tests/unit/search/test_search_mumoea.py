@@ -48,7 +48,9 @@ def _gaps(vector: bytes) -> tuple[float, ...]:
         nearest = math.inf
         for time_s in np.arange(0.0, 15.0, 0.5).tolist():
             here = next(s for s in stretches if time_s <= s.from_s + s.lasts_s)
-            s_m, d_m, _, _ = here.at(time_s)
+            share = (time_s - here.from_s) / here.lasts_s
+            s_m = here.s_m + share * (here.end[0] - here.s_m)
+            d_m = here.d_m + share * (here.end[1] - here.d_m)
             nearest = min(nearest, math.hypot(s_m - 8.0 * time_s, d_m) - 2.5)
         gaps.append(nearest)
     return tuple(gaps)
@@ -187,8 +189,9 @@ def test_seeds_that_do_not_differ_go_back_and_then_major_mutants_take_their_plac
     while MUMOEA.wanted(state) is None:
         asked, _ = MUMOEA.ask(state)
         state = MUMOEA.tell(asked, same_front(asked))
-    known = GENOME.solution(state.book.rows[state.book.lately(5)[-1]])
-    copies = [Proposal(solution=known, origin=Origin.LLM)] * 4
+    first = MUMOEA.wanted(state)
+    assert first is not None
+    copies = [Proposal(solution=first.exposed[0], origin=Origin.LLM)] * 4
     for number in range(3):
         request = MUMOEA.wanted(state)
         assert request is not None
