@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Protocol
 
 from sim.bullet.engine import Engine
 from sim.driving.camera import Camera
@@ -11,10 +12,22 @@ from sim.urban.behaviour import PERCEPTION_STEP_S, DetectorBehaviour, last_perce
 from sim.urban.facts import Facts
 from sim.urban.recorder import Recorder
 from sim.urban.sensing import Sensing
-from sim.world.world import EGO_STEPS, STEP_S, UrbanWorld
+from sim.world.world import EGO_STEPS, STEP_S, World
 
 CONTROL_PER_PERCEPTION = round(PERCEPTION_STEP_S / STEP_S)
 STANDS_BELOW_MPS = 0.1
+
+
+class Witness(Protocol):
+    """Watches an episode for more than requirements and traces keep."""
+
+    def see(self, sample: WorldSample, driving: DrivingSystem) -> None:
+        """Take note of a control step, after everybody has moved."""
+        ...
+
+    def violated(self, requirement: str) -> None:
+        """Take note that a requirement is violated in the step last seen, for the first time or again."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,7 +50,7 @@ class Outcome:
 
 
 def run_loop(
-    world: UrbanWorld,
+    world: World,
     driving: DrivingSystem,
     behaviour: DetectorBehaviour,
     requirements: Mapping[str, Requirement],
@@ -47,6 +60,7 @@ def run_loop(
     seed: int,
     duration_s: float,
     recorder: Recorder | None,
+    witness: Witness | None = None,
     to_the_end: bool = False,
 ) -> Outcome:
     """Run an episode to its end: the goal, the ego's first collision, or the end of its time.
@@ -61,6 +75,7 @@ def run_loop(
         seed: The episode's seed.
         duration_s: Its time.
         recorder: Takes the trace, if there is one.
+        witness: Watches, if there is one.
         to_the_end: Go on after the goal and after collisions, to measure what an episode costs.
     """
     last_step = last_perception_step(duration_s)
@@ -72,7 +87,7 @@ def run_loop(
         perception_steps=last_step + 1,
         step_s=PERCEPTION_STEP_S,
     )
-    loop = _Loop(world, driving, sensing, Facts(world, engine), requirements, recorder)
+    loop = _Loop(world, driving, sensing, Facts(world, engine), requirements, recorder, witness)
     for step in range(CONTROL_PER_PERCEPTION * last_step):
         sample = loop.step(step)
         if (sample.collision is not None or sample.goal_reached) and not to_the_end:
@@ -94,19 +109,22 @@ class _Loop:
         "_sample",
         "_sensing",
         "_standing",
+        "_witness",
         "_world",
     )
 
     def __init__(
         self,
-        world: UrbanWorld,
+        world: World,
         driving: DrivingSystem,
         sensing: Sensing,
         facts: Facts,
         requirements: Mapping[str, Requirement],
         recorder: Recorder | None,
+        witness: Witness | None,
     ) -> None:
         self._world = world
+        self._witness = witness
         self._driving = driving
         self._sensing = sensing
         self._facts = facts
@@ -126,11 +144,15 @@ class _Loop:
         ego.drive(command.accel_mps2, command.steer_rad, EGO_STEPS)
         world.advance(step)
         self._sample = sample = self._facts.measure((step + 1) * STEP_S)
-        recorder = self._recorder
+        recorder, witness = self._recorder, self._witness
+        if witness is not None:
+            witness.see(sample, self._driving)
         for name, requirement in self._observers:
             robustness = requirement.observe(sample)
             if recorder is not None:
                 recorder.judge(name, robustness)
+            if witness is not None and robustness < 0:
+                witness.violated(name)
         if recorder is not None:
             recorder.watch(sample)
         front_m = sample.front_gap_m

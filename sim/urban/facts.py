@@ -11,10 +11,8 @@ from sim.bullet.engine import BodyId, Box, Closest, Engine
 from sim.driving.interface import LightState
 from sim.requirements.requirement import Collision, CollisionKind, WorldSample
 from sim.world.roadside import fixtures
-from sim.world.vehicle import Vehicle
 from sim.world.walker import HEIGHT_M as WALKER_HEIGHT_M
-from sim.world.walker import Walker
-from sim.world.world import UrbanWorld
+from sim.world.world import RoadUser, World
 
 FRONT_RANGE_M = 50.0
 NEAR_M = 8.0
@@ -72,7 +70,7 @@ class Facts:
         engine: Gets the bodies.
     """
 
-    def __init__(self, world: UrbanWorld, engine: Engine) -> None:
+    def __init__(self, world: World, engine: Engine) -> None:
         self._world = world
         self._engine = engine
         self._near_station_m = 0.0
@@ -220,7 +218,7 @@ class Facts:
 
     def _ask(
         self,
-        mover: Vehicle | Walker,
+        mover: RoadUser,
         body: BodyId,
         kind: CollisionKind,
         limit_m: float,

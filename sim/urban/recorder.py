@@ -10,9 +10,7 @@ from sim.episode import Json
 from sim.requirements.requirement import WorldSample
 from sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, ActorTrack, Event, Ragged, Trace
 from sim.world.scene import scene_surfaces
-from sim.world.vehicle import Vehicle
-from sim.world.walker import Walker
-from sim.world.world import UrbanWorld
+from sim.world.world import RoadUser, World
 
 ROUTE_EVERY_M = 1.0
 ROUTE_BEYOND_M = 15.0
@@ -44,12 +42,12 @@ class Recorder:
         requirements: Ids of the requirements, in order.
     """
 
-    def __init__(self, world: UrbanWorld, requirements: Sequence[str]) -> None:
+    def __init__(self, world: World, requirements: Sequence[str]) -> None:
         self._world = world
         self._ids = tuple(requirements)
         self._times: list[float] = []
         self._ego: list[tuple[float, float, float, float, float]] = []
-        self._actors: list[Vehicle | Walker] = [*world.vehicles, *world.walkers]
+        self._actors: list[RoadUser] = [*world.vehicles, *world.walkers]
         self._motions: list[list[tuple[float, float, float, float]]] = [[] for _ in self._actors]
         self._seen = _Rows(BOX_COLUMNS)
         self._given = _Rows(BOX_COLUMNS)
@@ -145,12 +143,12 @@ class Recorder:
         actors = tuple(
             ActorTrack(
                 name=actor.name,
-                kind="vehicle" if isinstance(actor, Vehicle) else "pedestrian",
+                kind="vehicle" if index < len(world.vehicles) else "pedestrian",
                 length_m=actor.length_m,
                 width_m=actor.width_m,
                 motion=np.array(motion, dtype=np.float32).reshape(-1, 4),
             )
-            for actor, motion in zip(self._actors, self._motions, strict=True)
+            for index, (actor, motion) in enumerate(zip(self._actors, self._motions, strict=True))
         )
         return Trace(
             time_s=np.array(self._times, dtype=np.float32),

@@ -11,7 +11,7 @@ from sim.driving.interface import Box, EgoState, LightReading, LightState, Obsta
 from sim.urban.behaviour import BehaviourMode, DetectorBehaviour
 from sim.world.streams import Stream, generator
 from sim.world.walker import HEIGHT_M as WALKER_HEIGHT_M
-from sim.world.world import UrbanWorld
+from sim.world.world import World
 
 DRIFT_S = 1.5
 """Time constant of localisation errors."""
@@ -33,7 +33,7 @@ class Sensing:
 
     def __init__(
         self,
-        world: UrbanWorld,
+        world: World,
         behaviour: DetectorBehaviour,
         camera: Camera,
         *,

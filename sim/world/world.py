@@ -1,7 +1,9 @@
 """Owns the world of one episode: the road, everybody on it but the ego, and their common clock."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 from sim.urban.scenario import DrivingTask, UrbanScenario
 from sim.world.ego import EgoCar, EgoMotion, MakeEgo
@@ -12,7 +14,7 @@ from sim.world.route import LaneRoute
 from sim.world.streams import Stream, generator
 from sim.world.task import ego_route, exit_junction
 from sim.world.traffic import Surroundings, make_traffic
-from sim.world.vehicle import Mover, Vehicle
+from sim.world.vehicle import Mover, Vehicle, VehicleSize
 from sim.world.walker import Phase, Walker
 from sim.world.weather import Conditions, conditions
 
@@ -22,9 +24,73 @@ EGO_STEPS = 5
 """100 Hz steps of the ego in one step of the world."""
 
 
+class RoadUser(Mover, Protocol):
+    """Somebody on the road besides the ego. Changes in place."""
+
+    name: str
+
+
+class Driven(RoadUser, Protocol):
+    """A vehicle."""
+
+    size: VehicleSize
+
+
+class World(Protocol):
+    """What an episode is about, as the loop, the camera and the recorder see it. Its members change in place."""
+
+    @property
+    def road(self) -> Road:
+        """Where it is."""
+        ...
+
+    @property
+    def route(self) -> LaneRoute:
+        """Where the ego is to go."""
+        ...
+
+    @property
+    def weather(self) -> Conditions:
+        """What time of day and weather amount to."""
+        ...
+
+    @property
+    def signals(self) -> SignalPlan | None:
+        """The traffic lights, at a crossroad."""
+        ...
+
+    @property
+    def ego(self) -> EgoMotion:
+        """The car under test."""
+        ...
+
+    @property
+    def vehicles(self) -> Sequence[Driven]:
+        """All other vehicles."""
+        ...
+
+    @property
+    def walkers(self) -> Sequence[RoadUser]:
+        """Everybody on foot."""
+        ...
+
+    @property
+    def leaves_road_m(self) -> float:
+        """Station at which the ego's route leaves the road."""
+        ...
+
+    def advance(self, step: int) -> None:
+        """Let everybody but the ego go on by `STEP_S`; steps count from 0."""
+        ...
+
+    def grade_at(self, station_m: float) -> float:
+        """Return how steep the ego's route is."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UrbanWorld:
-    """Everything that an episode is about. Its members change in place.
+    """The world of an urban episode.
 
     Attributes:
         road: Where it is.
@@ -87,7 +153,7 @@ def make_world(scenario: UrbanScenario, seed: int, make_ego: MakeEgo = EgoCar) -
     road = build_road(scenario.road_curve, scenario.road_id, scenario.road_length)
     route = ego_route(road, scenario.driving_task)
     weather = conditions(scenario.time_of_day, scenario.weather)
-    signals = _signals(road, scenario, seed) if road.junctions[0].lit else None
+    signals = signal_plan(road, scenario, seed) if road.junctions[0].lit else None
     start = generator(seed, Stream.START)
     ego = make_ego(
         route.pose_at(0.0, float(start.normal(0.0, 0.05))), START_SPEED_MPS, friction=weather.friction
@@ -109,18 +175,19 @@ def make_world(scenario: UrbanScenario, seed: int, make_ego: MakeEgo = EgoCar) -
         vehicles=vehicles,
         walkers=tuple(walkers),
         movers=movers,
-        leaves_road_m=_leaves_road_m(road, task),
+        leaves_road_m=leaves_road_m(road, task),
     )
 
 
-def _leaves_road_m(road: Road, task: DrivingTask) -> float:
+def leaves_road_m(road: Road, task: DrivingTask) -> float:
+    """Return the station at which the ego's route leaves the road; infinite if it does not."""
     if task is DrivingTask.FOLLOW_ROAD:
         return math.inf
     right = task is DrivingTask.FIRST_EXIT
     return turn_begins_m(exit_junction(road, right=right).forward_m, road.style.lane_width_m, right=right)
 
 
-def _signals(road: Road, scenario: UrbanScenario, seed: int) -> SignalPlan:
+def signal_plan(road: Road, scenario: UrbanScenario, seed: int) -> SignalPlan:
     """Return the lights; every crossroad has its own cycle offset, which drifts a little."""
     offset_s = 0.19 * CYCLE_S * (3 * scenario.road_id + scenario.road_length)
     drift_s = float(generator(seed, Stream.SIGNALS).normal(0.0, 0.6))

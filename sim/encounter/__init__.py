@@ -1,0 +1,1 @@
+"""Encounters: an urban road on which every other road user follows a script."""

@@ -1,0 +1,148 @@
+"""Owns the simulator `brink-encounter@1`: a specification in, a result out; bit for bit the same each time."""
+
+import json
+import math
+import time
+from collections.abc import Mapping
+from typing import Final
+
+from sim.bullet.engine import EngineError, discard_engine, process_engine
+from sim.driving.camera import Camera
+from sim.driving.system import ModularDriving
+from sim.encounter.scenario import EncounterScenario
+from sim.encounter.witness import EncounterWitness
+from sim.encounter.world import make_encounter
+from sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
+from sim.errors import InvalidEpisode, SimulationCrashed
+from sim.requirements.registry import features_of, make_requirements, verdicts_of
+from sim.requirements.requirement import Requirement
+from sim.urban.behaviour import BehaviourMode, DetectorBehaviour
+from sim.urban.episode_loop import Outcome, run_loop
+from sim.urban.recorder import Recorder
+from sim.urban.simulator import instruction_set, versions
+
+SIMULATOR_ID: Final = "brink-encounter@1"
+MAX_DURATION_S: Final = 120.0
+FARTHEST_GAP_M: Final = 200.0
+"""Gaps are cut at this, so that they are finite where nobody is about."""
+
+
+class BrinkEncounter:
+    """Runs encounters. One a process is enough; it keeps nothing between episodes."""
+
+    def __init__(self) -> None:
+        self._camera = Camera()
+
+    def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
+        """Run one episode.
+
+        Args:
+            spec: What to run.
+            record: Whether the result carries the trace.
+
+        Raises:
+            InvalidEpisode: The specification can never run.
+            SimulationCrashed: The physics engine broke down.
+        """
+        cpu_s = time.process_time()
+        if spec.simulator != SIMULATOR_ID:
+            raise InvalidEpisode(
+                f"simulator: this is {SIMULATOR_ID}, the episode asks for {spec.simulator!r}"
+            )
+        if spec.duration_s > MAX_DURATION_S:
+            raise InvalidEpisode(f"duration_s: expected at most {MAX_DURATION_S:g}, got {spec.duration_s!r}")
+        if spec.options:
+            raise InvalidEpisode(f"options: expected none, got {next(iter(spec.options))!r}")
+        scenario = EncounterScenario.from_json(spec.scenario)
+        behaviour = _behaviour(spec.behaviour)
+        requirements = make_requirements(spec.requirements)
+        try:
+            return self._run(spec, scenario, behaviour, requirements, cpu_s, record=record)
+        except EngineError as error:
+            discard_engine()
+            raise SimulationCrashed(f"the physics engine broke down: {error}") from error
+
+    def _run(
+        self,
+        spec: EpisodeSpec,
+        scenario: EncounterScenario,
+        behaviour: DetectorBehaviour,
+        requirements: Mapping[str, Requirement],
+        cpu_s: float,
+        *,
+        record: bool,
+    ) -> EpisodeResult:
+        engine = process_engine()
+        engine.reset()
+        world = make_encounter(scenario, spec.seed)
+        recorder = Recorder(world, spec.requirements) if record else None
+        witness = EncounterWitness(world)
+        outcome = run_loop(
+            world,
+            ModularDriving(world.route, camera=self._camera),
+            behaviour,
+            requirements,
+            engine=engine,
+            camera=self._camera,
+            seed=spec.seed,
+            duration_s=spec.duration_s,
+            recorder=recorder,
+            witness=witness,
+        )
+        verdicts = verdicts_of(requirements)
+        trace = None
+        if recorder is not None:
+            about: JsonObject = {"spec": json.loads(spec.canonical_json()), "versions": dict(versions())}
+            trace = recorder.trace(about).to_bytes()
+        gaps = {
+            f"gap_{index}_m": min(gap_m, FARTHEST_GAP_M)
+            for index, gap_m in enumerate(witness.gaps_m, start=1)
+        }
+        return EpisodeResult(
+            verdicts=verdicts,
+            objectives={
+                **{f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()},
+                "criticality_m": min(witness.criticality_m, FARTHEST_GAP_M),
+                **gaps,
+            },
+            features={**_features(outcome, requirements), "violations": list(witness.violations)},
+            provenance={
+                "simulator": SIMULATOR_ID,
+                **versions(),
+                "instruction_set": instruction_set(),
+                "cpu_s": time.process_time() - cpu_s,
+                "simulated_s": outcome.last.time_s,
+            },
+            trace=trace,
+        )
+
+
+def _behaviour(document: Mapping[str, Json]) -> DetectorBehaviour:
+    """Read how the driving system sees.
+
+    Raises:
+        InvalidEpisode: It is not a mode that there is.
+    """
+    behaviour = DetectorBehaviour.from_json(document)
+    if behaviour.mode is not BehaviourMode.ORACLE:
+        raise InvalidEpisode(f"behaviour.mode: expected {BehaviourMode.ORACLE}, got {document.get('mode')!r}")
+    return behaviour
+
+
+def _features(outcome: Outcome, requirements: Mapping[str, Requirement]) -> dict[str, Json]:
+    hit = outcome.last.collision
+    return {
+        "ended": outcome.ended,
+        "ended_at_s": outcome.last.time_s,
+        "way_m": outcome.way_m,
+        "stood_s": outcome.stood_s,
+        "least_front_gap_m": outcome.least_front_gap_m,
+        "collision": None if hit is None else hit.kind.value,
+        "collided_with": None if hit is None else hit.counterpart,
+        "impact_speed_mps": None if hit is None else hit.impact_speed_mps,
+        **{name: value for name, value in features_of(requirements).items() if _finite(value)},
+    }
+
+
+def _finite(value: Json) -> bool:
+    return not isinstance(value, float) or math.isfinite(value)
