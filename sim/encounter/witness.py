@@ -22,6 +22,9 @@ NEARBY_M: Final = 15.0
 IN_WAY_M: Final = 35.0
 """A road user is in the ego's way if it is so near ahead and reaches into the width that the ego sweeps."""
 
+_AHEAD: Final = ("front-gap@1",)
+"""Requirements whose counterpart is in the ego's way, however near others are."""
+
 _LOOKBACK: Final = round(0.5 / STEP_S)
 _JUNCTION_M: Final = 12.0
 _CROSSING_M: Final = 4.0
@@ -96,7 +99,8 @@ class EncounterWitness:
             names = [user.name for user in self._world.everybody]
             index = names.index(hit.counterpart) if hit.counterpart in names else None
         else:
-            index = self._nearest(sample)
+            index = self._in_way(sample) if requirement in _AHEAD else None
+            index = self._nearest(sample) if index is None else index
         self.violations.append(
             {
                 "requirement": requirement,
@@ -108,6 +112,16 @@ class EncounterWitness:
                 "impact_speed_mps": None if hit is None else hit.impact_speed_mps,
             }
         )
+
+    def _in_way(self, sample: WorldSample) -> int | None:
+        """Return the nearest of those in the ego's way."""
+        ego = self._ego()
+        gaps = [
+            (signed_gap_m(ego, rectangle_of(user)), index)
+            for index, user in enumerate(self._world.everybody)
+            if self._in_way_since_s[index] is not None
+        ]
+        return min(gaps)[1] if gaps else None
 
     def _nearest(self, sample: WorldSample) -> int | None:
         ego = self._ego()

@@ -1,0 +1,127 @@
+"""The problem `npc-actions@1`: which actions of other road users make a driving system violate a requirement.
+
+A candidate is one to six participants with timed actions on one road. Their kinematic roll-out, which the search
+measures distances with, is the script that they follow in the simulator.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, ClassVar, Final
+
+from search.actions.participants import MOST_PARTICIPANTS, Participant
+from search.actions.road import RoadLimits
+from search.actions.rollout import rolled_out
+from search.actions.rule import participants_component, participants_of
+from search.algorithm import Evaluation, Scored
+from search.settings import check_settings, setting
+from search.space import SearchSpace
+from server.problems.base import Vectors
+from sim.encounter.lanes import lanes_of
+from sim.encounter.scenario import PLACE_FIELDS
+from sim.encounter.script import stretch_json
+from sim.encounter.words import words_of_script
+from sim.episode import EpisodeSpec, Json, JsonObject
+from sim.urban.scenario import SCENARIO_CHOICES, UrbanScenario
+from worker.wire import Completed
+
+SIMULATOR: Final = "brink-encounter@1"
+ORACLES: Final = (
+    "no-collision@1", "front-gap@1", "lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1",
+)  # fmt: skip
+ROAD_USERS: Final = "road_users"
+
+
+def _words(name: str) -> tuple[str, ...]:
+    return tuple(str(choice) for choice in SCENARIO_CHOICES[name])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NpcActionsParams:
+    """Parameters of the problem."""
+
+    participants: int = setting(4, help="Most road users in a candidate.", ge=1, le=MOST_PARTICIPANTS)
+    violation: str = setting(
+        "any",
+        help="Requirement whose violation counts as unsafe, or any of all six.",
+        choices=("any", *ORACLES),
+    )
+    criticality: str = setting(
+        "gap", help="What criticality is: the least gap to anybody, or the robustness closest to a violation.",
+        choices=("gap", "robustness"),
+    )  # fmt: skip
+    road_curve: str = setting("crossroad", help="Shape of the road.", choices=_words("road_curve"))
+    road_id: int = setting(0, help="Which of the three roads of that shape.", ge=0, le=2)
+    road_length: int = setting(0, help="0 short, 1 medium, 2 long.", ge=0, le=2)
+    driving_task: str = setting("follow_road", help="Where the ego is to go.", choices=_words("driving_task"))
+    time_of_day: str = setting("noon", help="When it happens.", choices=_words("time_of_day"))
+    weather: str = setting("clear", help="Sky, rain and road surface.", choices=_words("weather"))
+    duration_s: float = setting(25.0, help="Length of an episode.", ge=5.0, le=120.0, unit="s")
+    timeout_s: float = setting(60.0, help="Wall-clock limit of an episode.", gt=0.0, le=3600.0, unit="s")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+class NpcActions:
+    """Scripted road users who make it hard for a driving system."""
+
+    id: ClassVar[str] = "npc-actions@1"
+    summary: ClassVar[str] = "Up to six road users with timed actions, and a driving system among them."
+    params_type: ClassVar[type[Any]] = NpcActionsParams
+
+    def __init__(self, params: NpcActionsParams) -> None:
+        self.params = params
+        self._place: JsonObject = {name: getattr(params, name) for name in PLACE_FIELDS}
+        lanes = lanes_of(UrbanScenario.from_json({**self._place, "pedestrians": 0}))
+        self.road = RoadLimits(
+            lane_width_m=lanes.lane_width_m,
+            strip_m=lanes.strip_m,
+            pavement_m=lanes.pavement_m,
+            streets_m=lanes.crossing_streets_m,
+        )
+        self.space = SearchSpace((participants_component(ROAD_USERS, params.participants, self.road),))
+        self._rule = participants_of(self.space)[1]
+        self.algorithm_defaults: Mapping[str, Any] = {}
+        self.needs = SIMULATOR
+        self.timeout_s = params.timeout_s
+
+    def participants(self, vectors: Vectors) -> tuple[Participant, ...]:
+        """Return the road users of a candidate."""
+        return self._rule.read(vectors[0])
+
+    def scripts(self, vectors: Vectors) -> list[Json]:
+        """Return what the road users of a candidate do, as specifications have it."""
+        scripts: list[Json] = []
+        for one in self.participants(vectors):
+            stretches: list[Json] = [
+                stretch_json(asdict(stretch), one.genes[stretch.gene].action.value)
+                for stretch in rolled_out(one, self.road, self.params.duration_s)
+            ]
+            scripts.append({"kind": one.kind.value, "stretches": stretches})
+        return scripts
+
+    def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
+        """Return the episode of a candidate."""
+        return EpisodeSpec(
+            simulator=SIMULATOR,
+            scenario={**self._place, "road_users": self.scripts(vectors)},
+            behaviour={"mode": "oracle"},
+            requirements=ORACLES,
+            seed=seed,
+            duration_s=self.params.duration_s,
+        )
+
+    def words(self, vectors: Vectors) -> str:
+        """Return a candidate in words."""
+        return "; ".join(
+            words_of_script(script) for script in self.scripts(vectors) if isinstance(script, dict)
+        )
+
+    def evaluation(self, outcome: Completed) -> Evaluation:
+        """Return the verdict, in the units of the requirements, and all objectives."""
+        names = ORACLES if self.params.violation == "any" else (self.params.violation,)
+        robustness = min(outcome.verdicts[name].robustness for name in names)
+        objectives = dict(outcome.objectives)
+        if self.params.criticality == "robustness":
+            objectives["criticality_m"] = robustness
+        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=objectives)
