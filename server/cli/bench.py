@@ -26,6 +26,7 @@ bench = typer.Typer(help="Measure this installation, each figure with its target
 
 PAPER_FILES = tuple(Path("examples") / f"paper-{name}.yaml" for name in ("mlcshe", "ga", "random"))
 PAPER_TARGET_S = 180.0
+MUMOEA_RESULTS = Path("brink-results") / "bench-mumoea"
 SIMOOD_RESULTS = Path("brink-results") / "bench-simood"
 
 
@@ -115,6 +116,39 @@ def simood(
     out.mkdir(parents=True, exist_ok=True)
     with _progress(Console(stderr=True)) as progress:
         rows = measure_simood(wanted, out, processes=processes, told=_teller(progress))
+    _print_figures(rows, as_json=as_json)
+
+
+@bench.command()
+def mumoea(
+    seeds: Annotated[int, typer.Option(min=2, help="Searches of each method.")] = 5,
+    simulations: Annotated[int, typer.Option(min=100, help="Simulations of each search.")] = 2000,
+    road: Annotated[
+        str, typer.Option(help="Shape of the road: crossroad, straight, right, left.")
+    ] = "crossroad",
+    processes: Annotated[int, typer.Option(min=1, help="Processes to run searches in.")] = 2,
+    out: Annotated[Path, typer.Option(help="Folder for tables, figures and what was run.")] = MUMOEA_RESULTS,
+    as_json: AsJson = False,
+) -> None:
+    """Compare muMOEA with its ablations, MOSAT, NSGA-II and random search, at equal simulations.
+
+    It takes long. Searches that ended are kept in the folder, so that the same command goes on after an
+    interruption.
+
+    Example: brink bench mumoea --seeds 5 --simulations 2000
+    """
+    # Imported here: measuring runs episodes, which a coordinator never does.
+    from server.bench.mumoea.comparison import Comparison
+    from server.catalogue import make_params
+    from server.problems.npc_actions import NpcActionsParams
+
+    params = make_params(NpcActionsParams, {"road_curve": road}, "/problem/params")
+    out.mkdir(parents=True, exist_ok=True)
+    with _progress(Console(stderr=True)) as progress:
+        comparison = Comparison(
+            out, params, seeds=seeds, simulations=simulations, processes=processes, told=_teller(progress)
+        )
+        rows = comparison.rows()
     _print_figures(rows, as_json=as_json)
 
 

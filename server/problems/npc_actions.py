@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Final
 
 from search.actions.participants import MOST_PARTICIPANTS, Participant
 from search.actions.road import RoadLimits
-from search.actions.rollout import rolled_out
+from search.actions.rollout import rolled_out, waypoints
 from search.actions.rule import participants_component, participants_of
 from search.algorithm import Evaluation, Scored
 from search.settings import check_settings, setting
@@ -88,6 +88,13 @@ class NpcActions:
     def participants(self, vectors: Vectors) -> tuple[Participant, ...]:
         """Return the road users of a candidate."""
         return self._rule.read(vectors[0])
+
+    def waypoints(self, vectors: Vectors) -> list[list[list[float]]]:
+        """Return station and offset at the end of each action, a list for each road user."""
+        points: list[list[list[float]]] = [
+            waypoints(one, self.road).tolist() for one in self.participants(vectors)
+        ]
+        return points
 
     def scripts(self, vectors: Vectors) -> list[Json]:
         """Return what the road users of a candidate do, as specifications have it."""

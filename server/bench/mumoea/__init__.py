@@ -1,0 +1,1 @@
+"""Compares muMOEA with its ablations and baselines on this installation."""

@@ -1,0 +1,1 @@
+"""What kinds of violations there are: rules that make types of the circumstances that a simulator reports."""
