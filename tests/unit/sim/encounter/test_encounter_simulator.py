@@ -1,0 +1,275 @@
+"""Encounters: scripts are followed, gaps are true, violations are told with their circumstances."""
+
+import hashlib
+import math
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.encounter.rectangles import Rectangle, bearing_rad, signed_gap_m
+from sim.encounter.simulator import BrinkEncounter
+from sim.encounter.words import words_of_script
+from sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
+from sim.errors import InvalidEpisode
+from sim.trace import Trace
+
+PLACE: JsonObject = {
+    "time_of_day": "noon",
+    "weather": "clear",
+    "road_curve": "straight",
+    "road_id": 0,
+    "road_length": 2,
+    "driving_task": "follow_road",
+}
+ORACLES = ("no-collision@1", "front-gap@1", "lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1")
+
+
+def stretch(action: str, from_s: float, lasts_s: float, **changes: float) -> JsonObject:
+    base: JsonObject = {
+        "action": action, "from_s": from_s, "lasts_s": lasts_s, "s_m": 0.0, "d_m": 0.0, "heading_rad": 0.0,
+        "speed_mps": 0.0, "accel_mps2": 0.0, "aside_m": 0.0,
+    }  # fmt: skip
+    return {**base, **changes}
+
+
+def user(kind: str, *stretches: JsonObject) -> JsonObject:
+    steps: list[Json] = list(stretches)
+    return {"kind": kind, "stretches": steps}
+
+
+def spec(*users: JsonObject, seed: int = 3, duration_s: float = 25.0, **place: Json) -> EpisodeSpec:
+    everybody: list[Json] = list(users)
+    return EpisodeSpec(
+        simulator="brink-encounter@1",
+        scenario={**PLACE, **place, "road_users": everybody},
+        behaviour={"mode": "oracle"},
+        requirements=ORACLES,
+        seed=seed,
+        duration_s=duration_s,
+    )
+
+
+def facts(value: Json) -> JsonObject:
+    """Return a JSON value that is an object."""
+    assert isinstance(value, dict)
+    return value
+
+
+def told(result: EpisodeResult) -> list[JsonObject]:
+    violations = result.features["violations"]
+    assert isinstance(violations, list)
+    return [facts(violation) for violation in violations]
+
+
+def number(value: Json) -> float:
+    assert isinstance(value, int | float)
+    return float(value)
+
+
+@pytest.fixture(name="simulator", scope="module")
+def _simulator() -> BrinkEncounter:
+    return BrinkEncounter()
+
+
+BRAKES = user(
+    "car",
+    stretch("keep", 0.0, 2.0, s_m=20.0, speed_mps=8.0),
+    stretch("brake", 2.0, 1.0, s_m=36.0, speed_mps=8.0, accel_mps2=-8.0),
+    stretch("keep", 3.0, 30.0, s_m=40.0, speed_mps=0.0),
+)
+FROM_BEHIND = user("car", stretch("keep", 0.0, 30.0, s_m=-25.0, speed_mps=14.0))
+
+
+@pytest.mark.parametrize("task", ["follow_road", "first_exit", "second_exit"])
+@pytest.mark.parametrize("curve", ["straight", "left", "right", "crossroad"])
+def test_with_nobody_about_the_ego_arrives_and_violates_nothing(
+    simulator: BrinkEncounter, curve: str, task: str
+) -> None:
+    result = simulator.run(spec(duration_s=60.0, road_curve=curve, driving_task=task, road_length=0))
+    assert result.features["ended"] == "goal"
+    assert told(result) == []
+    assert result.objectives["criticality_m"] == 200.0
+    assert not any(verdict.violated for verdict in result.verdicts.values())
+
+
+def test_a_script_is_followed_to_the_centimetre(simulator: BrinkEncounter) -> None:
+    away = user(
+        "van",
+        stretch("accelerate", 0.0, 3.0, s_m=40.0, speed_mps=9.0, accel_mps2=1.0),
+        stretch("change_left", 3.0, 2.0, s_m=71.5, speed_mps=12.0, aside_m=3.5),
+        stretch("keep", 5.0, 30.0, s_m=95.5, d_m=3.5, speed_mps=12.0),
+    )
+    result = simulator.run(spec(away, duration_s=8.0), record=True)
+    assert result.trace is not None
+    trace = Trace.from_bytes(result.trace)
+    (van,) = trace.actors
+    s_of = {round(float(t), 1): row for t, row in zip(trace.time_s, van.motion, strict=True)}
+    start_x = float(s_of[0.0][0]) - 40.0
+    assert float(s_of[3.0][0]) - start_x == pytest.approx(71.5, abs=0.01)
+    assert float(s_of[4.0][1]) - float(s_of[0.0][1]) == pytest.approx(1.75, abs=0.01)
+    assert float(s_of[4.0][2]) > 0.1
+    assert float(s_of[7.0][0]) - start_x == pytest.approx(95.5 + 24.0, abs=0.01)
+    assert (van.kind, van.name) == ("vehicle", "van-1")
+
+
+def test_the_ego_stops_for_whom_it_sees_and_gaps_say_how_near_everybody_came(
+    simulator: BrinkEncounter,
+) -> None:
+    far = user("pedestrian", stretch("keep", 0.0, 30.0, s_m=60.0, d_m=-4.0, speed_mps=0.0))
+    result = simulator.run(spec(BRAKES, far, duration_s=9.0))
+    assert result.features["collision"] is None
+    assert 0.0 < result.objectives["gap_1_m"] < 8.0
+    assert result.objectives["criticality_m"] == result.objectives["gap_1_m"]
+    assert result.objectives["gap_2_m"] > result.objectives["gap_1_m"]
+
+
+def test_somebody_who_does_not_look_hits_the_ego_from_behind(simulator: BrinkEncounter) -> None:
+    result = simulator.run(spec(FROM_BEHIND))
+    assert result.features["collided_with"] == "car-1"
+    (violation,) = told(result)
+    other, ego = facts(violation["other"]), facts(violation["ego"])
+    assert violation["requirement"] == "no-collision@1"
+    assert (other["kind"], other["action"], other["index"]) == ("car", "keep", 1)
+    assert abs(number(other["bearing_rad"])) > 2.9
+    assert number(ego["speed_mps"]) > 5.0
+    assert result.objectives["criticality_m"] <= 0.0
+    assert facts(violation["place"])["element"] == "straight"
+
+
+def test_vehicles_brake_for_each_other_though_not_for_the_ego(simulator: BrinkEncounter) -> None:
+    stands = user("car", stretch("keep", 0.0, 30.0, s_m=80.0, d_m=3.5, heading_rad=math.pi, speed_mps=0.0))
+    comes = user("van", stretch("keep", 0.0, 30.0, s_m=140.0, d_m=3.5, heading_rad=math.pi, speed_mps=10.0))
+    result = simulator.run(spec(stands, comes, duration_s=15.0), record=True)
+    assert result.trace is not None
+    car, van = Trace.from_bytes(result.trace).actors
+    gap_m = np.abs(van.motion[:, 0] - car.motion[:, 0]) - 5.0
+    assert gap_m.min() > 0.5
+    assert van.motion[-1, 3] == pytest.approx(0.0, abs=0.05)
+
+
+def test_a_person_on_the_road_is_a_pedestrian_in_trace_and_collision(simulator: BrinkEncounter) -> None:
+    steps_out = user(
+        "pedestrian",
+        stretch("keep", 0.0, 2.2, s_m=20.0, d_m=-3.0, speed_mps=0.0),
+        stretch("cross", 2.2, 4.0, s_m=20.0, d_m=-3.0, heading_rad=0.5 * math.pi, speed_mps=3.0),
+    )
+    result = simulator.run(spec(steps_out), record=True)
+    assert result.trace is not None
+    (person,) = Trace.from_bytes(result.trace).actors
+    assert person.kind == "pedestrian"
+    assert result.features["collision"] == "pedestrian"
+    other = facts(told(result)[0]["other"])
+    assert (other["kind"], other["action"]) == ("pedestrian", "cross")
+
+
+def test_a_requirement_is_told_once_with_the_first_violation(simulator: BrinkEncounter) -> None:
+    stands = user("car", stretch("keep", 0.0, 30.0, s_m=30.0, d_m=1.6, speed_mps=0.0))
+    result = simulator.run(spec(stands, duration_s=20.0))
+    requirements = [violation["requirement"] for violation in told(result)]
+    assert len(requirements) == len(set(requirements))
+    for violation in told(result):
+        verdict = result.verdicts[str(violation["requirement"])]
+        assert number(violation["time_s"]) == pytest.approx(verdict.violated_at_s)
+
+
+def fingerprint(result: EpisodeResult) -> str:
+    features = sorted((name, repr(value)) for name, value in result.features.items())
+    return hashlib.sha256(repr(features).encode() + (result.trace or b"")).hexdigest()
+
+
+def test_the_same_specification_gives_the_same_bits_after_others_and_elsewhere(
+    simulator: BrinkEncounter,
+) -> None:
+    first = fingerprint(simulator.run(spec(BRAKES, FROM_BEHIND), record=True))
+    simulator.run(spec(FROM_BEHIND, seed=9, road_curve="crossroad"))
+    assert fingerprint(simulator.run(spec(BRAKES, FROM_BEHIND), record=True)) == first
+    text = spec(BRAKES, FROM_BEHIND).canonical_json()
+    code = (
+        "import json, sys, hashlib\n"
+        "from sim.encounter.simulator import BrinkEncounter\n"
+        "from sim.episode import EpisodeSpec\n"
+        "r = BrinkEncounter().run(EpisodeSpec.from_json(json.loads(sys.argv[1])), record=True)\n"
+        "f = sorted((n, repr(v)) for n, v in r.features.items())\n"
+        "print(hashlib.sha256(repr(f).encode() + r.trace).hexdigest())\n"
+    )
+    shown = subprocess.run([sys.executable, "-c", code, text], capture_output=True, text=True, check=True)
+    assert shown.stdout.split()[-1] == first
+
+
+KEEPS = stretch("keep", 0.0, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"scenario": {**PLACE}}, "road_users: missing"),
+        ({"scenario": {**PLACE, "road_users": [], "pedestrians": 18}}, "people are road users"),
+        ({"scenario": {**PLACE, "road_users": [user("car", KEEPS)] * 7}}, "at most 6"),
+        ({"scenario": {**PLACE, "road_users": [user("tank", KEEPS)]}}, "one of car, van, pedestrian"),
+        ({"scenario": {**PLACE, "road_users": [user("car")]}}, "1 to 64"),
+        (
+            {"scenario": {**PLACE, "road_users": [user("car", {**KEEPS, "speed_mps": math.nan})]}},
+            r"speed_mps: expected a number in \[0, 40\]",
+        ),
+        ({"scenario": {**PLACE, "road_users": [user("car", {**KEEPS, "from_s": 1.0})]}}, "the first from 0"),
+        (
+            {"scenario": {**PLACE, "road_users": [user("car", {**KEEPS, "jump": 1.0})]}},
+            "unknown field 'jump'",
+        ),
+        ({"behaviour": {"mode": "injected", "trajectories": []}}, "behaviour.mode: expected oracle"),
+        ({"options": {"fidelity": "wheels"}}, "options: expected none"),
+        ({"duration_s": 500.0}, "at most 120"),
+        ({"simulator": "brink-drive@1"}, "this is brink-encounter@1"),
+    ],
+)
+def test_what_can_never_run_is_refused(
+    simulator: BrinkEncounter, changed: dict[str, object], message: str
+) -> None:
+    with pytest.raises(InvalidEpisode, match=message):
+        simulator.run(replace(spec(), **changed))  # type: ignore[arg-type]
+
+
+CAR = Rectangle(0.0, 0.0, 0.0, 2.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("other", "gap_m"),
+    [
+        (Rectangle(7.0, 0.0, 0.0, 2.0, 1.0), 3.0),
+        (Rectangle(7.0, 6.0, 0.0, 2.0, 1.0), 5.0),
+        (Rectangle(0.0, 5.0, 0.5 * math.pi, 2.0, 1.0), 2.0),
+        (Rectangle(3.5, 0.0, 0.0, 2.0, 1.0), -0.5),
+        (Rectangle(2.0 + math.sqrt(2.0), 0.0, 0.25 * math.pi, 0.5, 0.5), 0.5 * math.sqrt(2.0)),
+    ],
+)
+def test_gaps_of_rectangles(other: Rectangle, gap_m: float) -> None:
+    assert signed_gap_m(CAR, other) == pytest.approx(gap_m)
+    assert signed_gap_m(other, CAR) == pytest.approx(gap_m)
+
+
+@pytest.mark.parametrize(
+    ("x_m", "y_m", "degrees"),
+    [(6.0, 0.0, 0.0), (6.0, 3.0, 45.0), (0.0, 4.0, 90.0), (-6.0, 0.0, 180.0), (6.0, -3.0, -45.0)],
+)
+def test_bearings_have_the_egos_corners_at_45_degrees(x_m: float, y_m: float, degrees: float) -> None:
+    point = Rectangle(x_m, y_m, 0.0, 1e-6, 1e-6)
+    expected = math.degrees(math.atan2(y_m / CAR.half_width_m, x_m / CAR.half_length_m))
+    assert math.degrees(bearing_rad(CAR, point)) == pytest.approx(expected, abs=1e-3)
+    assert math.degrees(bearing_rad(CAR, Rectangle(2.5, 1.5, 0.0, 0.5, 0.5))) == pytest.approx(45.0)
+    assert abs(math.degrees(bearing_rad(CAR, point)) - degrees) < 25.0
+
+
+def test_a_script_in_words() -> None:
+    assert words_of_script(BRAKES) == (
+        "car 20 m ahead at 8 m/s: goes on 2.0 s, then brakes hard 1.0 s, then goes on 30.0 s"
+    )
+    oncoming = user(
+        "van", stretch("change_left", 0.0, 1.5, s_m=40.0, d_m=3.5, heading_rad=math.pi, speed_mps=9.0)
+    )
+    assert (
+        words_of_script(oncoming)
+        == "van 40 m ahead, 3.5 m to the left, oncoming at 9 m/s: moves to its left 1.5 s"
+    )
