@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from server.cli import bench, inspect, operate, perturbations
-from server.cli.combinations import combinations
 from server.cli.compare import compare
+from server.cli.findings.combinations import combinations
 from server.cli.run import run
 from sim.catalogue import PLUGINS_VARIABLE
 

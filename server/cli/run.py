@@ -5,7 +5,7 @@ import contextlib
 import logging
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -20,8 +20,6 @@ from server.campaigns.body import CampaignBody, read_campaign_file
 from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.service import check_submission
 from server.cli.api import TIMEOUT, Api, CoordinatorSaid
-from server.cli.combinations import draw_combinations, fetch_combinations, write_combinations
-from server.cli.combinations import in_words as in_one_sentence
 from server.cli.compare import compared_archives
 from server.cli.coordinator import (
     EmbeddedCoordinator,
@@ -29,6 +27,8 @@ from server.cli.coordinator import (
     prepare_database,
     release_leases_of_the_dead,
 )
+from server.cli.findings.drawing import Drawing
+from server.cli.findings.finding import Findings, fetch_findings
 from server.cli.live import CampaignDisplay
 from server.cli.options import (
     CampaignFile,
@@ -179,7 +179,7 @@ async def _run(
         "strict_dbs": boundary["strict_dbs"],
         "grid": boundary["grid"],
         "control": written.control,
-        "combinations": None if written.combinations is None else in_one_sentence(written.combinations),
+        "findings": {findings.name: findings.sentence() for findings in written.findings},
         "folder": str(folder),
         "files": [str(path) for path in written.files],
     }
@@ -187,7 +187,7 @@ async def _run(
         print_json(summary)
     else:
         print_summary(
-            screen, plan.body, summary, boundary, written.combinations, brink=brink(), database=database
+            screen, plan.body, summary, boundary, written.findings, brink=brink(), database=database
         )
     if not stop.is_set():
         return 0
@@ -280,13 +280,13 @@ class Written:
         boundary: The distinct boundary solutions.
         files: Everything that was written.
         control: What the control says, in words.
-        combinations: What chains of techniques did; None if the problem has none.
+        findings: What was found besides the boundary.
     """
 
     boundary: dict[str, Any]
     files: list[Path]
     control: list[str]
-    combinations: dict[str, Any] | None
+    findings: Sequence[Findings]
 
 
 async def _write_all(
@@ -297,19 +297,20 @@ async def _write_all(
     files = [folder / name for name in ("boundary.csv", "boundary.json", "archive.npz")]
     with screen.status("comparing with a control") as status:
         fetched = await fetch_archive(api, campaign_id)
-        found = await fetch_combinations(api, campaign_id, fetched.plan.problem.space)
-        if found is not None:
-            files += write_combinations(found, folder)
+        found = await fetch_findings(api, campaign_id, fetched.plan.problem)
+        for findings in found:
+            files += findings.write(folder)
         control = in_words(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)
-        written = Written(boundary=boundary, files=files, control=control, combinations=found)
+        written = Written(boundary=boundary, files=files, control=control, findings=found)
         if not plan.pictures or stop.is_set():
             return written
         began = time.monotonic()
         status.update("drawing the boundary")
         files += await asyncio.to_thread(draw_figures, fetched, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH)
-        if found is not None:
-            status.update("drawing combinations")
-            files += await draw_combinations(api, campaign_id, found, folder, stop=stop, patience_s=TRACES_S)
+        drawing = Drawing(api=api, campaign=campaign_id, folder=folder, stop=stop, patience_s=TRACES_S)
+        for findings in found:
+            status.update(f"drawing {findings.name}")
+            files += await findings.draw(drawing)
         numbers = [s["number"] for s in boundary["solutions"] if s["spec"] is not None]
         status.update("drawing replays")
         files += await write_replays(

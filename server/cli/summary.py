@@ -1,12 +1,13 @@
 """What `brink run` says at the end: what was found, where it lies, what to try next."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
 from server.campaigns.body import CampaignBody
-from server.cli.combinations import print_combinations
+from server.cli.findings.finding import Findings
 
 SHOWN = 5
 PAPER_BUDGET = 1300
@@ -17,7 +18,7 @@ def print_summary(
     body: CampaignBody,
     summary: dict[str, Any],
     boundary: dict[str, Any],
-    combinations: dict[str, Any] | None = None,
+    findings: Sequence[Findings],
     *,
     brink: str,
     database: str,
@@ -29,7 +30,7 @@ def print_summary(
         body: The campaign.
         summary: What ``brink run --json`` prints.
         boundary: The distinct boundary solutions.
-        combinations: What chains of techniques did, if the problem has them.
+        findings: What was found besides the boundary.
         brink: How to call the command line, for hints.
         database: The option that names the database, for hints.
     """
@@ -41,8 +42,8 @@ def print_summary(
         f"[bold]{body.name}[/bold]: {summary['simulations']} simulations{extra} in {summary['elapsed_s']:.0f} s, "
         f"{share:.0%} unsafe, {summary['failed']} failed"
     )
-    if combinations is not None:
-        print_combinations(screen, combinations)
+    for one in findings:
+        one.show(screen)
         screen.print()
     screen.print(
         f"[bold]{summary['dbs']} distinct boundary solutions[/bold] (fitness at most {summary['t_b']:g}, at least "
@@ -59,7 +60,7 @@ def print_summary(
     screen.print(f"files in {summary['folder']}:")
     for path in summary["files"]:
         screen.print(f"  {path.removeprefix(summary['folder'] + '/')}")
-    _print_next(screen, body, summary, boundary, combinations, brink=brink, database=database)
+    _print_next(screen, body, summary, boundary, findings, brink=brink, database=database)
 
 
 def _print_next(
@@ -67,18 +68,13 @@ def _print_next(
     body: CampaignBody,
     summary: dict[str, Any],
     boundary: dict[str, Any],
-    combinations: dict[str, Any] | None,
+    findings: Sequence[Findings],
     *,
     brink: str,
     database: str,
 ) -> None:
     campaign = summary["campaign"]
-    hints = []
-    if combinations is not None:
-        telling = [n for one in combinations["combinations"] for n in (*one["together"], *one["turned"])]
-        hints.append((f"combinations {campaign}{database}", "all chains of techniques"))
-        if telling:
-            hints.append((f"replay {campaign} {telling[0]} --out hazard.mp4{database}", "watch the hazard"))
+    hints = [hint for one in findings for hint in one.hints(campaign, database)]
     if any("replay-" in path for path in summary["files"]):
         best = boundary["solutions"][0]["number"]
         hints.append((f"replay {campaign} {best} --out replay.mp4{database}", "watch the best one"))
@@ -93,7 +89,7 @@ def _print_next(
     screen.print()
     screen.print("next:")
     screen.print(table)
-    if boundary["strict_dbs"] == 0 and combinations is None:
+    if boundary["strict_dbs"] == 0 and not findings:
         screen.print(
             "  raise budget.simulations: a fitness of .10 takes at least 35 neighbours, .05 takes 165"
         )

@@ -13,24 +13,62 @@ from rich.table import Table
 
 from search.errors import UnsupportedSpace
 from search.levels import slots_of
-from search.space import SearchSpace
 from server.cli.api import Api, CoordinatorSaid
+from server.cli.findings.drawing import Drawing
 from server.cli.options import AsJson, CampaignId, Database, Server, console, print_json, with_api
 from server.cli.replays import NoTrace, fetch_trace
+from server.problems.base import Problem
 from sim.replay.side_by_side import Row, side_by_side
 
 SHOWN = 10
 PICTURES = 3
 
 
-async def fetch_combinations(api: Api, campaign_id: str, space: SearchSpace) -> dict[str, Any] | None:
+class CombinationFindings:
+    """What a campaign found about combinations.
+
+    Args:
+        found: As the coordinator tells it.
+    """
+
+    name = "combinations"
+
+    def __init__(self, found: dict[str, Any]) -> None:
+        self._found = found
+
+    def sentence(self) -> str:
+        """Return it in a sentence."""
+        return in_words(self._found)
+
+    def show(self, screen: Console) -> None:
+        """Print it for people."""
+        print_combinations(screen, self._found)
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write it to files."""
+        return write_combinations(self._found, folder)
+
+    async def draw(self, drawing: Drawing) -> list[Path]:
+        """Draw it, as far as traces can be had."""
+        return await draw_combinations(self._found, drawing)
+
+    def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
+        """Return commands to go on with, and what each is for."""
+        chains = self._found["combinations"]
+        telling = [number for one in chains for number in (*one["together"], *one["turned"])]
+        hints = [(f"combinations {campaign}{database}", "all chains of techniques")]
+        if telling:
+            hints.append((f"replay {campaign} {telling[0]} --out hazard.mp4{database}", "watch the hazard"))
+        return hints
+
+
+async def fetch_combinations(api: Api, campaign_id: str, problem: Problem) -> CombinationFindings | None:
     """Return what a campaign found about combinations; None if its space has no ordered techniques."""
     try:
-        slots_of(space)
+        slots_of(problem.space)
     except UnsupportedSpace:
         return None
-    found: dict[str, Any] = await api.get(f"/campaigns/{campaign_id}/combinations")
-    return found
+    return CombinationFindings(await api.get(f"/campaigns/{campaign_id}/combinations"))
 
 
 def combinations(
@@ -111,14 +149,13 @@ def write_combinations(found: dict[str, Any], folder: Path) -> list[Path]:
     return [document, table]
 
 
-async def draw_combinations(
-    api: Api, campaign_id: str, found: dict[str, Any], folder: Path, *, stop: asyncio.Event, patience_s: float
-) -> list[Path]:
+async def draw_combinations(found: dict[str, Any], drawing: Drawing) -> list[Path]:
     """Draw the most telling combinations beside their parts and other orders, as far as they can be had."""
+    api, campaign_id = drawing.api, drawing.campaign
     files: list[Path] = []
     for one in found["combinations"]:
         telling = one["together"] or one["turned"]
-        if stop.is_set() or len(files) == PICTURES:
+        if drawing.stop.is_set() or len(files) == PICTURES:
             break
         if not telling:
             continue
@@ -126,7 +163,7 @@ async def draw_combinations(
         rows = []
         try:
             for variant in variants:
-                trace = await fetch_trace(api, campaign_id, variant["number"], patience_s)
+                trace = await fetch_trace(api, campaign_id, variant["number"], drawing.patience_s)
                 rows.append(Row(words=variant["words"], trace=trace))
         except (NoTrace, CoordinatorSaid):
             continue
@@ -134,7 +171,7 @@ async def draw_combinations(
             continue
         title = f"The same street and the same chance: solution {telling[0]} and what it consists of"
         picture = await asyncio.to_thread(side_by_side, rows, title=title)
-        path = folder / f"combination-{len(files) + 1}.png"
+        path = drawing.folder / f"combination-{len(files) + 1}.png"
         await asyncio.to_thread(picture.save, path)
         files.append(path)
     return files
