@@ -9,7 +9,7 @@ from importlib.metadata import version
 from fastapi import APIRouter, FastAPI
 from fastapi_offline import FastAPIOffline
 
-from server.api import campaigns, catalogue, health, jobs, solutions
+from server.api import campaigns, catalogue, health, jobs, solutions, violations
 from server.api.context import Context
 from server.api.guards import Guards
 from server.api.problem_details import install
@@ -72,7 +72,13 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
     )  # fmt: skip
     install(app)
     api = APIRouter(prefix="/api/v1")
-    for module in (jobs, campaigns, solutions, catalogue):  # the busiest first: routes are tried in order
+    for module in (
+        jobs,
+        campaigns,
+        solutions,
+        violations,
+        catalogue,
+    ):  # the busiest first: routes are tried in order
         api.include_router(module.router)
     app.include_router(api)
     app.include_router(health.router)

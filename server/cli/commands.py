@@ -11,6 +11,7 @@ import typer
 from server.cli import bench, inspect, operate, perturbations
 from server.cli.compare import compare
 from server.cli.findings.combinations import combinations
+from server.cli.findings.violations import violations
 from server.cli.run import run
 from sim.catalogue import PLUGINS_VARIABLE
 
@@ -29,6 +30,7 @@ app.command()(operate.submit)
 app.command()(inspect.status)
 app.command()(inspect.results)
 app.command()(combinations)
+app.command()(violations)
 app.command()(inspect.plot)
 app.command()(inspect.replay)
 app.command()(compare)

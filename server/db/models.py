@@ -255,6 +255,18 @@ class JobRow(Base):
     finished_at: Mapped[datetime | None]
 
 
+class ViolationNameRow(Base):
+    """What a person says a violation is, over what the rules make of it."""
+
+    __tablename__ = "violation_names"
+
+    campaign_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="CASCADE"), primary_key=True)
+    number: Mapped[int] = mapped_column(BigInteger, primary_key=True)
+    requirement: Mapped[str] = mapped_column(String(64), primary_key=True)
+    name: Mapped[str] = mapped_column(String(200))
+    named_at: Mapped[datetime]
+
+
 class TraceRow(Base):
     """The trace of a simulation."""
 

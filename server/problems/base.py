@@ -127,6 +127,15 @@ class InWords(Protocol):
         ...
 
 
+@runtime_checkable
+class TellsViolations(Protocol):
+    """A simulated problem whose simulator tells the circumstances of violations; may be left out."""
+
+    def violations(self, outcome: Completed) -> list[dict[str, Any]]:
+        """Return the circumstances of those violations of an episode that count."""
+        ...
+
+
 Problem: TypeAlias = SimulatedProblem | InProcessProblem
 
 

@@ -124,6 +124,16 @@ class NpcActions:
             words_of_script(script) for script in self.scripts(vectors) if isinstance(script, dict)
         )
 
+    def violations(self, outcome: Completed) -> list[dict[str, Any]]:
+        """Return the circumstances of the violations that count as unsafe."""
+        told = outcome.features.get("violations")
+        names = ORACLES if self.params.violation == "any" else (self.params.violation,)
+        return [
+            dict(one)
+            for one in (told if isinstance(told, list) else [])
+            if isinstance(one, dict) and one.get("requirement") in names
+        ]
+
     def evaluation(self, outcome: Completed) -> Evaluation:
         """Return the verdict, in the units of the requirements, and all objectives."""
         names = ORACLES if self.params.violation == "any" else (self.params.violation,)
