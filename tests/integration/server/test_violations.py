@@ -1,0 +1,143 @@
+"""Violations over the API and the command line: their types, and the names that people give them."""
+
+import csv
+import io
+import json
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from support.api import FakeWorker, expect, submit
+from typer.testing import CliRunner
+
+from server.cli.commands import app
+from server.cli.findings.violations import draw_types, in_words, write_violations
+from server.violations.rules import RULES_VERSION
+from sim.encounter.simulator import BrinkEncounter
+from sim.episode import EpisodeSpec
+from worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
+
+TRAFFIC: dict[str, Any] = {
+    "name": "traffic",
+    "problem": {"id": "npc-actions@1", "params": {"participants": 3, "duration_s": 12.0}},
+    "algorithm": {"id": "mumoea@1", "params": {"population_size": 20}},
+    "budget": {"simulations": 40},
+    "seed": 1,
+}
+
+
+@lru_cache
+def simulator() -> BrinkEncounter:
+    return BrinkEncounter()
+
+
+def simulate(job: LeasedJob) -> Completed | JobFailed:
+    result = simulator().run(EpisodeSpec.from_json(job.spec))
+    return Completed(
+        verdicts={
+            name: WireVerdict(robustness=v.robustness, unit=v.unit, violated_at_s=v.violated_at_s)
+            for name, v in result.verdicts.items()
+        },
+        objectives=dict(result.objectives),
+        features=dict(result.features),
+    )
+
+
+@pytest.fixture
+def campaign(client: httpx.Client) -> str:
+    campaign = submit(client, TRAFFIC)
+    stands = FakeWorker(client, capabilities=("brink-encounter@1",), judge=simulate).work(campaign)
+    assert (stands["status"], stands["failed"]) == ("finished", 0)
+    return campaign
+
+
+def test_every_unsafe_solution_has_a_violation_with_a_type(client: httpx.Client, campaign: str) -> None:
+    path = f"/api/v1/campaigns/{campaign}"
+    found = expect(client.get(f"{path}/violations"))
+    solutions = expect(client.get(f"{path}/solutions", params={"unsafe": True}))["solutions"]
+    assert solutions
+    assert {one["number"] for one in found["violations"]} == {one["number"] for one in solutions}
+    assert found["rules_version"] == RULES_VERSION
+    types = {kind["type"]: kind for kind in found["types"]}
+    for one in found["violations"]:
+        assert one["number"] in types[one["type"]]["numbers"]
+        assert one["signature"]["requirement"] == one["requirement"]
+        assert one["circumstances"]["time_s"] == one["time_s"]
+    for kind in found["types"]:
+        assert kind["first"] == min(kind["numbers"])
+        assert 1 <= kind["instances"] <= kind["solutions"] == len(kind["numbers"])
+    assert [kind["first"] for kind in found["types"]] == sorted(kind["first"] for kind in found["types"])
+
+
+def test_a_name_makes_a_type_and_can_be_taken_back(client: httpx.Client, campaign: str) -> None:
+    path = f"/api/v1/campaigns/{campaign}/violations"
+    before = expect(client.get(path))
+    one = before["violations"][0]
+    name = f"{path}/{one['number']}/{one['requirement']}/name"
+    expect(client.put(name, json={"name": "squeezed out"}), 204)
+    expect(client.put(name, json={"name": "squeezed <b>out</b>"}), 204)
+    named = expect(client.get(path))
+    (kind,) = [kind for kind in named["types"] if kind["type"] == "squeezed <b>out</b>"]
+    assert (kind["numbers"], kind["named"]) == ([one["number"]], 1)
+    assert named["violations"][0]["signature"] == one["signature"]
+    expect(client.delete(name), 204)
+    assert expect(client.get(path)) == before
+
+
+def test_names_of_what_is_not_there_are_refused(client: httpx.Client, campaign: str) -> None:
+    path = f"/api/v1/campaigns/{campaign}/violations"
+    one = expect(client.get(path))["violations"][0]
+    safe = next(
+        n for n in range(40) if n not in {v["number"] for v in expect(client.get(path))["violations"]}
+    )
+    detail = expect(client.put(f"{path}/{safe}/no-collision@1/name", json={"name": "x"}), 404)["detail"]
+    assert "it has none" in detail
+    detail = expect(client.put(f"{path}/{one['number']}/comfort@1/name", json={"name": "x"}), 404)["detail"]
+    assert one["requirement"] in detail
+    for body in ({}, {"name": ""}, {"name": "x" * 201}, {"name": "two\nlines"}, {"name": "x", "more": 1}):
+        expect(client.put(f"{path}/{one['number']}/{one['requirement']}/name", json=body), 422)
+
+
+def test_a_problem_without_violations_says_so(client: httpx.Client) -> None:
+    body = {
+        "name": "m",
+        "problem": {"id": "mtq@1"},
+        "algorithm": {"id": "random@1"},
+        "budget": {"simulations": 60},
+    }
+    campaign = submit(client, body)
+    detail = expect(client.get(f"/api/v1/campaigns/{campaign}/violations"), 404)["detail"]
+    assert "mtq@1 tells no violations" in detail
+
+
+def test_the_command_line_shows_and_names_them(
+    client: httpx.Client, campaign: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "220")
+    place = ["--server", str(client.base_url)]
+    found = json.loads(CliRunner().invoke(app, ["violations", campaign, "--json", *place]).stdout)
+    assert found == expect(client.get(f"/api/v1/campaigns/{campaign}/violations"))
+    shown = CliRunner().invoke(app, ["violations", campaign, *place])
+    assert shown.exit_code == 0, shown.output
+    assert in_words(found) in shown.stdout
+    one = found["violations"][0]
+    which = ["--number", str(one["number"]), "--requirement", one["requirement"], *place]
+    named = CliRunner().invoke(app, ["violations", campaign, "--name", "squeezed out", *which])
+    assert f"{one['requirement']}: squeezed out" in named.stdout
+    unnamed = CliRunner().invoke(app, ["violations", campaign, "--unname", *which])
+    assert one["type"] in unnamed.stdout
+    for wrong in (["--name", "x"], ["--number", "0", "--name", "x", "--unname"]):
+        refused = CliRunner().invoke(app, ["violations", campaign, *wrong, *place])
+        assert refused.exit_code != 0
+
+
+def test_files_hold_every_violation(client: httpx.Client, campaign: str, tmp_path: Path) -> None:
+    found = expect(client.get(f"/api/v1/campaigns/{campaign}/violations"))
+    document, table = write_violations(found, tmp_path)
+    assert json.loads(document.read_text()) == found
+    rows = list(csv.DictReader(io.StringIO(table.read_text())))
+    assert [row["type"] for row in rows] == [one["type"] for one in found["violations"]]
+    assert {row["place"] for row in rows} <= {"straight", "curve", "junction", "crossing"}
+    assert draw_types(found, tmp_path).stat().st_size > 5_000
