@@ -87,6 +87,9 @@ class Surface:
     width_m: float
 
 
+ACTION = "action"
+"""Kind of the events that say what a scripted road user does from then on; their text is ``name:action``."""
+
 BOX_COLUMNS = ("label", "x_min_px", "x_max_px", "y_min_px", "y_max_px")
 """Columns of image boxes; label is 0 for a vehicle, 1 for a person."""
 

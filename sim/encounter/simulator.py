@@ -76,7 +76,7 @@ class BrinkEncounter:
         engine.reset()
         world = make_encounter(scenario, spec.seed)
         recorder = Recorder(world, spec.requirements) if record else None
-        witness = EncounterWitness(world)
+        witness = EncounterWitness(world, recorder)
         outcome = run_loop(
             world,
             ModularDriving(world.route, camera=self._camera),

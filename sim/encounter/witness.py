@@ -14,6 +14,8 @@ from sim.encounter.road_users import ScriptedUser
 from sim.encounter.world import EncounterWorld
 from sim.episode import JsonObject
 from sim.requirements.requirement import WorldSample
+from sim.trace import ACTION
+from sim.urban.recorder import Recorder
 from sim.world.world import STEP_S
 
 NEARBY_M: Final = 15.0
@@ -36,10 +38,13 @@ class EncounterWitness:
 
     Args:
         world: What to watch.
+        recorder: Is told what everybody does, if the episode is recorded.
     """
 
-    def __init__(self, world: EncounterWorld) -> None:
+    def __init__(self, world: EncounterWorld, recorder: Recorder | None = None) -> None:
         self._world = world
+        self._recorder = recorder
+        self._actions = [""] * len(world.everybody)
         self.gaps_m = [math.inf] * len(world.everybody)
         self.criticality_m = math.inf
         self._in_way_since_s: list[float | None] = [None] * len(world.everybody)
@@ -66,6 +71,10 @@ class EncounterWitness:
                 gap_m = signed_gap_m(ego, rectangle_of(user))
                 self.gaps_m[index] = min(self.gaps_m[index], gap_m)
             self._watch_way(index, user, sample)
+            action = user.stretch.action
+            if action != self._actions[index] and self._recorder is not None:
+                self._actions[index] = action
+                self._recorder.event(sample.time_s, ACTION, f"{user.name}:{action}")
         self.criticality_m = min(self.gaps_m, default=math.inf)
 
     def _ego(self) -> Rectangle:

@@ -1,7 +1,7 @@
 """Scripts in words: who does what, from where, for how long."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Final
 
 from sim.episode import Json
@@ -16,15 +16,18 @@ _ACTIONS: Final = {
     "cut_in": "cuts in",
     "cross": "crosses the road",
 }
+_TOLD: Final = 3
 
 
 def words_of_script(script: Mapping[str, Json]) -> str:
-    """Return a road user's script as a line of words."""
+    """Return a road user's script as a few words: where it starts, and what it does that is no mere going on."""
     stretches = script["stretches"]
     assert isinstance(stretches, list)
     steps = [stretch for stretch in stretches if isinstance(stretch, Mapping)]
-    first = steps[0]
-    return f"{script['kind']} {_start(first)}: {', then '.join(_acts(steps))}"
+    telling = dict.fromkeys(str(step["action"]) for step in steps if step["action"] != "keep")
+    acts = [_ACTIONS.get(action, action.replace("_", " ")) for action in telling]
+    shown = ", ".join(acts[:_TOLD]) or "goes on"
+    return f"{script['kind']} {_start(steps[0])}: {shown}{', …' if len(acts) > _TOLD else ''}"
 
 
 def _start(first: Mapping[str, Json]) -> str:
@@ -38,15 +41,3 @@ def _start(first: Mapping[str, Json]) -> str:
     elif abs(math.sin(heading)) > 0.5:
         comes = ", crossing"
     return f"{along}{side}{comes} at {speed:.0f} m/s"
-
-
-def _acts(steps: Sequence[Mapping[str, Json]]) -> list[str]:
-    """Return what is done, equal neighbours joined."""
-    joined: list[tuple[str, float]] = []
-    for step in steps:
-        action, lasts_s = str(step["action"]), float(str(step["lasts_s"]))
-        if joined and joined[-1][0] == action:
-            joined[-1] = (action, joined[-1][1] + lasts_s)
-        else:
-            joined.append((action, lasts_s))
-    return [f"{_ACTIONS.get(action, action.replace('_', ' '))} {lasts_s:.1f} s" for action, lasts_s in joined]

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from sim.aeb.words import words_of_perturbations, words_of_street
+from sim.episode import Json
 from sim.trace import Trace
 from sim.urban.words import words_of_scenario
 
@@ -27,21 +28,30 @@ def scenario_words(trace: Trace) -> str:
     words = ""
     if isinstance(scenario, Mapping):
         words = words_of_street(scenario) if "crossing_m" in scenario else words_of_scenario(scenario)
-    behaviour = spec.get("behaviour") if isinstance(spec, Mapping) else None
-    planned = isinstance(behaviour, Mapping) and behaviour.get("trajectories")
-    if planned and not len(trace.given_boxes.rows):
+    if _behaviour(trace).get("trajectories") and not len(trace.given_boxes.rows):
         words += "; it ends before anything is injected"
     return words
 
 
 def perturbation_words(trace: Trace) -> str:
     """Return the perturbations that the camera's pictures went through, in order; empty if there were none."""
-    spec = trace.about.get("spec")
-    behaviour = spec.get("behaviour") if isinstance(spec, Mapping) else None
-    steps = behaviour.get("perturbations") if isinstance(behaviour, Mapping) else None
+    steps = _behaviour(trace).get("perturbations")
     if not isinstance(steps, list):
         return ""
     return words_of_perturbations([step for step in steps if isinstance(step, Mapping)])
+
+
+def report_word(trace: Trace) -> str:
+    """Return what the boxes are that the driving system was told: injected, detected by a camera, or simply seen."""
+    if trace.film is not None:
+        return "detected"
+    return "seen" if _behaviour(trace).get("mode") == "oracle" else "injected"
+
+
+def _behaviour(trace: Trace) -> Mapping[str, Json]:
+    spec = trace.about.get("spec")
+    behaviour = spec.get("behaviour") if isinstance(spec, Mapping) else None
+    return behaviour if isinstance(behaviour, Mapping) else {}
 
 
 def plain_name(plugin_id: str) -> str:

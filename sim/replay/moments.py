@@ -5,9 +5,9 @@ from typing import Final
 
 import numpy as np
 
-from sim.replay.captions import plain_name
+from sim.replay.captions import plain_name, report_word
 from sim.replay.errors import ReplayError
-from sim.trace import Event, Trace
+from sim.trace import ACTION, Event, Trace
 
 FIRST_TOLD: Final = ("front-gap", "no-collision")
 """Requirements that a replay is about when none is named, in order of preference."""
@@ -91,8 +91,8 @@ def _injections(trace: Trace, decisive: int) -> list[tuple[int, str]]:
 
 
 def told_events(trace: Trace) -> list[Event]:
-    """Return the events but for changes of the plan mode, which replays show as a band."""
-    return [event for event in trace.events if not event.kind.startswith("plan-")]
+    """Return the events but for changes of the plan and of actions, which replays show as bands."""
+    return [event for event in trace.events if event.kind != ACTION and not event.kind.startswith("plan-")]
 
 
 def _choose(trace: Trace, requirement: str | None) -> str:
@@ -139,7 +139,7 @@ def _before(trace: Trace, decisive: int) -> list[Moment]:
         found.append(Moment(sample=sample, reason=f"{seconds:g} s before"))
 
     lead_up(LEAD_UP_S[0])
-    if trace.film is None:
+    if report_word(trace) == "injected":
         found += [
             Moment(sample=sample, reason=f"injected {word}") for sample, word in _injections(trace, decisive)
         ]

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from sim.replay.captions import report_word
 from sim.replay.layout import Layout
 from sim.replay.moments import Story
 from sim.replay.palette import (
@@ -57,7 +58,7 @@ class TimeBar:
         draw = ImageDraw.Draw(frame)
         unit = self._unit
         rows = [self._top + (6 + 13 * row) * unit for row in range(3)]
-        reported = "injected" if self._trace.film is None else "person seen"
+        reported = report_word(self._trace) if self._trace.film is None else "person seen"
         for name, y in zip(("plan", reported, "violated"), rows, strict=True):
             draw.text((self._left - 6 * unit, y + 5 * unit), name, fill=MUTED, font=self._font, anchor="rm")
             draw.rectangle((self._left, y, self._right, y + 10 * unit), fill=(238, 240, 242))

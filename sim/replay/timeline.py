@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from sim.replay.captions import REQUIREMENT_UNITS, UNITS
+from sim.replay.captions import REQUIREMENT_UNITS, UNITS, report_word
 from sim.replay.moments import Story, tell, told_events
 from sim.replay.palette import (
     EGO,
@@ -20,20 +20,21 @@ from sim.replay.palette import (
     MUTED,
     PLAN_MODES,
     UNKNOWN_MODE,
+    VEHICLE,
     VIOLATION,
     Rgb,
     hexadecimal,
     readable_on,
 )
 from sim.replay.time_bar import runs
-from sim.trace import Trace
+from sim.trace import ACTION, Trace
 
 DPI: Final = 100
 TOLD_ROBUSTNESS: Final = 12.0
 """Robustness is drawn up to this much in its unit: what lies beyond is no danger and would flatten the rest."""
-BANDS: Final = ("plan", "light", "injected vehicle", "injected person")
-FILM_BANDS: Final = ("plan", "detected vehicle", "detected person")
-LABELS: Final = {"injected vehicle": 0, "injected person": 1, "detected vehicle": 0, "detected person": 1}
+QUIET: Final = ("keep",)
+"""Actions that are no event."""
+LABELS: Final = {"vehicle": 0, "person": 1}
 
 
 def timeline_figure(
@@ -129,7 +130,9 @@ def _plot_robustness(axes: Axes, trace: Trace, story: Story) -> None:
 
 
 def _plot_bands(axes: Axes, trace: Trace) -> None:
-    names = BANDS if trace.film is None else FILM_BANDS
+    scripts = _scripts(trace)
+    told = [] if scripts else [f"{report_word(trace)} {label}" for label in LABELS]
+    names = ["plan", *(["light"] if any(trace.lights) else []), *told, *scripts]
     for row, name in enumerate(names):
         axes.axhspan(row - 0.36, row + 0.36, color="#f0f2f4", linewidth=0)
         if name == "plan":
@@ -139,8 +142,12 @@ def _plot_bands(axes: Axes, trace: Trace) -> None:
             for state, first, last in runs(trace.lights):
                 if state:
                     _band(axes, trace, row, first, last, LIGHTS.get(state, UNKNOWN_MODE), state)
+        elif name in scripts:
+            for action, first, last in runs(scripts[name]):
+                colour = VEHICLE if action in QUIET else GHOST
+                _band(axes, trace, row, first, last, colour, action.replace("_", " "))
         else:
-            counts = _reported(trace, LABELS[name])
+            counts = _reported(trace, LABELS[name.split()[-1]])
             for count, first, last in runs(counts.tolist()):
                 if count:
                     _band(axes, trace, row, first, last, GHOST, f"{count}" if count != 1 else "")
@@ -150,6 +157,18 @@ def _plot_bands(axes: Axes, trace: Trace) -> None:
     axes.grid(visible=False)
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
+
+
+def _scripts(trace: Trace) -> dict[str, list[str]]:
+    """Return what each scripted road user does at each sample, by name; empty if nobody has a script."""
+    scripts: dict[str, list[str]] = {}
+    for event in trace.events:
+        if event.kind == ACTION:
+            name, _, action = event.text.partition(":")
+            doing = scripts.setdefault(name, [""] * len(trace.time_s))
+            first = int(np.searchsorted(trace.time_s, event.time_s - 0.06))
+            doing[first:] = [action] * (len(doing) - first)
+    return dict(sorted(scripts.items(), key=lambda item: int(item[0].rpartition("-")[2])))
 
 
 def _band(axes: Axes, trace: Trace, row: int, first: int, last: int, colour: Rgb, text: str) -> None:

@@ -263,13 +263,9 @@ def test_bearings_have_the_egos_corners_at_45_degrees(x_m: float, y_m: float, de
 
 
 def test_a_script_in_words() -> None:
-    assert words_of_script(BRAKES) == (
-        "car 20 m ahead at 8 m/s: goes on 2.0 s, then brakes hard 1.0 s, then goes on 30.0 s"
-    )
-    oncoming = user(
-        "van", stretch("change_left", 0.0, 1.5, s_m=40.0, d_m=3.5, heading_rad=math.pi, speed_mps=9.0)
-    )
-    assert (
-        words_of_script(oncoming)
-        == "van 40 m ahead, 3.5 m to the left, oncoming at 9 m/s: moves to its left 1.5 s"
+    assert words_of_script(BRAKES) == "car 20 m ahead at 8 m/s: brakes hard"
+    assert words_of_script(FROM_BEHIND) == "car 25 m behind at 14 m/s: goes on"
+    leans = stretch("change_left", 0.0, 1.5, s_m=40.0, d_m=3.5, heading_rad=math.pi, speed_mps=9.0)
+    assert words_of_script(user("van", leans, {**leans, "action": "brake"}, {**leans, "action": "keep"})) == (
+        "van 40 m ahead, 3.5 m to the left, oncoming at 9 m/s: moves to its left, brakes hard"
     )
