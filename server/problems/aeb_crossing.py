@@ -14,13 +14,13 @@ from search.levels import Slots
 from search.settings import check_settings, setting
 from search.space import Categorical, Component, Real, SearchSpace
 from server.problems.base import Vectors
+from server.problems.detectors import wrong_detector
 from sim.aeb.scenario import ARRIVAL_S, CROSSING_M, ONCOMING_M, TIMES, WEATHERS, Obstacle, Occluder
 from sim.aeb.words import words_of_perturbations, words_of_street
-from sim.catalogue import plugin_ids
 from sim.episode import EpisodeSpec, Json
 from sim.perception.coco import read_coco
-from sim.perception.errors import DatasetError, DetectorError
-from sim.perception.weights_file import KINDS, check_loads, weights_digest
+from sim.perception.errors import DatasetError
+from sim.perception.weights_file import weights_digest
 from sim.perturbations import CATALOGUE
 from worker.wire import Completed
 
@@ -28,7 +28,6 @@ SIMULATOR = "brink-aeb@1"
 EVALUATOR = "brink-dataset@1"
 ACCIDENT = "no-collision@1"
 DANGEROUS_STOP = "no-dangerous-stop@1"
-DETECTORS = "brink.detectors"
 HAZARDS = ("any", "accident", "dangerous-stop")
 
 
@@ -113,19 +112,11 @@ class AebCrossing:
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
         """Return what is wrong with the detector and the data set."""
-        wrong = []
-        known = plugin_ids(DETECTORS)
-        if ":" not in self.params.detector and self.params.detector not in known:
-            expected = ", ".join([*known, *(f"{kind}:FILE" for kind in KINDS)])
-            wrong.append(("detector", f"expected one of {expected}; got {self.params.detector!r}"))
-        for name, read in (
-            ("detector", lambda: check_loads(self.params.detector)),
-            ("dataset", self._digest),
-        ):
-            try:
-                read()
-            except (DetectorError, DatasetError) as error:
-                wrong.append((name, str(error).removeprefix(f"{name}: ")))
+        wrong = wrong_detector(self.params.detector)
+        try:
+            self._digest()
+        except DatasetError as error:
+            wrong.append(("dataset", str(error).removeprefix("dataset: ")))
         return wrong
 
     def _weights(self) -> str:

@@ -16,15 +16,18 @@ from search.algorithm import Evaluation, Scored
 from search.settings import check_settings, setting
 from search.space import SearchSpace
 from server.problems.base import Vectors
+from server.problems.detectors import wrong_detector
 from sim.encounter.lanes import lanes_of
 from sim.encounter.scenario import PLACE_FIELDS
 from sim.encounter.script import stretch_json
 from sim.encounter.words import words_of_script
 from sim.episode import EpisodeSpec, Json, JsonObject
+from sim.perception.weights_file import weights_digest
 from sim.urban.scenario import SCENARIO_CHOICES, UrbanScenario
 from worker.wire import Completed
 
-SIMULATOR: Final = "brink-encounter@1"
+SIMULATORS: Final = {"oracle": "brink-encounter@1", "detector": "brink-encounter-camera@1"}
+"""By how the driving system sees."""
 ORACLES: Final = (
     "no-collision@1", "front-gap@1", "lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1",
 )  # fmt: skip
@@ -49,6 +52,16 @@ class NpcActionsParams:
         "gap", help="What criticality is: the least gap to anybody, or the robustness closest to a violation.",
         choices=("gap", "robustness"),
     )  # fmt: skip
+    sight: str = setting(
+        "oracle",
+        help="How the driving system sees: the truth, or a detector on the camera's pictures (vision extra).",
+        choices=tuple(SIMULATORS),
+    )
+    detector: str = setting(
+        "brink-det@1",
+        help="With sight: detector, its id, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE.",
+    )
+    threshold: float = setting(0.5, help="Least score that the driving system is told.", gt=0.0, lt=1.0)
     road_curve: str = setting("crossroad", help="Shape of the road.", choices=_words("road_curve"))
     road_id: int = setting(0, help="Which of the three roads of that shape.", ge=0, le=2)
     road_length: int = setting(0, help="0 short, 1 medium, 2 long.", ge=0, le=2)
@@ -82,8 +95,14 @@ class NpcActions:
         self.space = SearchSpace((participants_component(ROAD_USERS, params.participants, self.road),))
         self._rule = participants_of(self.space)[1]
         self.algorithm_defaults: Mapping[str, Any] = {}
-        self.needs = SIMULATOR
+        self.needs = SIMULATORS[params.sight]
         self.timeout_s = params.timeout_s
+        self.extra = "vision"
+        self.modules: tuple[str, ...] = () if params.sight == "oracle" else ("cv2", "onnxruntime")
+
+    def wrong_inputs(self) -> list[tuple[str, str]]:
+        """Return what is wrong with the detector."""
+        return [] if self.params.sight == "oracle" else wrong_detector(self.params.detector)
 
     def participants(self, vectors: Vectors) -> tuple[Participant, ...]:
         """Return the road users of a candidate."""
@@ -110,13 +129,24 @@ class NpcActions:
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
         """Return the episode of a candidate."""
         return EpisodeSpec(
-            simulator=SIMULATOR,
+            simulator=self.needs,
             scenario={**self._place, "road_users": self.scripts(vectors)},
-            behaviour={"mode": "oracle"},
+            behaviour=self._behaviour(),
             requirements=ORACLES,
             seed=seed,
             duration_s=self.params.duration_s,
         )
+
+    def _behaviour(self) -> dict[str, Json]:
+        if self.params.sight == "oracle":
+            return {"mode": "oracle"}
+        weights = weights_digest(self.params.detector)
+        return {
+            "mode": "detector",
+            "detector": self.params.detector,
+            "threshold": self.params.threshold,
+            **({"weights": weights} if weights else {}),
+        }
 
     def words(self, vectors: Vectors) -> str:
         """Return a candidate in words."""

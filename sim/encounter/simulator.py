@@ -1,17 +1,20 @@
-"""Owns the simulator `brink-encounter@1`: a specification in, a result out; bit for bit the same each time."""
+"""Owns the simulator `brink-encounter@1`: a specification in, a result out; bit for bit the same each time.
+
+Its driving system is told the ground truth. `sim.encounter.camera_simulator` puts a camera and a detector there.
+"""
 
 import json
 import math
 import time
 from collections.abc import Mapping
-from typing import Final
+from typing import ClassVar, Final
 
 from sim.bullet.engine import EngineError, discard_engine, process_engine
 from sim.driving.camera import Camera
 from sim.driving.system import ModularDriving
 from sim.encounter.scenario import EncounterScenario
 from sim.encounter.witness import EncounterWitness
-from sim.encounter.world import make_encounter
+from sim.encounter.world import EncounterWorld, make_encounter
 from sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
 from sim.errors import InvalidEpisode, SimulationCrashed
 from sim.requirements.registry import features_of, make_requirements, verdicts_of
@@ -19,9 +22,10 @@ from sim.requirements.requirement import Requirement
 from sim.urban.behaviour import BehaviourMode, DetectorBehaviour
 from sim.urban.episode_loop import Outcome, run_loop
 from sim.urban.recorder import Recorder
+from sim.urban.scenario import check_fields
+from sim.urban.sensing import Detects
 from sim.urban.simulator import instruction_set, versions
 
-SIMULATOR_ID: Final = "brink-encounter@1"
 MAX_DURATION_S: Final = 120.0
 FARTHEST_GAP_M: Final = 200.0
 """Gaps are cut at this, so that they are finite where nobody is about."""
@@ -30,8 +34,24 @@ FARTHEST_GAP_M: Final = 200.0
 class BrinkEncounter:
     """Runs encounters. One a process is enough; it keeps nothing between episodes."""
 
+    id: ClassVar[str] = "brink-encounter@1"
+
     def __init__(self) -> None:
         self._camera = Camera()
+
+    def _check(self, behaviour: Mapping[str, Json]) -> None:
+        """Raise InvalidEpisode unless this simulator can let the driving system see so."""
+        check_fields("behaviour", behaviour, ("mode",))
+        if behaviour["mode"] != BehaviourMode.ORACLE:
+            raise InvalidEpisode(
+                f"behaviour.mode: expected {BehaviourMode.ORACLE}, got {behaviour['mode']!r}"
+            )
+
+    def _detects(
+        self, spec: EpisodeSpec, scenario: EncounterScenario, world: EncounterWorld
+    ) -> Detects | None:
+        """Return the detector of an episode; None if the driving system is told the ground truth."""
+        return None
 
     def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
         """Run one episode.
@@ -45,19 +65,17 @@ class BrinkEncounter:
             SimulationCrashed: The physics engine broke down.
         """
         cpu_s = time.process_time()
-        if spec.simulator != SIMULATOR_ID:
-            raise InvalidEpisode(
-                f"simulator: this is {SIMULATOR_ID}, the episode asks for {spec.simulator!r}"
-            )
+        if spec.simulator != self.id:
+            raise InvalidEpisode(f"simulator: this is {self.id}, the episode asks for {spec.simulator!r}")
         if spec.duration_s > MAX_DURATION_S:
             raise InvalidEpisode(f"duration_s: expected at most {MAX_DURATION_S:g}, got {spec.duration_s!r}")
         if spec.options:
             raise InvalidEpisode(f"options: expected none, got {next(iter(spec.options))!r}")
         scenario = EncounterScenario.from_json(spec.scenario)
-        behaviour = _behaviour(spec.behaviour)
+        self._check(spec.behaviour)
         requirements = make_requirements(spec.requirements)
         try:
-            return self._run(spec, scenario, behaviour, requirements, cpu_s, record=record)
+            return self._run(spec, scenario, requirements, cpu_s, record=record)
         except EngineError as error:
             discard_engine()
             raise SimulationCrashed(f"the physics engine broke down: {error}") from error
@@ -66,7 +84,6 @@ class BrinkEncounter:
         self,
         spec: EpisodeSpec,
         scenario: EncounterScenario,
-        behaviour: DetectorBehaviour,
         requirements: Mapping[str, Requirement],
         cpu_s: float,
         *,
@@ -80,7 +97,7 @@ class BrinkEncounter:
         outcome = run_loop(
             world,
             ModularDriving(world.route, camera=self._camera),
-            behaviour,
+            DetectorBehaviour(mode=BehaviourMode.ORACLE),
             requirements,
             engine=engine,
             camera=self._camera,
@@ -88,6 +105,7 @@ class BrinkEncounter:
             duration_s=spec.duration_s,
             recorder=recorder,
             witness=witness,
+            detects=self._detects(spec, scenario, world),
         )
         verdicts = verdicts_of(requirements)
         trace = None
@@ -107,7 +125,7 @@ class BrinkEncounter:
             },
             features={**_features(outcome, requirements), "violations": list(witness.violations)},
             provenance={
-                "simulator": SIMULATOR_ID,
+                "simulator": self.id,
                 **versions(),
                 "instruction_set": instruction_set(),
                 "cpu_s": time.process_time() - cpu_s,
@@ -115,18 +133,6 @@ class BrinkEncounter:
             },
             trace=trace,
         )
-
-
-def _behaviour(document: Mapping[str, Json]) -> DetectorBehaviour:
-    """Read how the driving system sees.
-
-    Raises:
-        InvalidEpisode: It is not a mode that there is.
-    """
-    behaviour = DetectorBehaviour.from_json(document)
-    if behaviour.mode is not BehaviourMode.ORACLE:
-        raise InvalidEpisode(f"behaviour.mode: expected {BehaviourMode.ORACLE}, got {document.get('mode')!r}")
-    return behaviour
 
 
 def _features(outcome: Outcome, requirements: Mapping[str, Requirement]) -> dict[str, Json]:

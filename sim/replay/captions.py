@@ -43,9 +43,10 @@ def perturbation_words(trace: Trace) -> str:
 
 def report_word(trace: Trace) -> str:
     """Return what the boxes are that the driving system was told: injected, detected by a camera, or simply seen."""
-    if trace.film is not None:
+    mode = _behaviour(trace).get("mode")
+    if trace.film is not None or mode == "detector":
         return "detected"
-    return "seen" if _behaviour(trace).get("mode") == "oracle" else "injected"
+    return "seen" if mode == "oracle" else "injected"
 
 
 def _behaviour(trace: Trace) -> Mapping[str, Json]:

@@ -11,7 +11,7 @@ from sim.requirements.requirement import Requirement, WorldSample
 from sim.urban.behaviour import PERCEPTION_STEP_S, DetectorBehaviour, last_perception_step
 from sim.urban.facts import Facts
 from sim.urban.recorder import Recorder
-from sim.urban.sensing import Sensing
+from sim.urban.sensing import Detects, Sensing
 from sim.world.world import EGO_STEPS, STEP_S, World
 
 CONTROL_PER_PERCEPTION = round(PERCEPTION_STEP_S / STEP_S)
@@ -61,6 +61,7 @@ def run_loop(
     duration_s: float,
     recorder: Recorder | None,
     witness: Witness | None = None,
+    detects: Detects | None = None,
     to_the_end: bool = False,
 ) -> Outcome:
     """Run an episode to its end: the goal, the ego's first collision, or the end of its time.
@@ -76,6 +77,7 @@ def run_loop(
         duration_s: Its time.
         recorder: Takes the trace, if there is one.
         witness: Watches, if there is one.
+        detects: The obstacle detector, if it is not the behaviour's matter.
         to_the_end: Go on after the goal and after collisions, to measure what an episode costs.
     """
     last_step = last_perception_step(duration_s)
@@ -86,6 +88,7 @@ def run_loop(
         seed=seed,
         perception_steps=last_step + 1,
         step_s=PERCEPTION_STEP_S,
+        detects=detects,
     )
     loop = _Loop(world, driving, sensing, Facts(world, engine), requirements, recorder, witness)
     for step in range(CONTROL_PER_PERCEPTION * last_step):

@@ -5,6 +5,8 @@ The other parts are as good as time of day and weather let them be.
 """
 
 import math
+from collections.abc import Callable
+from typing import TypeAlias
 
 from sim.driving.camera import Body, Camera
 from sim.driving.interface import Box, EgoState, LightReading, LightState, ObstacleLabel
@@ -12,6 +14,9 @@ from sim.urban.behaviour import BehaviourMode, DetectorBehaviour
 from sim.world.streams import Stream, generator
 from sim.world.walker import HEIGHT_M as WALKER_HEIGHT_M
 from sim.world.world import World
+
+Detects: TypeAlias = Callable[[float], tuple[Box, ...]]
+"""Says what an obstacle detector finds at a simulated time."""
 
 DRIFT_S = 1.5
 """Time constant of localisation errors."""
@@ -29,6 +34,7 @@ class Sensing:
         seed: The episode's seed.
         perception_steps: How many there will be.
         step_s: Time between perception steps.
+        detects: Says what the obstacle detector finds at a time, if that is not the behaviour's matter.
     """
 
     def __init__(
@@ -40,8 +46,11 @@ class Sensing:
         seed: int,
         perception_steps: int,
         step_s: float,
+        detects: Detects | None = None,
     ) -> None:
         self._world = world
+        self._step_s = step_s
+        self._detects = detects
         self._behaviour = behaviour
         self._camera = camera
         self._station_m = 0.0
@@ -108,6 +117,8 @@ class Sensing:
 
     def boxes(self, perception_step: int) -> tuple[Box, ...]:
         """Return what the obstacle detector says at a perception step."""
+        if self._detects is not None:
+            return self._detects(perception_step * self._step_s)
         if self._behaviour.mode is BehaviourMode.ORACLE:
             return self.truth()
         return self._behaviour.boxes_at(perception_step)

@@ -1,0 +1,97 @@
+"""Encounters with a camera in the loop: what a detector finds is what the driving system is told."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_encounter_simulator import BRAKES, KEEPS, spec, user
+
+from sim.driving.camera import Camera
+from sim.encounter.camera_sight import EncounterCamera, street_scene
+from sim.encounter.camera_simulator import BrinkEncounterCamera
+from sim.encounter.scenario import EncounterScenario
+from sim.encounter.simulator import BrinkEncounter
+from sim.encounter.world import make_encounter
+from sim.episode import EpisodeSpec, Json, JsonObject
+from sim.errors import InvalidEpisode
+from sim.perception.registry import find_detector
+from sim.trace import Trace
+from sim.urban.scenario import RoadCurve
+from sim.world.road import build_road
+
+DETECTOR: JsonObject = {"mode": "detector", "detector": "brink-det@1", "threshold": 0.5}
+
+
+def seen(*users: JsonObject, duration_s: float = 4.0) -> EpisodeSpec:
+    told = spec(*users, duration_s=duration_s)
+    return replace(told, simulator="brink-encounter-camera@1", behaviour=DETECTOR)
+
+
+def test_the_ego_stops_for_whom_its_detector_finds() -> None:
+    simulator = BrinkEncounterCamera()
+    result = simulator.run(seen(BRAKES, duration_s=9.0), record=True)
+    assert result.features["collision"] is None
+    assert 0.0 < result.objectives["gap_1_m"] < 8.0
+    assert result.trace is not None
+    trace = Trace.from_bytes(result.trace)
+    assert len(trace.seen_boxes.rows)
+    again = simulator.run(seen(BRAKES, duration_s=9.0), record=True)
+    assert again.trace == result.trace
+
+
+def test_boxes_are_told_in_the_driving_systems_image() -> None:
+    ahead = user("car", {**KEEPS, "s_m": 15.0})
+    person = user("pedestrian", {**KEEPS, "s_m": 14.0, "d_m": -3.0})
+    scenario = EncounterScenario.from_json(spec(ahead, person).scenario)
+    world = make_encounter(scenario, 3)
+    camera = Camera()
+    eyes = EncounterCamera(
+        world, scenario.place, seed=3, detector=find_detector("brink-det@1"), threshold=0.5, camera=camera
+    )
+    found = [(box.label.value, 0.5 * (box.x_min_px + box.x_max_px), box) for box in eyes.boxes(0.0)]
+    # The car's rear is at 15 - 2.2 - 1.3 = 11.5 m: 1.7 m below and 1.8 m wide at a focal length of 400 px.
+    (car,) = [box for label, middle, box in found if label == "vehicle" and abs(middle - 400) < 20]
+    assert car.y_max_px == pytest.approx(300 + 400 * 1.7 / 11.5, abs=6)
+    assert car.x_max_px - car.x_min_px == pytest.approx(400 * 1.8 / 11.5, abs=10)
+    persons = [middle for label, middle, _ in found if label == "person"]
+    assert any(middle == pytest.approx(400 + 400 * 3.0 / 12.7, abs=12) for middle in persons)
+
+
+@pytest.mark.parametrize("curve", list(RoadCurve))
+@pytest.mark.parametrize("road_id", [0, 1, 2])
+def test_every_road_can_be_rendered(curve: RoadCurve, road_id: int) -> None:
+    scene = street_scene(build_road(curve, road_id, 0))
+    assert scene.buildings
+    assert scene.parked or scene.trees
+    assert all(np.isfinite(ground.points).all() for ground in scene.ground)
+    place: dict[str, Json] = {"road_curve": curve.value, "road_id": road_id, "road_length": 0}
+    scenario = EncounterScenario.from_json({**spec().scenario, **place})
+    eyes = EncounterCamera(
+        make_encounter(scenario, 1), scenario.place, seed=1, detector=find_detector("brink-det@1"),
+        threshold=0.5, camera=Camera(),
+    )  # fmt: skip
+    assert all(math.isfinite(number) for box in eyes.boxes(0.0) for number in box[1:])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"mode": "oracle"}, "behaviour.mode: expected detector"),
+        ({"threshold": 1.5}, r"threshold: expected a number in \(0, 1\)"),
+        ({"detector": 3}, "expected an id such as brink-det@1"),
+        ({"weights": "0" * 64}, "not the file that the campaign was submitted with"),
+        ({"sharpness": 1}, "unknown field 'sharpness'"),
+    ],
+)
+def test_what_can_never_run_is_refused(changes: JsonObject, message: str) -> None:
+    wrong = replace(seen(), behaviour={**DETECTOR, **changes})
+    with pytest.raises(InvalidEpisode, match=message):
+        BrinkEncounterCamera().run(wrong)
+
+
+def test_each_of_both_simulators_runs_its_own_episodes() -> None:
+    with pytest.raises(InvalidEpisode, match="this is brink-encounter@1"):
+        BrinkEncounter().run(seen())
+    with pytest.raises(InvalidEpisode, match="this is brink-encounter-camera@1"):
+        BrinkEncounterCamera().run(spec())
