@@ -17,6 +17,7 @@ from server.api.schemas import ProblemDetail
 from server.campaigns import store
 from server.campaigns.advance import Stepper
 from server.campaigns.archives import Archives
+from server.campaigns.seeding import NoSeeds
 from server.campaigns.service import CampaignService, read
 from server.db.engine import Engines, open_engines
 from server.db.writer import Writer
@@ -89,7 +90,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
 
 def _context(settings: Settings, engines: Engines) -> Context:
     writer = Writer(engines.writer)
-    stepper = Stepper(engines, writer, max_stored_distances=settings.max_stored_distances)
+    stepper = Stepper(engines, writer, max_stored_distances=settings.max_stored_distances, seeds=NoSeeds())
     queue = QueueService(settings=settings, writer=writer, stepper=stepper)
     return Context(
         settings=settings,

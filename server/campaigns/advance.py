@@ -21,18 +21,22 @@ from search.archive import Archive
 from search.boundary import distinct_boundary
 from search.document import Document
 from search.metric import METRIC_VERSION
+from search.seeding import Seeded
 from server.campaigns import step_store, store
 from server.campaigns.plan import (
     DEFAULT_D_TH,
     DEFAULT_T_B,
     Live,
     Plan,
+    asked,
     first_generation,
     make_plan,
     new_solutions,
     restored_archive,
     vector_bytes,
+    wanted_seeds,
 )
+from server.campaigns.seeding import SeedSource
 from server.campaigns.values import (
     Block,
     Campaign,
@@ -61,9 +65,12 @@ class _MovedOn(Exception):
 class Stepper:
     """Advances campaigns, one at a time."""
 
-    def __init__(self, engines: Engines, writer: Writer, *, max_stored_distances: int) -> None:
+    def __init__(
+        self, engines: Engines, writer: Writer, *, max_stored_distances: int, seeds: SeedSource
+    ) -> None:
         self._engines = engines
         self._writer = writer
+        self._seeds = seeds
         self._max_stored_distances = max_stored_distances
         self._live: dict[str, Live] = {}
         self._lock = threading.Lock()
@@ -102,7 +109,10 @@ class Stepper:
         if any(job.status in (JobStatus.QUEUED, JobStatus.LEASED) for job in jobs):
             return False
         try:
-            return self._tell(campaign, jobs)
+            live = self._state(campaign)
+            if wanted_seeds(live.plan, live.state) is not None:
+                return self._seed(campaign, live)
+            return self._tell(campaign, live, jobs)
         except _MovedOn:
             return False
         except InvalidInput as error:
@@ -120,9 +130,37 @@ class Stepper:
             self._end(campaign, CampaignStatus.FAILED, reason)
             raise
 
-    def _tell(self, campaign: Campaign, jobs: Sequence[Row[*tuple[Any, ...]]]) -> bool:
+    def _seed(self, campaign: Campaign, live: Live) -> bool:
+        """Take the seeds that the algorithm waits for, if they have come; return whether they had."""
+        seeded = self._seeded(campaign, live)
+        if seeded is None:
+            return False
+        self._live[campaign.id] = seeded
+        if wanted_seeds(seeded.plan, seeded.state) is not None:
+            return True
+        state, candidates = asked(seeded.plan, seeded.state)
+        solutions = new_solutions(seeded.plan.problem, candidates, campaign.body.seed)
+        if not self._writer.submit(
+            lambda connection: step_store.write_asked(connection, campaign, solutions)
+        ).result():
+            self._live.pop(campaign.id, None)
+            return False
+        self._live[campaign.id] = Live(plan=live.plan, generation=campaign.generation, state=state)
+        log.info("campaign=%s generation=%d seeded", campaign.id, campaign.generation)
+        return True
+
+    def _seeded(self, campaign: Campaign, live: Live) -> Live | None:
+        """Return the state after the seeds that it waits for, or None if they have not come yet."""
+        algorithm, request = live.plan.algorithm, wanted_seeds(live.plan, live.state)
+        assert isinstance(algorithm, Seeded)
+        assert request is not None
+        proposals = self._seeds.proposals(campaign, live.plan.problem, request)
+        if proposals is None:
+            return None
+        return Live(plan=live.plan, generation=live.generation, state=algorithm.seeded(live.state, proposals))
+
+    def _tell(self, campaign: Campaign, live: Live, jobs: Sequence[Row[*tuple[Any, ...]]]) -> bool:
         began = time.perf_counter()
-        live = self._state(campaign)
         evaluations = _evaluations(live.plan.problem, live.state.pending, jobs)
         failed = campaign.failed + sum(isinstance(e, Failed) for e in evaluations.values())
         pause = _too_many_failures(campaign, evaluations, failed, len(live.state.pending))
@@ -132,7 +170,7 @@ class Stepper:
         algorithm = live.plan.algorithm
         told = algorithm.tell(live.state, evaluations)
         finished = algorithm.finished(told)
-        asked_state, candidates = (told, ()) if finished else algorithm.ask(told)
+        asked_state, candidates = asked(live.plan, told)
         step = self._write_up(campaign, live.plan, evaluations, told, candidates, finished, began)
         if not self._writer.submit(lambda connection: step_store.write_step(connection, step)).result():
             self._live.pop(campaign.id, None)
@@ -224,15 +262,14 @@ class Stepper:
         if campaign.generation == 0:
             live, _ = first_generation(campaign.body)
             with self._engines.reader.connect() as connection:
-                asked = step_store.read_vectors(connection, campaign.id, 0)
-            _check_same(campaign, live.state.pending, asked)
-            return live
+                stored_vectors = step_store.read_vectors(connection, campaign.id, 0)
+            return self._asked_again(campaign, live, stored_vectors)
         plan = make_plan(campaign.body)
         with self._engines.reader.connect() as connection:
             now = store.find_campaign(connection, campaign.id)
             checkpoint = step_store.find_checkpoint(connection, campaign.id)
             stored = step_store.read_archive(connection, campaign.id, plan.problem.space.dimension)
-            asked = step_store.read_vectors(connection, campaign.id, campaign.generation)
+            stored_vectors = step_store.read_vectors(connection, campaign.id, campaign.generation)
         if now is None or now.generation != campaign.generation:
             raise _MovedOn
         if checkpoint is None or checkpoint.generation != campaign.generation:
@@ -243,10 +280,26 @@ class Stepper:
             Document.from_bytes(checkpoint.document),
             restored_archive(plan, stored),
         )
-        state, candidates = plan.algorithm.ask(state)
-        _check_same(campaign, candidates, asked)
+        live = Live(plan=plan, generation=campaign.generation, state=asked(plan, state)[0])
+        live = self._asked_again(campaign, live, stored_vectors)
         log.info("campaign=%s restored at generation %d", campaign.id, campaign.generation)
-        return Live(plan=plan, generation=campaign.generation, state=state)
+        return live
+
+    def _asked_again(self, campaign: Campaign, live: Live, stored: Mapping[int, bytes]) -> Live:
+        """Return a restored state with its pending generation, seeds that had come taken again.
+
+        Raises:
+            InvalidInput: It asks for others than those that are being simulated.
+            Unavailable: The seeds that had come cannot be had.
+        """
+        while stored and wanted_seeds(live.plan, live.state) is not None:
+            seeded = self._seeded(campaign, live)
+            if seeded is None:
+                raise Unavailable(f"campaign {campaign.id}: the seeds of its generation are being read again")
+            state, _ = asked(seeded.plan, seeded.state)
+            live = Live(plan=live.plan, generation=live.generation, state=state)
+        _check_same(campaign, live.state.pending, stored)
+        return live
 
     def _end(
         self, campaign: Campaign, status: CampaignStatus, reason: str, *, failures: int | None = None

@@ -8,6 +8,7 @@ import numpy as np
 
 from search.algorithm import Algorithm, Candidate, Question
 from search.archive import Archive, Neighbourhood
+from search.seeding import Seeded, SeedRequest
 from search.streams import episode_seed
 from server.campaigns.body import CampaignBody, PluginChoice
 from server.campaigns.values import NewJob, NewSolution, StoredArchive
@@ -73,8 +74,20 @@ def first_generation(body: CampaignBody) -> tuple[Live, list[NewSolution]]:
     state = plan.algorithm.start(
         plan.problem.space, plan.config, seed=body.seed, budget=body.budget.simulations
     )
-    state, candidates = plan.algorithm.ask(state)
+    state, candidates = asked(plan, state)
     return Live(plan=plan, generation=0, state=state), new_solutions(plan.problem, candidates, body.seed)
+
+
+def asked(plan: Plan, state: Any) -> tuple[Any, tuple[Candidate, ...]]:
+    """Return a state with its next generation asked, and that; none while it is finished, or waits for seeds."""
+    if wanted_seeds(plan, state) is not None or plan.algorithm.finished(state):
+        return state, ()
+    return plan.algorithm.ask(state)
+
+
+def wanted_seeds(plan: Plan, state: Any) -> SeedRequest | None:
+    """Return what seeds an algorithm waits for, or None."""
+    return plan.algorithm.wanted(state) if isinstance(plan.algorithm, Seeded) else None
 
 
 def new_solutions(problem: Problem, candidates: Sequence[Candidate], campaign_seed: int) -> list[NewSolution]:

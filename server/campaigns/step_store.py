@@ -55,6 +55,17 @@ def insert_solutions(
         insert_jobs(connection, campaign, jobs, kind)
 
 
+def write_asked(connection: Connection, campaign: Campaign, solutions: Sequence[NewSolution]) -> bool:
+    """Store a generation that waited for seeds, unless the campaign has moved on; return whether it was stored."""
+    now = find_campaign(connection, campaign.id, lock=True)
+    if now is None or now.status is not CampaignStatus.RUNNING or now.generation != campaign.generation:
+        return False
+    if read_vectors(connection, campaign.id, campaign.generation):
+        return False
+    insert_solutions(connection, campaign, campaign.generation, solutions)
+    return True
+
+
 def insert_jobs(
     connection: Connection, campaign: Campaign, jobs: Sequence[tuple[int, NewJob]], kind: JobKind
 ) -> None:

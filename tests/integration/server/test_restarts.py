@@ -19,6 +19,7 @@ from server.campaigns import jobs, step_store, store
 from server.campaigns.advance import Stepper
 from server.campaigns.body import parse_body
 from server.campaigns.plan import first_generation, make_plan, restored_archive
+from server.campaigns.seeding import NoSeeds
 from server.campaigns.values import Campaign
 from server.db.engine import Engines
 from server.db.models import CampaignStatus, CheckpointRow, GenerationRow, SolutionRow
@@ -75,7 +76,9 @@ class Coordinators:
     def __init__(self, engines: Engines, body: dict[str, Any]) -> None:
         self.engines, self.queue = engines, Queue(engines=engines)
         self.writers = [Writer(engines.writer) for _ in range(2)]
-        self.steppers = [Stepper(engines, writer, max_stored_distances=1000) for writer in self.writers]
+        self.steppers = [
+            Stepper(engines, writer, max_stored_distances=1000, seeds=NoSeeds()) for writer in self.writers
+        ]
         self.body = parse_body(body)
         live, solutions = first_generation(self.body)
 

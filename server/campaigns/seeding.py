@@ -1,0 +1,31 @@
+"""Where seeds come from that an algorithm waits for; asking may take minutes, so that nobody waits for it."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from search.seeding import Proposal, SeedRequest
+from server.campaigns.values import Campaign
+from server.problems.base import Problem
+
+
+class SeedSource(Protocol):
+    """Gives seeds, the same ones for the same request of a campaign whenever it is asked."""
+
+    def proposals(
+        self, campaign: Campaign, problem: Problem, request: SeedRequest
+    ) -> Sequence[Proposal] | None:
+        """Return what came, perhaps nothing; None while it is not known yet.
+
+        The first call begins to ask; when the answer is there the campaign is advanced.
+        """
+        ...
+
+
+class NoSeeds:
+    """Never has any: algorithms then make their own."""
+
+    def proposals(
+        self, campaign: Campaign, problem: Problem, request: SeedRequest
+    ) -> Sequence[Proposal] | None:
+        """Return nothing."""
+        return ()
