@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from search.algorithm import Evaluation, Measured, Scored
+from search.errors import ConfigError
 from search.levels import Slots
 from search.settings import check_settings, setting
 from search.space import Categorical, Component, Real, SearchSpace
+from server.errors import nearest
 from server.problems.base import Vectors
 from server.problems.detectors import wrong_detector
 from sim.aeb.scenario import ARRIVAL_S, CROSSING_M, ONCOMING_M, TIMES, WEATHERS, Obstacle, Occluder
@@ -28,6 +30,7 @@ SIMULATOR = "brink-aeb@1"
 EVALUATOR = "brink-dataset@1"
 ACCIDENT = "no-collision@1"
 DANGEROUS_STOP = "no-dangerous-stop@1"
+EVERY = "all"
 HAZARDS = ("any", "accident", "dangerous-stop")
 
 
@@ -37,6 +40,9 @@ class AebCrossingParams:
 
     hazard: str = setting("any", help="What counts as unsafe.", choices=HAZARDS)
     perturbations: int = setting(2, help="Perturbations in a candidate (m).", ge=1, le=4)
+    techniques: str = setting(
+        EVERY, help="Techniques that may be used, separated by commas (brink perturbations list), or all."
+    )
     fields: str = setting(
         "per_frame", help="How often their random fields are drawn.", choices=("per_frame", "per_episode")
     )
@@ -60,6 +66,24 @@ class AebCrossingParams:
 
     def __post_init__(self) -> None:
         check_settings(self)
+        for name in self.genes:
+            if name not in CATALOGUE:
+                raise ConfigError(
+                    "techniques",
+                    f"expected {EVERY}, or some of {', '.join(CATALOGUE)}; got {name!r}",
+                    nearest=nearest(name, CATALOGUE),
+                )
+        if len(self.genes) < self.perturbations:
+            raise ConfigError(
+                "techniques", f"expected at least {self.perturbations} of them, got {len(self.genes)}"
+            )
+
+    @property
+    def genes(self) -> tuple[str, ...]:
+        """The techniques that may be used, each once."""
+        if self.techniques.strip() == EVERY:
+            return tuple(CATALOGUE)
+        return tuple(dict.fromkeys(filter(None, (name.strip() for name in self.techniques.split(",")))))
 
 
 def scenario_component() -> Component:
@@ -77,10 +101,9 @@ def scenario_component() -> Component:
     )
 
 
-def perturbation_component(count: int) -> Component:
+def perturbation_component(count: int, genes: tuple[str, ...] = tuple(CATALOGUE)) -> Component:
     """Return perturbations in order: each a gene and its intensity, which lies on one of the gene's levels."""
     pairs = tuple((f"gene_{place}", f"intensity_{place}") for place in range(1, count + 1))
-    genes = tuple(CATALOGUE)
     return Component(
         "perturbation",
         tuple(
@@ -88,7 +111,7 @@ def perturbation_component(count: int) -> Component:
             for gene, intensity in pairs
             for parameter in (Categorical(gene, genes), Real(intensity, 0.0, 1.0))
         ),
-        (Slots(pairs, tuple(gene.levels for gene in CATALOGUE.values())),),
+        (Slots(pairs, tuple(CATALOGUE[gene].levels for gene in genes)),),
     )
 
 
@@ -103,7 +126,9 @@ class AebCrossing:
 
     def __init__(self, params: AebCrossingParams) -> None:
         self.params = params
-        self.space = SearchSpace((scenario_component(), perturbation_component(params.perturbations)))
+        self.space = SearchSpace(
+            (scenario_component(), perturbation_component(params.perturbations, params.genes))
+        )
         self.algorithm_defaults: Mapping[str, Any] = {}
         self.needs = SIMULATOR
         self.timeout_s = params.timeout_s

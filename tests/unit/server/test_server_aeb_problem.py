@@ -119,3 +119,17 @@ def test_what_is_missing_or_broken_is_told_at_submission(tmp_path: Path) -> None
     assert set(refused(detector="onnx:no.onnx", dataset="no.json")) == {
         "/problem/params/detector", "/problem/params/dataset",
     }  # fmt: skip
+
+
+def test_only_the_techniques_that_were_chosen_are_used() -> None:
+    chosen = AebCrossing(AebCrossingParams(techniques=" smoke, dirty ,smoke,contrast"))
+    rng = np.random.default_rng(1)
+    seen = {str(p["gene"]) for _ in range(40) for p in chosen.perturbations(chosen.space.sample(rng))}
+    assert seen == {"smoke", "dirty", "contrast"}
+    levels = [level for p in chosen.perturbations(chosen.space.sample(rng)) if (level := p["level"])]
+    assert all(isinstance(level, int) and 0 < level <= 10 for level in levels)
+    with pytest.raises(ConfigError, match=r"got 'smoek'") as caught:
+        AebCrossingParams(techniques="smoek, dirty")
+    assert caught.value.nearest == "smoke"
+    with pytest.raises(ConfigError, match="at least 2 of them, got 1"):
+        AebCrossingParams(techniques="smoke")
