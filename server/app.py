@@ -9,7 +9,7 @@ from importlib.metadata import version
 from fastapi import APIRouter, FastAPI
 from fastapi_offline import FastAPIOffline
 
-from server.api import campaigns, catalogue, health, jobs, solutions, violations
+from server.api import campaigns, catalogue, health, jobs, llm, solutions, violations
 from server.api.context import Context
 from server.api.guards import Guards
 from server.api.problem_details import install
@@ -17,11 +17,11 @@ from server.api.schemas import ProblemDetail
 from server.campaigns import store
 from server.campaigns.advance import Stepper
 from server.campaigns.archives import Archives
-from server.campaigns.seeding import NoSeeds
 from server.campaigns.service import CampaignService, read
 from server.db.engine import Engines, open_engines
 from server.db.writer import Writer
 from server.errors import Unavailable
+from server.llm.seeds import LlmSeeds
 from server.queue.service import QueueService
 from server.settings import Settings
 
@@ -49,7 +49,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        context = _context(settings, engines)
+        context = _context(settings, engines, asyncio.get_running_loop())
         app.state.context = context
         stopping = asyncio.Event()
         sweeper = asyncio.create_task(_sweep(context, stopping)) if sweeping else None
@@ -78,6 +78,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
         campaigns,
         solutions,
         violations,
+        llm,
         catalogue,
     ):  # the busiest first: routes are tried in order
         api.include_router(module.router)
@@ -88,9 +89,14 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
     return app
 
 
-def _context(settings: Settings, engines: Engines) -> Context:
+def _context(settings: Settings, engines: Engines, loop: asyncio.AbstractEventLoop) -> Context:
+    def came(campaign_id: str) -> None:
+        with suppress(RuntimeError):  # the coordinator has stopped meanwhile
+            loop.call_soon_threadsafe(lambda: queue.advance_soon([campaign_id]))
+
     writer = Writer(engines.writer)
-    stepper = Stepper(engines, writer, max_stored_distances=settings.max_stored_distances, seeds=NoSeeds())
+    seeds = LlmSeeds(engines, writer, came)
+    stepper = Stepper(engines, writer, max_stored_distances=settings.max_stored_distances, seeds=seeds)
     queue = QueueService(settings=settings, writer=writer, stepper=stepper)
     return Context(
         settings=settings,
@@ -98,6 +104,7 @@ def _context(settings: Settings, engines: Engines) -> Context:
         queue=queue,
         campaigns=CampaignService(engines=engines, writer=writer, stepper=stepper, queue=queue),
         archives=Archives(engines=engines, stepper=stepper),
+        seeds=seeds,
     )
 
 

@@ -123,6 +123,7 @@ async def _progress(services: Context, campaign_id: str, since: int) -> Progress
             since=since,
             worker_seen_s=services.settings.worker_seen_s,
             archive=archive,
+            asking=services.seeds.doing(campaign.id),
             trouble=services.queue.writer.trouble,
         )
         progress = await read(services.engines, look)

@@ -11,6 +11,7 @@ from fastapi import Depends, Request
 from server.campaigns.archives import Archives
 from server.campaigns.service import CampaignService
 from server.db.engine import Engines
+from server.llm.seeds import LlmSeeds
 from server.queue.service import QueueService
 from server.settings import Settings
 
@@ -24,6 +25,7 @@ class Context:
     campaigns: CampaignService
     queue: QueueService
     archives: Archives
+    seeds: LlmSeeds
 
 
 async def context_of(request: Request) -> Context:  # async: another thread would cost more than this does

@@ -85,6 +85,9 @@ class Progress(View):
     unrunnable: Annotated[
         dict[str, int], Field(description="Queued jobs by a capability that no live worker has.")
     ]
+    asking: Annotated[
+        str | None, Field(description="What is being asked of a language model, if anything is.")
+    ]
     trouble: Annotated[str | None, Field(description="Why the database takes no writes now, if it does not.")]
     trouble_s: Annotated[float, Field(description="For how long.")]
     digest: Annotated[str | None, Field(description="SHA-256 of the archive, once the campaign has ended.")]
@@ -208,6 +211,35 @@ class Combinations(View):
 
     steps: list[StepTally]
     combinations: Annotated[list[CombinationView], Field(description="The most telling first.")]
+
+
+class LlmCall(View):
+    """A call of a language model."""
+
+    request: Annotated[int, Field(description="Which request for seeds.")]
+    turn: Annotated[int, Field(description="0 for the question, 1 for the repair turn.")]
+    outcome: str
+    meaning: Annotated[str, Field(description="The outcome in words.")]
+    mode: Annotated[str, Field(description="How the form of the reply was asked for.")]
+    prompt_hash: str
+    calls: Annotated[int, Field(description="Requests that the endpoint worked on, or may have.")]
+    prompt_tokens: int | None
+    completion_tokens: int | None
+    estimated: Annotated[bool, Field(description="Whether tokens are an estimate: the endpoint stated none.")]
+    cost: Annotated[float | None, Field(description="Unknown without prices; never 0 for that.")]
+    latency_s: float
+    error: str | None
+    reply: Annotated[str | None, Field(description="The raw body of the reply, but for the key.")]
+
+
+class LlmCalls(View):
+    """The calls of a campaign."""
+
+    calls: Annotated[list[LlmCall], Field(description="In the order of asking.")]
+    total_calls: int
+    total_tokens: int
+    estimated_tokens: int
+    cost: Annotated[float | None, Field(description="Of all; None if any is unknown.")]
 
 
 class DistanceBlock(View):

@@ -51,6 +51,7 @@ def read_progress(
     since: int,
     worker_seen_s: float,
     archive: ReadArchive | None,
+    asking: str | None,
     trouble: Trouble | None,
 ) -> Progress:
     """Return counts and series of a campaign, from generation `since` on."""
@@ -82,6 +83,7 @@ def read_progress(
         elapsed_s=max(0.0, (end - campaign.created_at).total_seconds()), workers=len(seen),
         unrunnable={needs: n for needs, n in waiting.items() if needs not in capabilities},
         digest=archive_digest(archive.archive) if archive is not None else None,
+        asking=asking,
         trouble=trouble.reason if trouble else None,
         trouble_s=trouble.span_s if trouble else 0.0,
         t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH,

@@ -13,6 +13,7 @@ import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from server.errors import FieldError, InvalidInput, nearest
+from server.llm.settings import LlmSettings
 
 MAX_FILE_BYTES = 1024 * 1024
 
@@ -68,10 +69,16 @@ class CampaignBody(Body):
     seed: Annotated[int, Field(ge=0, lt=2**53)] = 1
     priority: Annotated[int, Field(ge=-100, le=100, description="Higher goes first.")] = 0
     execution: Execution = Field(default_factory=Execution)
+    llm: Annotated[
+        LlmSettings | None, Field(description="Language model that seeds an algorithm which asks for seeds.")
+    ] = None
 
     def document_hash(self) -> str:
         """Return a hash by which the same submission is known again."""
-        text = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+        document = self.model_dump(mode="json")
+        if self.llm is None:
+            del document["llm"]  # as it was before there were language models
+        text = json.dumps(document, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
 

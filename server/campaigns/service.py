@@ -14,7 +14,7 @@ from server.campaigns import jobs as job_store
 from server.campaigns import step_store, store, traces
 from server.campaigns.advance import Stepper
 from server.campaigns.body import CampaignBody
-from server.campaigns.plan import Live, first_generation, make_plan
+from server.campaigns.plan import Live, Plan, first_generation, make_plan
 from server.campaigns.store import ENDED
 from server.campaigns.values import Campaign, NewSolution
 from server.catalogue import config_field_error
@@ -22,11 +22,13 @@ from server.db.engine import Engines
 from server.db.models import CampaignStatus
 from server.db.writer import Writer
 from server.errors import Conflict, FieldError, InvalidInput, NotFound
-from server.problems.base import ChecksInputs
+from server.problems.base import ChecksInputs, Describes
 from server.queue.service import QueueService
 
 T = TypeVar("T")
 MAX_ID = 16
+LLM = "llm"
+"""What an algorithm's setting `seeder` is that wants seeds from a language model."""
 
 
 def check_submission(body: CampaignBody) -> tuple[Live, list[NewSolution]]:
@@ -40,6 +42,7 @@ def check_submission(body: CampaignBody) -> tuple[Live, list[NewSolution]]:
         raise InvalidInput(
             [FieldError(pointer=f"/problem/params/{name}", message=message) for name, message in wrong]
         )
+    _check_seeder(plan)
     try:
         plan.algorithm.check(plan.problem.space, plan.config, budget=body.budget.simulations)
     except UnsupportedSpace as error:
@@ -51,6 +54,24 @@ def check_submission(body: CampaignBody) -> tuple[Live, list[NewSolution]]:
             raise InvalidInput([FieldError(pointer="/budget/simulations", message=message)]) from None
         raise InvalidInput([config_field_error(error, "/algorithm/params")]) from None
     return first_generation(body)
+
+
+def _check_seeder(plan: Plan) -> None:
+    """Check that who asks for a language model has one, and the other way round.
+
+    Raises:
+        InvalidInput: One of the two is missing.
+    """
+    asks = getattr(plan.config, "seeder", None) == LLM
+    if asks and plan.body.llm is None:
+        message = "expected a language model for seeder: llm, such as {endpoint: http://127.0.0.1:8000/v1, model: ...}"
+        raise InvalidInput([FieldError(pointer="/llm", message=message)])
+    if plan.body.llm is not None and not asks:
+        message = f"{plan.body.algorithm.id} does not ask it; expected algorithm.params.seeder: llm"
+        raise InvalidInput([FieldError(pointer="/llm", message=message)])
+    if asks and not isinstance(plan.problem, Describes):
+        message = f"{plan.body.problem.id} cannot be described to a language model"
+        raise InvalidInput([FieldError(pointer="/problem/id", message=message)])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

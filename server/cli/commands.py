@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from server.cli import bench, inspect, operate, perturbations
+from server.cli import bench, inspect, llm, operate, perturbations
 from server.cli.compare import compare
 from server.cli.findings.combinations import combinations
 from server.cli.findings.violations import violations
@@ -37,6 +37,7 @@ app.command()(compare)
 app.add_typer(operate.db, name="db")
 app.add_typer(bench.bench, name="bench")
 app.add_typer(perturbations.perturbations, name="perturbations")
+app.add_typer(llm.llm, name="llm")
 
 
 def _print_version(wanted: bool) -> None:

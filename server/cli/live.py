@@ -97,6 +97,8 @@ class CampaignDisplay:
         # At a start no worker has been heard of yet, which is nothing to say of what they offer.
         for needs, count in progress["unrunnable"].items() if progress["workers"] else ():
             rows.append(("waiting", f"{count} jobs need {needs}, which no worker offers", ""))
+        if progress["asking"]:
+            rows.append(("seeds", progress["asking"], ""))
         if progress["trouble"]:
             rows.append(("trouble", progress["trouble"], ""))
         if progress["status"] != "running":
@@ -109,6 +111,7 @@ class CampaignDisplay:
             f"{progress['simulations']}/{progress['budget']} simulations, unsafe {facts['unsafe']}, "
             f"best fitness {facts['best fitness']}, boundary {facts['boundary']}, {_rate(progress)}, "
             f"left {_duration(progress['remaining_s'])}, workers {progress['workers']}"
+            + (f", {progress['asking']}" if progress["asking"] else "")
         )
 
 

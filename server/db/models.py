@@ -267,6 +267,28 @@ class ViolationNameRow(Base):
     named_at: Mapped[datetime]
 
 
+class LlmCallRow(Base):
+    """A call of a language model that a campaign made, with its raw reply."""
+
+    __tablename__ = "llm_calls"
+
+    campaign_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="CASCADE"), primary_key=True)
+    request: Mapped[int] = mapped_column(Integer, primary_key=True)
+    turn: Mapped[int] = mapped_column(Integer, primary_key=True)
+    prompt_hash: Mapped[str] = mapped_column(String(64))
+    mode: Mapped[str] = mapped_column(String(16))
+    reply: Mapped[str | None] = mapped_column(Text)
+    outcome: Mapped[str] = mapped_column(String(16))
+    calls: Mapped[int] = mapped_column(Integer)
+    prompt_tokens: Mapped[int | None] = mapped_column(BigInteger)
+    completion_tokens: Mapped[int | None] = mapped_column(BigInteger)
+    estimated: Mapped[bool]
+    cost: Mapped[float | None]
+    latency_s: Mapped[float]
+    error: Mapped[str | None] = mapped_column(Text)
+    called_at: Mapped[datetime]
+
+
 class TraceRow(Base):
     """The trace of a simulation."""
 

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from search.actions.road import RoadLimits
 from search.algorithm import Evaluation, Measured
 from search.space import SearchSpace
 from sim.episode import EpisodeSpec
@@ -134,6 +135,21 @@ class TellsViolations(Protocol):
     def violations(self, outcome: Completed) -> list[dict[str, Any]]:
         """Return the circumstances of those violations of an episode that count."""
         ...
+
+
+@runtime_checkable
+class Describes(Protocol):
+    """What a problem must know for a model to be asked about it.
+
+    Attributes:
+        road: Where participants are.
+        most: Most participants of a candidate.
+        system: The system under test, in a few words.
+    """
+
+    road: RoadLimits
+    most: int
+    system: str
 
 
 Problem: TypeAlias = SimulatedProblem | InProcessProblem

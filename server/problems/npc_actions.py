@@ -32,6 +32,9 @@ ORACLES: Final = (
     "no-collision@1", "front-gap@1", "lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1",
 )  # fmt: skip
 ROAD_USERS: Final = "road_users"
+_SYSTEM: Final = (
+    "a modular automated car with a camera, an obstacle detector, tracking, prediction, planning and control"
+)
 
 
 def _words(name: str) -> tuple[str, ...]:
@@ -92,6 +95,8 @@ class NpcActions:
             pavement_m=lanes.pavement_m,
             streets_m=lanes.crossing_streets_m,
         )
+        self.most = params.participants
+        self.system = _SYSTEM
         self.space = SearchSpace((participants_component(ROAD_USERS, params.participants, self.road),))
         self._rule = participants_of(self.space)[1]
         self.algorithm_defaults: Mapping[str, Any] = {}

@@ -1,0 +1,182 @@
+"""`brink llm`: try an endpoint, see what a campaign would ask, see what one asked."""
+
+import asyncio
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import typer
+from rich.table import Table
+
+from search.seeding import SeedRequest
+from server.campaigns.body import CampaignBody, read_campaign_file
+from server.campaigns.plan import make_plan
+from server.cli.api import Api
+from server.cli.options import AsJson, CampaignFile, CampaignId, Database, Server, console, print_json, with_api
+from server.errors import FieldError, InvalidInput
+from server.llm.check import EndpointReport, check_endpoint
+from server.llm.estimate import estimate
+from server.llm.prompts import question
+from server.llm.settings import LlmSettings
+from server.problems.base import Describes
+
+llm = typer.Typer(help="Language models that seed searches.", no_args_is_help=True)
+
+ASSUMED_REQUESTS: Final = 5
+"""Differential requests that an estimate assumes: one in four generations of a thousand simulations."""
+
+
+@llm.command()
+def check(file: CampaignFile, as_json: AsJson = False) -> None:
+    """Try the language model of a campaign file, and say what it supports. Asks it up to three small questions.
+
+    Example: brink llm check examples/traffic-llm.yaml
+    """
+    settings = _settings(read_campaign_file(file))
+    with console().status(f"asking {settings.model}"):
+        report = asyncio.run(check_endpoint(settings))
+    if as_json:
+        print_json(
+            {
+                "works": report.works, "mode": report.mode, "reachable": report.reachable,
+                "models": report.models, "model_listed": report.model_listed, "trouble": report.trouble,
+                "modes": [{name: getattr(one, name) for name in one.__slots__} for one in report.modes],
+            }
+        )  # fmt: skip
+    else:
+        _print_report(settings, report)
+    if not report.works:
+        raise typer.Exit(1)
+
+
+def _print_report(settings: LlmSettings, report: EndpointReport) -> None:
+    screen = console()
+    if report.trouble:
+        screen.print(f"[red]{settings.endpoint}: {report.trouble}[/red]", soft_wrap=True)
+        return
+    if report.model_listed is False:
+        known = ", ".join((report.models or ())[:10])
+        screen.print(f"[yellow]{settings.model} is not among the models that it lists: {known}[/yellow]")
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    for name in ("form of a reply", "taken", "usable", "states tokens", "finish reason", "seconds", "trouble"):
+        table.add_column(name)
+    for one in report.modes:
+        table.add_row(
+            one.mode, _yes(one.accepted), _yes(one.usable), _yes(one.usage_stated), one.finish_reason or "–",
+            "–" if one.latency_s is None else f"{one.latency_s:.1f}", one.trouble or "",
+        )  # fmt: skip
+    screen.print(table)
+    works = f"works: replies will be asked for as {report.mode}" if report.works else "gives no usable reply"
+    screen.print(f"{settings.model} at {settings.endpoint} {works}")
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "no"
+
+
+@llm.command("dry-run")
+def dry_run(
+    file: CampaignFile,
+    requests: Annotated[
+        int, typer.Option(min=0, help="Differential requests to assume for the estimate.")
+    ] = ASSUMED_REQUESTS,
+    as_json: AsJson = False,
+) -> None:
+    """Print the prompt with which a campaign begins, and estimate what its calls will take. Asks nobody.
+
+    Example: brink llm dry-run examples/traffic-llm.yaml
+    """
+    body = read_campaign_file(file)
+    settings = _settings(body)
+    plan = make_plan(body)
+    problem = plan.problem
+    if not isinstance(problem, Describes):
+        message = f"{body.problem.id} cannot be described to a language model"
+        raise InvalidInput([FieldError(pointer="/problem/id", message=message)])
+    config: Any = plan.config
+    initial = config.population_size if getattr(config, "initial", "") == "seeds" else 0
+    request = SeedRequest(number=0, count=initial or config.seeds)
+    messages = question(request, problem.road, problem.most, problem.system)
+    found = estimate(
+        settings, road=problem.road, most=problem.most, system=problem.system, initial=initial,
+        differential=config.seeds, differential_calls=requests,
+    )  # fmt: skip
+    if as_json:
+        print_json(
+            {
+                "messages": [{"role": one.role, "content": one.content} for one in messages],
+                "calls": found.calls, "most_calls": found.most_calls, "tokens": found.usage.total,
+                "most_tokens": found.most_usage.total, "cost": found.cost, "most_cost": found.most_cost,
+            }
+        )  # fmt: skip
+        return
+    screen = console()
+    for one in messages:
+        screen.print(f"[bold]{one.role}[/bold]")
+        screen.print(one.content, markup=False, highlight=False, soft_wrap=True)
+        screen.print()
+    screen.print(f"with {requests} differential requests: {found.words}", soft_wrap=True)
+
+
+@llm.command()
+def log(
+    campaign: CampaignId,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the raw replies, a file each.", file_okay=False)
+    ] = None,
+    database: Database = None,
+    server: Server = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say what a campaign asked its language model, what came of it and what it took.
+
+    Example: brink llm log 3f2a --out replies
+    """
+
+    async def work(api: Api) -> None:
+        found = await api.get(f"/campaigns/{campaign}/llm-calls")
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+            for call in found["calls"]:
+                path = out / f"reply-{call['request']}-{call['turn']}.json"
+                path.write_text(call["reply"] or "", encoding="utf-8")
+        if as_json:
+            print_json(found)
+        else:
+            _print_calls(found)
+
+    with_api(server, database, work)
+
+
+def _print_calls(found: dict[str, Any]) -> None:
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    for name in ("request", "turn", "outcome", "tokens", "cost", "seconds", "what was wrong"):
+        table.add_column(name)
+    for call in found["calls"]:
+        tokens = None if call["prompt_tokens"] is None else call["prompt_tokens"] + call["completion_tokens"]
+        table.add_row(
+            str(call["request"]), str(call["turn"]), call["outcome"],
+            "–" if tokens is None else f"{tokens}{' (estimate)' if call['estimated'] else ''}",
+            _money(call["cost"]), f"{call['latency_s']:.1f}", call["error"] or "",
+        )  # fmt: skip
+    screen = console()
+    screen.print(table)
+    screen.print(
+        f"{found['total_calls']} calls, {found['total_tokens']} tokens "
+        f"({found['estimated_tokens']} of them estimated), cost {_money(found['cost'])}"
+    )
+
+
+def _money(cost: float | None) -> str:
+    return "unknown" if cost is None else f"{cost:.4g}"
+
+
+def _settings(body: CampaignBody) -> LlmSettings:
+    """Return the language model of a campaign file.
+
+    Raises:
+        InvalidInput: It has none.
+    """
+    if body.llm is None:
+        message = "expected a language model, such as {endpoint: http://127.0.0.1:8000/v1, model: ...}"
+        raise InvalidInput([FieldError(pointer="/llm", message=message)])
+    return body.llm
