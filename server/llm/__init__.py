@@ -1,0 +1,1 @@
+"""A language model as a seeder: settings, wire, prompts, checked replies, budget."""

@@ -1,0 +1,171 @@
+"""Settings of a language model: the ``llm`` section of a campaign file. The key is never among them.
+
+An error never repeats what may be a secret: a URL with credentials, a name of a variable that looks like none, a key
+under a field of its own.
+"""
+
+import os
+import re
+from collections.abc import Mapping
+from typing import Annotated, Any, Final, Literal, Self
+from urllib.parse import urlsplit
+
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    SecretStr,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from server.llm.errors import KeyMissing
+
+HIDDEN: Final = "[not shown]"
+_PATH: Final = "/chat/completions"
+_ENV_NAME: Final = re.compile(r"[A-Z_][A-Z0-9_]{0,99}")
+_SECRET_FIELD: Final = re.compile(r"key|token|secret|password|authorization", re.IGNORECASE)
+
+
+def _hiding(message: str, *location: str) -> ValidationError:
+    """Return an error that does not carry what came."""
+    line = InitErrorDetails(
+        type=PydanticCustomError("value_error", "{message}", {"message": message}),
+        loc=location,
+        input=HIDDEN,
+    )
+    return ValidationError.from_exception_data("LlmSettings", [line], hide_input=True)
+
+
+def _endpoint(given: object) -> object:
+    """Return a base URL in its plain form."""
+    if not isinstance(given, str):
+        return given
+    text = given.strip()
+    try:
+        parts = urlsplit(text)
+        _ = parts.port  # raises ValueError if it is out of range
+    except ValueError:
+        raise _hiding("expected a base URL such as http://127.0.0.1:8000/v1") from None
+    if "@" in text or parts.query or parts.fragment:
+        raise _hiding(
+            "expected a base URL without credentials, query or fragment; name the environment variable with the key "
+            "in api_key_env"
+        )
+    if parts.scheme not in ("http", "https") or not parts.hostname or not re.fullmatch(r"[!-~]+", text):
+        raise ValueError("expected a base URL with http or https, such as http://127.0.0.1:8000/v1")
+    return text.rstrip("/").removesuffix(_PATH)
+
+
+def _env_name(given: object) -> object:
+    """Return the name of a variable; what is none may be the key itself."""
+    if isinstance(given, str) and not _ENV_NAME.fullmatch(given):
+        raise _hiding(
+            "expected the name of an environment variable in capitals, such as OPENAI_API_KEY, not the key itself"
+        )
+    return given
+
+
+class LlmSettings(BaseModel):
+    """Which language model is asked, how, and what that may cost."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, hide_input_in_errors=True
+    )
+
+    endpoint: Annotated[
+        str,
+        BeforeValidator(_endpoint),
+        Field(
+            max_length=2000,
+            description="Base URL of an OpenAI-compatible endpoint, such as http://127.0.0.1:8000/v1.",
+        ),
+    ]
+    model: Annotated[str, Field(min_length=1, max_length=200, description="Model to ask for.")]
+    api_key_env: Annotated[
+        str | None,
+        BeforeValidator(_env_name),
+        Field(description="Environment variable that holds the key; none is sent without it."),
+    ] = None
+    temperature: Annotated[float, Field(ge=0, le=2, description="Sampling temperature.")] = 0.8
+    top_p: Annotated[float, Field(gt=0, le=1, description="Share of probability that is sampled from.")] = 1.0
+    seed: Annotated[int | None, Field(ge=0, lt=2**31, description="Sampling seed; sent only if given.")] = (
+        None
+    )
+    max_tokens: Annotated[
+        int, Field(ge=64, le=1_000_000, description="Most tokens of a reply; a solution takes about 200.")
+    ] = 4096
+    token_field: Annotated[
+        Literal["max_tokens", "max_completion_tokens"],
+        Field(description="What the endpoint calls the most tokens of a reply."),
+    ] = "max_tokens"
+    timeout_s: Annotated[float, Field(gt=0, le=3600, description="Longest wait for a reply.")] = 120.0
+    retries: Annotated[int, Field(ge=0, le=20, description="Further tries of a call after the first.")] = 4
+    max_wait_s: Annotated[
+        float, Field(ge=0, le=3600, description="Longest pause between two tries, Retry-After included.")
+    ] = 120.0
+    max_calls: Annotated[int, Field(ge=1, le=1_000_000, description="Most calls of a campaign.")] = 50
+    max_total_tokens: Annotated[
+        int | None, Field(ge=1, le=10**12, description="Most tokens of a campaign, prompts and replies.")
+    ] = None
+    max_cost: Annotated[
+        float | None,
+        Field(gt=0, le=10**9, description="Most money of a campaign, in the currency of the prices."),
+    ] = None
+    input_price: Annotated[
+        float | None, Field(ge=0, le=10**6, description="Price of a million tokens of prompts.")
+    ] = None
+    output_price: Annotated[
+        float | None, Field(ge=0, le=10**6, description="Price of a million tokens of replies.")
+    ] = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_keys(cls, given: Any) -> Any:
+        """Refuse a key, without repeating it."""
+        if isinstance(given, Mapping):
+            for name in given:
+                if name not in cls.model_fields and _SECRET_FIELD.search(str(name)):
+                    raise _hiding(
+                        "unknown field; a key does not belong in a campaign: name the environment variable that "
+                        "holds it in api_key_env",
+                        str(name)[:40],
+                    )
+        return given
+
+    @model_validator(mode="after")
+    def _priced(self) -> Self:
+        if self.max_cost is not None and not self.priced:
+            missing = [name for name in ("input_price", "output_price") if getattr(self, name) is None]
+            raise _hiding(
+                f"expected {' and '.join(missing)} too: an unknown price is not 0, so that a cost cannot be kept "
+                "without it",
+                "max_cost",
+            )
+        return self
+
+    @property
+    def priced(self) -> bool:
+        """Whether both prices are known."""
+        return self.input_price is not None and self.output_price is not None
+
+
+def api_key(settings: LlmSettings, environ: Mapping[str, str] | None = None) -> SecretStr | None:
+    """Return the key, or None if the endpoint wants none.
+
+    Raises:
+        KeyMissing: The environment has none, or what it has cannot be one.
+    """
+    name = settings.api_key_env
+    if name is None:
+        return None
+    key = (os.environ if environ is None else environ).get(name, "").strip()
+    if not key:
+        raise KeyMissing(
+            f"the environment variable {name} is not set: export it before the coordinator starts"
+        )
+    if not all("!" <= letter <= "~" for letter in key):
+        raise KeyMissing(f"the environment variable {name} holds no key: expected printable ASCII, no spaces")
+    return SecretStr(key)

@@ -1,0 +1,154 @@
+"""Prompts say all that a model must know, the same each time, and repeat nothing that a model wrote."""
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from search.actions.participants import MAGNITUDES, MOST_PARTICIPANTS, Action, Kind
+from search.actions.road import RoadLimits
+from search.seeding import SeedRequest
+from server.errors import FieldError
+from server.llm.drivable import Drivable
+from server.llm.form import SCHEMA, as_text
+from server.llm.prompts import MOST_ERRORS, example, question, repair
+from server.llm.replies import parse
+from server.llm.wire import Messages, prompt_hash
+
+ROAD = RoadLimits(streets_m=(-60.0, 30.0))
+SYSTEM = "a car that keeps its lane with a camera"
+FIRST = SeedRequest(number=0, count=10)
+
+roads = st.builds(
+    RoadLimits,
+    lane_width_m=st.floats(2.5, 5.0),
+    strip_m=st.floats(0.0, 3.0),
+    pavement_m=st.floats(1.0, 5.0),
+    streets_m=st.lists(st.floats(-80.0, 80.0), max_size=3).map(lambda middles: tuple(sorted(middles))),
+    clear_behind_m=st.floats(0.0, 20.0),
+    clear_ahead_m=st.floats(0.0, 30.0),
+)
+
+
+def asked(request: SeedRequest = FIRST, road: RoadLimits = ROAD, most: int = 4) -> Messages:
+    return question(request, road, most, SYSTEM)
+
+
+def text_of(messages: Messages) -> str:
+    return "\n".join(message.content for message in messages)
+
+
+@given(roads, st.integers(1, MOST_PARTICIPANTS))
+@settings(max_examples=60, deadline=None)
+def test_the_example_is_accepted_on_any_road(road: RoadLimits, most: int) -> None:
+    drivable = Drivable(road, most)
+    shown = example(road, most)
+    assert len(shown) == min(2, most)
+    placed = drivable.placed(shown, "")
+    assert placed == shown
+    read_back = parse(as_text([shown]), drivable, 1)
+    assert read_back.errors == ()
+    assert read_back.solutions == (shown,)
+
+
+def test_the_question_says_role_system_form_ranges_and_number() -> None:
+    system, user = asked()
+    assert (system.role, user.role) == ("system", "user")
+    assert SYSTEM in system.content
+    assert "10 solutions" in system.content
+    for kind in Kind:
+        assert kind in user.content
+    for action in Action:
+        room = MAGNITUDES[action]
+        assert f"- {action}: {room.meaning}" in user.content
+        if room.unit:
+            assert f"{room.least:g} to {room.most:g} {room.unit}" in user.content
+    for words in (
+        "1 to 4 participants",
+        "elite",
+        "span lanes",
+        "differ from each other",
+        "disturbs the ego's path",
+    ):
+        assert words in user.content
+    assert json.dumps(SCHEMA, separators=(",", ":")) in user.content
+    assert as_text([example(ROAD, 4)]) in user.content
+    assert "Rule" not in user.content
+
+
+def test_the_road_is_described_as_the_rule_has_it() -> None:
+    text = text_of(asked())
+    assert "oncoming lane around dd_m 3.5" in text
+    assert "no vehicle starts from ds_m -12.3 to 17.3" in text
+    assert "dd_m from -4.30 to -2.40 on the right, from 5.90 to 7.80 on the left" in text
+    assert "from the right, vehicles with heading across come out of it at ds_m 31.75" in text
+    assert (
+        "from the left, vehicles with heading across come out of it at ds_m 28.25; they start at dd_m 10.55"
+        in text
+    )
+    assert "station 0" in text
+    assert "6 to 8 m/s" in text
+    assert "No street crosses" in text_of(asked(road=RoadLimits()))
+
+
+def test_rules_show_the_known_solutions() -> None:
+    exposed = example(ROAD, 4)
+    silent = (replace(exposed[0], ds_m=-20.0, dyaw_rad=math.pi),)
+    rejected = (replace(exposed[0], ds_m=-30.0),)
+    request = SeedRequest(
+        number=3, count=1, exposed=(exposed,), silent=(silent,), rejected=(rejected,), round=1
+    )
+    text = text_of(asked(request))
+    assert f"SE exposed a violation; such solutions are wanted:\n{as_text([exposed])}" in text
+    assert f"SN exposed none; such solutions are not wanted:\n{as_text([silent])}" in text
+    assert "Rule 1: give solutions that expose violations and differ from those in SE" in text
+    assert "Rule 2" in text
+    assert as_text([rejected]) in text
+    assert "Give 1 solution of" in text
+    only_silent = text_of(asked(replace(request, exposed=(), rejected=())))
+    assert "SE" not in only_silent
+    assert "Rule 2" not in only_silent
+
+
+def test_the_same_request_gives_the_same_messages() -> None:
+    assert asked() == asked()
+    assert prompt_hash(asked()) == prompt_hash(asked())
+    assert prompt_hash(asked()) != prompt_hash(asked(most=3))
+    assert prompt_hash(asked()) != prompt_hash(asked(SeedRequest(number=0, count=11)))
+
+
+def test_words_about_the_system_stay_on_one_bounded_line() -> None:
+    system, _ = question(FIRST, ROAD, 4, "a\ncar\x00\u2028" + "y" * 10_000)
+    assert "a car" in system.content
+    assert "\n" not in system.content
+    assert len(system.content) < 1000
+
+
+def test_a_repair_turn_lists_errors_by_pointer_and_shows_what_was_accepted() -> None:
+    accepted = (example(ROAD, 4),)
+    errors = [
+        FieldError(pointer="/solutions/3/participants/0/ds_m", message="expected less"),
+        FieldError(pointer="", message="x"),
+    ]
+    messages = repair(asked(), accepted, errors, 2)
+    assert messages[:2] == asked()
+    assert [message.role for message in messages] == ["system", "user", "assistant", "user"]
+    assert messages[2].content == as_text(accepted)
+    assert "- /solutions/3/participants/0/ds_m: expected less" in messages[3].content
+    assert "Give 2 further solutions" in messages[3].content
+
+
+def test_a_repair_turn_is_bounded() -> None:
+    errors = [FieldError(pointer=f"/solutions/{place}", message="wrong") for place in range(MOST_ERRORS + 7)]
+    text = repair(asked(), (), errors, 2)[3].content
+    assert text.count("wrong") == MOST_ERRORS
+    assert "and 7 more" in text
+
+
+@pytest.mark.parametrize("most", [1, 6])
+def test_how_many_participants_is_said(most: int) -> None:
+    words = "1 participant" if most == 1 else "1 to 6 participants"
+    assert f"A solution is {words}:" in text_of(asked(most=most))

@@ -1,0 +1,157 @@
+"""Settings of a language model: bounds, and secrets that do not slip in or out."""
+
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from server.campaigns.body import invalid_input
+from server.llm.errors import KeyMissing
+from server.llm.settings import LlmSettings, api_key
+
+SECRET = "sk-proj-0123456789abcdef"
+
+
+def settings(**changes: Any) -> LlmSettings:
+    return LlmSettings.model_validate({"endpoint": "http://127.0.0.1:8000/v1", "model": "m", **changes})
+
+
+def refused(**changes: Any) -> tuple[str, str]:
+    """Return where settings are wrong, and everything that the error shows anywhere."""
+    with pytest.raises(ValidationError) as caught:
+        settings(**changes)
+    [error] = invalid_input(caught.value, LlmSettings).errors
+    everything = f"{caught.value} {caught.value!r} {caught.value.errors()} {error}"
+    return error.pointer, everything
+
+
+def test_defaults_are_those_of_the_manual() -> None:
+    given = settings()
+    assert (given.temperature, given.top_p, given.seed, given.max_tokens) == (0.8, 1.0, None, 4096)
+    assert (given.timeout_s, given.retries, given.max_wait_s, given.max_calls) == (120.0, 4, 120.0, 50)
+    assert given.token_field == "max_tokens"
+    optional = (
+        given.api_key_env,
+        given.max_total_tokens,
+        given.max_cost,
+        given.input_price,
+        given.output_price,
+    )
+    assert set(optional) == {None}
+    assert not given.priced
+
+
+def test_every_field_says_what_it_is() -> None:
+    for name, field in LlmSettings.model_fields.items():
+        assert field.description, name
+
+
+@pytest.mark.parametrize(
+    ("given", "kept"),
+    [
+        ("https://api.example.org/v1/", "https://api.example.org/v1"),
+        ("http://127.0.0.1:8000/v1/chat/completions", "http://127.0.0.1:8000/v1"),
+        ("http://[::1]:11434/v1", "http://[::1]:11434/v1"),
+    ],
+)
+def test_an_endpoint_is_kept_in_its_plain_form(given: str, kept: str) -> None:
+    assert settings(endpoint=given).endpoint == kept
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    [
+        "",
+        "127.0.0.1:8000/v1",
+        "ftp://host/v1",
+        "http://",
+        "http://a b/v1",
+        "http://host:99999/v1",
+        "http://h\n/v1",
+        7,
+    ],
+)
+def test_an_endpoint_that_is_no_url_is_refused(endpoint: object) -> None:
+    pointer, _ = refused(endpoint=endpoint)
+    assert pointer == "/endpoint"
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    [
+        f"https://user:{SECRET}@host/v1",
+        f"user:{SECRET}@host/v1",
+        f"https://host/v1?key={SECRET}",
+        f"https://host/v1#{SECRET}",
+    ],
+)
+def test_credentials_in_an_endpoint_are_refused_and_not_repeated(endpoint: str) -> None:
+    pointer, everything = refused(endpoint=endpoint)
+    assert pointer == "/endpoint"
+    assert "api_key_env" in everything
+    assert SECRET not in everything
+
+
+@pytest.mark.parametrize("name", [SECRET, "lower_case", "", "A B", "1A"])
+def test_a_key_in_place_of_a_variables_name_is_refused_and_not_repeated(name: str) -> None:
+    pointer, everything = refused(api_key_env=name)
+    assert pointer == "/api_key_env"
+    assert "OPENAI_API_KEY" in everything
+    assert SECRET not in everything
+
+
+@pytest.mark.parametrize("field", ["api_key", "apikey", "token", "Authorization"])
+def test_a_key_in_a_field_of_its_own_is_refused_and_not_repeated(field: str) -> None:
+    pointer, everything = refused(**{field: SECRET})
+    assert pointer == f"/{field}"
+    assert "api_key_env" in everything
+    assert SECRET not in everything
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("temperature", 2.5), ("temperature", float("nan")), ("top_p", 0.0), ("seed", -1), ("seed", 1.5),
+        ("max_tokens", 10), ("token_field", "tokens"), ("timeout_s", 0.0), ("timeout_s", float("inf")),
+        ("retries", -1), ("max_wait_s", -1.0), ("max_calls", 0), ("max_total_tokens", 0), ("input_price", -1.0),
+        ("model", ""), ("modell", "m"),
+    ],
+)  # fmt: skip
+def test_a_value_out_of_bounds_is_refused_where_it_is(field: str, value: object) -> None:
+    pointer, _ = refused(**{field: value})
+    assert pointer == f"/{field}"
+
+
+@pytest.mark.parametrize(
+    ("prices", "missing"),
+    [
+        ({}, "input_price and output_price"),
+        ({"input_price": 1.0}, "output_price"),
+        ({"output_price": 1.0}, "input_price"),
+    ],
+)
+def test_a_cost_cannot_be_kept_without_both_prices(prices: dict[str, float], missing: str) -> None:
+    pointer, everything = refused(max_cost=5.0, **prices)
+    assert pointer == "/max_cost"
+    assert f"expected {missing} too" in everything
+
+
+def test_a_price_of_nothing_is_a_price() -> None:
+    assert settings(max_cost=5.0, input_price=0.0, output_price=0).priced
+
+
+def test_the_key_comes_from_the_environment() -> None:
+    key = api_key(settings(api_key_env="MY_KEY"), {"MY_KEY": f" {SECRET}\n"})
+    assert key is not None
+    assert key.get_secret_value() == SECRET
+    assert SECRET not in repr(key)
+    assert api_key(settings(), {"MY_KEY": SECRET}) is None
+
+
+@pytest.mark.parametrize(
+    "environ", [{}, {"MY_KEY": "  "}, {"MY_KEY": "schlüssel-geheim"}, {"MY_KEY": "geheim 1"}]
+)
+def test_a_key_that_is_not_there_or_none_is_named_by_its_variable(environ: dict[str, str]) -> None:
+    with pytest.raises(KeyMissing, match="MY_KEY") as caught:
+        api_key(settings(api_key_env="MY_KEY"), environ)
+    assert "geheim" not in str(caught.value)
