@@ -26,7 +26,7 @@ async def get_llm_calls(campaign_id: str, services: Services) -> LlmCalls:
 def _view(call: StoredCall) -> LlmCall:
     usage = call.usage
     return LlmCall(
-        request=call.key.request, turn=call.key.turn, outcome=call.outcome, meaning=call.outcome.meaning,
+        request=call.key.request, turn=call.key.turn, outcome=call.outcome,
         mode=call.mode, prompt_hash=call.prompt_hash, calls=call.calls,
         prompt_tokens=None if usage is None else usage.prompt_tokens,
         completion_tokens=None if usage is None else usage.completion_tokens,

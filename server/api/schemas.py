@@ -219,7 +219,6 @@ class LlmCall(View):
     request: Annotated[int, Field(description="Which request for seeds.")]
     turn: Annotated[int, Field(description="0 for the question, 1 for the repair turn.")]
     outcome: str
-    meaning: Annotated[str, Field(description="The outcome in words.")]
     mode: Annotated[str, Field(description="How the form of the reply was asked for.")]
     prompt_hash: str
     calls: Annotated[int, Field(description="Requests that the endpoint worked on, or may have.")]

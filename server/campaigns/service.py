@@ -64,7 +64,7 @@ def _check_seeder(plan: Plan) -> None:
     """
     asks = getattr(plan.config, "seeder", None) == LLM
     if asks and plan.body.llm is None:
-        message = "expected a language model for seeder: llm, such as {endpoint: http://127.0.0.1:8000/v1, model: ...}"
+        message = "expected a language model, such as {endpoint: http://127.0.0.1:8000/v1, model: ...}"
         raise InvalidInput([FieldError(pointer="/llm", message=message)])
     if plan.body.llm is not None and not asks:
         message = f"{plan.body.algorithm.id} does not ask it; expected algorithm.params.seeder: llm"

@@ -11,7 +11,16 @@ from search.seeding import SeedRequest
 from server.campaigns.body import CampaignBody, read_campaign_file
 from server.campaigns.plan import make_plan
 from server.cli.api import Api
-from server.cli.options import AsJson, CampaignFile, CampaignId, Database, Server, console, print_json, with_api
+from server.cli.options import (
+    AsJson,
+    CampaignFile,
+    CampaignId,
+    Database,
+    Server,
+    console,
+    print_json,
+    with_api,
+)
 from server.errors import FieldError, InvalidInput
 from server.llm.check import EndpointReport, check_endpoint
 from server.llm.estimate import estimate
@@ -57,7 +66,15 @@ def _print_report(settings: LlmSettings, report: EndpointReport) -> None:
         known = ", ".join((report.models or ())[:10])
         screen.print(f"[yellow]{settings.model} is not among the models that it lists: {known}[/yellow]")
     table = Table(box=None, pad_edge=False, header_style="dim")
-    for name in ("form of a reply", "taken", "usable", "states tokens", "finish reason", "seconds", "trouble"):
+    for name in (
+        "form of a reply",
+        "taken",
+        "usable",
+        "states tokens",
+        "finish reason",
+        "seconds",
+        "trouble",
+    ):
         table.add_column(name)
     for one in report.modes:
         table.add_row(

@@ -68,9 +68,7 @@ class LlmSeeds:
         with self._lock:
             return next((words for (asks, _), words in self._asking.items() if asks == campaign_id), None)
 
-    def _ask(
-        self, campaign_id: str, settings: LlmSettings, problem: Describes, request: SeedRequest
-    ) -> None:
+    def _ask(self, campaign_id: str, settings: LlmSettings, problem: Describes, request: SeedRequest) -> None:
         key = campaign_id, request.number
         answer: Sequence[Proposal] | None = None
         try:
@@ -78,7 +76,7 @@ class LlmSeeds:
         except Unavailable as error:
             log.warning("campaign=%s: %s; its seeds will be asked for again", campaign_id, error)
         except CallLogMismatch as error:
-            log.error("campaign=%s: %s; it goes on without these seeds", campaign_id, error)
+            log.warning("campaign=%s: %s; it goes on without these seeds", campaign_id, error)
             answer = ()
         except Exception:
             log.exception("campaign=%s: seeds cannot be had; it goes on without them", campaign_id)
