@@ -1,4 +1,4 @@
-"""names that people give to violations; calls of language models
+"""names that people give to violations; calls of language models; where solutions come from
 
 Revision ID: 0003
 Revises: 0002
@@ -16,6 +16,7 @@ depends_on = None
 
 
 def upgrade() -> None:
+    op.add_column("solutions", sa.Column("origin", sa.String(length=16), nullable=True))
     op.create_table(
         "violation_names",
         sa.Column("campaign_id", sa.String(length=16), nullable=False),
@@ -61,3 +62,4 @@ def upgrade() -> None:
 def downgrade() -> None:
     op.drop_table("llm_calls")
     op.drop_table("violation_names")
+    op.drop_column("solutions", "origin")

@@ -105,6 +105,10 @@ class SolutionView(View):
     robustness: float | None
     objectives: dict[str, float] | None
     failure: str | None
+    origin: Annotated[
+        str | None,
+        Field(description="Where it comes from: random, heuristic, mutation, crossover, llm, llm_repair."),
+    ]
     fitness: float | None
     neighbours: int | None
     unsafe_neighbours: int | None

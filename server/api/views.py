@@ -127,7 +127,7 @@ def _solution(
     vectors = problem.space.split(np.frombuffer(row.vector, dtype="<f8"))
     return SolutionView(
         number=row.number, generation=row.generation, verdict=row.verdict, robustness=row.robustness,
-        objectives=row.objectives, failure=row.failure,
+        objectives=row.objectives, failure=row.failure, origin=row.origin,
         fitness=None if index is None else float(archive.fitness[index]),
         neighbours=None if index is None else int(archive.neighbours[index]),
         unsafe_neighbours=None if index is None else int(archive.unsafe_neighbours[index]),

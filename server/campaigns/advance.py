@@ -43,6 +43,7 @@ from server.campaigns.values import (
     Checkpoint,
     GenerationSummary,
     Judged,
+    NewSolution,
     Step,
 )
 from server.db.engine import Engines
@@ -139,7 +140,7 @@ class Stepper:
         if wanted_seeds(seeded.plan, seeded.state) is not None:
             return True
         state, candidates = asked(seeded.plan, seeded.state)
-        solutions = new_solutions(seeded.plan.problem, candidates, campaign.body.seed)
+        solutions = new_solutions(seeded.plan.problem, candidates, state, campaign.body.seed)
         if not self._writer.submit(
             lambda connection: step_store.write_asked(connection, campaign, solutions)
         ).result():
@@ -171,7 +172,8 @@ class Stepper:
         told = algorithm.tell(live.state, evaluations)
         finished = algorithm.finished(told)
         asked_state, candidates = asked(live.plan, told)
-        step = self._write_up(campaign, live.plan, evaluations, told, candidates, finished, began)
+        solutions = new_solutions(live.plan.problem, candidates, asked_state, campaign.body.seed)
+        step = self._write_up(campaign, live.plan, evaluations, told, solutions, finished, began)
         if not self._writer.submit(lambda connection: step_store.write_step(connection, step)).result():
             self._live.pop(campaign.id, None)
             return False
@@ -194,7 +196,7 @@ class Stepper:
         plan: Plan,
         evaluations: Mapping[int, Evaluation],
         told: Any,
-        candidates: Sequence[Candidate],
+        solutions: Sequence[NewSolution],
         finished: bool,
         began: float,
     ) -> Step:
@@ -227,7 +229,7 @@ class Stepper:
                 neighbours=archive.neighbours.astype("<i8").tobytes(),
                 unsafe_neighbours=archive.unsafe_neighbours.astype("<i8").tobytes(),
             ),
-            asked=new_solutions(plan.problem, candidates, campaign.body.seed),
+            asked=solutions,
             traces=self._evidence(campaign, plan, archive, boundary) if finished else (),
             status=CampaignStatus.FINISHED if finished else CampaignStatus.RUNNING,
             reason="",

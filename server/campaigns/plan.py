@@ -75,7 +75,9 @@ def first_generation(body: CampaignBody) -> tuple[Live, list[NewSolution]]:
         plan.problem.space, plan.config, seed=body.seed, budget=body.budget.simulations
     )
     state, candidates = asked(plan, state)
-    return Live(plan=plan, generation=0, state=state), new_solutions(plan.problem, candidates, body.seed)
+    return Live(plan=plan, generation=0, state=state), new_solutions(
+        plan.problem, candidates, state, body.seed
+    )
 
 
 def asked(plan: Plan, state: Any) -> tuple[Any, tuple[Candidate, ...]]:
@@ -90,14 +92,23 @@ def wanted_seeds(plan: Plan, state: Any) -> SeedRequest | None:
     return plan.algorithm.wanted(state) if isinstance(plan.algorithm, Seeded) else None
 
 
-def new_solutions(problem: Problem, candidates: Sequence[Candidate], campaign_seed: int) -> list[NewSolution]:
+def new_solutions(
+    problem: Problem, candidates: Sequence[Candidate], state: Any, campaign_seed: int
+) -> list[NewSolution]:
     """Return the rows of a generation that was asked for.
+
+    Args:
+        problem: What is searched.
+        candidates: The generation.
+        state: The algorithm's; may say where candidates come from.
+        campaign_seed: The campaign's seed.
 
     Raises:
         InvalidInput: A data-set evaluation is asked of a problem that has none.
     """
     solutions = []
-    for candidate in candidates:
+    origins = getattr(state, "queue_origins", None) or [None] * len(candidates)
+    for candidate, origin in zip(candidates, origins, strict=True):
         chance = candidate.number if candidate.seed_number is None else candidate.seed_number
         seed = episode_seed(campaign_seed, chance)
         job = None if isinstance(problem, InProcessProblem) else _job(problem, candidate, seed)
@@ -106,7 +117,12 @@ def new_solutions(problem: Problem, candidates: Sequence[Candidate], campaign_se
         kind = JobKind.DATASET if candidate.question is Question.DATASET else JobKind.EPISODE
         solutions.append(
             NewSolution(
-                number=candidate.number, vector=vector_bytes(candidate), seed=seed, job=job, kind=kind
+                number=candidate.number,
+                vector=vector_bytes(candidate),
+                seed=seed,
+                job=job,
+                kind=kind,
+                origin=None if origin is None else str(origin),
             )
         )
     return solutions

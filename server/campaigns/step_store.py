@@ -45,7 +45,7 @@ def insert_solutions(
             {
                 "campaign_id": campaign.id, "number": s.number, "generation": generation, "vector": s.vector,
                 "seed": s.seed, "spec_hash": s.job.spec_hash if s.job else None,
-                "verdict": SolutionVerdict.PENDING,
+                "verdict": SolutionVerdict.PENDING, "origin": s.origin,
             }
             for s in solutions
         ],

@@ -60,6 +60,7 @@ class NewSolution:
     seed: int
     job: NewJob | None
     kind: JobKind = JobKind.EPISODE
+    origin: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

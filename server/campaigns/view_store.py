@@ -92,7 +92,8 @@ def _solutions(campaign_id: str) -> Select[*tuple[Any, ...]]:
         select(
             SolutionRow.number, SolutionRow.generation, SolutionRow.vector, SolutionRow.seed,
             SolutionRow.spec_hash, SolutionRow.verdict, SolutionRow.robustness, SolutionRow.objectives,
-            SolutionRow.failure, JobRow.spec, JobRow.result, JobRow.attempt, JobRow.status.label("job_status"),
+            SolutionRow.failure, SolutionRow.origin, JobRow.spec, JobRow.result, JobRow.attempt,
+            JobRow.status.label("job_status"),
         )
         .outerjoin(
             JobRow,

@@ -172,6 +172,7 @@ class SolutionRow(Base):
     robustness: Mapped[float | None]
     objectives: Mapped[dict[str, Any] | None]
     failure: Mapped[str | None] = mapped_column(Text)
+    origin: Mapped[str | None] = mapped_column(String(16))
 
 
 class CheckpointRow(Base):

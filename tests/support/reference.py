@@ -19,7 +19,9 @@ def undisturbed_digest(document: dict[str, Any]) -> str:
         state, candidates = algorithm.ask(state)
         specs = {
             c.number: plan.problem.episode(c.vectors, s.seed).to_json()
-            for c, s in zip(candidates, new_solutions(plan.problem, candidates, body.seed), strict=True)
+            for c, s in zip(
+                candidates, new_solutions(plan.problem, candidates, state, body.seed), strict=True
+            )
         }
         state = algorithm.tell(
             state,

@@ -1,0 +1,228 @@
+"""Campaigns that a language model seeds: what is asked and stored, what faults do, what a restart asks again."""
+
+import json
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+import yaml
+from fastapi.responses import JSONResponse, Response
+from support.api import FakeWorker, coordinator, eventually, expect, progress, submit
+from support.llm_endpoint import (
+    MODEL,
+    Asked,
+    Endpoint,
+    action,
+    completion,
+    item,
+    items,
+    refuses,
+    reply_text,
+    says,
+    serving,
+)
+from test_violations import simulate
+from typer.testing import CliRunner
+
+from server.cli.commands import app
+
+pytestmark = pytest.mark.timeout(120)
+
+POPULATION = 8
+
+
+@pytest.fixture(scope="module")
+def served() -> Iterator[Endpoint]:
+    with serving() as endpoint:
+        yield endpoint
+
+
+@pytest.fixture
+def endpoint(served: Endpoint) -> Iterator[Endpoint]:
+    served.reset()
+    yield served
+    served.reset()
+
+
+def body(endpoint: Endpoint, llm: dict[str, Any] | None = None, **params: Any) -> dict[str, Any]:
+    return {
+        "name": "seeded",
+        "problem": {"id": "npc-actions@1", "params": {"participants": 2, "duration_s": 8.0}},
+        "algorithm": {
+            "id": "mumoea@1",
+            "params": {"seeder": "llm", "population_size": POPULATION, "seeds": 3, "rounds": 1, **params},
+        },
+        "llm": {"endpoint": endpoint.url, "model": MODEL, "retries": 1, "max_wait_s": 1.0, **(llm or {})},
+        "budget": {"simulations": 24},
+        "seed": 1,
+    }
+
+
+def worker(client: httpx.Client) -> FakeWorker:
+    return FakeWorker(client, capabilities=("brink-encounter@1",), judge=simulate)
+
+
+def origins(client: httpx.Client, campaign: str) -> list[str]:
+    found = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions", params={"limit": 100}))
+    return [solution["origin"] for solution in found["solutions"]]
+
+
+def calls(client: httpx.Client, campaign: str) -> dict[str, Any]:
+    found: dict[str, Any] = expect(client.get(f"/api/v1/campaigns/{campaign}/llm-calls"))
+    return found
+
+
+def many(asked: Asked) -> Response:
+    """Answer the first question with cars ahead, and later ones with others each time, decided by the question."""
+    text = json.dumps(asked.body["messages"])
+    if "Rule 1" not in text:
+        return JSONResponse(completion(reply_text(items(POPULATION))))
+    salt = sum(text.encode()) % 89
+    crosses = {"kind": "pedestrian", "dd_m": -3.0, "heading": "with_ego", "speed_mps": 1.0}
+    found = [
+        item(**crosses, ds_m=5.0 + 0.5 * ((salt + 17 * n) % 89), actions=[action("cross", 4.0, 2.5)] * 2)
+        for n in range(6)
+    ]
+    return JSONResponse(completion(reply_text(found)))
+
+
+def test_the_first_population_is_the_models(client: httpx.Client, endpoint: Endpoint) -> None:
+    endpoint.then(says(reply_text(items(POPULATION))))
+    campaign = submit(client, body(endpoint, differential="never"))
+    stands = worker(client).work(campaign)
+    assert (stands["status"], stands["failed"], stands["asking"]) == ("finished", 0, None)
+    assert origins(client, campaign)[:POPULATION] == ["llm"] * POPULATION
+    (call,) = calls(client, campaign)["calls"]
+    assert (call["request"], call["turn"], call["outcome"], call["cost"]) == (0, 0, "ok", None)
+    assert (call["prompt_tokens"], call["completion_tokens"], call["estimated"]) == (900, 100, False)
+    assert len(endpoint.asked) == 1
+
+
+def test_what_is_missing_comes_from_repair_and_from_patterns(
+    client: httpx.Client, endpoint: Endpoint
+) -> None:
+    wrong = item(speed_mps=900.0)
+    endpoint.then(says(reply_text([*items(4), wrong, wrong])), says(reply_text(items(2, first=10))))
+    campaign = submit(client, body(endpoint, differential="never"))
+    worker(client).work(campaign)
+    assert origins(client, campaign)[:POPULATION] == ["llm"] * 4 + ["llm_repair"] * 2 + ["heuristic"] * 2
+    assert [call["turn"] for call in calls(client, campaign)["calls"]] == [0, 1]
+
+
+@pytest.mark.parametrize("fault", ["refused", "away", "rubbish", "stalled"])
+def test_an_endpoint_that_fails_delays_seeds_and_nothing_else(
+    client: httpx.Client, endpoint: Endpoint, fault: str
+) -> None:
+    llm: dict[str, Any] = {}
+    if fault == "refused":
+        endpoint.then(refuses(401))
+    elif fault == "away":
+        endpoint.then(*[refuses(503)] * 2)
+    elif fault == "rubbish":
+        endpoint.then(says("I'd rather not."), says("Still not."))
+    else:
+        endpoint.then(*[endpoint.stalls()] * 2)
+        llm = {"timeout_s": 0.2}
+    campaign = submit(client, body(endpoint, llm, differential="never"))
+    stands = worker(client).work(campaign)
+    assert (stands["status"], stands["failed"]) == ("finished", 0)
+    assert origins(client, campaign)[:POPULATION] == ["heuristic"] * POPULATION
+    outcome = {"refused": "refused", "away": "unavailable", "rubbish": "invalid", "stalled": "unavailable"}
+    assert calls(client, campaign)["calls"][0]["outcome"] == outcome[fault]
+
+
+def test_a_search_that_is_stuck_asks_for_others_until_the_budget_is_spent(
+    client: httpx.Client, endpoint: Endpoint
+) -> None:
+    endpoint.then(*[many] * 40)
+    campaign = submit(client, body(endpoint, {"max_calls": 3}, differential="always"))
+    stands = worker(client).work(campaign)
+    assert stands["status"] == "finished"
+    assert len(endpoint.asked) == 3
+    told = calls(client, campaign)
+    assert told["total_calls"] == 3
+    assert told["calls"][-1]["outcome"] == "over_budget"
+    later = json.dumps([asked.body["messages"] for asked in endpoint.asked[1:]])
+    assert "SE exposed" in later or "SN exposed" in later
+
+
+def test_while_it_is_asked_the_campaign_waits_and_says_so(client: httpx.Client, endpoint: Endpoint) -> None:
+    endpoint.then(endpoint.stalls(), says(reply_text(items(POPULATION))))
+    campaign = submit(client, body(endpoint, {"timeout_s": 0.6}, differential="never"))
+    eventually(lambda: progress(client, campaign)["asking"] is not None, "it says what it asks")
+    assert f"asking {MODEL} for {POPULATION} solutions" in progress(client, campaign)["asking"]
+    assert worker(client).lease() == []
+    assert worker(client).work(campaign)["status"] == "finished"
+    assert origins(client, campaign)[:POPULATION] == ["llm"] * POPULATION
+
+
+def test_a_restart_asks_nothing_twice_and_finds_the_same(database_url: str, endpoint: Endpoint) -> None:
+    asks = body(endpoint, differential="always")
+    endpoint.then(*[many] * 60)
+    with coordinator(database_url) as client:
+        whole = submit(client, asks)
+        digest = worker(client).work(whole)["digest"]
+        expected = origins(client, whole)
+        times = len(endpoint.asked)
+        assert "llm" in expected[POPULATION:], "differential seeds came, too"
+    campaign, first = "", len(endpoint.asked)
+    for wanted in (3, 10, 19, 1000):
+        with coordinator(database_url) as client:
+            campaign = campaign or submit(client, asks)
+            stands = worker(client).work(campaign, until=partial(_reached, wanted))
+    assert stands["status"] == "finished"
+    with coordinator(database_url) as client:
+        assert origins(client, campaign) == expected
+        assert progress(client, campaign)["digest"] == digest
+    assert len(endpoint.asked) - first == times
+
+
+def _reached(wanted: int, stands: dict[str, Any]) -> bool:
+    return bool(stands["simulations"] >= wanted)
+
+
+def test_what_does_not_go_together_is_refused_at_submission(client: httpx.Client, endpoint: Endpoint) -> None:
+    asks = body(endpoint)
+    for change, pointer in (
+        ({"llm": None}, "/llm"),
+        ({"algorithm": {"id": "mumoea@1"}}, "/llm"),
+        ({"llm": {"endpoint": "ftp://x", "model": "m"}}, "/llm/endpoint"),
+        ({"llm": {"endpoint": endpoint.url, "model": "m", "api_key": "sk-1234567890"}}, "/llm"),
+        ({"llm": {"endpoint": endpoint.url, "model": "m", "max_cost": 1.0}}, "/llm"),
+    ):
+        told = expect(client.post("/api/v1/campaigns", json={**asks, **change}), 422)
+        assert any(error["pointer"].startswith(pointer) for error in told["errors"]), told
+        assert "sk-1234567890" not in json.dumps(told)
+    assert endpoint.asked == []
+
+
+def test_the_command_line_tries_shows_and_tells(
+    client: httpx.Client, endpoint: Endpoint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    file = tmp_path / "seeded.yaml"
+    file.write_text(yaml.safe_dump(body(endpoint, differential="never")))
+    run = CliRunner().invoke
+    shown = run(app, ["llm", "dry-run", str(file)])
+    assert shown.exit_code == 0, shown.output
+    assert "cut_in" in shown.stdout
+    assert "cost unknown" in shown.stdout
+    assert endpoint.asked == []
+    endpoint.models = {"data": [{"id": MODEL}]}
+    endpoint.then(*[says(reply_text(items(1)))] * 3)
+    tried = run(app, ["llm", "check", str(file)])
+    assert tried.exit_code == 0, tried.output
+    assert "replies will be asked for as json_schema" in tried.stdout
+    endpoint.then(*[says("no")] * 3)
+    assert run(app, ["llm", "check", str(file)]).exit_code == 1
+    endpoint.reset()
+    endpoint.then(says(reply_text(items(POPULATION))))
+    campaign = submit(client, body(endpoint, differential="never"))
+    worker(client).work(campaign)
+    told = run(app, ["llm", "log", campaign, "--server", str(client.base_url), "--out", str(tmp_path / "r")])
+    assert told.exit_code == 0, told.output
+    assert "1 calls, 1000 tokens" in told.stdout
+    assert json.loads((tmp_path / "r" / "reply-0-0.json").read_text())["choices"]
