@@ -297,7 +297,7 @@ async def _write_all(
     files = [folder / name for name in ("boundary.csv", "boundary.json", "archive.npz")]
     with screen.status("comparing with a control") as status:
         fetched = await fetch_archive(api, campaign_id)
-        found = await fetch_findings(api, campaign_id, fetched.plan.problem)
+        found = await fetch_findings(api, fetched)
         for findings in found:
             files += findings.write(folder)
         control = in_words(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)

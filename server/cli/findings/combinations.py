@@ -16,8 +16,8 @@ from search.levels import slots_of
 from server.cli.api import Api, CoordinatorSaid
 from server.cli.findings.drawing import Drawing
 from server.cli.options import AsJson, CampaignId, Database, Server, console, print_json, with_api
+from server.cli.pictures import FetchedArchive
 from server.cli.replays import NoTrace, fetch_trace
-from server.problems.base import Problem
 from sim.replay.side_by_side import Row, side_by_side
 
 SHOWN = 10
@@ -62,13 +62,13 @@ class CombinationFindings:
         return hints
 
 
-async def fetch_combinations(api: Api, campaign_id: str, problem: Problem) -> CombinationFindings | None:
+async def fetch_combinations(api: Api, fetched: FetchedArchive) -> CombinationFindings | None:
     """Return what a campaign found about combinations; None if its space has no ordered techniques."""
     try:
-        slots_of(problem.space)
+        slots_of(fetched.plan.problem.space)
     except UnsupportedSpace:
         return None
-    return CombinationFindings(await api.get(f"/campaigns/{campaign_id}/combinations"))
+    return CombinationFindings(await api.get(f"/campaigns/{fetched.id}/combinations"))
 
 
 def combinations(

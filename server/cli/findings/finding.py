@@ -10,7 +10,7 @@ from server.cli.api import Api
 from server.cli.findings.combinations import fetch_combinations
 from server.cli.findings.drawing import Drawing
 from server.cli.findings.violations import fetch_violations
-from server.problems.base import Problem
+from server.cli.pictures import FetchedArchive
 
 
 class Findings(Protocol):
@@ -43,10 +43,7 @@ class Findings(Protocol):
         ...
 
 
-async def fetch_findings(api: Api, campaign_id: str, problem: Problem) -> Sequence[Findings]:
+async def fetch_findings(api: Api, fetched: FetchedArchive) -> Sequence[Findings]:
     """Return all kinds of findings that a campaign's problem has."""
-    found = [
-        await fetch_combinations(api, campaign_id, problem),
-        await fetch_violations(api, campaign_id, problem),
-    ]
+    found = [await fetch_combinations(api, fetched), await fetch_violations(api, fetched)]
     return [one for one in found if one is not None]

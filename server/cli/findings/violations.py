@@ -7,16 +7,20 @@ import json
 from pathlib import Path
 from typing import Annotated, Any, Final
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.table import Table
 
+from search.algorithms.multi_objective import CRITICALITY, MultiObjectiveConfig
+from search.component import FloatArray
 from server.cli.api import Api, CoordinatorSaid
 from server.cli.findings.drawing import Drawing
 from server.cli.options import AsJson, CampaignId, Database, Server, console, print_json, with_api
+from server.cli.pictures import FetchedArchive
 from server.cli.replays import NoTrace, fetch_trace
 from server.errors import FieldError, InvalidInput
-from server.problems.base import Problem, TellsViolations
+from server.problems.base import TellsViolations
 from sim.replay import render
 
 SHOWN: Final = 12
@@ -29,12 +33,14 @@ class ViolationFindings:
 
     Args:
         found: As the coordinator tells it.
+        fetched: The campaign.
     """
 
     name = "violations"
 
-    def __init__(self, found: dict[str, Any]) -> None:
+    def __init__(self, found: dict[str, Any], fetched: FetchedArchive) -> None:
         self._found = found
+        self._fetched = fetched
 
     def sentence(self) -> str:
         """Return it in a sentence."""
@@ -49,8 +55,11 @@ class ViolationFindings:
         return write_violations(self._found, folder)
 
     async def draw(self, drawing: Drawing) -> list[Path]:
-        """Draw how many types were known when, and a replay of the first solution of each of the commonest."""
+        """Draw types over time, how the fronts moved, and a replay of each of the commonest types."""
         files = [await asyncio.to_thread(draw_types, self._found, drawing.folder)]
+        if isinstance(self._fetched.plan.config, MultiObjectiveConfig):
+            criticality = await _criticality(drawing.api, self._fetched)
+            files.append(await asyncio.to_thread(draw_fronts, self._fetched, criticality, drawing.folder))
         return files + await draw_gallery(self._found, drawing)
 
     def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
@@ -62,11 +71,11 @@ class ViolationFindings:
         return hints
 
 
-async def fetch_violations(api: Api, campaign_id: str, problem: Problem) -> ViolationFindings | None:
+async def fetch_violations(api: Api, fetched: FetchedArchive) -> ViolationFindings | None:
     """Return what a campaign found about violations; None if its problem tells none."""
-    if not isinstance(problem, TellsViolations):
+    if not isinstance(fetched.plan.problem, TellsViolations):
         return None
-    return ViolationFindings(await api.get(f"/campaigns/{campaign_id}/violations"))
+    return ViolationFindings(await api.get(f"/campaigns/{fetched.id}/violations"), fetched)
 
 
 def violations(
@@ -200,6 +209,33 @@ def draw_types(found: dict[str, Any], folder: Path) -> Path:
     axes.legend(frameon=False)
     path = folder / "violation-types.png"
     figure.savefig(path, dpi=120)
+    return path
+
+
+async def _criticality(api: Api, fetched: FetchedArchive) -> FloatArray:
+    """Return the criticality of all archived solutions, in the archive's order."""
+    found: dict[int, float] = {}
+    after: int | None = -1
+    while after is not None:
+        page = await api.get(f"/campaigns/{fetched.id}/solutions", {"after": after, "limit": 1000})
+        for solution in page["solutions"]:
+            if solution["objectives"] is not None:
+                found[solution["number"]] = solution["objectives"][CRITICALITY]
+        after = page["next"]
+    return np.array([found[int(number)] for number in fetched.archive.numbers])
+
+
+def draw_fronts(fetched: FetchedArchive, criticality: FloatArray, folder: Path) -> Path:
+    """Draw how the Pareto front moved."""
+    # matplotlib takes half a second to load: only those who draw wait for it.
+    from server.plots.fronts import figure_fronts
+
+    figure = figure_fronts(
+        fetched.body.name, fetched.plan.problem.space, fetched.archive.vectors, fetched.generations,
+        criticality, fetched.plan.config,
+    )  # fmt: skip
+    path = folder / "fronts.png"
+    figure.savefig(path)
     return path
 
 
