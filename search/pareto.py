@@ -53,6 +53,24 @@ def ranks(objectives: FloatArray) -> IntArray:
     return front
 
 
+def first_front(first: FloatArray, second: FloatArray) -> IntArray:
+    """Return the positions of the points that nobody dominates, ascending by the first of two objectives.
+
+    Sorts and sweeps, so that it does for any number of points.
+
+    Args:
+        first: Minimised, no NaN, shape ``(n,)``.
+        second: Minimised, no NaN, shape ``(n,)``.
+    """
+    order = np.lexsort((second, first))
+    kept: list[int] = []
+    for place in order.tolist():
+        same = kept and (first[kept[-1]], second[kept[-1]]) == (first[place], second[place])
+        if not kept or same or second[place] < second[kept[-1]]:
+            kept.append(place)
+    return np.array(kept, np.int64)
+
+
 def crowding(objectives: FloatArray) -> FloatArray:
     """Return the crowding distance of each row of one front; infinite at the ends of every objective.
 

@@ -62,6 +62,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
                     sweeper
                 )  # cancelled, it would leave its thread with a connection of engines that are gone
             loop = asyncio.get_running_loop()
+            await loop.run_in_executor(None, context.seeds.close)
             await loop.run_in_executor(None, context.queue.close)
             await loop.run_in_executor(None, context.queue.writer.close)
             engines.dispose()
@@ -102,7 +103,9 @@ def _context(settings: Settings, engines: Engines, loop: asyncio.AbstractEventLo
         settings=settings,
         engines=engines,
         queue=queue,
-        campaigns=CampaignService(engines=engines, writer=writer, stepper=stepper, queue=queue),
+        campaigns=CampaignService(
+            engines=engines, writer=writer, stepper=stepper, queue=queue, llm_endpoints=settings.llm_endpoints
+        ),
         archives=Archives(engines=engines, stepper=stepper),
         seeds=seeds,
     )

@@ -34,6 +34,13 @@ class Settings(BaseSettings):
     max_stored_distances: Annotated[
         int, Field(ge=0, description="Solutions past which distance blocks are no longer stored.")
     ] = 20_000
+    llm_endpoints: Annotated[
+        str,
+        Field(
+            description="Where campaigns may ask language models: base URLs, separated by commas; * for any. "
+            "Without it: this machine alone, and without a key."
+        ),
+    ] = ""
     log_level: str = "info"
 
     @field_validator("token")

@@ -105,10 +105,10 @@ def code_fingerprint(packages: Sequence[str]) -> str:
     """Return what identifies the code and the weights that decide an episode: 12 hexadecimal digits.
 
     Args:
-        packages: Parts of `sim`, such as ``aeb``.
+        packages: Folders of the project, such as ``sim/aeb``.
     """
     digest = hashlib.sha256()
-    root = Path(__file__).parent
+    root = Path(__file__).parent.parent
     for package in packages:
         for file in sorted((root / package).rglob("*")):
             if file.suffix in (".py", ".onnx"):

@@ -57,9 +57,23 @@ def upgrade() -> None:
         ),
         sa.PrimaryKeyConstraint("campaign_id", "request", "turn", name=op.f("pk_llm_calls")),
     )
+    op.create_table(
+        "seed_claims",
+        sa.Column("campaign_id", sa.String(length=16), nullable=False),
+        sa.Column("owner", sa.String(length=32), nullable=False),
+        sa.Column("expires_at", server.db.types.UtcDateTime(timezone=True), nullable=False),
+        sa.ForeignKeyConstraint(
+            ["campaign_id"],
+            ["campaigns.id"],
+            name=op.f("fk_seed_claims_campaign_id_campaigns"),
+            ondelete="CASCADE",
+        ),
+        sa.PrimaryKeyConstraint("campaign_id", name=op.f("pk_seed_claims")),
+    )
 
 
 def downgrade() -> None:
+    op.drop_table("seed_claims")
     op.drop_table("llm_calls")
     op.drop_table("violation_names")
     op.drop_column("solutions", "origin")

@@ -7,6 +7,7 @@ as soon as it has two participants, because all pairs count; decisions about wha
 Source: Tian et al., diversity of solutions.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -70,11 +71,11 @@ def encounter_distances(first: RolledOut, second: RolledOut) -> FloatArray:
     Returns:
         Distances in m, shape ``(n, m)``.
     """
-    rows = []
-    for start in range(0, len(first), _ROWS):
-        sums, shared = trajectory_distances(first.take(slice(start, start + _ROWS)), second)
-        rows.append(sums.sum(axis=(2, 3)) / (shared > 0).sum(axis=(2, 3)))
-    return np.concatenate(rows) if rows else np.empty((0, len(second)))
+    found = np.empty((len(first), len(second)))
+    for rows, columns in _blocks(len(first), len(second)):
+        sums, shared = trajectory_distances(first.take(rows), second.take(columns))
+        found[rows, columns] = sums.sum(axis=(2, 3)) / (shared > 0).sum(axis=(2, 3))
+    return found
 
 
 def participant_distances(first: RolledOut, second: RolledOut) -> FloatArray:
@@ -83,13 +84,19 @@ def participant_distances(first: RolledOut, second: RolledOut) -> FloatArray:
     Returns:
         Distances in m, NaN where there is nobody, shape ``(n, p)``.
     """
-    rows = []
-    for start in range(0, len(first), _ROWS):
-        sums, shared = trajectory_distances(first.take(slice(start, start + _ROWS)), second)
-        pairs = (shared > 0).sum(axis=(1, 3))
-        totals = sums.sum(axis=(1, 3))
-        rows.append(np.divide(totals, pairs, out=np.full(pairs.shape, np.nan), where=pairs > 0))
-    return np.concatenate(rows) if rows else np.empty(first.actions.shape)
+    totals, pairs = np.zeros(first.actions.shape), np.zeros(first.actions.shape)
+    for rows, columns in _blocks(len(first), len(second)):
+        sums, shared = trajectory_distances(first.take(rows), second.take(columns))
+        totals[rows] += sums.sum(axis=(1, 3))
+        pairs[rows] += (shared > 0).sum(axis=(1, 3))
+    return np.where(pairs > 0, totals / np.maximum(pairs, 1.0), np.nan)
+
+
+def _blocks(rows: int, columns: int) -> Iterator[tuple[slice, slice]]:
+    """Yield the blocks of a matrix of distances."""
+    for row in range(0, rows, _ROWS):
+        for column in range(0, columns, _ROWS):
+            yield slice(row, row + _ROWS), slice(column, column + _ROWS)
 
 
 def matched_distance(first: RolledOut, second: RolledOut) -> float:

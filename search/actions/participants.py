@@ -9,7 +9,7 @@ that magnitudes of different actions compare. Source: Tian et al., encoding of s
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
@@ -231,8 +231,3 @@ def written(participant: Participant, names: Names) -> dict[str, float]:
         values[duration] = gene.duration_s
         values[magnitude] = share_of(gene.action, gene.magnitude)
     return values
-
-
-def total_s(genes: Sequence[Gene]) -> float:
-    """Return how long actions take together."""
-    return math.fsum(gene.duration_s for gene in genes)

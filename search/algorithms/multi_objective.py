@@ -22,7 +22,7 @@ from search.archive import Archive
 from search.component import BoolArray, FloatArray, frozen_array
 from search.document import Document
 from search.errors import DocumentError
-from search.pareto import ranks_and_crowding
+from search.pareto import ranks_and_crowding, survivors
 from search.seeding import Origin
 from search.settings import setting
 from search.space import SearchSpace
@@ -240,8 +240,7 @@ def survived(state: S, evaluations: Mapping[int, Evaluation], genome: Genome) ->
     pool = [*state.population, *fresh]
     diversity = diversities(genome, book, pool, state.config)
     objectives = np.stack([book.criticality[pool], -diversity], axis=1)
-    front, crowding = ranks_and_crowding(objectives)
-    kept = np.lexsort((-crowding, front))[: state.config.population_size].tolist()
+    kept = survivors(objectives, state.config.population_size).tolist()
     before = {book.rows[number].tobytes() for number in state.front}
     told = replace(
         state,

@@ -319,7 +319,8 @@ def _received(state: MumoeaState, rows: Sequence[Child], genome: Genome) -> Mumo
 def different_enough(state: MumoeaState, rows: Sequence[FloatArray], genome: Genome) -> list[bool]:
     """Return which seeds differ from what is known: on the mean as much as known ones do among themselves.
 
-    No seed may lie nearer to a solution that exposed a violation than a share of that.
+    No seed may lie nearer than a share of that to a solution that exposed a violation, to a seed that was taken, or
+    to an earlier one of these that is taken.
     """
     if not rows:
         return []
@@ -328,11 +329,21 @@ def different_enough(state: MumoeaState, rows: Sequence[FloatArray], genome: Gen
     known = genome.rolled_out(genome.solution(state.book.rows[number]) for number in numbers)
     among = matched_distances(known, known)[np.triu_indices(len(numbers), 1)]
     median_m = float(np.median(among)) if among.size else 0.0
-    apart = matched_distances(genome.rolled_out(genome.solution(row) for row in rows), known)
+    proposed = genome.rolled_out(genome.solution(row) for row in rows)
+    apart = matched_distances(proposed, known)
     mean_m = apart.mean(axis=1) if numbers else np.full(len(rows), np.inf)
     least_m = apart[:, : len(exposed)].min(axis=1, initial=np.inf)
-    fine = (mean_m >= median_m) & (least_m >= state.config.least_share * median_m)
-    return [bool(differs) for differs in fine]
+    taken = genome.rolled_out(genome.solution(row) for row, _ in state.taken)
+    least_m = np.minimum(least_m, matched_distances(proposed, taken).min(axis=1, initial=np.inf))
+    between = matched_distances(proposed, proposed)
+    enough_m = state.config.least_share * median_m
+    fine: list[bool] = []
+    for place in range(len(rows)):
+        nearest_m = min(
+            (float(between[place, other]) for other in range(place) if fine[other]), default=np.inf
+        )
+        fine.append(bool(mean_m[place] >= median_m and min(least_m[place], nearest_m) >= enough_m))
+    return fine
 
 
 def _majorly_mutated(state: MumoeaState, genome: Genome, rng: np.random.Generator) -> Child:

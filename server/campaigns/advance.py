@@ -132,33 +132,30 @@ class Stepper:
             raise
 
     def _seed(self, campaign: Campaign, live: Live) -> bool:
-        """Take the seeds that the algorithm waits for, if they have come; return whether they had."""
-        seeded = self._seeded(campaign, live)
-        if seeded is None:
-            return False
-        self._live[campaign.id] = seeded
-        if wanted_seeds(seeded.plan, seeded.state) is not None:
-            return True
-        state, candidates = asked(seeded.plan, seeded.state)
-        solutions = new_solutions(seeded.plan.problem, candidates, state, campaign.body.seed)
-        if not self._writer.submit(
-            lambda connection: step_store.write_asked(connection, campaign, solutions)
-        ).result():
-            self._live.pop(campaign.id, None)
-            return False
-        self._live[campaign.id] = Live(plan=live.plan, generation=campaign.generation, state=state)
-        log.info("campaign=%s generation=%d seeded", campaign.id, campaign.generation)
-        return True
+        """Take the seeds that the algorithm waits for, if they have come; return whether they had.
 
-    def _seeded(self, campaign: Campaign, live: Live) -> Live | None:
-        """Return the state after the seeds that it waits for, or None if they have not come yet."""
-        algorithm, request = live.plan.algorithm, wanted_seeds(live.plan, live.state)
+        The state with them is the new checkpoint: whatever happens then, nobody needs to be asked again.
+        """
+        plan, algorithm = live.plan, live.plan.algorithm
+        request = wanted_seeds(plan, live.state)
         assert isinstance(algorithm, Seeded)
         assert request is not None
-        proposals = self._seeds.proposals(campaign, live.plan.problem, request)
+        proposals = self._seeds.proposals(campaign, plan.problem, request)
         if proposals is None:
-            return None
-        return Live(plan=live.plan, generation=live.generation, state=algorithm.seeded(live.state, proposals))
+            return False
+        seeded = algorithm.seeded(live.state, proposals)
+        checkpoint = _checkpoint(plan, seeded, campaign.generation)
+        state, candidates = asked(plan, seeded)
+        solutions = new_solutions(plan.problem, candidates, state, campaign.body.seed)
+        written = self._writer.submit(
+            lambda connection: step_store.write_seeded(connection, campaign, checkpoint, solutions)
+        ).result()
+        if not written:
+            self._live.pop(campaign.id, None)
+            return False
+        self._live[campaign.id] = Live(plan=plan, generation=campaign.generation, state=state)
+        log.info("campaign=%s generation=%d seeded", campaign.id, campaign.generation)
+        return True
 
     def _tell(self, campaign: Campaign, live: Live, jobs: Sequence[Row[*tuple[Any, ...]]]) -> bool:
         began = time.perf_counter()
@@ -223,12 +220,7 @@ class Stepper:
                 step_s=time.perf_counter() - began,
             ),
             block=self._block(archive),
-            checkpoint=Checkpoint(
-                generation=campaign.generation + 1,
-                document=plan.algorithm.dump(told).to_bytes(),
-                neighbours=archive.neighbours.astype("<i8").tobytes(),
-                unsafe_neighbours=archive.unsafe_neighbours.astype("<i8").tobytes(),
-            ),
+            checkpoint=_checkpoint(plan, told, campaign.generation + 1),
             asked=solutions,
             traces=self._evidence(campaign, plan, archive, boundary) if finished else (),
             status=CampaignStatus.FINISHED if finished else CampaignStatus.RUNNING,
@@ -261,11 +253,6 @@ class Stepper:
 
     def _restore(self, campaign: Campaign) -> Live:
         """Return the state from the database, with its pending generation asked again."""
-        if campaign.generation == 0:
-            live, _ = first_generation(campaign.body)
-            with self._engines.reader.connect() as connection:
-                stored_vectors = step_store.read_vectors(connection, campaign.id, 0)
-            return self._asked_again(campaign, live, stored_vectors)
         plan = make_plan(campaign.body)
         with self._engines.reader.connect() as connection:
             now = store.find_campaign(connection, campaign.id)
@@ -274,33 +261,20 @@ class Stepper:
             stored_vectors = step_store.read_vectors(connection, campaign.id, campaign.generation)
         if now is None or now.generation != campaign.generation:
             raise _MovedOn
-        if checkpoint is None or checkpoint.generation != campaign.generation:
+        if checkpoint is None and campaign.generation == 0:
+            live, _ = first_generation(campaign.body)
+        elif checkpoint is None or checkpoint.generation != campaign.generation:
             raise ValueError(f"campaign {campaign.id}: no checkpoint of generation {campaign.generation}")
-        state = plan.algorithm.load(
-            plan.problem.space,
-            plan.config,
-            Document.from_bytes(checkpoint.document),
-            restored_archive(plan, stored),
-        )
-        live = Live(plan=plan, generation=campaign.generation, state=asked(plan, state)[0])
-        live = self._asked_again(campaign, live, stored_vectors)
+        else:
+            state = plan.algorithm.load(
+                plan.problem.space,
+                plan.config,
+                Document.from_bytes(checkpoint.document),
+                restored_archive(plan, stored),
+            )
+            live = Live(plan=plan, generation=campaign.generation, state=asked(plan, state)[0])
+        _check_same(campaign, live.state.pending, stored_vectors)
         log.info("campaign=%s restored at generation %d", campaign.id, campaign.generation)
-        return live
-
-    def _asked_again(self, campaign: Campaign, live: Live, stored: Mapping[int, bytes]) -> Live:
-        """Return a restored state with its pending generation, seeds that had come taken again.
-
-        Raises:
-            InvalidInput: It asks for others than those that are being simulated.
-            Unavailable: The seeds that had come cannot be had.
-        """
-        while stored and wanted_seeds(live.plan, live.state) is not None:
-            seeded = self._seeded(campaign, live)
-            if seeded is None:
-                raise Unavailable(f"campaign {campaign.id}: the seeds of its generation are being read again")
-            state, _ = asked(seeded.plan, seeded.state)
-            live = Live(plan=live.plan, generation=live.generation, state=state)
-        _check_same(campaign, live.state.pending, stored)
         return live
 
     def _end(
@@ -313,6 +287,17 @@ class Stepper:
             )
         ).result()
         log.warning("campaign=%s %s: %s", campaign.id, status, reason)
+
+
+def _checkpoint(plan: Plan, state: Any, generation: int) -> Checkpoint:
+    """Return a state that has asked nothing yet, as it is stored."""
+    archive: Archive = state.archive
+    return Checkpoint(
+        generation=generation,
+        document=plan.algorithm.dump(state).to_bytes(),
+        neighbours=archive.neighbours.astype("<i8").tobytes(),
+        unsafe_neighbours=archive.unsafe_neighbours.astype("<i8").tobytes(),
+    )
 
 
 def _finite(value: float) -> float | None:

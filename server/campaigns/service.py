@@ -6,6 +6,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from datetime import datetime
 from typing import TypeVar
+from urllib.parse import urlsplit
 
 from sqlalchemy import Connection
 
@@ -22,11 +23,13 @@ from server.db.engine import Engines
 from server.db.models import CampaignStatus
 from server.db.writer import Writer
 from server.errors import Conflict, FieldError, InvalidInput, NotFound
+from server.llm.settings import LlmSettings
 from server.problems.base import ChecksInputs, Describes
 from server.queue.service import QueueService
 
 T = TypeVar("T")
 MAX_ID = 16
+LOOPBACK_NAMES = ("127.0.0.1", "::1", "localhost")
 LLM = "llm"
 """What an algorithm's setting `seeder` is that wants seeds from a language model."""
 
@@ -42,7 +45,7 @@ def check_submission(body: CampaignBody) -> tuple[Live, list[NewSolution]]:
         raise InvalidInput(
             [FieldError(pointer=f"/problem/params/{name}", message=message) for name, message in wrong]
         )
-    _check_seeder(plan)
+    check_seeder(plan)
     try:
         plan.algorithm.check(plan.problem.space, plan.config, budget=body.budget.simulations)
     except UnsupportedSpace as error:
@@ -56,7 +59,7 @@ def check_submission(body: CampaignBody) -> tuple[Live, list[NewSolution]]:
     return first_generation(body)
 
 
-def _check_seeder(plan: Plan) -> None:
+def check_seeder(plan: Plan) -> None:
     """Check that who asks for a language model has one, and the other way round.
 
     Raises:
@@ -74,6 +77,27 @@ def _check_seeder(plan: Plan) -> None:
         raise InvalidInput([FieldError(pointer="/problem/id", message=message)])
 
 
+def _check_endpoint(llm: LlmSettings | None, allowed: str) -> None:
+    """Check that a campaign may ask its language model from here, with the key that it names.
+
+    Whoever may submit a campaign could otherwise have any variable of this machine sent anywhere.
+
+    Raises:
+        InvalidInput: It may not.
+    """
+    if llm is None:
+        return
+    bases = [base for one in allowed.split(",") if (base := one.strip().rstrip("/"))]
+    own = urlsplit(llm.endpoint).hostname in LOOPBACK_NAMES and llm.api_key_env is None
+    listed = any(base == "*" or f"{llm.endpoint}/".startswith(f"{base}/") for base in bases)
+    if not own and not listed:
+        message = (
+            f"this coordinator may ask {', '.join(bases) or 'models on its own machine, without a key'}, not "
+            f"{llm.endpoint}; whoever runs it can allow that in BRINK_LLM_ENDPOINTS"
+        )
+        raise InvalidInput([FieldError(pointer="/llm/endpoint", message=message)])
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignService:
     """Campaigns of one coordinator process."""
@@ -82,6 +106,7 @@ class CampaignService:
     writer: Writer
     stepper: Stepper
     queue: QueueService
+    llm_endpoints: str = ""
 
     async def submit(self, body: CampaignBody, key: str | None = None) -> tuple[Campaign, bool]:
         """Store a campaign with its first generation.
@@ -101,6 +126,7 @@ class CampaignService:
             known = await self._read(lambda connection: store.find_by_key(connection, key))
             if known is not None:
                 return _same(known, body), False
+        _check_endpoint(body.llm, self.llm_endpoints)
         live, solutions = await asyncio.get_running_loop().run_in_executor(None, check_submission, body)
         campaign_id = secrets.token_hex(4)
 

@@ -55,13 +55,20 @@ def insert_solutions(
         insert_jobs(connection, campaign, jobs, kind)
 
 
-def write_asked(connection: Connection, campaign: Campaign, solutions: Sequence[NewSolution]) -> bool:
-    """Store a generation that waited for seeds, unless the campaign has moved on; return whether it was stored."""
+def write_seeded(
+    connection: Connection, campaign: Campaign, checkpoint: Checkpoint, solutions: Sequence[NewSolution]
+) -> bool:
+    """Store the state of a generation that waits for seeds after some came, and the generation once it is asked.
+
+    Returns:
+        Whether it was stored: False if the campaign has moved on, was paused, cancelled or deleted.
+    """
     now = find_campaign(connection, campaign.id, lock=True)
     if now is None or now.status is not CampaignStatus.RUNNING or now.generation != campaign.generation:
         return False
     if read_vectors(connection, campaign.id, campaign.generation):
         return False
+    _save_checkpoint(connection, campaign.id, checkpoint)
     insert_solutions(connection, campaign, campaign.generation, solutions)
     return True
 
@@ -246,18 +253,21 @@ def _write_archive(connection: Connection, step: Step) -> None:
                 sha256=hashlib.sha256(block.data).hexdigest(), data=block.data,
             )
         )  # fmt: skip
-    saved = step.checkpoint
-    connection.execute(delete(CheckpointRow).where(CheckpointRow.campaign_id == step.campaign))
+    _save_checkpoint(connection, step.campaign, step.checkpoint)
+
+
+def _save_checkpoint(connection: Connection, campaign_id: str, saved: Checkpoint) -> None:
+    connection.execute(delete(CheckpointRow).where(CheckpointRow.campaign_id == campaign_id))
     connection.execute(
         insert(CheckpointRow).values(
-            campaign_id=step.campaign, generation=saved.generation, document=saved.document,
+            campaign_id=campaign_id, generation=saved.generation, document=saved.document,
             neighbours=saved.neighbours, unsafe_neighbours=saved.unsafe_neighbours, sha256=saved.sha256(),
         )
     )  # fmt: skip
 
 
 def find_checkpoint(connection: Connection, campaign_id: str) -> Checkpoint | None:
-    """Return a campaign's checkpoint, or None before its first generation was told.
+    """Return a campaign's checkpoint, or None before its first generation was told or seeded.
 
     Raises:
         ValueError: The stored checksum does not fit: the database is damaged.

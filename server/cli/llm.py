@@ -5,11 +5,13 @@ from pathlib import Path
 from typing import Annotated, Any, Final
 
 import typer
+from rich.markup import escape
 from rich.table import Table
 
 from search.seeding import SeedRequest
 from server.campaigns.body import CampaignBody, read_campaign_file
 from server.campaigns.plan import make_plan
+from server.campaigns.service import check_seeder
 from server.cli.api import Api
 from server.cli.options import (
     AsJson,
@@ -60,11 +62,13 @@ def check(file: CampaignFile, as_json: AsJson = False) -> None:
 def _print_report(settings: LlmSettings, report: EndpointReport) -> None:
     screen = console()
     if report.trouble:
-        screen.print(f"[red]{settings.endpoint}: {report.trouble}[/red]", soft_wrap=True)
+        screen.print(f"[red]{escape(settings.endpoint)}: {escape(report.trouble)}[/red]", soft_wrap=True)
         return
     if report.model_listed is False:
-        known = ", ".join((report.models or ())[:10])
-        screen.print(f"[yellow]{settings.model} is not among the models that it lists: {known}[/yellow]")
+        known = escape(", ".join((report.models or ())[:10]))
+        screen.print(
+            f"[yellow]{escape(settings.model)} is not among the models that it lists: {known}[/yellow]"
+        )
     table = Table(box=None, pad_edge=False, header_style="dim")
     for name in (
         "form of a reply",
@@ -78,12 +82,12 @@ def _print_report(settings: LlmSettings, report: EndpointReport) -> None:
         table.add_column(name)
     for one in report.modes:
         table.add_row(
-            one.mode, _yes(one.accepted), _yes(one.usable), _yes(one.usage_stated), one.finish_reason or "–",
-            "–" if one.latency_s is None else f"{one.latency_s:.1f}", one.trouble or "",
+            one.mode, _yes(one.accepted), _yes(one.usable), _yes(one.usage_stated), escape(one.finish_reason or "–"),
+            "–" if one.latency_s is None else f"{one.latency_s:.1f}", escape(one.trouble or ""),
         )  # fmt: skip
     screen.print(table)
     works = f"works: replies will be asked for as {report.mode}" if report.works else "gives no usable reply"
-    screen.print(f"{settings.model} at {settings.endpoint} {works}")
+    screen.print(f"{settings.model} at {settings.endpoint} {works}", markup=False)
 
 
 def _yes(value: bool) -> str:
@@ -105,10 +109,9 @@ def dry_run(
     body = read_campaign_file(file)
     settings = _settings(body)
     plan = make_plan(body)
+    check_seeder(plan)
     problem = plan.problem
-    if not isinstance(problem, Describes):
-        message = f"{body.problem.id} cannot be described to a language model"
-        raise InvalidInput([FieldError(pointer="/problem/id", message=message)])
+    assert isinstance(problem, Describes)  # checked
     config: Any = plan.config
     initial = config.population_size if getattr(config, "initial", "") == "seeds" else 0
     request = SeedRequest(number=0, count=initial or config.seeds)
@@ -173,7 +176,7 @@ def _print_calls(found: dict[str, Any]) -> None:
         table.add_row(
             str(call["request"]), str(call["turn"]), call["outcome"],
             "–" if tokens is None else f"{tokens}{' (estimate)' if call['estimated'] else ''}",
-            _money(call["cost"]), f"{call['latency_s']:.1f}", call["error"] or "",
+            _money(call["cost"]), f"{call['latency_s']:.1f}", escape(call["error"] or ""),
         )  # fmt: skip
     screen = console()
     screen.print(table)

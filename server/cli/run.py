@@ -105,7 +105,8 @@ def run(
     )  # fmt: skip
     live, _ = check_submission(plan.body)
     _check_extra(live.plan.problem)
-    settings = settings_with(database=database, port=port)
+    # The campaign is the user's own, and so is the coordinator: it may ask whom the file names.
+    settings = settings_with(database=database, port=port, llm_endpoints="*")
     screen = Console(stderr=True, highlight=False) if as_json else console()
     out.mkdir(parents=True, exist_ok=True)  # what cannot be written is known before an hour of simulations
     prepare_database(settings)

@@ -290,6 +290,16 @@ class LlmCallRow(Base):
     called_at: Mapped[datetime]
 
 
+class SeedClaimRow(Base):
+    """Which coordinator asks for a campaign's seeds now: the others wait, until the claim expires."""
+
+    __tablename__ = "seed_claims"
+
+    campaign_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="CASCADE"), primary_key=True)
+    owner: Mapped[str] = mapped_column(String(32))
+    expires_at: Mapped[datetime]
+
+
 class TraceRow(Base):
     """The trace of a simulation."""
 

@@ -1,13 +1,21 @@
 """Seeds from language models for campaigns: asked for on threads of their own, known again after a restart.
 
-A campaign waits for its seeds and nothing else does. What a model answered is stored before it counts, so the same
-request of a campaign gives the same seeds whenever it is asked: after a restart the stored replies are read again.
+A campaign waits for its seeds and nothing else does. One coordinator at a time asks for them. What a model answered
+is stored before it counts, so the same request of a campaign gives the same seeds whenever it is asked: a coordinator
+that takes over reads the stored replies.
 """
 
 import asyncio
+import contextlib
 import logging
+import secrets
 import threading
+import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from sqlalchemy.exc import DBAPIError
 
 from search.seeding import Proposal, SeedRequest
 from server.campaigns.values import Campaign
@@ -18,11 +26,26 @@ from server.llm.client import LlmClient
 from server.llm.errors import CallLogMismatch
 from server.llm.seeder import ask
 from server.llm.settings import LlmSettings
-from server.llm.store import CampaignCalls
+from server.llm.store import CampaignCalls, claim, release
 from server.llm.wire import Mode
 from server.problems.base import Describes, Problem
 
+HOLD_S: Final = 60.0
+"""How long a coordinator that has died keeps others from asking in its place."""
+
+LAST_ANSWERS_S: Final = 2.0
+"""How long a coordinator that stops waits for answers that are under way."""
+
 log = logging.getLogger(__name__)
+
+
+@dataclass(slots=True)
+class _Asking:
+    """A request that is being asked. Changes in place."""
+
+    words: str
+    claimed_at: float
+    thread: threading.Thread
 
 
 class LlmSeeds:
@@ -38,42 +61,68 @@ class LlmSeeds:
         self._engines = engines
         self._writer = writer
         self._came = came
+        self._owner = secrets.token_hex(8)
         self._lock = threading.Lock()
-        self._asking: dict[tuple[str, int], str] = {}
+        self._asking: dict[str, _Asking] = {}
         self._answers: dict[tuple[str, int], Sequence[Proposal]] = {}
+        self._stopping = threading.Event()
+
+    def close(self) -> None:
+        """Ask nothing more; an answer that comes at once is stored yet, and other coordinators may ask then."""
+        with self._lock:
+            self._stopping.set()
+            asking = dict(self._asking)
+        until = time.monotonic() + LAST_ANSWERS_S
+        for campaign_id, one in asking.items():
+            one.thread.join(max(0.0, until - time.monotonic()))
+            self._release(campaign_id)
 
     def proposals(
         self, campaign: Campaign, problem: Problem, request: SeedRequest
     ) -> Sequence[Proposal] | None:
-        """Return what came, perhaps nothing; None while it is not known yet."""
+        """Return what came, perhaps nothing; None while it is not known yet, here or by another coordinator."""
         settings = campaign.body.llm
         if settings is None or not isinstance(problem, Describes):
             return ()
-        key = campaign.id, request.number
         with self._lock:
-            if key in self._answers:
-                return self._answers.pop(key)
-            if key in self._asking:
+            if (campaign.id, request.number) in self._answers:
+                return self._answers.pop((campaign.id, request.number))
+            asking = self._asking.get(campaign.id)
+            if self._stopping.is_set():
                 return None
-            self._asking[key] = f"asking {settings.model} for {request.count} solutions"
+        if asking is not None:
+            if time.monotonic() - asking.claimed_at > HOLD_S / 3 and self._claimed(campaign.id):
+                asking.claimed_at = time.monotonic()
+            return None
+        if not self._claimed(campaign.id):
+            return None
+        words = f"asking {settings.model} for {request.count} solutions"
         # A daemon: a model that never answers must not keep a coordinator from stopping.
-        asking = threading.Thread(
+        thread = threading.Thread(
             target=self._ask, args=(campaign.id, settings, problem, request), name="seeds", daemon=True
         )
-        asking.start()
+        with self._lock:
+            self._asking[campaign.id] = _Asking(words, time.monotonic(), thread)
+        thread.start()
         return None
 
     def doing(self, campaign_id: str) -> str | None:
-        """Return what a campaign waits for, in words; None if it waits for no seeds."""
+        """Return what a campaign waits for, in words; None if this coordinator asks nothing for it."""
         with self._lock:
-            return next((words for (asks, _), words in self._asking.items() if asks == campaign_id), None)
+            asking = self._asking.get(campaign_id)
+        return None if asking is None else asking.words
+
+    def _claimed(self, campaign_id: str) -> bool:
+        return self._writer.submit(
+            lambda connection: claim(connection, campaign_id, self._owner, HOLD_S)
+        ).result()
 
     def _ask(self, campaign_id: str, settings: LlmSettings, problem: Describes, request: SeedRequest) -> None:
-        key = campaign_id, request.number
+        """Ask, on a thread of its own; without an answer the sweeper has it asked again."""
         answer: Sequence[Proposal] | None = None
         try:
             answer = asyncio.run(self._answer(campaign_id, settings, problem, request))
-        except Unavailable as error:
+        except (Unavailable, DBAPIError) as error:
             log.warning("campaign=%s: %s; its seeds will be asked for again", campaign_id, error)
         except CallLogMismatch as error:
             log.warning("campaign=%s: %s; it goes on without these seeds", campaign_id, error)
@@ -82,21 +131,28 @@ class LlmSeeds:
             log.exception("campaign=%s: seeds cannot be had; it goes on without them", campaign_id)
             answer = ()
         with self._lock:
-            self._asking.pop(key, None)
+            self._asking.pop(campaign_id, None)
             if answer is not None:
-                self._answers[key] = answer
-        if answer is not None:
-            self._came(campaign_id)
+                self._answers[campaign_id, request.number] = answer
+        if not self._stopping.is_set():
+            self._release(campaign_id)
+            if answer is not None:
+                self._came(campaign_id)
+
+    def _release(self, campaign_id: str) -> None:
+        with contextlib.suppress(Unavailable, DBAPIError):  # it expires
+            self._writer.submit(lambda connection: release(connection, campaign_id, self._owner)).result()
 
     async def _answer(
         self, campaign_id: str, settings: LlmSettings, problem: Describes, request: SeedRequest
     ) -> Sequence[Proposal]:
-        calls = CampaignCalls(self._engines, self._writer, campaign_id)
+        calls = CampaignCalls(self._engines, self._writer, campaign_id, self._stopping)
         known = calls.every()
         mode = known[-1].mode if known else Mode.JSON_SCHEMA
         async with LlmClient(settings, mode=mode) as client:
             answer = await ask(
                 request, road=problem.road, most=problem.most, system=problem.system, log=calls, client=client
             )
-        log.info("campaign=%s request=%d %s", campaign_id, request.number, answer.words)
+        level = logging.INFO if answer.proposals else logging.WARNING
+        log.log(level, "campaign=%s: %s", campaign_id, answer.words)
         return answer.proposals

@@ -1,23 +1,38 @@
-"""The SQL of calls of language models."""
+"""The SQL of calls of language models, and of who is asking now."""
 
-from sqlalchemy import Connection, insert, select
+import logging
+import threading
+import time
+from datetime import timedelta
+from typing import Final
+
+from sqlalchemy import Connection, delete, insert, select
 
 from server.db.clock import database_now
 from server.db.engine import Engines
-from server.db.models import LlmCallRow
+from server.db.models import LlmCallRow, SeedClaimRow
 from server.db.writer import Writer
+from server.errors import Unavailable
 from server.llm.budget import Budget
 from server.llm.calls import CallKey, Outcome, StoredCall, spent_on
 from server.llm.wire import Mode, Usage
 
+STORES_AGAIN_S: Final = 2.0
+GIVES_UP_S: Final = 600.0
+"""For how long a paid answer waits for a database that takes no writes."""
 
-def list_calls(connection: Connection, campaign_id: str) -> list[StoredCall]:
-    """Return the calls of a campaign in the order of asking."""
+log = logging.getLogger(__name__)
+
+
+def list_calls(connection: Connection, campaign_id: str, key: CallKey | None = None) -> list[StoredCall]:
+    """Return the calls of a campaign in the order of asking, or the one with a key."""
     query = (
         select(LlmCallRow.__table__)
         .where(LlmCallRow.campaign_id == campaign_id)
         .order_by(LlmCallRow.request, LlmCallRow.turn)
     )
+    if key is not None:
+        query = query.where(LlmCallRow.request == key.request, LlmCallRow.turn == key.turn)
     return [
         StoredCall(
             key=CallKey(row.request, row.turn), prompt_hash=row.prompt_hash, mode=Mode(row.mode), raw=row.reply,
@@ -49,6 +64,29 @@ def insert_call(connection: Connection, campaign_id: str, call: StoredCall) -> N
     )  # fmt: skip
 
 
+def claim(connection: Connection, campaign_id: str, owner: str, hold_s: float) -> bool:
+    """Take or keep the right to ask for a campaign's seeds; return whether it was free, expired or held already."""
+    now = database_now(connection)
+    mine = SeedClaimRow.campaign_id == campaign_id
+    held = connection.execute(select(SeedClaimRow.__table__).where(mine).with_for_update()).one_or_none()
+    if held is not None and held.owner != owner and held.expires_at > now:
+        return False
+    connection.execute(delete(SeedClaimRow).where(mine))
+    connection.execute(
+        insert(SeedClaimRow).values(
+            campaign_id=campaign_id, owner=owner, expires_at=now + timedelta(seconds=hold_s)
+        )
+    )
+    return True
+
+
+def release(connection: Connection, campaign_id: str, owner: str) -> None:
+    """Give the right up."""
+    connection.execute(
+        delete(SeedClaimRow).where(SeedClaimRow.campaign_id == campaign_id, SeedClaimRow.owner == owner)
+    )
+
+
 class CampaignCalls:
     """The calls of one campaign in the database; implements `server.llm.calls.CallLog`.
 
@@ -56,12 +94,14 @@ class CampaignCalls:
         engines: To read with.
         writer: To write with.
         campaign_id: Whose calls.
+        stopping: Set when the coordinator stops: nothing waits for the database any more.
     """
 
-    def __init__(self, engines: Engines, writer: Writer, campaign_id: str) -> None:
+    def __init__(self, engines: Engines, writer: Writer, campaign_id: str, stopping: threading.Event) -> None:
         self._engines = engines
         self._writer = writer
         self._campaign_id = campaign_id
+        self._stopping = stopping
 
     def every(self) -> list[StoredCall]:
         """Return all calls, in the order of asking."""
@@ -70,11 +110,31 @@ class CampaignCalls:
 
     def find(self, key: CallKey) -> StoredCall | None:
         """Return a call, or None if it was never made."""
-        return next((call for call in self.every() if call.key == key), None)
+        with self._engines.reader.connect() as connection:
+            found = list_calls(connection, self._campaign_id, key)
+        return found[0] if found else None
 
     def store(self, call: StoredCall) -> None:
-        """Store a call, for good, before returning."""
-        self._writer.submit(lambda connection: insert_call(connection, self._campaign_id, call)).result()
+        """Store a call, for good, before returning; what was paid for waits while nothing can be written.
+
+        Raises:
+            Unavailable: Nothing could be written for a long time.
+        """
+        until = time.monotonic() + GIVES_UP_S
+        while True:
+            try:
+                self._writer.submit(
+                    lambda connection: insert_call(connection, self._campaign_id, call)
+                ).result()
+            except Unavailable as error:
+                if time.monotonic() > until:
+                    raise
+                log.warning(
+                    "campaign=%s: a model's answer cannot be stored yet: %s", self._campaign_id, error
+                )
+                time.sleep(STORES_AGAIN_S)
+            else:
+                return
 
     def spent(self) -> Budget:
         """Return what all stored calls took."""

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from search.actions.genome import Genome
 from search.algorithms.multi_objective import Book, MultiObjectiveConfig, diversities
 from search.component import FloatArray
-from search.pareto import ranks
+from search.pareto import first_front
 from search.space import SearchSpace
 from server.plots.style import MUTED, UNSAFE, WIDTH_PX, frame, new_figure, say
 
@@ -61,9 +61,7 @@ def figure_fronts(
     chosen = np.unique(np.linspace(0, len(known) - 1, SHOWN).round().astype(int)).tolist()
     for place, shade in zip(chosen, _SHADES[-len(chosen) :], strict=True):
         end = known[place]
-        objectives = np.stack([criticality[:end], -diversity[:end]], axis=1)
-        front = np.flatnonzero(ranks(objectives) == 0)
-        front = front[np.argsort(criticality[front], kind="stable")]
+        front = first_front(criticality[:end], -diversity[:end])
         axes.plot(
             criticality[front], diversity[front], "o-", color=shade, markersize=4, linewidth=1.6,
             label=f"{end} solutions",

@@ -1,5 +1,6 @@
 """The violations that a campaign found, with their types: by the rules, or as somebody named them."""
 
+import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -7,9 +8,11 @@ from typing import Any
 from sqlalchemy import Row
 
 from server.problems.base import TellsViolations
-from server.violations.instances import instances
+from server.violations.instances import instances, scaled_circumstances
 from server.violations.rules import Signature, signature_of
 from worker.wire import Completed
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,13 +69,24 @@ def found_violations(
         FoundViolation(
             number=row.number,
             circumstances=circumstances,
-            signature=signature_of(circumstances),
+            signature=signature,
             name=names.get((row.number, str(circumstances["requirement"]))),
         )
         for row in rows
         if row.result is not None
         for circumstances in problem.violations(Completed.model_validate_json(row.result))
+        if (signature := _signature(row.number, circumstances)) is not None
     ]
+
+
+def _signature(number: int, circumstances: Mapping[str, Any]) -> Signature | None:
+    """Return the type of a violation; None if a worker told its circumstances in another form."""
+    try:
+        scaled_circumstances(circumstances)
+        return signature_of(circumstances)
+    except (LookupError, TypeError, ValueError) as error:
+        log.warning("solution %d: a violation that cannot be read: %r", number, error)
+        return None
 
 
 def by_type(found: Sequence[FoundViolation]) -> list[ViolationType]:

@@ -15,14 +15,12 @@ class Lanes:
         strip_m: Between a lane and the kerb, where cars are parked.
         pavement_m: Width of each pavement.
         crossing_streets_m: Stations of the middles of streets that cross the road.
-        length_m: Of the road.
     """
 
     lane_width_m: float
     strip_m: float
     pavement_m: float
     crossing_streets_m: tuple[float, ...]
-    length_m: float
 
 
 def lanes_of(place: UrbanScenario) -> Lanes:
@@ -33,5 +31,4 @@ def lanes_of(place: UrbanScenario) -> Lanes:
         strip_m=PARKING_STRIP_M if road.style.parking else 0.0,
         pavement_m=road.style.pavement_m,
         crossing_streets_m=tuple(j.forward_m for j in road.junctions if j.left and j.right),
-        length_m=road.length_m,
     )

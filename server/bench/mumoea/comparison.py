@@ -4,6 +4,7 @@ Every method gets the same number of simulations on the same road with the same 
 """
 
 import csv
+import hashlib
 import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -24,7 +25,12 @@ from sim.trials import code_fingerprint, single_threaded
 Told: TypeAlias = Callable[[str, int, int], None]
 """Called with what is being measured, how much of it is done, and how much there is."""
 
-DECIDING: Final = ("bullet", "driving", "encounter", "requirements", "urban", "world")
+DECIDING: Final = (
+    "search", "server/problems", "sim/bullet", "sim/driving", "sim/encounter", "sim/requirements", "sim/urban",
+    "sim/world",
+)  # fmt: skip
+"""Parts of the code that decide what a search finds: searches of other code are not taken for this one's."""
+
 LEAST_TYPES: Final = 8
 _POINTS: Final = 40
 _COLOURS: Final = ("#0072b2", "#56b4e9", "#009e73", "#d55e00", "#e69f00", "#7f7f7f")
@@ -64,7 +70,7 @@ class Comparison:
         self._folder = folder
         self._processes = processes
         self._told = told
-        runs = folder / f"runs-{code_fingerprint(DECIDING)}-{params.road_curve}-{params.driving_task}"
+        runs = folder / f"runs-{_identity(params)}"
         self._tasks = [
             Task(method=method, seed=seed, simulations=simulations, params=params, folder=runs)
             for seed in range(1, seeds + 1)
@@ -132,6 +138,13 @@ class Comparison:
         axes.spines[["top", "right"]].set_visible(False)
         axes.legend(frameon=False, fontsize=8)
         figure.savefig(self._folder / "types.png", dpi=120)
+
+
+def _identity(params: NpcActionsParams) -> str:
+    """Return what tells searches of this code, these settings and this problem from others."""
+    settings = [(name, algorithm.id, repr(config)) for name, (algorithm, config) in METHODS.items()]
+    told = repr((settings, params, code_fingerprint(DECIDING)))
+    return hashlib.sha256(told.encode()).hexdigest()[:12]
 
 
 def _figures(measures: Sequence[Measures], name: str) -> list[float]:

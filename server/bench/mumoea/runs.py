@@ -7,13 +7,14 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
-from search.algorithm import Algorithm, Candidate, Evaluation, Scored
+from search.algorithm import Algorithm, Candidate, Evaluation, Failed, Scored
 from search.algorithms.mumoea import Mumoea, MumoeaConfig
 from search.algorithms.nsga2 import Mosat, Nsga2
 from search.algorithms.random_search import RandomSearch
 from search.streams import episode_seed
 from server.problems.npc_actions import NpcActions, NpcActionsParams
 from server.violations.rules import signature_of
+from sim.errors import SimulatorError
 from sim.trials import run_record
 
 ADAPTIVE: Final = "muMOEA"
@@ -124,7 +125,11 @@ def run_search(task: Task) -> SearchRun:
         state, candidates = algorithm.ask(state)
         answers: dict[int, Evaluation] = {}
         for candidate in candidates:
-            answers[candidate.number], cpu_s = _answer(problem, task.seed, candidate, run.found)
+            try:
+                answers[candidate.number], cpu_s = _answer(problem, task.seed, candidate, run.found)
+            except SimulatorError as error:
+                answers[candidate.number], cpu_s = Failed(reason=str(error)), 0.0
+                run = replace(run, failed=run.failed + 1)
             run = replace(run, simulations=run.simulations + 1, cpu_s=run.cpu_s + cpu_s)
         state = algorithm.tell(state, answers)
     return run

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Final
 import numpy as np
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from search.algorithms.multi_objective import CRITICALITY, MultiObjectiveConfig
@@ -113,7 +114,9 @@ def violations(
             print_json(found)
         elif number is not None:
             for one in found["violations"]:
-                console().print(f"{one['time_s']:.1f} s {one['requirement']}: {one['type']}", soft_wrap=True)
+                console().print(
+                    f"{one['time_s']:.1f} s {one['requirement']}: {one['type']}", soft_wrap=True, markup=False
+                )
         else:
             print_violations(console(), found, shown)
 
@@ -151,7 +154,7 @@ def print_violations(screen: Console, found: dict[str, Any], shown: int = SHOWN)
     for kind in types[:shown]:
         named = " [dim](named)[/dim]" if kind["named"] else ""
         table.add_row(
-            str(kind["solutions"]), str(kind["instances"]), str(kind["first"]), kind["type"] + named
+            str(kind["solutions"]), str(kind["instances"]), str(kind["first"]), escape(kind["type"]) + named
         )
     if types:
         screen.print(table)

@@ -199,6 +199,34 @@ def test_what_does_not_go_together_is_refused_at_submission(client: httpx.Client
     assert endpoint.asked == []
 
 
+def test_a_coordinator_asks_only_where_it_may_and_sends_keys_only_there(
+    database_url: str, endpoint: Endpoint
+) -> None:
+    keyed = body(endpoint, {"api_key_env": "PATH"})
+    foreign = body(endpoint, {"endpoint": "http://models.example/v1"})
+    with coordinator(database_url) as client:
+        for asks in (keyed, foreign):
+            told = expect(client.post("/api/v1/campaigns", json=asks), 422)
+            assert "BRINK_LLM_ENDPOINTS" in told["errors"][0]["message"]
+    with coordinator(database_url, llm_endpoints="http://models.example") as client:
+        expect(client.post("/api/v1/campaigns", json=keyed), 422)
+        expect(client.post("/api/v1/campaigns", json=foreign), 201)
+        near = body(endpoint, {"endpoint": "http://models.example.evil/v1"})
+        expect(client.post("/api/v1/campaigns", json=near), 422)
+    assert endpoint.asked == []
+
+
+def test_two_coordinators_ask_once_between_them(database_url: str, endpoint: Endpoint) -> None:
+    endpoint.then(*[many] * 40)
+    with coordinator(database_url) as first, coordinator(database_url) as second:
+        campaign = submit(first, body(endpoint, differential="always"))
+        stands = worker(second).work(campaign)
+        assert (stands["status"], stands["failed"]) == ("finished", 0)
+        told = calls(second, campaign)
+    assert len(told["calls"]) >= 3
+    assert len(endpoint.asked) == len(told["calls"]) == told["total_calls"]
+
+
 def test_the_command_line_tries_shows_and_tells(
     client: httpx.Client, endpoint: Endpoint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

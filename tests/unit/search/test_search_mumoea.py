@@ -235,6 +235,17 @@ def test_different_enough_is_as_far_as_known_ones_are_apart() -> None:
     assert not any(different_enough(state, exposed, GENOME)), copies
 
 
+def test_seeds_of_one_reply_must_differ_from_each_other() -> None:
+    state = run(SMALL, 4)
+    rng = np.random.default_rng(0)
+    drawn = [GENOME.row(GENOME.random(rng), None, rng) for _ in range(30)]
+    fine = [row for row, good in zip(drawn, different_enough(state, drawn, GENOME), strict=True) if good]
+    repeated = different_enough(state, [fine[0], fine[0], fine[0]], GENOME)
+    assert repeated == [True, False, False]
+    taken = replace(state, taken=((fine[0], Origin.LLM),))
+    assert different_enough(taken, [fine[0]], GENOME) == [False]
+
+
 @pytest.mark.parametrize("pattern", [*PATTERNS, *MOTIFS], ids=lambda one: one.__name__)
 def test_a_pattern_can_be_driven_as_it_is_but_for_who_stands_in_its_way(pattern: Any) -> None:
     for seed in range(20):

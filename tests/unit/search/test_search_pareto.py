@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pymoo.operators.survival.rank_and_crowding.metrics import calc_crowding_distance
 from pymoo.util.nds.non_dominated_sorting import NonDominatedSorting
 
-from search.pareto import crowding, dominates, ranks, ranks_and_crowding, survivors
+from search.pareto import crowding, dominates, first_front, ranks, ranks_and_crowding, survivors
 
 Rows = NDArray[np.float64]
 
@@ -48,6 +48,13 @@ def test_nobody_in_a_front_is_dominated_from_the_same_or_a_later_one(rows: Rows)
         assert all(front[winner] < front[loser] for winner in winners)
         if front[loser] > 0:
             assert front[loser] - 1 in front[winners]
+
+
+@given(arrays(np.float64, st.tuples(st.integers(0, 15), st.just(2)), elements=st.integers(0, 4).map(float)))
+def test_the_first_front_of_two_objectives_is_that_of_all_fronts(rows: Rows) -> None:
+    found = first_front(rows[:, 0], rows[:, 1])
+    assert sorted(found.tolist()) == np.flatnonzero(ranks(rows) == 0).tolist()
+    assert (np.diff(rows[found, 0]) >= 0).all()
 
 
 def test_crowding_of_a_known_front() -> None:

@@ -67,6 +67,6 @@ def test_a_cut_line_does_not_spoil_what_is_written_after_it(file: Path) -> None:
 
 
 def test_other_code_has_another_fingerprint() -> None:
-    assert code_fingerprint(["aeb"]) == code_fingerprint(["aeb"])
-    assert code_fingerprint(["aeb"]) != code_fingerprint(["aeb", "world"])
-    assert len(code_fingerprint(["perception"])) == 12
+    assert code_fingerprint(["sim/aeb"]) == code_fingerprint(["sim/aeb"])
+    assert code_fingerprint(["sim/aeb"]) != code_fingerprint(["sim/aeb", "sim/world"])
+    assert len(code_fingerprint(["sim/perception"])) == 12
