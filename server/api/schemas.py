@@ -85,6 +85,10 @@ class Progress(View):
     unrunnable: Annotated[
         dict[str, int], Field(description="Queued jobs by a capability that no live worker has.")
     ]
+    origins: Annotated[
+        dict[str, int],
+        Field(description="Where solutions come from, once the campaign has ended; empty if unknown."),
+    ]
     asking: Annotated[
         str | None, Field(description="What is being asked of a language model, if anything is.")
     ]

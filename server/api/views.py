@@ -83,6 +83,7 @@ def read_progress(
         elapsed_s=max(0.0, (end - campaign.created_at).total_seconds()), workers=len(seen),
         unrunnable={needs: n for needs, n in waiting.items() if needs not in capabilities},
         digest=archive_digest(archive.archive) if archive is not None else None,
+        origins=view_store.count_origins(connection, campaign.id) if ended else {},
         asking=asking,
         trouble=trouble.reason if trouble else None,
         trouble_s=trouble.span_s if trouble else 0.0,

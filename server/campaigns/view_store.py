@@ -45,6 +45,17 @@ def count_open_jobs(connection: Connection, campaign_id: str) -> dict[str, int]:
     return {str(row[0]): int(row[1]) for row in connection.execute(query)}
 
 
+def count_origins(connection: Connection, campaign_id: str) -> dict[str, int]:
+    """Return how many solutions come from where, the commonest first; empty if the algorithm does not say."""
+    query = (
+        select(SolutionRow.origin, func.count())
+        .where(SolutionRow.campaign_id == campaign_id, SolutionRow.origin.is_not(None))
+        .group_by(SolutionRow.origin)
+        .order_by(func.count().desc(), SolutionRow.origin)
+    )
+    return {str(row[0]): int(row[1]) for row in connection.execute(query)}
+
+
 def count_pending(connection: Connection, campaign: Campaign) -> int:
     """Return how many solutions the generation that is being simulated has."""
     return connection.execute(

@@ -180,6 +180,7 @@ async def _run(
         "strict_dbs": boundary["strict_dbs"],
         "grid": boundary["grid"],
         "control": written.control,
+        "origins": progress["origins"],
         "findings": {findings.name: findings.sentence() for findings in written.findings},
         "folder": str(folder),
         "files": [str(path) for path in written.files],

@@ -42,6 +42,9 @@ def print_summary(
         f"[bold]{body.name}[/bold]: {summary['simulations']} simulations{extra} in {summary['elapsed_s']:.0f} s, "
         f"{share:.0%} unsafe, {summary['failed']} failed"
     )
+    if summary["origins"]:
+        said = ", ".join(f"{count} {origin}" for origin, count in summary["origins"].items())
+        screen.print(f"solutions come from: {said}")
     for one in findings:
         one.show(screen)
         screen.print()

@@ -108,7 +108,9 @@ def test_what_is_missing_comes_from_repair_and_from_patterns(
     endpoint.then(says(reply_text([*items(4), wrong, wrong])), says(reply_text(items(2, first=10))))
     campaign = submit(client, body(endpoint, differential="never"))
     worker(client).work(campaign)
-    assert origins(client, campaign)[:POPULATION] == ["llm"] * 4 + ["llm_repair"] * 2 + ["heuristic"] * 2
+    found = origins(client, campaign)
+    assert found[:POPULATION] == ["llm"] * 4 + ["llm_repair"] * 2 + ["heuristic"] * 2
+    assert progress(client, campaign)["origins"] == {origin: found.count(origin) for origin in set(found)}
     assert [call["turn"] for call in calls(client, campaign)["calls"]] == [0, 1]
 
 
