@@ -86,7 +86,10 @@ def violations(
         typer.Option(min=0, help="Only this solution's; with --name or --unname, whose violation."),
     ] = None,
     requirement: Annotated[
-        str | None, typer.Option(help="Which of its violations; not needed if it has one.")
+        str | None,
+        typer.Option(
+            help="Only violations of this; with --name or --unname, which one if there are several."
+        ),
     ] = None,
     name: Annotated[str | None, typer.Option(help="Say what that violation is; it becomes its type.")] = None,
     unname: Annotated[bool, typer.Option("--unname", help="Give it back the type of the rules.")] = False,
@@ -108,14 +111,22 @@ def violations(
         if number is not None and (name is not None or unname):
             await _name(api, campaign, number, requirement, name)
         found = await api.get(f"/campaigns/{campaign}/violations")
-        if number is not None:
-            found["violations"] = [one for one in found["violations"] if one["number"] == number]
+        if number is not None or requirement is not None:
+            found["violations"] = [
+                one
+                for one in found["violations"]
+                if number in (None, one["number"]) and requirement in (None, one["requirement"])
+            ]
         if as_json:
             print_json(found)
-        elif number is not None:
+        elif number is not None or requirement is not None:
+            if not found["violations"]:
+                console().print("no such violation")
             for one in found["violations"]:
                 console().print(
-                    f"{one['time_s']:.1f} s {one['requirement']}: {one['type']}", soft_wrap=True, markup=False
+                    f"{one['number']} at {one['time_s']:.1f} s, {one['requirement']}: {one['type']}",
+                    soft_wrap=True,
+                    markup=False,
                 )
         else:
             print_violations(console(), found, shown)
@@ -159,7 +170,9 @@ def print_violations(screen: Console, found: dict[str, Any], shown: int = SHOWN)
     if types:
         screen.print(table)
         if len(types) > shown:
-            screen.print(f"[dim]… and {len(types) - shown} more in violations.csv[/dim]")
+            screen.print(
+                f"[dim]… and {len(types) - shown} more types: --shown {len(types)}, or violations.csv of a run[/dim]"
+            )
     screen.print(in_words(found))
 
 
