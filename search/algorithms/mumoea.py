@@ -136,6 +136,10 @@ class Mumoea:
         check_budget(budget, config.population_size)
         if config.seeds > config.population_size:
             raise ConfigError("seeds", f"expected at most population_size, got {config.seeds}")
+        if config.seeder == "llm" and config.initial == "random" and config.differential == "never":
+            raise ConfigError(
+                "seeder", "expected initial: seeds or differential seeds with llm; it is never asked"
+            )
 
     def start(self, space: SearchSpace, config: MumoeaConfig, *, seed: int, budget: int) -> MumoeaState:
         """Return the first state, with nothing asked yet."""

@@ -1,6 +1,8 @@
 """Routes of language models: what a campaign asked, what came, what it took."""
 
-from fastapi import APIRouter
+from typing import Annotated
+
+from fastapi import APIRouter, Query
 
 from server.api.context import Services
 from server.api.schemas import LlmCall, LlmCalls
@@ -12,18 +14,22 @@ router = APIRouter(prefix="/campaigns/{campaign_id}/llm-calls", tags=["language 
 
 
 @router.get("")
-async def get_llm_calls(campaign_id: str, services: Services) -> LlmCalls:
-    """Return the calls of a campaign, with the raw replies."""
+async def get_llm_calls(
+    campaign_id: str,
+    services: Services,
+    replies: Annotated[bool, Query(description="Whether to give the raw replies, too.")] = False,
+) -> LlmCalls:
+    """Return the calls of a campaign."""
     campaign = await services.campaigns.get(campaign_id)
     calls = await read(services.engines, lambda connection: list_calls(connection, campaign.id))
     spent = spent_on(calls)
     return LlmCalls(
-        calls=[_view(call) for call in calls], total_calls=spent.calls, total_tokens=spent.tokens,
+        calls=[_view(call, replies=replies) for call in calls], total_calls=spent.calls, total_tokens=spent.tokens,
         estimated_tokens=spent.estimated_tokens, cost=spent.cost,
     )  # fmt: skip
 
 
-def _view(call: StoredCall) -> LlmCall:
+def _view(call: StoredCall, *, replies: bool) -> LlmCall:
     usage = call.usage
     return LlmCall(
         request=call.key.request, turn=call.key.turn, outcome=call.outcome,
@@ -31,5 +37,5 @@ def _view(call: StoredCall) -> LlmCall:
         prompt_tokens=None if usage is None else usage.prompt_tokens,
         completion_tokens=None if usage is None else usage.completion_tokens,
         estimated=usage is not None and usage.estimated, cost=call.cost, latency_s=call.latency_s,
-        error=call.error, reply=call.raw,
+        error=call.error, reply=call.raw if replies else None,
     )  # fmt: skip

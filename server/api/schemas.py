@@ -236,7 +236,9 @@ class LlmCall(View):
     cost: Annotated[float | None, Field(description="Unknown without prices; never 0 for that.")]
     latency_s: float
     error: str | None
-    reply: Annotated[str | None, Field(description="The raw body of the reply, but for the key.")]
+    reply: Annotated[
+        str | None, Field(description="The raw body of the reply, but for the key, if asked for.")
+    ]
 
 
 class LlmCalls(View):

@@ -153,7 +153,7 @@ def log(
     """
 
     async def work(api: Api) -> None:
-        found = await api.get(f"/campaigns/{campaign}/llm-calls")
+        found = await api.get(f"/campaigns/{campaign}/llm-calls", {"replies": out is not None or as_json})
         if out is not None:
             out.mkdir(parents=True, exist_ok=True)
             for call in found["calls"]:

@@ -13,6 +13,7 @@ from search.actions.road import RoadLimits
 from search.actions.rollout import rolled_out, waypoints
 from search.actions.rule import participants_component, participants_of
 from search.algorithm import Evaluation, Scored
+from search.errors import ConfigError
 from search.settings import check_settings, setting
 from search.space import SearchSpace
 from server.problems.base import Vectors
@@ -32,6 +33,7 @@ ORACLES: Final = (
     "no-collision@1", "front-gap@1", "lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1",
 )  # fmt: skip
 ROAD_USERS: Final = "road_users"
+LIT: Final = "crossroad"
 _SYSTEM: Final = (
     "a modular automated car with a camera, an obstacle detector, tracking, prediction, planning and control"
 )
@@ -76,6 +78,8 @@ class NpcActionsParams:
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if self.violation == "red-light@1" and self.road_curve != LIT:
+            raise ConfigError("violation", f"expected road_curve: {LIT} with it; no other road has lights")
 
 
 class NpcActions:

@@ -278,6 +278,9 @@ def test_variation_touches_no_parent_and_gives_what_can_be_mended() -> None:
 def test_settings_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ConfigError, match="at most population_size"):
         MUMOEA.check(SPACE, MumoeaConfig(population_size=8, seeds=9), budget=100)
+    never = MumoeaConfig(seeder="llm", initial="random", differential="never")
+    with pytest.raises(ConfigError, match="never asked"):
+        MUMOEA.check(SPACE, never, budget=100)
     with pytest.raises(ConfigError, match="50 simulations"):
         Nsga2().check(SPACE, Nsga2Config(), budget=49)
 
