@@ -62,7 +62,7 @@ def check(file: CampaignFile, as_json: AsJson = False) -> None:
 def _print_report(settings: LlmSettings, report: EndpointReport) -> None:
     screen = console()
     if report.trouble:
-        screen.print(f"[red]{escape(settings.endpoint)}: {escape(report.trouble)}[/red]", soft_wrap=True)
+        screen.print(f"[red]{escape(report.trouble)}[/red]", soft_wrap=True)
         return
     if report.model_listed is False:
         known = escape(", ".join((report.models or ())[:10]))
