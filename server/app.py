@@ -74,14 +74,8 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
     )  # fmt: skip
     install(app)
     api = APIRouter(prefix="/api/v1")
-    for module in (
-        jobs,
-        campaigns,
-        solutions,
-        violations,
-        llm,
-        catalogue,
-    ):  # the busiest first: routes are tried in order
+    # The busiest first: routes are tried in order.
+    for module in (jobs, campaigns, solutions, violations, llm, catalogue):
         api.include_router(module.router)
     app.include_router(api)
     app.include_router(health.router)

@@ -7,6 +7,8 @@ from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 DEFAULT_DATABASE = "sqlite:///brink.db"
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
+"""Names of this machine that no other one can reach."""
 
 
 class Settings(BaseSettings):

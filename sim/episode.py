@@ -50,6 +50,19 @@ class EpisodeSpec:
                 f"duration_s: expected a positive number of seconds, got {self.duration_s!r}"
             )
 
+    def check_for(self, simulator: str, longest_s: float) -> None:
+        """Check that a simulator is meant, and that the episode is not too long for it.
+
+        Raises:
+            InvalidEpisode: Another one is meant, or it is too long.
+        """
+        if self.simulator != simulator:
+            raise InvalidEpisode(f"simulator: this is {simulator}, the episode asks for {self.simulator!r}")
+        if self.duration_s > longest_s:
+            raise InvalidEpisode(
+                f"duration_s: expected at most {longest_s:g} seconds, got {self.duration_s!r}"
+            )
+
     def to_json(self) -> JsonObject:
         """Return the specification as a JSON object."""
         return {

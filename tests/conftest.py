@@ -9,6 +9,7 @@ import pytest
 from hypothesis import settings
 from support.api import coordinator
 from support.databases import BACKENDS, Databases, sqlite_template
+from support.llm_endpoint import Endpoint, serving
 from support.postgres import NoPostgres, PostgresDatabases, running_postgres
 from support.problems import PLUGINS
 from support.queue import Queue
@@ -81,3 +82,18 @@ def client(database_url: str, small_problems: None) -> Iterator[httpx.Client]:
 def queue(engines: Engines) -> Queue:
     """The queue of a database of the test's own."""
     return Queue(engines=engines)
+
+
+@pytest.fixture(scope="session")
+def served_model() -> Iterator[Endpoint]:
+    """A language model's endpoint for the session."""
+    with serving() as served:
+        yield served
+
+
+@pytest.fixture
+def endpoint(served_model: Endpoint) -> Iterator[Endpoint]:
+    """The endpoint of a language model, as new."""
+    served_model.reset()
+    yield served_model
+    served_model.reset()

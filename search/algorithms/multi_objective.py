@@ -280,6 +280,11 @@ def diversities(
     return found
 
 
+def random_children(genome: Genome, count: int, rng: np.random.Generator) -> list[Child]:
+    """Return random solutions."""
+    return [(genome.row(genome.random(rng), None, rng), Origin.RANDOM) for _ in range(count)]
+
+
 def queued(state: S, children: Sequence[Child], genome: Genome, rng: np.random.Generator) -> S:
     """Return the state with a generation queued: children that are new, then random ones until it is full."""
     ledger = state.ledger
@@ -295,8 +300,7 @@ def queued(state: S, children: Sequence[Child], genome: Genome, rng: np.random.G
     for _ in range(_FILLS):
         if len(found) >= wanted:
             break
-        missing = wanted - len(found)
-        take([(genome.row(genome.random(rng), None, rng), Origin.RANDOM) for _ in range(missing)])
+        take(random_children(genome, wanted - len(found), rng))
     chosen = list(found.values())[:wanted]
     return replace(
         state,
@@ -308,11 +312,6 @@ def queued(state: S, children: Sequence[Child], genome: Genome, rng: np.random.G
 def breeding_rng(state: MultiObjectiveState) -> np.random.Generator:
     """Return the generator of the next generation's children."""
     return generator(state.ledger.seed, Stream.BREEDING, state.ledger.generation)
-
-
-def random_children(genome: Genome, count: int, rng: np.random.Generator) -> list[Child]:
-    """Return random solutions."""
-    return [(genome.row(genome.random(rng), None, rng), Origin.RANDOM) for _ in range(count)]
 
 
 def child_of(

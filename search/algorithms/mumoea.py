@@ -12,7 +12,7 @@ Source: Tian et al., "An LLM-Empowered Adaptive Evolutionary Algorithm for Multi
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from typing import Any, Final
 
@@ -279,10 +279,7 @@ class Mumoea:
         )  # fmt: skip
 
 
-_FIELDS: Final = (
-    "config", "ledger", "book", "population", "diversity", "queue_origins", "criticality_bounds",
-    "diversity_bounds", "stuck",
-)  # fmt: skip
+_FIELDS: Final = tuple(field.name for field in fields(MultiObjectiveState))
 
 
 def _patterns(genome: Genome, count: int, rng: np.random.Generator) -> list[Child]:

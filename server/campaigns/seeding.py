@@ -19,13 +19,3 @@ class SeedSource(Protocol):
         The first call begins to ask; when the answer is there the campaign is advanced.
         """
         ...
-
-
-class NoSeeds:
-    """Never has any: algorithms then make their own."""
-
-    def proposals(
-        self, campaign: Campaign, problem: Problem, request: SeedRequest
-    ) -> Sequence[Proposal] | None:
-        """Return nothing."""
-        return ()

@@ -6,7 +6,6 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from datetime import datetime
 from typing import TypeVar
-from urllib.parse import urlsplit
 
 from sqlalchemy import Connection
 
@@ -29,7 +28,6 @@ from server.queue.service import QueueService
 
 T = TypeVar("T")
 MAX_ID = 16
-LOOPBACK_NAMES = ("127.0.0.1", "::1", "localhost")
 LLM = "llm"
 """What an algorithm's setting `seeder` is that wants seeds from a language model."""
 
@@ -88,7 +86,7 @@ def _check_endpoint(llm: LlmSettings | None, allowed: str) -> None:
     if llm is None:
         return
     bases = [base for one in allowed.split(",") if (base := one.strip().rstrip("/"))]
-    own = urlsplit(llm.endpoint).hostname in LOOPBACK_NAMES and llm.api_key_env is None
+    own = llm.on_this_machine and llm.api_key_env is None
     listed = any(base == "*" or f"{llm.endpoint}/".startswith(f"{base}/") for base in bases)
     if not own and not listed:
         message = (

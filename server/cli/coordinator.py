@@ -19,10 +19,9 @@ from server.db.upgrade import upgrade
 from server.errors import ServerError
 from server.queue.lease_store import release
 from server.queue.workers import leases_of, process_is_gone
-from server.settings import Settings
+from server.settings import LOOPBACK, Settings
 
 START_S = 15.0
-LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
 class CannotListen(ServerError):

@@ -41,7 +41,6 @@ SHORTEST_SECRET: Final = 8
 """Shorter keys are placeholders that local servers want, such as ``none``; they are not searched for in replies."""
 
 _LOG = logging.getLogger(__name__)
-_LOOPBACK: Final = frozenset({"127.0.0.1", "::1", "localhost"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,7 +148,7 @@ class LlmClient:
             headers={"Accept": "application/json", "Accept-Encoding": "identity"},
             transport=transport,
             timeout=httpx.Timeout(settings.timeout_s, connect=min(CONNECT_TIMEOUT_S, settings.timeout_s)),
-            trust_env=httpx.URL(settings.endpoint).host not in _LOOPBACK,
+            trust_env=not settings.on_this_machine,
         )
 
     async def __aenter__(self) -> Self:

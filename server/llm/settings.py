@@ -22,6 +22,7 @@ from pydantic import (
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from server.llm.errors import KeyMissing
+from server.settings import LOOPBACK
 
 HIDDEN: Final = "[not shown]"
 _PATH: Final = "/chat/completions"
@@ -145,6 +146,11 @@ class LlmSettings(BaseModel):
                 "max_cost",
             )
         return self
+
+    @property
+    def on_this_machine(self) -> bool:
+        """Whether the endpoint is on the machine that asks."""
+        return urlsplit(self.endpoint).hostname in LOOPBACK
 
     @property
     def priced(self) -> bool:

@@ -118,7 +118,7 @@ class CampaignCalls:
         """Store a call, for good, before returning; what was paid for waits while nothing can be written.
 
         Raises:
-            Unavailable: Nothing could be written for a long time.
+            Unavailable: Nothing could be written for a long time, or until the coordinator stopped.
         """
         until = time.monotonic() + GIVES_UP_S
         while True:
@@ -127,12 +127,11 @@ class CampaignCalls:
                     lambda connection: insert_call(connection, self._campaign_id, call)
                 ).result()
             except Unavailable as error:
-                if time.monotonic() > until:
-                    raise
                 log.warning(
                     "campaign=%s: a model's answer cannot be stored yet: %s", self._campaign_id, error
                 )
-                time.sleep(STORES_AGAIN_S)
+                if time.monotonic() > until or self._stopping.wait(STORES_AGAIN_S):
+                    raise
             else:
                 return
 

@@ -17,7 +17,7 @@ from sim.aeb.sight import GroundTruth, Injected, Sight
 from sim.aeb.street import CRUISE_MPS, LANE_Y_M, Street, make_street
 from sim.bullet.engine import EngineError, discard_engine, process_engine
 from sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
-from sim.errors import InvalidEpisode, SimulationCrashed
+from sim.errors import SimulationCrashed
 from sim.perception.registry import find_detector
 from sim.rendering.scene import Light
 from sim.requirements.registry import features_of, make_requirements, verdicts_of
@@ -45,12 +45,7 @@ class BrinkAeb:
             SimulationCrashed: The physics engine broke down.
         """
         cpu_s = time.process_time()
-        if spec.simulator != SIMULATOR_ID:
-            raise InvalidEpisode(
-                f"simulator: this is {SIMULATOR_ID}, the episode asks for {spec.simulator!r}"
-            )
-        if spec.duration_s > MAX_DURATION_S:
-            raise InvalidEpisode(f"duration_s: expected at most {MAX_DURATION_S:g}, got {spec.duration_s!r}")
+        spec.check_for(SIMULATOR_ID, MAX_DURATION_S)
         scenario = AebScenario.from_json(spec.scenario)
         options = Options.from_json(spec.options)
         behaviour = Behaviour.from_json(spec.behaviour, spec.duration_s)

@@ -65,10 +65,7 @@ class BrinkEncounter:
             SimulationCrashed: The physics engine broke down.
         """
         cpu_s = time.process_time()
-        if spec.simulator != self.id:
-            raise InvalidEpisode(f"simulator: this is {self.id}, the episode asks for {spec.simulator!r}")
-        if spec.duration_s > MAX_DURATION_S:
-            raise InvalidEpisode(f"duration_s: expected at most {MAX_DURATION_S:g}, got {spec.duration_s!r}")
+        spec.check_for(self.id, MAX_DURATION_S)
         if spec.options:
             raise InvalidEpisode(f"options: expected none, got {next(iter(spec.options))!r}")
         scenario = EncounterScenario.from_json(spec.scenario)

@@ -46,7 +46,6 @@ class EncounterWitness:
         self._recorder = recorder
         self._actions = [""] * len(world.everybody)
         self.gaps_m = [math.inf] * len(world.everybody)
-        self.criticality_m = math.inf
         self._in_way_since_s: list[float | None] = [None] * len(world.everybody)
         self._history: deque[tuple[float, float, float]] = deque(maxlen=_LOOKBACK + 1)
         self._speeds: list[deque[float]] = [deque(maxlen=_LOOKBACK + 1) for _ in world.everybody]
@@ -71,11 +70,14 @@ class EncounterWitness:
                 gap_m = signed_gap_m(ego, rectangle_of(user))
                 self.gaps_m[index] = min(self.gaps_m[index], gap_m)
             self._watch_way(index, user, sample)
-            action = user.stretch.action
-            if action != self._actions[index] and self._recorder is not None:
+            if self._recorder is not None and (action := user.stretch.action) != self._actions[index]:
                 self._actions[index] = action
                 self._recorder.event(sample.time_s, ACTION, f"{user.name}:{action}")
-        self.criticality_m = min(self.gaps_m, default=math.inf)
+
+    @property
+    def criticality_m(self) -> float:
+        """How near anybody came to the ego; infinite if nobody is about."""
+        return min(self.gaps_m, default=math.inf)
 
     def _ego(self) -> Rectangle:
         ego = self._world.ego

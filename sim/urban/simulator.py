@@ -112,12 +112,7 @@ def _read(spec: EpisodeSpec) -> tuple[UrbanScenario, DetectorBehaviour]:
     Raises:
         InvalidEpisode: It can never run.
     """
-    if spec.simulator != SIMULATOR_ID:
-        raise InvalidEpisode(f"simulator: this is {SIMULATOR_ID}, the episode asks for {spec.simulator!r}")
-    if spec.duration_s > MAX_DURATION_S:
-        raise InvalidEpisode(
-            f"duration_s: expected at most {MAX_DURATION_S:g} seconds, got {spec.duration_s!r}"
-        )
+    spec.check_for(SIMULATOR_ID, MAX_DURATION_S)
     for name, value in spec.options.items():
         if name != "fidelity":
             raise InvalidEpisode(

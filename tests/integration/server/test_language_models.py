@@ -1,7 +1,7 @@
 """Campaigns that a language model seeds: what is asked and stored, what faults do, what a restart asks again."""
 
 import json
-from collections.abc import Iterator
+import threading
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,29 +22,21 @@ from support.llm_endpoint import (
     refuses,
     reply_text,
     says,
-    serving,
 )
 from test_violations import simulate
 from typer.testing import CliRunner
 
 from server.cli.commands import app
+from server.db.engine import Engines
+from server.db.writer import Writer
+from server.errors import Unavailable
+from server.llm.calls import CallKey, Outcome, StoredCall
+from server.llm.store import CampaignCalls
+from server.llm.wire import Mode
 
 pytestmark = pytest.mark.timeout(120)
 
 POPULATION = 8
-
-
-@pytest.fixture(scope="module")
-def served() -> Iterator[Endpoint]:
-    with serving() as endpoint:
-        yield endpoint
-
-
-@pytest.fixture
-def endpoint(served: Endpoint) -> Iterator[Endpoint]:
-    served.reset()
-    yield served
-    served.reset()
 
 
 def body(endpoint: Endpoint, llm: dict[str, Any] | None = None, **params: Any) -> dict[str, Any]:
@@ -227,6 +219,33 @@ def test_two_coordinators_ask_once_between_them(database_url: str, endpoint: End
         told = calls(second, campaign)
     assert len(told["calls"]) >= 3
     assert len(endpoint.asked) == len(told["calls"]) == told["total_calls"]
+
+
+def test_an_answer_that_cannot_be_stored_waits_until_the_coordinator_stops(
+    engines: Engines, caplog: pytest.LogCaptureFixture
+) -> None:
+    writer, stopping = Writer(engines.writer), threading.Event()
+    writer.close()
+    log = CampaignCalls(engines, writer, "nobody", stopping)
+    call = StoredCall(
+        key=CallKey(0, 0), prompt_hash="0" * 64, mode=Mode.PLAIN, raw="{}", outcome=Outcome.OK, calls=1,
+        usage=None, cost=None, latency_s=0.1, error=None,
+    )  # fmt: skip
+    refused: list[BaseException] = []
+
+    def store() -> None:
+        try:
+            log.store(call)
+        except Unavailable as error:
+            refused.append(error)
+
+    storing = threading.Thread(target=store)
+    storing.start()
+    eventually(lambda: "cannot be stored yet" in caplog.text, "it says so")
+    assert storing.is_alive(), "what was paid for is not given up"
+    stopping.set()
+    storing.join(1.0)
+    assert refused
 
 
 def test_the_command_line_tries_shows_and_tells(

@@ -2,7 +2,7 @@
 
 import json
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -15,19 +15,30 @@ from support.queue import Queue
 from support.reference import undisturbed_digest
 
 from search.digest import archive_digest
+from search.seeding import Proposal, SeedRequest
 from server.campaigns import jobs, step_store, store
 from server.campaigns.advance import Stepper
 from server.campaigns.body import parse_body
 from server.campaigns.plan import first_generation, make_plan, restored_archive
-from server.campaigns.seeding import NoSeeds
 from server.campaigns.values import Campaign
 from server.db.engine import Engines
 from server.db.models import CampaignStatus, CheckpointRow, GenerationRow, SolutionRow
 from server.db.writer import Writer
 from server.errors import Unavailable
+from server.problems.base import Problem
 from server.queue.values import Outcome
 from sim import catalogue
 from worker.wire import LeasedJob
+
+
+class NoSeeds:
+    """Never has any: algorithms then make their own."""
+
+    def proposals(
+        self, campaign: Campaign, problem: Problem, request: SeedRequest
+    ) -> Sequence[Proposal] | None:
+        return ()
+
 
 pytestmark = pytest.mark.usefixtures("small_problems")
 

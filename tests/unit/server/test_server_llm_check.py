@@ -1,7 +1,6 @@
 """A check of an endpoint says what works and what does not."""
 
 import asyncio
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -15,7 +14,6 @@ from support.llm_endpoint import (
     refuses,
     reply_text,
     says,
-    serving,
 )
 
 from server.llm.check import EndpointReport, check_endpoint
@@ -24,19 +22,6 @@ from server.llm.wire import Mode
 pytestmark = pytest.mark.timeout(30)
 
 GOOD = says(reply_text(items(1)))
-
-
-@pytest.fixture(scope="module")
-def served() -> Iterator[Endpoint]:
-    with serving() as endpoint:
-        yield endpoint
-
-
-@pytest.fixture
-def endpoint(served: Endpoint) -> Iterator[Endpoint]:
-    served.reset()
-    yield served
-    served.release()
 
 
 def checked(endpoint: Endpoint, **changes: Any) -> EndpointReport:

@@ -4,7 +4,7 @@ import asyncio
 import json
 import logging
 import socket
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable
 from datetime import UTC, datetime
 from random import Random
 from typing import Any, TypeVar
@@ -21,7 +21,6 @@ from support.llm_endpoint import (
     llm_settings,
     refuses,
     says,
-    serving,
     unencrypted,
 )
 
@@ -49,19 +48,6 @@ NOW = datetime(2026, 3, 1, 12, 0, 0, tzinfo=UTC)
 KEY = "sk-secret/0123456789"
 OK = says("yes")
 R = TypeVar("R")
-
-
-@pytest.fixture(scope="module")
-def served() -> Iterator[Endpoint]:
-    with serving() as endpoint:
-        yield endpoint
-
-
-@pytest.fixture
-def endpoint(served: Endpoint) -> Iterator[Endpoint]:
-    served.reset()
-    yield served
-    served.release()
 
 
 def using(

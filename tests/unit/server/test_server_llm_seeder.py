@@ -2,7 +2,6 @@
 
 import asyncio
 import logging
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from random import Random
 from typing import Any
@@ -21,7 +20,6 @@ from support.llm_endpoint import (
     refuses,
     reply_text,
     says,
-    serving,
     unencrypted,
 )
 
@@ -67,19 +65,6 @@ class Log:
     @property
     def outcomes(self) -> list[str]:
         return [str(call.outcome) for call in self.calls.values()]
-
-
-@pytest.fixture(scope="module")
-def served() -> Iterator[Endpoint]:
-    with serving() as endpoint:
-        yield endpoint
-
-
-@pytest.fixture
-def endpoint(served: Endpoint) -> Iterator[Endpoint]:
-    served.reset()
-    yield served
-    served.release()
 
 
 def asking(
