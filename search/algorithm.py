@@ -55,11 +55,13 @@ class Scored:
         unsafe: Whether the campaign's requirement is violated.
         robustness: Distance to violation, negative if violated.
         objectives: Measures to search on, all minimised, by name.
+        kinds: Of failure that it showed, by the rules of a problem that tells them apart.
     """
 
     unsafe: bool
     robustness: float
     objectives: Mapping[str, float] = field(default_factory=dict)
+    kinds: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -88,6 +88,14 @@ def major_change(participant: Participant, rng: np.random.Generator) -> Particip
     )
 
 
+def prolonged(participant: Participant, rng: np.random.Generator) -> Participant:
+    """Return a participant that goes on with random actions after its own."""
+    more = int(rng.integers(MOST_ACTIONS - len(participant.genes) + 1))
+    return replace(
+        participant, genes=(*participant.genes, *(random_gene(participant, rng) for _ in range(more)))
+    )
+
+
 def crossed_genes(
     first: Participant, second: Participant, rng: np.random.Generator
 ) -> tuple[Participant, Participant]:

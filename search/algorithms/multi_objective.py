@@ -173,7 +173,6 @@ class MultiObjectiveState(LedgerState):
         queue_origins: Where the queued solutions come from.
         criticality_bounds: Ever seen.
         diversity_bounds: Ever seen.
-        stuck: For how many generations the first front has been the same.
     """
 
     config: MultiObjectiveConfig
@@ -183,7 +182,6 @@ class MultiObjectiveState(LedgerState):
     queue_origins: tuple[Origin, ...]
     criticality_bounds: Bounds
     diversity_bounds: Bounds
-    stuck: int
 
     @property
     def fitness(self) -> FloatArray:
@@ -221,7 +219,6 @@ def opened(
         queue_origins=(),
         criticality_bounds=Bounds(),
         diversity_bounds=Bounds(),
-        stuck=0,
     )
 
 
@@ -241,8 +238,7 @@ def survived(state: S, evaluations: Mapping[int, Evaluation], genome: Genome) ->
     diversity = diversities(genome, book, pool, state.config)
     objectives = np.stack([book.criticality[pool], -diversity], axis=1)
     kept = survivors(objectives, state.config.population_size).tolist()
-    before = {book.rows[number].tobytes() for number in state.front}
-    told = replace(
+    return replace(
         state,
         ledger=ledger,
         book=book,
@@ -252,8 +248,6 @@ def survived(state: S, evaluations: Mapping[int, Evaluation], genome: Genome) ->
         criticality_bounds=state.criticality_bounds.seen(book.criticality[fresh]),
         diversity_bounds=state.diversity_bounds.seen(diversity),
     )
-    same = before == {book.rows[number].tobytes() for number in told.front}
-    return replace(told, stuck=state.stuck + 1 if same else 0)
 
 
 def diversities(
@@ -337,7 +331,6 @@ def dump_state(state: MultiObjectiveState, kind: str, version: int, header: Mapp
         {
             "population": list(state.population),
             "queue_origins": [origin.value for origin in state.queue_origins],
-            "stuck": state.stuck,
             **header,
         },
         {
@@ -363,15 +356,13 @@ def load_state(
     columns = stored_rows(document, "columns", 4 + genome.most)
     diversity = stored_rows(document, "diversity", 1)[:, 0]
     bounds = stored_rows(document, "bounds", 2)
-    population, stuck = document.header.get("population"), document.header.get("stuck")
+    population = document.header.get("population")
     if not isinstance(population, list) or not all(
         isinstance(number, int) and 0 <= number < len(rows) for number in population
     ):
         raise DocumentError(f"population: expected numbers of solutions, got {population!r}")
     if len(diversity) != len(population) or len(columns) != len(rows) or len(bounds) != 2:
         raise DocumentError("expected as many entries in every table of the search")
-    if not isinstance(stuck, int):
-        raise DocumentError(f"stuck: expected a whole number, got {stuck!r}")
     origins = document.header.get("queue_origins")
     if not isinstance(origins, list) or not set(origins) <= set(Origin) or len(origins) != len(ledger.queue):
         raise DocumentError(f"queue_origins: expected one of each queued solution, got {origins!r}")
@@ -388,5 +379,4 @@ def load_state(
         queue_origins=tuple(Origin(origin) for origin in origins),
         criticality_bounds=Bounds(low=float(bounds[0, 0]), high=float(bounds[0, 1])),
         diversity_bounds=Bounds(low=float(bounds[1, 0]), high=float(bounds[1, 1])),
-        stuck=stuck,
     )  # fmt: skip

@@ -2,9 +2,9 @@
 
 The population starts from seeds: those of a language model, or hand-written patterns. Crossover and mutation apply
 where adaptive rates reach a threshold that falls as the population converges; what they change depends on how good
-each participant is. Once the first front has been the same for some generations, differential seeds are wanted:
-solutions that expose violations and differ from those known. Those that do not differ enough go back, a few times;
-what is then missing is made by major mutation.
+each participant is. Once no new kind of violation was found for some generations (or, as the paper has it, the first
+front was the same), differential seeds are wanted: solutions that expose violations and differ from those known.
+Those that do not differ enough go back, a few times; what is then missing is made by major mutation.
 
 Where the seeds come from a model, the search does not ask it itself: it says what it wants (`search.seeding`).
 
@@ -21,7 +21,7 @@ import numpy as np
 from search.actions.distance import matched_distances, participant_distances
 from search.actions.genome import Genome
 from search.actions.patterns import hostile_solution
-from search.actions.variation import Solution, crossed_genes, major_change, small_change
+from search.actions.variation import Solution, crossed_genes, major_change, prolonged, small_change
 from search.adaptive_rates import (
     Crossover,
     Population,
@@ -30,7 +30,7 @@ from search.adaptive_rates import (
     scalar_fitness,
     scaled,
 )
-from search.algorithm import Candidate, Evaluation
+from search.algorithm import Candidate, Evaluation, Scored
 from search.algorithms.ledger import check_budget, stored_rows
 from search.algorithms.multi_objective import (
     Child,
@@ -54,7 +54,7 @@ from search.settings import setting
 from search.space import SearchSpace
 from search.streams import Stream, generator
 
-_VERSION: Final = 1
+_VERSION: Final = 2
 _BEST_SHARE: Final = 0.25
 """Participants in this share of the population, by any objective, change a little rather than a lot."""
 _COMPARED: Final = 12
@@ -83,8 +83,12 @@ class MumoeaConfig(MultiObjectiveConfig):
     differential: str = setting(
         "stuck", help="When differential seeds are asked for.", choices=("stuck", "never", "always")
     )
+    stuck_by: str = setting(
+        "kinds", choices=("kinds", "front"),
+        help="A generation gets nowhere if it finds no new kind of violation, or does not change the first front.",
+    )  # fmt: skip
     stuck_after: int = setting(
-        3, help="Generations with the same first front that mean stuck (t).", ge=1, le=1_000
+        3, help="Generations in a row that get nowhere and so mean stuck (t).", ge=1, le=1_000
     )
     seeds: int = setting(10, help="Differential seeds that are wanted at a time.", ge=1, le=200)
     rounds: int = setting(3, help="How often seeds that do not differ enough go back.", ge=0, le=10)
@@ -113,6 +117,8 @@ class MumoeaState(MultiObjectiveState):
         round: Of the request that is wanted.
         taken: Accepted seeds so far, as rows, and where each comes from.
         rejected: Proposals of the last round that were not different enough, as rows.
+        kinds: Of violations found so far.
+        stuck: For how many generations it has been getting nowhere.
     """
 
     config: MumoeaConfig
@@ -121,6 +127,8 @@ class MumoeaState(MultiObjectiveState):
     round: int
     taken: tuple[Child, ...]
     rejected: tuple[FloatArray, ...]
+    kinds: frozenset[str]
+    stuck: int
 
 
 class Mumoea:
@@ -148,7 +156,7 @@ class Mumoea:
         base = opened(space, config, seed=seed, budget=budget)
         state = MumoeaState(
             **{name: getattr(base, name) for name in _FIELDS},
-            want=Want.NOTHING, requests=0, round=0, taken=(), rejected=(),
+            want=Want.NOTHING, requests=0, round=0, taken=(), rejected=(), kinds=frozenset(), stuck=0,
         )  # fmt: skip
         rng = generator(seed, Stream.START)
         if config.initial == "random":
@@ -172,7 +180,7 @@ class Mumoea:
             KeyError: An evaluation lacks the objective of criticality.
         """
         genome = Genome.of(state.ledger.space)
-        told = survived(state, evaluations, genome)
+        told = _moved(state, survived(state, evaluations, genome), evaluations)
         config = told.config
         stuck = config.differential == "always" or (
             config.differential == "stuck" and told.stuck >= config.stuck_after
@@ -184,7 +192,7 @@ class Mumoea:
         rng = generator(told.ledger.seed, Stream.SEEDS, told.ledger.generation)
         wanted = replace(told, want=Want.DIFFERENTIAL, stuck=0)
         for _ in range(config.rounds + 1):
-            rows = _patterns(genome, config.seeds, rng)
+            rows = _prolonged_patterns(genome, config.seeds, rng)
             wanted = _received(wanted, rows, genome)
             if wanted.want is Want.NOTHING:
                 break
@@ -232,7 +240,7 @@ class Mumoea:
         if not rows:
             # Nobody answers: patterns once, and no further round.
             state = replace(state, round=state.config.rounds)
-            rows = _patterns(genome, state.config.seeds, rng)
+            rows = _prolonged_patterns(genome, state.config.seeds, rng)
         return _received(state, rows, genome)
 
     def dump(self, state: MumoeaState) -> Document:
@@ -245,6 +253,8 @@ class Mumoea:
                 "want": state.want.value,
                 "requests": state.requests,
                 "round": state.round,
+                "stuck": state.stuck,
+                "kinds": sorted(state.kinds),
                 "taken_origins": [origin.value for _, origin in state.taken],
             },
         )
@@ -268,18 +278,38 @@ class Mumoea:
             raise DocumentError(f"taken_origins: expected one of each seed taken, got {origins!r}")
         if want not in set(Want):
             raise DocumentError(f"want: expected one of {', '.join(Want)}, got {want!r}")
-        counts = [header.get(name) for name in ("requests", "round")]
+        counts = [header.get(name) for name in ("requests", "round", "stuck")]
         if not all(isinstance(count, int) for count in counts):
-            raise DocumentError(f"requests, round: expected whole numbers, got {counts!r}")
+            raise DocumentError(f"requests, round, stuck: expected whole numbers, got {counts!r}")
+        kinds = header.get("kinds")
+        if not isinstance(kinds, list) or not all(isinstance(kind, str) for kind in kinds):
+            raise DocumentError(f"kinds: expected words, got {kinds!r}")
         return MumoeaState(
             **{name: getattr(base, name) for name in _FIELDS},
             want=Want(str(want)), requests=int(str(counts[0])), round=int(str(counts[1])),
             taken=tuple(zip(taken, (Origin(origin) for origin in origins), strict=True)),
             rejected=_stored_table(document, "rejected", space.dimension),
+            kinds=frozenset(kinds), stuck=int(str(counts[2])),
         )  # fmt: skip
 
 
 _FIELDS: Final = tuple(field.name for field in fields(MultiObjectiveState))
+
+
+def _moved(before: MumoeaState, told: MumoeaState, evaluations: Mapping[int, Evaluation]) -> MumoeaState:
+    """Return the state with the kinds that a generation found, and for how long it has been getting nowhere."""
+    kinds = before.kinds.union(
+        *(evaluation.kinds for evaluation in evaluations.values() if isinstance(evaluation, Scored))
+    )
+    if told.config.stuck_by == "kinds":
+        nowhere = kinds == before.kinds
+    else:
+        nowhere = _rows_of_front(before) == _rows_of_front(told)
+    return replace(told, kinds=kinds, stuck=before.stuck + 1 if nowhere else 0)
+
+
+def _rows_of_front(state: MumoeaState) -> set[bytes]:
+    return {state.book.rows[number].tobytes() for number in state.front}
 
 
 def _patterns(genome: Genome, count: int, rng: np.random.Generator) -> list[Child]:
@@ -287,6 +317,15 @@ def _patterns(genome: Genome, count: int, rng: np.random.Generator) -> list[Chil
     return [
         (genome.row(hostile_solution(genome.road, genome.most, rng), None, rng), Origin.HEURISTIC)
         for _ in range(count)
+    ]
+
+
+def _prolonged_patterns(genome: Genome, count: int, rng: np.random.Generator) -> list[Child]:
+    """Return seeds from patterns that go on with random actions: short ones hardly differ from what is known."""
+    drawn = [hostile_solution(genome.road, genome.most, rng) for _ in range(count)]
+    return [
+        (genome.row(tuple(prolonged(one, rng) for one in solution), None, rng), Origin.HEURISTIC)
+        for solution in drawn
     ]
 
 

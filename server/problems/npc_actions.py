@@ -18,6 +18,7 @@ from search.settings import check_settings, setting
 from search.space import SearchSpace
 from server.problems.base import Vectors
 from server.problems.detectors import wrong_detector
+from server.violations.rules import kinds_of
 from sim.encounter.lanes import lanes_of
 from sim.encounter.scenario import PLACE_FIELDS
 from sim.encounter.script import stretch_json
@@ -180,4 +181,9 @@ class NpcActions:
         objectives = dict(outcome.objectives)
         if self.params.criticality == "robustness":
             objectives["criticality_m"] = robustness
-        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=objectives)
+        return Scored(
+            unsafe=robustness < 0,
+            robustness=robustness,
+            objectives=objectives,
+            kinds=kinds_of(self.violations(outcome)),
+        )

@@ -6,7 +6,8 @@ are stored, so that types can be made again when the rules change (`RULES_VERSIO
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import astuple, dataclass, fields
 from typing import Any, Final
 
@@ -93,6 +94,15 @@ def signature_of(violation: Mapping[str, Any]) -> Signature:
         place=violation["place"]["element"],
         at_fault="at fault" if _at_fault(requirement, ego, other if involved else None) else "not at fault",
     )
+
+
+def kinds_of(violations: Iterable[Mapping[str, Any]]) -> frozenset[str]:
+    """Return the types of violations in words; one that lacks a circumstance has none."""
+    kinds = set()
+    for violation in violations:
+        with suppress(LookupError, TypeError, ValueError):
+            kinds.add(str(signature_of(violation)))
+    return frozenset(kinds)
 
 
 def sector_of(bearing_rad: float) -> str:

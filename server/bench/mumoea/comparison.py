@@ -33,7 +33,7 @@ DECIDING: Final = (
 
 LEAST_TYPES: Final = 8
 _POINTS: Final = 40
-_COLOURS: Final = ("#0072b2", "#56b4e9", "#009e73", "#d55e00", "#e69f00", "#7f7f7f")
+_COLOURS: Final = ("#0072b2", "#56b4e9", "#cc79a7", "#009e73", "#d55e00", "#e69f00", "#7f7f7f")
 BETTER_IF_LESS: Final = ("per_violation", "first", "last_type")
 WORDS: Final[Mapping[str, str]] = {
     "types": "types of violations",

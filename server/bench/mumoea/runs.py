@@ -13,7 +13,7 @@ from search.algorithms.nsga2 import Mosat, Nsga2
 from search.algorithms.random_search import RandomSearch
 from search.streams import episode_seed
 from server.problems.npc_actions import NpcActions, NpcActionsParams
-from server.violations.rules import signature_of
+from server.violations.rules import kinds_of
 from sim.errors import SimulatorError
 from sim.trials import run_record
 
@@ -21,6 +21,7 @@ ADAPTIVE: Final = "muMOEA"
 METHODS: Final[Mapping[str, tuple[Algorithm, Any]]] = {
     ADAPTIVE: (Mumoea(), MumoeaConfig()),
     "without differential seeds": (Mumoea(), MumoeaConfig(differential="never")),
+    "differential seeds always": (Mumoea(), MumoeaConfig(differential="always")),
     "random initial population": (Mumoea(), MumoeaConfig(initial="random")),
     "MOSAT": (Mosat(), Mosat.config_type()),
     "NSGA-II": (Nsga2(), Nsga2.config_type()),
@@ -46,7 +47,7 @@ class Found:
     @property
     def types(self) -> set[str]:
         """The types of its violations, in words."""
-        return {str(signature_of(violation)) for violation in self.violations}
+        return set(kinds_of(self.violations))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,16 +141,15 @@ def _answer(
 ) -> tuple[Evaluation, float]:
     """Simulate a candidate; add it to what was found if it violates something."""
     record = run_record(problem.episode(candidate.vectors, episode_seed(seed, candidate.number)))
-    violations = record.features["violations"]
-    if isinstance(violations, list) and violations:
+    told = record.features["violations"]
+    violations = [dict(one) for one in told if isinstance(one, dict)] if isinstance(told, list) else []
+    if violations:
         points = problem.waypoints(candidate.vectors)
-        found.append(
-            Found(
-                number=candidate.number,
-                violations=[dict(violation) for violation in violations if isinstance(violation, dict)],
-                waypoints=points,
-            )
-        )
-    robustness = min(record.robustness.values())
-    scored = Scored(unsafe=record.unsafe, robustness=robustness, objectives=record.objectives)
+        found.append(Found(number=candidate.number, violations=violations, waypoints=points))
+    scored = Scored(
+        unsafe=record.unsafe,
+        robustness=min(record.robustness.values()),
+        objectives=record.objectives,
+        kinds=kinds_of(violations),
+    )
     return scored, record.cpu_s

@@ -11,11 +11,12 @@ import pytest
 
 from search.actions.distance import matched_distances
 from search.actions.genome import Genome
+from search.actions.participants import MOST_ACTIONS
 from search.actions.patterns import MOTIFS, PATTERNS, hostile_solution
 from search.actions.road import RoadLimits
 from search.actions.rollout import rolled_out
 from search.actions.rule import participants_component
-from search.actions.variation import crossed_genes, crossed_uniformly, major_change, small_change
+from search.actions.variation import crossed_genes, crossed_uniformly, major_change, prolonged, small_change
 from search.algorithm import Candidate, Evaluation, Failed, Scored
 from search.algorithms.multi_objective import CRITICALITY, MultiObjectiveState, diversities, gap_of
 from search.algorithms.mumoea import Mumoea, MumoeaConfig, MumoeaState, different_enough
@@ -146,15 +147,47 @@ def same_front(state: MumoeaState) -> Mapping[int, Evaluation]:
     return {candidate.number: Failed(reason="made up") for candidate in state.pending}
 
 
-def test_a_front_that_stays_the_same_brings_differential_seeds() -> None:
-    state = run(replace(SMALL, initial="random", stuck_after=2), 3)
+def showing(state: MumoeaState, *kinds: str) -> Mapping[int, Evaluation]:
+    """Return evaluations of which the last one shows kinds of violations."""
+    evaluations = {candidate.number: driven(candidate) for candidate in state.pending}
+    shown = Scored(unsafe=True, robustness=-1.0, objectives={CRITICALITY: -1.0}, kinds=frozenset(kinds))
+    return {**evaluations, state.pending[-1].number: shown}
+
+
+def test_generations_without_a_new_kind_of_violation_bring_differential_seeds() -> None:
+    config = replace(SMALL, seeder="llm", initial="random", stuck_after=2)
+    state = MUMOEA.start(SPACE, config, seed=1, budget=10_000)
+    stuck = []
+    for kinds in (("a",), ("a",), ("b",), ("a", "b"), ("b",)):
+        assert MUMOEA.wanted(state) is None
+        asked, _ = MUMOEA.ask(state)
+        state = MUMOEA.tell(asked, showing(asked, *kinds))
+        state = MUMOEA.load(SPACE, config, MUMOEA.dump(state), state.archive)
+        stuck.append(state.stuck)
+    assert MUMOEA.wanted(state) is not None
+    assert state.kinds == {"a", "b"}
+    assert stuck == [0, 1, 0, 1, 0]
+
+
+def test_patterns_that_unstick_begin_as_patterns_do_and_go_on() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        for one in hostile_solution(ROAD, 3, rng):
+            longer = prolonged(one, rng)
+            assert longer.genes[: len(one.genes)] == one.genes
+            assert len(longer.genes) <= MOST_ACTIONS
+            assert replace(longer, genes=one.genes) == one
+
+
+def test_a_front_that_stays_the_same_may_bring_them_too() -> None:
+    state = run(replace(SMALL, initial="random", stuck_by="front", stuck_after=2), 3)
     stuck = []
     for _ in range(3):
         asked, _ = MUMOEA.ask(state)
         state = MUMOEA.tell(asked, same_front(asked))
         stuck.append(state.stuck)
     assert stuck[:2] == [1, 0]
-    never = run(replace(SMALL, initial="random", differential="never", lately=50), 3)
+    never = run(replace(SMALL, initial="random", differential="never", stuck_by="front", lately=50), 3)
     for _ in range(3):
         asked, _ = MUMOEA.ask(never)
         never = MUMOEA.tell(asked, same_front(asked))
@@ -184,7 +217,7 @@ def test_what_is_wanted_first_is_a_whole_population() -> None:
 
 
 def test_seeds_that_do_not_differ_go_back_and_then_major_mutants_take_their_place() -> None:
-    config = replace(SMALL, seeder="llm", initial="random", stuck_after=1, rounds=2)
+    config = replace(SMALL, seeder="llm", initial="random", stuck_by="front", stuck_after=1, rounds=2)
     state = run(config, 3)
     while MUMOEA.wanted(state) is None:
         asked, _ = MUMOEA.ask(state)

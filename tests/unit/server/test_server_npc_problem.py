@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.circumstances import violation
 
 from search.algorithm import Scored
 from search.errors import ConfigError
 from server.problems.base import Describes, SimulatedProblem, TellsViolations
 from server.problems.npc_actions import ORACLES, NpcActions, NpcActionsParams
+from server.violations.rules import signature_of
 from sim.encounter.scenario import EncounterScenario
 from worker.wire import Completed, WireVerdict
 
@@ -57,6 +59,17 @@ def test_any_violation_counts_or_the_one_that_was_chosen() -> None:
     assert [one["requirement"] for one in gap.violations(hit)] == ["front-gap@1"]
     assert len(PROBLEM.violations(hit)) == 2
     assert PROBLEM.violations(outcome()) == []
+
+
+def test_a_verdict_says_which_kinds_of_violations_there_were() -> None:
+    told = [violation(), violation("front-gap@1", collision=None)]
+    hit = outcome(no_collision=-1.0, front_gap=-0.2).model_copy(update={"features": {"violations": told}})
+    judged = PROBLEM.evaluation(hit)
+    assert isinstance(judged, Scored)
+    assert judged.kinds == {str(signature_of(one)) for one in told}
+    of_gap = NpcActions(NpcActionsParams(violation="front-gap@1")).evaluation(hit)
+    assert isinstance(of_gap, Scored)
+    assert of_gap.kinds == {str(signature_of(told[1]))}
 
 
 def test_it_is_what_it_says() -> None:

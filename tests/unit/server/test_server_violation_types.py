@@ -9,34 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
+from support.circumstances import violation
 
 from server.violations.instances import dbscan, instances
-from server.violations.rules import SECTORS, sector_of, signature_of
-
-
-def violation(
-    requirement: str = "no-collision@1",
-    *,
-    ego: dict[str, Any] | None = None,
-    other: dict[str, Any] | None = None,
-    nobody: bool = False,
-    collision: str | None = "vehicle",
-) -> dict[str, Any]:
-    return {
-        "requirement": requirement,
-        "time_s": 4.0,
-        "ego": {
-            "speed_mps": 7.0, "accel_mps2": 0.0, "yaw_rate_radps": 0.0, "offset_m": 0.0, "offset_rate_mps": 0.0,
-            "plan": "cruise",
-        } | (ego or {}),
-        "other": None if nobody else {
-            "index": 1, "kind": "van", "action": "cut_in", "gap_m": -0.1, "bearing_rad": 0.0, "heading_rad": 0.0,
-            "speed_mps": 4.0, "accel_mps2": 0.0, "in_way_s": 3.0,
-        } | (other or {}),
-        "place": {"station_m": 30.0, "element": "straight", "light": None},
-        "collision": collision,
-        "impact_speed_mps": 3.0,
-    }  # fmt: skip
+from server.violations.rules import SECTORS, kinds_of, sector_of, signature_of
 
 
 def test_a_type_has_seven_words() -> None:
@@ -145,3 +121,8 @@ def test_instances_are_clusters_and_what_belongs_to_none() -> None:
     assert instances([*slow, *fast]) == 2
     assert instances([*slow, *fast, *alone]) == 3
     assert instances([violation(nobody=True, collision="object")]) == 1
+
+
+def test_a_violation_that_cannot_be_read_has_no_kind_and_the_others_keep_theirs() -> None:
+    broken = {key: value for key, value in violation().items() if key != "place"}
+    assert kinds_of([broken, violation(), {**violation(), "ego": None}]) == {str(signature_of(violation()))}
