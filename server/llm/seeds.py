@@ -102,8 +102,12 @@ class LlmSeeds:
             target=self._ask, args=(campaign.id, settings, problem, request), name="seeds", daemon=True
         )
         with self._lock:
-            self._asking[campaign.id] = _Asking(words, time.monotonic(), thread)
-        thread.start()
+            stopping = self._stopping.is_set()
+            if not stopping:
+                self._asking[campaign.id] = _Asking(words, time.monotonic(), thread)
+                thread.start()
+        if stopping:
+            self._release(campaign.id)
         return None
 
     def doing(self, campaign_id: str) -> str | None:
@@ -130,14 +134,15 @@ class LlmSeeds:
         except Exception:
             log.exception("campaign=%s: seeds cannot be had; it goes on without them", campaign_id)
             answer = ()
+        # Released before it is forgotten: who stops waits for all that are not forgotten, and then the writer closes.
+        self._release(campaign_id)
         with self._lock:
             self._asking.pop(campaign_id, None)
             if answer is not None:
                 self._answers[campaign_id, request.number] = answer
-        if not self._stopping.is_set():
-            self._release(campaign_id)
-            if answer is not None:
-                self._came(campaign_id)
+            stopping = self._stopping.is_set()
+        if answer is not None and not stopping:
+            self._came(campaign_id)
 
     def _release(self, campaign_id: str) -> None:
         with contextlib.suppress(Unavailable, DBAPIError):  # it expires

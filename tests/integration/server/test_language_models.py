@@ -4,18 +4,19 @@ import json
 import threading
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
 import pytest
 import yaml
 from fastapi.responses import JSONResponse, Response
-from support.api import FakeWorker, coordinator, eventually, expect, progress, submit
+from sqlalchemy import select
+from support.api import coordinator, eventually, expect, progress, submit
 from support.llm_endpoint import (
     MODEL,
     Asked,
     Endpoint,
-    action,
     completion,
     item,
     items,
@@ -23,68 +24,37 @@ from support.llm_endpoint import (
     reply_text,
     says,
 )
-from test_violations import simulate
+from support.traffic import POPULATION, calls, origins, others, seeded, traffic_worker
 from typer.testing import CliRunner
 
+import server.llm.seeds
+from search.seeding import SeedRequest
+from server.campaigns.body import CampaignBody
 from server.cli.commands import app
 from server.db.engine import Engines
+from server.db.models import SeedClaimRow
 from server.db.writer import Writer
 from server.errors import Unavailable
 from server.llm.calls import CallKey, Outcome, StoredCall
+from server.llm.seeds import LlmSeeds
 from server.llm.store import CampaignCalls
 from server.llm.wire import Mode
+from server.problems.npc_actions import NpcActions, NpcActionsParams
 
 pytestmark = pytest.mark.timeout(120)
-
-POPULATION = 8
-
-
-def body(endpoint: Endpoint, llm: dict[str, Any] | None = None, **params: Any) -> dict[str, Any]:
-    return {
-        "name": "seeded",
-        "problem": {"id": "npc-actions@1", "params": {"participants": 2, "duration_s": 8.0}},
-        "algorithm": {
-            "id": "mumoea@1",
-            "params": {"seeder": "llm", "population_size": POPULATION, "seeds": 3, "rounds": 1, **params},
-        },
-        "llm": {"endpoint": endpoint.url, "model": MODEL, "retries": 1, "max_wait_s": 1.0, **(llm or {})},
-        "budget": {"simulations": 24},
-        "seed": 1,
-    }
-
-
-def worker(client: httpx.Client) -> FakeWorker:
-    return FakeWorker(client, capabilities=("brink-encounter@1",), judge=simulate)
-
-
-def origins(client: httpx.Client, campaign: str) -> list[str]:
-    found = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions", params={"limit": 100}))
-    return [solution["origin"] for solution in found["solutions"]]
-
-
-def calls(client: httpx.Client, campaign: str) -> dict[str, Any]:
-    found: dict[str, Any] = expect(client.get(f"/api/v1/campaigns/{campaign}/llm-calls"))
-    return found
 
 
 def many(asked: Asked) -> Response:
     """Answer the first question with cars ahead, and later ones with others each time, decided by the question."""
-    text = json.dumps(asked.body["messages"])
-    if "Rule 1" not in text:
+    if "Rule 1" not in asked.prompt:
         return JSONResponse(completion(reply_text(items(POPULATION))))
-    salt = sum(text.encode()) % 89
-    crosses = {"kind": "pedestrian", "dd_m": -3.0, "heading": "with_ego", "speed_mps": 1.0}
-    found = [
-        item(**crosses, ds_m=5.0 + 0.5 * ((salt + 17 * n) % 89), actions=[action("cross", 4.0, 2.5)] * 2)
-        for n in range(6)
-    ]
-    return JSONResponse(completion(reply_text(found)))
+    return others(asked)
 
 
 def test_the_first_population_is_the_models(client: httpx.Client, endpoint: Endpoint) -> None:
     endpoint.then(says(reply_text(items(POPULATION))))
-    campaign = submit(client, body(endpoint, differential="never"))
-    stands = worker(client).work(campaign)
+    campaign = submit(client, seeded(endpoint, differential="never"))
+    stands = traffic_worker(client).work(campaign)
     assert (stands["status"], stands["failed"], stands["asking"]) == ("finished", 0, None)
     assert origins(client, campaign)[:POPULATION] == ["llm"] * POPULATION
     (call,) = calls(client, campaign)["calls"]
@@ -98,8 +68,8 @@ def test_what_is_missing_comes_from_repair_and_from_patterns(
 ) -> None:
     wrong = item(speed_mps=900.0)
     endpoint.then(says(reply_text([*items(4), wrong, wrong])), says(reply_text(items(2, first=10))))
-    campaign = submit(client, body(endpoint, differential="never"))
-    worker(client).work(campaign)
+    campaign = submit(client, seeded(endpoint, differential="never"))
+    traffic_worker(client).work(campaign)
     found = origins(client, campaign)
     assert found[:POPULATION] == ["llm"] * 4 + ["llm_repair"] * 2 + ["heuristic"] * 2
     assert progress(client, campaign)["origins"] == {origin: found.count(origin) for origin in set(found)}
@@ -120,8 +90,8 @@ def test_an_endpoint_that_fails_delays_seeds_and_nothing_else(
     else:
         endpoint.then(*[endpoint.stalls()] * 2)
         llm = {"timeout_s": 0.2}
-    campaign = submit(client, body(endpoint, llm, differential="never"))
-    stands = worker(client).work(campaign)
+    campaign = submit(client, seeded(endpoint, llm, differential="never"))
+    stands = traffic_worker(client).work(campaign)
     assert (stands["status"], stands["failed"]) == ("finished", 0)
     assert origins(client, campaign)[:POPULATION] == ["heuristic"] * POPULATION
     outcome = {"refused": "refused", "away": "unavailable", "rubbish": "invalid", "stalled": "unavailable"}
@@ -132,8 +102,8 @@ def test_a_search_that_is_stuck_asks_for_others_until_the_budget_is_spent(
     client: httpx.Client, endpoint: Endpoint
 ) -> None:
     endpoint.then(*[many] * 40)
-    campaign = submit(client, body(endpoint, {"max_calls": 3}, differential="always"))
-    stands = worker(client).work(campaign)
+    campaign = submit(client, seeded(endpoint, {"max_calls": 3}, differential="always"))
+    stands = traffic_worker(client).work(campaign)
     assert stands["status"] == "finished"
     assert len(endpoint.asked) == 3
     told = calls(client, campaign)
@@ -145,20 +115,20 @@ def test_a_search_that_is_stuck_asks_for_others_until_the_budget_is_spent(
 
 def test_while_it_is_asked_the_campaign_waits_and_says_so(client: httpx.Client, endpoint: Endpoint) -> None:
     endpoint.then(endpoint.stalls(), says(reply_text(items(POPULATION))))
-    campaign = submit(client, body(endpoint, {"timeout_s": 0.6}, differential="never"))
+    campaign = submit(client, seeded(endpoint, {"timeout_s": 0.6}, differential="never"))
     eventually(lambda: progress(client, campaign)["asking"] is not None, "it says what it asks")
     assert f"asking {MODEL} for {POPULATION} solutions" in progress(client, campaign)["asking"]
-    assert worker(client).lease() == []
-    assert worker(client).work(campaign)["status"] == "finished"
+    assert traffic_worker(client).lease() == []
+    assert traffic_worker(client).work(campaign)["status"] == "finished"
     assert origins(client, campaign)[:POPULATION] == ["llm"] * POPULATION
 
 
 def test_a_restart_asks_nothing_twice_and_finds_the_same(database_url: str, endpoint: Endpoint) -> None:
-    asks = body(endpoint, differential="always")
+    asks = seeded(endpoint, differential="always")
     endpoint.then(*[many] * 60)
     with coordinator(database_url) as client:
         whole = submit(client, asks)
-        digest = worker(client).work(whole)["digest"]
+        digest = traffic_worker(client).work(whole)["digest"]
         expected = origins(client, whole)
         times = len(endpoint.asked)
         assert "llm" in expected[POPULATION:], "differential seeds came, too"
@@ -166,7 +136,7 @@ def test_a_restart_asks_nothing_twice_and_finds_the_same(database_url: str, endp
     for wanted in (3, 10, 19, 1000):
         with coordinator(database_url) as client:
             campaign = campaign or submit(client, asks)
-            stands = worker(client).work(campaign, until=partial(_reached, wanted))
+            stands = traffic_worker(client).work(campaign, until=partial(_reached, wanted))
     assert stands["status"] == "finished"
     with coordinator(database_url) as client:
         assert origins(client, campaign) == expected
@@ -179,7 +149,7 @@ def _reached(wanted: int, stands: dict[str, Any]) -> bool:
 
 
 def test_what_does_not_go_together_is_refused_at_submission(client: httpx.Client, endpoint: Endpoint) -> None:
-    asks = body(endpoint)
+    asks = seeded(endpoint)
     for change, pointer in (
         ({"llm": None}, "/llm"),
         ({"algorithm": {"id": "mumoea@1"}}, "/llm"),
@@ -196,8 +166,8 @@ def test_what_does_not_go_together_is_refused_at_submission(client: httpx.Client
 def test_a_coordinator_asks_only_where_it_may_and_sends_keys_only_there(
     database_url: str, endpoint: Endpoint
 ) -> None:
-    keyed = body(endpoint, {"api_key_env": "PATH"})
-    foreign = body(endpoint, {"endpoint": "http://models.example/v1"})
+    keyed = seeded(endpoint, {"api_key_env": "PATH"})
+    foreign = seeded(endpoint, {"endpoint": "http://models.example/v1"})
     with coordinator(database_url) as client:
         for asks in (keyed, foreign):
             told = expect(client.post("/api/v1/campaigns", json=asks), 422)
@@ -205,7 +175,7 @@ def test_a_coordinator_asks_only_where_it_may_and_sends_keys_only_there(
     with coordinator(database_url, llm_endpoints="http://models.example") as client:
         expect(client.post("/api/v1/campaigns", json=keyed), 422)
         expect(client.post("/api/v1/campaigns", json=foreign), 201)
-        near = body(endpoint, {"endpoint": "http://models.example.evil/v1"})
+        near = seeded(endpoint, {"endpoint": "http://models.example.evil/v1"})
         expect(client.post("/api/v1/campaigns", json=near), 422)
     assert endpoint.asked == []
 
@@ -213,8 +183,8 @@ def test_a_coordinator_asks_only_where_it_may_and_sends_keys_only_there(
 def test_two_coordinators_ask_once_between_them(database_url: str, endpoint: Endpoint) -> None:
     endpoint.then(*[many] * 40)
     with coordinator(database_url) as first, coordinator(database_url) as second:
-        campaign = submit(first, body(endpoint, differential="always"))
-        stands = worker(second).work(campaign)
+        campaign = submit(first, seeded(endpoint, differential="always"))
+        stands = traffic_worker(second).work(campaign)
         assert (stands["status"], stands["failed"]) == ("finished", 0)
         told = calls(second, campaign)
     assert len(told["calls"]) >= 3
@@ -248,12 +218,51 @@ def test_an_answer_that_cannot_be_stored_waits_until_the_coordinator_stops(
     assert refused
 
 
+@pytest.mark.parametrize("when", ["claims", "releases"])
+def test_whoever_stops_leaves_no_claim_behind(
+    client: httpx.Client, endpoint: Endpoint, engines: Engines, monkeypatch: pytest.MonkeyPatch, when: str
+) -> None:
+    """Others would wait a minute for it; it stops in the moment that a claim is taken, or given back."""
+    endpoint.then(says(reply_text(items(POPULATION))))
+    asks = seeded(endpoint)
+    plain = {
+        **asks,
+        "llm": None,
+        "algorithm": {"id": "mumoea@1", "params": {"population_size": 8, "seeds": 3}},
+    }
+    body = CampaignBody.model_validate({**asks, "seed": 1})
+    campaign: Any = SimpleNamespace(id=submit(client, plain), body=body)
+    writer = Writer(engines.writer)
+    seeds = LlmSeeds(engines, writer, lambda campaign_id: None)
+    stopper = threading.Thread(target=seeds.close)
+    original: Any = getattr(server.llm.seeds, when.removesuffix("s"))
+
+    remembered = []
+
+    def meanwhile(*given: Any) -> Any:
+        remembered.append(seeds.doing(campaign.id) is not None)
+        if stopper.ident is not None:
+            return original(*given)
+        stopper.start()
+        eventually(lambda: seeds._stopping.is_set(), "it is stopping")
+        return original(*given)
+
+    monkeypatch.setattr(server.llm.seeds, when.removesuffix("s"), meanwhile)
+    assert seeds.proposals(campaign, NpcActions(NpcActionsParams()), SeedRequest(number=0, count=8)) is None
+    eventually(lambda: bool(stopper.ident), "it was stopped")
+    stopper.join()
+    writer.close()
+    with engines.reader.connect() as connection:
+        assert connection.execute(select(SeedClaimRow.campaign_id)).all() == []
+    assert remembered[0] is (when == "releases"), "who stops waits for what is remembered"
+
+
 def test_the_command_line_tries_shows_and_tells(
     client: httpx.Client, endpoint: Endpoint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     file = tmp_path / "seeded.yaml"
-    file.write_text(yaml.safe_dump(body(endpoint, differential="never")))
+    file.write_text(yaml.safe_dump(seeded(endpoint, differential="never")))
     run = CliRunner().invoke
     shown = run(app, ["llm", "dry-run", str(file)])
     assert shown.exit_code == 0, shown.output
@@ -269,8 +278,8 @@ def test_the_command_line_tries_shows_and_tells(
     assert run(app, ["llm", "check", str(file)]).exit_code == 1
     endpoint.reset()
     endpoint.then(says(reply_text(items(POPULATION))))
-    campaign = submit(client, body(endpoint, differential="never"))
-    worker(client).work(campaign)
+    campaign = submit(client, seeded(endpoint, differential="never"))
+    traffic_worker(client).work(campaign)
     told = run(app, ["llm", "log", campaign, "--server", str(client.base_url), "--out", str(tmp_path / "r")])
     assert told.exit_code == 0, told.output
     assert "1 calls, 1000 tokens" in told.stdout

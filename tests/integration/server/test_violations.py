@@ -3,21 +3,18 @@
 import csv
 import io
 import json
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
-from support.api import FakeWorker, expect, submit
+from support.api import expect, submit
+from support.traffic import traffic_worker
 from typer.testing import CliRunner
 
 from server.cli.commands import app
 from server.cli.findings.violations import draw_types, in_words, write_violations
 from server.violations.rules import RULES_VERSION
-from sim.encounter.simulator import BrinkEncounter
-from sim.episode import EpisodeSpec
-from worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
 TRAFFIC: dict[str, Any] = {
     "name": "traffic",
@@ -28,27 +25,10 @@ TRAFFIC: dict[str, Any] = {
 }
 
 
-@lru_cache
-def simulator() -> BrinkEncounter:
-    return BrinkEncounter()
-
-
-def simulate(job: LeasedJob) -> Completed | JobFailed:
-    result = simulator().run(EpisodeSpec.from_json(job.spec))
-    return Completed(
-        verdicts={
-            name: WireVerdict(robustness=v.robustness, unit=v.unit, violated_at_s=v.violated_at_s)
-            for name, v in result.verdicts.items()
-        },
-        objectives=dict(result.objectives),
-        features=dict(result.features),
-    )
-
-
 @pytest.fixture
 def campaign(client: httpx.Client) -> str:
     campaign = submit(client, TRAFFIC)
-    stands = FakeWorker(client, capabilities=("brink-encounter@1",), judge=simulate).work(campaign)
+    stands = traffic_worker(client).work(campaign)
     assert (stands["status"], stands["failed"]) == ("finished", 0)
     return campaign
 
