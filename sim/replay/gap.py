@@ -11,6 +11,7 @@ from sim.requirements.front_gap import REQUIRED_GAP_M
 from sim.trace import ActorTrack, Trace
 
 FRONT_GAP: Final = "front-gap"
+NO_COLLISION: Final = "no-collision"
 DRAWN_UP_TO_M: Final = 40.0
 CORRIDOR_M: Final = 2.5
 """Without a recorded front gap: how far off the ego's axis a vehicle may be to count as ahead."""
@@ -34,8 +35,11 @@ class FrontGap:
 
 
 def front_gap(trace: Trace, sample: int) -> FrontGap | None:
-    """Return the gap to the vehicle ahead at a sample, or None if there is none within 40 m."""
-    recorded = next((s for name, s in trace.robustness.items() if plain_name(name) == FRONT_GAP), None)
+    """Return the gap to the vehicle ahead at a sample, or None if there is none within 40 m, or something is hit."""
+    series = {plain_name(name): series for name, series in trace.robustness.items()}
+    if NO_COLLISION in series and series[NO_COLLISION][sample] < 0:
+        return None
+    recorded = series.get(FRONT_GAP)
     gap_m = None if recorded is None else float(recorded[sample]) + REQUIRED_GAP_M
     if gap_m is not None and gap_m > DRAWN_UP_TO_M:
         return None

@@ -17,7 +17,7 @@ import numpy as np
 
 from search.statistics import compared
 from server.bench.mumoea.measures import Measures, first_of_each_type, measured, types_over
-from server.bench.mumoea.runs import ADAPTIVE, METHODS, SearchRun, Task, run_or_read
+from server.bench.mumoea.runs import ADAPTIVE, ALWAYS, METHODS, SearchRun, Task, run_or_read
 from server.problems.npc_actions import NpcActionsParams
 from sim.figures import Row
 from sim.trials import code_fingerprint, single_threaded
@@ -167,18 +167,23 @@ def _summary(measures: Mapping[str, Sequence[Measures]]) -> list[Row]:
 
 
 def _tests(measures: Mapping[str, Sequence[Measures]]) -> list[Row]:
-    """Return how likely muMOEA is to be better than each other method, with the test's p."""
+    """Return how likely muMOEA is to be better than each other method, with the test's p; so for asking always."""
+    pairs = [
+        (subject, name, method)
+        for subject, names in ((ADAPTIVE, tuple(WORDS)), (ALWAYS, ("types", "fault_types")))
+        for name in names
+        for method in measures
+        if method != subject and not (subject == ALWAYS and method == ADAPTIVE)
+    ]
     rows = []
-    for name, words in WORDS.items():
-        for method, its in measures.items():
-            mine, theirs = _figures(measures[ADAPTIVE], name), _figures(its, name)
-            if method == ADAPTIVE or not mine or not theirs:
-                continue
+    for subject, name, method in pairs:
+        mine, theirs = _figures(measures[subject], name), _figures(measures[method], name)
+        if mine and theirs:
             less = name in BETTER_IF_LESS
             tested = compared(theirs, mine) if less else compared(mine, theirs)
             rows.append(
                 Row(
-                    what=f"A12 {words}: muMOEA better than {method}", value=tested.a12, target="", met=None,
+                    what=f"A12 {WORDS[name]}: {subject} better than {method}", value=tested.a12, target="", met=None,
                     note=f"Mann-Whitney p {tested.p_value:.2g}, uncorrected",
                 )
             )  # fmt: skip

@@ -18,10 +18,11 @@ from sim.errors import SimulatorError
 from sim.trials import run_record
 
 ADAPTIVE: Final = "muMOEA"
+ALWAYS: Final = "differential seeds always"
 METHODS: Final[Mapping[str, tuple[Algorithm, Any]]] = {
     ADAPTIVE: (Mumoea(), MumoeaConfig()),
     "without differential seeds": (Mumoea(), MumoeaConfig(differential="never")),
-    "differential seeds always": (Mumoea(), MumoeaConfig(differential="always")),
+    ALWAYS: (Mumoea(), MumoeaConfig(differential="always")),
     "random initial population": (Mumoea(), MumoeaConfig(initial="random")),
     "MOSAT": (Mosat(), Mosat.config_type()),
     "NSGA-II": (Nsga2(), Nsga2.config_type()),

@@ -115,6 +115,16 @@ def test_gap_line_is_not_drawn_to_an_oncoming_vehicle_at_the_same_distance() -> 
     assert found.actor == 1
 
 
+def test_no_gap_is_drawn_to_what_was_hit() -> None:
+    trace = make_trace()
+    sample = tell(trace).decisive
+    hit = np.ones(len(trace.time_s), np.float32)
+    hit[sample] = -0.4
+    judged = replace(trace, robustness={**trace.robustness, "no-collision@1": hit})
+    assert front_gap(judged, sample) is None
+    assert front_gap(judged, sample - 1) is not None
+
+
 def test_gap_without_record_goes_to_the_nearest_vehicle_in_the_corridor() -> None:
     trace = replace(make_trace(), robustness={"progress@1": np.zeros(200, np.float32)})
     found = front_gap(trace, 50)
