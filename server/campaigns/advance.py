@@ -107,12 +107,21 @@ class Stepper:
                 self._live.pop(campaign_id, None)
                 return False
             jobs = step_store.generation_jobs(connection, campaign_id, campaign.generation)
-        if any(job.status in (JobStatus.QUEUED, JobStatus.LEASED) for job in jobs):
+        if _open(jobs):
             return False
         try:
             live = self._state(campaign)
+            if jobs and wanted_seeds(live.plan, live.state) is not None:
+                # Another coordinator had its seeds, and asked, since this state was made.
+                live = self._restore(campaign)
             if wanted_seeds(live.plan, live.state) is not None:
                 return self._seed(campaign, live)
+            if not jobs:
+                # Another coordinator may have had its seeds, and asked, between the look at the jobs and the state.
+                with self._engines.reader.connect() as connection:
+                    jobs = step_store.generation_jobs(connection, campaign_id, campaign.generation)
+                if _open(jobs):
+                    return False
             return self._tell(campaign, live, jobs)
         except _MovedOn:
             return False
@@ -287,6 +296,10 @@ class Stepper:
             )
         ).result()
         log.warning("campaign=%s %s: %s", campaign.id, status, reason)
+
+
+def _open(jobs: Sequence[Row[*tuple[Any, ...]]]) -> bool:
+    return any(job.status in (JobStatus.QUEUED, JobStatus.LEASED) for job in jobs)
 
 
 def _checkpoint(plan: Plan, state: Any, generation: int) -> Checkpoint:

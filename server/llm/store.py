@@ -8,6 +8,7 @@ from typing import Final
 
 from sqlalchemy import Connection, delete, insert, select
 
+from server.campaigns.store import find_campaign
 from server.db.clock import database_now
 from server.db.engine import Engines
 from server.db.models import LlmCallRow, SeedClaimRow
@@ -66,9 +67,12 @@ def insert_call(connection: Connection, campaign_id: str, call: StoredCall) -> N
 
 def claim(connection: Connection, campaign_id: str, owner: str, hold_s: float) -> bool:
     """Take or keep the right to ask for a campaign's seeds; return whether it was free, expired or held already."""
+    # The campaign's row, since a claim that is not there yet cannot be locked: two could find none and both take it.
+    if find_campaign(connection, campaign_id, lock=True) is None:
+        return False
     now = database_now(connection)
     mine = SeedClaimRow.campaign_id == campaign_id
-    held = connection.execute(select(SeedClaimRow.__table__).where(mine).with_for_update()).one_or_none()
+    held = connection.execute(select(SeedClaimRow.__table__).where(mine)).one_or_none()
     if held is not None and held.owner != owner and held.expires_at > now:
         return False
     connection.execute(delete(SeedClaimRow).where(mine))

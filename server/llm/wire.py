@@ -26,9 +26,13 @@ _NAME_CHARS: Final = 200
 
 
 class Mode(StrEnum):
-    """How the form of a reply is asked for, the strictest first."""
+    """How the form of a reply is asked for, the strictest first.
+
+    The second is what llama-cpp-python and some hosted endpoints take instead of the first: a JSON object's schema.
+    """
 
     JSON_SCHEMA = "json_schema"
+    SCHEMA_IN_OBJECT = "schema_in_object"
     JSON_OBJECT = "json_object"
     PLAIN = "plain"
 
@@ -118,6 +122,8 @@ def request_body(settings: LlmSettings, messages: Messages, mode: Mode, schema: 
     if mode is Mode.JSON_SCHEMA:
         named = {"name": _SCHEMA_NAME, "strict": True, "schema": schema}
         body["response_format"] = {"type": "json_schema", "json_schema": named}
+    elif mode is Mode.SCHEMA_IN_OBJECT:
+        body["response_format"] = {"type": "json_object", "schema": schema}
     elif mode is Mode.JSON_OBJECT:
         body["response_format"] = {"type": "json_object"}
     return body

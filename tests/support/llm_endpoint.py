@@ -57,7 +57,7 @@ class Asked:
     def form(self) -> str:
         """How the form of the reply was asked for."""
         stated = self.body.get("response_format") or {"type": "plain"}
-        return str(stated["type"])
+        return "schema_in_object" if "schema" in stated else str(stated["type"])
 
     @property
     def prompt(self) -> str:
@@ -166,7 +166,7 @@ class Endpoint:
 
     url: str
     asked: list[Asked] = field(default_factory=list)
-    forms: Collection[str] = ("json_schema", "json_object", "plain")
+    forms: Collection[str] = ("json_schema", "schema_in_object", "json_object", "plain")
     form_refusal: Step = field(
         default_factory=lambda: refuses(400, "'response_format.type' must be one of: text")
     )

@@ -22,7 +22,12 @@ def _simulator() -> BrinkEncounter:
 
 def simulate(job: LeasedJob) -> Completed | JobFailed:
     """Return what the simulator makes of a job."""
-    result = _simulator().run(EpisodeSpec.from_json(job.spec))
+    return driven(job.spec)
+
+
+def driven(spec: Any) -> Completed:
+    """Return what the simulator makes of an episode."""
+    result = _simulator().run(EpisodeSpec.from_json(spec))
     return Completed(
         verdicts={
             name: WireVerdict(robustness=v.robustness, unit=v.unit, violated_at_s=v.violated_at_s)

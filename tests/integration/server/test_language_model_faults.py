@@ -26,6 +26,7 @@ from support.llm_endpoint import (
 from support.traffic import POPULATION, calls, origins, others, seeded, traffic_worker
 
 from server.llm.client import MOST_REPLY_BYTES
+from server.llm.wire import Mode
 
 pytestmark = pytest.mark.timeout(180)
 
@@ -47,7 +48,7 @@ class Fault:
     llm: int = 0
     repaired: int = 0
     sent: int = 1
-    forms: tuple[str, ...] = ("json_schema", "json_object", "plain")
+    forms: tuple[str, ...] = tuple(Mode)
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -63,9 +64,10 @@ def broken(*wrong: Any) -> Step:
 
 
 FAULTS = {
-    "vLLM refuses json_schema": Fault((GOOD,), llm=8, sent=2, forms=("json_object", "plain")),
+    "vLLM refuses json_schema": Fault((GOOD,), llm=8, sent=3, forms=("json_object", "plain")),
+    "llama-cpp-python takes a schema in json_object": Fault((GOOD,), llm=8, sent=2, forms=("schema_in_object",)),
     "llama.cpp takes plain text alone": Fault(
-        (says(reply_text(items(8)), server=Server.LLAMA_CPP),), llm=8, sent=3, forms=("plain",)
+        (says(reply_text(items(8)), server=Server.LLAMA_CPP),), llm=8, sent=4, forms=("plain",)
     ),
     "Ollama states no usage": Fault((says(reply_text(items(8)), server=Server.OLLAMA),), llm=8),
     "cut short": Fault((says(CUT_SHORT, finish="length"), MORE), llm=5, repaired=3, sent=2),

@@ -270,11 +270,11 @@ def test_the_command_line_tries_shows_and_tells(
     assert "cost unknown" in shown.stdout
     assert endpoint.asked == []
     endpoint.models = {"data": [{"id": MODEL}]}
-    endpoint.then(*[says(reply_text(items(1)))] * 3)
+    endpoint.then(*[says(reply_text(items(1)))] * len(Mode))
     tried = run(app, ["llm", "check", str(file)])
     assert tried.exit_code == 0, tried.output
     assert "replies will be asked for as json_schema" in tried.stdout
-    endpoint.then(*[says("no")] * 3)
+    endpoint.then(*[says("no")] * len(Mode))
     assert run(app, ["llm", "check", str(file)]).exit_code == 1
     endpoint.reset()
     endpoint.then(says(reply_text(items(POPULATION))))

@@ -2,7 +2,8 @@
 
 import json
 import threading
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -10,9 +11,11 @@ import pytest
 from sqlalchemy import Connection, func, select, update
 from sqlalchemy.exc import OperationalError
 from support.api import FakeWorker, ball, coordinator, eventually, progress, submit
-from support.problems import simulated
+from support.llm_endpoint import serving
+from support.problems import SIMULATOR, simulated
 from support.queue import Queue
 from support.reference import undisturbed_digest
+from support.traffic import driven, seeded
 
 from search.digest import archive_digest
 from search.seeding import Proposal, SeedRequest
@@ -25,19 +28,23 @@ from server.db.engine import Engines
 from server.db.models import CampaignStatus, CheckpointRow, GenerationRow, SolutionRow
 from server.db.writer import Writer
 from server.errors import Unavailable
+from server.llm.store import claim
 from server.problems.base import Problem
 from server.queue.values import Outcome
 from sim import catalogue
-from worker.wire import LeasedJob
+from worker.wire import Completed, LeasedJob
 
 
 class NoSeeds:
-    """Never has any: algorithms then make their own."""
+    """Never has any: algorithms then make their own, once it has said so."""
+
+    def __init__(self) -> None:
+        self.says: Sequence[Proposal] | None = ()
 
     def proposals(
         self, campaign: Campaign, problem: Problem, request: SeedRequest
     ) -> Sequence[Proposal] | None:
-        return ()
+        return self.says
 
 
 pytestmark = pytest.mark.usefixtures("small_problems")
@@ -84,11 +91,16 @@ def test_leases_outlive_their_coordinator(database_url: str) -> None:
 class Coordinators:
     """Two steppers, each with a writer of its own, on one database: as two processes have them."""
 
-    def __init__(self, engines: Engines, body: dict[str, Any]) -> None:
+    def __init__(
+        self, engines: Engines, body: dict[str, Any], simulated: Callable[[Any], Completed] = simulated
+    ) -> None:
+        self.simulated = simulated
+        self.seeds = [NoSeeds() for _ in range(2)]
         self.engines, self.queue = engines, Queue(engines=engines)
         self.writers = [Writer(engines.writer) for _ in range(2)]
         self.steppers = [
-            Stepper(engines, writer, max_stored_distances=1000, seeds=NoSeeds()) for writer in self.writers
+            Stepper(engines, writer, max_stored_distances=1000, seeds=seeds)
+            for writer, seeds in zip(self.writers, self.seeds, strict=True)
         ]
         self.body = parse_body(body)
         live, solutions = first_generation(self.body)
@@ -114,11 +126,11 @@ class Coordinators:
 
     def simulate(self) -> None:
         """Simulate all that is queued."""
-        while jobs := self.queue.lease():
+        while jobs := self.queue.lease(capabilities=(SIMULATOR, "brink-encounter@1")):
             specs = {job.job: json.loads(self.queue.job(job.job).spec) for job in jobs}
             self.queue.report(
                 *(
-                    Outcome(job=j.job, token=j.token, result=simulated(specs[j.job]).model_dump_json())
+                    Outcome(job=j.job, token=j.token, result=self.simulated(specs[j.job]).model_dump_json())
                     for j in jobs
                 )
             )
@@ -196,6 +208,68 @@ def test_a_campaign_that_moves_on_while_it_is_restored_is_left_to_the_other(
     monkeypatch.setattr(step_store, "generation_jobs", overtaken)
     assert not second.advance("c0ffee")
     assert (two.campaign.generation, two.campaign.status) == (2, CampaignStatus.RUNNING)
+
+
+@pytest.fixture
+def waiting(engines: Engines) -> Iterator[Coordinators]:
+    """Two coordinators of a campaign that waits for seeds; the endpoint is none that answers."""
+    with serving() as endpoint:
+        made = Coordinators(engines, seeded(endpoint, differential="always"), driven)
+        yield made
+        made.close()
+
+
+def test_seeds_that_come_to_another_meanwhile_are_those_of_both(
+    waiting: Coordinators, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, second = waiting.steppers
+    look = step_store.generation_jobs
+
+    def overtaken(*arguments: Any) -> Any:
+        monkeypatch.setattr(step_store, "generation_jobs", look)
+        jobs = look(*arguments)
+        assert jobs == []
+        assert first.advance("c0ffee")
+        return jobs
+
+    monkeypatch.setattr(step_store, "generation_jobs", overtaken)
+    assert not second.advance("c0ffee"), "it must not tell a generation without its jobs"
+    assert waiting.campaign.status is CampaignStatus.RUNNING
+    waiting.simulate()
+    assert second.advance("c0ffee")
+    assert waiting.campaign.generation == 1
+
+
+def test_whoever_still_waits_for_seeds_that_another_had_goes_on_with_those(waiting: Coordinators) -> None:
+    first, second = waiting.steppers
+    waiting.seeds[1].says = None
+    assert not second.advance("c0ffee"), "it waits"
+    assert first.advance("c0ffee")
+    waiting.simulate()
+    assert second.advance("c0ffee")
+    assert waiting.campaign.generation == 1
+
+
+def test_one_of_two_may_ask_for_seeds(engines: Engines, waiting: Coordinators) -> None:
+    """The other waits until the first has decided, although there is no claim yet that could be locked."""
+    begin, claimed = threading.Barrier(2), dict[str, bool]()
+
+    def ask(owner: str) -> None:
+        begin.wait(30)
+        with engines.writer.begin() as connection:
+            claimed[owner] = claim(connection, "c0ffee", owner, 60.0)
+            time.sleep(0.1)
+
+    threads = [threading.Thread(target=ask, args=(owner,)) for owner in ("first", "second")]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(30)
+    assert sorted(claimed.values()) == [False, True]
+    (owner,) = (name for name, had in claimed.items() if had)
+    with engines.writer.begin() as connection:
+        assert claim(connection, "c0ffee", owner, 60.0), "who has it may keep it"
+        assert not claim(connection, "nobody", owner, 60.0), "there is no such campaign"
 
 
 def test_a_step_on_a_campaign_that_was_paused_meanwhile_is_not_written(

@@ -134,7 +134,7 @@ def test_what_is_not_set_is_not_sent(endpoint: Endpoint) -> None:
 def test_a_form_that_is_refused_is_replaced_by_a_looser_one_for_good(
     endpoint: Endpoint, form_refusal: Step
 ) -> None:
-    endpoint.forms, endpoint.form_refusal = ("json_object", "plain"), form_refusal
+    endpoint.forms, endpoint.form_refusal = ("schema_in_object", "json_object", "plain"), form_refusal
     endpoint.then(OK, OK)
 
     async def twice(client: LlmClient) -> tuple[Completion, Completion, Mode]:
@@ -142,9 +142,10 @@ def test_a_form_that_is_refused_is_replaced_by_a_looser_one_for_good(
 
     pauses: list[float] = []
     first, second, mode = using(llm_settings(endpoint), twice, pauses)
-    assert [asked.form for asked in endpoint.asked] == ["json_schema", "json_object", "json_object"]
-    assert (first.mode, first.attempts, first.lost) == (Mode.JSON_OBJECT, 2, 0)
-    assert (second.mode, second.attempts, mode) == (Mode.JSON_OBJECT, 1, Mode.JSON_OBJECT)
+    assert [asked.form for asked in endpoint.asked] == ["json_schema", "schema_in_object", "schema_in_object"]
+    assert endpoint.asked[1].body["response_format"] == {"type": "json_object", "schema": dict(SCHEMA)}
+    assert (first.mode, first.attempts, first.lost) == (Mode.SCHEMA_IN_OBJECT, 2, 0)
+    assert (second.mode, second.attempts, mode) == (Mode.SCHEMA_IN_OBJECT, 1, Mode.SCHEMA_IN_OBJECT)
     assert pauses == []
 
 
@@ -152,7 +153,7 @@ def test_the_last_form_is_plain(endpoint: Endpoint) -> None:
     endpoint.forms = ("plain",)
     endpoint.then(OK)
     assert using(llm_settings(endpoint), ask).mode is Mode.PLAIN
-    assert [asked.form for asked in endpoint.asked] == ["json_schema", "json_object", "plain"]
+    assert [asked.form for asked in endpoint.asked] == [mode.value for mode in Mode]
     assert "response_format" not in endpoint.asked[-1].body
 
 
@@ -175,7 +176,7 @@ def test_a_form_that_worked_is_not_given_up_for_another_trouble(endpoint: Endpoi
 
 
 def test_a_form_is_not_given_up_if_no_other_works_either(endpoint: Endpoint) -> None:
-    endpoint.then(*[refuses(400, "maximum context length is 2048 tokens")] * 3, OK)
+    endpoint.then(*[refuses(400, "maximum context length is 2048 tokens")] * len(Mode), OK)
 
     async def twice(client: LlmClient) -> Mode:
         with pytest.raises(RequestRefused, match="context length"):
@@ -299,7 +300,7 @@ def test_what_will_not_get_better_is_said_at_once_with_advice(
 
 def test_the_name_of_the_token_limit_is_advised(endpoint: Endpoint) -> None:
     words = "Unsupported parameter: 'max_tokens'. Use 'max_completion_tokens' instead."
-    error = failing(endpoint, RequestRefused, *[refuses(400, words)] * 3)
+    error = failing(endpoint, RequestRefused, *[refuses(400, words)] * len(Mode))
     assert "Set token_field: max_completion_tokens" in str(error)
 
 

@@ -120,7 +120,7 @@ class Case:
     words: str
     sent: int
     counted: int
-    forms: tuple[str, ...] = ("json_schema", "json_object", "plain")
+    forms: tuple[str, ...] = tuple(Mode)
 
 
 LLM, REPAIRED = Origin.LLM.value, Origin.LLM_REPAIR.value
@@ -145,9 +145,9 @@ CASES = {
     ),
     "more than wanted": Case((says(reply_text(items(9))),), (LLM,) * 4, ("ok",), "4 of 4 usable", 1, 1),
     "no json_schema": Case(
-        (GOOD,), (LLM,) * 4, ("ok",), "4 of 4 usable", 2, 1, forms=("json_object", "plain")
+        (GOOD,), (LLM,) * 4, ("ok",), "4 of 4 usable", 3, 1, forms=("json_object", "plain")
     ),
-    "no json_object either": Case((GOOD,), (LLM,) * 4, ("ok",), "4 of 4 usable", 3, 1, forms=("plain",)),
+    "no json_object either": Case((GOOD,), (LLM,) * 4, ("ok",), "4 of 4 usable", 4, 1, forms=("plain",)),
     "chatter and fences": Case(
         (says(f"<think>hm</think>Here:\n```json\n{reply_text(items(4))}\n```\nGood luck!"),),
         (LLM,) * 4, ("ok",), "4 of 4 usable", 1, 1,

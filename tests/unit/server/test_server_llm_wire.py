@@ -164,4 +164,4 @@ def test_any_wish_for_a_pause_is_a_time_or_nothing(stated: str) -> None:
 
 
 def test_modes_go_from_strict_to_plain() -> None:
-    assert [mode.looser for mode in Mode] == [Mode.JSON_OBJECT, Mode.PLAIN, None]
+    assert [mode.looser for mode in Mode] == [Mode.SCHEMA_IN_OBJECT, Mode.JSON_OBJECT, Mode.PLAIN, None]
