@@ -67,7 +67,7 @@ class NpcActionsParams:
         "brink-det@1",
         help="With sight: detector, its id, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE.",
     )
-    threshold: float = setting(0.5, help="Least score that the driving system is told.", gt=0.0, lt=1.0)
+    threshold: float = setting(0.8, help="Least score that the driving system is told.", gt=0.0, lt=1.0)
     road_curve: str = setting("crossroad", help="Shape of the road.", choices=_words("road_curve"))
     road_id: int = setting(0, help="Which of the three roads of that shape.", ge=0, le=2)
     road_length: int = setting(0, help="0 short, 1 medium, 2 long.", ge=0, le=2)

@@ -80,7 +80,7 @@ def test_it_is_what_it_says() -> None:
     camera = NpcActions(NpcActionsParams(sight="detector"))
     assert camera.needs == "brink-encounter-camera@1"
     spec = camera.episode(camera.space.sample(np.random.default_rng(1)), 1)
-    assert spec.behaviour == {"mode": "detector", "detector": "brink-det@1", "threshold": 0.5}
+    assert spec.behaviour == {"mode": "detector", "detector": "brink-det@1", "threshold": 0.8}
     assert NpcActions(NpcActionsParams(sight="detector", detector="nobody@1")).wrong_inputs()
     assert PROBLEM.wrong_inputs() == []
 
