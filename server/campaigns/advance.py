@@ -322,7 +322,8 @@ def _check_same(campaign: Campaign, candidates: Sequence[Candidate], asked: Mapp
     if {candidate.number: vector_bytes(candidate) for candidate in candidates} != asked:
         message = (
             f"expected the candidates that were asked for, got others: {campaign.body.algorithm.id} or "
-            f"{campaign.body.problem.id} has changed since; go on with the version that the campaign began with"
+            f"{campaign.body.problem.id} has changed since, or the stored replies that its seeds were read from; "
+            "go on with the version that the campaign began with"
         )
         raise InvalidInput([FieldError(pointer="/algorithm/id", message=message)])
 
