@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from sqlalchemy import Connection, Row, select, update
 
-from server.campaigns import step_store, store
+from server.campaigns import jobs, step_store, store
 from server.campaigns.body import Budget, CampaignBody, Execution, PluginChoice
 from server.campaigns.values import NewJob, NewSolution
 from server.db.clock import database_now
@@ -132,6 +132,14 @@ class Queue:
         """Let leases run out and take them back."""
         self._move("lease_expires_at", [job.job for job in jobs])
         assert self.expire()[1] == len(jobs)
+
+    def retry(self, job: int) -> None:
+        """Retry a job by hand."""
+        self.run(lambda connection: jobs.retry(connection, job))
+
+    def delete(self, campaign: str) -> None:
+        """Delete a campaign."""
+        self.run(lambda connection: store.delete_campaign(connection, campaign))
 
     def end_backoffs(self) -> None:
         """Let all backoffs end."""

@@ -1,0 +1,173 @@
+"""Faults made by hand in the queue's SQL: the queue's model must notice each of them."""
+
+import inspect
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+import support.queue
+from server.campaigns import jobs, store
+from server.queue import lease_store, report_store
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A piece of a module in another form.
+
+    Attributes:
+        module: The module.
+        right: As it stands there, once.
+        wrong: What it becomes.
+    """
+
+    module: ModuleType
+    right: str
+    wrong: str
+
+
+FAULTS = {
+    "a leased job is granted again": Fault(
+        lease_store,
+        "_IS_QUEUED = JobRow.status == literal(JobStatus.QUEUED, literal_execute=True)",
+        "_IS_QUEUED = JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED])",
+    ),
+    "jobs go to workers that cannot run them": Fault(
+        lease_store, '    JobRow.needs.in_(bindparam("capabilities", expanding=True)),\n    _DUE,', "    _DUE,"
+    ),
+    "backoffs are not waited for": Fault(
+        lease_store, 'or_(JobRow.not_before.is_(None), JobRow.not_before <= bindparam("now"))',
+        "JobRow.id.is_not(None)",
+    ),
+    "equal simulations run at once": Fault(lease_store, "    ~(_SOMEBODY_RUNS_IT & JobRow.cache),\n", ""),
+    "equal simulations are granted together": Fault(
+        lease_store, "        if row.cache and row.spec_hash in seen:\n            continue\n", ""
+    ),
+    "equal simulations without a cache wait for each other": Fault(
+        lease_store, "~(_SOMEBODY_RUNS_IT & JobRow.cache)", "~_SOMEBODY_RUNS_IT"
+    ),
+    "paused campaigns hand out work": Fault(
+        lease_store,
+        "        CampaignRow.status == CampaignStatus.RUNNING,\n        exists(\n            select(JobRow.id)",
+        "        exists(\n            select(JobRow.id)",
+    ),
+    "paused campaigns hand out retries": Fault(
+        lease_store, "        or_(_IS_TRACE, CampaignRow.status == CampaignStatus.RUNNING),\n", ""
+    ),
+    "priorities are ignored": Fault(
+        lease_store, ".order_by(CampaignRow.priority.desc(), CampaignRow.turn, CampaignRow.id)",
+        ".order_by(CampaignRow.turn, CampaignRow.id)",
+    ),
+    "retries overtake work of a higher priority": Fault(
+        lease_store, "return best is None or retry.priority >= best.priority", "return True"
+    ),
+    "campaigns do not take turns": Fault(
+        lease_store, '    connection.execute(_TAKE_TURN, {"served": sorted({row.campaign_id for row in rows})})\n', ""
+    ),
+    "one campaign takes the whole grant": Fault(
+        lease_store, "share = -(-(limit - len(rows)) // peers)", "share = limit - len(rows)"
+    ),
+    "the end of the queue goes to one worker": Fault(
+        lease_store, "limit = min(max_jobs, _fair_share(waiting.jobs, terms.live_workers))", "limit = max_jobs"
+    ),
+    "attempts are not charged": Fault(
+        lease_store, "        attempt=JobRow.attempt + 1,\n        lease_token", "        lease_token"
+    ),
+    "retries are granted in company": Fault(
+        lease_store, "    .limit(1)\n)\n_CAMPAIGNS", "    .limit(3)\n)\n_CAMPAIGNS"
+    ),
+    "who holds a retry gets more": Fault(lease_store, "    if holds_retry:\n        return []\n", ""),
+    "a retry goes to a worker that holds jobs": Fault(
+        lease_store, "            if held:\n                return []\n", ""
+    ),
+    "a retry goes back to the worker that failed it": Fault(
+        lease_store, '            JobRow.failed_worker != bindparam("worker"),\n',
+        "            JobRow.id.is_not(None),\n",
+    ),
+    "anybody renews a lease": Fault(
+        lease_store, "secrets.compare_digest(row.lease_token, wanted[row.id])", "True"
+    ),
+    "anybody gives a lease back": Fault(
+        lease_store,
+        "JobRow.lease_token == held.token)\n            .values(\n                status",
+        "JobRow.id.is_not(None))\n            .values(\n                status",
+    ),
+    "a lease given back is charged": Fault(
+        lease_store, "                attempt=JobRow.attempt - 1,\n", ""
+    ),
+    "anybody reports a job": Fault(
+        report_store,
+        "    if not secrets.compare_digest(row.lease_token, outcome.token):\n        return \"stale\"\n", "",
+    ),
+    "a report counts twice": Fault(
+        report_store, "if row.status == JobStatus.LEASED and not reported_before:", "if not reported_before:"
+    ),
+    "a report that was stored is called stale": Fault(
+        report_store, '    return "duplicate"\n', '    return "stale"\n'
+    ),
+    "a failed job is lost": Fault(
+        report_store, "retry = not outcome.final and row.attempt < row.max_attempts", "retry = False"
+    ),
+    "a failed job is tried for ever": Fault(
+        report_store, "retry = not outcome.final and row.attempt < row.max_attempts", "retry = not outcome.final"
+    ),
+    "a job that can never run is tried again": Fault(
+        report_store, "retry = not outcome.final and row.attempt < row.max_attempts",
+        "retry = row.attempt < row.max_attempts",
+    ),
+    "failed jobs do not back off": Fault(
+        report_store, '"wait_until": now + timedelta(seconds=wait_s) if retry else None', '"wait_until": None'
+    ),
+    "leases never run out": Fault(
+        report_store, ".where(JobRow.status == JobStatus.LEASED, JobRow.lease_expires_at < now)",
+        ".where(JobRow.status == JobStatus.LEASED, JobRow.lease_expires_at < datetime(2000, 1, 1))",
+    ),
+    "leases run out at once": Fault(
+        report_store, ".where(JobRow.status == JobStatus.LEASED, JobRow.lease_expires_at < now)",
+        ".where(JobRow.status == JobStatus.LEASED)",
+    ),
+    "a late report is called stored": Fault(
+        report_store,
+        "    connection.execute(update(JobRow).where(JobRow.id.in_(lost)).values(lease_token=None))\n", "",
+    ),
+    "a result is not shared": Fault(
+        report_store,
+        "    _finish(connection, {twin.id: results[twin.spec_hash, twin.kind] for twin in twins}, now)\n", "",
+    ),
+    "a result is shared without a cache": Fault(
+        report_store, "        JobRow.status == JobStatus.QUEUED,\n        JobRow.cache,\n    )\n    .order_by",
+        "        JobRow.status == JobStatus.QUEUED,\n    )\n    .order_by",
+    ),
+    "cancelling leaves jobs with workers": Fault(
+        store, "JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),\n            )\n            .values(",
+        "JobRow.status == JobStatus.QUEUED,\n            )\n            .values(",
+    ),
+    "a cancelled job keeps its lease": Fault(
+        store, "                status=JobStatus.CANCELLED,\n                lease_token=None,\n",
+        "                status=JobStatus.CANCELLED,\n",
+    ),
+    "a retry by hand has no attempts": Fault(
+        jobs, "max_attempts=row.attempt + campaign.body.execution.max_attempts", "max_attempts=row.attempt"
+    ),
+}  # fmt: skip
+"""What each of them does, and where it is made."""
+
+
+@contextmanager
+def made(fault: Fault) -> Iterator[None]:
+    """Let the tests' queue run on a module with a fault."""
+    source = inspect.getsource(fault.module)
+    if source.count(fault.right) != 1:
+        raise AssertionError(
+            f"{fault.module.__name__} has this {source.count(fault.right)} times:\n{fault.right}"
+        )
+    name = fault.module.__name__.rpartition(".")[2]
+    faulty: Any = ModuleType(fault.module.__name__)
+    exec(compile(source.replace(fault.right, fault.wrong), f"{name} with a fault", "exec"), faulty.__dict__)
+    right = getattr(support.queue, name)
+    setattr(support.queue, name, faulty)
+    try:
+        yield
+    finally:
+        setattr(support.queue, name, right)

@@ -1,0 +1,446 @@
+"""A model of the queue in memory, and a machine that drives both and compares them.
+
+The model knows nothing of SQL: it says in plain Python who should get which jobs, and what becomes of them.
+"""
+
+import itertools
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import ClassVar
+
+from hypothesis import HealthCheck, Phase, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    invariant,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)
+from sqlalchemy import text
+
+from server.db.engine import Engines, open_engines
+from server.db.models import CampaignStatus
+from server.errors import Conflict, NotFound
+from support.queue import Queue
+from worker.wire import LeasedJob
+
+WORKERS = ("w1", "w2", "w3")
+NEEDS = ("faulty@1", "other@1")
+MAX_ATTEMPTS = 2
+MAX_JOBS = 24
+
+
+@dataclass
+class ModelCampaign:
+    """What the queue should know of a campaign."""
+
+    id: str
+    priority: int
+    cache: bool
+    status: CampaignStatus = CampaignStatus.RUNNING
+    turn: int = 0
+
+
+@dataclass
+class ModelJob:
+    """What the queue should say of one job."""
+
+    id: int
+    campaign: ModelCampaign
+    spec_hash: str
+    needs: str
+    status: str = "queued"
+    attempt: int = 0
+    max_attempts: int = MAX_ATTEMPTS
+    token: str | None = None
+    worker: str | None = None
+    failed_worker: str | None = None
+    due: bool = True
+
+
+@dataclass
+class Model:
+    """The queue as it should be."""
+
+    jobs: dict[int, ModelJob] = field(default_factory=dict)
+    campaigns: dict[str, ModelCampaign] = field(default_factory=dict)
+
+    def known(self, spec_hash: str) -> bool:
+        """Whether a simulation has a result that others may take over."""
+        return any(
+            job.spec_hash == spec_hash and job.status == "done" and job.campaign.cache
+            for job in self.jobs.values()
+        )
+
+    def eligible(self, job: ModelJob, capabilities: Sequence[str]) -> bool:
+        """Whether a worker with these capabilities could run a job now."""
+        runs = any(o.status == "leased" and o.spec_hash == job.spec_hash for o in self.jobs.values())
+        return (
+            job.status == "queued"
+            and job.due
+            and job.needs in capabilities
+            and job.campaign.status is CampaignStatus.RUNNING
+            and not (runs and job.campaign.cache)
+        )
+
+    def holdings(self, worker: str) -> list[ModelJob]:
+        """Return the jobs that a worker holds."""
+        return [job for job in self.jobs.values() if job.status == "leased" and job.worker == worker]
+
+    def retries(self, worker: str, capabilities: Sequence[str], elsewhere: Sequence[str]) -> list[ModelJob]:
+        """Return the jobs tried before that a worker may have, those of the highest priority alone."""
+        found = [
+            job
+            for job in self.jobs.values()
+            if job.attempt > 0
+            and self.eligible(job, capabilities)
+            and (job.failed_worker != worker or job.needs not in elsewhere)
+        ]
+        best = max((job.campaign.priority for job in found), default=0)
+        return [job for job in found if job.campaign.priority == best]
+
+    def in_turn(self, capabilities: Sequence[str]) -> list[ModelCampaign]:
+        """Return the campaigns with fresh jobs for somebody, in the order in which they are served."""
+        serves = {
+            job.campaign.id: job.campaign
+            for job in self.jobs.values()
+            if job.attempt == 0 and self.eligible(job, capabilities)
+        }
+        return sorted(serves.values(), key=lambda one: (-one.priority, one.turn, one.id))
+
+    def fresh(self, capabilities: Sequence[str], max_jobs: int, live_workers: int) -> list[int]:
+        """Return the fresh jobs that a worker should get."""
+        waiting = sum(
+            job.status == "queued" and job.campaign.status is CampaignStatus.RUNNING
+            for job in self.jobs.values()
+        )
+        enough = live_workers * (max_jobs + 1) * 3 // 2
+        limit = min(max_jobs, max(1, -(-2 * min(waiting, enough) // (3 * live_workers))))
+        campaigns = self.in_turn(capabilities)
+        taken: list[ModelJob] = []
+        for place, campaign in enumerate(campaigns):
+            peers = sum(other.priority == campaign.priority for other in campaigns[place:])
+            share = -(-(limit - len(taken)) // peers)
+            its = (job for job in self.jobs.values() if job.campaign is campaign and job.attempt == 0)
+            taken += list(itertools.islice((job for job in its if self.eligible(job, capabilities)), share))
+        seen: set[str] = set()
+        kept = []
+        for job in taken:
+            if not (job.campaign.cache and job.spec_hash in seen):
+                seen.add(job.spec_hash)
+                kept.append(job.id)
+        return kept
+
+    def grant(self, worker: str, granted: Sequence[LeasedJob]) -> None:
+        """Note what was granted."""
+        for lease in granted:
+            job = self.jobs[lease.job]
+            job.status, job.attempt, job.token, job.worker = "leased", job.attempt + 1, lease.token, worker
+        turn = max((campaign.turn for campaign in self.campaigns.values()), default=0) + 1
+        for lease in granted:
+            self.jobs[lease.job].campaign.turn = turn
+
+    def fail(self, job: ModelJob, *, final: bool) -> None:
+        """Note that an attempt failed."""
+        over = final or job.attempt >= job.max_attempts
+        job.status, job.due = "quarantined" if over else "queued", over
+        job.failed_worker, job.worker = job.worker, None
+
+    def finish(self, job: ModelJob) -> None:
+        """Note a result: equal simulations that wait take it over."""
+        job.status = "done"
+        for twin in self.jobs.values():
+            shares = job.campaign.cache and twin.campaign.cache and twin.spec_hash == job.spec_hash
+            if shares and twin.status == "queued":
+                twin.status = "done"
+
+
+class QueueMachine(RuleBasedStateMachine):
+    """Everything that can be asked of the queue, in any order, by workers, sweepers and people."""
+
+    fresh_engines: ClassVar[Callable[[], tuple[Engines, Callable[[], None]]]]
+
+    def __init__(self) -> None:
+        super().__init__()
+        engines, self.clean_up = type(self).fresh_engines()
+        self.queue = Queue(engines=engines)
+        self.model = Model()
+        self.leases: list[LeasedJob] = []
+
+    def teardown(self) -> None:
+        self.clean_up()
+
+    @precondition(lambda self: len(self.model.jobs) < MAX_JOBS)
+    @rule(
+        hashes=st.lists(st.sampled_from("abcde"), min_size=1, max_size=5),
+        needs=st.sampled_from([NEEDS[0], NEEDS[0], NEEDS[0], NEEDS[1]]),
+        priority=st.sampled_from([0, 0, 1]),
+        cache=st.booleans(),
+    )
+    def submit(self, hashes: list[str], needs: str, priority: int, cache: bool) -> None:
+        name = self.queue.campaign(
+            hashes, max_attempts=MAX_ATTEMPTS, needs=needs, priority=priority, cache=cache
+        )
+        campaign = ModelCampaign(name, priority, cache)
+        known = {spec_hash: cache and self.model.known(spec_hash) for spec_hash in hashes}
+        self.model.campaigns[name] = campaign
+        for row in self.queue.jobs(name):
+            status = "done" if known[row.spec_hash] else "queued"
+            self.model.jobs[row.id] = ModelJob(row.id, campaign, row.spec_hash, needs, status)
+
+    @rule(
+        worker=st.sampled_from(WORKERS),
+        max_jobs=st.integers(1, 5),
+        capabilities=st.sampled_from([NEEDS, NEEDS, NEEDS[:1], NEEDS[1:]]),
+        live_workers=st.integers(1, 3),
+        elsewhere=st.sampled_from([(), (), NEEDS]),
+    )
+    def lease(
+        self,
+        worker: str,
+        max_jobs: int,
+        capabilities: tuple[str, ...],
+        live_workers: int,
+        elsewhere: tuple[str, ...],
+    ) -> None:
+        held = self.model.holdings(worker)
+        retries = self.model.retries(worker, capabilities, elsewhere)
+        in_turn = self.model.in_turn(capabilities)
+        fresh = self.model.fresh(capabilities, max_jobs, live_workers)
+        granted = self.queue.lease(
+            worker, max_jobs, capabilities, live_workers=live_workers, elsewhere=elsewhere
+        )
+        got = [lease.job for lease in granted]
+        if any(job.attempt > 1 for job in held):
+            assert got == [], "who holds a job that was tried before gets nothing beside it"
+        elif retries and (not in_turn or retries[0].campaign.priority >= in_turn[0].priority):
+            if held:
+                assert got == [], "who could take a retry gets nothing else before it"
+            else:
+                assert len(got) == 1, "a retry is granted alone"
+                assert got[0] in {job.id for job in retries}
+        else:
+            assert got == fresh
+        assert all(lease.attempt == self.model.jobs[lease.job].attempt + 1 for lease in granted)
+        assert len({lease.token for lease in [*self.leases, *granted]}) == len(self.leases) + len(granted)
+        self.model.grant(worker, granted)
+        self.leases += granted
+
+    @rule(worker=st.sampled_from(WORKERS), max_jobs=st.integers(1, 3))
+    def lease_whatever(self, worker: str, max_jobs: int) -> None:
+        self.lease(worker, max_jobs, NEEDS, 1, ())
+
+    @precondition(lambda self: self.leases)
+    @rule(data=st.data(), failed=st.booleans(), final=st.sampled_from([False, False, False, True]))
+    def report(self, data: st.DataObject, failed: bool, final: bool) -> None:
+        self.report_of(data.draw(st.sampled_from(self.leases[-6:])), failed=failed, final=final)
+
+    @precondition(lambda self: self.lost)
+    @rule(data=st.data(), failed=st.booleans())
+    def report_late(self, data: st.DataObject, failed: bool) -> None:
+        self.report_of(data.draw(st.sampled_from(self.lost)), failed=failed, final=False)
+
+    @precondition(lambda self: self.running)
+    @rule(data=st.data())
+    def fail_and_wait(self, data: st.DataObject) -> None:
+        self.report_of(data.draw(st.sampled_from(self.running)), failed=True, final=False)
+        self.end_backoffs()
+
+    @precondition(lambda self: self.lost)
+    @rule(data=st.data(), renews=st.booleans())
+    def meddle(self, data: st.DataObject, renews: bool) -> None:
+        lease = data.draw(st.sampled_from(self.lost))
+        assert (self.queue.renew(lease) == []) if renews else (self.queue.release(lease) == 0)
+
+    @property
+    def lost(self) -> list[LeasedJob]:
+        """Leases of jobs that somebody else has now, or nobody; those of jobs that run first."""
+        jobs = self.model.jobs
+        lost = [one for one in self.leases if one.job in jobs and jobs[one.job].token != one.token]
+        return sorted(lost, key=lambda one: jobs[one.job].status != "leased")[:4]
+
+    @property
+    def running(self) -> list[LeasedJob]:
+        """Leases that hold."""
+        jobs = self.model.jobs
+        return [
+            one
+            for one in self.leases
+            if one.job in jobs and jobs[one.job].token == one.token and jobs[one.job].status == "leased"
+        ]
+
+    def report_of(self, lease: LeasedJob, *, failed: bool, final: bool) -> None:
+        """Report a lease to both and compare."""
+        job = self.model.jobs.get(lease.job)
+        holds = job is not None and job.token == lease.token
+        expected = (
+            "stale" if job is None or not holds else "accepted" if job.status == "leased" else "duplicate"
+        )
+        got = self.queue.fail(lease, final=final) if failed else self.queue.complete(lease)
+        assert got == (expected,)
+        if job is None or expected != "accepted":
+            return
+        if failed:
+            self.model.fail(job, final=final)
+        else:
+            self.model.finish(job)
+
+    @precondition(lambda self: self.leases)
+    @rule(data=st.data())
+    def release(self, data: st.DataObject) -> None:
+        lease = data.draw(st.sampled_from(self.leases[-6:]))
+        job = self.model.jobs.get(lease.job)
+        holds = job is not None and job.status == "leased" and job.token == lease.token
+        assert self.queue.release(lease) == int(holds)
+        if job is not None and holds:
+            job.status, job.attempt, job.token, job.worker = "queued", job.attempt - 1, None, None
+
+    @precondition(lambda self: self.leases)
+    @rule(data=st.data())
+    def renew(self, data: st.DataObject) -> None:
+        lease = data.draw(st.sampled_from(self.leases[-6:]))
+        job = self.model.jobs.get(lease.job)
+        holds = job is not None and job.status == "leased" and job.token == lease.token
+        assert self.queue.renew(lease) == ([lease.job] if holds else [])
+
+    @precondition(lambda self: self.running)
+    @rule(data=st.data(), waits=st.booleans())
+    def run_out(self, data: st.DataObject, waits: bool) -> None:
+        lease = data.draw(st.sampled_from(self.running))
+        self.queue.run_out(lease)
+        job = self.model.jobs[lease.job]
+        self.model.fail(job, final=False)
+        job.token = None
+        if waits:
+            self.end_backoffs()
+
+    @rule()
+    def sweep(self) -> None:
+        assert self.queue.expire()[1] == 0, "no lease that holds is taken back"
+
+    @rule()
+    def end_backoffs(self) -> None:
+        self.queue.end_backoffs()
+        for job in self.model.jobs.values():
+            job.due = True
+
+    @precondition(lambda self: self.model.jobs)
+    @rule(data=st.data())
+    def retry_by_hand(self, data: st.DataObject) -> None:
+        job = self.model.jobs[data.draw(st.sampled_from(sorted(self.model.jobs)))]
+        ended = job.campaign.status is CampaignStatus.CANCELLED
+        try:
+            self.queue.retry(job.id)
+        except Conflict:
+            assert job.status != "quarantined" or ended
+            return
+        assert job.status == "quarantined"
+        assert not ended
+        job.status, job.token, job.due = "queued", None, True
+        job.max_attempts = job.attempt + MAX_ATTEMPTS
+
+    @precondition(lambda self: self.model.campaigns)
+    @rule(data=st.data())
+    def pause_or_resume(self, data: st.DataObject) -> None:
+        campaign = self.model.campaigns[data.draw(st.sampled_from(sorted(self.model.campaigns)))]
+        if campaign.status is CampaignStatus.CANCELLED:
+            return
+        runs = campaign.status is CampaignStatus.RUNNING
+        campaign.status = CampaignStatus.PAUSED if runs else CampaignStatus.RUNNING
+        self.queue.set_status(campaign.id, campaign.status)
+
+    @precondition(lambda self: len(self.model.campaigns) > 2)
+    @rule(data=st.data())
+    def cancel(self, data: st.DataObject) -> None:
+        campaign = self.model.campaigns[data.draw(st.sampled_from(sorted(self.model.campaigns)))]
+        self.queue.set_status(campaign.id, CampaignStatus.CANCELLED)
+        campaign.status = CampaignStatus.CANCELLED
+        for job in self.model.jobs.values():
+            if job.campaign is campaign and job.status in ("queued", "leased"):
+                job.status, job.token, job.worker = "cancelled", None, None
+
+    @precondition(lambda self: len(self.model.campaigns) > 3)
+    @rule(data=st.data())
+    def delete(self, data: st.DataObject) -> None:
+        name = data.draw(st.sampled_from(sorted(self.model.campaigns)))
+        campaign = self.model.campaigns.pop(name)
+        self.queue.delete(name)
+        gone = [job.id for job in self.model.jobs.values() if job.campaign is campaign]
+        for job in gone:
+            del self.model.jobs[job]
+        if gone:
+            try:
+                self.queue.retry(gone[0])
+            except NotFound:
+                return
+            raise AssertionError("a job of a deleted campaign is still there")
+
+    @invariant()
+    def they_stand_the_same(self) -> None:
+        rows = {row.id: (row.status, row.attempt, row.max_attempts) for row in self.queue.jobs()}
+        assert rows == {
+            number: (job.status, job.attempt, job.max_attempts) for number, job in self.model.jobs.items()
+        }
+
+    @invariant()
+    def no_simulation_runs_twice(self) -> None:
+        running = [j.spec_hash for j in self.model.jobs.values() if j.status == "leased" and j.campaign.cache]
+        assert len(running) == len(set(running))
+
+
+def on_sqlite(template: Path) -> Callable[[], tuple[Engines, Callable[[], None]]]:
+    """Return what gives an empty SQLite database, a copy of a migrated one."""
+
+    def fresh() -> tuple[Engines, Callable[[], None]]:
+        folder = tempfile.TemporaryDirectory()
+        file = Path(folder.name) / "brink.db"
+        shutil.copyfile(template, file)
+        engines = open_engines(f"sqlite:///{file}")
+
+        def clean_up() -> None:
+            engines.dispose()
+            folder.cleanup()
+
+        return engines, clean_up
+
+    return fresh
+
+
+def on_postgres(engines: Engines) -> Callable[[], tuple[Engines, Callable[[], None]]]:
+    """Return what empties a migrated Postgres database."""
+
+    def fresh() -> tuple[Engines, Callable[[], None]]:
+        with engines.writer.begin() as connection:
+            connection.execute(text("TRUNCATE campaigns, jobs, traces RESTART IDENTITY CASCADE"))
+        return engines, lambda: None
+
+    return fresh
+
+
+def run_machine(
+    fresh: Callable[[], tuple[Engines, Callable[[], None]]], *, examples: int, shrinks: bool = True
+) -> None:
+    """Drive the queue and its model; raise as soon as they differ.
+
+    Args:
+        fresh: Gives an empty database, and what cleans it up.
+        examples: How many histories.
+        shrinks: Whether a history that fails is made shorter.
+    """
+    machine = type("Machine", (QueueMachine,), {"fresh_engines": staticmethod(fresh)})
+    run_state_machine_as_test(
+        machine,
+        settings=settings(
+            max_examples=examples,
+            stateful_step_count=60,
+            deadline=None,
+            derandomize=True,
+            database=None,
+            phases=(Phase.generate, Phase.shrink) if shrinks else (Phase.generate,),
+            suppress_health_check=list(HealthCheck),
+        ),
+    )
