@@ -13,6 +13,7 @@ class Outcome(StrEnum):
     """What became of a call.
 
     Attributes:
+        SENT: It is under way; whoever finds it so after a restart knows that its answer was lost, and maybe paid for.
         OK: Some of the reply can be used.
         TRUNCATED: The reply ran into the limit of tokens; what came of it counts.
         INVALID: Nothing of the reply can be used.
@@ -22,6 +23,7 @@ class Outcome(StrEnum):
         OVER_BUDGET: Not sent, or not sent again: a budget does not allow it.
     """
 
+    SENT = "sent"
     OK = "ok"
     TRUNCATED = "truncated"
     INVALID = "invalid"
@@ -81,7 +83,7 @@ class CallLog(Protocol):
         ...
 
     def store(self, call: StoredCall) -> None:
-        """Store a call, for good, before returning."""
+        """Store a call, for good, before returning; it takes the place of one that is only sent."""
         ...
 
     def spent(self) -> Budget:

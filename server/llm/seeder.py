@@ -14,13 +14,13 @@ from search.seeding import Origin, Proposal, SeedRequest
 from server.errors import FieldError
 from server.llm.budget import cost_of, times, together, worst_usage
 from server.llm.calls import CallKey, CallLog, Outcome, StoredCall
-from server.llm.client import Completion, LlmClient
+from server.llm.client import LlmClient
 from server.llm.drivable import Drivable
 from server.llm.errors import CallLogMismatch, EndpointAway, LlmError, OverBudget, UnusableReply
 from server.llm.form import SCHEMA
 from server.llm.prompts import question, repair
 from server.llm.replies import Parsed, parse
-from server.llm.wire import Messages, Usage, prompt_hash, read_reply
+from server.llm.wire import Messages, prompt_hash, read_reply
 
 _WORDS_CHARS: Final = 500
 _ERRORS_NAMED: Final = 3
@@ -98,33 +98,51 @@ class _Turns:
         key = CallKey(self._number, self._turn)
         self._turn += 1
         call = self._log.find(key)
-        if call is None:
-            call = await self._made(key, messages, wanted, known)
-            self._log.store(call)
-        elif call.prompt_hash != prompt_hash(messages):
+        if call is not None and call.prompt_hash != prompt_hash(messages):
             raise CallLogMismatch(
                 f"request {key.request}, turn {key.turn}: expected the stored call to have the prompt "
                 f"{prompt_hash(messages)[:12]}, it has {call.prompt_hash[:12]}. Another version of Brink, or another "
                 "campaign, made it: go on with that version, or begin the campaign anew"
             )
+        if call is None or call.outcome is Outcome.SENT:
+            call = await self._made(key, messages, wanted, known, earlier=call.calls if call else 0)
+            self._log.store(call)
         return _Turn(call, self._heard(call.raw, wanted, known)[0])
 
     async def _made(
-        self, key: CallKey, messages: Messages, wanted: int, known: Sequence[Solution]
+        self, key: CallKey, messages: Messages, wanted: int, known: Sequence[Solution], *, earlier: int
     ) -> StoredCall:
-        """Make a call, and return it with what became of it."""
+        """Make a call, and return it with what became of it.
+
+        Each request is stored before it is sent: whoever stops meanwhile leaves behind that it was, and what it may
+        have taken.
+
+        Args:
+            key: Which call.
+            messages: What is asked.
+            wanted: How many solutions.
+            known: Solutions that were accepted already.
+            earlier: Requests of this call whose answers were lost when a coordinator stopped.
+        """
         settings, spent = self._client.settings, self._log.spent()
-        worst = worst_usage(settings, messages)
+        worst, mode = worst_usage(settings, messages), self._client.mode
 
         def may_send(lost: int) -> None:
             used = times(worst, lost)
             spent.plus(lost, used, cost_of(used, settings)).may_send(settings, messages)
+            maybe = times(worst, earlier + lost + 1)
+            self._log.store(
+                StoredCall(
+                    key=key, prompt_hash=prompt_hash(messages), mode=mode, raw=None, outcome=Outcome.SENT,
+                    calls=earlier + lost + 1, usage=maybe, cost=cost_of(maybe, settings), latency_s=0.0,
+                    error="under way, or lost when a coordinator stopped",
+                )
+            )  # fmt: skip
 
-        mode = self._client.mode
         try:
             completion = await self._client.complete(messages, SCHEMA, may_send=may_send)
         except LlmError as error:
-            lost = error.effort.lost
+            lost = earlier + error.effort.lost
             used = times(worst, lost)
             return StoredCall(
                 key=key, prompt_hash=prompt_hash(messages), mode=mode,
@@ -133,11 +151,14 @@ class _Turns:
                 cost=cost_of(used, settings) if lost else 0.0, latency_s=error.effort.elapsed_s,
                 error=str(error)[:_WORDS_CHARS],
             )  # fmt: skip
-        usage = _used(completion, worst)
+        lost = earlier + completion.lost
+        usage = completion.usage or worst
+        if lost:
+            usage = together(usage, times(worst, lost))
         _, outcome, trouble = self._heard(completion.raw, wanted, known)
         return StoredCall(
             key=key, prompt_hash=prompt_hash(messages), mode=completion.mode, raw=completion.raw,
-            outcome=outcome, calls=completion.lost + 1, usage=usage, cost=cost_of(usage, settings),
+            outcome=outcome, calls=lost + 1, usage=usage, cost=cost_of(usage, settings),
             latency_s=completion.latency_s, error=trouble,
         )  # fmt: skip
 
@@ -158,12 +179,6 @@ class _Turns:
         if reply.cut_short:
             return parsed, Outcome.TRUNCATED, trouble
         return parsed, Outcome.OK if parsed.solutions else Outcome.INVALID, trouble
-
-
-def _used(completion: Completion, worst: Usage) -> Usage:
-    """Return the tokens of a call and of the requests that were lost before it."""
-    usage = completion.usage or worst
-    return together(usage, times(worst, completion.lost)) if completion.lost else usage
 
 
 def _outcome_of(error: LlmError) -> Outcome:

@@ -12,6 +12,7 @@ import secrets
 import threading
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Final
 
@@ -33,8 +34,8 @@ from server.problems.base import Describes, Problem
 HOLD_S: Final = 60.0
 """How long a coordinator that has died keeps others from asking in its place."""
 
-LAST_ANSWERS_S: Final = 2.0
-"""How long a coordinator that stops waits for answers that are under way."""
+LAST_ANSWERS_S: Final = 8.0
+"""How long a coordinator that stops waits for answers that are under way: less than containers are given to stop."""
 
 log = logging.getLogger(__name__)
 
@@ -44,8 +45,11 @@ class _Asking:
     """A request that is being asked. Changes in place."""
 
     words: str
-    claimed_at: float
     thread: threading.Thread
+
+
+class _ClaimLost(Exception):
+    """Another coordinator asks now."""
 
 
 class LlmSeeds:
@@ -68,14 +72,21 @@ class LlmSeeds:
         self._stopping = threading.Event()
 
     def close(self) -> None:
-        """Ask nothing more; an answer that comes at once is stored yet, and other coordinators may ask then."""
+        """Ask nothing more; an answer that comes soon is stored yet, and other coordinators may ask then."""
         with self._lock:
             self._stopping.set()
             asking = dict(self._asking)
         until = time.monotonic() + LAST_ANSWERS_S
         for campaign_id, one in asking.items():
+            log.info(
+                "campaign=%s: %s; waiting up to %g s for the answer", campaign_id, one.words, LAST_ANSWERS_S
+            )
             one.thread.join(max(0.0, until - time.monotonic()))
-            self._release(campaign_id)
+            if one.thread.is_alive():
+                log.warning(
+                    "campaign=%s: no answer came; it will be asked for again, and counts twice", campaign_id
+                )
+        self._release(None)
 
     def proposals(
         self, campaign: Campaign, problem: Problem, request: SeedRequest
@@ -90,11 +101,7 @@ class LlmSeeds:
             asking = self._asking.get(campaign.id)
             if self._stopping.is_set():
                 return None
-        if asking is not None:
-            if time.monotonic() - asking.claimed_at > HOLD_S / 3 and self._claimed(campaign.id):
-                asking.claimed_at = time.monotonic()
-            return None
-        if not self._claimed(campaign.id):
+        if asking is not None or not self._claim(campaign.id).result():
             return None
         words = f"asking {settings.model} for {request.count} solutions"
         # A daemon: a model that never answers must not keep a coordinator from stopping.
@@ -104,7 +111,7 @@ class LlmSeeds:
         with self._lock:
             stopping = self._stopping.is_set()
             if not stopping:
-                self._asking[campaign.id] = _Asking(words, time.monotonic(), thread)
+                self._asking[campaign.id] = _Asking(words, thread)
                 thread.start()
         if stopping:
             self._release(campaign.id)
@@ -116,16 +123,16 @@ class LlmSeeds:
             asking = self._asking.get(campaign_id)
         return None if asking is None else asking.words
 
-    def _claimed(self, campaign_id: str) -> bool:
-        return self._writer.submit(
-            lambda connection: claim(connection, campaign_id, self._owner, HOLD_S)
-        ).result()
+    def _claim(self, campaign_id: str) -> Future[bool]:
+        return self._writer.submit(lambda connection: claim(connection, campaign_id, self._owner, HOLD_S))
 
     def _ask(self, campaign_id: str, settings: LlmSettings, problem: Describes, request: SeedRequest) -> None:
         """Ask, on a thread of its own; without an answer the sweeper has it asked again."""
         answer: Sequence[Proposal] | None = None
         try:
-            answer = asyncio.run(self._answer(campaign_id, settings, problem, request))
+            answer = asyncio.run(self._answer_while_claimed(campaign_id, settings, problem, request))
+        except _ClaimLost:
+            log.warning("campaign=%s: another coordinator asks for its seeds now", campaign_id)
         except (Unavailable, DBAPIError) as error:
             log.warning("campaign=%s: %s; its seeds will be asked for again", campaign_id, error)
         except CallLogMismatch as error:
@@ -144,9 +151,24 @@ class LlmSeeds:
         if answer is not None and not stopping:
             self._came(campaign_id)
 
-    def _release(self, campaign_id: str) -> None:
+    def _release(self, campaign_id: str | None) -> None:
         with contextlib.suppress(Unavailable, DBAPIError):  # it expires
-            self._writer.submit(lambda connection: release(connection, campaign_id, self._owner)).result()
+            self._writer.submit(lambda connection: release(connection, self._owner, campaign_id)).result()
+
+    async def _answer_while_claimed(
+        self, campaign_id: str, settings: LlmSettings, problem: Describes, request: SeedRequest
+    ) -> Sequence[Proposal]:
+        """Answer, and keep the claim meanwhile, be the campaign paused or not; without it ask nothing more."""
+        answering = asyncio.create_task(self._answer(campaign_id, settings, problem, request))
+        while not (await asyncio.wait({answering}, timeout=HOLD_S / 3))[0]:
+            try:
+                held = await asyncio.wrap_future(self._claim(campaign_id))
+            except (Unavailable, DBAPIError):
+                continue  # nobody else can claim it either
+            if not held:
+                answering.cancel()
+                raise _ClaimLost
+        return answering.result()
 
     async def _answer(
         self, campaign_id: str, settings: LlmSettings, problem: Describes, request: SeedRequest

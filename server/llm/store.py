@@ -51,8 +51,16 @@ def list_calls(connection: Connection, campaign_id: str, key: CallKey | None = N
 
 
 def insert_call(connection: Connection, campaign_id: str, call: StoredCall) -> None:
-    """Store a call."""
+    """Store a call, in the place of what was stored while it was under way."""
     usage = call.usage
+    connection.execute(
+        delete(LlmCallRow).where(
+            LlmCallRow.campaign_id == campaign_id,
+            LlmCallRow.request == call.key.request,
+            LlmCallRow.turn == call.key.turn,
+            LlmCallRow.outcome == Outcome.SENT,
+        )
+    )
     connection.execute(
         insert(LlmCallRow).values(
             campaign_id=campaign_id, request=call.key.request, turn=call.key.turn,
@@ -84,10 +92,11 @@ def claim(connection: Connection, campaign_id: str, owner: str, hold_s: float) -
     return True
 
 
-def release(connection: Connection, campaign_id: str, owner: str) -> None:
-    """Give the right up."""
+def release(connection: Connection, owner: str, campaign_id: str | None = None) -> None:
+    """Give the right up, for one campaign or for all."""
+    claims = delete(SeedClaimRow).where(SeedClaimRow.owner == owner)
     connection.execute(
-        delete(SeedClaimRow).where(SeedClaimRow.campaign_id == campaign_id, SeedClaimRow.owner == owner)
+        claims if campaign_id is None else claims.where(SeedClaimRow.campaign_id == campaign_id)
     )
 
 

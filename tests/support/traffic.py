@@ -64,6 +64,12 @@ def origins(client: httpx.Client, campaign: str) -> list[str]:
     return [solution["origin"] for solution in found["solutions"]]
 
 
+def in_words(client: httpx.Client, campaign: str) -> list[str]:
+    """Return what each solution is in words, by number."""
+    found = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions", params={"limit": 100}))
+    return [solution["words"] for solution in found["solutions"]]
+
+
 def calls(client: httpx.Client, campaign: str) -> dict[str, Any]:
     """Return what a campaign asked."""
     found: dict[str, Any] = expect(client.get(f"/api/v1/campaigns/{campaign}/llm-calls"))

@@ -2,6 +2,7 @@
 
 import json
 import threading
+import time
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -146,6 +147,47 @@ def test_a_restart_asks_nothing_twice_and_finds_the_same(database_url: str, endp
 
 def _reached(wanted: int, stands: dict[str, Any]) -> bool:
     return bool(stands["simulations"] >= wanted)
+
+
+def test_who_stops_before_an_answer_has_sent_the_request_all_the_same(
+    database_url: str, endpoint: Endpoint, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server.llm.seeds, "LAST_ANSWERS_S", 0.1)
+    endpoint.then(*[endpoint.stalls()] * 3)
+    asks = seeded(endpoint, {"max_calls": 2}, differential="never")
+    campaign = ""
+    for sent in (1, 2):
+        with coordinator(database_url) as client:
+            campaign = campaign or submit(client, asks)
+            eventually(lambda sent=sent: len(endpoint.asked) == sent, "it asks again")  # type: ignore[misc]
+            told = calls(client, campaign)
+            assert (told["total_calls"], told["calls"][0]["outcome"]) == (sent, "sent")
+    with coordinator(database_url) as client:
+        assert traffic_worker(client).work(campaign)["status"] == "finished"
+        assert origins(client, campaign)[:POPULATION] == ["heuristic"] * POPULATION
+        told = calls(client, campaign)
+    assert (told["total_calls"], told["calls"][0]["outcome"]) == (2, "over_budget")
+    assert len(endpoint.asked) == 2
+
+
+def test_a_campaign_that_is_paused_meanwhile_is_asked_for_once(
+    database_url: str, endpoint: Endpoint, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server.llm.seeds, "HOLD_S", 0.6)
+    endpoint.then(endpoint.stalls(), *[many] * 3)
+    with coordinator(database_url) as first, coordinator(database_url) as second:
+        campaign = submit(first, seeded(endpoint, differential="never"))
+        eventually(lambda: len(endpoint.asked) == 1, "it asks")
+        expect(first.post(f"/api/v1/campaigns/{campaign}/pause"))
+        begun = time.monotonic()
+        eventually(lambda: time.monotonic() - begun > 1.5, "the claim would have run out")
+        expect(second.post(f"/api/v1/campaigns/{campaign}/resume"))
+        begun = time.monotonic()
+        eventually(lambda: time.monotonic() - begun > 1.5, "the other one would have asked")
+        assert len(endpoint.asked) == 1
+        endpoint.release()
+        assert traffic_worker(second).work(campaign)["status"] == "finished"
+        assert len(calls(second, campaign)["calls"]) == len(endpoint.asked)
 
 
 def test_what_does_not_go_together_is_refused_at_submission(client: httpx.Client, endpoint: Endpoint) -> None:

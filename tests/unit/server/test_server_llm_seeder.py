@@ -2,12 +2,14 @@
 
 import asyncio
 import logging
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from random import Random
 from typing import Any
 
 import pytest
+from fastapi.responses import JSONResponse, Response
 from support.llm_endpoint import (
+    Asked,
     Endpoint,
     Server,
     Step,
@@ -25,15 +27,15 @@ from support.llm_endpoint import (
 
 from search.actions.road import RoadLimits
 from search.seeding import Origin, SeedRequest
-from server.llm.budget import Budget
+from server.llm.budget import Budget, times, together, worst_usage
 from server.llm.calls import CallKey, Outcome, StoredCall, spent_on
 from server.llm.client import MOST_REPLY_BYTES, LlmClient
 from server.llm.drivable import Drivable
 from server.llm.errors import CallLogMismatch
-from server.llm.prompts import example
+from server.llm.prompts import example, question
 from server.llm.seeder import Answer, ask
 from server.llm.settings import LlmSettings
-from server.llm.wire import Mode
+from server.llm.wire import Mode, Usage
 
 pytestmark = pytest.mark.timeout(30)
 
@@ -56,7 +58,8 @@ class Log:
         return self.calls.get(key)
 
     def store(self, call: StoredCall) -> None:
-        assert call.key not in self.calls
+        before = self.calls.get(call.key)
+        assert before is None or before.outcome is Outcome.SENT
         self.calls[call.key] = call
 
     def spent(self) -> Budget:
@@ -361,6 +364,37 @@ def test_a_repair_that_is_missing_from_the_log_is_asked_for(endpoint: Endpoint) 
     del log.calls[CallKey(3, 1)]
     assert asking(settings, log).proposals == answer.proposals
     assert [len(asked.body["messages"]) for asked in endpoint.asked] == [2, 4, 4]
+
+
+def test_each_request_is_stored_before_it_is_sent(endpoint: Endpoint) -> None:
+    log, seen = Log(), list[tuple[str, int]]()
+
+    def looks(asked: Asked) -> Response:
+        call = log.calls[CallKey(3, 0)]
+        seen.append((call.outcome, call.calls))
+        return JSONResponse({"error": "busy"}, 503)
+
+    endpoint.then(looks, cut("x"), looks, GOOD)
+    answer = asking(llm_settings(endpoint, retries=5), log)
+    assert len(answer.proposals) == WANTED
+    assert seen == [("sent", 1), ("sent", 2)], "a busy endpoint has done nothing"
+    assert (log.outcomes, log.calls[CallKey(3, 0)].calls) == (["ok"], 2)
+
+
+def test_requests_whose_answers_were_lost_in_a_stop_count(endpoint: Endpoint) -> None:
+    endpoint.then(GOOD, GOOD)
+    settings, log = llm_settings(endpoint, input_price=1.0, output_price=10.0), Log()
+    asking(settings, log)
+    (whole,) = log.calls.values()
+    lost = worst_usage(settings, question(REQUEST, ROAD, MOST, SYSTEM))
+    log.calls[whole.key] = replace(whole, outcome=Outcome.SENT, raw=None, calls=2, usage=times(lost, 2))
+    assert len(asking(settings, log).proposals) == WANTED
+    (call,) = log.calls.values()
+    assert (call.outcome, call.calls, call.raw) == (Outcome.OK, 3, whole.raw)
+    assert call.usage == together(Usage(prompt_tokens=900, completion_tokens=100), times(lost, 2))
+    assert call.cost is not None
+    assert whole.cost is not None
+    assert call.cost > whole.cost
 
 
 def test_a_stored_call_with_another_prompt_is_an_error(endpoint: Endpoint) -> None:
