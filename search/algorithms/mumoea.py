@@ -192,7 +192,7 @@ class Mumoea:
         rng = generator(told.ledger.seed, Stream.SEEDS, told.ledger.generation)
         wanted = replace(told, want=Want.DIFFERENTIAL, stuck=0)
         for _ in range(config.rounds + 1):
-            rows = _prolonged_patterns(genome, config.seeds, rng)
+            rows = self.own_seeds(genome, config.seeds, rng)
             wanted = _received(wanted, rows, genome)
             if wanted.want is Want.NOTHING:
                 break
@@ -240,8 +240,16 @@ class Mumoea:
         if not rows:
             # Nobody answers: patterns once, and no further round.
             state = replace(state, round=state.config.rounds)
-            rows = _prolonged_patterns(genome, state.config.seeds, rng)
+            rows = self.own_seeds(genome, state.config.seeds, rng)
         return _received(state, rows, genome)
+
+    def own_seeds(self, genome: Genome, count: int, rng: np.random.Generator) -> list[Child]:
+        """Return differential seeds: patterns that go on with random actions, since short ones hardly differ."""
+        drawn = [hostile_solution(genome.road, genome.most, rng) for _ in range(count)]
+        return [
+            (genome.row(tuple(prolonged(one, rng) for one in solution), None, rng), Origin.HEURISTIC)
+            for solution in drawn
+        ]
 
     def dump(self, state: MumoeaState) -> Document:
         """Return the state without its archive, as a versioned document."""
@@ -317,15 +325,6 @@ def _patterns(genome: Genome, count: int, rng: np.random.Generator) -> list[Chil
     return [
         (genome.row(hostile_solution(genome.road, genome.most, rng), None, rng), Origin.HEURISTIC)
         for _ in range(count)
-    ]
-
-
-def _prolonged_patterns(genome: Genome, count: int, rng: np.random.Generator) -> list[Child]:
-    """Return seeds from patterns that go on with random actions: short ones hardly differ from what is known."""
-    drawn = [hostile_solution(genome.road, genome.most, rng) for _ in range(count)]
-    return [
-        (genome.row(tuple(prolonged(one, rng) for one in solution), None, rng), Origin.HEURISTIC)
-        for solution in drawn
     ]
 
 

@@ -5,13 +5,13 @@ typed theirs by hand, by root cause; ours is automatic, and coarser in some plac
 are stored, so that types can be made again when the rules change (`RULES_VERSION`), and a person can overrule one.
 """
 
+import logging
 import math
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import astuple, dataclass, fields
 from typing import Any, Final
 
-RULES_VERSION: Final = 1
+RULES_VERSION: Final = 2
 NOTHING: Final = "nothing"
 
 SECTORS: Final = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
@@ -31,6 +31,8 @@ _ALONE: Final = ("red-light@1", "speed-limit@1")
 """Requirements that the ego violates by itself, whoever is near."""
 
 _PASSING: Final = ("overtake", "nudge")
+log = logging.getLogger(__name__)
+
 _CLASSES: Final = {"car": "vehicle", "van": "vehicle", "pedestrian": "pedestrian"}
 
 
@@ -57,7 +59,11 @@ class Signature:
     at_fault: str
 
     def __str__(self) -> str:
-        who = "" if self.counterpart == NOTHING else f" with {self.counterpart} ({self.other}) {self.sector}"
+        who = (
+            ""
+            if self.counterpart == NOTHING
+            else f" with {self.counterpart} at the {self.sector} ({self.other})"
+        )
         return f"{self.requirement.partition('@')[0]}{who}, ego {self.ego}, {self.place}, {self.at_fault}"
 
     def to_json(self) -> dict[str, str]:
@@ -100,8 +106,10 @@ def kinds_of(violations: Iterable[Mapping[str, Any]]) -> frozenset[str]:
     """Return the types of violations in words; one that lacks a circumstance has none."""
     kinds = set()
     for violation in violations:
-        with suppress(LookupError, TypeError, ValueError):
+        try:
             kinds.add(str(signature_of(violation)))
+        except (LookupError, TypeError, ValueError) as error:
+            log.warning("a violation that cannot be read, and so has no type: %r", error)
     return frozenset(kinds)
 
 
@@ -129,7 +137,7 @@ def _of_other(other: Mapping[str, Any]) -> str:
     if other["kind"] == "pedestrian":
         return action
     along = math.cos(other["heading_rad"])
-    direction = "ahead" if along > 0.7 else "oncoming" if along < -0.7 else "across"
+    direction = "same way" if along > 0.7 else "oncoming" if along < -0.7 else "across"
     return f"{direction}, {action}"
 
 

@@ -15,6 +15,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
+from search.seeding import Origin
 from search.statistics import compared
 from server.bench.mumoea.measures import Measures, first_of_each_type, measured, types_over
 from server.bench.mumoea.runs import ADAPTIVE, ALWAYS, METHODS, SearchRun, Task, run_or_read
@@ -26,14 +27,14 @@ Told: TypeAlias = Callable[[str, int, int], None]
 """Called with what is being measured, how much of it is done, and how much there is."""
 
 DECIDING: Final = (
-    "search", "server/problems", "sim/bullet", "sim/driving", "sim/encounter", "sim/requirements", "sim/urban",
-    "sim/world",
+    "search", "server/problems", "server/violations", "sim/bullet", "sim/driving", "sim/encounter", "sim/requirements",
+    "sim/urban", "sim/world",
 )  # fmt: skip
 """Parts of the code that decide what a search finds: searches of other code are not taken for this one's."""
 
 LEAST_TYPES: Final = 8
 _POINTS: Final = 40
-_COLOURS: Final = ("#0072b2", "#56b4e9", "#cc79a7", "#009e73", "#d55e00", "#e69f00", "#7f7f7f")
+_COLOURS: Final = ("#0072b2", "#56b4e9", "#cc79a7", "#000000", "#009e73", "#d55e00", "#e69f00", "#7f7f7f")
 BETTER_IF_LESS: Final = ("per_violation", "first", "last_type")
 WORDS: Final[Mapping[str, str]] = {
     "types": "types of violations",
@@ -102,11 +103,13 @@ class Comparison:
         names = [field.name for field in fields(Measures)]
         with (self._folder / "searches.csv").open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(["method", "seed", "simulations", "failed", *names])
+            origins = [f"from {origin}" for origin in Origin]
+            writer.writerow(["method", "seed", "simulations", "failed", *names, *origins])
             for run in runs:
                 figures = measured(run)
                 writer.writerow(
                     [run.method, run.seed, run.simulations, run.failed, *(getattr(figures, n) for n in names)]
+                    + [run.origins.get(origin, 0) for origin in Origin]
                 )
 
     def _write_types(self, by_method: Mapping[str, Sequence[SearchRun]]) -> None:

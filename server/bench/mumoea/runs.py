@@ -7,7 +7,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
+from search.actions.genome import Genome
 from search.algorithm import Algorithm, Candidate, Evaluation, Failed, Scored
+from search.algorithms.multi_objective import Child
 from search.algorithms.mumoea import Mumoea, MumoeaConfig
 from search.algorithms.nsga2 import Mosat, Nsga2
 from search.algorithms.random_search import RandomSearch
@@ -19,10 +23,21 @@ from sim.trials import run_record
 
 ADAPTIVE: Final = "muMOEA"
 ALWAYS: Final = "differential seeds always"
+
+
+class OnlyMutants(Mumoea):
+    """Has no patterns to get unstuck with: major mutants alone take the place of differential seeds."""
+
+    def own_seeds(self, genome: Genome, count: int, rng: np.random.Generator) -> list[Child]:
+        """Return none."""
+        return []
+
+
 METHODS: Final[Mapping[str, tuple[Algorithm, Any]]] = {
     ADAPTIVE: (Mumoea(), MumoeaConfig()),
     "without differential seeds": (Mumoea(), MumoeaConfig(differential="never")),
     ALWAYS: (Mumoea(), MumoeaConfig(differential="always")),
+    "major mutants always": (OnlyMutants(), MumoeaConfig(differential="always")),
     "random initial population": (Mumoea(), MumoeaConfig(initial="random")),
     "MOSAT": (Mosat(), Mosat.config_type()),
     "NSGA-II": (Nsga2(), Nsga2.config_type()),

@@ -22,11 +22,14 @@ def test_a_type_has_seven_words() -> None:
         "counterpart": "vehicle",
         "sector": "front",
         "ego": "driving",
-        "other": "ahead, cut in",
+        "other": "same way, cut in",
         "place": "straight",
         "at_fault": "at fault",
     }
-    assert str(found) == "no-collision with vehicle (ahead, cut in) front, ego driving, straight, at fault"
+    assert (
+        str(found)
+        == "no-collision with vehicle at the front (same way, cut in), ego driving, straight, at fault"
+    )
 
 
 @pytest.mark.parametrize(
