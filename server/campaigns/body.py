@@ -7,7 +7,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args
 
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
@@ -203,6 +203,8 @@ def _fields_at(model: type[BaseModel], location: list[Any]) -> set[str]:
     for part in location:
         field = model.model_fields.get(str(part))
         inner = field.annotation if field else None
+        for choice in get_args(inner):  # a model that may be left out
+            inner = choice if isinstance(choice, type) and issubclass(choice, BaseModel) else inner
         if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
             return set()
         model = inner

@@ -69,17 +69,14 @@ class CampaignDisplay:
     def _facts(self, progress: dict[str, Any]) -> list[tuple[str, str, str]]:
         last = self._series[-1] if self._series else None
         shares = [g["unsafe"] / g["evaluated"] for g in self._series if g["evaluated"]]
+        # Searches for different violations minimise their criticality, and do not look for the boundary.
+        diverse = bool(progress["origins"])
         rows = [
             ("unsafe", f"{shares[-1]:.0%}" if shares else "–", spark(shares)),
             (
-                "best fitness",
+                "criticality" if diverse else "best fitness",
                 f"{last['best_fitness']:.3f}" if last and last["best_fitness"] is not None else "–",
                 spark([g["best_fitness"] for g in self._series if g["best_fitness"] is not None]),
-            ),
-            (
-                "boundary",
-                f"{last['dbs']} distinct, {last['strict_dbs']} strict" if last else "–",
-                spark([g["dbs"] for g in self._series]),
             ),
             ("rate", f"{_rate(progress)}   left {_duration(progress['remaining_s'])}", ""),
             (
@@ -88,6 +85,9 @@ class CampaignDisplay:
                 "",
             ),
         ]
+        if not diverse:
+            boundary = f"{last['dbs']} distinct, {last['strict_dbs']} strict" if last else "–"
+            rows.insert(2, ("boundary", boundary, spark([g["dbs"] for g in self._series])))
         if progress["measured"]:
             rows.append(
                 ("on data", f"{progress['measured']} measured   simulated {progress['evaluated']}", "")
@@ -107,9 +107,13 @@ class CampaignDisplay:
 
     def _line(self, progress: dict[str, Any]) -> str:
         facts = {name: value for name, value, _ in self._facts(progress)}
+        said = ", ".join(
+            f"{name} {facts[name]}"
+            for name in ("unsafe", "best fitness", "criticality", "boundary")
+            if name in facts
+        )
         return (
-            f"{progress['simulations']}/{progress['budget']} simulations, unsafe {facts['unsafe']}, "
-            f"best fitness {facts['best fitness']}, boundary {facts['boundary']}, {_rate(progress)}, "
+            f"{progress['simulations']}/{progress['budget']} simulations, {said}, {_rate(progress)}, "
             f"left {_duration(progress['remaining_s'])}, workers {progress['workers']}"
             + (f", {progress['asking']}" if progress["asking"] else "")
         )

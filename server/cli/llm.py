@@ -26,7 +26,7 @@ from server.cli.options import (
 from server.errors import FieldError, InvalidInput
 from server.llm.check import EndpointReport, check_endpoint
 from server.llm.estimate import estimate
-from server.llm.prompts import question
+from server.llm.prompts import example, question
 from server.llm.settings import LlmSettings
 from server.problems.base import Describes
 
@@ -102,7 +102,9 @@ def dry_run(
     ] = ASSUMED_REQUESTS,
     as_json: AsJson = False,
 ) -> None:
-    """Print the prompt with which a campaign begins, and estimate what its calls will take. Asks nobody.
+    """Print the prompts of a campaign, and estimate what its calls will take. Asks nobody.
+
+    The later prompt shows made-up solutions where those stand that the search knows by then.
 
     Example: brink llm dry-run examples/traffic-llm.yaml
     """
@@ -110,12 +112,18 @@ def dry_run(
     settings = _settings(body)
     plan = make_plan(body)
     check_seeder(plan)
+    plan.algorithm.check(plan.problem.space, plan.config, budget=body.budget.simulations)
     problem = plan.problem
     assert isinstance(problem, Describes)  # checked
     config: Any = plan.config
     initial = config.population_size if getattr(config, "initial", "") == "seeds" else 0
     request = SeedRequest(number=0, count=initial or config.seeds)
     messages = question(request, problem.road, problem.most, problem.system)
+    known = (example(problem.road, problem.most),)
+    later = SeedRequest(number=1, count=config.seeds, exposed=known, silent=known)
+    asks_later = getattr(config, "differential", "never") != "never"
+    differential = question(later, problem.road, problem.most, problem.system) if asks_later else ()
+    requests = requests if asks_later else 0
     found = estimate(
         settings, road=problem.road, most=problem.most, system=problem.system, initial=initial,
         differential=config.seeds, differential_calls=requests,
@@ -124,17 +132,25 @@ def dry_run(
         print_json(
             {
                 "messages": [{"role": one.role, "content": one.content} for one in messages],
+                "differential": [{"role": one.role, "content": one.content} for one in differential],
                 "calls": found.calls, "most_calls": found.most_calls, "tokens": found.usage.total,
                 "most_tokens": found.most_usage.total, "cost": found.cost, "most_cost": found.most_cost,
             }
         )  # fmt: skip
         return
     screen = console()
-    for one in messages:
-        screen.print(f"[bold]{one.role}[/bold]")
-        screen.print(one.content, markup=False, highlight=False, soft_wrap=True)
-        screen.print()
+    for title, prompt in (("first", messages), ("differential", differential)):
+        for one in prompt:
+            screen.print(f"[bold]{title} request, {one.role}[/bold]")
+            screen.print(one.content, markup=False, highlight=False, soft_wrap=True)
+            screen.print()
     screen.print(f"with {requests} differential requests: {found.words}", soft_wrap=True)
+    if asks_later:
+        screen.print(
+            f"seeds that do not differ enough go back up to {config.rounds} times, each a request of its own; "
+            f"max_calls {settings.max_calls} bounds them all",
+            soft_wrap=True,
+        )
 
 
 @llm.command()

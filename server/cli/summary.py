@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from server.campaigns.body import CampaignBody
@@ -45,17 +46,24 @@ def print_summary(
     if summary["origins"]:
         said = ", ".join(f"{count} {origin}" for origin, count in summary["origins"].items())
         screen.print(f"solutions come from: {said}")
+    if body.llm is not None and not any(origin.startswith("llm") for origin in summary["origins"]):
+        screen.print(
+            f"[yellow]{escape(body.llm.model)} gave none of the seeds; patterns took their place: "
+            f"{brink} llm log {summary['campaign']}{database} says why[/yellow]",
+            soft_wrap=True,
+        )
     for one in findings:
         one.show(screen)
         screen.print()
-    screen.print(
-        f"[bold]{summary['dbs']} distinct boundary solutions[/bold] (fitness at most {summary['t_b']:g}, at least "
-        f"{summary['d_th']:g} apart), {summary['strict_dbs']} of them strict"
-    )
-    if boundary["solutions"]:
-        screen.print(solution_table(boundary))
-    screen.print(grid_table(boundary["grid"]))
-    screen.print(f"[dim]{boundary['note']}[/dim]")
+    if _is_about_the_boundary(summary):
+        screen.print(
+            f"[bold]{summary['dbs']} distinct boundary solutions[/bold] (fitness at most {summary['t_b']:g}, at "
+            f"least {summary['d_th']:g} apart), {summary['strict_dbs']} of them strict"
+        )
+        if boundary["solutions"]:
+            screen.print(solution_table(boundary))
+        screen.print(grid_table(boundary["grid"]))
+        screen.print(f"[dim]{boundary['note']}[/dim]")
     for sentence in summary["control"]:
         screen.print(sentence)
     screen.print(f"archive sha256 {summary['digest']}")
@@ -81,7 +89,8 @@ def _print_next(
     if any("replay-" in path for path in summary["files"]):
         best = boundary["solutions"][0]["number"]
         hints.append((f"replay {campaign} {best} --out replay.mp4{database}", "watch the best one"))
-    hints.append((f"results {campaign} --t-b 0.15 --d-th 0.1{database}", "other thresholds"))
+    if _is_about_the_boundary(summary):
+        hints.append((f"results {campaign} --t-b 0.15 --d-th 0.1{database}", "other thresholds"))
     if summary["control"]:
         hints.append((f"compare {campaign}{database}", "what is owed to the component's behaviour, in full"))
     if body.problem.id == "urban-injected@1" and body.budget.simulations < PAPER_BUDGET:
@@ -96,6 +105,11 @@ def _print_next(
         screen.print(
             "  raise budget.simulations: a fitness of .10 takes at least 35 neighbours, .05 takes 165"
         )
+
+
+def _is_about_the_boundary(summary: dict[str, Any]) -> bool:
+    """Whether the search looked for the boundary, or found some of it; others look for different violations."""
+    return not summary["origins"] or summary["dbs"] > 0
 
 
 def solution_table(boundary: dict[str, Any], shown: int = SHOWN) -> Table:

@@ -248,7 +248,7 @@ class LlmClient:
                 return await self._attempt(body, mode, trail)
             except EndpointAway as away:
                 pause_s = self._pause_after(away, failures)
-                _LOG.warning("language model: %s; trying again in %.1f s", away, pause_s)
+                _LOG.info("language model: %s; trying again in %.1f s", away, pause_s)
             await self._pause(pause_s)
         raise AssertionError("unreachable: the count does not end")
 

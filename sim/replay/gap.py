@@ -15,6 +15,8 @@ NO_COLLISION: Final = "no-collision"
 DRAWN_UP_TO_M: Final = 40.0
 CORRIDOR_M: Final = 2.5
 """Without a recorded front gap: how far off the ego's axis a vehicle may be to count as ahead."""
+APART_M: Final = 1.0
+"""Two that have hit each other are seen less than this apart: they bounce off between two samples."""
 TOLERANCE_M: Final = 0.75
 """How far a clearance between outlines may differ from the recorded gap: float32 poses, sampling, slopes."""
 
@@ -35,10 +37,8 @@ class FrontGap:
 
 
 def front_gap(trace: Trace, sample: int) -> FrontGap | None:
-    """Return the gap to the vehicle ahead at a sample, or None if there is none within 40 m, or something is hit."""
+    """Return the gap to the vehicle ahead at a sample; None if there is none within 40 m, or that is what was hit."""
     series = {plain_name(name): series for name, series in trace.robustness.items()}
-    if NO_COLLISION in series and series[NO_COLLISION][sample] < 0:
-        return None
     recorded = series.get(FRONT_GAP)
     gap_m = None if recorded is None else float(recorded[sample]) + REQUIRED_GAP_M
     if gap_m is not None and gap_m > DRAWN_UP_TO_M:
@@ -68,7 +68,9 @@ def front_gap(trace: Trace, sample: int) -> FrontGap | None:
             gap_m=clearance_m if gap_m is None else max(0.0, gap_m),
         )
         found.append((unlikely, line))
-    return min(found, key=lambda pair: pair[0])[1] if found else None
+    nearest = min(found, key=lambda pair: pair[0])[1] if found else None
+    hits = NO_COLLISION in series and bool(series[NO_COLLISION][sample] < 0)
+    return None if nearest is None or (hits and nearest.gap_m < APART_M) else nearest
 
 
 def _ahead(

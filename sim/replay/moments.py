@@ -135,8 +135,10 @@ def _before(trace: Trace, decisive: int) -> list[Moment]:
     found: list[Moment] = []
 
     def lead_up(seconds: float) -> None:
-        sample = int(np.abs(time_s - (time_s[decisive] - seconds)).argmin())
-        found.append(Moment(sample=sample, reason=f"{seconds:g} s before"))
+        at_s = time_s[decisive] - seconds
+        if at_s >= time_s[0]:
+            sample = int(np.abs(time_s - at_s).argmin())
+            found.append(Moment(sample=sample, reason=f"{seconds:g} s before"))
 
     lead_up(LEAD_UP_S[0])
     if report_word(trace) == "injected":

@@ -27,8 +27,8 @@ Told: TypeAlias = Callable[[str, int, int], None]
 """Called with what is being measured, how much of it is done, and how much there is."""
 
 DECIDING: Final = (
-    "search", "server/problems", "server/violations", "sim/bullet", "sim/driving", "sim/encounter", "sim/requirements",
-    "sim/urban", "sim/world",
+    "search", "server/problems", "server/violations", "sim/bullet", "sim/driving", "sim/encounter",
+    "sim/requirements", "sim/urban", "sim/world",
 )  # fmt: skip
 """Parts of the code that decide what a search finds: searches of other code are not taken for this one's."""
 

@@ -2,13 +2,12 @@
 
 import json
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
 import pytest
-from sqlalchemy import Connection, func, select, update
+from sqlalchemy import Connection, func, select, text, update
 from sqlalchemy.exc import OperationalError
 from support.api import FakeWorker, ball, coordinator, eventually, progress, submit
 from support.llm_endpoint import serving
@@ -250,26 +249,33 @@ def test_whoever_still_waits_for_seeds_that_another_had_goes_on_with_those(waiti
     assert waiting.campaign.generation == 1
 
 
+@pytest.mark.parametrize("databases", ["postgres"], indirect=True)
 def test_one_of_two_may_ask_for_seeds(engines: Engines, waiting: Coordinators) -> None:
     """The other waits until the first has decided, although there is no claim yet that could be locked."""
-    begin, claimed = threading.Barrier(2), dict[str, bool]()
+    claimed: list[bool] = []
 
-    def ask(owner: str) -> None:
-        begin.wait(30)
+    def ask() -> None:
         with engines.writer.begin() as connection:
-            claimed[owner] = claim(connection, "c0ffee", owner, 60.0)
-            time.sleep(0.1)
+            claimed.append(claim(connection, "c0ffee", "second", 60.0))
 
-    threads = [threading.Thread(target=ask, args=(owner,)) for owner in ("first", "second")]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(30)
-    assert sorted(claimed.values()) == [False, True]
-    (owner,) = (name for name, had in claimed.items() if had)
+    def waits_for_a_lock() -> bool:
+        with engines.reader.connect() as connection:
+            waiting = text(
+                "SELECT count(*) FROM pg_stat_activity "
+                "WHERE datname = current_database() AND wait_event_type = 'Lock'"
+            )
+            return bool(connection.execute(waiting).scalar_one())
+
+    second = threading.Thread(target=ask)
     with engines.writer.begin() as connection:
-        assert claim(connection, "c0ffee", owner, 60.0), "who has it may keep it"
-        assert not claim(connection, "nobody", owner, 60.0), "there is no such campaign"
+        assert claim(connection, "c0ffee", "first", 60.0)
+        second.start()
+        eventually(waits_for_a_lock, "the second one waits")
+    second.join(30)
+    assert claimed == [False]
+    with engines.writer.begin() as connection:
+        assert claim(connection, "c0ffee", "first", 60.0), "who has it may keep it"
+        assert not claim(connection, "nobody", "first", 60.0), "there is no such campaign"
 
 
 def test_a_step_on_a_campaign_that_was_paused_meanwhile_is_not_written(

@@ -119,10 +119,25 @@ def test_no_gap_is_drawn_to_what_was_hit() -> None:
     trace = make_trace()
     sample = tell(trace).decisive
     hit = np.ones(len(trace.time_s), np.float32)
+    touching = trace.actors[0].motion.copy()
+    touching[sample - 1 : sample + 1, 0] -= 1.2
+    actors = (replace(trace.actors[0], motion=touching), *trace.actors[1:])
+    judged = replace(trace, actors=actors, robustness={"no-collision@1": hit})
+    near = front_gap(judged, sample)
+    assert near is not None
+    assert near.gap_m < 1.0
     hit[sample] = -0.4
-    judged = replace(trace, robustness={**trace.robustness, "no-collision@1": hit})
     assert front_gap(judged, sample) is None
     assert front_gap(judged, sample - 1) is not None
+
+
+def test_the_gap_ahead_is_drawn_while_somebody_else_is_hit() -> None:
+    trace = make_trace()
+    hit = np.full(len(trace.time_s), -0.4, np.float32)
+    judged = replace(trace, robustness={**trace.robustness, "no-collision@1": hit})
+    found = front_gap(judged, 10)
+    assert found is not None
+    assert found.gap_m > 1.0
 
 
 def test_gap_without_record_goes_to_the_nearest_vehicle_in_the_corridor() -> None:
