@@ -38,12 +38,22 @@ def check_submission(body: CampaignBody) -> tuple[Live, list[NewSolution]]:
     Raises:
         InvalidInput: It cannot; with a pointer to each wrong field.
     """
+    checked_plan(body)
+    return first_generation(body)
+
+
+def checked_plan(body: CampaignBody) -> Plan:
+    """Return the plan of a campaign that can run.
+
+    Raises:
+        InvalidInput: It cannot; with a pointer to each wrong field.
+    """
     plan = make_plan(body)
     if isinstance(plan.problem, ChecksInputs) and (wrong := plan.problem.wrong_inputs()):
         raise InvalidInput(
             [FieldError(pointer=f"/problem/params/{name}", message=message) for name, message in wrong]
         )
-    check_seeder(plan)
+    _check_seeder(plan)
     try:
         plan.algorithm.check(plan.problem.space, plan.config, budget=body.budget.simulations)
     except UnsupportedSpace as error:
@@ -54,10 +64,10 @@ def check_submission(body: CampaignBody) -> tuple[Live, list[NewSolution]]:
             message = str(error).removeprefix("budget: ")
             raise InvalidInput([FieldError(pointer="/budget/simulations", message=message)]) from None
         raise InvalidInput([config_field_error(error, "/algorithm/params")]) from None
-    return first_generation(body)
+    return plan
 
 
-def check_seeder(plan: Plan) -> None:
+def _check_seeder(plan: Plan) -> None:
     """Check that who asks for a language model has one, and the other way round.
 
     Raises:

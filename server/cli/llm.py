@@ -10,8 +10,7 @@ from rich.table import Table
 
 from search.seeding import SeedRequest
 from server.campaigns.body import CampaignBody, read_campaign_file
-from server.campaigns.plan import make_plan
-from server.campaigns.service import check_seeder
+from server.campaigns.service import checked_plan
 from server.cli.api import Api
 from server.cli.options import (
     AsJson,
@@ -110,9 +109,7 @@ def dry_run(
     """
     body = read_campaign_file(file)
     settings = _settings(body)
-    plan = make_plan(body)
-    check_seeder(plan)
-    plan.algorithm.check(plan.problem.space, plan.config, budget=body.budget.simulations)
+    plan = checked_plan(body)
     problem = plan.problem
     assert isinstance(problem, Describes)  # checked
     config: Any = plan.config

@@ -27,6 +27,10 @@ BAD = [
     pytest.param("/algorithm/id", "mlcsh@1", "/algorithm/id", "unknown algorithm", "mlcshe@1", id="algorithm"),
     pytest.param("/bugdet", {}, "/bugdet", "unknown field; expected one of", "budget", id="field"),
     pytest.param("/budget/simulation", 1, "/budget/simulation", "unknown field", "simulations", id="nested-field"),
+    pytest.param(
+        "/llm", {"modell": "x", "model": "x", "endpoint": "http://127.0.0.1:9/v1"}, "/llm/modell", "unknown field",
+        "model", id="field-of-what-may-be-left-out",
+    ),
     pytest.param("/problem/params/limt", 1.0, "/problem/params/limt", "unknown field", "limit", id="parameter"),
     pytest.param(
         "/algorithm/params/populaton_size", 9, "/algorithm/params/populaton_size", "unknown field",

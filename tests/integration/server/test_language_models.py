@@ -35,7 +35,7 @@ from server.cli.commands import app
 from server.db.engine import Engines
 from server.db.models import SeedClaimRow
 from server.db.writer import Writer
-from server.errors import Unavailable
+from server.errors import InvalidInput, Unavailable
 from server.llm.calls import CallKey, Outcome, StoredCall
 from server.llm.seeds import LlmSeeds
 from server.llm.store import CampaignCalls
@@ -309,6 +309,13 @@ def test_the_command_line_tries_shows_and_tells(
     shown = run(app, ["llm", "dry-run", str(file)])
     assert shown.exit_code == 0, shown.output
     assert "cut_in" in shown.stdout
+    assert "Rule 1" not in shown.stdout, "it never asks for differential seeds"
+    file.write_text(yaml.safe_dump(seeded(endpoint, seeds=POPULATION + 1)))
+    refused = run(app, ["llm", "dry-run", str(file)])
+    assert isinstance(refused.exception, InvalidInput)
+    assert "/algorithm/params/seeds: expected at most population_size" in str(refused.exception)
+    file.write_text(yaml.safe_dump(seeded(endpoint)))
+    assert "Rule 1" in run(app, ["llm", "dry-run", str(file)]).stdout
     assert "cost unknown" in shown.stdout
     assert endpoint.asked == []
     endpoint.models = {"data": [{"id": MODEL}]}

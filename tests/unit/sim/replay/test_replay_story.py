@@ -89,6 +89,16 @@ def test_scenario_is_told_in_words() -> None:
     assert scenario_words(replace(make_trace(), about=unknown)) == "no pedestrians, fog density 0.5"  # type: ignore[arg-type]
 
 
+def test_nothing_is_said_to_be_longer_before_than_the_episode_is() -> None:
+    trace = make_trace()
+    early = np.ones(len(trace.time_s), np.float32)
+    early[int(np.searchsorted(trace.time_s, 1.5))] = -1.0
+    reasons = [m.reason for m in tell(replace(trace, robustness={"front-gap@1": early})).moments]
+    assert "1 s before" in reasons
+    assert "2.5 s before" not in reasons
+    assert "5 s before" not in reasons
+
+
 def test_robustness_is_written_with_sign_and_unit() -> None:
     assert with_unit(-0.84, "front-gap@1") == "−0.8 m"
     assert with_unit(-0.021, "front-gap@1") == "−0.02 m"
