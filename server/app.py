@@ -9,6 +9,7 @@ from importlib.metadata import version
 from fastapi import APIRouter, FastAPI
 from fastapi_offline import FastAPIOffline
 
+from server.access.gate import Gate
 from server.api import campaigns, catalogue, health, jobs, llm, solutions, violations
 from server.api.context import Context
 from server.api.guards import Guards
@@ -23,7 +24,7 @@ from server.db.writer import Writer
 from server.errors import Unavailable
 from server.llm.seeds import LlmSeeds
 from server.queue.service import QueueService
-from server.settings import Settings
+from server.settings import LOOPBACK, Settings
 
 log = logging.getLogger(__name__)
 
@@ -40,7 +41,8 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
 
     Args:
         settings: What the coordinator is told.
-        sweeping: Whether it takes back lost leases and advances campaigns; off for an app that only reads.
+        sweeping: Whether it serves others: takes back lost leases, advances campaigns, asks for tokens; off for an
+            app that a command has to itself, which could read the database just as well.
 
     Raises:
         DatabaseError: The database URL cannot be used.
@@ -80,7 +82,9 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
     app.include_router(api)
     app.include_router(health.router)
     token = settings.token.get_secret_value() if settings.token else None
-    app.add_middleware(Guards, token=token, max_body_bytes=settings.max_body_bytes)
+    exposed = settings.host not in LOOPBACK
+    gate = Gate(engines, token=token, exposed=exposed, rate_limit=settings.rate_limit) if sweeping else None
+    app.add_middleware(Guards, gate=gate, max_body_bytes=settings.max_body_bytes)
     return app
 
 

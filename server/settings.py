@@ -36,6 +36,9 @@ class Settings(BaseSettings):
     max_stored_distances: Annotated[
         int, Field(ge=0, description="Solutions past which distance blocks are no longer stored.")
     ] = 20_000
+    rate_limit: Annotated[
+        float, Field(ge=0, description="Requests a second that one token may make; 0 for no limit.")
+    ] = 1000.0
     llm_endpoints: Annotated[
         str,
         Field(

@@ -1,22 +1,41 @@
-"""What stands before every request: the bearer token, and the bound on bodies."""
+"""What stands before every request: who comes, what they may do, how often, and how much they may say."""
 
-import secrets
+import logging
 
+from sqlalchemy.exc import DBAPIError
+from starlette.datastructures import MutableHeaders
+from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from server.access.gate import Gate
 from server.api.problem_details import problem
 
 OPEN_PATHS = ("/healthz", "/readyz", "/docs", "/openapi.json")
 """What says nothing of any campaign: whether the coordinator lives, and what its API is."""
 OPEN_FOLDERS = ("/docs-files/",)
 
+HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Content-Security-Policy": "default-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'self'",
+}
+"""Of every answer. There are none for other origins: no page of another one may read anything."""
+_DOCS_POLICY = (
+    "default-src 'self'; script-src 'self' 'unsafe-inline'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
+    "frame-ancestors 'none'"
+)
+"""The page of the API is another's, and starts itself by a script within."""
+
+log = logging.getLogger(__name__)
+
 
 class Guards:
-    """Refuses requests without the token, and bodies past the bound, before anything reads them."""
+    """Refuses who may not, and bodies past the bound, before anything reads them."""
 
-    def __init__(self, app: ASGIApp, token: str | None, max_body_bytes: int) -> None:
+    def __init__(self, app: ASGIApp, gate: Gate | None, max_body_bytes: int) -> None:
         self._app = app
-        self._token = token
+        self._gate = gate
         self._max_body_bytes = max_body_bytes
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -24,16 +43,56 @@ class Guards:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
+        policy = _DOCS_POLICY if scope["path"] == "/docs" else None
+
+        async def safer(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers.setdefault(name, value)
+                if policy is not None:
+                    headers["Content-Security-Policy"] = policy
+            await send(message)
+
+        refusal = None if _is_open(scope["path"]) else await self._refusal(scope)
+        if refusal is not None:
+            await refusal(scope, receive, safer)
+            return
+        await self._bounded(scope, receive, safer)
+
+    async def _refusal(self, scope: Scope) -> Response | None:
+        """Return the answer to a request that may not be served, or None."""
+        if self._gate is None:
+            return None
         headers = {name.lower(): value for name, value in scope["headers"]}
-        if self._token and not _is_open(scope["path"]) and not self._authorised(headers):
-            response = problem(
+        try:
+            if not await self._gate.closed():
+                return None
+            caller = await self._gate.caller(headers.get(b"authorization", b""))
+        except DBAPIError as error:
+            log.warning("tokens cannot be read: %s", error.orig)
+            return problem(503, "Unavailable", "tokens cannot be read from the database now; try again")
+        if caller is None:
+            address = scope["client"][0] if scope.get("client") else "unknown"
+            if wait_s := self._gate.stranger_wait_s(address):
+                return _too_many(wait_s)
+            return problem(
                 401,
                 "Unauthorised",
-                "expected the header 'Authorization: Bearer TOKEN' with this coordinator's token",
+                "expected the header 'Authorization: Bearer TOKEN' with a token of this coordinator that holds",
                 headers={"WWW-Authenticate": "Bearer"},
             )
-            await response(scope, receive, send)
-            return
+        if wait_s := self._gate.wait_s(caller):
+            return _too_many(wait_s)
+        if not caller.scope.may(scope["method"], scope["path"]):
+            return problem(
+                403, "Forbidden",
+                f"this token's scope is {caller.scope}; expected one that covers {scope['method']} {scope['path']}",
+            )  # fmt: skip
+        return None
+
+    async def _bounded(self, scope: Scope, receive: Receive, send: Send) -> None:
+        headers = {name.lower(): value for name, value in scope["headers"]}
         length = headers.get(b"content-length", b"0")
         if not length.isdigit() or int(length) > self._max_body_bytes:
             await self._too_large(scope, receive, send)
@@ -53,10 +112,12 @@ class Guards:
             scope, receive, send
         )
 
-    def _authorised(self, headers: dict[bytes, bytes]) -> bool:
-        assert self._token is not None
-        given = headers.get(b"authorization", b"")
-        return secrets.compare_digest(given, b"Bearer " + self._token.encode())
+
+def _too_many(wait_s: float) -> Response:
+    return problem(
+        429, "Too many requests", "expected fewer requests a second",
+        headers={"Retry-After": str(max(1, round(wait_s + 0.5)))},
+    )  # fmt: skip
 
 
 def _is_open(path: str) -> bool:

@@ -13,6 +13,7 @@ from server.cli.compare import compare
 from server.cli.findings.combinations import combinations
 from server.cli.findings.violations import violations
 from server.cli.run import run
+from server.cli.tokens import token
 from sim.catalogue import PLUGINS_VARIABLE
 
 app = typer.Typer(
@@ -35,6 +36,7 @@ app.command()(inspect.plot)
 app.command()(inspect.replay)
 app.command()(compare)
 app.add_typer(operate.db, name="db")
+app.add_typer(token, name="token")
 app.add_typer(bench.bench, name="bench")
 app.add_typer(perturbations.perturbations, name="perturbations")
 app.add_typer(llm.llm, name="llm")

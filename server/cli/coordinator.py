@@ -13,6 +13,7 @@ from pathlib import Path
 
 import uvicorn
 
+from server.access.store import any_token
 from server.app import create_app
 from server.db.engine import open_engines, parse_url
 from server.db.upgrade import upgrade
@@ -64,11 +65,22 @@ def check_exposed(settings: Settings) -> None:
     Raises:
         CannotListen: There is none.
     """
-    if settings.host not in LOOPBACK and settings.token is None:
+    if settings.host not in LOOPBACK and settings.token is None and not has_tokens(settings):
         raise CannotListen(
-            f"listening on {settings.host} lets other machines in: set a secret in BRINK_TOKEN, here and for the "
-            "workers, or listen on 127.0.0.1"
+            f"listening on {settings.host} lets other machines in: make tokens (brink token create NAME --scope "
+            "worker), or set a secret in BRINK_TOKEN, here and for the workers, or listen on 127.0.0.1"
         )
+
+
+def has_tokens(settings: Settings, *, that_hold: bool = True) -> bool:
+    """Return whether tokens are stored: such that hold, or any, so that nobody is served without one."""
+    engines = open_engines(settings.database)
+    try:
+        upgrade(engines)
+        with engines.reader.connect() as connection:
+            return any_token(connection, that_holds=that_hold)
+    finally:
+        engines.dispose()
 
 
 def listen(settings: Settings) -> socket.socket:

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import logging
+import secrets
 import signal
 import time
 from collections.abc import Iterator, Sequence
@@ -13,6 +14,7 @@ from typing import Annotated, Any
 
 import httpx
 import typer
+from pydantic import SecretStr
 from rich.console import Console
 
 from server.bench.comparison import in_words
@@ -24,6 +26,7 @@ from server.cli.compare import compared_archives
 from server.cli.coordinator import (
     EmbeddedCoordinator,
     WorkerProcesses,
+    has_tokens,
     prepare_database,
     release_leases_of_the_dead,
 )
@@ -110,6 +113,9 @@ def run(
     screen = Console(stderr=True, highlight=False) if as_json else console()
     out.mkdir(parents=True, exist_ok=True)  # what cannot be written is known before an hour of simulations
     prepare_database(settings)
+    if settings.token is None and has_tokens(settings, that_hold=False):
+        # The database is that of a coordinator with tokens: this command and its workers have one of their own.
+        settings = settings.model_copy(update={"token": SecretStr(secrets.token_hex(24))})
     release_leases_of_the_dead(settings)
     coordinator = EmbeddedCoordinator(settings)
     coordinator.start()

@@ -28,6 +28,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
+from server.access.tokens import Scope
 from server.db.types import UtcDateTime
 
 JobId = BigInteger().with_variant(Integer(), "sqlite")
@@ -298,6 +299,21 @@ class SeedClaimRow(Base):
     campaign_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="CASCADE"), primary_key=True)
     owner: Mapped[str] = mapped_column(String(32))
     expires_at: Mapped[datetime]
+
+
+class TokenRow(Base):
+    """A bearer token, without what is secret of it."""
+
+    __tablename__ = "tokens"
+    __table_args__ = (_one_of("scope", Scope),)
+
+    id: Mapped[str] = mapped_column(String(8), primary_key=True)
+    name: Mapped[str] = mapped_column(String(200))
+    scope: Mapped[str] = mapped_column(String(16))
+    digest: Mapped[str] = mapped_column(String(64))
+    created_at: Mapped[datetime]
+    expires_at: Mapped[datetime | None]
+    revoked_at: Mapped[datetime | None]
 
 
 class TraceRow(Base):

@@ -1,0 +1,228 @@
+"""Tokens: made and ended by command, kept as digests, each good for its scope and for so many requests."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+import yaml
+from sqlalchemy import text
+from support.api import FakeWorker, ball, coordinator, eventually, expect, submit
+from typer.testing import CliRunner
+
+import server.access.gate
+from server.access.gate import Caller, Gate
+from server.access.store import any_token, create_token
+from server.access.tokens import Scope, digest_of, id_within
+from server.cli.commands import app
+from server.cli.coordinator import CannotListen, check_exposed
+from server.db.engine import Engines
+from server.settings import Settings
+
+BRINK = Path(sys.executable).with_name("brink")
+SMALL = {
+    "name": "small",
+    "problem": {"id": "onemax@1"},
+    "algorithm": {"id": "random@1"},
+    "budget": {"simulations": 40},
+}
+UNKNOWN = "brink_admin_00000000_" + "0" * 48
+
+ALLOWED = {
+    ("GET", "/api/v1/campaigns"): {"read", "user", "admin"},
+    ("GET", "/api/v1/workers"): {"read", "user", "admin"},
+    ("GET", "/metrics"): {"read", "user", "admin"},
+    ("POST", "/api/v1/campaigns"): {"user", "admin"},
+    ("POST", "/api/v1/campaigns/{campaign}/pause"): {"user", "admin"},
+    ("POST", "/api/v1/campaigns/{campaign}/resume"): {"user", "admin"},
+    ("POST", "/api/v1/jobs/1/retry"): {"user", "admin"},
+    ("POST", "/api/v1/jobs/lease"): {"worker", "admin"},
+    ("POST", "/api/v1/jobs/heartbeat"): {"worker", "admin"},
+    ("POST", "/api/v1/jobs/results"): {"worker", "admin"},
+    ("GET", "/api/v1/jobs/lease"): {"worker", "admin"},
+    ("PUT", "/api/v1/campaigns/{campaign}/violations/1/x/name"): {"user", "admin"},
+    ("DELETE", "/api/v1/campaigns/{campaign}/violations/1/x/name"): {"user", "admin"},
+    ("DELETE", "/api/v1/campaigns/{campaign}"): {"admin"},
+}
+
+
+@pytest.fixture(autouse=True)
+def _at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server.access.gate, "REMEMBERED_S", 0.0)
+
+
+def made(engines: Engines, scope: str, name: str = "somebody") -> str:
+    with engines.writer.begin() as connection:
+        return create_token(connection, Scope(scope), name)
+
+
+@pytest.fixture
+def tokens(engines: Engines) -> dict[str, str]:
+    return {str(scope): made(engines, scope) for scope in Scope}
+
+
+@pytest.fixture
+def url(database_url: str, small_problems: None) -> Iterator[str]:
+    with coordinator(database_url) as client:
+        yield str(client.base_url)
+
+
+def bearer(token: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {token}"}
+
+
+def test_each_scope_may_do_what_it_is_for(url: str, tokens: dict[str, str]) -> None:
+    with httpx.Client(base_url=url) as client:
+        campaign = expect(client.post("/api/v1/campaigns", json=ball(), headers=bearer(tokens["user"])), 201)[
+            "id"
+        ]
+        for (method, path), scopes in ALLOWED.items():
+            for scope, token in tokens.items():
+                answer = client.request(method, path.format(campaign=campaign), headers=bearer(token))
+                refused = answer.status_code in (401, 403)
+                assert refused == (scope not in scopes), f"{scope}: {method} {path}: {answer.status_code}"
+                if refused:
+                    assert answer.status_code == 403
+                    assert f"scope is {scope}" in answer.json()["detail"]
+
+
+def test_a_worker_runs_a_campaign_with_its_token(url: str, tokens: dict[str, str]) -> None:
+    with (
+        httpx.Client(base_url=url, headers=bearer(tokens["user"])) as user,
+        httpx.Client(base_url=url, headers=bearer(tokens["worker"])) as worker,
+    ):
+        campaign = submit(user, ball(simulations=20))
+        hands = FakeWorker(worker)
+        while jobs := hands.lease():
+            assert set(hands.report(jobs)) == {"accepted"}
+        eventually(
+            lambda: user.get(f"/api/v1/campaigns/{campaign}").json()["status"] == "finished", "it ends"
+        )
+
+
+@pytest.mark.parametrize(
+    "given",
+    [None, "", "Bearer", "Basic {admin}", "bearer {admin}", "Bearer {admin}x", "Bearer {admin} x", "{admin}",
+     f"Bearer {UNKNOWN}", "Bearer {forged}", "Bearer \u00fc", "Bearer " + "x" * 8000],
+)  # fmt: skip
+def test_what_is_no_token_opens_nothing(url: str, tokens: dict[str, str], given: str | None) -> None:
+    forged = tokens["read"][:-1] + ("0" if tokens["read"][-1] != "0" else "1")
+    header = None if given is None else given.format(admin=tokens["admin"], forged=forged).encode()
+    answer = httpx.get(
+        f"{url}/api/v1/campaigns", headers={b"Authorization": header} if header is not None else {}
+    )
+    assert answer.status_code == 401, answer.text
+    assert answer.headers["WWW-Authenticate"] == "Bearer"
+
+
+def test_a_scope_cannot_be_changed_by_changing_the_token(url: str, tokens: dict[str, str]) -> None:
+    widened = tokens["read"].replace("_read_", "_admin_")
+    assert httpx.get(f"{url}/api/v1/campaigns", headers=bearer(widened)).status_code == 401
+
+
+def test_nothing_secret_is_stored(engines: Engines, tokens: dict[str, str]) -> None:
+    with engines.reader.connect() as connection:
+        rows = [tuple(row) for row in connection.execute(text("SELECT * FROM tokens"))]
+    kept = repr(rows)
+    for token in tokens.values():
+        assert token not in kept
+        assert token.rpartition("_")[2] not in kept
+        assert digest_of(token) in kept
+
+
+def test_a_revoked_or_ended_token_opens_nothing_and_the_last_one_leaves_it_closed(
+    url: str, engines: Engines, database_url: str
+) -> None:
+    run = CliRunner().invoke
+    assert httpx.get(f"{url}/api/v1/campaigns").status_code == 200, "on this machine, while there is no token"
+    created = run(app, ["token", "create", "a colleague", "--scope", "user", "--database", database_url])
+    assert created.exit_code == 0, created.output
+    token = created.stdout.strip().splitlines()[0]
+    token_id = id_within(token)
+    assert token_id is not None
+    assert httpx.get(f"{url}/api/v1/campaigns").status_code == 401
+    assert httpx.get(f"{url}/api/v1/campaigns", headers=bearer(token)).status_code == 200
+    other = made(engines, "read")
+    listed = run(app, ["token", "list", "--json", "--database", database_url])
+    assert {one["name"] for one in json.loads(listed.stdout)} == {"a colleague", "somebody"}
+    assert token.rpartition("_")[2] not in listed.stdout
+    assert run(app, ["token", "revoke", token_id, "--database", database_url]).exit_code == 0
+    assert httpx.get(f"{url}/api/v1/campaigns", headers=bearer(token)).status_code == 401
+    assert "revoked" in run(app, ["token", "list", "--database", database_url]).stdout
+    with engines.writer.begin() as connection:
+        connection.execute(
+            text("UPDATE tokens SET expires_at = '2020-01-01 00:00:00+00' WHERE name = 'somebody'")
+        )
+    for headers in ({}, bearer(other)):
+        assert httpx.get(f"{url}/api/v1/campaigns", headers=headers).status_code == 401, (
+            "it does not open again"
+        )
+
+
+def test_other_machines_are_let_in_where_there_are_tokens(engines: Engines, database_url: str) -> None:
+    exposed = Settings(database=database_url, host="0.0.0.0")
+    with pytest.raises(CannotListen, match="brink token create"):
+        check_exposed(exposed)
+    made(engines, "worker")
+    check_exposed(exposed)
+
+
+def test_a_token_makes_so_many_requests_a_second(engines: Engines) -> None:
+    now = 100.0
+    gate = Gate(engines, token=None, exposed=False, rate_limit=10.0, clock=lambda: now)
+    one, other = Caller("one", Scope.READ), Caller("other", Scope.READ)
+    assert [gate.wait_s(one) for _ in range(10)] == [0.0] * 10
+    assert gate.wait_s(one) == pytest.approx(0.1)
+    assert gate.wait_s(other) == 0.0
+    now += 0.25
+    assert [gate.wait_s(one) == 0.0 for _ in range(3)] == [True, True, False]
+    now += 1e6
+    assert sum(gate.wait_s(one) == 0.0 for _ in range(20)) == 10
+    free = Gate(engines, token=None, exposed=False, rate_limit=0.0, clock=lambda: now)
+    assert {free.wait_s(one) for _ in range(100)} == {0.0}
+
+
+def test_too_many_requests_are_told_when_to_come_again(
+    database_url: str, engines: Engines, small_problems: None
+) -> None:
+    token = made(engines, "read")
+    with coordinator(database_url, rate_limit=3.0) as client:
+        answers = [client.get("/api/v1/campaigns", headers=bearer(token)) for _ in range(12)]
+        codes = [answer.status_code for answer in answers]
+        assert codes[:3] == [200] * 3
+        assert 429 in codes
+        late = next(answer for answer in answers if answer.status_code == 429)
+        assert int(late.headers["Retry-After"]) >= 1
+        guesses = [client.get("/api/v1/campaigns", headers=bearer(UNKNOWN)).status_code for _ in range(60)]
+        assert guesses[0] == 401
+        assert 429 in guesses, "tokens cannot be guessed fast"
+
+
+def test_every_answer_has_the_headers_that_browsers_heed(url: str) -> None:
+    for path in ("/api/v1/campaigns", "/healthz", "/docs", "/nothing", "/metrics"):
+        headers = httpx.get(f"{url}{path}", headers={"Origin": "http://evil.example"}).headers
+        assert headers["X-Content-Type-Options"] == "nosniff"
+        assert headers["X-Frame-Options"] == "DENY"
+        assert "default-src 'self'" in headers["Content-Security-Policy"]
+        assert not any(name.startswith("access-control") for name in headers)
+
+
+def test_whoever_has_the_database_needs_no_token(engines: Engines, database_url: str) -> None:
+    made(engines, "user")
+    with engines.reader.connect() as connection:
+        assert any_token(connection)
+    looked = CliRunner().invoke(app, ["status", "--database", database_url])
+    assert looked.exit_code == 0, looked.output
+
+
+def test_a_run_works_on_a_database_with_tokens(engines: Engines, database_url: str, tmp_path: Path) -> None:
+    made(engines, "user")
+    file = tmp_path / "small.yaml"
+    file.write_text(yaml.safe_dump(SMALL))
+    given = [str(file), "--no-pictures", "--workers", "1", "--database", database_url, "--out", str(tmp_path)]
+    ran = subprocess.run([BRINK, "run", *given], capture_output=True, text=True, timeout=100, check=False)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert "boundary.csv" in ran.stdout
