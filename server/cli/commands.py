@@ -12,7 +12,7 @@ from server.cli import bench, inspect, llm, operate, perturbations
 from server.cli.compare import compare
 from server.cli.findings.combinations import combinations
 from server.cli.findings.violations import violations
-from server.cli.operations import doctor
+from server.cli.operations import doctor, export, import_, prune_
 from server.cli.run import run
 from server.cli.tokens import token
 from sim.catalogue import PLUGINS_VARIABLE
@@ -37,6 +37,9 @@ app.command()(inspect.plot)
 app.command()(inspect.replay)
 app.command()(compare)
 app.command()(doctor)
+app.command()(export)
+app.command("import")(import_)
+operate.db.command("prune")(prune_)
 app.add_typer(operate.db, name="db")
 app.add_typer(token, name="token")
 app.add_typer(bench.bench, name="bench")

@@ -1,14 +1,24 @@
-"""Commands for whoever keeps a coordinator running: doctor."""
+"""Commands for whoever keeps a coordinator running: doctor, export, import, db prune."""
 
+import sqlite3
+from contextlib import closing
+from datetime import timedelta
+from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.markup import escape
 from rich.table import Table
 
+from server.campaigns.store import find_by_prefix
+from server.cli.api import check_database
+from server.cli.coordinator import prepare_database
 from server.cli.options import AsJson, Database, console, print_json, settings_with
 from server.db.engine import open_engines
+from server.errors import FieldError, InvalidInput, NotFound
 from server.operations.doctor import State, examine
+from server.operations.prune import prune
+from server.operations.transfer import export_campaign, import_campaign
 
 _COLOURS = {State.FINE: "green", State.LOOK: "yellow", State.WRONG: "red"}
 
@@ -47,3 +57,119 @@ def doctor(
             table.add_row(f"[{colour}]{one.state}[/{colour}]", one.check, words)
         console().print(table)
     raise typer.Exit(1 if any(one.state is State.WRONG for one in found) else 0)
+
+
+def export(
+    campaign: Annotated[str, typer.Argument(help="Campaign id, or the beginning of one.", metavar="ID")],
+    out: Annotated[
+        Path | None, typer.Option(help="File to write.  [default: NAME-ID.brink]", show_default=False)
+    ] = None,
+    database: Database = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write a campaign and everything that belongs to it to one file, to be kept or taken in elsewhere.
+
+    Example: brink export 3f2a --out traffic.brink
+    """
+    settings = settings_with(database=database)
+    check_database(settings)
+    engines = open_engines(settings.database)
+    try:
+        with engines.reader.connect() as connection:
+            found = find_by_prefix(connection, campaign)
+            if len(found) != 1:
+                count = "no campaign begins" if not found else "several campaigns begin"
+                raise NotFound(f"campaign {campaign}: {count} with it; see: brink status")
+            name = "".join(
+                letter if letter.isalnum() or letter in "-_." else "-" for letter in found[0].body.name
+            )
+            file = out or Path(f"{name[:60]}-{found[0].id}.brink")
+            counts = export_campaign(connection, found[0].id, file)
+    finally:
+        engines.dispose()
+    _told(
+        f"campaign {found[0].id} written to {file}",
+        {"campaign": found[0].id, "file": str(file)},
+        counts,
+        as_json,
+    )
+
+
+def import_(
+    file: Annotated[Path, typer.Argument(help="A file that brink export wrote.", metavar="FILE")],
+    database: Database = None,
+    as_json: AsJson = False,
+) -> None:
+    """Take in a campaign from a file. One that was running is paused; its results are not lent to other campaigns.
+
+    Example: brink import traffic.brink
+    """
+    settings = settings_with(database=database)
+    prepare_database(settings)
+    engines = open_engines(settings.database)
+    try:
+        with engines.writer.begin() as connection:
+            campaign, counts = import_campaign(connection, file)
+    finally:
+        engines.dispose()
+    _told(f"campaign {campaign} taken in from {file}", {"campaign": campaign}, counts, as_json)
+
+
+def _told(words: str, facts: dict[str, str], counts: dict[str, int], as_json: bool) -> None:
+    if as_json:
+        print_json({**facts, "rows": counts})
+        return
+    said = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if count)
+    console().print(f"{words}: {said}", soft_wrap=True, markup=False)
+
+
+def prune_(
+    ended_days: Annotated[
+        float | None, typer.Option(min=0.0, help="Campaigns that ended more than so many days ago go.")
+    ] = None,
+    traces_days: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="Traces made more than so many days ago go; replays make them again."),
+    ] = None,
+    really: Annotated[
+        bool, typer.Option("--yes", help="Delete; without it, only say what would go.")
+    ] = False,
+    database: Database = None,
+) -> None:
+    """Delete what is older than it may be. Says what would go; deletes it with --yes.
+
+    Example: brink db prune --ended-days 90 --traces-days 14 --yes
+    """
+    if ended_days is None and traces_days is None:
+        raise InvalidInput(
+            [
+                FieldError(
+                    pointer="--ended-days", message="expected this or --traces-days: how old may things be?"
+                )
+            ]
+        )
+    settings = settings_with(database=database)
+    check_database(settings)
+    engines = open_engines(settings.database)
+    try:
+        with engines.writer.begin() as connection:
+            found = prune(
+                connection,
+                ended=None if ended_days is None else timedelta(days=ended_days),
+                traces=None if traces_days is None else timedelta(days=traces_days),
+                really=really,
+            )
+        if really and settings.sqlite_file is not None:
+            engines.dispose()
+            with closing(sqlite3.connect(settings.sqlite_file)) as file:
+                file.execute("VACUUM")  # not in a transaction, as all of ours are
+    finally:
+        engines.dispose()
+    screen = console()
+    for campaign, name in found.campaigns:
+        screen.print(f"{campaign}  {name}", markup=False)
+    said = "deleted" if really else "would be deleted; add --yes"
+    screen.print(
+        f"{len(found.campaigns)} campaigns with {found.solutions} solutions, {found.traces} traces: {said}",
+        markup=False,
+    )

@@ -1,0 +1,60 @@
+"""Retention: campaigns that ended long ago, and traces that can be made again."""
+
+from dataclasses import dataclass
+from datetime import timedelta
+
+from sqlalchemy import Connection, delete, func, select
+
+from server.campaigns.store import ENDED, delete_campaign
+from server.db.clock import database_now
+from server.db.models import CampaignRow, SolutionRow, TraceRow
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pruned:
+    """What is older than it may be.
+
+    Attributes:
+        campaigns: Ids and names, the oldest first.
+        solutions: How many these have.
+        traces: How many traces of other campaigns.
+    """
+
+    campaigns: tuple[tuple[str, str], ...]
+    solutions: int
+    traces: int
+
+
+def prune(
+    connection: Connection, *, ended: timedelta | None, traces: timedelta | None, really: bool
+) -> Pruned:
+    """Delete what is older than it may be, all or nothing; return what that is.
+
+    Args:
+        connection: In a write transaction.
+        ended: Campaigns that ended so long ago go; None keeps all.
+        traces: Traces made so long ago go; None keeps all but those of campaigns that go.
+        really: Whether to delete, or only to say what would be.
+    """
+    now = database_now(connection)
+    found: list[tuple[str, str]] = []
+    if ended is not None:
+        query = (
+            select(CampaignRow.id, CampaignRow.name)
+            .where(CampaignRow.status.in_(ENDED), CampaignRow.finished_at < now - ended)
+            .order_by(CampaignRow.finished_at)
+        )
+        found = [(row.id, row.name) for row in connection.execute(query)]
+    count = 0
+    for campaign_id, _ in found:
+        of_campaign = select(func.count()).where(SolutionRow.campaign_id == campaign_id)
+        count += connection.execute(of_campaign).scalar_one()
+        if really:
+            delete_campaign(connection, campaign_id)
+    old = TraceRow.created_at < now - traces if traces is not None else None
+    gone = 0
+    if old is not None:
+        gone = connection.execute(select(func.count()).select_from(TraceRow).where(old)).scalar_one()
+        if really:
+            connection.execute(delete(TraceRow).where(old))
+    return Pruned(campaigns=tuple(found), solutions=count, traces=gone)

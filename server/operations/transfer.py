@@ -1,0 +1,442 @@
+"""A campaign as one file: everything that belongs to it, to be kept, sent, and taken in elsewhere.
+
+The file is a zip archive: `manifest.json` with a format version and a checksum of each other member; a table a
+member as JSON Lines (`solutions.jsonl`); arrays as NumPy writes them (`arrays/vectors.npy`), which ``numpy.load``
+reads from the file as it is. Nothing in it is ever executed.
+
+What comes from a file is not trusted: forms, numbers, checksums and hashes are checked before anything is stored,
+all of it is stored in one transaction, and its results are not handed on to other campaigns.
+"""
+
+import hashlib
+import io
+import json
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping
+from datetime import datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import IO, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+from sqlalchemy import JSON, Connection, Table, insert, select
+from sqlalchemy.exc import DataError, IntegrityError
+
+from server.campaigns import store
+from server.campaigns.body import CampaignBody
+from server.campaigns.plan import make_plan
+from server.db.clock import database_now
+from server.db.models import (
+    Base,
+    CampaignRow,
+    CampaignStatus,
+    CheckpointRow,
+    DistanceBlockRow,
+    GenerationRow,
+    JobRow,
+    JobStatus,
+    LlmCallRow,
+    SolutionRow,
+    TraceRow,
+    ViolationNameRow,
+)
+from server.db.types import UtcDateTime
+from server.errors import Conflict, NotFound, ServerError
+from sim.episode import EpisodeSpec
+from sim.errors import SimulatorError
+
+FORMAT: Final = "brink-campaign"
+VERSION: Final = 1
+LONGEST_LINE: Final = 16 * 1024 * 1024
+LARGEST_BYTES: Final = 64 * 1024**3
+"""Of all members together, unpacked."""
+_BATCH: Final = 500
+_MANIFEST: Final = "manifest.json"
+_LEASE: Final = ("lease_token", "lease_worker", "lease_expires_at", "failed_worker", "not_before")
+_TABLES: Final[Mapping[str, type[Base]]] = {
+    "campaigns": CampaignRow,
+    "generations": GenerationRow,
+    "solutions": SolutionRow,
+    "checkpoints": CheckpointRow,
+    "distance_blocks": DistanceBlockRow,
+    "jobs": JobRow,
+    "violation_names": ViolationNameRow,
+    "llm_calls": LlmCallRow,
+}
+_LEFT_OUT: Final[Mapping[str, tuple[str, ...]]] = {
+    "campaigns": ("idempotency_key", "turn"),
+    "jobs": ("id", "cache", *_LEASE),
+}
+"""Columns that mean something only where they are."""
+
+
+class BadFile(ServerError):
+    """A file is not one that `export_campaign` wrote, or is damaged."""
+
+
+def export_campaign(connection: Connection, campaign_id: str, file: Path) -> dict[str, int]:
+    """Write a campaign to a file; return how many rows of each table.
+
+    Args:
+        connection: Sees one snapshot.
+        campaign_id: Which one.
+        file: Where to; it appears when it is complete.
+
+    Raises:
+        NotFound: There is no such campaign.
+    """
+    if store.find_campaign(connection, campaign_id) is None:
+        raise NotFound(f"campaign {campaign_id}: no such campaign")
+    part = file.with_name(f"{file.name}.part")
+    counts: dict[str, int] = {}
+    sums: dict[str, str] = {}
+    try:
+        with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
+            for name, model in _TABLES.items():
+                counts[name] = _write_table(connection, archive, sums, name, model.__table__, campaign_id)
+            counts["traces"] = _write_traces(connection, archive, sums, campaign_id)
+            manifest = {
+                "format": FORMAT, "version": VERSION, "brink": version("brink"), "campaign": campaign_id,
+                "rows": counts, "sha256": sums,
+            }  # fmt: skip
+            archive.writestr(_MANIFEST, json.dumps(manifest, indent=1))
+        part.replace(file)
+    finally:
+        part.unlink(missing_ok=True)
+    return counts
+
+
+def import_campaign(connection: Connection, file: Path) -> tuple[str, dict[str, int]]:
+    """Store the campaign of a file; return its id and how many rows of each table. One that was running is paused.
+
+    Args:
+        connection: In a write transaction, which is to be rolled back if this raises.
+        file: As `export_campaign` wrote it.
+
+    Raises:
+        BadFile: It is none, is damaged, or says what cannot be.
+        Conflict: There is a campaign with its id.
+    """
+    try:
+        with zipfile.ZipFile(file) as archive:
+            return _Import(connection, archive).run()
+    except (IntegrityError, DataError) as error:
+        words = str(error.orig).strip().splitlines()
+        raise BadFile(f"{file}: it says what cannot be stored: {words[0] if words else error}") from None
+    except (zipfile.BadZipFile, EOFError, OSError, KeyError, UnicodeDecodeError) as error:
+        raise BadFile(f"{file}: expected a file of brink export, undamaged: {error}") from None
+
+
+def _write_table(
+    connection: Connection,
+    archive: zipfile.ZipFile,
+    sums: dict[str, str],
+    name: str,
+    table: Any,
+    campaign_id: str,
+) -> int:
+    """Write a table's rows of one campaign as JSON Lines, and what is binary of them as arrays."""
+    columns = [column.name for column in table.columns if column.name not in _LEFT_OUT.get(name, ())]
+    own = table.c.id if name == "campaigns" else table.c.campaign_id
+    query = select(*(table.c[column] for column in columns)).where(own == campaign_id)
+    query = query.order_by(*(table.c.id,) if name == "jobs" else table.primary_key.columns)
+    vectors: list[bytes] = []
+    count = 0
+    with _member(archive, sums, f"{name}.jsonl") as member:
+        rows = connection.execution_options(stream_results=True, yield_per=_BATCH).execute(query)
+        for row in rows.mappings():
+            count += 1
+            told = {key: _json(value) for key, value in row.items() if not isinstance(value, bytes)}
+            member.write(json.dumps(told, separators=(",", ":"), sort_keys=True).encode() + b"\n")
+            if name == "solutions":
+                vectors.append(row["vector"])
+    if name == "solutions" and vectors:
+        table_of = np.frombuffer(b"".join(vectors), "<f8").reshape(len(vectors), -1)
+        _write_array(archive, sums, "vectors", table_of)
+    if name in ("checkpoints", "distance_blocks"):
+        _write_binary(connection, archive, sums, name, query)
+    return count
+
+
+def _write_binary(
+    connection: Connection, archive: zipfile.ZipFile, sums: dict[str, str], name: str, query: Any
+) -> None:
+    with connection.execution_options(stream_results=True, yield_per=1).execute(query) as rows:
+        for row in rows.mappings():
+            if name == "checkpoints":
+                for column in ("document", "neighbours", "unsafe_neighbours"):
+                    _write_array(archive, sums, f"checkpoint-{column}", np.frombuffer(row[column], np.uint8))
+            else:
+                block = np.frombuffer(row["data"], "<f4").reshape(row["rows"], row["columns"])
+                _write_array(archive, sums, f"distances-{row['generation']}", block)
+
+
+def _write_traces(
+    connection: Connection, archive: zipfile.ZipFile, sums: dict[str, str], campaign_id: str
+) -> int:
+    own = select(JobRow.spec_hash).where(JobRow.campaign_id == campaign_id)
+    query = select(TraceRow.spec_hash, TraceRow.data).where(TraceRow.spec_hash.in_(own))
+    count = 0
+    with connection.execution_options(stream_results=True, yield_per=1).execute(query) as rows:
+        for row in rows:
+            _write_array(archive, sums, f"trace-{row.spec_hash}", np.frombuffer(row.data, np.uint8))
+            count += 1
+    return count
+
+
+def _json(value: Any) -> Any:
+    return value.isoformat() if isinstance(value, datetime) else value
+
+
+class _member:  # noqa: N801  (used as a function)
+    """A member of an archive that is being written, and its checksum."""
+
+    def __init__(self, archive: zipfile.ZipFile, sums: dict[str, str], name: str) -> None:
+        self._archive, self._sums, self._name = archive, sums, name
+        self._digest = hashlib.sha256()
+
+    def __enter__(self) -> "_member":
+        self._file = self._archive.open(self._name, "w", force_zip64=True)
+        return self
+
+    def write(self, data: bytes) -> int:
+        """Write some more."""
+        self._digest.update(data)
+        return self._file.write(data)
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+        self._sums[self._name] = self._digest.hexdigest()
+
+
+def _write_array(archive: zipfile.ZipFile, sums: dict[str, str], name: str, array: NDArray[Any]) -> None:
+    with _member(archive, sums, f"arrays/{name}.npy") as member:
+        np.lib.format.write_array(member, np.ascontiguousarray(array), allow_pickle=False)
+
+
+class _Import:
+    """Takes in one file."""
+
+    def __init__(self, connection: Connection, archive: zipfile.ZipFile) -> None:
+        self._connection = connection
+        self._archive = archive
+        if sum(info.file_size for info in archive.infolist()) > LARGEST_BYTES:
+            raise BadFile(f"expected at most {LARGEST_BYTES // 1024**3} GiB in the file")
+        self._manifest = self._read_manifest()
+        self._id = str(self._manifest["campaign"])
+
+    def run(self) -> tuple[str, dict[str, int]]:
+        """Store everything."""
+        for name, expected in self._manifest["sha256"].items():
+            if self._digest(name) != expected:
+                raise BadFile(f"{name}: it is damaged, its checksum is another")
+        campaign = self._campaign()
+        if store.find_campaign(self._connection, self._id) is not None:
+            raise Conflict(f"campaign {self._id} is here already")
+        self._connection.execute(insert(CampaignRow).values(campaign))
+        counts = {"campaigns": 1}
+        for name, model in _TABLES.items():
+            if name != "campaigns":
+                counts[name] = self._insert(name, model)
+        counts["traces"] = self._traces()
+        return self._id, counts
+
+    def _read_manifest(self) -> dict[str, Any]:
+        manifest: Any
+        try:
+            manifest = json.loads(self._archive.read(_MANIFEST))
+        except (KeyError, ValueError):
+            raise BadFile("expected a file of brink export: it has no manifest") from None
+        right = isinstance(manifest, dict) and manifest.get("format") == FORMAT
+        sums = manifest.get("sha256") if right else None
+        if not right or not isinstance(sums, dict) or not isinstance(manifest.get("campaign"), str):
+            raise BadFile("expected a file of brink export: its manifest is another's")
+        if manifest.get("version") != VERSION:
+            raise BadFile(f"expected format version {VERSION}, got {manifest.get('version')!r}")
+        members = {info.filename for info in self._archive.infolist()} - {_MANIFEST}
+        if members != set(sums):
+            raise BadFile(
+                f"expected the members that the manifest names; differing: {sorted(members ^ set(sums))[:3]}"
+            )
+        if not 1 <= len(manifest["campaign"]) <= 16 or not manifest["campaign"].isalnum():
+            raise BadFile(f"campaign: expected an id, got {manifest['campaign'][:40]!r}")
+        checked: dict[str, Any] = manifest
+        return checked
+
+    def _digest(self, name: str) -> str:
+        digest = hashlib.sha256()
+        with self._archive.open(name) as member:
+            while data := member.read(1 << 20):
+                digest.update(data)
+        return digest.hexdigest()
+
+    def _campaign(self) -> dict[str, Any]:
+        rows = list(self._rows("campaigns", CampaignRow.__table__))
+        if len(rows) != 1 or rows[0]["id"] != self._id:
+            raise BadFile("campaigns.jsonl: expected the campaign that the manifest names")
+        row = rows[0]
+        try:
+            body = CampaignBody.model_validate(row["document"])
+        except ValidationError as error:
+            raise BadFile(f"campaigns.jsonl: document: {error.errors(include_url=False)[0]['msg']}") from None
+        self._dimension = make_plan(body).problem.space.dimension
+        if row["status"] == CampaignStatus.RUNNING:
+            row |= {"status": CampaignStatus.PAUSED, "status_reason": "imported; resume it to go on"}
+        return {**row, "idempotency_key": None, "turn": 0}
+
+    def _insert(self, name: str, model: type[Base]) -> int:
+        batch: list[dict[str, Any]] = []
+        count = 0
+        for row in self._complete(name, model.__table__):
+            batch.append(row)
+            count += 1
+            if len(batch) == _BATCH:
+                self._connection.execute(insert(model), batch)
+                batch = []
+        if batch:
+            self._connection.execute(insert(model), batch)
+        return count
+
+    def _complete(self, name: str, table: Any) -> Iterable[dict[str, Any]]:
+        """Give a table's rows with what is binary of them, and what the file does not say."""
+        vectors = np.empty((0, self._dimension))
+        if name == "solutions" and "arrays/vectors.npy" in self._sums:
+            vectors = self._array("vectors", "<f8")
+            if vectors.ndim != 2 or vectors.shape[1] != self._dimension:
+                raise BadFile(f"arrays/vectors.npy: expected {self._dimension} numbers a row")
+        for place, row in enumerate(self._rows(name, table)):
+            if row["campaign_id"] != self._id:
+                raise BadFile(f"{name}.jsonl, line {place + 1}: expected campaign_id {self._id}")
+            if name == "solutions":
+                if place >= len(vectors):
+                    raise BadFile("arrays/vectors.npy: expected a row a solution")
+                row["vector"] = vectors[place].tobytes()
+            elif name == "checkpoints":
+                for column in ("document", "neighbours", "unsafe_neighbours"):
+                    row[column] = self._array(f"checkpoint-{column}", "|u1").tobytes()
+            elif name == "distance_blocks":
+                array = f"distances-{row['generation']}"
+                block = self._array(array, "<f4")
+                if block.shape != (row["rows"], row["columns"]):
+                    raise BadFile(f"arrays/{array}.npy: expected {row['rows']} x {row['columns']} numbers")
+                row["data"] = block.tobytes()
+                if hashlib.sha256(row["data"]).hexdigest() != row["sha256"]:
+                    raise BadFile(f"arrays/{array}.npy: it is not what was stored")
+            elif name == "jobs":
+                row |= self._job(row, place)
+            yield row
+
+    def _job(self, row: Mapping[str, Any], place: int) -> dict[str, Any]:
+        """Return what a job is here: nobody's, and no source of results for others."""
+        try:
+            digest = EpisodeSpec.from_json(json.loads(row["spec"])).digest()
+        except (SimulatorError, ValueError, TypeError, KeyError) as error:
+            raise BadFile(f"jobs.jsonl, line {place + 1}: spec: {error}") from None
+        if digest != row["spec_hash"]:
+            raise BadFile(f"jobs.jsonl, line {place + 1}: expected the hash of its spec")
+        leased = row["status"] == JobStatus.LEASED
+        return dict.fromkeys(_LEASE) | {
+            "cache": False,
+            "status": JobStatus.QUEUED if leased else row["status"],
+            "attempt": row["attempt"] - 1 if leased else row["attempt"],
+        }
+
+    def _traces(self) -> int:
+        prefix, suffix = "arrays/trace-", ".npy"
+        names = [name for name in self._sums if name.startswith(prefix)]
+        hashes = [name.removeprefix(prefix).removesuffix(suffix) for name in names]
+        known = set(
+            self._connection.execute(
+                select(TraceRow.spec_hash).where(TraceRow.spec_hash.in_(hashes))
+            ).scalars()
+        )
+        own = set(
+            self._connection.execute(select(JobRow.spec_hash).where(JobRow.campaign_id == self._id)).scalars()
+        )
+        taken = [one for one in hashes if one not in known and one in own]
+        now = database_now(self._connection)
+        for one in taken:
+            data = self._array(f"trace-{one}", "|u1").tobytes()
+            self._connection.execute(insert(TraceRow).values(spec_hash=one, data=data, created_at=now))
+        return len(taken)
+
+    @property
+    def _sums(self) -> dict[str, str]:
+        sums: dict[str, str] = self._manifest["sha256"]
+        return sums
+
+    def _array(self, name: str, dtype: str) -> NDArray[Any]:
+        member = f"arrays/{name}.npy"
+        try:
+            with self._archive.open(member) as file:
+                array = np.lib.format.read_array(io.BytesIO(file.read()), allow_pickle=False)
+        except (KeyError, ValueError) as error:
+            raise BadFile(f"{member}: expected an array: {error}") from None
+        if array.dtype.str != dtype:
+            raise BadFile(f"{member}: expected numbers of type {dtype}, got {array.dtype.str}")
+        return array
+
+    def _rows(self, name: str, table: Table | Any) -> Iterator[dict[str, Any]]:
+        """Give a table's rows, each with the right columns and types."""
+        left_out = _LEFT_OUT.get(name, ())
+        columns = {
+            column.name: column
+            for column in table.columns
+            if column.name not in left_out and _type_of(column) is not bytes
+        }
+        member = f"{name}.jsonl"
+        with self._archive.open(member) as file:
+            for place, line in enumerate(_lines(file, member), start=1):
+                try:
+                    told = json.loads(line)
+                except ValueError as error:
+                    raise BadFile(f"{member}, line {place}: {error}") from None
+                if not isinstance(told, dict) or set(told) != set(columns):
+                    raise BadFile(f"{member}, line {place}: expected an object with {', '.join(columns)}")
+                yield {
+                    key: _value(value, columns[key], f"{member}, line {place}") for key, value in told.items()
+                }
+
+
+def _lines(file: IO[bytes], member: str) -> Iterator[bytes]:
+    while line := file.readline(LONGEST_LINE + 1):
+        if len(line) > LONGEST_LINE:
+            raise BadFile(f"{member}: expected lines of at most {LONGEST_LINE} bytes")
+        yield line
+
+
+def _type_of(column: Any) -> type[Any]:
+    if isinstance(column.type, UtcDateTime):
+        return datetime
+    if isinstance(column.type, JSON):
+        return dict
+    wanted: type[Any] = column.type.python_type
+    return wanted
+
+
+def _value(value: Any, column: Any, where: str) -> Any:
+    """Return a value as its column takes it."""
+    wanted = _type_of(column)
+    if value is None:
+        if not column.nullable:
+            raise BadFile(f"{where}: {column.name}: expected a {wanted.__name__}, got null")
+        return None
+    if wanted is datetime:
+        try:
+            moment = datetime.fromisoformat(value)
+        except (TypeError, ValueError):
+            moment = None
+        if moment is None or moment.tzinfo is None:
+            raise BadFile(f"{where}: {column.name}: expected a moment with its time zone, got {value!r:.60}")
+        return moment
+    if wanted is float and type(value) is int:
+        value = float(value)
+    if not isinstance(value, wanted) or (wanted is int and isinstance(value, bool)):
+        raise BadFile(f"{where}: {column.name}: expected a {wanted.__name__}, got {value!r:.60}")
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise BadFile(f"{where}: {column.name}: expected a number of 64 bits")
+    if isinstance(value, str) and getattr(column.type, "length", None) and len(value) > column.type.length:
+        raise BadFile(f"{where}: {column.name}: expected at most {column.type.length} characters")
+    return value

@@ -1,0 +1,238 @@
+"""A campaign as a file: it comes back as it went; a file that is not what it says changes nothing."""
+
+import hashlib
+import io
+import json
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from sqlalchemy import func, select, text
+from support.api import FakeWorker, ball, coordinator, expect, progress, submit
+from support.databases import Databases
+from typer.testing import CliRunner
+
+from server.cli.commands import app
+from server.db.engine import open_engines
+from server.db.models import CampaignRow, JobRow, SolutionRow
+from server.errors import Conflict, NotFound
+from server.operations.transfer import BadFile, export_campaign
+
+pytestmark = pytest.mark.usefixtures("small_problems")
+
+
+def run(*arguments: str) -> Any:
+    return CliRunner().invoke(app, list(arguments), catch_exceptions=False)
+
+
+def reached(wanted: int) -> Callable[[dict[str, Any]], bool]:
+    return lambda stands: bool(stands["simulations"] >= wanted)
+
+
+@pytest.fixture
+def exported(database_url: str, tmp_path: Path) -> tuple[str, str, Path]:
+    """A finished campaign: its id, its digest, and the file that it was written to."""
+    with coordinator(database_url) as client:
+        campaign = submit(client, ball(simulations=60))
+        digest = FakeWorker(client).work(campaign)["digest"]
+    file = tmp_path / "ball.brink"
+    told = run("export", campaign[:4], "--out", str(file), "--database", database_url, "--json")
+    assert told.exit_code == 0, told.output
+    assert json.loads(told.stdout)["rows"]["solutions"] == 70
+    return campaign, digest, file
+
+
+def test_what_is_taken_in_is_what_was_written(
+    databases: Databases, exported: tuple[str, str, Path], tmp_path: Path
+) -> None:
+    campaign, digest, file = exported
+    with databases.database("other") as elsewhere:
+        told = run("import", str(file), "--database", elsewhere)
+        assert told.exit_code == 0, told.output
+        with coordinator(elsewhere) as client:
+            stands = progress(client, campaign)
+            assert (stands["status"], stands["digest"]) == ("finished", digest)
+            assert (
+                len(expect(client.get(f"/api/v1/campaigns/{campaign}/distances?numbers=0,1,2"))["distances"])
+                == 3
+            )
+        again = tmp_path / "again.brink"
+        assert run("export", campaign, "--out", str(again), "--database", elsewhere).exit_code == 0
+        assert run("doctor", "--thorough", "--database", elsewhere).exit_code == 0
+        assert members(again) == members(file)
+        with pytest.raises(Conflict, match="is here already"):
+            run("import", str(file), "--database", elsewhere)
+
+
+def members(file: Path) -> dict[str, bytes]:
+    """Return all members but the manifest."""
+    with zipfile.ZipFile(file) as archive:
+        return {name: archive.read(name) for name in archive.namelist() if name != "manifest.json"}
+
+
+def test_numpy_reads_the_arrays(exported: tuple[str, str, Path]) -> None:
+    with np.load(exported[2]) as arrays:
+        assert arrays["arrays/vectors"].shape == (70, 2)
+
+
+def test_a_campaign_that_runs_goes_on_elsewhere_and_finds_the_same(
+    databases: Databases, database_url: str, exported: tuple[str, str, Path], tmp_path: Path
+) -> None:
+    digest, file = exported[1], tmp_path / "half.brink"
+    with coordinator(database_url) as client:
+        half = submit(client, ball(simulations=60, execution={"cache": False}))
+        worker = FakeWorker(client)
+        worker.work(half, until=reached(25))
+        worker.lease(max_jobs=2)  # nobody will report them there
+        expect(client.post(f"/api/v1/campaigns/{half}/pause"))
+    assert run("export", half, "--out", str(file), "--database", database_url).exit_code == 0
+    with databases.database("other") as elsewhere:
+        assert run("import", str(file), "--database", elsewhere).exit_code == 0
+        with coordinator(elsewhere) as client:
+            assert progress(client, half)["status"] == "paused"
+            expect(client.post(f"/api/v1/campaigns/{half}/resume"))
+            assert FakeWorker(client).work(half)["digest"] == digest
+            fresh = submit(client, ball(simulations=60))
+            assert progress(client, fresh)["simulations"] == 0, "results of files are lent to nobody"
+
+
+def rewritten(file: Path, changes: dict[str, Callable[[bytes], bytes | None]], *, sums: bool = True) -> Path:
+    """Return a copy of a file with some members changed, left out or added, and the manifest made to fit."""
+    found = members(file)
+    with zipfile.ZipFile(file) as archive:
+        manifest = json.loads(archive.read("manifest.json"))
+    for name, change in changes.items():
+        if name == "manifest.json":
+            manifest = json.loads(change(json.dumps(manifest).encode()) or b"")
+            continue
+        data = change(found.get(name, b""))
+        if data is None:
+            del found[name]
+        else:
+            found[name] = data
+    if sums:
+        manifest["sha256"] = {name: hashlib.sha256(data).hexdigest() for name, data in found.items()}
+    other = file.with_name("other.brink")
+    with zipfile.ZipFile(other, "w") as archive:
+        for name, data in found.items():
+            archive.writestr(name, data)
+        archive.writestr("manifest.json", json.dumps(manifest))
+    return other
+
+
+def in_line(change: Callable[[dict[str, Any]], None], line: int = 0) -> Callable[[bytes], bytes]:
+    def changed(data: bytes) -> bytes:
+        lines = data.splitlines()
+        row = json.loads(lines[line])
+        change(row)
+        lines[line] = json.dumps(row).encode()
+        return b"\n".join(lines) + b"\n"
+
+    return changed
+
+
+def array(value: Any, **more: Any) -> Callable[[bytes], bytes]:
+    def made(_: bytes) -> bytes:
+        file = io.BytesIO()
+        np.save(file, value, **more)
+        return file.getvalue()
+
+    return made
+
+
+WRONG: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] = {
+    "no manifest": ({"manifest.json": lambda _: b"{}"}, "its manifest is another's"),
+    "a later version": (
+        {"manifest.json": lambda data: data.replace(b'"version": 1', b'"version": 2')},
+        "expected format version 1, got 2",
+    ),
+    "a table is missing": ({"jobs.jsonl": lambda _: None}, "undamaged"),
+    "no JSON": ({"solutions.jsonl": lambda data: data[:-30]}, "line 70"),
+    "a column is missing": ({"solutions.jsonl": in_line(lambda row: row.pop("seed"))}, "expected an object with"),
+    "a column too many": ({"solutions.jsonl": in_line(lambda row: row.update(x=1))}, "expected an object with"),
+    "text for a number": (
+        {"solutions.jsonl": in_line(lambda row: row.update(seed="1"))}, "line 1: seed: expected a int, got '1'",
+    ),
+    "a number past 64 bits": ({"solutions.jsonl": in_line(lambda row: row.update(seed=2**70))}, "64 bits"),
+    "null": ({"solutions.jsonl": in_line(lambda row: row.update(generation=None))}, "got null"),
+    "a long text": ({"jobs.jsonl": in_line(lambda row: row.update(needs="x" * 999))}, "at most 128 characters"),
+    "a state that is none": ({"jobs.jsonl": in_line(lambda row: row.update(status="gone"))}, "cannot be stored"),
+    "another campaign's row": (
+        {"solutions.jsonl": in_line(lambda row: row.update(campaign_id="other"))}, "expected campaign_id",
+    ),
+    "a spec with another hash": (
+        {"jobs.jsonl": in_line(lambda row: row.update(spec_hash="0" * 64))}, "expected the hash of its spec",
+    ),
+    "a spec that is none": ({"jobs.jsonl": in_line(lambda row: row.update(spec="{}"))}, "line 1: spec"),
+    "vectors of another length": ({"arrays/vectors.npy": array(np.zeros((70, 3)))}, "expected 2 numbers a row"),
+    "too few vectors": ({"arrays/vectors.npy": array(np.zeros((3, 2)))}, "expected a row a solution"),
+    "vectors of another type": ({"arrays/vectors.npy": array(np.zeros((70, 2), "f4"))}, "type <f8"),
+    "objects": (
+        {"arrays/vectors.npy": array(np.array([print], object), allow_pickle=True)}, "expected an array",
+    ),
+    "distances of another generation": (
+        {"arrays/distances-0.npy": array(np.zeros((20, 20), "f4"))}, "it is not what was stored",
+    ),
+    "an unknown problem": (
+        {"campaigns.jsonl": in_line(lambda row: row["document"]["problem"].update(id="none@1"))}, "unknown problem",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_a_file_that_is_not_what_it_says_changes_nothing(
+    databases: Databases, exported: tuple[str, str, Path], name: str
+) -> None:
+    changes, message = WRONG[name]
+    wrong = rewritten(exported[2], changes)
+    with databases.database("other") as elsewhere:
+        told = CliRunner().invoke(app, ["import", str(wrong), "--database", elsewhere])
+        assert told.exit_code != 0
+        assert message in str(told.exception), told.exception
+        engines = open_engines(elsewhere)
+        with engines.reader.connect() as connection:
+            for table in (CampaignRow, SolutionRow, JobRow):
+                assert connection.execute(select(func.count()).select_from(table)).scalar_one() == 0
+        engines.dispose()
+
+
+def test_damage_is_noticed(exported: tuple[str, str, Path], tmp_path: Path) -> None:
+    changed = rewritten(
+        exported[2], {"solutions.jsonl": lambda data: data.replace(b"safe", b"sage")}, sums=False
+    )
+    with pytest.raises(BadFile, match=r"solutions\.jsonl: it is damaged"):
+        run("import", str(changed), "--database", f"sqlite:///{tmp_path}/new.db")
+    (tmp_path / "short.brink").write_bytes(exported[2].read_bytes()[:900])
+    for other in ("short.brink", "none.brink"):
+        with pytest.raises(BadFile, match="expected a file of brink export"):
+            run("import", str(tmp_path / other), "--database", f"sqlite:///{tmp_path}/new.db")
+
+
+def test_what_is_not_there_cannot_be_written(database_url: str, tmp_path: Path) -> None:
+    engines = open_engines(database_url)
+    with engines.reader.connect() as connection, pytest.raises(NotFound):
+        export_campaign(connection, "none", tmp_path / "x.brink")
+    engines.dispose()
+    assert list(tmp_path.glob("x.brink*")) == []
+
+
+def test_old_campaigns_and_traces_go_if_really_meant(
+    database_url: str, exported: tuple[str, str, Path]
+) -> None:
+    engines = open_engines(database_url)
+    with engines.writer.begin() as connection:
+        connection.execute(text("UPDATE campaigns SET finished_at = '2026-01-01 00:00:00+00'"))
+    with coordinator(database_url) as client:
+        young = submit(client, ball(seed=2))
+    looked = run("db", "prune", "--ended-days", "30", "--database", database_url)
+    assert "1 campaigns with 70 solutions, 0 traces: would be deleted" in looked.stdout
+    assert exported[0] in looked.stdout
+    with engines.reader.connect() as connection:
+        assert connection.execute(select(func.count()).select_from(CampaignRow)).scalar_one() == 2
+    assert run("db", "prune", "--ended-days", "30", "--yes", "--database", database_url).exit_code == 0
+    with engines.reader.connect() as connection:
+        assert list(connection.execute(select(CampaignRow.id)).scalars()) == [young]
+    engines.dispose()
