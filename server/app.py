@@ -13,6 +13,7 @@ from server.access.gate import Gate
 from server.api import campaigns, catalogue, health, jobs, llm, solutions, violations
 from server.api.context import Context
 from server.api.guards import Guards
+from server.api.measured import Measured
 from server.api.problem_details import install
 from server.api.schemas import ProblemDetail
 from server.campaigns import store
@@ -23,6 +24,7 @@ from server.db.engine import Engines, open_engines
 from server.db.writer import Writer
 from server.errors import Unavailable
 from server.llm.seeds import LlmSeeds
+from server.metrics import Metrics
 from server.queue.service import QueueService
 from server.settings import LOOPBACK, Settings
 
@@ -48,10 +50,11 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
         DatabaseError: The database URL cannot be used.
     """
     engines = open_engines(settings.database)
+    metrics = Metrics()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        context = _context(settings, engines, asyncio.get_running_loop())
+        context = _context(settings, engines, metrics, asyncio.get_running_loop())
         app.state.context = context
         stopping = asyncio.Event()
         sweeper = asyncio.create_task(_sweep(context, stopping)) if sweeping else None
@@ -85,18 +88,23 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
     exposed = settings.host not in LOOPBACK
     gate = Gate(engines, token=token, exposed=exposed, rate_limit=settings.rate_limit) if sweeping else None
     app.add_middleware(Guards, gate=gate, max_body_bytes=settings.max_body_bytes)
+    app.add_middleware(Measured, metrics=metrics)
     return app
 
 
-def _context(settings: Settings, engines: Engines, loop: asyncio.AbstractEventLoop) -> Context:
+def _context(
+    settings: Settings, engines: Engines, metrics: Metrics, loop: asyncio.AbstractEventLoop
+) -> Context:
     def came(campaign_id: str) -> None:
         with suppress(RuntimeError):  # the coordinator has stopped meanwhile
             loop.call_soon_threadsafe(lambda: queue.advance_soon([campaign_id]))
 
     writer = Writer(engines.writer)
     seeds = LlmSeeds(engines, writer, came)
-    stepper = Stepper(engines, writer, max_stored_distances=settings.max_stored_distances, seeds=seeds)
-    queue = QueueService(settings=settings, writer=writer, stepper=stepper)
+    stepper = Stepper(
+        engines, writer, max_stored_distances=settings.max_stored_distances, seeds=seeds, metrics=metrics
+    )
+    queue = QueueService(settings=settings, writer=writer, stepper=stepper, metrics=metrics)
     return Context(
         settings=settings,
         engines=engines,
@@ -106,6 +114,7 @@ def _context(settings: Settings, engines: Engines, loop: asyncio.AbstractEventLo
         ),
         archives=Archives(engines=engines, stepper=stepper),
         seeds=seeds,
+        metrics=metrics,
     )
 
 

@@ -12,6 +12,7 @@ from server.campaigns.archives import Archives
 from server.campaigns.service import CampaignService
 from server.db.engine import Engines
 from server.llm.seeds import LlmSeeds
+from server.metrics import Metrics
 from server.queue.service import QueueService
 from server.settings import Settings
 
@@ -26,6 +27,7 @@ class Context:
     queue: QueueService
     archives: Archives
     seeds: LlmSeeds
+    metrics: Metrics
 
 
 async def context_of(request: Request) -> Context:  # async: another thread would cost more than this does

@@ -10,7 +10,8 @@ from sqlalchemy import Connection, func, select, text
 from server.api.context import Services
 from server.api.problem_details import problem
 from server.campaigns.service import read
-from server.db.models import CampaignRow, JobRow
+from server.db.clock import database_now
+from server.db.models import CampaignRow, CampaignStatus, JobRow, JobStatus
 from server.db.upgrade import current_revision, head_revision
 from server.errors import DatabaseError
 from server.queue.workers import list_seen
@@ -44,11 +45,22 @@ async def readyz(services: Services) -> Response:
 
 @router.get("/metrics", response_class=PlainTextResponse)
 async def metrics(services: Services) -> Response:
-    """Return the state of campaigns, jobs and workers for Prometheus."""
+    """Return the state of campaigns, jobs and workers, and what this process measured, for Prometheus."""
     registry = CollectorRegistry()
     jobs = Gauge("brink_jobs", "Jobs by state", ["status", "kind", "needs"], registry=registry)
     campaigns = Gauge("brink_campaigns", "Campaigns by state", ["status"], registry=registry)
     workers = Gauge("brink_workers_live", "Workers heard of lately", registry=registry)
+    depth = Gauge(
+        "brink_queue_depth",
+        "Open jobs of running campaigns",
+        ["campaign", "needs", "status"],
+        registry=registry,
+    )
+    unrenewed = Gauge(
+        "brink_lease_unrenewed_seconds", "Longest time since a held lease was granted or renewed",
+        registry=registry,
+    )  # fmt: skip
+    oldest = Gauge("brink_oldest_queued_seconds", "Age of the job that waits longest", registry=registry)
 
     def collect(connection: Connection) -> None:
         counted = select(JobRow.status, JobRow.kind, JobRow.needs, func.count()).group_by(
@@ -59,7 +71,25 @@ async def metrics(services: Services) -> Response:
         states = select(CampaignRow.status, func.count()).group_by(CampaignRow.status)
         for status, count in connection.execute(states):
             campaigns.labels(status).set(count)
+        is_open = JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED])
+        by_campaign = (
+            select(JobRow.campaign_id, JobRow.needs, JobRow.status, func.count())
+            .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
+            .where(is_open, CampaignRow.status == CampaignStatus.RUNNING)
+            .group_by(JobRow.campaign_id, JobRow.needs, JobRow.status)
+        )
+        for campaign, needs, status, count in connection.execute(by_campaign):
+            depth.labels(campaign, needs, status).set(count)
+        now = database_now(connection)
+        expires = select(func.min(JobRow.lease_expires_at)).where(JobRow.status == JobStatus.LEASED)
+        if (first := connection.execute(expires).scalar_one()) is not None:
+            left_s = (first - now).total_seconds()
+            unrenewed.set(max(0.0, services.settings.lease_s - left_s))
+        waits = select(func.min(JobRow.created_at)).where(JobRow.status == JobStatus.QUEUED)
+        if (since := connection.execute(waits).scalar_one()) is not None:
+            oldest.set(max(0.0, (now - since).total_seconds()))
         workers.set(len(list_seen(connection, within_s=services.settings.worker_seen_s)))
 
     await read(services.engines, collect)
-    return Response(generate_latest(registry), media_type=CONTENT_TYPE_LATEST)
+    told = generate_latest(registry) + generate_latest(services.metrics.registry)
+    return Response(told, media_type=CONTENT_TYPE_LATEST)

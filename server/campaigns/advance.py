@@ -50,6 +50,7 @@ from server.db.engine import Engines
 from server.db.models import CampaignStatus, JobStatus, SolutionVerdict
 from server.db.writer import Writer
 from server.errors import FieldError, InvalidInput, Unavailable
+from server.metrics import Metrics
 from server.problems.base import InProcessProblem, MeasuresOnData, Problem, SimulatedProblem
 from worker.wire import Completed
 
@@ -67,9 +68,16 @@ class Stepper:
     """Advances campaigns, one at a time."""
 
     def __init__(
-        self, engines: Engines, writer: Writer, *, max_stored_distances: int, seeds: SeedSource
+        self,
+        engines: Engines,
+        writer: Writer,
+        *,
+        max_stored_distances: int,
+        seeds: SeedSource,
+        metrics: Metrics | None = None,
     ) -> None:
         self._engines = engines
+        self._metrics = metrics or Metrics()
         self._writer = writer
         self._seeds = seeds
         self._max_stored_distances = max_stored_distances
@@ -183,6 +191,7 @@ class Stepper:
         if not self._writer.submit(lambda connection: step_store.write_step(connection, step)).result():
             self._live.pop(campaign.id, None)
             return False
+        self._metrics.steps.observe(time.perf_counter() - began)
         if finished:
             self._live.pop(campaign.id, None)
         else:

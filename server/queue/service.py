@@ -19,6 +19,7 @@ from sqlalchemy import Connection
 from server.campaigns.advance import Stepper
 from server.db.writer import Writer
 from server.errors import FieldError, InvalidInput
+from server.metrics import Metrics
 from server.queue import lease_store, report_store, workers
 from server.queue.values import LeaseTerms, Outcome, Report
 from server.queue.wakeups import Wakeups
@@ -66,6 +67,7 @@ class QueueService:
     settings: Settings
     writer: Writer
     stepper: Stepper
+    metrics: Metrics = field(default_factory=Metrics)
     wakeups: Wakeups = field(default_factory=Wakeups)
     clock: Callable[[], float] = time.monotonic
     stopping: bool = False
@@ -148,6 +150,7 @@ class QueueService:
             return report, released, granted
 
         report, released, granted = await asyncio.wrap_future(self.writer.submit(unit))
+        self._count(request, report)
         if released:
             self.wakeups.wake(released)
         self.advance_soon(report.campaigns)
@@ -164,6 +167,12 @@ class QueueService:
             for outcome, status in zip(outcomes, report.statuses, strict=True)
         ]
         return ResultsReply(statuses=statuses, lease=reply)
+
+    def _count(self, request: ResultsRequest, report: Report) -> None:
+        for item, status in zip(request.results, report.statuses, strict=True):
+            self.metrics.results.labels(status).inc()
+            if status == "accepted" and not isinstance(item.outcome, Completed):
+                self.metrics.failures.labels(item.outcome.reason).inc()
 
     def advance_soon(self, campaigns: Iterable[str]) -> None:
         """Have campaigns advanced off the event loop, each at most once at a time in line."""
@@ -211,6 +220,7 @@ class QueueService:
         self._with_others = {name: known for name, known in live.items() if name not in self._seen}
         if expired:
             log.warning("leases that ran out: %d", expired)
+            self.metrics.expired.inc(expired)
             self.wakeups.wake(expired)
         self.advance_soon(idle)
 

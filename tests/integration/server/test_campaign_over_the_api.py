@@ -9,6 +9,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+from prometheus_client.parser import text_string_to_metric_families
 from support.api import FakeWorker, ball, coordinator, expect, progress, submit
 from support.databases import BACKENDS, Databases
 from support.problems import PLUGINS
@@ -231,6 +232,19 @@ def test_health_readiness_and_metrics_are_at_the_root(finished: Finished) -> Non
     assert 'brink_campaigns{status="finished"} 1.0' in metrics
     assert 'kind="episode",needs="faulty@1",status="done"' in metrics
     assert "brink_workers_live 1.0" in metrics
+    samples = {
+        (sample.name, *sorted(sample.labels.values())): sample.value
+        for family in text_string_to_metric_families(metrics)
+        for sample in family.samples
+    }
+    stands = finished.get("/progress")
+    assert samples["brink_results_total", "accepted"] <= stands["simulations"], (
+        "equal ones are simulated once"
+    )
+    assert samples["brink_results_total", "accepted"] >= stands["simulations"] // 2
+    assert samples[("brink_step_seconds_count",)] == stands["generation"]
+    assert samples["brink_request_seconds_count", "/jobs/results", "2xx", "POST"] >= 1
+    assert finished.id not in metrics, "labels have few values"
 
 
 def test_the_api_describes_itself(finished: Finished) -> None:
