@@ -238,9 +238,7 @@ def test_health_readiness_and_metrics_are_at_the_root(finished: Finished) -> Non
         for sample in family.samples
     }
     stands = finished.get("/progress")
-    assert samples["brink_results_total", "accepted"] <= stands["simulations"], (
-        "equal ones are simulated once"
-    )
+    # Equal simulations run once; pictures run again.
     assert samples["brink_results_total", "accepted"] >= stands["simulations"] // 2
     assert samples[("brink_step_seconds_count",)] == stands["generation"]
     assert samples["brink_request_seconds_count", "/jobs/results", "2xx", "POST"] >= 1
