@@ -14,7 +14,7 @@ from server.api import campaigns, catalogue, health, jobs, llm, solutions, viola
 from server.api.context import Context
 from server.api.guards import Guards
 from server.api.measured import Measured
-from server.api.problem_details import install
+from server.api.problem_details import describe, install
 from server.api.schemas import ProblemDetail
 from server.campaigns import store
 from server.campaigns.advance import Stepper
@@ -75,9 +75,13 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
     app = FastAPIOffline(  # the pages of the API must work where there is no way out to the internet
         redoc_url=None, static_url="/docs-files", title="Brink", description=DESCRIPTION,
         version=version("brink"), lifespan=lifespan,
-        responses={"4XX": {"model": ProblemDetail, "description": "What is wrong, as problem+json."}},
+        responses={
+            "4XX": {"model": ProblemDetail, "description": "What is wrong with the request."},
+            "5XX": {"model": ProblemDetail, "description": "What keeps the coordinator from answering; try again."},
+        },
     )  # fmt: skip
     install(app)
+    describe(app)
     api = APIRouter(prefix="/api/v1")
     # The busiest first: routes are tried in order.
     for module in (jobs, campaigns, solutions, violations, llm, catalogue):

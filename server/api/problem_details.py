@@ -76,6 +76,25 @@ def install(app: FastAPI) -> None:
         return problem(500, "Internal error", "the coordinator failed; its log says why")
 
 
+def describe(app: FastAPI) -> None:
+    """Have the app's description name errors as what they are: problem+json, whatever their status."""
+    undescribed = app.openapi
+
+    def openapi() -> dict[str, Any]:
+        document = undescribed()
+        for operations in document["paths"].values():
+            for operation in operations.values():
+                # Of the framework: an error of input as it would write one.
+                operation["responses"].pop("422", None)
+                for status, answer in operation["responses"].items():
+                    content = answer.get("content", {})
+                    if status[0] in "45" and (schema := content.pop("application/json", None)):
+                        content[MEDIA_TYPE] = schema
+        return document
+
+    app.openapi = openapi  # type: ignore[method-assign]
+
+
 def _body_model(request: Request) -> type[BaseModel] | None:
     field = getattr(request.scope.get("route"), "body_field", None)
     annotation = getattr(getattr(field, "field_info", None), "annotation", None)

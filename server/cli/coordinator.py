@@ -74,6 +74,9 @@ def check_exposed(settings: Settings) -> None:
 
 def has_tokens(settings: Settings, *, that_hold: bool = True) -> bool:
     """Return whether tokens are stored: such that hold, or any, so that nobody is served without one."""
+    file = settings.sqlite_file
+    if file is not None and not file.exists():
+        return False
     engines = open_engines(settings.database)
     try:
         upgrade(engines)
