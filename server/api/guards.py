@@ -1,9 +1,10 @@
 """What stands before every request: who comes, what they may do, how often, and how much they may say."""
 
 import logging
+import math
 
-from sqlalchemy.exc import DBAPIError
-from starlette.datastructures import MutableHeaders
+from sqlalchemy.exc import SQLAlchemyError
+from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -64,13 +65,13 @@ class Guards:
         """Return the answer to a request that may not be served, or None."""
         if self._gate is None:
             return None
-        headers = {name.lower(): value for name, value in scope["headers"]}
         try:
             if not await self._gate.closed():
                 return None
-            caller = await self._gate.caller(headers.get(b"authorization", b""))
-        except DBAPIError as error:
-            log.warning("tokens cannot be read: %s", error.orig)
+            given = Headers(scope=scope).get("authorization", "")
+            caller = await self._gate.caller(given.encode("latin-1"))
+        except SQLAlchemyError as error:
+            log.warning("tokens cannot be read: %s", error)
             return problem(503, "Unavailable", "tokens cannot be read from the database now; try again")
         if caller is None:
             address = scope["client"][0] if scope.get("client") else "unknown"
@@ -116,7 +117,7 @@ class Guards:
 def _too_many(wait_s: float) -> Response:
     return problem(
         429, "Too many requests", "expected fewer requests a second",
-        headers={"Retry-After": str(max(1, round(wait_s + 0.5)))},
+        headers={"Retry-After": str(max(1, math.ceil(wait_s)))},
     )  # fmt: skip
 
 

@@ -85,6 +85,9 @@ class Progress(View):
     unrunnable: Annotated[
         dict[str, int], Field(description="Queued jobs by a capability that no live worker has.")
     ]
+    looks_for_boundary: Annotated[
+        bool, Field(description="Whether it looks for the hazard boundary, rather than different violations.")
+    ]
     origins: Annotated[
         dict[str, int],
         Field(description="Where solutions come from, once the campaign has ended; empty if unknown."),

@@ -21,7 +21,7 @@ from server.api.schemas import (
 )
 from server.campaigns import store, view_store
 from server.campaigns.archives import ReadArchive
-from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B, looks_for_boundary
 from server.campaigns.values import Campaign, GenerationSummary
 from server.db.models import CampaignStatus, JobStatus
 from server.db.writer import Trouble
@@ -83,6 +83,7 @@ def read_progress(
         elapsed_s=max(0.0, (end - campaign.created_at).total_seconds()), workers=len(seen),
         unrunnable={needs: n for needs, n in waiting.items() if needs not in capabilities},
         digest=archive_digest(archive.archive) if archive is not None else None,
+        looks_for_boundary=looks_for_boundary(campaign.body),
         origins=view_store.count_origins(connection, campaign.id) if ended else {},
         asking=asking,
         trouble=trouble.reason if trouble else None,

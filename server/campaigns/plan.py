@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from search.algorithm import Algorithm, Candidate, Question
+from search.algorithms.multi_objective import MultiObjectiveConfig
 from search.archive import Archive, Neighbourhood
 from search.seeding import Seeded, SeedRequest
 from search.streams import episode_seed
@@ -57,6 +58,15 @@ def make_plan(body: CampaignBody) -> Plan:
     return Plan(
         problem=problem, algorithm=algorithm, config=config, neighbourhood=neighbourhood, body=resolved
     )
+
+
+def looks_for_boundary(body: CampaignBody) -> bool:
+    """Return whether a campaign's search looks for the hazard boundary; others look for different violations."""
+    try:
+        algorithm = make_algorithm(body.algorithm.id)
+    except InvalidInput:  # a plug-in that is not here: its campaigns can be looked at all the same
+        return True
+    return not issubclass(algorithm.config_type, MultiObjectiveConfig)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -27,7 +27,6 @@ from server.problems.base import ChecksInputs, Describes
 from server.queue.service import QueueService
 
 T = TypeVar("T")
-MAX_ID = 16
 LLM = "llm"
 """What an algorithm's setting `seeder` is that wants seeds from a language model."""
 
@@ -160,21 +159,7 @@ class CampaignService:
         Raises:
             NotFound: There is none, or more than one.
         """
-
-        def read(connection: Connection) -> Campaign:
-            plausible = campaign_id.isalnum() and campaign_id.isascii() and len(campaign_id) <= MAX_ID
-            campaign = store.find_campaign(connection, campaign_id) if plausible else None
-            if campaign is not None:
-                return campaign
-            matches = (
-                store.find_by_prefix(connection, campaign_id) if plausible and len(campaign_id) >= 2 else []
-            )
-            if len(matches) == 1:
-                return matches[0]
-            reason = "more than one campaign has an id that begins so" if matches else "no such campaign"
-            raise NotFound(f"campaign {campaign_id[:40]!r}: {reason}")
-
-        return await self._read(read)
+        return await self._read(lambda connection: store.named_campaign(connection, campaign_id))
 
     async def list(
         self,

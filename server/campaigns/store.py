@@ -14,7 +14,9 @@ from server.campaigns.body import CampaignBody
 from server.campaigns.values import Campaign
 from server.db.clock import database_now
 from server.db.models import EVALUATES, CampaignRow, CampaignStatus, JobRow, JobStatus, TraceRow
+from server.errors import NotFound
 
+MAX_ID = 16
 ENDED = (CampaignStatus.FINISHED, CampaignStatus.CANCELLED, CampaignStatus.FAILED)
 
 
@@ -58,7 +60,24 @@ def find_by_key(connection: Connection, key: str) -> Campaign | None:
     return None if row is None else _campaign(row)
 
 
-def find_by_prefix(connection: Connection, prefix: str) -> list[Campaign]:
+def named_campaign(connection: Connection, name: str) -> Campaign:
+    """Return a campaign by its id, or by the beginning of its id if that is unique.
+
+    Raises:
+        NotFound: There is none, or more than one.
+    """
+    plausible = name.isalnum() and name.isascii() and len(name) <= MAX_ID
+    campaign = find_campaign(connection, name) if plausible else None
+    if campaign is not None:
+        return campaign
+    matches = _find_by_prefix(connection, name) if plausible and len(name) >= 2 else []
+    if len(matches) == 1:
+        return matches[0]
+    reason = "more than one campaign has an id that begins so" if matches else "no such campaign"
+    raise NotFound(f"campaign {name[:40]!r}: {reason}")
+
+
+def _find_by_prefix(connection: Connection, prefix: str) -> list[Campaign]:
     """Return the campaigns whose id begins with a prefix, at most two."""
     query = (
         select(CampaignRow.__table__)

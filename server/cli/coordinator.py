@@ -12,10 +12,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import uvicorn
+from sqlalchemy import inspect
 
 from server.access.store import any_token
 from server.app import create_app
 from server.db.engine import open_engines, parse_url
+from server.db.models import TokenRow
 from server.db.upgrade import upgrade
 from server.errors import ServerError
 from server.queue.lease_store import release
@@ -79,9 +81,11 @@ def has_tokens(settings: Settings, *, that_hold: bool = True) -> bool:
         return False
     engines = open_engines(settings.database)
     try:
-        upgrade(engines)
         with engines.reader.connect() as connection:
-            return any_token(connection, that_holds=that_hold)
+            # An older schema knows no tokens.
+            return inspect(connection).has_table(TokenRow.__tablename__) and any_token(
+                connection, that_holds=that_hold
+            )
     finally:
         engines.dispose()
 

@@ -70,7 +70,7 @@ class CampaignDisplay:
         last = self._series[-1] if self._series else None
         shares = [g["unsafe"] / g["evaluated"] for g in self._series if g["evaluated"]]
         # Searches for different violations minimise their criticality, and do not look for the boundary.
-        diverse = bool(progress["origins"])
+        diverse = not progress["looks_for_boundary"]
         rows = [
             ("unsafe", f"{shares[-1]:.0%}" if shares else "–", spark(shares)),
             (

@@ -10,12 +10,12 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from server.campaigns.store import find_by_prefix
+from server.campaigns.store import named_campaign
 from server.cli.api import check_database
 from server.cli.coordinator import prepare_database
-from server.cli.options import AsJson, Database, console, print_json, settings_with
+from server.cli.options import AsJson, Database, console, file_name, print_json, settings_with
 from server.db.engine import open_engines
-from server.errors import FieldError, InvalidInput, NotFound
+from server.errors import FieldError, InvalidInput
 from server.operations.doctor import State, examine
 from server.operations.prune import prune
 from server.operations.transfer import export_campaign, import_campaign
@@ -76,20 +76,14 @@ def export(
     engines = open_engines(settings.database)
     try:
         with engines.reader.connect() as connection:
-            found = find_by_prefix(connection, campaign)
-            if len(found) != 1:
-                count = "no campaign begins" if not found else "several campaigns begin"
-                raise NotFound(f"campaign {campaign}: {count} with it; see: brink status")
-            name = "".join(
-                letter if letter.isalnum() or letter in "-_." else "-" for letter in found[0].body.name
-            )
-            file = out or Path(f"{name[:60]}-{found[0].id}.brink")
-            counts = export_campaign(connection, found[0].id, file)
+            found = named_campaign(connection, campaign)
+            file = out or Path(f"{file_name(found.body.name)}-{found.id}.brink")
+            counts = export_campaign(connection, found.id, file)
     finally:
         engines.dispose()
     _told(
-        f"campaign {found[0].id} written to {file}",
-        {"campaign": found[0].id, "file": str(file)},
+        f"campaign {found.id} written to {file}",
+        {"campaign": found.id, "file": str(file)},
         counts,
         as_json,
     )

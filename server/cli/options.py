@@ -106,3 +106,8 @@ def console() -> Console:
     """Return the console for people; where no terminal says how wide it is, wide enough for our tables."""
     screen = Console(highlight=False)
     return screen if screen.is_terminal else Console(highlight=False, width=PLAIN_WIDTH)
+
+
+def file_name(name: str) -> str:
+    """Return a campaign's name as a part of a file's name."""
+    return "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in name)[:60]

@@ -39,6 +39,7 @@ from server.cli.options import (
     brink,
     console,
     database_option,
+    file_name,
     print_json,
     settings_with,
 )
@@ -169,7 +170,7 @@ async def _run(
                 screen.print(f"campaign {campaign_id} is {progress['status']}: {progress['status_reason']}")
                 screen.print(f"look closer with: {brink()} status {campaign_id}{database}", soft_wrap=True)
                 return 1
-            folder = plan.out / f"{_file_name(plan.body.name)}-{campaign_id}"
+            folder = plan.out / f"{file_name(plan.body.name)}-{campaign_id}"
             written = await _write_all(api, campaign_id, plan, folder, stop, screen)
     boundary = written.boundary
     summary = {
@@ -186,6 +187,7 @@ async def _run(
         "strict_dbs": boundary["strict_dbs"],
         "grid": boundary["grid"],
         "control": written.control,
+        "looks_for_boundary": progress["looks_for_boundary"],
         "origins": progress["origins"],
         "findings": {findings.name: findings.sentence() for findings in written.findings},
         "folder": str(folder),
@@ -202,10 +204,6 @@ async def _run(
     screen.print("[yellow]interrupted: not all pictures are drawn[/yellow]")
     screen.print(f"draw them with: {brink()} run {plan.file} --resume{database}", soft_wrap=True)
     return 1
-
-
-def _file_name(name: str) -> str:
-    return "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in name)[:60]
 
 
 async def _campaign(api: Api, plan: RunPlan, screen: Console) -> str:

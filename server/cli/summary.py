@@ -109,7 +109,7 @@ def _print_next(
 
 def _is_about_the_boundary(summary: dict[str, Any]) -> bool:
     """Whether the search looked for the boundary, or found some of it; others look for different violations."""
-    return not summary["origins"] or summary["dbs"] > 0
+    return bool(summary["looks_for_boundary"]) or summary["dbs"] > 0
 
 
 def solution_table(boundary: dict[str, Any], shown: int = SHOWN) -> Table:

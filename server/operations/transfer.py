@@ -372,7 +372,7 @@ class _Import:
         try:
             with self._archive.open(member) as file:
                 array = np.lib.format.read_array(io.BytesIO(file.read()), allow_pickle=False)
-        except (KeyError, ValueError) as error:
+        except (KeyError, ValueError, OverflowError, MemoryError) as error:
             raise BadFile(f"{member}: expected an array: {error}") from None
         if array.dtype.str != dtype:
             raise BadFile(f"{member}: expected numbers of type {dtype}, got {array.dtype.str}")

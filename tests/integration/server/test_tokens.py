@@ -11,6 +11,7 @@ import pytest
 import yaml
 from sqlalchemy import text
 from support.api import FakeWorker, ball, coordinator, eventually, expect, submit
+from support.databases import Databases
 from typer.testing import CliRunner
 
 import server.access.gate
@@ -19,7 +20,8 @@ from server.access.store import any_token, create_token
 from server.access.tokens import Scope, digest_of, id_within
 from server.cli.commands import app
 from server.cli.coordinator import CannotListen, check_exposed
-from server.db.engine import Engines
+from server.db.engine import Engines, open_engines
+from server.db.upgrade import current_revision
 from server.settings import Settings
 
 BRINK = Path(sys.executable).with_name("brink")
@@ -168,6 +170,17 @@ def test_other_machines_are_let_in_where_there_are_tokens(engines: Engines, data
         check_exposed(exposed)
     made(engines, "worker")
     check_exposed(exposed)
+
+
+def test_looking_for_tokens_does_not_touch_a_database_of_an_older_schema(databases: Databases) -> None:
+    with databases.database("old", migrated=False) as url:
+        with pytest.raises(CannotListen, match="brink token create"):
+            check_exposed(Settings(database=url, host="0.0.0.0"))
+        looked = open_engines(url)
+        try:
+            assert current_revision(looked) is None
+        finally:
+            looked.dispose()
 
 
 def test_a_token_makes_so_many_requests_a_second(engines: Engines) -> None:

@@ -13,6 +13,7 @@ import pytest
 from sqlalchemy import func, select, text
 from support.api import FakeWorker, ball, coordinator, expect, progress, submit
 from support.databases import Databases
+from support.queue import Queue
 from typer.testing import CliRunner
 
 from server.cli.commands import app
@@ -143,6 +144,13 @@ def array(value: Any, **more: Any) -> Callable[[bytes], bytes]:
     return made
 
 
+def huge() -> bytes:
+    file = io.BytesIO()
+    header = {"descr": "<f8", "fortran_order": False, "shape": (10**15, 2)}
+    np.lib.format.write_array_header_1_0(file, header)
+    return file.getvalue()
+
+
 WRONG: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] = {
     "no manifest": ({"manifest.json": lambda _: b"{}"}, "its manifest is another's"),
     "a later version": (
@@ -173,6 +181,7 @@ WRONG: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] = {
     "objects": (
         {"arrays/vectors.npy": array(np.array([print], object), allow_pickle=True)}, "expected an array",
     ),
+    "an array that claims to be huge": ({"arrays/vectors.npy": lambda _: huge()}, "expected an array"),
     "distances of another generation": (
         {"arrays/distances-0.npy": array(np.zeros((20, 20), "f4"))}, "it is not what was stored",
     ),
@@ -197,6 +206,21 @@ def test_a_file_that_is_not_what_it_says_changes_nothing(
             for table in (CampaignRow, SolutionRow, JobRow):
                 assert connection.execute(select(func.count()).select_from(table)).scalar_one() == 0
         engines.dispose()
+
+
+def test_which_campaign_is_meant_must_be_clear(database_url: str, tmp_path: Path) -> None:
+    queue = Queue(engines=open_engines(database_url))
+    assert (queue.campaign(1), queue.campaign(1)) == ("00000000", "00000001")
+    queue.engines.dispose()
+    file = str(tmp_path / "x.brink")
+    assert run("export", "00000001", "--out", file, "--database", database_url).exit_code == 0
+    for name, reason in (
+        ("0000000", "more than one campaign"),
+        ("ffff", "no such campaign"),
+        ("%", "no such"),
+    ):
+        with pytest.raises(NotFound, match=reason):
+            run("export", name, "--out", file, "--database", database_url)
 
 
 def test_damage_is_noticed(exported: tuple[str, str, Path], tmp_path: Path) -> None:

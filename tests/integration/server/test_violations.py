@@ -8,12 +8,14 @@ from typing import Any
 
 import httpx
 import pytest
-from support.api import expect, submit
+from rich.console import Console
+from support.api import expect, progress, submit
 from support.traffic import traffic_worker
 from typer.testing import CliRunner
 
 from server.cli.commands import app
 from server.cli.findings.violations import draw_types, in_words, write_violations
+from server.cli.live import CampaignDisplay
 from server.violations.rules import RULES_VERSION
 
 TRAFFIC: dict[str, Any] = {
@@ -78,6 +80,19 @@ def test_names_of_what_is_not_there_are_refused(client: httpx.Client, campaign: 
     assert one["requirement"] in detail
     for body in ({}, {"name": ""}, {"name": "x" * 201}, {"name": "two\nlines"}, {"name": "x", "more": 1}):
         expect(client.put(f"{path}/{one['number']}/{one['requirement']}/name", json=body), 422)
+
+
+def test_a_search_for_violations_says_so_while_it_runs(client: httpx.Client, capsys: Any) -> None:
+    campaign = submit(client, TRAFFIC)
+    traffic_worker(client).work(campaign, until=lambda stands: bool(stands["simulations"] >= 20))
+    stands = progress(client, campaign)
+    assert (stands["status"], stands["looks_for_boundary"]) == ("running", False)
+    with CampaignDisplay(Console(width=200)) as display:
+        display.show(stands)
+    said = capsys.readouterr().out
+    assert "criticality" in said
+    assert "boundary" not in said
+    assert "best fitness" not in said
 
 
 def test_a_problem_without_violations_says_so(client: httpx.Client) -> None:
