@@ -10,10 +10,11 @@ from hypothesis import settings
 from support.api import coordinator
 from support.databases import BACKENDS, Databases, sqlite_template
 from support.llm_endpoint import Endpoint, serving
-from support.postgres import NoPostgres, PostgresDatabases, running_postgres
+from support.postgres import PostgresDatabases, running_postgres
 from support.problems import PLUGINS
 from support.queue import Queue
 
+from server.bench.temporary.postgres import NoPostgres
 from server.catalogue import PROBLEMS
 from server.db.engine import Engines, open_engines
 from sim import catalogue

@@ -1,0 +1,1 @@
+"""Jobs that cost what a measurement wants them to cost."""
