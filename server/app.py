@@ -84,6 +84,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
     describe(app)
     api = APIRouter(prefix="/api/v1")
     # The busiest first: routes are tried in order.
+    api.include_router(jobs.wire)
     for module in (jobs, campaigns, solutions, violations, llm, catalogue):
         api.include_router(module.router)
     app.include_router(api)

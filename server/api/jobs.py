@@ -6,6 +6,7 @@ from fastapi import APIRouter, Path, Query, Request
 
 from server.api.context import Services, client_gone
 from server.api.schemas import MAX_NUMBER, JobList, JobViewModel, WorkerView
+from server.api.wire_route import WireRoute
 from server.campaigns.jobs import list_jobs
 from server.campaigns.service import read
 from server.db.models import JobStatus
@@ -20,22 +21,23 @@ from worker.wire import (
 )
 
 router = APIRouter(tags=["jobs"])
+wire = APIRouter(tags=["jobs"], route_class=WireRoute)
 
 
-@router.post("/jobs/lease")
+@wire.post("/jobs/lease")
 async def lease_jobs(message: LeaseRequest, request: Request, services: Services) -> LeaseReply:
     """Lease jobs, waiting up to `wait_s` for some."""
     async with client_gone(request) as gone:
         return await services.queue.lease(message, gone)
 
 
-@router.post("/jobs/heartbeat")
-async def renew_leases(message: HeartbeatRequest, services: Services) -> HeartbeatReply:
+@wire.post("/jobs/heartbeat")
+async def renew_leases(message: HeartbeatRequest, request: Request, services: Services) -> HeartbeatReply:
     """Renew leases; the reply names the jobs that are still held."""
     return await services.queue.heartbeat(message)
 
 
-@router.post("/jobs/results")
+@wire.post("/jobs/results")
 async def report_results(message: ResultsRequest, request: Request, services: Services) -> ResultsReply:
     """Report outcomes, and lease the next jobs in the same request if asked to."""
     async with client_gone(request) as gone:

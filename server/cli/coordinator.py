@@ -20,7 +20,7 @@ from server.db.engine import open_engines, parse_url
 from server.db.models import TokenRow
 from server.db.upgrade import upgrade
 from server.errors import ServerError
-from server.queue.lease_store import release
+from server.queue.holding_store import release
 from server.queue.workers import leases_of, process_is_gone
 from server.settings import LOOPBACK, Settings
 

@@ -6,14 +6,16 @@ its own, so that only the faulty one fails: units must therefore depend on nothi
 arguments. A unit is answered only after its commit.
 """
 
+import itertools
 import logging
 import queue
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from sqlalchemy import Connection, Engine
 from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError, SQLAlchemyError
@@ -21,16 +23,36 @@ from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError, SQLAlch
 from server.errors import Unavailable
 
 T = TypeVar("T")
+A = TypeVar("A")
 Unit = Callable[[Connection], T]
 MAX_UNITS_A_COMMIT = 256
 TRIES = 3
 ANOTHER_WENT_FIRST = frozenset({"40001", "40P01", "23505"})
 """SQLSTATE of serialization_failure, deadlock_detected, unique_violation: run again, a unit sees what the other
 process has written."""
+FRESH_S = 1.0
+"""A connection that was not used for this long is handed back and asked for anew: the pool looks whether it lives."""
 TROUBLE_S = 30.0
 """Failures with a longer pause between them are not the same trouble."""
 
 log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Joint(Generic[A, T]):
+    """A unit that is run in one go with others of its kind that wait behind it.
+
+    Attributes:
+        run: Takes the arguments of one or more such units, and returns an answer for each.
+        argument: This unit's own.
+    """
+
+    run: Callable[[Connection, Sequence[A]], Sequence[T]]
+    argument: A
+
+    def __call__(self, connection: Connection) -> T:
+        """Run it alone."""
+        return self.run(connection, [self.argument])[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +91,8 @@ class Writer:
         self._waiting: queue.SimpleQueue[_Waiting | None] = queue.SimpleQueue()
         self._closing = False
         self._trouble: Trouble | None = None
+        self._connection: Connection | None = None
+        self._used_s = 0.0
         # Nothing may slip in behind the end of the queue: nobody would answer it.
         self._door = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="brink-writer", daemon=True)
@@ -104,6 +128,12 @@ class Writer:
         self._thread.join()
 
     def _run(self) -> None:
+        try:
+            self._serve()
+        finally:
+            self._disconnect()
+
+    def _serve(self) -> None:
         while True:
             first = self._waiting.get()
             if first is None:
@@ -136,8 +166,8 @@ class Writer:
         if not batch:
             return
         try:
-            with self._engine.begin() as connection:
-                results = [waiting.unit(connection) for waiting in batch]
+            with self._transaction() as connection:
+                results = _run_all(connection, [waiting.unit for waiting in batch])
         except Exception as error:  # noqa: BLE001  (every unit gets its own answer)
             if len(batch) == 1 and not _another_went_first(error):
                 self._fail(batch[0], error)
@@ -151,7 +181,7 @@ class Writer:
     def _commit_alone(self, waiting: _Waiting) -> None:
         for tries_left in reversed(range(TRIES)):
             try:
-                with self._engine.begin() as connection:
+                with self._transaction() as connection:
                     result = waiting.unit(connection)
             except Exception as error:  # noqa: BLE001  (answered to the one who asked)
                 if tries_left and _another_went_first(error):
@@ -160,6 +190,27 @@ class Writer:
             else:
                 waiting.answer.set_result(result)
             return
+
+    @contextmanager
+    def _transaction(self) -> Iterator[Connection]:
+        """Give the writer's connection in a transaction; one that broke, or may have meanwhile, is made anew."""
+        now = time.monotonic()
+        if self._connection is not None and now - self._used_s > FRESH_S:
+            self._disconnect()
+        if self._connection is None:
+            self._connection = self._engine.connect()
+        try:
+            with self._connection.begin():
+                yield self._connection
+        except BaseException:
+            self._disconnect()
+            raise
+        self._used_s = time.monotonic()
+
+    def _disconnect(self) -> None:
+        connection, self._connection = self._connection, None
+        if connection is not None:
+            connection.close()
 
     def _fail(self, waiting: _Waiting, error: Exception) -> None:
         translated = _translated(error)
@@ -170,6 +221,17 @@ class Writer:
                 reason=str(translated), first_s=before.first_s if before else now, last_s=now
             )
         waiting.answer.set_exception(translated)
+
+
+def _run_all(connection: Connection, units: Sequence[Unit[Any]]) -> list[Any]:
+    """Run units in their order, neighbours of one kind in one go."""
+    results: list[Any] = []
+    for run, neighbours in itertools.groupby(units, key=lambda unit: getattr(unit, "run", None)):
+        if run is None:
+            results += [unit(connection) for unit in neighbours]
+        else:
+            results += run(connection, [unit.argument for unit in neighbours if isinstance(unit, Joint)])
+    return results
 
 
 def passes(error: DBAPIError) -> bool:

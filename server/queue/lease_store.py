@@ -1,13 +1,14 @@
 """The SQL of leases: who gets which jobs, and for how long.
 
-Each public function is a unit for `server.db.writer.Writer`: it takes a connection in a write transaction. A lease
-is held by its token alone: whoever does not name the token of the row changes nothing. The database's clock decides
-when a lease ends.
+`lease` and `lease_together` are units for `server.db.writer.Writer`: they take a connection in a write transaction.
+Many workers ask at once: then fresh jobs are read once and dealt out in memory, exactly as if one worker had come
+after the other. The database's clock decides when a lease ends.
 """
 
 import json
 import secrets
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Any
 
@@ -15,9 +16,10 @@ from sqlalchemy import Connection, Select, bindparam, exists, func, literal, or_
 
 from server.db.clock import database_now
 from server.db.locking import locked
+from server.db.many import UpdateEach, among
 from server.db.models import EVALUATES, CampaignRow, CampaignStatus, JobKind, JobRow, JobStatus
-from server.queue.values import JobRecord, LeaseTerms
-from worker.wire import HeldLease, LeasedJob
+from server.queue.values import Grants, JobRecord, LeaseTerms, LeaseWanted
+from worker.wire import LeasedJob
 
 # Spelled out in the SQL: Postgres' plans for prepared statements do not know the values of parameters, and could not
 # use the indexes that hold queued or leased jobs alone.
@@ -34,7 +36,7 @@ _SOMEBODY_RUNS_IT = exists(
 _DUE = or_(JobRow.not_before.is_(None), JobRow.not_before <= bindparam("now"))
 _ELIGIBLE = (
     _IS_QUEUED,
-    JobRow.needs.in_(bindparam("capabilities", expanding=True)),
+    among(JobRow.needs, "capabilities"),
     _DUE,
     ~(_SOMEBODY_RUNS_IT & JobRow.cache),
 )
@@ -45,8 +47,18 @@ _GRANTED = (
     JobRow.attempt, JobRow.timeout_s, JobRow.cache,
 )  # fmt: skip
 
+_AFTER_ALL = 2**62
+"""Later than every turn in the database."""
+_NOTHING = Grants(jobs=(), campaigns=frozenset())
+
 # Built once: making a statement costs more than running it.
-_HOLDINGS = select(JobRow.attempt).where(_IS_LEASED, JobRow.lease_worker == bindparam("worker"))
+_HOLDINGS = (
+    select(JobRow.lease_worker, JobRow.attempt)
+    .where(_IS_LEASED, among(JobRow.lease_worker, "workers"))
+    .with_hint(
+        JobRow, "INDEXED BY ix_jobs_lease_worker", "sqlite"
+    )  # without statistics it would scan all leases
+)
 _WAITING = select(
     select(func.count())
     .select_from(
@@ -64,7 +76,7 @@ _WAITING = select(
 _FRESH = select(*_GRANTED).where(*_ELIGIBLE, JobRow.attempt == 0)
 _FRESH_TRACES = _FRESH.where(_IS_TRACE).order_by(JobRow.id).limit(bindparam("most"))
 _FRESH_WORK = (
-    _FRESH.where(EVALUATES, JobRow.campaign_id == bindparam("campaign"))
+    _FRESH.where(EVALUATES, JobRow.campaign_id == bindparam("campaign"), JobRow.id > bindparam("after"))
     .order_by(JobRow.id)
     .limit(bindparam("most"))
 )
@@ -77,7 +89,7 @@ _RETRY = (
         or_(
             JobRow.failed_worker.is_(None),
             JobRow.failed_worker != bindparam("worker"),
-            JobRow.needs.not_in(bindparam("elsewhere", expanding=True)),
+            ~among(JobRow.needs, "elsewhere"),
         ),
         or_(_IS_TRACE, CampaignRow.status == CampaignStatus.RUNNING),
     )
@@ -85,7 +97,7 @@ _RETRY = (
     .limit(1)
 )
 _CAMPAIGNS_IN_TURN = (
-    select(CampaignRow.id, CampaignRow.priority)
+    select(CampaignRow.id, CampaignRow.priority, CampaignRow.turn)
     .where(
         CampaignRow.status == CampaignStatus.RUNNING,
         exists(
@@ -102,17 +114,13 @@ _CAMPAIGNS_IN_TURN = (
     .order_by(CampaignRow.priority.desc(), CampaignRow.turn, CampaignRow.id)
 )
 _EVERY_CAMPAIGN = CampaignRow.__table__.alias("every_campaign")
-_GRANT = (
-    update(JobRow)
-    .where(JobRow.id == bindparam("granted"))
-    .values(
-        status=JobStatus.LEASED,
-        attempt=JobRow.attempt + 1,
-        lease_token=bindparam("token"),
-        lease_worker=bindparam("worker"),
-        lease_expires_at=bindparam("expires"),
-        not_before=None,
-    )
+_GRANT = UpdateEach(
+    JobRow.id,
+    [JobRow.lease_token, JobRow.lease_worker],
+    status=JobStatus.LEASED,
+    attempt=JobRow.attempt + 1,
+    lease_expires_at=bindparam("expires"),
+    not_before=None,
 )
 _TAKE_TURN = (
     update(CampaignRow)
@@ -121,7 +129,7 @@ _TAKE_TURN = (
             # A campaign that somebody else is writing keeps its turn: coordinators that waited for one another here,
             # each with several campaigns in one commit, would deadlock. SQLite knows no row locks and leaves it out.
             select(CampaignRow.id)
-            .where(CampaignRow.id.in_(bindparam("served", expanding=True)))
+            .where(among(CampaignRow.id, "served"))
             .with_for_update(key_share=True, skip_locked=True)
             .scalar_subquery()
         )
@@ -130,10 +138,33 @@ _TAKE_TURN = (
 )
 
 
+@dataclass(slots=True)
+class _Line:
+    """The fresh jobs of one campaign that certain capabilities can run, ascending by id, read as they are needed."""
+
+    campaign: str
+    priority: int
+    turn: int
+    rows: list[JobRecord] = field(default_factory=list)
+    last: int = -1
+    ended: bool = False
+
+    @property
+    def untouched(self) -> bool:
+        """Whether nothing was read yet: then there is something, or the campaign would not be here."""
+        return self.last < 0 and not self.ended
+
+
 def lease(
     connection: Connection, worker: str, capabilities: Sequence[str], max_jobs: int, terms: LeaseTerms
 ) -> list[LeasedJob]:
-    """Grant up to `max_jobs` jobs to a worker.
+    """Grant jobs to one worker, as `lease_together` does."""
+    wanted = LeaseWanted(worker=worker, capabilities=tuple(capabilities), max_jobs=max_jobs, terms=terms)
+    return lease_together(connection, [wanted], database_now(connection)).jobs[0]
+
+
+def lease_together(connection: Connection, wanted: Sequence[LeaseWanted], now: datetime) -> Grants:
+    """Grant each worker up to `max_jobs` jobs, to one after the other.
 
     Traces come first: somebody is waiting for a picture. Episodes are taken from the running campaigns by priority,
     then in turn. The closer the queue is to its end, the smaller the grant, so that a generation's last jobs spread
@@ -145,79 +176,138 @@ def lease(
     ones; and as workers fetch ahead, whoever could take it but still holds jobs gets no fresh ones, so that somebody
     comes with empty hands soon.
     """
-    now = database_now(connection)
-    held, holds_retry = _holdings(connection, worker)
-    if holds_retry:
-        return []
-    enough = terms.live_workers * (max_jobs + 1) * 3 // 2
+    if not wanted:
+        return _NOTHING
+    holdings = _holdings(connection, wanted)
+    enough = max(_enough(one) for one in wanted) + sum(one.max_jobs for one in wanted[1:])
     waiting = connection.execute(_WAITING, {"enough": enough, "now": now}).one()
-    known = {"capabilities": list(capabilities), "now": now}
-    rows: list[JobRecord] = []
+    if len(wanted) > 1 and (waiting.retries or waiting.traces):
+        alone = [lease_together(connection, [one], now) for one in wanted]
+        return Grants(
+            jobs=[grants.jobs[0] for grants in alone],
+            campaigns=frozenset().union(*(grants.campaigns for grants in alone)),
+        )
+    deal = _Deal(connection, now, ahead=sum(one.max_jobs for one in wanted[1:]))
+    grants: list[list[JobRecord]] = []
+    for one in wanted:
+        left = min(waiting.jobs - sum(map(len, grants)), _enough(one))
+        rows = _choose(connection, deal, one, holdings.get(one.worker, ()), waiting, left)
+        deal.note(rows)
+        grants.append(rows)
+    return _grant(connection, wanted, grants, now)
+
+
+class _Deal:
+    """Deals fresh jobs out in memory, to one worker after the other.
+
+    Args:
+        connection: Where they are read, and locked, as they are needed.
+        now: The database's time.
+        ahead: How many jobs those may want who come after the first.
+    """
+
+    def __init__(self, connection: Connection, now: datetime, *, ahead: int) -> None:
+        self.now = now
+        self._connection = connection
+        self._ahead = ahead
+        self._lines: dict[tuple[str, ...], list[_Line]] = {}
+        self._granted: set[int] = set()
+        self._running: set[tuple[str, str]] = set()
+        self._turns: dict[str, int] = {}
+
+    def fresh(self, capabilities: tuple[str, ...], limit: int) -> list[JobRecord]:
+        """Take up to `limit` fresh jobs from the running campaigns, by priority, then in turn."""
+        if limit <= 0:
+            return []
+        lines = [
+            line for line in self._of(capabilities) if line.untouched or self._first(line, 1, capabilities)
+        ]
+        lines.sort(
+            key=lambda line: (-line.priority, self._turns.get(line.campaign, line.turn), line.campaign)
+        )
+        rows: list[JobRecord] = []
+        for place, line in enumerate(lines):
+            if len(rows) >= limit:
+                break
+            peers = sum(other.priority == line.priority for other in lines[place:])
+            share = -(-(limit - len(rows)) // peers)
+            rows += self._first(line, share, capabilities, ahead=self._ahead // peers)
+        return rows
+
+    def note(self, rows: Sequence[JobRecord]) -> None:
+        """Note what one worker gets: nobody else may have it, nor run the same, and its campaigns go to the end."""
+        self._granted |= {row.id for row in rows}
+        self._running |= {(row.spec_hash, row.kind) for row in rows}
+        self._turns |= dict.fromkeys((row.campaign_id for row in rows), _AFTER_ALL + len(self._granted))
+
+    def _of(self, capabilities: tuple[str, ...]) -> list[_Line]:
+        if capabilities not in self._lines:
+            known = {"capabilities": capabilities, "now": self.now}
+            self._lines[capabilities] = [
+                _Line(campaign=row.id, priority=row.priority, turn=row.turn)
+                for row in self._connection.execute(_CAMPAIGNS_IN_TURN, known)
+            ]
+        return self._lines[capabilities]
+
+    def _first(
+        self, line: _Line, count: int, capabilities: tuple[str, ...], *, ahead: int = 0
+    ) -> list[JobRecord]:
+        """Return the first jobs of a line that are still to be had, without taking them from it."""
+        line.rows = [row for row in line.rows if self._to_be_had(row)]
+        while len(line.rows) < count and not line.ended:
+            most = count - len(line.rows) + ahead
+            asked = {
+                "capabilities": capabilities, "now": self.now, "campaign": line.campaign, "after": line.last,
+                "most": most,
+            }  # fmt: skip
+            more = _locked_rows(self._connection, _FRESH_WORK, asked)
+            line.ended = len(more) < most
+            line.last = more[-1].id if more else line.last
+            line.rows += [row for row in more if self._to_be_had(row)]
+        return line.rows[:count]
+
+    def _to_be_had(self, row: JobRecord) -> bool:
+        return row.id not in self._granted and not (row.cache and (row.spec_hash, row.kind) in self._running)
+
+
+def _choose(
+    connection: Connection,
+    deal: _Deal,
+    wanted: LeaseWanted,
+    attempts: Sequence[int],
+    waiting: JobRecord,
+    left: int,
+) -> list[JobRecord]:
+    """Return what one worker gets, who holds jobs with these attempts, while so many jobs are left."""
+    if any(attempt > 1 for attempt in attempts):
+        return []
+    known = {"capabilities": wanted.capabilities, "now": deal.now}
     if waiting.retries:
-        mine = {**known, "worker": worker, "elsewhere": list(terms.elsewhere)}
+        mine = {**known, "worker": wanted.worker, "elsewhere": list(wanted.terms.elsewhere)}
         retry = connection.execute(_RETRY, mine).first()
         if retry is not None and _goes_first(connection, retry, known, traces=waiting.traces):
-            if held:
+            if attempts:
                 return []
-            rows = _locked_rows(connection, _RETRY, mine)  # none if another coordinator is just granting it
-    if not rows:
-        limit = min(max_jobs, _fair_share(waiting.jobs, terms.live_workers))
-        rows = _pick_fresh(connection, known, limit, traces=waiting.traces)
-    return _grant(connection, rows, worker, now, terms.lease_s)
+            if rows := _locked_rows(
+                connection, _RETRY, mine
+            ):  # none if another coordinator is just granting it
+                return rows
+    limit = min(wanted.max_jobs, _fair_share(left, wanted.terms.live_workers))
+    rows = _locked_rows(connection, _FRESH_TRACES, {**known, "most": limit}) if waiting.traces else []
+    return _without_twins([*rows, *deal.fresh(wanted.capabilities, limit - len(rows))])
 
 
-def renew(connection: Connection, leases: Iterable[HeldLease], lease_s: float) -> list[int]:
-    """Renew leases and return the jobs that are still held."""
-    wanted = {held.job: held.token for held in leases}
-    rows = connection.execute(
-        locked(
-            select(JobRow.id, JobRow.lease_token)
-            .where(JobRow.id.in_(wanted), JobRow.status == JobStatus.LEASED)
-            .order_by(JobRow.id),
-            connection,
-            JobRow,
-        )
-    ).all()
-    held = [row.id for row in rows if secrets.compare_digest(row.lease_token, wanted[row.id])]
-    if held:
-        expires = database_now(connection) + timedelta(seconds=lease_s)
-        connection.execute(update(JobRow).where(JobRow.id.in_(held)).values(lease_expires_at=expires))
-    return sorted(held)
+def _holdings(connection: Connection, wanted: Sequence[LeaseWanted]) -> dict[str, list[int]]:
+    """Return the attempts of the jobs that workers hold."""
+    found: dict[str, list[int]] = {}
+    for row in connection.execute(_HOLDINGS, {"workers": [one.worker for one in wanted]}):
+        found.setdefault(row.lease_worker, []).append(row.attempt)
+    return found
 
 
-def release(connection: Connection, leases: Iterable[HeldLease]) -> int:
-    """Put leased jobs back unrun, without a charge to their attempts; return how many."""
-    given_back = 0
-    for held in leases:
-        changed = connection.execute(
-            update(JobRow)
-            .where(JobRow.id == held.job, JobRow.status == JobStatus.LEASED, JobRow.lease_token == held.token)
-            .values(
-                status=JobStatus.QUEUED,
-                attempt=JobRow.attempt - 1,
-                lease_token=None,
-                lease_worker=None,
-                lease_expires_at=None,
-            )
-        )
-        given_back += changed.rowcount
-    return given_back
-
-
-def cut_short(connection: Connection, leases: Iterable[HeldLease]) -> None:
-    """Let leases run out now, for workers that are known to be dead."""
-    past = database_now(connection) - timedelta(seconds=1)
-    for held in leases:
-        connection.execute(
-            update(JobRow)
-            .where(JobRow.id == held.job, JobRow.status == JobStatus.LEASED, JobRow.lease_token == held.token)
-            .values(lease_expires_at=past)
-        )
-
-
-def _holdings(connection: Connection, worker: str) -> tuple[int, bool]:
-    attempts = connection.execute(_HOLDINGS, {"worker": worker}).scalars().all()
-    return len(attempts), any(attempt > 1 for attempt in attempts)
+def _enough(wanted: LeaseWanted) -> int:
+    """Return how many waiting jobs need not be counted any further: the grant is as large as it can be."""
+    return wanted.terms.live_workers * (wanted.max_jobs + 1) * 3 // 2
 
 
 def _fair_share(waiting: int, live_workers: int) -> int:
@@ -236,20 +326,6 @@ def _goes_first(connection: Connection, retry: JobRecord, known: dict[str, Any],
         return False
     best = connection.execute(_CAMPAIGNS_IN_TURN, known).first()
     return best is None or retry.priority >= best.priority
-
-
-def _pick_fresh(
-    connection: Connection, known: dict[str, Any], limit: int, *, traces: bool
-) -> list[JobRecord]:
-    rows = _locked_rows(connection, _FRESH_TRACES, {**known, "most": limit}) if traces else []
-    campaigns = connection.execute(_CAMPAIGNS_IN_TURN, known).all() if len(rows) < limit else []
-    for place, (campaign, priority) in enumerate(campaigns):
-        if len(rows) >= limit:
-            break
-        peers = sum(other.priority == priority for other in campaigns[place:])
-        share = -(-(limit - len(rows)) // peers)
-        rows += _locked_rows(connection, _FRESH_WORK, {**known, "campaign": campaign, "most": share})
-    return _without_twins(rows)
 
 
 def _locked_rows(
@@ -271,25 +347,29 @@ def _without_twins(rows: list[JobRecord]) -> list[JobRecord]:
 
 
 def _grant(
-    connection: Connection, rows: list[JobRecord], worker: str, now: datetime, lease_s: float
-) -> list[LeasedJob]:
-    if not rows:
-        return []
-    expires = now + timedelta(seconds=lease_s)
-    granted = [
-        LeasedJob(
-            job=row.id,
-            token=secrets.token_hex(16),
-            attempt=row.attempt + 1,
-            spec=json.loads(row.spec),
-            record=row.kind == JobKind.TRACE,
-            timeout_s=row.timeout_s,
-        )
-        for row in rows
-    ]
-    connection.execute(
-        _GRANT,
-        [{"granted": job.job, "token": job.token, "worker": worker, "expires": expires} for job in granted],
+    connection: Connection, wanted: Sequence[LeaseWanted], grants: Sequence[list[JobRecord]], now: datetime
+) -> Grants:
+    granted: list[list[LeasedJob]] = []
+    values: dict[float, list[tuple[int, str, str]]] = {}
+    turns: dict[str, int] = {}
+    for place, (one, rows) in enumerate(zip(wanted, grants, strict=True)):
+        jobs = [_leased(row) for row in rows]
+        granted.append(jobs)
+        values.setdefault(one.terms.lease_s, []).extend((job.job, job.token, one.worker) for job in jobs)
+        turns |= dict.fromkeys((row.campaign_id for row in rows), place)
+    for lease_s, rows_of in values.items():
+        _GRANT.run(connection, rows_of, {"expires": now + timedelta(seconds=lease_s)})
+    for place in sorted(set(turns.values())):
+        connection.execute(_TAKE_TURN, {"served": sorted(name for name in turns if turns[name] == place)})
+    return Grants(jobs=granted, campaigns=frozenset(turns))
+
+
+def _leased(row: JobRecord) -> LeasedJob:
+    return LeasedJob(
+        job=row.id,
+        token=secrets.token_hex(16),
+        attempt=row.attempt + 1,
+        spec=json.loads(row.spec),
+        record=row.kind == JobKind.TRACE,
+        timeout_s=row.timeout_s,
     )
-    connection.execute(_TAKE_TURN, {"served": sorted({row.campaign_id for row in rows})})
-    return granted

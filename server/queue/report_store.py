@@ -12,6 +12,7 @@ from sqlalchemy import Connection, bindparam, exists, insert, select, update
 
 from server.db.clock import database_now
 from server.db.locking import locked
+from server.db.many import UpdateEach, among
 from server.db.models import EVALUATES, CampaignRow, CampaignStatus, JobRow, JobStatus, TraceRow
 from server.queue.values import JobRecord, LeaseTerms, Outcome, Report
 
@@ -23,28 +24,21 @@ MAX_BACKOFF_S = 300.0
 _REPORTED = select(
     JobRow.id, JobRow.campaign_id, JobRow.kind, JobRow.status, JobRow.lease_token,
     JobRow.lease_worker, JobRow.attempt, JobRow.max_attempts, JobRow.spec_hash, JobRow.cache,
-).where(JobRow.id.in_(bindparam("jobs", expanding=True))).order_by(JobRow.id)  # fmt: skip
-_FINISH = (
-    update(JobRow)
-    .where(JobRow.id == bindparam("finished"))
-    .values(
-        status=JobStatus.DONE,
-        result=bindparam("outcome"),
-        finished_at=bindparam("now"),
-        lease_expires_at=None,
-    )
+).where(among(JobRow.id, "jobs")).order_by(JobRow.id)  # fmt: skip
+_FINISH = UpdateEach(
+    JobRow.id, [JobRow.result], status=JobStatus.DONE, finished_at=bindparam("now"), lease_expires_at=None
 )
 _TWINS = (
     select(JobRow.id, JobRow.spec_hash, JobRow.kind, JobRow.campaign_id)
     .where(
-        JobRow.spec_hash.in_(bindparam("spec_hashes", expanding=True)),
+        among(JobRow.spec_hash, "spec_hashes"),
         JobRow.status == JobStatus.QUEUED,
         JobRow.cache,
     )
     .order_by(JobRow.id)
 )
 _IDLE = select(CampaignRow.id).where(
-    CampaignRow.id.in_(bindparam("campaigns", expanding=True)),
+    among(CampaignRow.id, "campaigns"),
     CampaignRow.status == CampaignStatus.RUNNING,
     ~exists(
         select(JobRow.id).where(
@@ -58,10 +52,15 @@ _IDLE = select(CampaignRow.id).where(
 
 def report(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms) -> Report:
     """Store outcomes of jobs whose lease still holds; everything else changes nothing."""
+    taken = take_in(connection, outcomes, terms, database_now(connection))
+    return Report(statuses=taken.statuses, campaigns=idle_campaigns(connection, taken.campaigns))
+
+
+def take_in(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms, now: datetime) -> Report:
+    """Store outcomes as `report` does; return all campaigns that they have to do with, idle or not."""
     if not outcomes:
         return Report(statuses=(), campaigns=())
-    now = database_now(connection)
-    known = {"jobs": [outcome.job for outcome in outcomes]}
+    known = {"jobs": sorted({outcome.job for outcome in outcomes})}
     rows = {row.id: row for row in connection.execute(locked(_REPORTED, connection, JobRow), known)}
     statuses: list[str] = []
     accepted: dict[int, Outcome] = {}
@@ -81,7 +80,7 @@ def report(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerm
         terms.retry_backoff_s,
     )
     touched = {rows[job].campaign_id for job in accepted} | sharing
-    return Report(statuses=tuple(statuses), campaigns=idle_campaigns(connection, touched))
+    return Report(statuses=tuple(statuses), campaigns=tuple(sorted(touched)))
 
 
 def expire(connection: Connection, terms: LeaseTerms) -> tuple[tuple[str, ...], int]:
@@ -139,11 +138,7 @@ def _judge(row: JobRecord | None, outcome: Outcome, reported_before: bool) -> st
 
 
 def _finish(connection: Connection, done: Mapping[int, str], now: datetime) -> None:
-    if not done:
-        return
-    connection.execute(
-        _FINISH, [{"finished": job, "outcome": result, "now": now} for job, result in done.items()]
-    )
+    _FINISH.run(connection, list(done.items()), {"now": now})
 
 
 def _keep_traces(connection: Connection, traces: Mapping[str, bytes], now: datetime) -> None:

@@ -17,11 +17,12 @@ from dataclasses import dataclass, field
 from sqlalchemy import Connection
 
 from server.campaigns.advance import Stepper
-from server.db.writer import Writer
+from server.db.writer import Joint, Writer
 from server.errors import FieldError, InvalidInput
 from server.metrics import Metrics
-from server.queue import lease_store, report_store, workers
-from server.queue.values import LeaseTerms, Outcome, Report
+from server.queue import holding_store, report_store, workers
+from server.queue.exchange import Exchange, Exchanged, exchange
+from server.queue.values import LeaseTerms, LeaseWanted, Outcome, Report
 from server.queue.wakeups import Wakeups
 from server.settings import Settings
 from worker.wire import (
@@ -120,8 +121,9 @@ class QueueService:
         note = self._heard_of(request.worker, None)
 
         def unit(connection: Connection) -> list[int]:
-            note(connection)
-            return lease_store.renew(connection, request.leases, self.settings.lease_s)
+            if note is not None:
+                note(connection)
+            return holding_store.renew(connection, request.leases, self.settings.lease_s)
 
         held = await asyncio.wrap_future(self.writer.submit(unit))
         return HeartbeatReply(held=held, lease_s=self.settings.lease_s)
@@ -131,25 +133,17 @@ class QueueService:
         outcomes = [
             _outcome(index, item.job, item.token, item.outcome) for index, item in enumerate(request.results)
         ]
-        note = self._heard_of(request.worker, None, outcomes)
+        notes = [self._heard_of(request.worker, None, outcomes)]
         wanted = request.lease
-        note_wanted = self._heard_of(wanted.worker, wanted.capabilities) if wanted is not None else None
-        terms = self.terms(wanted.worker.id if wanted is not None else None)
-
-        def unit(connection: Connection) -> tuple[Report, int, list[LeasedJob]]:
-            note(connection)
-            if note_wanted is not None:
-                note_wanted(connection)
-            report = report_store.report(connection, outcomes, terms)
-            released = lease_store.release(connection, request.release)
-            granted: list[LeasedJob] = []
-            if wanted is not None:
-                granted = lease_store.lease(
-                    connection, wanted.worker.id, wanted.capabilities, wanted.max_jobs, terms
-                )
-            return report, released, granted
-
-        report, released, granted = await asyncio.wrap_future(self.writer.submit(unit))
+        if wanted is not None:
+            notes.append(self._heard_of(wanted.worker, wanted.capabilities))
+        exchanged = await self._exchange(
+            Exchange(
+                terms=self.terms(), notes=tuple(filter(None, notes)), outcomes=tuple(outcomes),
+                release=tuple(request.release), wanted=self._wanted(wanted) if wanted is not None else None,
+            )
+        )  # fmt: skip
+        report, released, granted = exchanged.report, exchanged.released, exchanged.granted
         self._count(request, report)
         if released:
             self.wakeups.wake(released)
@@ -213,7 +207,7 @@ class QueueService:
             live = {} if local else workers.capabilities_of_live(connection, self.settings.worker_seen_s)
             if local:  # then workers of this machine can be looked up, and need not be waited for
                 dead = workers.leases_of(connection, workers.process_is_gone)
-                lease_store.cut_short(connection, dead)
+                holding_store.cut_short(connection, dead)
             return *report_store.expire(connection, terms), live
 
         idle, expired, live = await asyncio.wrap_future(self.writer.submit(unit))
@@ -238,28 +232,32 @@ class QueueService:
 
     async def _lease_now(self, request: LeaseRequest) -> list[LeasedJob]:
         note = self._heard_of(request.worker, request.capabilities)
-        terms = self.terms(request.worker.id)
+        notes = (note,) if note is not None else ()
+        return (
+            await self._exchange(Exchange(terms=self.terms(), notes=notes, wanted=self._wanted(request)))
+        ).granted
 
-        def unit(connection: Connection) -> list[LeasedJob]:
-            note(connection)
-            return lease_store.lease(
-                connection, request.worker.id, request.capabilities, request.max_jobs, terms
-            )
+    def _wanted(self, request: LeaseRequest) -> LeaseWanted:
+        return LeaseWanted(
+            worker=request.worker.id, capabilities=tuple(request.capabilities), max_jobs=request.max_jobs,
+            terms=self.terms(request.worker.id),
+        )  # fmt: skip
 
-        return await asyncio.wrap_future(self.writer.submit(unit))
+    async def _exchange(self, request: Exchange) -> Exchanged:
+        return await asyncio.wrap_future(self.writer.submit(Joint(exchange, request)))
 
     async def _give_back(self, granted: Sequence[LeasedJob]) -> None:
         """Return a grant whose client has gone, and let the next in line have it."""
         leases = [HeldLease(job=job.job, token=job.token) for job in granted]
         await asyncio.wrap_future(
-            self.writer.submit(lambda connection: lease_store.release(connection, leases))
+            self.writer.submit(lambda connection: holding_store.release(connection, leases))
         )
         self.wakeups.wake(1)
 
     def _heard_of(
         self, worker: WorkerIdentity, capabilities: Sequence[str] | None, outcomes: Sequence[Outcome] = ()
-    ) -> Callable[[Connection], None]:
-        """Remember a worker; return what notes it in the database, if that is due."""
+    ) -> Callable[[Connection], None] | None:
+        """Remember a worker; return what notes it in the database, or None if that is not due."""
         now = self.clock()
         seen = self._seen.setdefault(worker.id, _Seen(identity=worker, at=now))
         seen.at, seen.identity = now, worker
@@ -269,7 +267,7 @@ class QueueService:
         if capabilities is not None:
             seen.capabilities = tuple(capabilities)
         if not changed and now - seen.noted_at < TOUCH_S:
-            return lambda connection: None
+            return None
         done, failed = seen.done, seen.failed
         seen.noted_at, seen.done, seen.failed = now, 0, 0
         known = list(seen.capabilities)

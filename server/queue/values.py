@@ -1,9 +1,12 @@
 """What goes into the queue's SQL, and what comes out of it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from sqlalchemy import Row
+
+from worker.wire import LeasedJob
 
 JobRecord: TypeAlias = Row[*tuple[Any, ...]]
 """Some columns of a job."""
@@ -24,6 +27,36 @@ class LeaseTerms:
     retry_backoff_s: float
     live_workers: int
     elsewhere: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeaseWanted:
+    """A worker that asks for jobs.
+
+    Attributes:
+        worker: Its id.
+        capabilities: What it can run.
+        max_jobs: Most jobs that it wants.
+        terms: How they are granted to it.
+    """
+
+    worker: str
+    capabilities: tuple[str, ...]
+    max_jobs: int
+    terms: LeaseTerms
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Grants:
+    """What workers get.
+
+    Attributes:
+        jobs: For each that asked.
+        campaigns: Whose jobs these are.
+    """
+
+    jobs: Sequence[list[LeasedJob]]
+    campaigns: frozenset[str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

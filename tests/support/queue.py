@@ -15,8 +15,8 @@ from server.campaigns.values import NewJob, NewSolution
 from server.db.clock import database_now
 from server.db.engine import Engines
 from server.db.models import CampaignStatus, JobRow
-from server.queue import lease_store, report_store
-from server.queue.values import LeaseTerms, Outcome, Report
+from server.queue import holding_store, lease_store, report_store
+from server.queue.values import LeaseTerms, LeaseWanted, Outcome, Report
 from support.problems import SIMULATOR
 from worker.wire import HeldLease, LeasedJob
 
@@ -94,6 +94,17 @@ class Queue:
         terms = replace(TERMS, live_workers=live_workers, lease_s=lease_s, elsewhere=frozenset(elsewhere))
         return self.run(lambda c: lease_store.lease(c, worker, capabilities, max_jobs, terms))
 
+    def lease_together(
+        self, asks: Sequence[tuple[str, int, Sequence[str]]], *, live_workers: int = 1
+    ) -> Sequence[list[LeasedJob]]:
+        """Lease jobs to several workers at once: each with most jobs and capabilities."""
+        terms = replace(TERMS, live_workers=live_workers)
+        wanted = [
+            LeaseWanted(worker=worker, max_jobs=most, capabilities=tuple(capabilities), terms=terms)
+            for worker, most, capabilities in asks
+        ]
+        return self.run(lambda c: lease_store.lease_together(c, wanted, database_now(c)).jobs)
+
     def lease_all(self, worker: str = "w1") -> list[LeasedJob]:
         """Lease jobs until no more are granted."""
         granted: list[LeasedJob] = []
@@ -118,11 +129,11 @@ class Queue:
 
     def renew(self, *jobs: LeasedJob) -> list[int]:
         """Renew leases; return the jobs that are still held."""
-        return self.run(lambda c: lease_store.renew(c, [held(job) for job in jobs], 60.0))
+        return self.run(lambda c: holding_store.renew(c, [held(job) for job in jobs], 60.0))
 
     def release(self, *jobs: LeasedJob) -> int:
         """Give leases back; return how many were."""
-        return self.run(lambda c: lease_store.release(c, [held(job) for job in jobs]))
+        return self.run(lambda c: holding_store.release(c, [held(job) for job in jobs]))
 
     def expire(self) -> tuple[tuple[str, ...], int]:
         """Take back the leases that ran out."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import support.queue
 from server.campaigns import jobs, store
-from server.queue import lease_store, report_store
+from server.queue import holding_store, lease_store, report_store
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ FAULTS = {
         "_IS_QUEUED = JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED])",
     ),
     "jobs go to workers that cannot run them": Fault(
-        lease_store, '    JobRow.needs.in_(bindparam("capabilities", expanding=True)),\n    _DUE,', "    _DUE,"
+        lease_store, '    among(JobRow.needs, "capabilities"),\n    _DUE,', "    _DUE,"
     ),
     "backoffs are not waited for": Fault(
         lease_store, 'or_(JobRow.not_before.is_(None), JobRow.not_before <= bindparam("now"))',
@@ -63,38 +63,66 @@ FAULTS = {
         lease_store, "return best is None or retry.priority >= best.priority", "return True"
     ),
     "campaigns do not take turns": Fault(
-        lease_store, '    connection.execute(_TAKE_TURN, {"served": sorted({row.campaign_id for row in rows})})\n', ""
+        lease_store, "        turns |= dict.fromkeys((row.campaign_id for row in rows), place)\n", ""
     ),
     "one campaign takes the whole grant": Fault(
         lease_store, "share = -(-(limit - len(rows)) // peers)", "share = limit - len(rows)"
     ),
     "the end of the queue goes to one worker": Fault(
-        lease_store, "limit = min(max_jobs, _fair_share(waiting.jobs, terms.live_workers))", "limit = max_jobs"
+        lease_store, "limit = min(wanted.max_jobs, _fair_share(left, wanted.terms.live_workers))",
+        "limit = wanted.max_jobs",
     ),
     "attempts are not charged": Fault(
-        lease_store, "        attempt=JobRow.attempt + 1,\n        lease_token", "        lease_token"
+        lease_store, "    attempt=JobRow.attempt + 1,\n", ""
     ),
     "retries are granted in company": Fault(
         lease_store, "    .limit(1)\n)\n_CAMPAIGNS", "    .limit(3)\n)\n_CAMPAIGNS"
     ),
-    "who holds a retry gets more": Fault(lease_store, "    if holds_retry:\n        return []\n", ""),
+    "who holds a retry gets more": Fault(
+        lease_store, "    if any(attempt > 1 for attempt in attempts):\n        return []\n", ""
+    ),
     "a retry goes to a worker that holds jobs": Fault(
-        lease_store, "            if held:\n                return []\n", ""
+        lease_store, "            if attempts:\n                return []\n", ""
     ),
     "a retry goes back to the worker that failed it": Fault(
         lease_store, '            JobRow.failed_worker != bindparam("worker"),\n',
         "            JobRow.id.is_not(None),\n",
     ),
+    "a job is dealt out twice": Fault(
+        lease_store, "row.id not in self._granted and not (", "not ("
+    ),
+    "equal simulations are dealt out to two": Fault(
+        lease_store, "not (row.cache and (row.spec_hash, row.kind) in self._running)", "True"
+    ),
+    "equal simulations without a cache are dealt out to one": Fault(
+        lease_store, "not (row.cache and (row.spec_hash", "not ((row.spec_hash"
+    ),
+    "who comes second finds the same turn": Fault(
+        lease_store,
+        "        self._turns |= dict.fromkeys((row.campaign_id for row in rows), _AFTER_ALL + len(self._granted))\n",
+        "",
+    ),
+    "who comes second sees the queue as it was": Fault(
+        lease_store, "left = min(waiting.jobs - sum(map(len, grants)), _enough(one))",
+        "left = min(waiting.jobs, _enough(one))",
+    ),
+    "several share one turn in the database": Fault(
+        lease_store, "for place in sorted(set(turns.values())):",
+        "for place in sorted(set(turns.values()), reverse=True):",
+    ),
+    "a retry is dealt out with the rest": Fault(
+        lease_store, "if len(wanted) > 1 and (waiting.retries or waiting.traces):", "if waiting.traces:"
+    ),
     "anybody renews a lease": Fault(
-        lease_store, "secrets.compare_digest(row.lease_token, wanted[row.id])", "True"
+        holding_store, "secrets.compare_digest(row.lease_token, wanted[row.id])", "True"
     ),
     "anybody gives a lease back": Fault(
-        lease_store,
+        holding_store,
         "JobRow.lease_token == held.token)\n            .values(\n                status",
         "JobRow.id.is_not(None))\n            .values(\n                status",
     ),
     "a lease given back is charged": Fault(
-        lease_store, "                attempt=JobRow.attempt - 1,\n", ""
+        holding_store, "                attempt=JobRow.attempt - 1,\n", ""
     ),
     "anybody reports a job": Fault(
         report_store,

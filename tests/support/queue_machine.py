@@ -207,28 +207,61 @@ class QueueMachine(RuleBasedStateMachine):
         live_workers: int,
         elsewhere: tuple[str, ...],
     ) -> None:
+        compare = self.expected_grant(
+            worker, max_jobs, capabilities, live_workers=live_workers, elsewhere=elsewhere
+        )
+        compare(
+            self.queue.lease(worker, max_jobs, capabilities, live_workers=live_workers, elsewhere=elsewhere)
+        )
+
+    @rule(
+        asks=st.lists(
+            st.tuples(
+                st.sampled_from(WORKERS), st.integers(1, 5), st.sampled_from([NEEDS, NEEDS, NEEDS[:1], NEEDS[1:]])
+            ),
+            min_size=2, max_size=4,
+        ),
+        live_workers=st.integers(1, 3),
+    )  # fmt: skip
+    def lease_together(self, asks: list[tuple[str, int, tuple[str, ...]]], live_workers: int) -> None:
+        granted = self.queue.lease_together(asks, live_workers=live_workers)
+        assert len(granted) == len(asks)
+        for (worker, max_jobs, capabilities), jobs in zip(asks, granted, strict=True):
+            self.expected_grant(worker, max_jobs, capabilities, live_workers=live_workers, elsewhere=())(jobs)
+
+    def expected_grant(
+        self,
+        worker: str,
+        max_jobs: int,
+        capabilities: tuple[str, ...],
+        *,
+        live_workers: int,
+        elsewhere: tuple[str, ...],
+    ) -> Callable[[Sequence[LeasedJob]], None]:
+        """Return what compares a grant with what the model says now, and notes it."""
         held = self.model.holdings(worker)
         retries = self.model.retries(worker, capabilities, elsewhere)
         in_turn = self.model.in_turn(capabilities)
         fresh = self.model.fresh(capabilities, max_jobs, live_workers)
-        granted = self.queue.lease(
-            worker, max_jobs, capabilities, live_workers=live_workers, elsewhere=elsewhere
-        )
-        got = [lease.job for lease in granted]
-        if any(job.attempt > 1 for job in held):
-            assert got == [], "who holds a job that was tried before gets nothing beside it"
-        elif retries and (not in_turn or retries[0].campaign.priority >= in_turn[0].priority):
-            if held:
-                assert got == [], "who could take a retry gets nothing else before it"
+
+        def compare(granted: Sequence[LeasedJob]) -> None:
+            got = [lease.job for lease in granted]
+            if any(job.attempt > 1 for job in held):
+                assert got == [], "who holds a job that was tried before gets nothing beside it"
+            elif retries and (not in_turn or retries[0].campaign.priority >= in_turn[0].priority):
+                if held:
+                    assert got == [], "who could take a retry gets nothing else before it"
+                else:
+                    assert len(got) == 1, "a retry is granted alone"
+                    assert got[0] in {job.id for job in retries}
             else:
-                assert len(got) == 1, "a retry is granted alone"
-                assert got[0] in {job.id for job in retries}
-        else:
-            assert got == fresh
-        assert all(lease.attempt == self.model.jobs[lease.job].attempt + 1 for lease in granted)
-        assert len({lease.token for lease in [*self.leases, *granted]}) == len(self.leases) + len(granted)
-        self.model.grant(worker, granted)
-        self.leases += granted
+                assert got == fresh
+            assert all(lease.attempt == self.model.jobs[lease.job].attempt + 1 for lease in granted)
+            assert len({lease.token for lease in [*self.leases, *granted]}) == len(self.leases) + len(granted)
+            self.model.grant(worker, granted)
+            self.leases += granted
+
+        return compare
 
     @rule(worker=st.sampled_from(WORKERS), max_jobs=st.integers(1, 3))
     def lease_whatever(self, worker: str, max_jobs: int) -> None:

@@ -335,3 +335,9 @@ def test_only_one_of_equal_simulations_is_granted(queue: Queue) -> None:
 def test_without_the_cache_equal_simulations_are_all_granted(queue: Queue) -> None:
     queue.campaign(["a" * 64, "a" * 64], cache=False)
     assert len(queue.lease_all()) == 2
+
+
+def test_who_comes_second_gets_as_much_as_if_it_had_come_later(queue: Queue) -> None:
+    queue.campaign(30)
+    first, second, third = queue.lease_together([(name, 5, (SIMULATOR,)) for name in ("w1", "w2", "w3")])
+    assert [job.job for job in (*first, *second, *third)] == list(range(1, 16))

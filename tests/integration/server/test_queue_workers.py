@@ -16,7 +16,7 @@ from support.queue import Queue
 from server.app import create_app
 from server.db.clock import database_now
 from server.db.models import WorkerRow
-from server.queue import lease_store, workers
+from server.queue import holding_store, workers
 from server.queue.service import QueueService
 from worker.machine import machine_name
 from worker.wire import JobFailed, JobResult, LeaseRequest, ResultsRequest, WorkerIdentity
@@ -45,7 +45,7 @@ def test_leases_of_a_dead_process_of_this_machine_are_found(queue: Queue, dead_p
     noted(queue, machine_name(), os.getpid(), "w2")
     found = queue.run(lambda connection: workers.leases_of(connection, workers.process_is_gone))
     assert [(lease.job, lease.token) for lease in found] == [(lost.job, lost.token)]
-    queue.run(lambda connection: lease_store.cut_short(connection, found))
+    queue.run(lambda connection: holding_store.cut_short(connection, found))
     assert queue.expire()[1] == 1
 
 
