@@ -21,6 +21,7 @@ from server.campaigns.advance import Stepper
 from server.campaigns.archives import Archives
 from server.campaigns.service import CampaignService, read
 from server.db.engine import Engines, open_engines
+from server.db.news import listen
 from server.db.writer import Writer
 from server.errors import Unavailable
 from server.llm.seeds import LlmSeeds
@@ -58,10 +59,17 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
         app.state.context = context
         stopping = asyncio.Event()
         sweeper = asyncio.create_task(_sweep(context, stopping)) if sweeping else None
+        shared = sweeping and not engines.is_sqlite
+        listener = (
+            asyncio.create_task(listen(engines.writer.url, context.queue.wakeups.wake)) if shared else None
+        )
         try:
             yield
         finally:
             stopping.set()
+            if listener is not None:
+                listener.cancel()
+                await asyncio.wait([listener])
             if sweeper is not None:
                 await (
                     sweeper

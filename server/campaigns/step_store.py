@@ -26,6 +26,7 @@ from server.db.models import (
     SolutionRow,
     SolutionVerdict,
 )
+from server.db.news import announce
 
 log = logging.getLogger(__name__)
 
@@ -96,6 +97,7 @@ def insert_jobs(
             for number, job in jobs
         ],
     )  # fmt: skip
+    announce(connection)
 
 
 def _known_results(connection: Connection, hashes: Sequence[str], kind: JobKind) -> dict[str, str]:

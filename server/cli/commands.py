@@ -8,7 +8,9 @@ from typing import Annotated
 
 import typer
 
-from server.cli import bench, inspect, llm, operate, perturbations
+from server.cli import inspect, llm, operate, perturbations
+from server.cli.benchmarks import methods, service
+from server.cli.benchmarks.figures import bench
 from server.cli.compare import compare
 from server.cli.findings.combinations import combinations
 from server.cli.findings.violations import violations
@@ -42,7 +44,9 @@ app.command("import")(import_)
 operate.db.command("prune")(prune_)
 app.add_typer(operate.db, name="db")
 app.add_typer(token, name="token")
-app.add_typer(bench.bench, name="bench")
+for measurement in (*methods.COMMANDS, *service.COMMANDS):
+    bench.command()(measurement)
+app.add_typer(bench, name="bench")
 app.add_typer(perturbations.perturbations, name="perturbations")
 app.add_typer(llm.llm, name="llm")
 

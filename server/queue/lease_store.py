@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Any
 
-from sqlalchemy import Connection, Select, bindparam, exists, func, literal, or_, select, update
+from sqlalchemy import Connection, Select, bindparam, exists, func, literal, or_, select, text, update
 
 from server.db.clock import database_now
 from server.db.locking import locked
@@ -52,12 +52,12 @@ _AFTER_ALL = 2**62
 _NOTHING = Grants(jobs=(), campaigns=frozenset())
 
 # Built once: making a statement costs more than running it.
-_HOLDINGS = (
-    select(JobRow.lease_worker, JobRow.attempt)
-    .where(_IS_LEASED, among(JobRow.lease_worker, "workers"))
-    .with_hint(
-        JobRow, "INDEXED BY ix_jobs_lease_worker", "sqlite"
-    )  # without statistics it would scan all leases
+_HOLDINGS = select(JobRow.lease_worker, JobRow.attempt).where(
+    _IS_LEASED, among(JobRow.lease_worker, "workers")
+)
+_HOLDINGS_SQLITE = text(  # which, without statistics, would look through all leases
+    "SELECT lease_worker, attempt FROM jobs INDEXED BY ix_jobs_lease_worker "
+    f"WHERE status = '{JobStatus.LEASED}' AND lease_worker IN (SELECT value FROM json_each(:workers))"
 )
 _WAITING = select(
     select(func.count())
@@ -300,7 +300,12 @@ def _choose(
 def _holdings(connection: Connection, wanted: Sequence[LeaseWanted]) -> dict[str, list[int]]:
     """Return the attempts of the jobs that workers hold."""
     found: dict[str, list[int]] = {}
-    for row in connection.execute(_HOLDINGS, {"workers": [one.worker for one in wanted]}):
+    workers = [one.worker for one in wanted]
+    if connection.dialect.name == "sqlite":
+        rows = connection.execute(_HOLDINGS_SQLITE, {"workers": json.dumps(workers)})
+    else:
+        rows = connection.execute(_HOLDINGS, {"workers": workers})
+    for row in rows:
         found.setdefault(row.lease_worker, []).append(row.attempt)
     return found
 

@@ -9,11 +9,15 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 import httpx
+import psycopg
 import pytest
 from support.api import FakeWorker, ball, coordinator, eventually, expect, progress, settings_for, submit
+from support.queue import Queue
 
 from server.api.context import Context
 from server.app import create_app
+from server.db.engine import Engines
+from server.queue import service
 from worker.wire import HeldLease, LeaseRequest, ResultsRequest, WorkerIdentity
 
 PATIENCE_S = 30.0
@@ -225,3 +229,29 @@ def test_a_coordinator_that_stops_answers_who_waits(database_url: str, small_pro
     assert not thread.is_alive()
     assert got == []
     assert time.monotonic() - began < PATIENCE_S / 2
+
+
+@pytest.mark.parametrize("databases", ["postgres"], indirect=True)
+def test_a_worker_of_another_coordinator_hears_of_new_jobs_at_once(
+    database_url: str, small_problems: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(service, "RECHECK_S", 60.0)  # nobody looks by itself
+    with coordinator(database_url) as here, coordinator(database_url) as there:
+        thread, got = wait_in_thread(FakeWorker(there))
+        eventually(lambda: len(expect(there.get("/api/v1/workers"))) == 1, "the worker asked")
+        submit(here, ball())
+        thread.join(PATIENCE_S)
+    assert len(got) == 8
+
+
+@pytest.mark.parametrize("databases", ["postgres"], indirect=True)
+def test_a_generation_is_announced_once(engines: Engines) -> None:
+    heard = psycopg.connect(
+        engines.writer.url.set(drivername="postgresql").render_as_string(hide_password=False)
+    )
+    heard.autocommit = True
+    heard.execute(b"LISTEN brink_jobs")
+    Queue(engines=engines).campaign(200)
+    assert len(list(heard.notifies(timeout=5.0, stop_after=1))) == 1
+    assert list(heard.notifies(timeout=0.0)) == []
+    heard.close()

@@ -20,7 +20,7 @@ def statements_of(engine: Engine, statements: list[tuple[str, Any]]) -> None:
 @pytest.mark.parametrize(
     ("asks", "index"),
     [
-        ("jobs.lease_worker IN", "ix_jobs_lease_worker"),
+        ("lease_worker IN", "ix_jobs_lease_worker"),
         ("AS retries", "ix_jobs_retries"),
         ("ORDER BY jobs.id", "ix_jobs_queued"),
     ],

@@ -1,28 +1,24 @@
-"""`brink bench`: measurements of this installation, each figure with its target beside it."""
+"""`brink bench difficulty | simood | mumoea | search | sim | paper`: problems, methods and episodes, measured."""
 
 import asyncio
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import httpx
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from server.bench.rate import TARGET_SHARE, ServiceRate, measure_service
 from server.campaigns.body import CampaignBody, read_campaign_file
 from server.cli.api import TIMEOUT, Api
+from server.cli.benchmarks.figures import bars, figure_table, print_figures, said, teller
 from server.cli.compare import compared, print_rows, rows_json
 from server.cli.coordinator import EmbeddedCoordinator, WorkerProcesses, prepare_database
 from server.cli.operate import follow
 from server.cli.options import AsJson, console, print_json
 from server.errors import FieldError, InvalidInput
 from server.settings import Settings
-from sim.figures import Row
-
-bench = typer.Typer(help="Measure this installation, each figure with its target.", no_args_is_help=True)
 
 PAPER_FILES = tuple(Path("examples") / f"paper-{name}.yaml" for name in ("mlcshe", "ga", "random"))
 PAPER_TARGET_S = 180.0
@@ -30,7 +26,6 @@ MUMOEA_RESULTS = Path("brink-results") / "bench-mumoea"
 SIMOOD_RESULTS = Path("brink-results") / "bench-simood"
 
 
-@bench.command()
 def difficulty(
     candidates: Annotated[int, typer.Option(min=100, help="Random candidates.")] = 2000,
     share: Annotated[
@@ -55,41 +50,11 @@ def difficulty(
             for name in ("scenarios", "reruns", "pairs", "redraws", "ends")
         },
     )
-    with _progress(Console(stderr=True)) as progress:
-        rows = list(measure(sizes, seed=seed, processes=processes, progress=_teller(progress)))
-    _print_figures(rows, as_json=as_json)
+    with bars(Console(stderr=True)) as progress:
+        rows = list(measure(sizes, seed=seed, processes=processes, progress=teller(progress)))
+    print_figures(rows, as_json=as_json)
 
 
-def _teller(progress: Progress) -> Callable[[str, int, int], None]:
-    """Return what shows how far each part of a measurement is: bars, or lines where bars cannot be drawn."""
-    parts: dict[str, TaskID] = {}
-    bars = progress.console.is_terminal
-
-    def tell(part: str, done: int, total: int) -> None:
-        if part not in parts:
-            parts[part] = progress.add_task(part, total=total)
-        progress.update(parts[part], completed=done, visible=bars and done < total)
-        tenth = max(1, total // 10)
-        if not bars and (done % tenth == 0 or done == total):
-            progress.console.print(f"{part}: {done} of {total}", highlight=False)
-
-    return tell
-
-
-def _print_figures(rows: list[Row], *, as_json: bool) -> None:
-    """Print measured figures beside their targets; exit with 1 if one is missed."""
-    if as_json:
-        print_json([{name: getattr(row, name) for name in row.__slots__} for row in rows])
-    else:
-        table = _table("what", "value", "target", "", "of")
-        for row in rows:
-            table.add_row(row.what, f"{row.value:.4g}", row.target, _met(row.met), row.note)
-        console().print(table)
-    if any(row.met is False for row in rows):
-        raise typer.Exit(1)
-
-
-@bench.command()
 def simood(
     criteria: Annotated[
         list[str] | None, typer.Argument(metavar="[A0 … A8]", help="Criteria to measure; all without it.")
@@ -114,12 +79,11 @@ def simood(
             message = f"expected some of {', '.join(CRITERIA)}, got {name!r}"
             raise InvalidInput([FieldError(pointer="criteria", message=message)])
     out.mkdir(parents=True, exist_ok=True)
-    with _progress(Console(stderr=True)) as progress:
-        rows = measure_simood(wanted, out, processes=processes, told=_teller(progress))
-    _print_figures(rows, as_json=as_json)
+    with bars(Console(stderr=True)) as progress:
+        rows = measure_simood(wanted, out, processes=processes, told=teller(progress))
+    print_figures(rows, as_json=as_json)
 
 
-@bench.command()
 def mumoea(
     seeds: Annotated[int, typer.Option(min=2, help="Searches of each method.")] = 5,
     simulations: Annotated[int, typer.Option(min=100, help="Simulations of each search.")] = 2000,
@@ -144,15 +108,14 @@ def mumoea(
 
     params = make_params(NpcActionsParams, {"road_curve": road}, "/problem/params")
     out.mkdir(parents=True, exist_ok=True)
-    with _progress(Console(stderr=True)) as progress:
+    with bars(Console(stderr=True)) as progress:
         comparison = Comparison(
-            out, params, seeds=seeds, simulations=simulations, processes=processes, told=_teller(progress)
+            out, params, seeds=seeds, simulations=simulations, processes=processes, told=teller(progress)
         )
         rows = comparison.rows()
-    _print_figures(rows, as_json=as_json)
+    print_figures(rows, as_json=as_json)
 
 
-@bench.command()
 def search(as_json: AsJson = False) -> None:
     """Measure one generation step: 60 new solutions at growing archive sizes.
 
@@ -164,7 +127,7 @@ def search(as_json: AsJson = False) -> None:
     if as_json:
         print_json([{name: getattr(row, name) for name in row.__slots__} for row in rows])
         return
-    table = _table("archived", "new", "min ms", "median ms", "target ms", "")
+    table = figure_table("archived", "new", "min ms", "median ms", "target ms", "")
     for row in rows:
         target = "" if row.target_ms is None else f"at most {row.target_ms:g}"
         table.add_row(
@@ -173,12 +136,11 @@ def search(as_json: AsJson = False) -> None:
             f"{row.min_ms:.2f}",
             f"{row.median_ms:.2f}",
             target,
-            _met(row.met),
+            said(row.met),
         )
     console().print(table)
 
 
-@bench.command()
 def sim(
     episodes: Annotated[int, typer.Option(min=20, help="Episodes a run.")] = 240,
     repeats: Annotated[int, typer.Option(min=1, help="Runs of each kind.")] = 3,
@@ -206,10 +168,10 @@ def sim(
         )
         return
     screen = console()
-    table = _table("what", "value", "", "target", "")
+    table = figure_table("what", "value", "", "target", "")
     for kind in kinds:
         target = "" if kind.most is None else f"at most {kind.most:g}"
-        table.add_row(kind.what, f"{kind.value:.1f}", kind.unit, target, _met(kind.met))
+        table.add_row(kind.what, f"{kind.value:.1f}", kind.unit, target, said(kind.met))
     screen.print(table)
     screen.print(_rate_table(rates))
     screen.print(
@@ -219,21 +181,20 @@ def sim(
 
 
 def _rate_table(rates: list[ServiceRate]) -> Table:
-    table = _table(
+    table = figure_table(
         "algorithm", "workers", "service /s", "bare /s", "share", "target", "", "coordinator", "worker",
         "episode", "bare episode",
     )  # fmt: skip
     for rate in rates:
         table.add_row(
             rate.algorithm, str(rate.workers), f"{rate.service_per_s:.1f}", f"{rate.bare_per_s:.1f}",
-            f"{rate.share:.1%}", f"at least {TARGET_SHARE:.0%}", _met(rate.share >= TARGET_SHARE),
+            f"{rate.share:.1%}", f"at least {TARGET_SHARE:.0%}", said(rate.share >= TARGET_SHARE),
             f"{rate.coordinator_ms:.2f}", f"{rate.worker_ms:.2f}", f"{rate.episode_ms:.1f}",
             f"{rate.bare_ms:.1f}",
         )  # fmt: skip
     return table
 
 
-@bench.command()
 def paper(
     workers: Annotated[int, typer.Option(min=1)] = 2,
     database: Annotated[str, typer.Option(help="Database URL.")] = "sqlite:///brink-paper.db",
@@ -261,9 +222,9 @@ def paper(
         print_json({"seconds": times, "rows": rows_json(rows)})
         return
     screen = console()
-    table = _table("campaign", "seconds", "target", "")
+    table = figure_table("campaign", "seconds", "target", "")
     for name, seconds in times.items():
-        table.add_row(name, f"{seconds:.0f}", f"under {PAPER_TARGET_S:.0f}", _met(seconds < PAPER_TARGET_S))
+        table.add_row(name, f"{seconds:.0f}", f"under {PAPER_TARGET_S:.0f}", said(seconds < PAPER_TARGET_S))
     screen.print(table)
     screen.print()
     print_rows(screen, rows)
@@ -285,19 +246,4 @@ async def _paper(
         return times, await compared(api, ids, control=control)
 
 
-def _progress(screen: Console) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-        console=screen, transient=True,
-    )  # fmt: skip
-
-
-def _table(*columns: str) -> Table:
-    table = Table(box=None, pad_edge=False, header_style="dim")
-    for index, name in enumerate(columns):
-        table.add_column(name, justify="left" if index == 0 or name in ("target", "", "of") else "right")
-    return table
-
-
-def _met(met: bool | None) -> str:
-    return {None: "", True: "met", False: "MISSED"}[met]
+COMMANDS = (difficulty, simood, mumoea, search, sim, paper)

@@ -1,0 +1,1 @@
+"""A campaign while everything around it breaks: processes, connections, messages, clocks."""

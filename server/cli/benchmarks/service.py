@@ -1,0 +1,155 @@
+"""`brink bench queue | chaos`: the coordinator itself, measured and maltreated."""
+
+from collections import Counter
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from server.cli.benchmarks.figures import bars, figure_table, said, teller
+from server.cli.options import AsJson, console, print_json
+
+
+def queue(
+    jobs: Annotated[int, typer.Option(min=500, help="Jobs a measurement.")] = 10_000,
+    quick: Annotated[bool, typer.Option("--quick", help="Only 4 workers, batches of 8.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Measure jobs a second and pick-up times, beside Celery on Redis and procrastinate on Postgres.
+
+    All of them in one run, each durable: what was acknowledged survives a power cut. The others need
+    pip install 'brink[bench]' and an installed redis-server; Postgres is started in a temporary folder.
+
+    Example: brink bench queue
+    """
+    # Imported here, and below: not everybody has what measurements need.
+    from server.bench.load import problem  # noqa: F401  (registers it, to read campaigns of it)
+    from server.bench.queue.comparison import TARGET_PICKUP_MS, TARGET_TIMES, compare_queues
+
+    with bars(Console(stderr=True)) as progress:
+        found = compare_queues(teller(progress), jobs=jobs, quick=quick)
+    ratios = found.ratios()
+    missed = any(ratio < TARGET_TIMES for _, _, ratio in ratios) or any(
+        pickup.p99_ms >= TARGET_PICKUP_MS for pickup in found.pickups if pickup.since == "stored"
+    )
+    if as_json:
+        print_json(
+            {
+                "throughput": [
+                    {**{name: getattr(one, name) for name in one.__slots__}, "per_s": one.per_s}
+                    for one in found.throughput
+                ],
+                "ratios": [
+                    {"system": ours.system, "workers": ours.workers, "beside": best.system, "ratio": ratio}
+                    for ours, best, ratio in ratios
+                ],
+                "pickups": [
+                    {"system": one.system, "since": one.since, "p50_ms": one.p50_ms, "p99_ms": one.p99_ms}
+                    for one in found.pickups
+                ],
+                "settings": found.settings,
+                "left_out": found.left_out,
+            }
+        )
+        raise typer.Exit(int(missed))
+    screen = console()
+    table = figure_table("queue", "workers", "batch", "jobs /s", "lease p50 ms", "p99 ms")
+    for one in found.throughput:
+        times = ["" if ms is None else f"{ms:.1f}" for ms in (one.lease_p50_ms, one.lease_p99_ms)]
+        table.add_row(one.system, str(one.workers), str(one.batch), f"{one.per_s:,.0f}", *times)
+    screen.print(table, "")
+    table = figure_table("queue", "workers", "times as fast", "of", "target", "")
+    for ours, best, ratio in ratios:
+        table.add_row(
+            ours.system, str(ours.workers), f"{ratio:.1f}", best.system, f"at least {TARGET_TIMES:g}",
+            said(ratio >= TARGET_TIMES),
+        )  # fmt: skip
+    screen.print(table, "")
+    table = figure_table("an idle worker starts a job", "since it was", "p50 ms", "p99 ms", "target", "")
+    for pickup in found.pickups:
+        ours_stored = pickup.since == "stored"
+        table.add_row(
+            pickup.system, pickup.since, f"{pickup.p50_ms:.1f}", f"{pickup.p99_ms:.1f}",
+            f"p99 under {TARGET_PICKUP_MS:g}" if ours_stored else "",
+            said(pickup.p99_ms < TARGET_PICKUP_MS if ours_stored else None),
+        )  # fmt: skip
+    screen.print(table, "")
+    for system, setting in found.settings.items():
+        screen.print(f"[dim]{system}: {setting}[/dim]")
+    for system, reason in found.left_out.items():
+        screen.print(f"[yellow]{system} was left out: {reason}[/yellow]")
+    if missed:
+        raise typer.Exit(1)
+
+
+def chaos(
+    minutes: Annotated[float, typer.Option(min=0.1, max=600, help="How long things break, at least.")] = 10.0,
+    faults: Annotated[int, typer.Option(min=1, help="Processes and connections to break, at least.")] = 200,
+    simulations: Annotated[int, typer.Option(min=100, help="Simulations of each campaign.")] = 400,
+    idle: Annotated[
+        bool, typer.Option("--idle", help="Episodes that only wait for a moment, in place of drives.")
+    ] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Of campaigns and faults.")] = 1,
+    as_json: AsJson = False,
+) -> None:
+    """Run campaigns on Postgres while everything breaks, and compare with the same ones undisturbed.
+
+    Two coordinators and four workers; processes, episodes, the database and its connections are killed or stand
+    still, messages are lost, cut, delayed and repeated, the clocks of two workers are wrong. No verdict may be lost
+    or counted twice, no job may get stuck, and every archive must be the one that nothing disturbs.
+
+    Example: brink bench chaos --minutes 10
+    """
+    from server.bench.chaos.trial import ChaosPlan, run_trial
+
+    plan = ChaosPlan(minutes=minutes, faults=faults, simulations=simulations, drives=not idle, seed=seed)
+    with bars(Console(stderr=True)) as progress:
+        outcome = run_trial(plan, teller(progress))
+    findings = outcome.findings
+    wrong = {"lost": findings.lost, "counted twice": findings.doubled, "stuck": findings.stuck}
+    well = not any(wrong.values()) and outcome.same == len(outcome.digests)
+    if as_json:
+        print_json(
+            {
+                "minutes": outcome.minutes,
+                "broken": outcome.broken,
+                "messages": outcome.requests,
+                "messages_broken": outcome.messages,
+                "results": outcome.statuses,
+                "campaigns": outcome.campaigns,
+                "digests": outcome.digests,
+                "ended_by_themselves": outcome.own_ends,
+                **{name.replace(" ", "_"): list(found) for name, found in wrong.items()},
+            }
+        )
+        raise typer.Exit(int(not well))
+    screen = console()
+    table = figure_table("what broke", "times")
+    for name, count in (outcome.broken + outcome.messages).most_common():
+        table.add_row(name, str(count))
+    table.add_row("processes, connections, databases", str(outcome.broken.total()))
+    table.add_row(f"messages, of {outcome.requests:,}", str(outcome.messages.total()))
+    screen.print(table, "")
+    screen.print(f"results answered: {_counts(outcome.statuses)}")
+    if outcome.own_ends:
+        screen.print(
+            f"processes that ended by themselves and were started again: {_counts(outcome.own_ends)}"
+        )
+    table = figure_table("in the end", "value", "target", "")
+    for name, found in wrong.items():
+        table.add_row(f"verdicts or jobs {name}", str(len(found)), "0", said(not found))
+    same = f"{outcome.same} of {len(outcome.digests)}"
+    table.add_row("archives the same as undisturbed", same, "all", said(outcome.same == len(outcome.digests)))
+    screen.print("", table)
+    for name, found in wrong.items():
+        for one in found[:10]:
+            screen.print(f"[red]{name}: {one}[/red]")
+    if not well:
+        raise typer.Exit(1)
+
+
+def _counts(counter: Counter[str]) -> str:
+    return ", ".join(f"{count:,} {name}" for name, count in counter.most_common())
+
+
+COMMANDS = (queue, chaos)
