@@ -9,7 +9,6 @@ import asyncio
 import contextlib
 import json
 import multiprocessing
-import os
 import statistics
 import tempfile
 import time
@@ -21,6 +20,7 @@ from typing import Any
 
 import httpx
 
+from server.bench.processes import children_of, cpu_of
 from server.campaigns.body import CampaignBody, parse_body
 from server.cli.api import TIMEOUT, Api
 from server.cli.coordinator import EmbeddedCoordinator, WorkerProcesses, prepare_database
@@ -28,7 +28,6 @@ from server.settings import Settings
 from sim.catalogue import make_simulator
 from sim.episode import EpisodeSpec
 
-TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 READY_S = 60.0
 LOOK_EVERY_S = 0.5
 """As `brink run` does, more or less; the time of a run is the coordinator's own."""
@@ -177,21 +176,9 @@ async def _specs(api: Api, campaign: str) -> list[dict[str, Any]]:
 def _cpu_times(workers: Sequence[int]) -> tuple[float, float, float]:
     """Return CPU seconds of this process, of the workers, and of the workers' simulation processes."""
     own = time.process_time()
-    parents = {pid: _cpu_of(pid) for pid in workers}
-    children = sum(_cpu_of(child) for pid in workers for child in _children_of(pid))
+    parents = {pid: cpu_of(pid) for pid in workers}
+    children = sum(cpu_of(child) for pid in workers for child in children_of(pid))
     return own, sum(parents.values()), children
-
-
-def _cpu_of(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / TICKS_PER_S
-
-
-def _children_of(pid: int) -> list[int]:
-    found = []
-    for task in Path(f"/proc/{pid}/task").iterdir():
-        found += [int(child) for child in (task / "children").read_text(encoding="ascii").split()]
-    return found
 
 
 # --- the bare loop -------------------------------------------------------------------------------------------

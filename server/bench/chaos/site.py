@@ -13,6 +13,7 @@ from pathlib import Path
 import psycopg
 from sqlalchemy.engine import make_url
 
+from server.bench.processes import children_of
 from server.bench.temporary.coordinator import CoordinatorProcess, Process
 from server.bench.temporary.postgres import TemporaryPostgres
 
@@ -155,7 +156,7 @@ class Site:
 
     async def _kill_episode(self) -> bool:
         worker = self._one_of(self.workers)
-        children = _children_of(worker.pid) if worker is not None and worker.pid is not None else []
+        children = children_of(worker.pid) if worker is not None and worker.pid is not None else []
         for child in children:
             with suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)
@@ -181,13 +182,3 @@ class Site:
 
         await asyncio.to_thread(crash)
         return True
-
-
-def _children_of(pid: int) -> list[int]:
-    found: list[int] = []
-    try:
-        for task in Path(f"/proc/{pid}/task").iterdir():
-            found += [int(child) for child in (task / "children").read_text(encoding="ascii").split()]
-    except OSError:
-        return []
-    return found

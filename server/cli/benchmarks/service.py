@@ -1,4 +1,4 @@
-"""`brink bench queue | chaos`: the coordinator itself, measured and maltreated."""
+"""`brink bench queue | chaos | scale | archive | soak`: the coordinator itself, measured and maltreated."""
 
 from collections import Counter
 from typing import Annotated
@@ -148,8 +148,107 @@ def chaos(
         raise typer.Exit(1)
 
 
+def scale(
+    seconds: Annotated[float, typer.Option(min=5, help="About how long each measurement takes.")] = 30.0,
+    shrunk: Annotated[
+        float, typer.Option("--scale", min=0.01, max=1, help="What of its 5 s an episode takes here.")
+    ] = 0.2,
+    as_json: AsJson = False,
+) -> None:
+    """Measure how well 1 to 64 simulated workers are used, by one campaign and by several side by side.
+
+    Between two generations of one campaign workers wait for its longest episodes; other campaigns fill the gap.
+
+    Example: brink bench scale
+    """
+    from server.bench.scale.utilisation import TARGET, measure_utilisation
+
+    with bars(Console(stderr=True)) as progress:
+        found = measure_utilisation(teller(progress), seconds=seconds, scale=shrunk)
+    missed = any(one.meets is False for one in found)
+    if as_json:
+        print_json(
+            [
+                {**{name: getattr(one, name) for name in one.__slots__}, "share": one.share, "met": one.meets}
+                for one in found
+            ]
+        )
+        raise typer.Exit(int(missed))
+    table = figure_table(
+        "workers", "campaigns", "generation", "jobs", "seconds", "used", "target", "", "coordinator CPU"
+    )
+    for one in found:
+        table.add_row(
+            str(one.workers), str(one.campaigns), str(one.generation), f"{one.jobs:,}", f"{one.seconds:.0f}",
+            f"{one.share:.1%}", "" if one.meets is None else f"at least {TARGET:.0%}", said(one.meets),
+            f"{one.coordinator_s / one.seconds:.0%}",
+        )  # fmt: skip
+    console().print(table)
+    if missed:
+        raise typer.Exit(1)
+
+
+def archive(
+    solutions: Annotated[int, typer.Option(min=2000, help="Solutions of the archive.")] = 100_000,
+    samples: Annotated[int, typer.Option(min=20, help="Requests of each kind.")] = 100,
+    as_json: AsJson = False,
+) -> None:
+    """Measure how fast a coordinator with a large archive answers, while a campaign runs.
+
+    Filling the archive takes long: every solution goes through the queue and into the distance matrix.
+
+    Example: brink bench archive --solutions 20000
+    """
+    from server.bench.endurance.archive import TARGET_MS, measure_answers
+
+    with bars(Console(stderr=True)) as progress:
+        found = measure_answers(teller(progress), solutions=solutions, samples=samples)
+    missed = any(one.p95_ms >= TARGET_MS for one in found)
+    if as_json:
+        figures = ("request", "first_ms", "p50_ms", "p95_ms")
+        print_json([{name: getattr(one, name) for name in figures} for one in found])
+        raise typer.Exit(int(missed))
+    table = figure_table("request", "first ms", "p50 ms", "p95 ms", "target", "")
+    for one in found:
+        table.add_row(
+            one.request, f"{one.first_ms:.0f}", f"{one.p50_ms:.0f}", f"{one.p95_ms:.0f}",
+            f"p95 under {TARGET_MS:g}", said(one.p95_ms < TARGET_MS),
+        )  # fmt: skip
+    console().print(table)
+    if missed:
+        raise typer.Exit(1)
+
+
+def soak(
+    minutes: Annotated[float, typer.Option(min=1, help="How long.")] = 60.0, as_json: AsJson = False
+) -> None:
+    """Run campaign after campaign, and measure how the memory of coordinator and workers grows.
+
+    Example: brink bench soak --minutes 60
+    """
+    from server.bench.endurance.soak import TARGET_MIB_AN_HOUR, soak
+
+    with bars(Console(stderr=True)) as progress:
+        found = soak(teller(progress), minutes=minutes)
+    missed = any(one.slope >= TARGET_MIB_AN_HOUR for one in found)
+    if as_json:
+        figures = ("process", "campaigns", "simulations", "slope", "hours", "mib")
+        print_json([{name: getattr(one, name) for name in figures} for one in found])
+        raise typer.Exit(int(missed))
+    table = figure_table("process", "MiB first", "last", "most", "MiB an hour", "target", "")
+    for one in found:
+        table.add_row(
+            one.process, f"{one.mib[0]:.1f}", f"{one.mib[-1]:.1f}", f"{max(one.mib):.1f}", f"{one.slope:+.2f}",
+            f"under {TARGET_MIB_AN_HOUR:g}", said(one.slope < TARGET_MIB_AN_HOUR),
+        )  # fmt: skip
+    console().print(table)
+    console().print(f"{found[0].campaigns} campaigns of {found[0].simulations:,} simulations ended")
+    if missed:
+        raise typer.Exit(1)
+
+
 def _counts(counter: Counter[str]) -> str:
     return ", ".join(f"{count:,} {name}" for name, count in counter.most_common())
 
 
-COMMANDS = (queue, chaos)
+COMMANDS = (queue, chaos, scale, archive, soak)

@@ -1,0 +1,1 @@
+"""A coordinator with a large archive, and one that runs for long."""

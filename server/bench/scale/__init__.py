@@ -1,0 +1,1 @@
+"""How well many workers are used: simulated ones against a real coordinator."""
