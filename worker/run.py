@@ -12,7 +12,15 @@ from types import FrameType
 
 from worker.client import CoordinatorClient
 from worker.errors import SettingsError
-from worker.log import configure_logging
+from worker.log import (
+    FORMAT_VARIABLE,
+    LEVEL_VARIABLE,
+    LogFormat,
+    LogLevel,
+    configure_logging,
+    environment_format,
+    environment_level,
+)
 from worker.loop import Worker
 from worker.settings import TOKEN_VARIABLE, WorkerSettings, new_worker_id
 
@@ -49,10 +57,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             plugins=tuple(options.plugin),
             exit_with_parent=options.exit_with_parent,
         )
+        level = LogLevel(options.log_level) if options.log_level else environment_level()
+        log_format = LogFormat(options.log_format) if options.log_format else environment_format()
     except SettingsError as error:
         sys.stderr.write(f"error: {error}\n")
         return 2
-    configure_logging(settings.worker_id, options.log_level)
+    configure_logging(level, log_format, worker=settings.worker_id)
     return run_worker(settings)
 
 
@@ -136,5 +146,10 @@ def _parser() -> argparse.ArgumentParser:
         help="import for its simulators; repeatable",
     )
     add("--exit-with-parent", action="store_true", help="leave when standard input ends")
-    add("--log-level", default="info", choices=("debug", "info", "warning", "error"))
+    add(
+        "--log-level",
+        choices=[*LogLevel],
+        help=f"least severe lines of the log ({LEVEL_VARIABLE}, else info)",
+    )
+    add("--log-format", choices=[*LogFormat], help=f"of the log ({FORMAT_VARIABLE}, else text)")
     return parser

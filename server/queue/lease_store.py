@@ -284,6 +284,7 @@ def _grant(
             spec=json.loads(row.spec),
             record=row.kind == JobKind.TRACE,
             timeout_s=row.timeout_s,
+            campaign=row.campaign_id,
         )
         for row in rows
     ]
