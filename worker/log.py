@@ -169,7 +169,7 @@ def _formatter(log_format: LogFormat, always: Mapping[str, object]) -> logging.F
 
 
 def _fields(record: logging.LogRecord, always: Mapping[str, object]) -> dict[str, object]:
-    extra = {key: value for key, value in vars(record).items() if key not in _STANDARD}
+    extra = {key: value for key, value in vars(record).items() if key not in _STANDARD and key[0] != "_"}
     return {**always, **_about.get(), **extra}
 
 

@@ -6,7 +6,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
 
@@ -34,7 +34,7 @@ def run_worker(settings: WorkerSettings) -> int:
     """
     with CoordinatorClient(settings.server, token=settings.token) as client:
         worker = Worker(client, settings)
-        with _stopped_by_signals(worker):
+        with stopped_by_signals(worker.stop):
             if settings.exit_with_parent:
                 threading.Thread(target=_stop_at_end_of_stdin, args=(worker,), daemon=True).start()
             return worker.run()
@@ -67,8 +67,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 @contextmanager
-def _stopped_by_signals(worker: Worker) -> Iterator[None]:
-    """Stop the worker at the first signal, end the program at the second."""
+def stopped_by_signals(stop: Callable[[], None]) -> Iterator[None]:
+    """Call `stop` at the first SIGTERM or SIGINT, end the program at the second; only in the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -79,7 +79,7 @@ def _stopped_by_signals(worker: Worker) -> Iterator[None]:
         if asked:
             os._exit(128 + number)
         asked = True
-        worker.stop()
+        stop()
 
     before = {number: signal.signal(number, handle) for number in (signal.SIGTERM, signal.SIGINT)}
     try:

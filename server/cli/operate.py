@@ -2,9 +2,11 @@
 
 import asyncio
 import logging
+import os
 from collections.abc import Callable
 from contextlib import closing
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
@@ -28,6 +30,8 @@ from server.cli.options import (
 )
 from server.db.engine import open_engines
 from server.db.upgrade import current_revision, head_revision
+from server.settings import Settings
+from sim.catalogue import PLUGINS_VARIABLE
 from worker.log import LogFormat, configure_logging
 from worker.run import run_worker
 from worker.settings import WorkerSettings
@@ -92,6 +96,19 @@ def worker(
     exit_when_idle_s: Annotated[
         float | None, typer.Option(min=0.0, help="Leave after this time without a job.")
     ] = None,
+    ray: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            show_default=False,
+            help="Run workers on a Ray cluster instead, one a free CPU: HOST:PORT, auto for the cluster of this "
+            "machine, local for a Ray of our own.",
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=1, show_default=False, help="With --ray: so many workers, wherever there is room."),
+    ] = None,
     grace_s: Annotated[
         float, typer.Option(min=0.0, help="How long the running episode may go on after SIGTERM.")
     ] = 8.0,
@@ -100,8 +117,14 @@ def worker(
 ) -> None:
     """Run one worker: leases simulations from a coordinator, runs them, reports. Start one a core.
 
+    SIGTERM or Ctrl-C lets the running episode end and gives the rest back.
+
     Example: brink worker --server http://coordinator:8700
     """
+    if workers is not None and ray is None:
+        raise typer.BadParameter(
+            "goes with --ray; without it start one worker a core", param_hint="--workers"
+        )
     common = settings_with(log_format=log_format, log_level=log_level)
     settings = WorkerSettings(
         server=server,
@@ -110,9 +133,30 @@ def worker(
         memory_mib=memory_mib,
         exit_when_idle_s=exit_when_idle_s,
         grace_s=grace_s,
+        # Named here, too: the nodes of a cluster do not have the environment of this process.
+        plugins=tuple(filter(None, os.environ.get(PLUGINS_VARIABLE, "").split(","))),
     )
+    if ray is not None:
+        raise typer.Exit(_run_on_ray(ray, settings, workers, common))
     configure_logging(common.log_level, common.log_format, worker=settings.worker_id)
     raise typer.Exit(run_worker(settings))
+
+
+def _run_on_ray(address: str, settings: WorkerSettings, workers: int | None, common: Settings) -> int:
+    if find_spec("ray") is None:
+        message = (
+            "needs the ray extra, which is not installed here: pip install -c constraints.txt -e '.[ray]'"
+        )
+        raise typer.BadParameter(message, param_hint="--ray")
+    from worker.ray_pool import PoolSettings, run_pool
+
+    configure_logging(common.log_level, common.log_format)
+    return run_pool(
+        PoolSettings(
+            address=address, worker=settings, workers=workers, level=common.log_level,
+            log_format=common.log_format,
+        )
+    )  # fmt: skip
 
 
 def submit(

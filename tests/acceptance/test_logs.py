@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import pytest
 from sqlalchemy.engine import make_url
-from support.api import ball, eventually
+from support.api import ball
 from support.databases import Databases
 from support.processes import TOY, Program, Site, site
 
@@ -116,16 +116,10 @@ def test_no_secret_is_logged_however_much_is_asked_for(
     settings = {**environment, "BRINK_TOKEN": token, "BRINK_ACCESS_LOG": "true", "OPENAI_API_KEY": key}
     with site(tmp_path, url, settings) as running:
         running.start_workers(1)
-        api = f"{running.url}/api/v1/campaigns"
-        bearer = {"Authorization": f"Bearer {token}"}
-        assert httpx.get(api, headers={"Authorization": f"Bearer {guess}"}).status_code == 401
-        campaign = httpx.post(api, json=ball(), headers=bearer).json()["id"]
-
-        def finished() -> bool:
-            stands = httpx.get(f"{api}/{campaign}/progress", headers=bearer).json()
-            return bool(stands["status"] == "finished")
-
-        eventually(finished, "the campaign finishes")
+        wrong = {"Authorization": f"Bearer {guess}"}
+        assert httpx.get(f"{running.url}/api/v1/campaigns", headers=wrong).status_code == 401
+        campaign = running.submit(ball())
+        assert running.await_end(campaign)["status"] == "finished"
         assert running.coordinator is not None
         running.coordinator.kill()  # the worker tells that the coordinator is away
         running.workers[0].await_line("waiting for the coordinator")
