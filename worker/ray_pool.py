@@ -23,6 +23,7 @@ from ray.exceptions import RayError
 
 from worker.backoff import Backoff
 from worker.client import CoordinatorClient
+from worker.errors import NoCluster
 from worker.log import LogFormat, LogLevel, configure_logging
 from worker.loop import LAST_REPORT_S, Worker
 from worker.run import stopped_by_signals
@@ -38,6 +39,11 @@ HEALTHY_S: Final = 30.0
 """A worker that lived this long was no false start."""
 FALSE_STARTS: Final = 3
 """Workers that could not work, after which the pool gives up if no other one can."""
+WITHOUT_CPU_S: Final = 15.0
+TOLD_AGAIN_S: Final = 60.0
+"""After so long without a single worker at work the log says so, and then again and again."""
+OBJECT_STORE_BYTES: Final = 80 * 1024 * 1024
+"""Of a Ray of our own: about the least that it takes, as nothing is stored there."""
 LEAVING_S: Final = LAST_REPORT_S + 5.0
 """How long a worker may take to leave, after its running episode."""
 
@@ -138,6 +144,7 @@ class Pool:
         self._failures = 0
         self._false_starts = 0
         self._next_start_s = 0.0
+        self._quiet_until_s = time.monotonic() + WITHOUT_CPU_S
         self._backoff = Backoff(first_s=0.5, cap_s=30.0)
         self._rng = Random()
 
@@ -162,6 +169,7 @@ class Pool:
             self._fill()
             self._look(LOOK_S)
             self._leave_nodes_that_drain()
+            self._tell_if_none_works()
         self._drain()
         log.info("leaving")
         return 0
@@ -237,6 +245,16 @@ class Pool:
         self._false_starts += false_start
         self._next_start_s = time.monotonic() + self._backoff.delay_s(self._failures, self._rng)
 
+    def _tell_if_none_works(self) -> None:
+        now_s = time.monotonic()
+        if any(member.placed for member in self._members):
+            self._quiet_until_s = now_s + WITHOUT_CPU_S
+        elif now_s >= self._quiet_until_s:
+            log.warning(
+                "no worker has a CPU: others use them, or the cluster has none", extra={"cpus": _cpus()}
+            )
+            self._quiet_until_s = now_s + TOLD_AGAIN_S
+
     def _leave_nodes_that_drain(self) -> None:
         """Have workers leave nodes that are about to be taken away."""
         draining = _draining_nodes()
@@ -273,15 +291,18 @@ class Pool:
 def _connected(settings: PoolSettings) -> Iterator[None]:
     """Join the cluster, or start one of our own, which ends with the block."""
     # What workers log reaches us with a prefix of Ray's, which no reader of JSON would take.
-    to_driver = settings.log_format is LogFormat.TEXT
+    given: dict[str, Any] = {
+        "log_to_driver": settings.log_format is LogFormat.TEXT,
+        "configure_logging": False,
+    }
     if settings.address == LOCAL:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        ray.init(
-            address=LOCAL, num_cpus=settings.workers, include_dashboard=False, log_to_driver=to_driver,
-            configure_logging=False,
-        )  # fmt: skip
-    else:
-        ray.init(address=settings.address, log_to_driver=to_driver, configure_logging=False)
+        own = {"object_store_memory": OBJECT_STORE_BYTES, "include_dashboard": False}
+        given |= {"num_cpus": settings.workers, **own}
+    try:
+        ray.init(address=settings.address, **given)
+    except (ConnectionError, RuntimeError, ValueError, RayError) as error:
+        raise NoCluster(f"--ray {settings.address}: {_in_a_line(error)}") from error
     try:
         yield
     finally:
@@ -306,5 +327,5 @@ def _draining_nodes() -> Collection[str]:
     return tell() if tell is not None else ()
 
 
-def _in_a_line(error: RayError) -> str:
+def _in_a_line(error: Exception) -> str:
     return " ".join(str(error).split())[:400] or type(error).__name__

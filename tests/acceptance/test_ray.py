@@ -126,10 +126,17 @@ def test_a_campaign_on_ray_finds_the_same_although_an_actor_is_killed(
 
 
 def test_workers_that_are_refused_end_the_pool(running: Site) -> None:
-    started = pool(running, "--ray", "local", "--workers", "2", BRINK_TOKEN="a-wrong-one")
+    started = pool(running, "--ray", "local", "--workers", "3", BRINK_TOKEN="a-wrong-one")
     assert started.wait() == 1
     assert "could not work" in started.output
     assert "401" in started.output, "what the workers said is shown"
+
+
+def test_a_cluster_that_is_not_there_is_told_in_a_line(running: Site) -> None:
+    started = pool(running, "--ray", "auto")
+    assert started.wait() == 1
+    assert "brink: --ray auto: " in started.output
+    assert "Traceback" not in started.output
 
 
 def test_a_pool_follows_its_cluster(running: Site) -> None:
