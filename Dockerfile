@@ -12,7 +12,7 @@ RUN python -m venv /opt/brink && /opt/brink/bin/pip install --no-cache-dir -c co
 FROM python:3.11-slim
 COPY --from=build /opt/brink /opt/brink
 COPY examples /examples
-RUN useradd --create-home brink
+RUN useradd --create-home --uid 1000 brink
 USER brink
 WORKDIR /home/brink
 ENV PATH=/opt/brink/bin:$PATH PYTHONUNBUFFERED=1

@@ -101,7 +101,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
     exposed = settings.host not in LOOPBACK
     gate = Gate(engines, token=token, exposed=exposed, rate_limit=settings.rate_limit) if sweeping else None
     app.add_middleware(Guards, gate=gate, max_body_bytes=settings.max_body_bytes)
-    app.add_middleware(Measured, metrics=metrics)
+    app.add_middleware(Measured, metrics=metrics, access_log=settings.access_log)
     return app
 
 

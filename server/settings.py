@@ -6,6 +6,8 @@ from typing import Annotated
 from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from worker.log import LogFormat, LogLevel
+
 DEFAULT_DATABASE = "sqlite:///brink.db"
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 """Names of this machine that no other one can reach."""
@@ -46,7 +48,16 @@ class Settings(BaseSettings):
             "Without it: this machine alone, and without a key."
         ),
     ] = ""
-    log_level: str = "info"
+    log_level: Annotated[LogLevel, Field(description="Least severe lines of the log.")] = LogLevel.INFO
+    log_format: Annotated[LogFormat, Field(description="Lines of text, or of JSON.")] = LogFormat.TEXT
+    access_log: Annotated[bool, Field(description="Log every request, not only in a log of level debug.")] = (
+        False
+    )
+
+    @field_validator("log_level", "log_format", mode="before")
+    @classmethod
+    def _in_any_case(cls, given: object) -> object:
+        return given.lower() if isinstance(given, str) else given
 
     @field_validator("token")
     @classmethod

@@ -6,6 +6,7 @@ WorkerError
 │   ├── CoordinatorAway     retryable: no answer, 5xx or 429; the same request may work later
 │   ├── RequestRefused      final: 4xx; the same request will be refused again
 │   └── UnexpectedReply     final: what answered does not speak this version of the wire
+├── NoCluster               final: there is no Ray cluster at this address
 ├── ChildFailedToStart      retryable: the simulation process did not come up
 ├── EpisodeAbandoned        final: the episode was given up on purpose, there is no outcome
 ├── UnsendableResult        final: a simulator returned what JSON cannot carry
@@ -59,6 +60,10 @@ class RequestRefused(CoordinatorError):
 
 class UnexpectedReply(CoordinatorError):
     """What answered does not speak this version of the wire."""
+
+
+class NoCluster(WorkerError):
+    """There is no Ray cluster at this address, or it does not let us in."""
 
 
 class ChildFailedToStart(WorkerError):

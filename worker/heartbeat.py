@@ -110,6 +110,7 @@ class Heartbeat:
     def _give_up_lost(self) -> None:
         lost = self._lost()
         if lost is not None and lost[1] >= self._abandon_after_s:
-            log.info("giving up a running job whose lease was lost", extra={"job": lost[0].job})
+            about = {"campaign": lost[0].campaign, "job": lost[0].job, "attempt": lost[0].attempt}
+            log.info("giving up a running job whose lease was lost", extra=about)
             self._given_up = lost[0]
             self._give_up(lost[0])

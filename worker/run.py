@@ -6,13 +6,21 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
 
 from worker.client import CoordinatorClient
 from worker.errors import SettingsError
-from worker.log import configure_logging
+from worker.log import (
+    FORMAT_VARIABLE,
+    LEVEL_VARIABLE,
+    LogFormat,
+    LogLevel,
+    configure_logging,
+    environment_format,
+    environment_level,
+)
 from worker.loop import Worker
 from worker.settings import TOKEN_VARIABLE, WorkerSettings, new_worker_id
 
@@ -26,7 +34,7 @@ def run_worker(settings: WorkerSettings) -> int:
     """
     with CoordinatorClient(settings.server, token=settings.token) as client:
         worker = Worker(client, settings)
-        with _stopped_by_signals(worker):
+        with stopped_by_signals(worker.stop):
             if settings.exit_with_parent:
                 threading.Thread(target=_stop_at_end_of_stdin, args=(worker,), daemon=True).start()
             return worker.run()
@@ -49,16 +57,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
             plugins=tuple(options.plugin),
             exit_with_parent=options.exit_with_parent,
         )
+        level = LogLevel(options.log_level) if options.log_level else environment_level()
+        log_format = LogFormat(options.log_format) if options.log_format else environment_format()
     except SettingsError as error:
         sys.stderr.write(f"error: {error}\n")
         return 2
-    configure_logging(settings.worker_id, options.log_level)
+    configure_logging(level, log_format, worker=settings.worker_id)
     return run_worker(settings)
 
 
 @contextmanager
-def _stopped_by_signals(worker: Worker) -> Iterator[None]:
-    """Stop the worker at the first signal, end the program at the second."""
+def stopped_by_signals(stop: Callable[[], None]) -> Iterator[None]:
+    """Call `stop` at the first SIGTERM or SIGINT, end the program at the second; only in the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -69,7 +79,7 @@ def _stopped_by_signals(worker: Worker) -> Iterator[None]:
         if asked:
             os._exit(128 + number)
         asked = True
-        worker.stop()
+        stop()
 
     before = {number: signal.signal(number, handle) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
@@ -136,5 +146,10 @@ def _parser() -> argparse.ArgumentParser:
         help="import for its simulators; repeatable",
     )
     add("--exit-with-parent", action="store_true", help="leave when standard input ends")
-    add("--log-level", default="info", choices=("debug", "info", "warning", "error"))
+    add(
+        "--log-level",
+        choices=[*LogLevel],
+        help=f"least severe lines of the log ({LEVEL_VARIABLE}, else info)",
+    )
+    add("--log-format", choices=[*LogFormat], help=f"of the log ({FORMAT_VARIABLE}, else text)")
     return parser

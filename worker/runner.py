@@ -103,7 +103,7 @@ class Runner:
 
 
 def _log_outcome(job: LeasedJob, finished: Finished) -> None:
-    about: dict[str, object] = {"job": job.job, "attempt": job.attempt}
+    about: dict[str, object] = {"campaign": job.campaign, "job": job.job, "attempt": job.attempt}
     if isinstance(finished.outcome, JobFailed):
         about["reason"] = finished.outcome.reason
         log.warning("job failed: %s", finished.outcome.message.partition("\n")[0], extra=about)

@@ -74,6 +74,7 @@ class LeasedJob(Message):
     spec: Annotated[dict[str, Any], Field(description="The EpisodeSpec to run.")]
     record: Annotated[bool, Field(description="Whether the result must carry the trace.")] = False
     timeout_s: Annotated[float, Field(gt=0, description="Wall-clock time after which to give up.")]
+    campaign: Annotated[str, Field(max_length=64, description="Whose it is, for logs.")] = ""
 
 
 class LeaseReply(Message):

@@ -143,7 +143,7 @@ class Stepper:
             if _passes(error):
                 self._live.pop(campaign_id, None)
                 raise
-            log.exception("campaign %s: generation %d cannot be told", campaign_id, campaign.generation)
+            log.exception("generation cannot be told", extra=_about(campaign))
             reason = f"generation {campaign.generation} cannot be told: {type(error).__name__}: {error}"
             self._end(campaign, CampaignStatus.FAILED, reason)
             raise
@@ -171,7 +171,7 @@ class Stepper:
             self._live.pop(campaign.id, None)
             return False
         self._live[campaign.id] = Live(plan=plan, generation=campaign.generation, state=state)
-        log.info("campaign=%s generation=%d seeded", campaign.id, campaign.generation)
+        log.info("generation seeded", extra=_about(campaign))
         return True
 
     def _tell(self, campaign: Campaign, live: Live, jobs: Sequence[Row[*tuple[Any, ...]]]) -> bool:
@@ -198,11 +198,11 @@ class Stepper:
             self._live[campaign.id] = Live(
                 plan=live.plan, generation=campaign.generation + 1, state=asked_state
             )
-        log.info(
-            "campaign=%s generation=%d evaluated=%d unsafe=%d step_ms=%.1f%s",
-            campaign.id, campaign.generation, step.summary.evaluated, step.summary.unsafe,
-            1000 * step.summary.step_s, " finished" if finished else "",
-        )  # fmt: skip
+        told_about = {"evaluated": step.summary.evaluated, "unsafe": step.summary.unsafe, "failed": failed}
+        step_ms = round(1000 * step.summary.step_s, 1)
+        log.info("generation told", extra={**_about(campaign), **told_about, "step_ms": step_ms})
+        if finished:
+            log.info("campaign finished", extra={**_about(campaign), **told_about})
         return not finished
 
     def _write_up(
@@ -292,7 +292,7 @@ class Stepper:
             )
             live = Live(plan=plan, generation=campaign.generation, state=asked(plan, state)[0])
         _check_same(campaign, live.state.pending, stored_vectors)
-        log.info("campaign=%s restored at generation %d", campaign.id, campaign.generation)
+        log.info("campaign restored", extra=_about(campaign))
         return live
 
     def _end(
@@ -304,7 +304,11 @@ class Stepper:
                 connection, campaign.id, campaign.generation, status, reason, failures=failures
             )
         ).result()
-        log.warning("campaign=%s %s: %s", campaign.id, status, reason)
+        log.warning("campaign %s", status, extra={**_about(campaign), "reason": reason})
+
+
+def _about(campaign: Campaign) -> dict[str, object]:
+    return {"campaign": campaign.id, "generation": campaign.generation}
 
 
 def _open(jobs: Sequence[Row[*tuple[Any, ...]]]) -> bool:

@@ -1,6 +1,7 @@
 """What users do with campaigns: submit, look, pause, resume, cancel, delete, retry."""
 
 import asyncio
+import logging
 import secrets
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
@@ -26,9 +27,17 @@ from server.llm.settings import LlmSettings
 from server.problems.base import ChecksInputs, Describes
 from server.queue.service import QueueService
 
+log = logging.getLogger(__name__)
+
 T = TypeVar("T")
 LLM = "llm"
 """What an algorithm's setting `seeder` is that wants seeds from a language model."""
+DONE = {
+    CampaignStatus.PAUSED: "paused",
+    CampaignStatus.RUNNING: "resumed",
+    CampaignStatus.CANCELLED: "cancelled",
+}
+"""What the log says was done to a campaign that is now in a state."""
 
 
 def check_submission(body: CampaignBody) -> tuple[Live, list[NewSolution]]:
@@ -148,6 +157,12 @@ class CampaignService:
 
         campaign, new = await self._write(unit)
         if new:
+            about = {
+                "problem": body.problem.id,
+                "algorithm": body.algorithm.id,
+                "simulations": body.budget.simulations,
+            }
+            log.info("campaign submitted", extra={"campaign": campaign_id, **about})
             self.stepper.adopt(campaign_id, live)
             self.queue.wakeups.wake()
             self.queue.advance_soon([campaign_id])
@@ -209,6 +224,7 @@ class CampaignService:
             store.delete_campaign(connection, campaign.id)
 
         await self._write(unit)
+        log.info("campaign deleted", extra={"campaign": campaign.id})
 
     async def retry_job(self, job: int) -> None:
         """Put a quarantined job back into the queue.
@@ -236,7 +252,7 @@ class CampaignService:
     ) -> Campaign:
         found = await self.get(campaign_id)
 
-        def unit(connection: Connection) -> Campaign:
+        def unit(connection: Connection) -> tuple[Campaign, bool]:
             current = _found(store.find_campaign(connection, found.id, lock=True), found.id)
             if current.status is not status:
                 if current.status not in allowed:
@@ -249,9 +265,17 @@ class CampaignService:
                     quarantined = store.count_quarantined(connection, found.id)
                     accepted = max(current.failures_accepted, quarantined)
                 store.set_status(connection, found.id, status, "", failures_accepted=accepted)
-            return _found(store.find_campaign(connection, found.id), found.id)
+            changed = current.status is not status
+            return _found(store.find_campaign(connection, found.id), found.id), changed
 
-        return await self._write(unit)
+        campaign, changed = await self._write(unit)
+        if changed:
+            log.info(
+                "campaign %s",
+                DONE[status],
+                extra={"campaign": campaign.id, "generation": campaign.generation},
+            )
+        return campaign
 
     async def _read(self, query: Callable[[Connection], T]) -> T:
         return await read(self.engines, query)

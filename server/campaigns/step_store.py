@@ -309,9 +309,8 @@ def read_distances(connection: Connection, campaign_id: str, rows: Sequence[int]
             if not inside.size:
                 continue
             if hashlib.sha256(block.data).hexdigest() != block.sha256:
-                log.error(
-                    "campaign=%s generation=%d: its distances are damaged", campaign_id, block.generation
-                )
+                about = {"campaign": campaign_id, "generation": block.generation}
+                log.error("its distances are damaged", extra=about)
                 return None
             matrix = np.frombuffer(block.data, dtype="<f4").reshape(block.rows, block.columns)
             half[np.ix_(inside, known)] = matrix[np.ix_(wanted[inside] - block.first_row, wanted[known])]

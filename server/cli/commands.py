@@ -18,6 +18,7 @@ from server.cli.operations import doctor, export, import_, prune_
 from server.cli.run import run
 from server.cli.tokens import token
 from sim.catalogue import PLUGINS_VARIABLE
+from worker.log import LogLevel, configure_logging, environment_format
 
 app = typer.Typer(
     name="brink",
@@ -76,7 +77,5 @@ def options(
         named = [*filter(None, os.environ.get(PLUGINS_VARIABLE, "").split(",")), *plugin]
         os.environ[PLUGINS_VARIABLE] = ",".join(named)  # for the workers that this command starts, too
         sys.path.insert(0, os.getcwd())
-    logging.basicConfig(
-        level=logging.INFO if verbose else logging.WARNING,
-        format="%(asctime)s %(levelname)s %(name)s %(message)s",
-    )
+    if not logging.getLogger().handlers:
+        configure_logging(LogLevel.INFO if verbose else LogLevel.WARNING, environment_format())

@@ -17,6 +17,7 @@ from server.cli.api import Api, open_api
 from server.errors import FieldError, InvalidInput
 from server.settings import Settings
 from sim.catalogue import PLUGINS_VARIABLE
+from worker.log import LogFormat, LogLevel
 
 T = TypeVar("T")
 PLAIN_WIDTH = 140
@@ -43,6 +44,20 @@ CampaignId = Annotated[str, typer.Argument(metavar="ID", help="Campaign id, or t
 CampaignFile = Annotated[
     Path, typer.Argument(metavar="FILE", help="Campaign file (YAML or JSON).", show_default=False)
 ]
+LogFormatOption = Annotated[
+    LogFormat | None,
+    typer.Option(
+        "--log-format", case_sensitive=False, help="Of the log (default: BRINK_LOG_FORMAT, else text).",
+        show_default=False,
+    ),
+]  # fmt: skip
+LogLevelOption = Annotated[
+    LogLevel | None,
+    typer.Option(
+        "--log-level", case_sensitive=False, show_default=False,
+        help="Least severe lines of the log (default: BRINK_LOG_LEVEL, else info).",
+    ),
+]  # fmt: skip
 Threshold = Annotated[float, typer.Option(min=0.0, max=1.0)]
 
 

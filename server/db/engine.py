@@ -4,6 +4,7 @@ A database has two engines. The *writer* takes the write lock at BEGIN, so that 
 because another one wrote first. The *reader* sees one snapshot for the length of a transaction.
 """
 
+import re
 import sqlite3
 import time
 from dataclasses import dataclass
@@ -46,8 +47,8 @@ def parse_url(database: str) -> URL:
     expected = "expected sqlite:///FILE or postgresql://USER:PASSWORD@HOST:PORT/NAME"
     try:
         url = make_url(database)
-    except ArgumentError:
-        raise DatabaseError(f"database URL {database!r}: {expected}") from None
+    except (ArgumentError, ValueError):  # the latter for a port that is no number
+        raise DatabaseError(f"database URL {_without_password(database)!r}: {expected}") from None
     if url.drivername == "sqlite":
         if url.database in (None, "", ":memory:"):
             raise DatabaseError(
@@ -57,6 +58,13 @@ def parse_url(database: str) -> URL:
     if url.drivername in ("postgresql", "postgres", "postgresql+psycopg"):
         return url.set(drivername="postgresql+psycopg")
     raise DatabaseError(f"database URL with {url.drivername!r}: {expected}")
+
+
+def _without_password(database: str) -> str:
+    """Return what was meant to be a URL, fit to be shown: it may hold a password anywhere before its last ``@``."""
+    before, at, after = database.rpartition("@")
+    shown = f"{before.partition(':')[0]}:***@{after}" if at else database
+    return re.sub(r"(?<=password=)[^&]*", "***", shown)
 
 
 def open_engines(database: str) -> Engines:

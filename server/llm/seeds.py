@@ -78,14 +78,11 @@ class LlmSeeds:
             asking = dict(self._asking)
         until = time.monotonic() + LAST_ANSWERS_S
         for campaign_id, one in asking.items():
-            log.info(
-                "campaign=%s: %s; waiting up to %g s for the answer", campaign_id, one.words, LAST_ANSWERS_S
-            )
+            about = {"campaign": campaign_id}
+            log.info("%s; waiting up to %g s for the answer", one.words, LAST_ANSWERS_S, extra=about)
             one.thread.join(max(0.0, until - time.monotonic()))
             if one.thread.is_alive():
-                log.warning(
-                    "campaign=%s: no answer came; it will be asked for again, and counts twice", campaign_id
-                )
+                log.warning("no answer came; it will be asked for again, and counts twice", extra=about)
         self._release(None)
 
     def proposals(
@@ -129,17 +126,18 @@ class LlmSeeds:
     def _ask(self, campaign_id: str, settings: LlmSettings, problem: Describes, request: SeedRequest) -> None:
         """Ask, on a thread of its own; without an answer the sweeper has it asked again."""
         answer: Sequence[Proposal] | None = None
+        about = {"campaign": campaign_id}
         try:
             answer = asyncio.run(self._answer_while_claimed(campaign_id, settings, problem, request))
         except _ClaimLost:
-            log.warning("campaign=%s: another coordinator asks for its seeds now", campaign_id)
+            log.warning("another coordinator asks for its seeds now", extra=about)
         except (Unavailable, DBAPIError) as error:
-            log.warning("campaign=%s: %s; its seeds will be asked for again", campaign_id, error)
+            log.warning("%s; its seeds will be asked for again", error, extra=about)
         except CallLogMismatch as error:
-            log.warning("campaign=%s: %s; it goes on without these seeds", campaign_id, error)
+            log.warning("%s; it goes on without these seeds", error, extra=about)
             answer = ()
         except Exception:
-            log.exception("campaign=%s: seeds cannot be had; it goes on without them", campaign_id)
+            log.exception("seeds cannot be had; it goes on without them", extra=about)
             answer = ()
         # Released before it is forgotten: who stops waits for all that are not forgotten, and then the writer closes.
         self._release(campaign_id)
@@ -181,5 +179,5 @@ class LlmSeeds:
                 request, road=problem.road, most=problem.most, system=problem.system, log=calls, client=client
             )
         level = logging.INFO if answer.proposals else logging.WARNING
-        log.log(level, "campaign=%s: %s", campaign_id, answer.words)
+        log.log(level, "%s", answer.words, extra={"campaign": campaign_id})
         return answer.proposals

@@ -140,9 +140,8 @@ class CampaignCalls:
                     lambda connection: insert_call(connection, self._campaign_id, call)
                 ).result()
             except Unavailable as error:
-                log.warning(
-                    "campaign=%s: a model's answer cannot be stored yet: %s", self._campaign_id, error
-                )
+                about = {"campaign": self._campaign_id}
+                log.warning("a model's answer cannot be stored yet: %s", error, extra=about)
                 if time.monotonic() > until or self._stopping.wait(STORES_AGAIN_S):
                     raise
             else:

@@ -58,12 +58,18 @@ def exchange(connection: Connection, requests: Sequence[Exchange]) -> list[Excha
     granted = lease_store.lease_together(connection, wanted, now)
     # A campaign that just granted a job is not idle.
     idle = report_store.idle_campaigns(connection, set(taken.campaigns) - granted.campaigns)
+    reported = [{outcome.job for outcome in request.outcomes} for request in requests]
     statuses, grants = iter(taken.statuses), iter(granted.jobs)
     return [
         Exchanged(
-            report=Report(statuses=tuple(next(statuses) for _ in request.outcomes), campaigns=idle),
+            report=Report(
+                statuses=tuple(next(statuses) for _ in request.outcomes),
+                campaigns=idle,
+                owners=taken.owners,
+                quarantined=tuple(loss for loss in taken.quarantined if loss.job in jobs),
+            ),
             released=given_back,
             granted=next(grants) if request.wanted is not None else [],
         )
-        for request, given_back in zip(requests, released, strict=True)
+        for request, given_back, jobs in zip(requests, released, reported, strict=True)
     ]

@@ -377,4 +377,5 @@ def _leased(row: JobRecord) -> LeasedJob:
         spec=json.loads(row.spec),
         record=row.kind == JobKind.TRACE,
         timeout_s=row.timeout_s,
+        campaign=row.campaign_id,
     )

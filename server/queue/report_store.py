@@ -6,6 +6,7 @@ transaction, only if the lease token that it names still holds the job.
 
 import secrets
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime, timedelta
 
 from sqlalchemy import Connection, bindparam, exists, insert, select, update
@@ -14,7 +15,7 @@ from server.db.clock import database_now
 from server.db.locking import locked
 from server.db.many import UpdateEach, among
 from server.db.models import EVALUATES, CampaignRow, CampaignStatus, JobRow, JobStatus, TraceRow
-from server.queue.values import JobRecord, LeaseTerms, Outcome, Report
+from server.queue.values import JobRecord, LeaseTerms, Loss, Outcome, Report
 
 MAX_ERROR_CHARACTERS = 4000
 MAX_BACKOFF_S = 300.0
@@ -53,7 +54,7 @@ _IDLE = select(CampaignRow.id).where(
 def report(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms) -> Report:
     """Store outcomes of jobs whose lease still holds; everything else changes nothing."""
     taken = take_in(connection, outcomes, terms, database_now(connection))
-    return Report(statuses=taken.statuses, campaigns=idle_campaigns(connection, taken.campaigns))
+    return replace(taken, campaigns=idle_campaigns(connection, taken.campaigns))
 
 
 def take_in(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms, now: datetime) -> Report:
@@ -73,21 +74,26 @@ def take_in(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTer
     _finish(connection, done, now)
     _keep_traces(connection, {rows[o.job].spec_hash: o.trace for o in accepted.values() if o.trace}, now)
     sharing = _share(connection, [rows[job] for job in done if rows[job].cache], done, now)
-    _fail(
+    losses = _fail(
         connection,
         [(rows[job], o) for job, o in accepted.items() if o.result is None],
         now,
         terms.retry_backoff_s,
     )
     touched = {rows[job].campaign_id for job in accepted} | sharing
-    return Report(statuses=tuple(statuses), campaigns=tuple(sorted(touched)))
+    return Report(
+        statuses=tuple(statuses),
+        campaigns=tuple(sorted(touched)),
+        owners={job: row.campaign_id for job, row in rows.items()},
+        quarantined=tuple(loss for loss in losses if loss.final),
+    )
 
 
-def expire(connection: Connection, terms: LeaseTerms) -> tuple[tuple[str, ...], int]:
+def expire(connection: Connection, terms: LeaseTerms) -> tuple[tuple[str, ...], list[Loss]]:
     """Take back leases that ran out: to the queue after a backoff, or into quarantine.
 
     Returns:
-        The campaigns that have no open episode left because of it, and how many leases ran out.
+        The campaigns that have no open episode left because of it, and the leases that ran out.
     """
     now = database_now(connection)
     rows = connection.execute(
@@ -101,8 +107,8 @@ def expire(connection: Connection, terms: LeaseTerms) -> tuple[tuple[str, ...], 
         )
     ).all()
     if not rows:
-        return (), 0
-    losses = [
+        return (), []
+    failures = [
         (
             row,
             Outcome(
@@ -112,11 +118,11 @@ def expire(connection: Connection, terms: LeaseTerms) -> tuple[tuple[str, ...], 
         )
         for row in rows
     ]  # fmt: skip
-    _fail(connection, losses, now, terms.retry_backoff_s)
+    losses = _fail(connection, failures, now, terms.retry_backoff_s)
     # Nothing was reported: whatever comes with these tokens from now on is late, and must not pass for stored.
     lost = [row.id for row in rows]
     connection.execute(update(JobRow).where(JobRow.id.in_(lost)).values(lease_token=None))
-    return idle_campaigns(connection, {row.campaign_id for row in rows}), len(rows)
+    return idle_campaigns(connection, {row.campaign_id for row in rows}), losses
 
 
 def idle_campaigns(connection: Connection, campaigns: Iterable[str]) -> tuple[str, ...]:
@@ -174,11 +180,11 @@ def _fail(
     failures: Sequence[tuple[JobRecord, Outcome]],
     now: datetime,
     backoff_s: float,
-) -> None:
+) -> list[Loss]:
     """Put failed jobs back after a backoff, or into quarantine."""
     if not failures:
-        return
-    values = []
+        return []
+    values, losses = [], []
     for row, outcome in failures:
         retry = not outcome.final and row.attempt < row.max_attempts
         wait_s = min(MAX_BACKOFF_S, backoff_s * 2 ** (row.attempt - 1))
@@ -192,6 +198,12 @@ def _fail(
                 "ended": None if retry else now,
             }
         )
+        losses.append(
+            Loss(
+                job=row.id, campaign=row.campaign_id, worker=row.lease_worker, attempt=row.attempt,
+                reason=outcome.error, final=not retry,
+            )
+        )  # fmt: skip
     connection.execute(
         update(JobRow)
         .where(JobRow.id == bindparam("failed"))
@@ -205,3 +217,4 @@ def _fail(
         ),
         values,
     )
+    return losses

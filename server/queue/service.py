@@ -22,7 +22,7 @@ from server.errors import FieldError, InvalidInput
 from server.metrics import Metrics
 from server.queue import holding_store, report_store, workers
 from server.queue.exchange import Exchange, Exchanged, exchange
-from server.queue.values import LeaseTerms, LeaseWanted, Outcome, Report
+from server.queue.values import LeaseTerms, LeaseWanted, Loss, Outcome, Report
 from server.queue.wakeups import Wakeups
 from server.settings import Settings
 from worker.wire import (
@@ -145,6 +145,8 @@ class QueueService:
         )  # fmt: skip
         report, released, granted = exchanged.report, exchanged.released, exchanged.granted
         self._count(request, report)
+        _log_report(request, report)
+        _log_granted(request.worker.id, granted)
         if released:
             self.wakeups.wake(released)
         self.advance_soon(report.campaigns)
@@ -189,7 +191,7 @@ class QueueService:
         try:
             moved = await loop.run_in_executor(self._steps, step)
         except Exception:
-            log.exception("campaign=%s: the step failed; the sweeper will look again", campaign)
+            log.exception("the step failed; the sweeper will look again", extra={"campaign": campaign})
             return
         if moved:
             self.wakeups.wake()
@@ -200,7 +202,7 @@ class QueueService:
         local = self.settings.sqlite_file is not None
         unnoted = self._drop_absent()
 
-        def unit(connection: Connection) -> tuple[tuple[str, ...], int, dict[str, tuple[str, ...]]]:
+        def unit(connection: Connection) -> tuple[tuple[str, ...], list[Loss], dict[str, tuple[str, ...]]]:
             for name, seen in unnoted.items():
                 workers.add_counts(connection, name, done=seen.done, failed=seen.failed)
             workers.forget_absent(connection, FORGET_S)
@@ -210,12 +212,15 @@ class QueueService:
                 holding_store.cut_short(connection, dead)
             return *report_store.expire(connection, terms), live
 
-        idle, expired, live = await asyncio.wrap_future(self.writer.submit(unit))
+        idle, lost, live = await asyncio.wrap_future(self.writer.submit(unit))
         self._with_others = {name: known for name, known in live.items() if name not in self._seen}
-        if expired:
-            log.warning("leases that ran out: %d", expired)
-            self.metrics.expired.inc(expired)
-            self.wakeups.wake(expired)
+        if lost:
+            log.warning("leases that ran out: %d", len(lost))
+            for loss in lost:
+                log.info("lease ran out", extra=loss.fields)
+            _log_quarantined(lost)
+            self.metrics.expired.inc(len(lost))
+            self.wakeups.wake(len(lost))
         self.advance_soon(idle)
 
     def _drop_absent(self) -> dict[str, _Seen]:
@@ -226,16 +231,20 @@ class QueueService:
             for name, seen in self._seen.items()
             if seen.at < horizon or workers.process_is_gone(seen.identity.machine, seen.identity.pid)
         }
-        for name in absent:
+        for name, seen in absent.items():
             del self._seen[name]
+            log.info(
+                "worker gone", extra={"worker": name, "host": seen.identity.host, "pid": seen.identity.pid}
+            )
         return {name: seen for name, seen in absent.items() if seen.done or seen.failed}
 
     async def _lease_now(self, request: LeaseRequest) -> list[LeasedJob]:
         note = self._heard_of(request.worker, request.capabilities)
         notes = (note,) if note is not None else ()
-        return (
-            await self._exchange(Exchange(terms=self.terms(), notes=notes, wanted=self._wanted(request)))
-        ).granted
+        asked = Exchange(terms=self.terms(), notes=notes, wanted=self._wanted(request))
+        granted = (await self._exchange(asked)).granted
+        _log_granted(request.worker.id, granted)
+        return granted
 
     def _wanted(self, request: LeaseRequest) -> LeaseWanted:
         return LeaseWanted(
@@ -259,6 +268,9 @@ class QueueService:
     ) -> Callable[[Connection], None] | None:
         """Remember a worker; return what notes it in the database, or None if that is not due."""
         now = self.clock()
+        if worker.id not in self._seen:
+            about = {"worker": worker.id, "host": worker.host, "pid": worker.pid, "version": worker.version}
+            log.info("worker first seen", extra=about)
         seen = self._seen.setdefault(worker.id, _Seen(identity=worker, at=now))
         seen.at, seen.identity = now, worker
         seen.done += sum(outcome.result is not None for outcome in outcomes)
@@ -272,6 +284,31 @@ class QueueService:
         seen.noted_at, seen.done, seen.failed = now, 0, 0
         known = list(seen.capabilities)
         return lambda connection: workers.note(connection, worker, known, done=done, failed=failed)
+
+
+def _log_granted(worker: str, granted: Sequence[LeasedJob]) -> None:
+    if log.isEnabledFor(logging.DEBUG):
+        for job in granted:
+            about = {"campaign": job.campaign, "job": job.job, "worker": worker, "attempt": job.attempt}
+            log.debug("job granted", extra=about)
+
+
+def _log_report(request: ResultsRequest, report: Report) -> None:
+    _log_quarantined(report.quarantined)
+    if log.isEnabledFor(logging.DEBUG):
+        for item, status in zip(request.results, report.statuses, strict=True):
+            about = {
+                "campaign": report.owners.get(item.job, ""),
+                "job": item.job,
+                "worker": request.worker.id,
+            }
+            log.debug("result %s", status, extra={**about, "outcome": item.outcome.kind})
+
+
+def _log_quarantined(losses: Iterable[Loss]) -> None:
+    for loss in losses:
+        if loss.final:
+            log.info("job in quarantine", extra=loss.fields)
 
 
 def _outcome(index: int, job: int, token: str, outcome: Completed | object) -> Outcome:

@@ -1,7 +1,7 @@
 """What goes into the queue's SQL, and what comes out of it."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 from sqlalchemy import Row
@@ -79,13 +79,43 @@ class Outcome:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Loss:
+    """An attempt at a job that came to nothing.
+
+    Attributes:
+        worker: Who held it.
+        reason: In words.
+        final: Whether the job is in quarantine now.
+    """
+
+    job: int
+    campaign: str
+    worker: str
+    attempt: int
+    reason: str
+    final: bool
+
+    @property
+    def fields(self) -> dict[str, object]:
+        """What the log says of it."""
+        return {
+            "campaign": self.campaign, "job": self.job, "worker": self.worker, "attempt": self.attempt,
+            "reason": self.reason.partition("\n")[0],
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Report:
     """What became of reported outcomes.
 
     Attributes:
         statuses: ``accepted``, ``duplicate`` or ``stale``, in the order of the outcomes.
         campaigns: Campaigns that have no open episode left because of them.
+        owners: The campaign of each job that is known.
+        quarantined: Jobs that will not be tried again.
     """
 
     statuses: tuple[str, ...]
     campaigns: tuple[str, ...]
+    owners: Mapping[int, str] = field(default_factory=dict)
+    quarantined: tuple[Loss, ...] = ()

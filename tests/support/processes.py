@@ -129,6 +129,18 @@ class Site:
         """Where the coordinator listens."""
         return f"http://127.0.0.1:{self.port}"
 
+    @property
+    def headers(self) -> dict[str, str]:
+        """What every request carries: the coordinator's token, if it has one."""
+        token = self.env.get("BRINK_TOKEN")
+        return {"Authorization": f"Bearer {token}"} if token else {}
+
+    def get(self, path: str) -> httpx.Response:
+        """Ask the coordinator."""
+        response = httpx.get(f"{self.url}{path}", headers=self.headers)
+        assert response.status_code == 200, response.text
+        return response
+
     def start_coordinator(self) -> None:
         """Start the coordinator, at the same port as before."""
         self.coordinator = Program(
@@ -172,14 +184,12 @@ class Site:
 
     def progress(self, campaign: str) -> dict[str, Any]:
         """Return where a campaign stands."""
-        response = httpx.get(f"{self.url}/api/v1/campaigns/{campaign}/progress")
-        assert response.status_code == 200, response.text
-        document: dict[str, Any] = response.json()
+        document: dict[str, Any] = self.get(f"/api/v1/campaigns/{campaign}/progress").json()
         return document
 
     def submit(self, body: Mapping[str, Any]) -> str:
         """Submit a campaign and return its id."""
-        response = httpx.post(f"{self.url}/api/v1/campaigns", json=dict(body))
+        response = httpx.post(f"{self.url}/api/v1/campaigns", json=dict(body), headers=self.headers)
         assert response.status_code == 201, response.text
         return str(response.json()["id"])
 

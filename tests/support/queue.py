@@ -137,7 +137,8 @@ class Queue:
 
     def expire(self) -> tuple[tuple[str, ...], int]:
         """Take back the leases that ran out."""
-        return self.run(lambda c: report_store.expire(c, TERMS))
+        campaigns, lost = self.run(lambda c: report_store.expire(c, TERMS))
+        return campaigns, len(lost)
 
     def run_out(self, *jobs: LeasedJob) -> None:
         """Let leases run out and take them back."""

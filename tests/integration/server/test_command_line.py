@@ -98,7 +98,13 @@ def test_the_commands_of_the_design_are_there() -> None:
 
 
 def test_calling_it_wrongly_exits_2(brink: Command) -> None:
-    for arguments in (["runn"], ["run"], ["run", "x.yaml", "--workers", "0"], ["results", "x", "--t-b", "2"]):
+    for arguments in (
+        ["runn"],
+        ["run"],
+        ["run", "x.yaml", "--workers", "0"],
+        ["results", "x", "--t-b", "2"],
+        ["worker", "--workers", "2"],
+    ):
         said = brink(*arguments)
         assert said.status == 2, arguments
         assert "Usage" in said.err

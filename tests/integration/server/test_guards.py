@@ -102,3 +102,18 @@ def test_answers_do_not_wait_for_acknowledgements() -> None:
 def test_a_database_that_cannot_be_used_is_told(url: str) -> None:
     with pytest.raises(DatabaseError, match="database URL"):
         parse_url(url)
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "postgres//brink:s3cret:s3cret@s3cret@db/brink",
+        "postgresql://brink:s3cret@db:port/brink",
+        "mysql://brink:s3cret@db/brink",
+        "postgresql:/db/brink?password=s3cret",
+    ],
+)
+def test_a_url_that_cannot_be_read_is_told_without_its_password(url: str) -> None:
+    with pytest.raises(DatabaseError, match="database URL") as told:
+        parse_url(url)
+    assert "s3cret" not in str(told.value)

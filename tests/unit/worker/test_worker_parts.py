@@ -154,7 +154,7 @@ def test_a_log_line_is_one_line_with_its_fields() -> None:
     record = logging.makeLogRecord(
         {"name": "worker.runner", "levelname": "WARNING", "msg": "two\nlines", "job": 7, "reason": "no luck"}
     )
-    line = LineFormatter("w-1").format(record)
+    line = LineFormatter(worker="w-1").format(record)
     assert line.endswith('WARNING worker.runner: two lines worker=w-1 job=7 reason="no luck"')
 
 
@@ -165,6 +165,6 @@ def test_a_log_line_keeps_its_stack() -> None:
         record = logging.makeLogRecord(
             {"msg": "broken", "exc_info": (type(error), error, error.__traceback__)}
         )
-    first, *stack = LineFormatter("w-1").format(record).split("\n")
+    first, *stack = LineFormatter(worker="w-1").format(record).split("\n")
     assert "broken worker=w-1" in first
     assert "JSONDecodeError" in stack[-1]
