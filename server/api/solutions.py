@@ -72,7 +72,7 @@ async def get_solutions(
             wanted &= archive.unsafe == unsafe
         numbers = [int(number) for number in np.sort(archive.numbers[wanted])[:limit]]
         rows = await read(services.engines, lambda c: view_store.read_solutions(c, campaign.id, numbers))
-    views = solution_views(rows, found.plan.problem, archive)
+    views = solution_views(rows, found)
     return SolutionPage(solutions=views, next=views[-1].number if len(views) == limit else None)
 
 
@@ -84,7 +84,7 @@ async def get_solution(campaign_id: str, number: Number, services: Services) -> 
     rows = await read(services.engines, lambda c: view_store.read_solutions(c, campaign.id, [number]))
     if not rows:
         raise NotFound(f"campaign {campaign.id} has no solution {number}")
-    return solution_views(rows, found.plan.problem, found.archive, full=True)[0]
+    return solution_views(rows, found, full=True)[0]
 
 
 @router.get("/boundary", responses={200: {"content": {"text/csv": {}}}})

@@ -9,8 +9,7 @@ import numpy as np
 from sqlalchemy import Connection, Row
 
 from search.archive import Archive
-from search.boundary import PAPER_D_THS, PAPER_T_BS, dbs_grid, distinct_boundary
-from search.digest import archive_digest
+from search.boundary import distinct_boundary
 from server.api.schemas import (
     Boundary,
     CampaignView,
@@ -82,7 +81,7 @@ def read_progress(
         remaining_s=remaining / rate if rate and not ended else None,
         elapsed_s=max(0.0, (end - campaign.created_at).total_seconds()), workers=len(seen),
         unrunnable={needs: n for needs, n in waiting.items() if needs not in capabilities},
-        digest=archive_digest(archive.archive) if archive is not None else None,
+        digest=archive.digest if archive is not None else None,
         looks_for_boundary=looks_for_boundary(campaign.body),
         origins=view_store.count_origins(connection, campaign.id) if ended else {},
         asking=asking,
@@ -108,18 +107,19 @@ def _rate(campaign: Campaign, series: list[GenerationSummary], done: int, end: d
 
 
 def solution_views(
-    rows: Iterable[Row[*tuple[Any, ...]]], problem: Problem, archive: Archive, *, full: bool = False
+    rows: Iterable[Row[*tuple[Any, ...]]], read: ReadArchive, *, full: bool = False
 ) -> list[SolutionView]:
     """Return solutions with decoded parameters and their place in the archive.
 
     Args:
         rows: From the store.
-        problem: The campaign's problem.
-        archive: Its archive.
+        read: The campaign's archive.
         full: Whether to add all verdicts, features, provenance and the episode.
     """
-    place = {int(number): index for index, number in enumerate(archive.numbers)}
-    return [_solution(row, problem, archive, place.get(row.number), full=full) for row in rows]
+    return [
+        _solution(row, read.plan.problem, read.archive, read.places.get(row.number), full=full)
+        for row in rows
+    ]
 
 
 def _solution(
@@ -149,7 +149,7 @@ def boundary_view(
     archive = read.archive
     chosen = distinct_boundary(archive, t_b, d_th)
     strict = distinct_boundary(archive, t_b, d_th, strict=True)
-    grid = dbs_grid(archive, PAPER_T_BS, PAPER_D_THS)
+    grid = read.grid
     numbers = [int(number) for number in archive.numbers[chosen]]
     rows = {row.number: row for row in view_store.read_solutions(connection, campaign.id, numbers)}
     return Boundary(
@@ -163,7 +163,7 @@ def boundary_view(
             for row, t in enumerate(grid.t_bs)
             for column, d in enumerate(grid.d_ths)
         ],
-        solutions=solution_views([rows[number] for number in numbers], read.plan.problem, archive, full=True),
+        solutions=solution_views([rows[number] for number in numbers], read, full=True),
         strict=[int(number) for number in archive.numbers[strict]],
     )
 

@@ -2,13 +2,16 @@
 
 import asyncio
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from sqlalchemy import Connection
 
 from search.archive import Archive
+from search.boundary import PAPER_D_THS, PAPER_T_BS, DbsGrid, dbs_grid
 from search.component import FloatArray
+from search.digest import archive_digest
 from server.campaigns import step_store
 from server.campaigns.advance import Stepper
 from server.campaigns.plan import Plan, make_plan, restored_archive
@@ -18,13 +21,28 @@ from server.db.engine import Engines
 KEPT = 8
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class ReadArchive:
-    """A campaign's archive as of its last generation told."""
+    """A campaign's archive as of its last generation told, with what is asked of it again and again."""
 
     plan: Plan
     archive: Archive
     generation: int
+
+    @cached_property
+    def digest(self) -> str:
+        """The digest of the archive."""
+        return archive_digest(self.archive)
+
+    @cached_property
+    def places(self) -> Mapping[int, int]:
+        """Where in the archive each solution is, by its number."""
+        return {number: place for place, number in enumerate(self.archive.numbers.tolist())}
+
+    @cached_property
+    def grid(self) -> DbsGrid:
+        """DBS and strict DBS at the paper's thresholds."""
+        return dbs_grid(self.archive, PAPER_T_BS, PAPER_D_THS)
 
 
 @dataclass(slots=True)

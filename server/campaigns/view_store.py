@@ -16,6 +16,8 @@ from server.db.models import (
     SolutionVerdict,
 )
 
+_NOT_DONE = tuple(status for status in JobStatus if status is not JobStatus.DONE)
+
 
 def list_generations(connection: Connection, campaign_id: str, since: int) -> list[GenerationSummary]:
     """Return the generations told, from number `since` on."""
@@ -39,7 +41,7 @@ def count_open_jobs(connection: Connection, campaign_id: str) -> dict[str, int]:
     query = (
         select(JobRow.status, func.count())
         .where(JobRow.campaign_id == campaign_id, EVALUATES)
-        .where(JobRow.status != JobStatus.DONE)
+        .where(JobRow.status.in_(_NOT_DONE))  # not "other than done", which would look at all jobs
         .group_by(JobRow.status)
     )
     return {str(row[0]): int(row[1]) for row in connection.execute(query)}
