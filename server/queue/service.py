@@ -6,7 +6,6 @@ wakes waiting workers, whoever finishes a generation has its campaign advanced.
 
 import asyncio
 import base64
-import binascii
 import itertools
 import logging
 import time
@@ -131,7 +130,7 @@ class QueueService:
         outcomes = [
             _outcome(index, item.job, item.token, item.outcome) for index, item in enumerate(request.results)
         ]
-        note = self._heard_of(request.worker, None, outcomes)
+        note = self._heard_of(request.worker, None)
         wanted = request.lease
         note_wanted = self._heard_of(wanted.worker, wanted.capabilities) if wanted is not None else None
         terms = self.terms(wanted.worker.id if wanted is not None else None)
@@ -169,10 +168,16 @@ class QueueService:
         return ResultsReply(statuses=statuses, lease=reply)
 
     def _count(self, request: ResultsRequest, report: Report) -> None:
+        seen = self._seen.get(request.worker.id)
         for item, status in zip(request.results, report.statuses, strict=True):
             self.metrics.results.labels(status).inc()
-            if status == "accepted" and not isinstance(item.outcome, Completed):
+            if status != "accepted":
+                continue
+            if not isinstance(item.outcome, Completed):
                 self.metrics.failures.labels(item.outcome.reason).inc()
+            if seen is not None:
+                seen.done += isinstance(item.outcome, Completed)
+                seen.failed += not isinstance(item.outcome, Completed)
 
     def advance_soon(self, campaigns: Iterable[str]) -> None:
         """Have campaigns advanced off the event loop, each at most once at a time in line."""
@@ -257,14 +262,12 @@ class QueueService:
         self.wakeups.wake(1)
 
     def _heard_of(
-        self, worker: WorkerIdentity, capabilities: Sequence[str] | None, outcomes: Sequence[Outcome] = ()
+        self, worker: WorkerIdentity, capabilities: Sequence[str] | None
     ) -> Callable[[Connection], None]:
         """Remember a worker; return what notes it in the database, if that is due."""
         now = self.clock()
         seen = self._seen.setdefault(worker.id, _Seen(identity=worker, at=now))
         seen.at, seen.identity = now, worker
-        seen.done += sum(outcome.result is not None for outcome in outcomes)
-        seen.failed += sum(outcome.result is None for outcome in outcomes)
         changed = capabilities is not None and tuple(capabilities) != seen.capabilities
         if capabilities is not None:
             seen.capabilities = tuple(capabilities)
@@ -282,7 +285,7 @@ def _outcome(index: int, job: int, token: str, outcome: Completed | object) -> O
         if outcome.trace is not None:
             try:
                 trace = base64.b64decode(outcome.trace, validate=True)
-            except binascii.Error:
+            except ValueError:  # of base64, or a letter that is not ASCII
                 raise InvalidInput(
                     [FieldError(pointer=f"/results/{index}/outcome/trace", message="expected base64")]
                 ) from None

@@ -180,11 +180,12 @@ def test_an_unknown_solution_has_no_trace(client: httpx.Client) -> None:
     expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/9999/trace"), 404)
 
 
-def test_a_trace_that_is_no_base64_is_refused(client: httpx.Client) -> None:
+@pytest.mark.parametrize("garbage", ["no base64!", "AAA", "\u00fc"])
+def test_a_trace_that_is_no_base64_is_refused(client: httpx.Client, garbage: str) -> None:
     worker = FakeWorker(client)
     submit(client, ball())
     (job,) = worker.lease(max_jobs=1)
-    outcome = {**completes(job).model_dump(), "trace": "no base64!"}
+    outcome = {**completes(job).model_dump(), "trace": garbage}
     body = {"worker": worker.identity, "results": [{"job": job.job, "token": job.token, "outcome": outcome}]}
     (error,) = expect(client.post("/api/v1/jobs/results", json=body), 422)["errors"]
     assert error["pointer"] == "/results/0/outcome/trace"
