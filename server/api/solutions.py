@@ -37,7 +37,7 @@ from server.campaigns.values import Campaign
 from server.db.models import JobStatus
 from server.errors import Conflict, FieldError, InvalidInput, NotFound, Unavailable
 from server.queue.workers import can_run
-from sim.errors import InvalidEpisode
+from sim.errors import SimulatorError
 from sim.replay import render_bytes
 from sim.trace import Trace
 
@@ -257,16 +257,18 @@ async def get_replay(
     data = await _trace(services, campaign, number, request, wait_s)
     if data is None:
         return _being_made()
-    try:
-        trace = Trace.from_bytes(data)
-    except InvalidEpisode as error:
-        raise Conflict(f"solution {number}: its trace cannot be drawn: {error}") from None
     requirement = campaign.body.problem.params.get("requirement")
 
     def draw() -> bytes:
-        return render_bytes(trace, f".{extension}", requirement=requirement)
+        return render_bytes(Trace.from_bytes(data), f".{extension}", requirement=requirement)
 
-    picture = await asyncio.get_running_loop().run_in_executor(None, draw)
+    try:
+        picture = await asyncio.get_running_loop().run_in_executor(None, draw)
+    except (SimulatorError, LookupError, ValueError, TypeError, ArithmeticError, MemoryError) as error:
+        # A worker may send anything; that nobody can draw it is no fault of the coordinator.
+        raise Conflict(
+            f"solution {number}: its trace cannot be drawn: {type(error).__name__}: {error}"
+        ) from None
     media = {"png": "image/png", "gif": "image/gif", "mp4": "video/mp4"}[extension]
     return Response(picture, media_type=media)
 
