@@ -74,7 +74,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
 
     app = FastAPIOffline(  # the pages of the API must work where there is no way out to the internet
         redoc_url=None, static_url="/docs-files", title="Brink", description=DESCRIPTION,
-        version=version("brink"), lifespan=lifespan,
+        version=version("brink"), lifespan=lifespan, redirect_slashes=False,
         responses={
             "4XX": {"model": ProblemDetail, "description": "What is wrong with the request."},
             "5XX": {"model": ProblemDetail, "description": "What keeps the coordinator from answering; try again."},
@@ -91,7 +91,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
     token = settings.token.get_secret_value() if settings.token else None
     exposed = settings.host not in LOOPBACK
     gate = Gate(engines, token=token, exposed=exposed, rate_limit=settings.rate_limit) if sweeping else None
-    app.add_middleware(Guards, gate=gate, max_body_bytes=settings.max_body_bytes)
+    app.add_middleware(Guards, gate=gate, max_body_bytes=settings.max_body_bytes, stall_s=settings.stall_s)
     app.add_middleware(Measured, metrics=metrics)
     return app
 
