@@ -31,7 +31,7 @@ async def submit_campaign(
     body: CampaignBody,
     services: Services,
     response: Response,
-    idempotency_key: Annotated[str | None, Header(max_length=200)] = None,
+    idempotency_key: Annotated[str | None, Header(max_length=200, pattern="^[ -~]+$")] = None,
 ) -> CampaignView:
     """Submit a campaign. The same `Idempotency-Key` again returns the campaign of the first time, with 200."""
     campaign, new = await services.campaigns.submit(body, idempotency_key)
