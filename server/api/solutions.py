@@ -21,9 +21,11 @@ from server.api.combination_views import combinations_view, variants_view
 from server.api.context import Context, Services, client_gone
 from server.api.schemas import (
     MAX_NUMBER,
+    BeingMade,
     Boundary,
     Combinations,
     DistanceBlock,
+    ProblemDetail,
     SolutionPage,
     SolutionView,
     Variant,
@@ -222,13 +224,20 @@ def _choices(space: SearchSpace) -> list[str]:
     ]
 
 
+_NOT_YET: dict[int | str, dict[str, Any]] = {
+    202: {"model": BeingMade, "description": "Being made; ask again after `Retry-After`."},
+    503: {
+        "model": ProblemDetail,
+        "description": "No live worker can make it; ask again after `Retry-After`.",
+    },
+}
 Wait = Annotated[float, Query(ge=0, le=60, description="How long to wait for workers to make the trace.")]
 
 
 @router.get(
     "/solutions/{number}/trace",
     response_class=Response,
-    responses={200: {"content": {"application/x-npz": {}}}, 202: {"description": "Being made; ask again."}},
+    responses={200: {"content": {"application/x-npz": {}}}, **_NOT_YET},
 )
 async def get_trace(
     campaign_id: str, number: Number, request: Request, services: Services, wait_s: Wait = 20.0
@@ -242,7 +251,7 @@ async def get_trace(
 @router.get(
     "/solutions/{number}/replay.{extension}",
     response_class=Response,
-    responses={200: {"content": {"image/png": {}, "image/gif": {}, "video/mp4": {}}}},
+    responses={200: {"content": {"image/png": {}, "image/gif": {}, "video/mp4": {}}}, **_NOT_YET},
 )
 async def get_replay(
     campaign_id: str,
@@ -328,5 +337,5 @@ class _Look:
 
 
 def _being_made() -> JSONResponse:
-    content = {"detail": "a worker is asked to make the trace; ask again soon"}
-    return JSONResponse(content, status_code=202, headers={"Retry-After": "2"})
+    view = BeingMade(detail="a worker is asked to make the trace; ask again soon")
+    return JSONResponse(view.model_dump(), status_code=202, headers={"Retry-After": "2"})

@@ -98,6 +98,14 @@ def test_nobody_waits_for_a_trace_that_no_worker_can_make(
     assert client.get(path, params={"wait_s": 0}).status_code == 202
 
 
+@pytest.mark.parametrize("what", ["trace", "replay.{extension}"])
+def test_that_a_trace_is_not_there_yet_is_described(client: httpx.Client, what: str) -> None:
+    paths = expect(client.get("/openapi.json"))["paths"]
+    answers = paths[f"/api/v1/campaigns/{{campaign_id}}/solutions/{{number}}/{what}"]["get"]["responses"]
+    assert set(answers["202"]["content"]) == {"application/json"}
+    assert set(answers["503"]["content"]) == {"application/problem+json"}
+
+
 def test_the_command_says_at_once_that_no_worker_can_make_a_trace(
     client: httpx.Client, tmp_path: Path
 ) -> None:
