@@ -3,7 +3,9 @@
 import asyncio
 import logging
 from collections.abc import AsyncIterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
+from functools import partial
 from importlib.metadata import version
 
 from fastapi import APIRouter, FastAPI
@@ -19,7 +21,7 @@ from server.api.schemas import ProblemDetail
 from server.campaigns import store
 from server.campaigns.advance import Stepper
 from server.campaigns.archives import Archives
-from server.campaigns.service import CampaignService, read
+from server.campaigns.service import SLOW_AT_ONCE, CampaignService, read
 from server.db.engine import Engines, open_engines
 from server.db.writer import Writer
 from server.errors import Unavailable
@@ -68,6 +70,8 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
                 )  # cancelled, it would leave its thread with a connection of engines that are gone
             loop = asyncio.get_running_loop()
             await loop.run_in_executor(None, context.seeds.close)
+            await loop.run_in_executor(None, context.campaigns.close)
+            await loop.run_in_executor(None, partial(context.drawing.shutdown, cancel_futures=True))
             await loop.run_in_executor(None, context.queue.close)
             await loop.run_in_executor(None, context.queue.writer.close)
             engines.dispose()
@@ -119,6 +123,7 @@ def _context(
         archives=Archives(engines=engines, stepper=stepper),
         seeds=seeds,
         metrics=metrics,
+        drawing=ThreadPoolExecutor(SLOW_AT_ONCE, thread_name_prefix="brink-draw"),
     )
 
 

@@ -272,7 +272,7 @@ async def get_replay(
         return render_bytes(Trace.from_bytes(data), f".{extension}", requirement=requirement)
 
     try:
-        picture = await asyncio.get_running_loop().run_in_executor(None, draw)
+        picture = await asyncio.get_running_loop().run_in_executor(services.drawing, draw)
     except (SimulatorError, LookupError, ValueError, TypeError, ArithmeticError, MemoryError) as error:
         # A worker may send anything; that nobody can draw it is no fault of the coordinator.
         raise Conflict(
