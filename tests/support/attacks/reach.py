@@ -32,7 +32,7 @@ def _no_address(target: Target) -> Iterable[Answer]:
     for endpoint in (
         "file:///etc/passwd", "gopher://127.0.0.1/", "http://user:s3cret@127.0.0.1/v1", "http://127.0.0.1:99999/v1",
         "http://127.0.0.1/v1?key=s3cret", "http://127.0.0.1/v1#x", "//127.0.0.1", "http://",
-        "http://127.0.0.1/\r\nX: y",
+        "http://127.0.0.1/\r\nX: y", "http://127.0.0.1/v1/../admin", "http://127.0.0.1/v1/%2e%2e/", "http://127.0.0.1\\v1",
     ):  # fmt: skip
         yield target.submit(_asks(endpoint))
 
