@@ -3,7 +3,9 @@
 import asyncio
 import logging
 from collections.abc import AsyncIterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
+from functools import partial
 from importlib.metadata import version
 
 from fastapi import APIRouter, FastAPI
@@ -19,7 +21,7 @@ from server.api.schemas import ProblemDetail
 from server.campaigns import store
 from server.campaigns.advance import Stepper
 from server.campaigns.archives import Archives
-from server.campaigns.service import CampaignService, read
+from server.campaigns.service import SLOW_AT_ONCE, CampaignService, read
 from server.db.engine import Engines, open_engines
 from server.db.news import listen
 from server.db.writer import Writer
@@ -76,13 +78,15 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
                 )  # cancelled, it would leave its thread with a connection of engines that are gone
             loop = asyncio.get_running_loop()
             await loop.run_in_executor(None, context.seeds.close)
+            await loop.run_in_executor(None, context.campaigns.close)
+            await loop.run_in_executor(None, partial(context.drawing.shutdown, cancel_futures=True))
             await loop.run_in_executor(None, context.queue.close)
             await loop.run_in_executor(None, context.queue.writer.close)
             engines.dispose()
 
     app = FastAPIOffline(  # the pages of the API must work where there is no way out to the internet
         redoc_url=None, static_url="/docs-files", title="Brink", description=DESCRIPTION,
-        version=version("brink"), lifespan=lifespan,
+        version=version("brink"), lifespan=lifespan, redirect_slashes=False,
         responses={
             "4XX": {"model": ProblemDetail, "description": "What is wrong with the request."},
             "5XX": {"model": ProblemDetail, "description": "What keeps the coordinator from answering; try again."},
@@ -100,7 +104,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
     token = settings.token.get_secret_value() if settings.token else None
     exposed = settings.host not in LOOPBACK
     gate = Gate(engines, token=token, exposed=exposed, rate_limit=settings.rate_limit) if sweeping else None
-    app.add_middleware(Guards, gate=gate, max_body_bytes=settings.max_body_bytes)
+    app.add_middleware(Guards, gate=gate, max_body_bytes=settings.max_body_bytes, stall_s=settings.stall_s)
     app.add_middleware(Measured, metrics=metrics, access_log=settings.access_log)
     return app
 
@@ -128,6 +132,7 @@ def _context(
         archives=Archives(engines=engines, stepper=stepper),
         seeds=seeds,
         metrics=metrics,
+        drawing=ThreadPoolExecutor(SLOW_AT_ONCE, thread_name_prefix="brink-draw"),
     )
 
 

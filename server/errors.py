@@ -4,7 +4,7 @@ ServerError
 ├── InvalidInput      422  input does not say something that can be done; carries a pointer to each field
 ├── NotFound          404  no such resource
 ├── Conflict          409  the resource is in a state that does not allow this
-├── Unavailable       503  try again later: the database is away, the coordinator is stopping
+├── Unavailable       503  try again later: the database is away, the coordinator is stopping, no worker can
 └── DatabaseError     1    command line only: the database cannot be used as it is
 """
 
@@ -58,7 +58,15 @@ class Conflict(ServerError):
 
 
 class Unavailable(ServerError):
-    """Try again later."""
+    """Try again later.
+
+    Attributes:
+        retry_after_s: After how many seconds.
+    """
+
+    def __init__(self, message: str, *, retry_after_s: int = 1) -> None:
+        self.retry_after_s = retry_after_s
+        super().__init__(message)
 
 
 class DatabaseError(ServerError):

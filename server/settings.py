@@ -35,6 +35,14 @@ class Settings(BaseSettings):
         float, Field(gt=0, description="A worker not heard of for this long counts as gone.")
     ] = 45.0
     max_body_bytes: Annotated[int, Field(gt=0)] = 64 * 1024 * 1024
+    stall_s: Annotated[
+        float,
+        Field(
+            gt=0,
+            le=3600,
+            description="How long a request may take to come; its body a second more for each 10 kB.",
+        ),
+    ] = 30.0
     max_stored_distances: Annotated[
         int, Field(ge=0, description="Solutions past which distance blocks are no longer stored.")
     ] = 20_000

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sim.episode import Json
 from sim.errors import InvalidEpisode
+from sim.trace_arrays import unpacked
 
 FloatArray: TypeAlias = NDArray[np.float32]
 IntArray: TypeAlias = NDArray[np.int32]
@@ -249,17 +250,21 @@ class Trace:
         Raises:
             InvalidEpisode: The document is no trace, or of a version that this code does not know.
         """
+        arrays = unpacked(document)
         try:
-            with np.load(io.BytesIO(document), allow_pickle=False) as npz:
-                arrays = {name: npz[name] for name in npz.files}
             header = json.loads(arrays["header"].tobytes())
-        except (ValueError, KeyError, OSError) as error:
+            version = header["version"]
+        except (ValueError, LookupError, TypeError, RecursionError) as error:
             raise InvalidEpisode(f"not a trace: {error}") from error
-        if header["version"] != TRACE_VERSION:
-            raise InvalidEpisode(
-                f"trace version {header['version']}: this code reads version {TRACE_VERSION}"
-            )
+        if version != TRACE_VERSION:
+            raise InvalidEpisode(f"trace version {version!r}: this code reads version {TRACE_VERSION}")
+        try:
+            return cls._of(header, arrays)
+        except (ValueError, LookupError, TypeError, AttributeError) as error:
+            raise InvalidEpisode(f"not a trace: {type(error).__name__}: {error}") from error
 
+    @classmethod
+    def _of(cls, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Self:
         def ragged(name: str) -> Ragged:
             return Ragged(
                 columns=tuple(header["columns"][name]),

@@ -133,6 +133,9 @@ def _inside(item: object) -> Iterable[Any]:
 JsonValues = Annotated[dict[str, Any], AfterValidator(_plain_json)]
 
 
+ValueName = Annotated[str, Field(min_length=1, max_length=128, pattern=NO_NUL)]
+
+
 class WireVerdict(Message):
     """What a requirement says of an episode."""
 
@@ -145,10 +148,10 @@ class Completed(Message):
     """An episode that ran to its end."""
 
     kind: Literal["completed"] = "completed"
-    verdicts: Annotated[dict[str, WireVerdict], Field(max_length=64)]
-    objectives: Annotated[dict[str, Annotated[float, Field(allow_inf_nan=False)]], Field(max_length=64)] = (
-        Field(default_factory=dict)
-    )
+    verdicts: Annotated[dict[ValueName, WireVerdict], Field(max_length=64)]
+    objectives: Annotated[
+        dict[ValueName, Annotated[float, Field(allow_inf_nan=False)]], Field(max_length=64)
+    ] = Field(default_factory=dict)
     features: Annotated[JsonValues, Field(max_length=256)] = Field(default_factory=dict)
     provenance: Annotated[JsonValues, Field(max_length=64)] = Field(default_factory=dict)
     trace: Annotated[str, Field(max_length=8_000_000, description="Base64 of the npz trace.")] | None = None

@@ -26,12 +26,18 @@ LATEST_S = 4e9
 """Later than any campaign, and a time that every platform can name."""
 
 
-@router.post("", status_code=201)
+@router.post(
+    "",
+    status_code=201,
+    responses={
+        200: {"model": CampaignView, "description": "The campaign of the first time, by its Idempotency-Key."}
+    },
+)
 async def submit_campaign(
     body: CampaignBody,
     services: Services,
     response: Response,
-    idempotency_key: Annotated[str | None, Header(max_length=200)] = None,
+    idempotency_key: Annotated[str | None, Header(max_length=200, pattern="^[ -~]+$")] = None,
 ) -> CampaignView:
     """Submit a campaign. The same `Idempotency-Key` again returns the campaign of the first time, with 200."""
     campaign, new = await services.campaigns.submit(body, idempotency_key)
@@ -93,7 +99,7 @@ async def delete_campaign(campaign_id: str, services: Services) -> None:
     await services.campaigns.delete(campaign_id)
 
 
-@router.get("/{campaign_id}/progress")
+@router.get("/{campaign_id}/progress", responses={304: {"description": "Nothing new since that ETag."}})
 async def get_progress(
     campaign_id: str,
     services: Services,

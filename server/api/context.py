@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncIterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from typing import Annotated, cast
@@ -28,6 +29,8 @@ class Context:
     archives: Archives
     seeds: LlmSeeds
     metrics: Metrics
+    drawing: ThreadPoolExecutor
+    """Threads of their own: a film takes seconds, and all else must not wait for that."""
 
 
 async def context_of(request: Request) -> Context:  # async: another thread would cost more than this does

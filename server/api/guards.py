@@ -1,7 +1,9 @@
 """What stands before every request: who comes, what they may do, how often, and how much they may say."""
 
+import asyncio
 import logging
 import math
+import time
 
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.datastructures import Headers, MutableHeaders
@@ -9,11 +11,14 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from server.access.gate import Gate
+from server.api.elsewhere import from_elsewhere
 from server.api.problem_details import problem
 
 OPEN_PATHS = ("/healthz", "/readyz", "/docs", "/openapi.json")
 """What says nothing of any campaign: whether the coordinator lives, and what its API is."""
 OPEN_FOLDERS = ("/docs-files/",)
+SLOWEST_BYTES_PER_S = 10_000.0
+"""What a body that takes longer than a stall must come with on the whole."""
 
 HEADERS = {
     "X-Content-Type-Options": "nosniff",
@@ -34,10 +39,11 @@ log = logging.getLogger(__name__)
 class Guards:
     """Refuses who may not, and bodies past the bound, before anything reads them."""
 
-    def __init__(self, app: ASGIApp, gate: Gate | None, max_body_bytes: int) -> None:
+    def __init__(self, app: ASGIApp, gate: Gate | None, max_body_bytes: int, stall_s: float) -> None:
         self._app = app
         self._gate = gate
         self._max_body_bytes = max_body_bytes
+        self._stall_s = stall_s
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
@@ -55,7 +61,9 @@ class Guards:
                     headers["Content-Security-Policy"] = policy
             await send(message)
 
-        refusal = None if _is_open(scope["path"]) else await self._refusal(scope)
+        refusal = _unheard_of(scope)
+        if refusal is None and not _is_open(scope["path"]):
+            refusal = await self._refusal(scope)
         if refusal is not None:
             await refusal(scope, receive, safer)
             return
@@ -67,7 +75,7 @@ class Guards:
             return None
         try:
             if not await self._gate.closed():
-                return None
+                return from_elsewhere(scope)
             given = Headers(scope=scope).get("authorization", "")
             caller = await self._gate.caller(given.encode("latin-1"))
         except SQLAlchemyError as error:
@@ -98,20 +106,31 @@ class Guards:
         if not length.isdigit() or int(length) > self._max_body_bytes:
             await self._too_large(scope, receive, send)
             return
-        body = _Bounded(receive, self._max_body_bytes)
+        body = _Bounded(receive, self._max_body_bytes, self._stall_s)
 
         async def answer(message: Message) -> None:
-            if not body.exceeded:
+            if not (body.exceeded or body.late):
                 await send(message)
 
         await self._app(scope, body.receive, answer)
         if body.exceeded:
             await self._too_large(scope, receive, send)
+        elif body.late:
+            await problem(
+                408, "Request timeout", "expected the whole body sooner", headers={"Connection": "close"}
+            )(scope, receive, send)
 
     async def _too_large(self, scope: Scope, receive: Receive, send: Send) -> None:
         await problem(413, "Body too large", f"expected at most {self._max_body_bytes} bytes")(
             scope, receive, send
         )
+
+
+def _unheard_of(scope: Scope) -> Response | None:
+    """Refuse a path with control characters: a route may match one that ends in a line feed, a scope would not."""
+    if scope["path"].isprintable():
+        return None
+    return problem(404, "Not found", "expected a path of printable characters")
 
 
 def _too_many(wait_s: float) -> Response:
@@ -126,19 +145,34 @@ def _is_open(path: str) -> bool:
 
 
 class _Bounded:
-    """A body that ends at the bound, as if the client had gone: for bodies that come without a length."""
+    """A body that ends at the bound, or when it takes too long to come, as if the client had gone."""
 
-    def __init__(self, receive: Receive, max_bytes: int) -> None:
+    def __init__(self, receive: Receive, max_bytes: int, stall_s: float) -> None:
         self._receive = receive
-        self._left = max_bytes
+        self._max_bytes = max_bytes
+        self._come = 0
+        self._ended = False
+        self._began_s = time.monotonic()
+        self._stall_s = stall_s
+        self.late = False
+        """Whether it took too long."""
 
     @property
     def exceeded(self) -> bool:
         """Whether the body went past the bound."""
-        return self._left < 0
+        return self._come > self._max_bytes
 
     async def receive(self) -> Message:
-        """Return the next part of the request."""
-        message = await self._receive()
-        self._left -= len(message.get("body", b""))
+        """Return the next part of the request; after its last one, wait for the client to go."""
+        if self._ended:
+            return await self._receive()
+        due_s = self._began_s + self._stall_s + self._come / SLOWEST_BYTES_PER_S
+        try:
+            async with asyncio.timeout(max(0.0, due_s - time.monotonic())):
+                message = await self._receive()
+        except TimeoutError:
+            self.late = True
+            return {"type": "http.disconnect"}
+        self._come += len(message.get("body", b""))
+        self._ended = not message.get("more_body", False)
         return {"type": "http.disconnect"} if self.exceeded else message

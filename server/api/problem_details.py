@@ -57,7 +57,7 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(Unavailable)
     async def unavailable(_: Request, error: Unavailable) -> JSONResponse:
-        return problem(503, "Unavailable", str(error), headers={"Retry-After": "1"})
+        return problem(503, "Unavailable", str(error), headers={"Retry-After": str(error.retry_after_s)})
 
     @app.exception_handler(DBAPIError)
     async def database_away(request: Request, error: DBAPIError) -> JSONResponse:

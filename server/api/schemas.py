@@ -320,6 +320,12 @@ class AlgorithmView(View):
     params: Annotated[dict[str, Any], Field(description="JSON schema of its parameters.")]
 
 
+class BeingMade(View):
+    """A trace that is not there yet."""
+
+    detail: str
+
+
 class ProblemDetail(BaseModel):
     """An error, as RFC 9457 has it."""
 

@@ -4,6 +4,7 @@ import asyncio
 import csv
 import io
 import json
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -20,9 +21,11 @@ from server.api.combination_views import combinations_view, variants_view
 from server.api.context import Context, Services, client_gone
 from server.api.schemas import (
     MAX_NUMBER,
+    BeingMade,
     Boundary,
     Combinations,
     DistanceBlock,
+    ProblemDetail,
     SolutionPage,
     SolutionView,
     Variant,
@@ -31,11 +34,12 @@ from server.api.views import boundary_view, solution_views
 from server.campaigns import view_store
 from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.service import read
-from server.campaigns.traces import find_trace, trace_job
+from server.campaigns.traces import find_trace, simulator_of, trace_job
 from server.campaigns.values import Campaign
 from server.db.models import JobStatus
-from server.errors import Conflict, FieldError, InvalidInput, NotFound
-from sim.errors import InvalidEpisode
+from server.errors import Conflict, FieldError, InvalidInput, NotFound, Unavailable
+from server.queue.workers import can_run
+from sim.errors import SimulatorError
 from sim.replay import render_bytes
 from sim.trace import Trace
 
@@ -43,6 +47,7 @@ router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
 
 MAX_DISTANCES = 1_000
 LOOK_AGAIN_S = 0.25
+NO_WORKER_RETRY_S = 5
 
 Threshold = Annotated[float, Query(ge=0, le=1)]
 Number = Annotated[int, PathParameter(ge=0, le=MAX_NUMBER)]
@@ -219,13 +224,20 @@ def _choices(space: SearchSpace) -> list[str]:
     ]
 
 
+_NOT_YET: dict[int | str, dict[str, Any]] = {
+    202: {"model": BeingMade, "description": "Being made; ask again after `Retry-After`."},
+    503: {
+        "model": ProblemDetail,
+        "description": "No live worker can make it; ask again after `Retry-After`.",
+    },
+}
 Wait = Annotated[float, Query(ge=0, le=60, description="How long to wait for workers to make the trace.")]
 
 
 @router.get(
     "/solutions/{number}/trace",
     response_class=Response,
-    responses={200: {"content": {"application/x-npz": {}}}, 202: {"description": "Being made; ask again."}},
+    responses={200: {"content": {"application/x-npz": {}}}, **_NOT_YET},
 )
 async def get_trace(
     campaign_id: str, number: Number, request: Request, services: Services, wait_s: Wait = 20.0
@@ -239,7 +251,7 @@ async def get_trace(
 @router.get(
     "/solutions/{number}/replay.{extension}",
     response_class=Response,
-    responses={200: {"content": {"image/png": {}, "image/gif": {}, "video/mp4": {}}}},
+    responses={200: {"content": {"image/png": {}, "image/gif": {}, "video/mp4": {}}}, **_NOT_YET},
 )
 async def get_replay(
     campaign_id: str,
@@ -254,16 +266,18 @@ async def get_replay(
     data = await _trace(services, campaign, number, request, wait_s)
     if data is None:
         return _being_made()
-    try:
-        trace = Trace.from_bytes(data)
-    except InvalidEpisode as error:
-        raise Conflict(f"solution {number}: its trace cannot be drawn: {error}") from None
     requirement = campaign.body.problem.params.get("requirement")
 
     def draw() -> bytes:
-        return render_bytes(trace, f".{extension}", requirement=requirement)
+        return render_bytes(Trace.from_bytes(data), f".{extension}", requirement=requirement)
 
-    picture = await asyncio.get_running_loop().run_in_executor(None, draw)
+    try:
+        picture = await asyncio.get_running_loop().run_in_executor(services.drawing, draw)
+    except (SimulatorError, LookupError, ValueError, TypeError, ArithmeticError, MemoryError) as error:
+        # A worker may send anything; that nobody can draw it is no fault of the coordinator.
+        raise Conflict(
+            f"solution {number}: its trace cannot be drawn: {type(error).__name__}: {error}"
+        ) from None
     media = {"png": "image/png", "gif": "image/gif", "mp4": "video/mp4"}[extension]
     return Response(picture, media_type=media)
 
@@ -271,33 +285,57 @@ async def get_replay(
 async def _trace(
     services: Context, campaign: Campaign, number: int, request: Request, wait_s: float
 ) -> bytes | None:
-    """Return the trace of a solution, waiting for a worker to make it; None if it takes longer."""
-    deadline = asyncio.get_running_loop().time() + wait_s
-    asked = False
+    """Return the trace of a solution, waiting for a worker to make it; None if it takes longer.
 
-    def look(connection: Connection) -> tuple[bytes | None, Row[*tuple[Any, ...]] | None]:
-        return find_trace(connection, campaign.id, number), trace_job(connection, campaign.id, number)
+    Nobody waits, and nothing is asked for, while there is no worker that could make it.
+    """
+    deadline = asyncio.get_running_loop().time() + wait_s
+
+    def look(connection: Connection) -> _Look:
+        kept = find_trace(connection, campaign.id, number)
+        needs = simulator_of(connection, campaign.id, number)
+        job = trace_job(connection, campaign.id, number)
+        waits = kept is None and needs is not None and (job is None or job.status == JobStatus.QUEUED)
+        away = waits and not can_run(connection, str(needs), services.settings.worker_seen_s)
+        return _Look(kept=kept, needs=needs, job=job, away=away)
 
     async with client_gone(request) as gone:
         while True:
-            kept, job = await read(services.engines, look)
-            if kept is None and not asked:
-                asked = True
-                if not await services.campaigns.request_trace(campaign.id, number):
-                    raise NotFound(f"campaign {campaign.id} has no simulated solution {number}")
-                kept, job = await read(services.engines, look)
-            if kept is not None:
-                return kept
-            if job is not None and job.status == JobStatus.DONE:
+            seen = await read(services.engines, look)
+            if seen.kept is not None:
+                return seen.kept
+            if seen.needs is None:
+                raise NotFound(f"campaign {campaign.id} has no simulated solution {number}")
+            if seen.away:
+                raise Unavailable(
+                    f"solution {number}: no live worker can run {seen.needs} to make the trace; start one, "
+                    "and ask again",
+                    retry_after_s=NO_WORKER_RETRY_S,
+                )
+            if seen.job is None:
+                await services.campaigns.request_trace(campaign.id, number)
+                continue
+            if seen.job.status == JobStatus.DONE:
                 raise Conflict(f"solution {number}: its simulator records no traces")
-            if job is not None and job.status in (JobStatus.QUARANTINED, JobStatus.CANCELLED):
-                raise Conflict(f"solution {number}: the trace cannot be made: {job.last_error}")
+            if seen.job.status in (JobStatus.QUARANTINED, JobStatus.CANCELLED):
+                raise Conflict(f"solution {number}: the trace cannot be made: {seen.job.last_error}")
             late = asyncio.get_running_loop().time() >= deadline
             if late or gone.is_set() or services.queue.stopping:
                 return None
             await asyncio.sleep(LOOK_AGAIN_S)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Look:
+    """Where the trace of a solution stands."""
+
+    kept: bytes | None
+    needs: str | None
+    job: Row[*tuple[Any, ...]] | None
+    away: bool
+    """Nobody could make it now."""
+
+
 def _being_made() -> JSONResponse:
-    content = {"detail": "a worker is asked to make the trace; ask again soon"}
-    return JSONResponse(content, status_code=202, headers={"Retry-After": "2"})
+    view = BeingMade(detail="a worker is asked to make the trace; ask again soon")
+    return JSONResponse(view.model_dump(), status_code=202, headers={"Retry-After": "2"})

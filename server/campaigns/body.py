@@ -14,6 +14,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from server.errors import FieldError, InvalidInput, nearest
 from server.llm.settings import LlmSettings
+from worker.wire import JsonValues
 
 MAX_FILE_BYTES = 1024 * 1024
 
@@ -34,7 +35,7 @@ class PluginChoice(Body):
     """A plug-in and its parameters."""
 
     id: Annotated[str, Field(min_length=1, max_length=100, examples=["urban-injected@1"])]
-    params: dict[str, Any] = Field(default_factory=dict)
+    params: JsonValues = Field(default_factory=dict)
 
 
 class Budget(Body):

@@ -4,7 +4,8 @@ import asyncio
 import logging
 import secrets
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 from datetime import datetime
 from typing import TypeVar
 
@@ -30,6 +31,8 @@ from server.queue.service import QueueService
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")
+SLOW_AT_ONCE = 2
+"""Submissions that are checked at once, and pictures that are drawn."""
 LLM = "llm"
 """What an algorithm's setting `seeder` is that wants seeds from a language model."""
 DONE = {
@@ -123,6 +126,14 @@ class CampaignService:
     stepper: Stepper
     queue: QueueService
     llm_endpoints: str = ""
+    checks: ThreadPoolExecutor = field(
+        default_factory=lambda: ThreadPoolExecutor(SLOW_AT_ONCE, thread_name_prefix="brink-check")
+    )
+    """Threads of their own: a submission may load a network, and all else must not wait for that."""
+
+    def close(self) -> None:
+        """Let the submissions that are being checked end, and take no more."""
+        self.checks.shutdown(wait=True, cancel_futures=True)
 
     async def submit(self, body: CampaignBody, key: str | None = None) -> tuple[Campaign, bool]:
         """Store a campaign with its first generation.
@@ -143,7 +154,9 @@ class CampaignService:
             if known is not None:
                 return _same(known, body), False
         _check_endpoint(body.llm, self.llm_endpoints)
-        live, solutions = await asyncio.get_running_loop().run_in_executor(None, check_submission, body)
+        live, solutions = await asyncio.get_running_loop().run_in_executor(
+            self.checks, check_submission, body
+        )
         campaign_id = secrets.token_hex(4)
 
         def unit(connection: Connection) -> tuple[Campaign, bool]:

@@ -19,6 +19,14 @@ def find_trace(connection: Connection, campaign_id: str, number: int) -> bytes |
     return connection.execute(query).scalar_one_or_none()
 
 
+def simulator_of(connection: Connection, campaign_id: str, number: int) -> str | None:
+    """Return what a worker must be capable of to make the trace of a solution; None if it was not simulated."""
+    query = select(JobRow.needs).where(
+        JobRow.campaign_id == campaign_id, JobRow.number == number, JobRow.kind == JobKind.EPISODE
+    )
+    return connection.execute(query).scalar_one_or_none()
+
+
 def trace_job(connection: Connection, campaign_id: str, number: int) -> Row[*tuple[Any, ...]] | None:
     """Return status and last error of the job that makes a trace, if there is one."""
     query = select(JobRow.status, JobRow.last_error).where(

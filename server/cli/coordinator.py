@@ -16,6 +16,7 @@ from sqlalchemy import inspect
 
 from server.access.store import any_token
 from server.app import create_app
+from server.cli.impatient import impatient
 from server.db.engine import open_engines, parse_url
 from server.db.models import TokenRow
 from server.db.upgrade import upgrade
@@ -133,6 +134,7 @@ class CoordinatorServer(uvicorn.Server):
                 self._app,
                 log_config=None,
                 access_log=False,
+                http=impatient(settings.stall_s),
                 lifespan="on",
                 timeout_keep_alive=75,
                 timeout_graceful_shutdown=3,

@@ -8,7 +8,7 @@ import os
 import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, Self
-from urllib.parse import urlsplit
+from urllib.parse import unquote, urlsplit
 
 from pydantic import (
     BaseModel,
@@ -57,6 +57,9 @@ def _endpoint(given: object) -> object:
         )
     if parts.scheme not in ("http", "https") or not parts.hostname or not re.fullmatch(r"[!-~]+", text):
         raise ValueError("expected a base URL with http or https, such as http://127.0.0.1:8000/v1")
+    if "\\" in text or {".", ".."} & set(unquote(parts.path).split("/")):
+        # What an operator allows is the beginning of a URL: nothing after it may lead out of it again.
+        raise ValueError("expected a base URL without . and .. in its path, and without backslashes")
     return text.rstrip("/").removesuffix(_PATH)
 
 

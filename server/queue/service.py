@@ -6,7 +6,6 @@ wakes waiting workers, whoever finishes a generation has its campaign advanced.
 
 import asyncio
 import base64
-import binascii
 import itertools
 import logging
 import time
@@ -133,7 +132,7 @@ class QueueService:
         outcomes = [
             _outcome(index, item.job, item.token, item.outcome) for index, item in enumerate(request.results)
         ]
-        notes = [self._heard_of(request.worker, None, outcomes)]
+        notes = [self._heard_of(request.worker, None)]
         wanted = request.lease
         if wanted is not None:
             notes.append(self._heard_of(wanted.worker, wanted.capabilities))
@@ -165,10 +164,16 @@ class QueueService:
         return ResultsReply(statuses=statuses, lease=reply)
 
     def _count(self, request: ResultsRequest, report: Report) -> None:
+        seen = self._seen.get(request.worker.id)
         for item, status in zip(request.results, report.statuses, strict=True):
             self.metrics.results.labels(status).inc()
-            if status == "accepted" and not isinstance(item.outcome, Completed):
+            if status != "accepted":
+                continue
+            if not isinstance(item.outcome, Completed):
                 self.metrics.failures.labels(item.outcome.reason).inc()
+            if seen is not None:
+                seen.done += isinstance(item.outcome, Completed)
+                seen.failed += not isinstance(item.outcome, Completed)
 
     def advance_soon(self, campaigns: Iterable[str]) -> None:
         """Have campaigns advanced off the event loop, each at most once at a time in line."""
@@ -264,7 +269,7 @@ class QueueService:
         self.wakeups.wake(1)
 
     def _heard_of(
-        self, worker: WorkerIdentity, capabilities: Sequence[str] | None, outcomes: Sequence[Outcome] = ()
+        self, worker: WorkerIdentity, capabilities: Sequence[str] | None
     ) -> Callable[[Connection], None] | None:
         """Remember a worker; return what notes it in the database, or None if that is not due."""
         now = self.clock()
@@ -273,8 +278,6 @@ class QueueService:
             log.info("worker first seen", extra=about)
         seen = self._seen.setdefault(worker.id, _Seen(identity=worker, at=now))
         seen.at, seen.identity = now, worker
-        seen.done += sum(outcome.result is not None for outcome in outcomes)
-        seen.failed += sum(outcome.result is None for outcome in outcomes)
         changed = capabilities is not None and tuple(capabilities) != seen.capabilities
         if capabilities is not None:
             seen.capabilities = tuple(capabilities)
@@ -317,7 +320,7 @@ def _outcome(index: int, job: int, token: str, outcome: Completed | object) -> O
         if outcome.trace is not None:
             try:
                 trace = base64.b64decode(outcome.trace, validate=True)
-            except binascii.Error:
+            except ValueError:  # of base64, or a letter that is not ASCII
                 raise InvalidInput(
                     [FieldError(pointer=f"/results/{index}/outcome/trace", message="expected base64")]
                 ) from None

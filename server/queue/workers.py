@@ -106,6 +106,25 @@ def capabilities_of_live(connection: Connection, within_s: float) -> dict[str, t
     }
 
 
+def can_run(connection: Connection, needs: str, within_s: float) -> bool:
+    """Return whether a live worker can run what needs this: one heard of lately, or whose lease still holds."""
+    now = database_now(connection)
+    holds_a_lease = exists(
+        select(JobRow.id).where(
+            JobRow.status == JobStatus.LEASED,
+            JobRow.lease_worker == WorkerRow.id,
+            JobRow.lease_expires_at >= now,
+        )
+    )
+    query = select(WorkerRow.machine, WorkerRow.pid, WorkerRow.capabilities).where(
+        (WorkerRow.last_seen_at >= now - timedelta(seconds=within_s)) | holds_a_lease
+    )
+    return any(
+        needs in row.capabilities and not process_is_gone(row.machine, row.pid)
+        for row in connection.execute(query)
+    )
+
+
 def leases_of(connection: Connection, gone: Callable[[str, int], bool]) -> list[HeldLease]:
     """Return the leases of workers that are gone.
 

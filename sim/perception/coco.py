@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from sim.perception.errors import DatasetError
+from sim.perception.plain_files import not_plain
 from sim.perception.quality import Truth
 
 LABELS: Final[Mapping[str, int]] = {
@@ -72,20 +73,24 @@ def read_coco(file: Path) -> CocoDataset:
     """
     try:
         stat = file.stat()
-    except OSError as error:
-        raise DatasetError(f"{file}: {error.strerror or error}") from None
-    if not file.is_file():
-        raise DatasetError(f"{file}: expected a JSON file in COCO format, got a folder")
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{file}: {getattr(error, 'strerror', None) or error}") from None
+    if wrong := not_plain(file):
+        raise DatasetError(f"{file}: {wrong}; it should be JSON in COCO format")
     return _read(file, stat.st_mtime_ns, stat.st_size)
 
 
 @lru_cache(maxsize=4)
 def _read(file: Path, _changed: int, _size: int) -> CocoDataset:
-    raw = file.read_bytes()
     try:
+        raw = file.read_bytes()
         document = json.loads(raw)
+    except OSError as error:
+        raise DatasetError(f"{file}: {error.strerror or error}") from None
     except ValueError as error:
         raise DatasetError(f"{file}: not JSON: {error}") from None
+    except RecursionError:
+        raise DatasetError(f"{file}: not JSON that is read: nested too deeply") from None
     try:
         images, annotations, categories = (
             _rows(document, name) for name in ("images", "annotations", "categories")
@@ -192,6 +197,6 @@ def _truth(boxes: list[tuple[int, tuple[float, float, float, float], bool]], hei
 
 def _find(file: Path, name: str) -> Path | None:
     for folder in (file.parent, file.parent / "images"):
-        if (folder / name).is_file():
+        if not_plain(folder / name) is None:
             return folder / name
     return None

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from sim.perception.errors import DetectorError
+from sim.perception.plain_files import not_plain
 
 LOADING_S: Final = 120.0
 KINDS: Final = ("onnx", "torchscript", "ultralytics")
@@ -27,10 +28,9 @@ def file_of(detector_id: str) -> Path | None:
         raise DetectorError(
             f"detector: expected {', '.join(f'{one}:FILE' for one in KINDS)}; got {detector_id!r}"
         )
-    file = Path(name)
-    if not file.is_file():
-        raise DetectorError(f"detector: {name or 'a file'}: no such file")
-    return file
+    if wrong := "no such file" if not name else not_plain(Path(name)):
+        raise DetectorError(f"detector: {name or 'a file'}: {wrong}")
+    return Path(name)
 
 
 def weights_digest(detector_id: str) -> str:
@@ -65,7 +65,10 @@ def check_loads(detector_id: str) -> None:
 @lru_cache(maxsize=8)
 def _check_loads(detector_id: str, _content: str) -> None:
     command = [sys.executable, "-m", "sim.perception.adapters", detector_id]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=LOADING_S)
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=LOADING_S)
+    except subprocess.TimeoutExpired:
+        raise DetectorError(f"{detector_id}: cannot be loaded in {LOADING_S:g} s") from None
     if done.returncode != 0:
         said = (done.stdout or done.stderr).strip().splitlines()
         raise DetectorError(said[-1] if said else f"{detector_id}: cannot be loaded")

@@ -75,6 +75,21 @@ def test_a_wrong_field_is_pointed_at(
     assert row_counts(engines) == before
 
 
+@pytest.mark.parametrize(
+    "params",
+    [r'{"fault": "\ud800"}', r'{"\ud800": 1}', '{"limit": NaN}', '{"limit": 1e999}', '{"limit": [[[' * 40],
+)
+def test_parameters_that_no_json_can_hold_are_refused(
+    client: httpx.Client, engines: Engines, params: str
+) -> None:
+    before = row_counts(engines)
+    content = json.dumps(ball()).replace('{"id": "ball@1"}', f'{{"id": "ball@1", "params": {params}}}')
+    answer = client.post("/api/v1/campaigns", content=content, headers={"Content-Type": "application/json"})
+    assert answer.status_code == 422, answer.text
+    assert row_counts(engines) == before
+    assert client.get("/api/v1/campaigns").status_code == 200, "one of these once broke every list"
+
+
 def test_all_wrong_fields_are_told_at_once(client: httpx.Client) -> None:
     body = {**ball(), "seed": "one", "extra": 1}
     del body["name"]

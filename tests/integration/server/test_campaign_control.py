@@ -52,6 +52,8 @@ def test_a_submission_says_where_the_campaign_is(client: httpx.Client) -> None:
 
 def test_the_same_key_again_submits_nothing_new(client: httpx.Client, engines: Engines) -> None:
     headers = {"Idempotency-Key": "key-1"}
+    described = expect(client.get("/openapi.json"))["paths"]["/api/v1/campaigns"]["post"]["responses"]
+    assert {"200", "201"} <= set(described)
     first = expect(client.post("/api/v1/campaigns", json=ball(), headers=headers), 201)
     again = expect(client.post("/api/v1/campaigns", json=ball(), headers=headers), 200)
     assert again["id"] == first["id"]

@@ -9,6 +9,7 @@ import pytest
 from pydantic import SecretStr, ValidationError
 from support.api import ball, coordinator, expect
 
+from server.cli import impatient
 from server.cli.coordinator import CannotListen, listen
 from server.db.engine import parse_url
 from server.errors import DatabaseError
@@ -117,3 +118,84 @@ def test_a_url_that_cannot_be_read_is_told_without_its_password(url: str) -> Non
     with pytest.raises(DatabaseError, match="database URL") as told:
         parse_url(url)
     assert "s3cret" not in str(told.value)
+
+
+ELSEWHERE = {
+    "another site's page changes something": (403, "POST", {"Origin": "http://evil.example"}),
+    "a page without a site does": (403, "POST", {"Origin": "null"}),
+    "another port's page does": (403, "POST", {"Origin": "http://127.0.0.1:1"}),
+    "another site's page asks for a picture": (
+        403, "GET", {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors"},
+    ),
+    "a name that points here": (421, "GET", {"Host": "evil.example"}),
+    "a name that begins like ours": (421, "GET", {"Host": "127.0.0.1.evil.example"}),
+    "no name": (421, "GET", {"Host": ""}),
+    "somebody follows a link": (
+        200, "GET", {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"},
+    ),
+    "our own page": (201, "POST", {"Sec-Fetch-Site": "same-origin"}),
+    "another of our names": (200, "GET", {"Host": "localhost:1"}),
+    "a name of version 6": (200, "GET", {"Host": "[::1]:1"}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("status", "method", "headers"), ELSEWHERE.values(), ids=ELSEWHERE)
+def test_without_tokens_no_page_of_another_site_is_served(
+    client: httpx.Client, status: int, method: str, headers: dict[str, str]
+) -> None:
+    answer = client.request(method, "/api/v1/campaigns", json=ball(), headers=headers)
+    assert answer.status_code == status, answer.text
+    assert len(expect(client.get("/api/v1/campaigns"))["campaigns"]) == (status == 201)
+
+
+def test_our_own_origin_may_change_things(client: httpx.Client) -> None:
+    own = {"Origin": str(client.base_url).rstrip("/")}
+    expect(client.post("/api/v1/campaigns", json=ball(), headers=own), 201)
+
+
+def test_with_tokens_a_proxy_may_call_the_coordinator_what_it_likes(guarded: httpx.Client) -> None:
+    headers = {"Host": "brink.example", "Origin": "https://brink.example"}
+    expect(guarded.post("/api/v1/campaigns", json=ball(), headers=headers), 201)
+
+
+def test_a_path_with_a_slash_at_its_end_is_another_one(client: httpx.Client) -> None:
+    answer = client.get("/api/v1/campaigns/", headers={"Host": "localhost:1"})
+    assert answer.status_code in (404, 405), "and sends nobody to a host of the client's choice"
+    assert "location" not in answer.headers
+
+
+HEAD = b"POST /api/v1/campaigns HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+STALLED = {
+    "nothing": (b"", b""),
+    "half a head": (HEAD, b""),
+    "half of a second head": (b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n" + HEAD, b"ok\n"),
+    "less than was announced": (HEAD + b"Content-Length: 100\r\n\r\n{", b" 408 "),
+    "chunks without an end": (HEAD + b"Transfer-Encoding: chunked\r\n\r\n1\r\n{\r\n", b" 408 "),
+    "a body that nobody reads": (
+        HEAD.replace(b"campaigns", b"nothing") + b"Content-Length: 100\r\n\r\n{", b" 40",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("sent", "answered"), STALLED.values(), ids=STALLED)
+def test_a_request_that_does_not_come_is_not_waited_for(
+    database_url: str, small_problems: None, monkeypatch: pytest.MonkeyPatch, sent: bytes, answered: bytes
+) -> None:
+    monkeypatch.setattr(impatient, "LINGER_S", 0.2)
+    with (
+        coordinator(database_url, stall_s=0.3) as client,
+        socket.create_connection(("127.0.0.1", client.base_url.port or 0), timeout=20) as connection,
+    ):
+        connection.sendall(sent)
+        said = b"".join(iter(lambda: connection.recv(65536), b""))  # until the coordinator hangs up
+        assert answered in said
+        assert expect(client.get("/api/v1/campaigns"))["campaigns"] == []
+
+
+def test_who_waits_for_work_may_wait_longer_than_a_request_may_take(
+    database_url: str, small_problems: None
+) -> None:
+    with coordinator(database_url, stall_s=0.2) as client:
+        body = {"worker": {"id": "w"}, "capabilities": ["x"], "wait_s": 0.8}
+        assert expect(client.post("/api/v1/jobs/lease", json=body))["jobs"] == []
+        assert client.get("/healthz").status_code == 200

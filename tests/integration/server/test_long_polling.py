@@ -117,7 +117,7 @@ async def services(database_url: str) -> AsyncIterator[tuple[Context, httpx.Asyn
     app = create_app(settings_for(database_url, sweep_s=60.0))
     async with (
         app.router.lifespan_context(app),
-        httpx.AsyncClient(transport=httpx.ASGITransport(app=app), base_url="http://brink") as client,
+        httpx.AsyncClient(transport=httpx.ASGITransport(app=app), base_url="http://127.0.0.1") as client,
     ):
         yield app.state.context, client
 

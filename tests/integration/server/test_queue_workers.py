@@ -135,13 +135,17 @@ def test_a_coordinator_forgets_who_was_not_heard_of_lately_but_not_what_they_did
             service = await Coordinators(stack).start(database_url)
             now_s = 1000.0
             service.clock = lambda: now_s
-            await ask(service, identity("w1"), "x")
+            queue.campaign(1, needs="x", max_attempts=1)
+            wanted = LeaseRequest(worker=identity("w1"), capabilities=["x"], wait_s=0)
+            (job,) = (await service.lease(wanted, asyncio.Event())).jobs
             await ask(service, identity("w2"), "y")
             outcome = JobFailed(reason="error", message="no")
-            reported = ResultsRequest(
-                worker=identity("w1"), results=[JobResult(job=1, token="t", outcome=outcome)]
-            )
-            await service.results(reported, asyncio.Event())
+            result = JobResult(job=job.job, token=job.token, outcome=outcome)
+            forged = JobResult(job=job.job, token="t", outcome=outcome)
+            reported = ResultsRequest(worker=identity("w1"), results=[result, result, forged])
+            replies = [await service.results(reported, asyncio.Event()) for _ in range(2)]
+            statuses = [item.status for reply in replies for item in reply.statuses]
+            assert statuses == ["accepted", "duplicate", "stale", "duplicate", "duplicate", "stale"]
             now_s += service.settings.worker_seen_s + 1
             await ask(service, identity("w2"), "y")
             await service.sweep()
@@ -149,7 +153,7 @@ def test_a_coordinator_forgets_who_was_not_heard_of_lately_but_not_what_they_did
 
     asyncio.run(asyncio.wait_for(body(), PATIENCE_S))
     told = queue.run(workers.list_seen)
-    assert {seen.id: seen.jobs_failed for seen in told} == {"w1": 1, "w2": 0}
+    assert {seen.id: seen.jobs_failed for seen in told} == {"w1": 1, "w2": 0}, "what was accepted, and once"
 
 
 def test_a_dead_worker_of_this_machine_is_not_waited_for(database_url: str, dead_pid: int) -> None:

@@ -120,6 +120,17 @@ def test_what_is_no_token_opens_nothing(url: str, tokens: dict[str, str], given:
     assert answer.headers["WWW-Authenticate"] == "Bearer"
 
 
+@pytest.mark.parametrize("path", ["lease", "heartbeat", "results"])
+@pytest.mark.parametrize("after", ["%0A", "%0D", "%00", "%E2%80%A8", "/", "%2F", "//"])
+def test_no_spelling_of_a_path_gets_past_a_scope(
+    url: str, tokens: dict[str, str], path: str, after: str
+) -> None:
+    body = {"worker": {"id": "w"}, "capabilities": ["x"], "wait_s": 0}
+    for scope in ("read", "user"):
+        answer = httpx.post(f"{url}/api/v1/jobs/{path}{after}", json=body, headers=bearer(tokens[scope]))
+        assert answer.status_code in (403, 404, 405), f"{scope}: {answer.status_code} {answer.text}"
+
+
 def test_a_scope_cannot_be_changed_by_changing_the_token(url: str, tokens: dict[str, str]) -> None:
     widened = tokens["read"].replace("_read_", "_admin_")
     assert httpx.get(f"{url}/api/v1/campaigns", headers=bearer(widened)).status_code == 401

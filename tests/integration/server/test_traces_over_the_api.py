@@ -2,11 +2,30 @@
 
 import base64
 import threading
+import time
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import httpx
-from support.api import FakeWorker, ball, completes, eventually, expect, submit
+import pytest
+from sqlalchemy import update
+from support.api import (
+    FakeWorker,
+    ball,
+    completes,
+    coordinator,
+    eventually,
+    expect,
+    row_counts,
+    submit,
+)
+from typer.testing import CliRunner
 
+from server.cli.api import CoordinatorSaid
+from server.cli.commands import app
+from server.db.engine import Engines
+from server.db.models import WorkerRow
 from worker.wire import Completed, JobFailed, LeasedJob
 
 
@@ -59,6 +78,68 @@ def test_asking_for_a_trace_waits_for_the_worker(client: httpx.Client) -> None:
     assert (answers[0].status_code, answers[0].content) == (200, b"the trace")
 
 
+@pytest.mark.parametrize("what", ["trace", "replay.png", "replay.mp4"])
+def test_nobody_waits_for_a_trace_that_no_worker_can_make(
+    client: httpx.Client, engines: Engines, what: str
+) -> None:
+    campaign = submit(client, ball())
+    FakeWorker(client, capabilities=("another-simulator@1",)).lease()
+    before = row_counts(engines)
+    began = time.monotonic()
+    answer = client.get(f"/api/v1/campaigns/{campaign}/solutions/3/{what}", params={"wait_s": 20})
+    assert time.monotonic() - began < 10, "it did not wait"
+    assert "no live worker can run faulty@1" in expect(answer, 503)["detail"]
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert answer.headers["Retry-After"] == "5"
+    assert row_counts(engines) == before, "nothing is asked for"
+    worker = FakeWorker(client, id="who-can", judge=traces(b"the trace"))
+    worker.lease(max_jobs=1)
+    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
+    assert client.get(path, params={"wait_s": 0}).status_code == 202
+
+
+@pytest.mark.parametrize("what", ["trace", "replay.{extension}"])
+def test_that_a_trace_is_not_there_yet_is_described(client: httpx.Client, what: str) -> None:
+    paths = expect(client.get("/openapi.json"))["paths"]
+    answers = paths[f"/api/v1/campaigns/{{campaign_id}}/solutions/{{number}}/{what}"]["get"]["responses"]
+    assert set(answers["202"]["content"]) == {"application/json"}
+    assert set(answers["503"]["content"]) == {"application/problem+json"}
+
+
+def test_the_command_says_at_once_that_no_worker_can_make_a_trace(
+    client: httpx.Client, tmp_path: Path
+) -> None:
+    campaign = submit(client, ball())
+    given = ["replay", campaign, "3", "--out", str(tmp_path / "x.png"), "--server", str(client.base_url)]
+    said = CliRunner().invoke(app, given)
+    assert isinstance(said.exception, CoordinatorSaid)
+    assert "no live worker can run faulty@1" in str(said.exception)
+
+
+def test_waiting_for_a_trace_ends_when_its_workers_have_left(
+    database_url: str, engines: Engines, small_problems: None
+) -> None:
+    with coordinator(database_url) as client:
+        campaign = finished(client, FakeWorker(client))
+        path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
+        assert client.get(path, params={"wait_s": 0}).status_code == 202
+        long_ago = datetime.now(UTC) - timedelta(hours=1)
+        with engines.writer.begin() as connection:
+            connection.execute(update(WorkerRow).values(last_seen_at=long_ago))
+        expect(client.get(path, params={"wait_s": 20}), 503)
+
+
+def test_a_worker_whose_lease_still_holds_can_make_a_trace(client: httpx.Client, engines: Engines) -> None:
+    campaign = submit(client, ball())
+    worker = FakeWorker(client)
+    worker.lease(max_jobs=1)
+    long_ago = datetime.now(UTC) - timedelta(hours=1)
+    with engines.writer.begin() as connection:
+        connection.execute(update(WorkerRow).values(last_seen_at=long_ago))
+    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
+    assert client.get(path, params={"wait_s": 0}).status_code == 202
+
+
 def test_a_trace_goes_before_episodes(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = finished(client, worker)
@@ -107,11 +188,12 @@ def test_an_unknown_solution_has_no_trace(client: httpx.Client) -> None:
     expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/9999/trace"), 404)
 
 
-def test_a_trace_that_is_no_base64_is_refused(client: httpx.Client) -> None:
+@pytest.mark.parametrize("garbage", ["no base64!", "AAA", "\u00fc"])
+def test_a_trace_that_is_no_base64_is_refused(client: httpx.Client, garbage: str) -> None:
     worker = FakeWorker(client)
     submit(client, ball())
     (job,) = worker.lease(max_jobs=1)
-    outcome = {**completes(job).model_dump(), "trace": "no base64!"}
+    outcome = {**completes(job).model_dump(), "trace": garbage}
     body = {"worker": worker.identity, "results": [{"job": job.job, "token": job.token, "outcome": outcome}]}
     (error,) = expect(client.post("/api/v1/jobs/results", json=body), 422)["errors"]
     assert error["pointer"] == "/results/0/outcome/trace"
@@ -143,6 +225,7 @@ def test_pictures_that_were_looked_at_do_not_keep_a_campaign_from_its_end(client
 def test_a_cancelled_campaign_still_shows_pictures(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = submit(client, ball())
+    FakeWorker(client, id="another").lease(max_jobs=1)
     path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
     assert client.get(path, params={"wait_s": 0}).status_code == 202
     expect(client.post(f"/api/v1/campaigns/{campaign}/cancel"))

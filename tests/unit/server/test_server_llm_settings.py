@@ -68,6 +68,11 @@ def test_an_endpoint_is_kept_in_its_plain_form(given: str, kept: str) -> None:
         "http://a b/v1",
         "http://host:99999/v1",
         "http://h\n/v1",
+        "http://host/v1/../admin",
+        "http://host/v1/%2e%2e/admin",
+        "http://host/v1/..%2fadmin",
+        "http://host/./v1",
+        "http://host\\v1",
         7,
     ],
 )

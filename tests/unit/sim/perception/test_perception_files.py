@@ -15,7 +15,7 @@ from sim.perception.adapters import file_detector
 from sim.perception.coco import read_coco
 from sim.perception.errors import DatasetError, DetectorError
 from sim.perception.registry import find_detector
-from sim.perception.weights_file import check_loads, weights_digest
+from sim.perception.weights_file import check_loads, file_of, weights_digest
 
 BRIGHT = np.zeros((180, 320, 3), np.uint8)
 BRIGHT[40:120, 100:140] = 255
@@ -184,6 +184,26 @@ def test_a_broken_file_is_refused_with_the_first_things_wrong(
 ) -> None:
     with pytest.raises(DatasetError, match=message):
         read_coco(written(tmp_path, **changes))
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["\0", "x" * 5000, "/proc/kmsg", "/proc/self/mem", "/dev/zero", "/dev/null", "/sys/kernel/notes", "ring"],
+)
+def test_what_is_no_plain_file_is_never_read(tmp_path: Path, name: str) -> None:
+    (tmp_path / "ring").symlink_to(tmp_path / "ring")
+    (tmp_path / "link").symlink_to("/proc/kmsg")
+    for given in (str(tmp_path / name), str(tmp_path / "link")):
+        with pytest.raises(DatasetError):
+            read_coco(Path(given))
+        with pytest.raises(DetectorError):
+            file_of(f"onnx:{given}")
+
+
+def test_a_file_without_end_of_nesting_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "deep.json").write_text("[" * 100_000)
+    with pytest.raises(DatasetError, match="nested too deeply"):
+        read_coco(tmp_path / "deep.json")
 
 
 def test_pictures_that_are_missing_are_named(tmp_path: Path) -> None:

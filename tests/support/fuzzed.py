@@ -1,0 +1,98 @@
+"""What a fuzzer is told there is: campaigns that ended, one that runs with open jobs, one that nobody can run."""
+
+import base64
+from collections.abc import Mapping
+from typing import Any
+
+import httpx
+
+from sim.encounter.simulator import BrinkEncounter
+from sim.episode import EpisodeSpec
+from support.api import FakeWorker, ball, expect, submit
+from support.problems import REQUIREMENT, SIMULATOR
+from support.traffic import traffic_worker
+from worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
+
+SPARES = 16
+TRAFFIC: dict[str, Any] = {
+    "name": "traffic",
+    "problem": {"id": "npc-actions@1", "params": {"participants": 3, "duration_s": 8.0}},
+    "algorithm": {"id": "random@1", "params": {"generation_size": 40}},
+    "budget": {"simulations": 40},
+    "execution": {"keep_traces": 0},
+}
+SLOTS: dict[str, Any] = {**TRAFFIC, "name": "slots", "problem": {"id": "slotted@1"}}
+
+
+def fill(client: httpx.Client) -> dict[str, list[Any]]:
+    """Fill a coordinator; return what there is, by kind, as `tests/fuzzing/schemathesis_hooks.py` takes it."""
+    finished = submit(client, ball(simulations=20, execution={"keep_traces": 0}))
+    assert FakeWorker(client).work(finished)["status"] == "finished"
+    slots = submit(client, SLOTS)
+    assert FakeWorker(client, judge=_strong).work(slots)["status"] == "finished"
+    traffic = submit(client, TRAFFIC)
+    assert traffic_worker(client).work(traffic)["status"] == "finished"
+    violations = expect(client.get(f"/api/v1/campaigns/{traffic}/violations"))["violations"]
+    assert violations
+    drawn = _traced(client, traffic)
+    running = submit(client, ball(seed=2, execution={"cache": False}))
+    leases, retried = _worked_on(client)
+    nobodys: dict[str, Any] = {"problem": {"id": "ball@1", "params": {"needs": "nobody-has-it@1"}}}
+    unrunnable = submit(client, ball(seed=3, **nobodys))
+    spares = [submit(client, ball(seed=9, simulations=20, **nobodys)) for _ in range(SPARES)]
+    for spare in spares[::2]:
+        expect(client.post(f"/api/v1/campaigns/{spare}/cancel"))
+    return {
+        "campaigns": [finished, slots, traffic, running, unrunnable],
+        "spares": spares,
+        "numbers": [0, 1, 2, 3, 19],
+        "jobs": [*retried, *(lease["job"] for lease in leases)],
+        "leases": leases,
+        "violations": [_place(one, traffic) for one in violations],
+        "traced": [{"campaign_id": traffic, "number": drawn}, {"campaign_id": unrunnable, "number": 1}],
+    }
+
+
+def _place(violation: Mapping[str, Any], campaign: str) -> dict[str, Any]:
+    return {
+        "campaign_id": campaign, "number": violation["number"], "requirement": violation["requirement"],
+    }  # fmt: skip
+
+
+def _strong(job: LeasedJob) -> Completed:
+    """Judge a chain: a strong perturbation that comes first is unsafe."""
+    robustness = 0.5 - float(job.spec["behaviour"]["strong"])
+    return Completed(
+        verdicts={REQUIREMENT: WireVerdict(robustness=robustness, unit="m", violated_at_s=None)},
+        objectives={"distance": robustness},
+    )
+
+
+def _traced(client: httpx.Client, campaign: str) -> int:
+    """Have the trace of a solution kept, and return its number."""
+    number = 0
+    path = f"/api/v1/campaigns/{campaign}/solutions/{number}/trace"
+    assert client.get(path, params={"wait_s": 0}).status_code == 202
+
+    def with_trace(job: LeasedJob) -> Completed | JobFailed:
+        trace = BrinkEncounter().run(EpisodeSpec.from_json(job.spec), record=True).trace
+        assert trace is not None
+        return Completed(verdicts={}, trace=base64.b64encode(trace).decode())
+
+    worker = FakeWorker(client, capabilities=("brink-encounter@1",), judge=with_trace)
+    assert worker.report(worker.lease()) == ["accepted"]
+    assert client.get(path).status_code == 200
+    return number
+
+
+def _worked_on(client: httpx.Client) -> tuple[list[dict[str, Any]], list[int]]:
+    """Lease some jobs, and have some put into quarantine; return the leases, and the jobs in quarantine."""
+    failing = FakeWorker(
+        client, id="failing", judge=lambda _: JobFailed(reason="invalid", message="no such road")
+    )
+    failed = failing.lease(max_jobs=3)
+    failing.report(failed)
+    held = FakeWorker(client, id="holding", capabilities=(SIMULATOR,)).lease(max_jobs=8)
+    assert failed
+    assert held
+    return [{"job": job.job, "token": job.token} for job in held], [job.job for job in failed]
