@@ -77,7 +77,9 @@ def open_engines(database: str) -> Engines:
     if url.drivername == "sqlite":
         return Engines(writer=_sqlite(url, "BEGIN IMMEDIATE"), reader=_sqlite(url, "BEGIN"))
     try:
-        writer = create_engine(url, pool_pre_ping=True, pool_size=4)
+        # The writer finds rows by index; statistics of a moment ago, when all jobs were queued, say otherwise.
+        by_index = {"options": "-c enable_seqscan=off -c jit=off -c plan_cache_mode=force_generic_plan"}
+        writer = create_engine(url, pool_pre_ping=True, pool_size=4, connect_args=by_index)
         reader = create_engine(url, pool_pre_ping=True, pool_size=8, isolation_level="REPEATABLE READ")
     except ModuleNotFoundError:
         raise DatabaseError("Postgres needs its driver: pip install 'brink[postgres]'") from None

@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sqlalchemy import BindParameter, Boolean, Connection, Text, bindparam, func, update
+from sqlalchemy import BindParameter, Connection, Integer, Text, bindparam, func, update
 from sqlalchemy.dialects.postgresql import ARRAY
 from sqlalchemy.engine.interfaces import Dialect
 from sqlalchemy.ext.compiler import compiles
@@ -36,7 +36,7 @@ class _Listed(TypeDecorator[Sequence[Any]]):
 class _Among(FunctionElement[bool]):
     """Whether the first of its arguments is an element of the second."""
 
-    type = Boolean()
+    type: TypeEngine[Any] = Integer()  # a Boolean is compared with 1 on SQLite, which then finds no index for it
     inherit_cache = True
 
 

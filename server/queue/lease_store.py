@@ -109,6 +109,7 @@ _CAMPAIGNS_IN_TURN = (
                 JobRow.attempt == 0,
             )
             .correlate(CampaignRow)
+            .offset(0)  # else Postgres joins, and reads every queued job
         ),
     )
     .order_by(CampaignRow.priority.desc(), CampaignRow.turn, CampaignRow.id)

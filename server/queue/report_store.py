@@ -21,11 +21,12 @@ MAX_ERROR_CHARACTERS = 4000
 MAX_BACKOFF_S = 300.0
 
 # Built once: making a statement costs more than running it.
-# Rows are locked in the order of their ids, so that coordinators do not wait for one another in a circle.
 _REPORTED = select(
     JobRow.id, JobRow.campaign_id, JobRow.kind, JobRow.status, JobRow.lease_token,
     JobRow.lease_worker, JobRow.attempt, JobRow.max_attempts, JobRow.spec_hash, JobRow.cache,
-).where(among(JobRow.id, "jobs")).order_by(JobRow.id)  # fmt: skip
+).where(among(JobRow.id, "jobs"))  # fmt: skip
+_REPORTED_IN_ORDER = _REPORTED.order_by(JobRow.id)
+"""Where rows are locked, so that coordinators do not wait for one another in a circle; SQLite would read all jobs."""
 _FINISH = UpdateEach(
     JobRow.id, [JobRow.result], status=JobStatus.DONE, finished_at=bindparam("now"), lease_expires_at=None
 )
@@ -42,11 +43,13 @@ _IDLE = select(CampaignRow.id).where(
     among(CampaignRow.id, "campaigns"),
     CampaignRow.status == CampaignStatus.RUNNING,
     ~exists(
-        select(JobRow.id).where(
+        select(JobRow.id)
+        .where(
             JobRow.campaign_id == CampaignRow.id,
             EVALUATES,
             JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),
         )
+        .offset(0)  # one look a campaign: Postgres would join
     ),
 )
 
@@ -62,7 +65,10 @@ def take_in(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTer
     if not outcomes:
         return Report(statuses=(), campaigns=())
     known = {"jobs": sorted({outcome.job for outcome in outcomes})}
-    rows = {row.id: row for row in connection.execute(locked(_REPORTED, connection, JobRow), known)}
+    query = (
+        _REPORTED if connection.dialect.name == "sqlite" else locked(_REPORTED_IN_ORDER, connection, JobRow)
+    )
+    rows = {row.id: row for row in connection.execute(query, known)}
     statuses: list[str] = []
     accepted: dict[int, Outcome] = {}
     for outcome in outcomes:
