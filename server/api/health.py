@@ -47,7 +47,9 @@ async def readyz(services: Services) -> Response:
 async def metrics(services: Services) -> Response:
     """Return the state of campaigns, jobs and workers, and what this process measured, for Prometheus."""
     registry = CollectorRegistry()
-    jobs = Gauge("brink_jobs", "Jobs by state", ["status", "kind", "needs"], registry=registry)
+    jobs = Gauge(
+        "brink_jobs", "Jobs that are not done, by state", ["status", "kind", "needs"], registry=registry
+    )
     campaigns = Gauge("brink_campaigns", "Campaigns by state", ["status"], registry=registry)
     workers = Gauge("brink_workers_live", "Workers heard of lately", registry=registry)
     depth = Gauge(
@@ -63,8 +65,11 @@ async def metrics(services: Services) -> Response:
     oldest = Gauge("brink_oldest_queued_seconds", "Age of the job that waits longest", registry=registry)
 
     def collect(connection: Connection) -> None:
-        counted = select(JobRow.status, JobRow.kind, JobRow.needs, func.count()).group_by(
-            JobRow.status, JobRow.kind, JobRow.needs
+        # Those done are counted as results: all jobs that ever were would take longer and longer.
+        counted = (
+            select(JobRow.status, JobRow.kind, JobRow.needs, func.count())
+            .where(JobRow.status.in_([status for status in JobStatus if status is not JobStatus.DONE]))
+            .group_by(JobRow.status, JobRow.kind, JobRow.needs)
         )
         for status, kind, needs, count in connection.execute(counted):
             jobs.labels(status, kind, needs).set(count)

@@ -9,6 +9,7 @@ from sqlalchemy import Connection, select, update
 from server.campaigns.store import ENDED, find_campaign
 from server.campaigns.values import Campaign
 from server.db.models import JobKind, JobRow, JobStatus, SolutionRow, SolutionVerdict
+from server.db.news import announce
 from server.errors import Conflict, NotFound
 
 
@@ -87,6 +88,7 @@ def retry(connection: Connection, job: int) -> None:
     )
     if changed.rowcount == 0:
         raise Conflict(f"job {job} was changed by somebody else just now; look again")
+    announce(connection)
 
 
 def _check_awaited(connection: Connection, job: int, campaign: Campaign, number: int) -> None:

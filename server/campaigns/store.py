@@ -14,6 +14,7 @@ from server.campaigns.body import CampaignBody
 from server.campaigns.values import Campaign
 from server.db.clock import database_now
 from server.db.models import EVALUATES, CampaignRow, CampaignStatus, JobRow, JobStatus, TraceRow
+from server.db.news import announce
 from server.errors import NotFound
 
 MAX_ID = 16
@@ -165,6 +166,8 @@ def set_status(
     if failures_accepted is not None:
         values["failures_accepted"] = failures_accepted
     connection.execute(update(CampaignRow).where(CampaignRow.id == campaign_id).values(values))
+    if status is CampaignStatus.RUNNING:
+        announce(connection)
     if status is CampaignStatus.CANCELLED:
         connection.execute(
             update(JobRow)

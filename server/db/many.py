@@ -36,7 +36,9 @@ class _Listed(TypeDecorator[Sequence[Any]]):
 class _Among(FunctionElement[bool]):
     """Whether the first of its arguments is an element of the second."""
 
-    type: TypeEngine[Any] = Integer()  # a Boolean is compared with 1 on SQLite, which then finds no index for it
+    type: TypeEngine[Any] = (
+        Integer()
+    )  # a Boolean is compared with 1 on SQLite, which then finds no index for it
     inherit_cache = True
 
 

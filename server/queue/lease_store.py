@@ -73,6 +73,7 @@ _WAITING = select(
     exists(select(JobRow.id).where(_IS_QUEUED, _IS_TRACE)).label("traces"),
     exists(select(JobRow.id).where(_IS_QUEUED, _WAS_TRIED, _DUE)).label("retries"),
 )
+_DUE_RETRIES = select(func.count()).where(_IS_QUEUED, _WAS_TRIED, _DUE).select_from(JobRow)
 _FRESH = select(*_GRANTED).where(*_ELIGIBLE, JobRow.attempt == 0)
 _FRESH_TRACES = _FRESH.where(_IS_TRACE).order_by(JobRow.id).limit(bindparam("most"))
 _FRESH_WORK = (
@@ -156,6 +157,11 @@ class _Line:
         return self.last < 0 and not self.ended
 
 
+def due_retries(connection: Connection) -> int:
+    """Return how many jobs whose backoff is over wait to be tried again."""
+    return connection.execute(_DUE_RETRIES, {"now": database_now(connection)}).scalar_one()
+
+
 def lease(
     connection: Connection, worker: str, capabilities: Sequence[str], max_jobs: int, terms: LeaseTerms
 ) -> list[LeasedJob]:
@@ -188,11 +194,12 @@ def lease_together(connection: Connection, wanted: Sequence[LeaseWanted], now: d
             jobs=[grants.jobs[0] for grants in alone],
             campaigns=frozenset().union(*(grants.campaigns for grants in alone)),
         )
-    deal = _Deal(connection, now, ahead=sum(one.max_jobs for one in wanted[1:]))
+    # What is read ahead is locked, and not to be had by other coordinators meanwhile: no more than will be granted.
+    deal = _Deal(connection, now, ahead=sum(_limit(one, waiting.jobs) for one in wanted[1:]))
     grants: list[list[JobRecord]] = []
     for one in wanted:
-        left = min(waiting.jobs - sum(map(len, grants)), _enough(one))
-        rows = _choose(connection, deal, one, holdings.get(one.worker, ()), waiting, left)
+        limit = _limit(one, waiting.jobs - sum(map(len, grants)))
+        rows = _choose(connection, deal, one, holdings.get(one.worker, ()), waiting, limit)
         deal.note(rows)
         grants.append(rows)
     return _grant(connection, wanted, grants, now)
@@ -277,9 +284,9 @@ def _choose(
     wanted: LeaseWanted,
     attempts: Sequence[int],
     waiting: JobRecord,
-    left: int,
+    limit: int,
 ) -> list[JobRecord]:
-    """Return what one worker gets, who holds jobs with these attempts, while so many jobs are left."""
+    """Return what one worker gets, who holds jobs with these attempts; of fresh ones no more than the limit."""
     if any(attempt > 1 for attempt in attempts):
         return []
     known = {"capabilities": wanted.capabilities, "now": deal.now}
@@ -293,7 +300,6 @@ def _choose(
                 connection, _RETRY, mine
             ):  # none if another coordinator is just granting it
                 return rows
-    limit = min(wanted.max_jobs, _fair_share(left, wanted.terms.live_workers))
     rows = _locked_rows(connection, _FRESH_TRACES, {**known, "most": limit}) if waiting.traces else []
     return _without_twins([*rows, *deal.fresh(wanted.capabilities, limit - len(rows))])
 
@@ -316,12 +322,14 @@ def _enough(wanted: LeaseWanted) -> int:
     return wanted.terms.live_workers * (wanted.max_jobs + 1) * 3 // 2
 
 
-def _fair_share(waiting: int, live_workers: int) -> int:
-    """Return two thirds of an equal share of what is queued: large grants first, single jobs at the end.
+def _limit(wanted: LeaseWanted, waiting: int) -> int:
+    """Return how many jobs a worker gets at most: two thirds of an equal share of what is queued.
 
-    Half would need a fifth more requests and gain nothing; all of it lets the slowest worker keep the others waiting.
+    So grants are large at first, and single jobs at the end. Half would need a fifth more requests and gain nothing;
+    all of it lets the slowest worker keep the others waiting.
     """
-    return max(1, -(-2 * waiting // (3 * live_workers)))
+    share = -(-2 * min(waiting, _enough(wanted)) // (3 * wanted.terms.live_workers))
+    return min(wanted.max_jobs, max(1, share))
 
 
 def _goes_first(connection: Connection, retry: JobRecord, known: dict[str, Any], *, traces: bool) -> bool:

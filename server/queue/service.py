@@ -19,7 +19,7 @@ from server.campaigns.advance import Stepper
 from server.db.writer import Joint, Writer
 from server.errors import FieldError, InvalidInput
 from server.metrics import Metrics
-from server.queue import holding_store, report_store, workers
+from server.queue import holding_store, lease_store, report_store, workers
 from server.queue.exchange import Exchange, Exchanged, exchange
 from server.queue.values import LeaseTerms, LeaseWanted, Loss, Outcome, Report
 from server.queue.wakeups import Wakeups
@@ -38,8 +38,10 @@ from worker.wire import (
     WorkerIdentity,
 )
 
-RECHECK_S = 1.0
-"""Pause after which a waiting lease looks again by itself: backoffs end, other coordinators enqueue."""
+RECHECK_S = 10.0
+"""Pause after which a waiting lease looks again by itself, in case that news was lost."""
+SHARED_RECHECK_S = 2.0
+"""The same where coordinators share a database: no news tells of jobs that one read ahead and did not grant."""
 TOUCH_S = 5.0
 """Pause between two notes in the database that a worker was heard of."""
 FORGET_S = 24 * 3600.0
@@ -79,6 +81,11 @@ class QueueService:
         default_factory=lambda: ThreadPoolExecutor(max_workers=1, thread_name_prefix="brink-step")
     )
 
+    @property
+    def _alone(self) -> bool:
+        """Whether no other coordinator can share the database."""
+        return self.settings.sqlite_file is not None
+
     def end_waits(self) -> None:
         """Answer those who wait for work with none, and let nobody wait any more."""
         self.stopping = True
@@ -112,7 +119,8 @@ class QueueService:
                 break
             if granted or remaining <= 0 or self.stopping:
                 return LeaseReply(jobs=granted, lease_s=self.settings.lease_s)
-            await self.wakeups.wait(min(remaining, RECHECK_S), gone)
+            recheck_s = RECHECK_S if self._alone else SHARED_RECHECK_S
+            await self.wakeups.wait(min(remaining, recheck_s), gone)
         return LeaseReply(jobs=[], lease_s=self.settings.lease_s)
 
     async def heartbeat(self, request: HeartbeatRequest) -> HeartbeatReply:
@@ -204,10 +212,12 @@ class QueueService:
     async def sweep(self) -> None:
         """Take back leases that ran out, and forget workers that are gone."""
         terms = self.terms()
-        local = self.settings.sqlite_file is not None
+        local = self._alone
         unnoted = self._drop_absent()
 
-        def unit(connection: Connection) -> tuple[tuple[str, ...], list[Loss], dict[str, tuple[str, ...]]]:
+        def unit(
+            connection: Connection,
+        ) -> tuple[tuple[str, ...], list[Loss], dict[str, tuple[str, ...]], int]:
             for name, seen in unnoted.items():
                 workers.add_counts(connection, name, done=seen.done, failed=seen.failed)
             workers.forget_absent(connection, FORGET_S)
@@ -215,9 +225,9 @@ class QueueService:
             if local:  # then workers of this machine can be looked up, and need not be waited for
                 dead = workers.leases_of(connection, workers.process_is_gone)
                 holding_store.cut_short(connection, dead)
-            return *report_store.expire(connection, terms), live
+            return *report_store.expire(connection, terms), live, lease_store.due_retries(connection)
 
-        idle, lost, live = await asyncio.wrap_future(self.writer.submit(unit))
+        idle, lost, live, due = await asyncio.wrap_future(self.writer.submit(unit))
         self._with_others = {name: known for name, known in live.items() if name not in self._seen}
         if lost:
             log.warning("leases that ran out: %d", len(lost))
@@ -225,7 +235,7 @@ class QueueService:
                 log.info("lease ran out", extra=loss.fields)
             _log_quarantined(lost)
             self.metrics.expired.inc(len(lost))
-            self.wakeups.wake(len(lost))
+        self.wakeups.wake(due)
         self.advance_soon(idle)
 
     def _drop_absent(self) -> dict[str, _Seen]:

@@ -69,8 +69,7 @@ FAULTS = {
         lease_store, "share = -(-(limit - len(rows)) // peers)", "share = limit - len(rows)"
     ),
     "the end of the queue goes to one worker": Fault(
-        lease_store, "limit = min(wanted.max_jobs, _fair_share(left, wanted.terms.live_workers))",
-        "limit = wanted.max_jobs",
+        lease_store, "return min(wanted.max_jobs, max(1, share))", "return wanted.max_jobs"
     ),
     "attempts are not charged": Fault(
         lease_store, "    attempt=JobRow.attempt + 1,\n", ""
@@ -103,8 +102,8 @@ FAULTS = {
         "",
     ),
     "who comes second sees the queue as it was": Fault(
-        lease_store, "left = min(waiting.jobs - sum(map(len, grants)), _enough(one))",
-        "left = min(waiting.jobs, _enough(one))",
+        lease_store, "limit = _limit(one, waiting.jobs - sum(map(len, grants)))",
+        "limit = _limit(one, waiting.jobs)",
     ),
     "several share one turn in the database": Fault(
         lease_store, "for place in sorted(set(turns.values())):",
