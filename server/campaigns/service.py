@@ -3,7 +3,7 @@
 import asyncio
 import logging
 import secrets
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -26,6 +26,7 @@ from server.db.writer import Writer
 from server.errors import Conflict, FieldError, InvalidInput, NotFound
 from server.llm.settings import LlmSettings
 from server.problems.base import ChecksInputs, Describes
+from server.queue.report_store import idle_campaigns
 from server.queue.service import QueueService
 
 log = logging.getLogger(__name__)
@@ -159,16 +160,16 @@ class CampaignService:
         )
         campaign_id = secrets.token_hex(4)
 
-        def unit(connection: Connection) -> tuple[Campaign, bool]:
+        def unit(connection: Connection) -> tuple[Campaign, bool, Sequence[str]]:
             known = store.find_by_key(connection, key) if key is not None else None
             if known is not None:
-                return _same(known, body), False
+                return _same(known, body), False, ()
             store.insert_campaign(connection, campaign_id, live.plan.body, body.document_hash(), key)
             campaign = _found(store.find_campaign(connection, campaign_id), campaign_id)
             step_store.insert_solutions(connection, campaign, 0, solutions)
-            return campaign, True
+            return campaign, True, idle_campaigns(connection, [campaign_id])
 
-        campaign, new = await self._write(unit)
+        campaign, new, idle = await self._write(unit)
         if new:
             about = {
                 "problem": body.problem.id,
@@ -178,7 +179,7 @@ class CampaignService:
             log.info("campaign submitted", extra={"campaign": campaign_id, **about})
             self.stepper.adopt(campaign_id, live)
             self.queue.wakeups.wake()
-            self.queue.advance_soon([campaign_id])
+            self.queue.advance_soon(idle)  # whose simulations are all known, or need no workers
         return campaign, new
 
     async def get(self, campaign_id: str) -> Campaign:

@@ -77,15 +77,15 @@ def compare_queues(told: Told, *, jobs: int = 10_000, quick: bool = False) -> Co
             (POSTGRES, server.database("brink")),
         ):
             with BrinkQueue(system, database, folder) as queue:
-                for place, workers in enumerate(numbers):
+                told(system, 0, len(numbers) + 1)
+                pickups += queue.pickup()
+                for place, workers in enumerate(numbers, start=1):
                     told(system, place, len(numbers) + 1)
                     throughput += [
                         queue.throughput(workers, batch, jobs if batch > 1 else few) for batch in batches
                     ]
                     if not quick:
                         throughput.append(queue.worker_throughput(workers, few))
-                told(system, len(numbers), len(numbers) + 1)
-                pickups += queue.pickup()
                 told(system, len(numbers) + 1, len(numbers) + 1)
         if find_spec("procrastinate") is None:
             left_out["procrastinate, Postgres"] = "pip install 'brink[bench]'"

@@ -230,7 +230,6 @@ def test_health_readiness_and_metrics_are_at_the_root(finished: Finished) -> Non
     assert finished.client.get("/readyz").text == "ready\n"
     metrics = finished.client.get("/metrics").text
     assert 'brink_campaigns{status="finished"} 1.0' in metrics
-    assert 'kind="episode",needs="faulty@1",status="done"' in metrics
     assert "brink_workers_live 1.0" in metrics
     samples = {
         (sample.name, *sorted(sample.labels.values())): sample.value
