@@ -15,6 +15,7 @@ from server.campaigns.values import Campaign, Checkpoint, NewJob, NewSolution, S
 from server.db.clock import database_now
 from server.db.models import (
     EVALUATES,
+    LAST_TURN,
     CampaignRow,
     CampaignStatus,
     CheckpointRow,
@@ -185,7 +186,7 @@ def write_step(connection: Connection, step: Step) -> bool:
         .where(CampaignRow.id == campaign.id)
         .values(
             generation=told, evaluated=step.summary.evaluated, unsafe=step.summary.unsafe,
-            failed=step.summary.failed, measured=step.summary.measured,
+            failed=step.summary.failed, measured=step.summary.measured, turn=LAST_TURN, served=0,
         )
     )  # fmt: skip
     if step.status is not CampaignStatus.RUNNING:

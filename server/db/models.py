@@ -23,7 +23,9 @@ from sqlalchemy import (
     String,
     Text,
     UniqueConstraint,
+    func,
     literal,
+    select,
     text,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
@@ -128,6 +130,7 @@ class CampaignRow(Base):
     measured: Mapped[int] = mapped_column(BigInteger, default=0, server_default="0")
     failures_accepted: Mapped[int] = mapped_column(BigInteger, default=0)
     turn: Mapped[int] = mapped_column(BigInteger, default=0)
+    served: Mapped[int] = mapped_column(Integer, default=0, server_default="0")
     created_at: Mapped[datetime]
     finished_at: Mapped[datetime | None]
 
@@ -325,6 +328,10 @@ class TraceRow(Base):
     data: Mapped[bytes]
     created_at: Mapped[datetime]
 
+
+_EVERY_CAMPAIGN = CampaignRow.__table__.alias("every_campaign")
+LAST_TURN = select(func.coalesce(func.max(_EVERY_CAMPAIGN.c.turn), 0) + 1).scalar_subquery()
+"""The turn of a campaign that goes to the end of the line."""
 
 EVALUATES = JobRow.kind != literal(JobKind.TRACE, literal_execute=True)
 """Of jobs that evaluate a solution, in an episode or on a data set; spelled out, so that plans use the indexes."""

@@ -5,8 +5,10 @@ Many workers ask at once: then fresh jobs are read once and dealt out in memory,
 after the other. The database's clock decides when a lease ends.
 """
 
+import heapq
 import json
 import secrets
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
@@ -17,7 +19,7 @@ from sqlalchemy import Connection, Select, bindparam, exists, func, literal, or_
 from server.db.clock import database_now
 from server.db.locking import locked
 from server.db.many import UpdateEach, among
-from server.db.models import EVALUATES, CampaignRow, CampaignStatus, JobKind, JobRow, JobStatus
+from server.db.models import EVALUATES, LAST_TURN, CampaignRow, CampaignStatus, JobKind, JobRow, JobStatus
 from server.queue.values import Grants, JobRecord, LeaseTerms, LeaseWanted
 from worker.wire import LeasedJob
 
@@ -47,6 +49,8 @@ _GRANTED = (
     JobRow.attempt, JobRow.timeout_s, JobRow.cache,
 )  # fmt: skip
 
+TURN = 4
+"""Jobs a live worker that a campaign hands out before the next one's turn."""
 _AFTER_ALL = 2**62
 """Later than every turn in the database."""
 _NOTHING = Grants(jobs=(), campaigns=frozenset())
@@ -98,7 +102,7 @@ _RETRY = (
     .limit(1)
 )
 _CAMPAIGNS_IN_TURN = (
-    select(CampaignRow.id, CampaignRow.priority, CampaignRow.turn)
+    select(CampaignRow.id, CampaignRow.priority, CampaignRow.turn, CampaignRow.served)
     .where(
         CampaignRow.status == CampaignStatus.RUNNING,
         exists(
@@ -115,7 +119,6 @@ _CAMPAIGNS_IN_TURN = (
     )
     .order_by(CampaignRow.priority.desc(), CampaignRow.turn, CampaignRow.id)
 )
-_EVERY_CAMPAIGN = CampaignRow.__table__.alias("every_campaign")
 _GRANT = UpdateEach(
     JobRow.id,
     [JobRow.lease_token, JobRow.lease_worker],
@@ -124,20 +127,16 @@ _GRANT = UpdateEach(
     lease_expires_at=bindparam("expires"),
     not_before=None,
 )
-_TAKE_TURN = (
-    update(CampaignRow)
-    .where(
-        CampaignRow.id.in_(
-            # A campaign that somebody else is writing keeps its turn: coordinators that waited for one another here,
-            # each with several campaigns in one commit, would deadlock. SQLite knows no row locks and leaves it out.
-            select(CampaignRow.id)
-            .where(among(CampaignRow.id, "served"))
-            .with_for_update(key_share=True, skip_locked=True)
-            .scalar_subquery()
-        )
-    )
-    .values(turn=select(func.coalesce(func.max(_EVERY_CAMPAIGN.c.turn), 0) + 1).scalar_subquery())
+_NOT_HELD = CampaignRow.id.in_(
+    # A campaign that somebody else is writing stands where it did: coordinators that waited for one another here,
+    # each with several campaigns in one commit, would deadlock. SQLite knows no row locks and leaves it out.
+    select(CampaignRow.id)
+    .where(CampaignRow.id == bindparam("dealt"))
+    .with_for_update(key_share=True, skip_locked=True)
+    .scalar_subquery()
 )
+_SERVE = update(CampaignRow).where(_NOT_HELD).values(served=bindparam("count"))
+_END_TURN = update(CampaignRow).where(_NOT_HELD).values(served=bindparam("count"), turn=LAST_TURN)
 
 
 @dataclass(slots=True)
@@ -146,7 +145,6 @@ class _Line:
 
     campaign: str
     priority: int
-    turn: int
     rows: list[JobRecord] = field(default_factory=list)
     last: int = -1
     ended: bool = False
@@ -202,7 +200,9 @@ def lease_together(connection: Connection, wanted: Sequence[LeaseWanted], now: d
         rows = _choose(connection, deal, one, holdings.get(one.worker, ()), waiting, limit)
         deal.note(rows)
         grants.append(rows)
-    return _grant(connection, wanted, grants, now)
+    granted = _grant(connection, wanted, grants, now)
+    _write_turns(connection, deal.changed)
+    return granted
 
 
 class _Deal:
@@ -212,6 +212,10 @@ class _Deal:
         connection: Where they are read, and locked, as they are needed.
         now: The database's time.
         ahead: How many jobs those may want who come after the first.
+
+    Attributes:
+        changed: Of each campaign that was served, its turn, past `_AFTER_ALL` if that is another one, and how many
+            jobs it has handed out in it.
     """
 
     def __init__(self, connection: Connection, now: datetime, *, ahead: int) -> None:
@@ -221,40 +225,52 @@ class _Deal:
         self._lines: dict[tuple[str, ...], list[_Line]] = {}
         self._granted: set[int] = set()
         self._running: set[tuple[str, str]] = set()
-        self._turns: dict[str, int] = {}
+        self._stands: dict[str, tuple[int, int]] = {}
+        self._turns_ended = 0
+        self.changed: dict[str, tuple[int, int]] = {}
 
-    def fresh(self, capabilities: tuple[str, ...], limit: int) -> list[JobRecord]:
-        """Take up to `limit` fresh jobs from the running campaigns, by priority, then in turn."""
-        if limit <= 0:
-            return []
+    def fresh(self, capabilities: tuple[str, ...], limit: int, live_workers: int) -> list[JobRecord]:
+        """Take up to `limit` fresh jobs from the running campaigns, by priority, then in turn.
+
+        A turn lasts for so many jobs a live worker, or until there are no more: campaigns that took turns job by
+        job would come to the ends of their generations together, and workers wait for the last jobs of all.
+        """
         lines = [
             line for line in self._of(capabilities) if line.untouched or self._first(line, 1, capabilities)
         ]
-        lines.sort(
-            key=lambda line: (-line.priority, self._turns.get(line.campaign, line.turn), line.campaign)
-        )
+        order = [(-line.priority, self._stands[line.campaign][0], line.campaign, line) for line in lines]
+        heapq.heapify(order)
         rows: list[JobRecord] = []
-        for place, line in enumerate(lines):
-            if len(rows) >= limit:
-                break
-            peers = sum(other.priority == line.priority for other in lines[place:])
-            share = -(-(limit - len(rows)) // peers)
-            rows += self._first(line, share, capabilities, ahead=self._ahead // peers)
+        taken: Counter[str] = Counter()
+        while order and len(rows) < limit:
+            priority, turn, campaign, line = heapq.heappop(order)
+            served = self._stands[campaign][1]
+            left, before = max(1, TURN * live_workers - served), taken[campaign]
+            most = min(limit - len(rows), left)
+            more = self._first(line, before + most, capabilities, ahead=self._ahead)[before:]
+            rows += more
+            taken[campaign] += len(more)
+            over = len(more) == left
+            self._turns_ended += over
+            stands = (_AFTER_ALL + self._turns_ended, 0) if over else (turn, served + len(more))
+            if more:
+                self._stands[campaign] = self.changed[campaign] = stands
+            if over:
+                heapq.heappush(order, (priority, stands[0], campaign, line))
         return rows
 
     def note(self, rows: Sequence[JobRecord]) -> None:
-        """Note what one worker gets: nobody else may have it, nor run the same, and its campaigns go to the end."""
+        """Note what one worker gets: nobody else may have it, nor run the same."""
         self._granted |= {row.id for row in rows}
         self._running |= {(row.spec_hash, row.kind) for row in rows}
-        self._turns |= dict.fromkeys((row.campaign_id for row in rows), _AFTER_ALL + len(self._granted))
 
     def _of(self, capabilities: tuple[str, ...]) -> list[_Line]:
         if capabilities not in self._lines:
             known = {"capabilities": capabilities, "now": self.now}
-            self._lines[capabilities] = [
-                _Line(campaign=row.id, priority=row.priority, turn=row.turn)
-                for row in self._connection.execute(_CAMPAIGNS_IN_TURN, known)
-            ]
+            found = self._connection.execute(_CAMPAIGNS_IN_TURN, known).all()
+            self._lines[capabilities] = [_Line(campaign=row.id, priority=row.priority) for row in found]
+            for row in found:
+                self._stands.setdefault(row.id, (row.turn, row.served))
         return self._lines[capabilities]
 
     def _first(
@@ -301,7 +317,9 @@ def _choose(
             ):  # none if another coordinator is just granting it
                 return rows
     rows = _locked_rows(connection, _FRESH_TRACES, {**known, "most": limit}) if waiting.traces else []
-    return _without_twins([*rows, *deal.fresh(wanted.capabilities, limit - len(rows))])
+    return _without_twins(
+        [*rows, *deal.fresh(wanted.capabilities, limit - len(rows), wanted.terms.live_workers)]
+    )
 
 
 def _holdings(connection: Connection, wanted: Sequence[LeaseWanted]) -> dict[str, list[int]]:
@@ -365,17 +383,19 @@ def _grant(
 ) -> Grants:
     granted: list[list[LeasedJob]] = []
     values: dict[float, list[tuple[int, str, str]]] = {}
-    turns: dict[str, int] = {}
-    for place, (one, rows) in enumerate(zip(wanted, grants, strict=True)):
+    for one, rows in zip(wanted, grants, strict=True):
         jobs = [_leased(row) for row in rows]
         granted.append(jobs)
         values.setdefault(one.terms.lease_s, []).extend((job.job, job.token, one.worker) for job in jobs)
-        turns |= dict.fromkeys((row.campaign_id for row in rows), place)
     for lease_s, rows_of in values.items():
         _GRANT.run(connection, rows_of, {"expires": now + timedelta(seconds=lease_s)})
-    for place in sorted(set(turns.values())):
-        connection.execute(_TAKE_TURN, {"served": sorted(name for name in turns if turns[name] == place)})
-    return Grants(jobs=granted, campaigns=frozenset(turns))
+    return Grants(jobs=granted, campaigns=frozenset(row.campaign_id for rows in grants for row in rows))
+
+
+def _write_turns(connection: Connection, changed: dict[str, tuple[int, int]]) -> None:
+    for campaign, (turn, served) in sorted(changed.items(), key=lambda item: item[1]):
+        statement = _END_TURN if turn > _AFTER_ALL else _SERVE
+        connection.execute(statement, {"dealt": campaign, "count": served})
 
 
 def _leased(row: JobRecord) -> LeasedJob:

@@ -63,10 +63,18 @@ FAULTS = {
         lease_store, "return best is None or retry.priority >= best.priority", "return True"
     ),
     "campaigns do not take turns": Fault(
-        lease_store, "        turns |= dict.fromkeys((row.campaign_id for row in rows), place)\n", ""
+        lease_store, "statement = _END_TURN if turn > _AFTER_ALL else _SERVE", "statement = _SERVE"
     ),
-    "one campaign takes the whole grant": Fault(
-        lease_store, "share = -(-(limit - len(rows)) // peers)", "share = limit - len(rows)"
+    "turns begin anew with each grant": Fault(
+        lease_store, "    _write_turns(connection, deal.changed)\n", ""
+    ),
+    "a turn has no end": Fault(
+        lease_store, "left, before = max(1, TURN * live_workers - served), taken[campaign]",
+        "left, before = limit + 1, taken[campaign]",
+    ),
+    "a turn is a job": Fault(
+        lease_store, "left, before = max(1, TURN * live_workers - served), taken[campaign]",
+        "left, before = 1, taken[campaign]",
     ),
     "the end of the queue goes to one worker": Fault(
         lease_store, "return min(wanted.max_jobs, max(1, share))", "return wanted.max_jobs"
@@ -97,17 +105,11 @@ FAULTS = {
         lease_store, "not (row.cache and (row.spec_hash", "not ((row.spec_hash"
     ),
     "who comes second finds the same turn": Fault(
-        lease_store,
-        "        self._turns |= dict.fromkeys((row.campaign_id for row in rows), _AFTER_ALL + len(self._granted))\n",
-        "",
+        lease_store, "self._stands[campaign] = self.changed[campaign] = stands", "self.changed[campaign] = stands"
     ),
     "who comes second sees the queue as it was": Fault(
         lease_store, "limit = _limit(one, waiting.jobs - sum(map(len, grants)))",
         "limit = _limit(one, waiting.jobs)",
-    ),
-    "several share one turn in the database": Fault(
-        lease_store, "for place in sorted(set(turns.values())):",
-        "for place in sorted(set(turns.values()), reverse=True):",
     ),
     "a retry is dealt out with the rest": Fault(
         lease_store, "if len(wanted) > 1 and (waiting.retries or waiting.traces):", "if waiting.traces:"

@@ -3,7 +3,6 @@
 The model knows nothing of SQL: it says in plain Python who should get which jobs, and what becomes of them.
 """
 
-import itertools
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
@@ -32,6 +31,7 @@ WORKERS = ("w1", "w2", "w3")
 NEEDS = ("faulty@1", "other@1")
 MAX_ATTEMPTS = 2
 MAX_JOBS = 24
+TURN = 4
 
 
 @dataclass
@@ -43,6 +43,7 @@ class ModelCampaign:
     cache: bool
     status: CampaignStatus = CampaignStatus.RUNNING
     turn: int = 0
+    served: int = 0
 
 
 @dataclass
@@ -112,37 +113,52 @@ class Model:
         }
         return sorted(serves.values(), key=lambda one: (-one.priority, one.turn, one.id))
 
-    def fresh(self, capabilities: Sequence[str], max_jobs: int, live_workers: int) -> list[int]:
-        """Return the fresh jobs that a worker should get."""
+    def fresh(
+        self, capabilities: Sequence[str], max_jobs: int, live_workers: int
+    ) -> tuple[list[int], dict[str, tuple[int, int]]]:
+        """Return the fresh jobs that a worker should get, and where their campaigns stand then: turn, jobs served."""
         waiting = sum(
             job.status == "queued" and job.campaign.status is CampaignStatus.RUNNING
             for job in self.jobs.values()
         )
         enough = live_workers * (max_jobs + 1) * 3 // 2
         limit = min(max_jobs, max(1, -(-2 * min(waiting, enough) // (3 * live_workers))))
-        campaigns = self.in_turn(capabilities)
+        line = self.in_turn(capabilities)
         taken: list[ModelJob] = []
-        for place, campaign in enumerate(campaigns):
-            peers = sum(other.priority == campaign.priority for other in campaigns[place:])
-            share = -(-(limit - len(taken)) // peers)
-            its = (job for job in self.jobs.values() if job.campaign is campaign and job.attempt == 0)
-            taken += list(itertools.islice((job for job in its if self.eligible(job, capabilities)), share))
+        stands: dict[str, tuple[int, int]] = {}
+        while line and len(taken) < limit:
+            campaign = line.pop(0)
+            turn, served = stands.get(campaign.id, (campaign.turn, campaign.served))
+            left = max(1, TURN * live_workers - served)
+            its = [
+                job
+                for job in self.jobs.values()
+                if job.campaign is campaign
+                and job.attempt == 0
+                and self.eligible(job, capabilities)
+                and job not in taken
+            ][: min(left, limit - len(taken))]
+            taken += its
+            if len(its) == left:
+                last = max(one.turn for one in self.campaigns.values())
+                stands[campaign.id] = (max([last, *(turn for turn, _ in stands.values())]) + 1, 0)
+                behind = [one for one in line if one.priority >= campaign.priority]
+                line.insert(len(behind), campaign)
+            elif its:
+                stands[campaign.id] = (turn, served + len(its))
         seen: set[str] = set()
         kept = []
         for job in taken:
             if not (job.campaign.cache and job.spec_hash in seen):
                 seen.add(job.spec_hash)
                 kept.append(job.id)
-        return kept
+        return kept, stands
 
     def grant(self, worker: str, granted: Sequence[LeasedJob]) -> None:
         """Note what was granted."""
         for lease in granted:
             job = self.jobs[lease.job]
             job.status, job.attempt, job.token, job.worker = "leased", job.attempt + 1, lease.token, worker
-        turn = max((campaign.turn for campaign in self.campaigns.values()), default=0) + 1
-        for lease in granted:
-            self.jobs[lease.job].campaign.turn = turn
 
     def fail(self, job: ModelJob, *, final: bool) -> None:
         """Note that an attempt failed."""
@@ -242,7 +258,7 @@ class QueueMachine(RuleBasedStateMachine):
         held = self.model.holdings(worker)
         retries = self.model.retries(worker, capabilities, elsewhere)
         in_turn = self.model.in_turn(capabilities)
-        fresh = self.model.fresh(capabilities, max_jobs, live_workers)
+        fresh, stands = self.model.fresh(capabilities, max_jobs, live_workers)
 
         def compare(granted: Sequence[LeasedJob]) -> None:
             got = [lease.job for lease in granted]
@@ -256,6 +272,8 @@ class QueueMachine(RuleBasedStateMachine):
                     assert got[0] in {job.id for job in retries}
             else:
                 assert got == fresh
+                for name, (turn, served) in stands.items():
+                    self.model.campaigns[name].turn, self.model.campaigns[name].served = turn, served
             assert all(lease.attempt == self.model.jobs[lease.job].attempt + 1 for lease in granted)
             assert len({lease.token for lease in [*self.leases, *granted]}) == len(self.leases) + len(granted)
             self.model.grant(worker, granted)

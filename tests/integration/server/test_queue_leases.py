@@ -69,17 +69,28 @@ def test_the_higher_priority_goes_first(queue: Queue) -> None:
     assert order == [high] * 3 + [middle] * 3 + [low] * 3
 
 
-def test_campaigns_of_one_priority_take_turns(queue: Queue) -> None:
-    campaigns = [queue.campaign(8) for _ in range(3)]
-    order = [campaigns_of(queue, queue.lease(max_jobs=1))[0] for _ in range(9)]
-    for turn in range(0, 9, 3):
-        assert sorted(order[turn : turn + 3]) == sorted(campaigns)
+def test_campaigns_of_one_priority_take_turns_of_four_jobs_a_worker(queue: Queue) -> None:
+    campaigns = [queue.campaign(30) for _ in range(3)]
+    order = [campaigns_of(queue, queue.lease(max_jobs=1, live_workers=2))[0] for _ in range(48)]
+    assert order == [campaign for _ in range(2) for campaign in campaigns for _ in range(8)]
 
 
-def test_a_grant_is_split_between_campaigns_of_one_priority(queue: Queue) -> None:
+def test_a_campaign_without_fresh_jobs_gives_its_turn_away(queue: Queue) -> None:
+    first, second = queue.campaign(2), queue.campaign(8)
+    assert campaigns_of(queue, queue.lease(max_jobs=5)) == [first] * 2 + [second] * 3
+
+
+def test_a_grant_goes_on_past_the_end_of_a_turn(queue: Queue) -> None:
     first, second = queue.campaign(40), queue.campaign(40)
-    order = campaigns_of(queue, queue.lease(max_jobs=8))
-    assert (order.count(first), order.count(second)) == (4, 4)
+    order = campaigns_of(queue, queue.lease(max_jobs=10))
+    assert order == [first] * 4 + [second] * 4 + [first] * 2
+    assert campaigns_of(queue, queue.lease(max_jobs=3)) == [first] * 2 + [second]
+
+
+def test_turns_that_end_together_end_in_their_order(queue: Queue) -> None:
+    first, second = queue.campaign(40), queue.campaign(40)
+    assert campaigns_of(queue, queue.lease(max_jobs=8)) == [first] * 4 + [second] * 4
+    assert campaigns_of(queue, queue.lease(max_jobs=1)) == [first]
 
 
 def test_a_worker_gets_only_what_it_can_run(queue: Queue) -> None:
