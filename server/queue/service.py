@@ -144,10 +144,11 @@ class QueueService:
         wanted = request.lease
         if wanted is not None:
             notes.append(self._heard_of(wanted.worker, wanted.capabilities))
+        terms = self.terms(wanted.worker.id if wanted is not None else None)
         exchanged = await self._exchange(
             Exchange(
-                terms=self.terms(), notes=tuple(filter(None, notes)), outcomes=tuple(outcomes),
-                release=tuple(request.release), wanted=self._wanted(wanted) if wanted is not None else None,
+                terms=terms, notes=tuple(filter(None, notes)), outcomes=tuple(outcomes),
+                release=tuple(request.release), wanted=_wanted(wanted, terms) if wanted is not None else None,
             )
         )  # fmt: skip
         report, released, granted = exchanged.report, exchanged.released, exchanged.granted
@@ -256,16 +257,11 @@ class QueueService:
     async def _lease_now(self, request: LeaseRequest) -> list[LeasedJob]:
         note = self._heard_of(request.worker, request.capabilities)
         notes = (note,) if note is not None else ()
-        asked = Exchange(terms=self.terms(), notes=notes, wanted=self._wanted(request))
+        terms = self.terms(request.worker.id)
+        asked = Exchange(terms=terms, notes=notes, wanted=_wanted(request, terms))
         granted = (await self._exchange(asked)).granted
         _log_granted(request.worker.id, granted)
         return granted
-
-    def _wanted(self, request: LeaseRequest) -> LeaseWanted:
-        return LeaseWanted(
-            worker=request.worker.id, capabilities=tuple(request.capabilities), max_jobs=request.max_jobs,
-            terms=self.terms(request.worker.id),
-        )  # fmt: skip
 
     async def _exchange(self, request: Exchange) -> Exchanged:
         return await asyncio.wrap_future(self.writer.submit(Joint(exchange, request)))
@@ -297,6 +293,15 @@ class QueueService:
         seen.noted_at, seen.done, seen.failed = now, 0, 0
         known = list(seen.capabilities)
         return lambda connection: workers.note(connection, worker, known, done=done, failed=failed)
+
+
+def _wanted(request: LeaseRequest, terms: LeaseTerms) -> LeaseWanted:
+    return LeaseWanted(
+        worker=request.worker.id,
+        capabilities=tuple(request.capabilities),
+        max_jobs=request.max_jobs,
+        terms=terms,
+    )
 
 
 def _log_granted(worker: str, granted: Sequence[LeasedJob]) -> None:

@@ -5,7 +5,7 @@ import random
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from server.bench.chaos.ledger import Findings, Ledger, audit
 from server.bench.chaos.proxy import FaultyProxy
 from server.bench.chaos.site import Site
 from server.bench.load.problem import LOAD, MODULE
+from server.bench.telling import Told
 from server.bench.temporary.coordinator import CoordinatorProcess, DidNotStart, Process, worker_command
 from server.bench.temporary.postgres import temporary_postgres
 from server.db.engine import open_engines
@@ -29,8 +30,6 @@ AT_ONCE = 2
 PATIENCE_S = 240.0
 """How long the campaigns may take to end once nothing breaks any more."""
 _LOOK_S = 0.5
-
-Told = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,27 +4,27 @@ import asyncio
 import contextlib
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import httpx
 
+from server.bench.load.campaign import load_campaign
 from server.bench.load.client import LoadClient
-from server.bench.load.problem import LOAD, MODULE
+from server.bench.load.problem import MODULE
 from server.bench.queue.figures import percentile
+from server.bench.telling import Told
 from server.bench.temporary.coordinator import CoordinatorProcess, DidNotStart
 from sim.catalogue import PLUGINS_VARIABLE
 
 GENERATION = 1000
+RADIUS = 0.01
 FILLERS = 2
 FILLER_BATCH = 256
 TARGET_MS = 200.0
 WORKERS = 4
 _PATIENCE_S = 3600.0
-
-Told = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,7 +79,7 @@ def measure_answers(told: Told, *, solutions: int = 100_000, samples: int = 100)
 
 async def _fill(coordinator: CoordinatorProcess, solutions: int, told: Told) -> str:
     async with httpx.AsyncClient(base_url=f"{coordinator.url}/api/v1", timeout=120.0) as api:
-        campaign = await _submit(api, _body("large", solutions, GENERATION, seed=1, mean_s=0.0))
+        campaign = await _submit(api, load_campaign(solutions, generation=GENERATION, seed=1, radius=RADIUS))
         async with _working(coordinator.url, FILLERS, batch=FILLER_BATCH):
             deadline = time.monotonic() + _PATIENCE_S
             while (stands := (await api.get(f"/campaigns/{campaign}/progress?since=1000000")).json())[
@@ -109,7 +109,7 @@ async def _ask(
         httpx.AsyncClient(base_url=f"{coordinator.url}/api/v1", timeout=120.0) as api,
         _working(coordinator.url, WORKERS, batch=1),
     ):
-        await _submit(api, _body("meanwhile", 100_000, 60, seed=2, mean_s=0.2))
+        await _submit(api, load_campaign(100_000, generation=60, seed=2, mean_s=0.2))
         for place, (name, path) in enumerate(requests.items()):
             told("requests", place, len(requests))
             times_ms = []
@@ -149,11 +149,3 @@ async def _working(url: str, count: int, *, batch: int) -> Any:
 
 async def _submit(api: httpx.AsyncClient, body: dict[str, Any]) -> str:
     return str((await api.post("/campaigns", json=body)).raise_for_status().json()["id"])
-
-
-def _body(name: str, budget: int, generation: int, *, seed: int, mean_s: float) -> dict[str, Any]:
-    return {
-        "name": name, "problem": {"id": LOAD, "params": {"mean_s": mean_s}}, "seed": seed,
-        "algorithm": {"id": "random@1", "params": {"generation_size": generation, "radius": 0.01}},
-        "budget": {"simulations": budget}, "execution": {"cache": False, "keep_traces": 0},
-    }  # fmt: skip

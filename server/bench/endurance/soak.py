@@ -4,7 +4,7 @@ import asyncio
 import statistics
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import httpx
 import numpy as np
 
 from server.bench.processes import children_of, memory_of
+from server.bench.telling import Told
 from server.bench.temporary.coordinator import CoordinatorProcess, DidNotStart, Process, worker_command
 
 EVERY_S = 10.0
@@ -21,8 +22,6 @@ WARM_S = 300.0
 SIMULATIONS = 500
 WORKERS = 2
 TARGET_MIB_AN_HOUR = 10.0
-
-Told = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

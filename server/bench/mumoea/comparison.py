@@ -6,12 +6,12 @@ Every method gets the same number of simulations on the same road with the same 
 import csv
 import hashlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import fields
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import Final
 
 import numpy as np
 
@@ -19,11 +19,11 @@ from search.seeding import Origin
 from search.statistics import compared
 from server.bench.mumoea.measures import Measures, first_of_each_type, measured, types_over
 from server.bench.mumoea.runs import ADAPTIVE, ALWAYS, METHODS, SearchRun, Task, run_or_read
+from server.bench.telling import Told
 from server.problems.npc_actions import NpcActionsParams
 from sim.figures import Row
 from sim.trials import code_fingerprint, single_threaded
 
-Told: TypeAlias = Callable[[str, int, int], None]
 """Called with what is being measured, how much of it is done, and how much there is."""
 
 DECIDING: Final = (

@@ -2,8 +2,6 @@
 
 import asyncio
 import contextlib
-import itertools
-import secrets
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,8 +10,9 @@ from typing import Any
 import httpx
 from sqlalchemy import func, select
 
+from server.bench.load.campaign import load_campaign
 from server.bench.load.client import LoadClient
-from server.bench.load.problem import LOAD, MODULE
+from server.bench.load.problem import MODULE
 from server.bench.queue.figures import Pickup, Throughput, percentile
 from server.bench.temporary.coordinator import CoordinatorProcess, DidNotStart, Process, worker_command
 from server.db.engine import open_engines
@@ -53,8 +52,7 @@ class BrinkQueue:
             return asyncio.run(self._drain(workers, batch, jobs))
 
     def worker_throughput(self, workers: int, jobs: int) -> Throughput:
-        """Measure how many jobs go through real workers, each with its simulation process."""
-        name = secrets.token_hex(4)
+        """Measure how many jobs go through real workers with simulation processes, from when they are stored."""
         processes = [
             Process(worker_command(self._coordinator.url), self._folder / "worker.log", _ENVIRONMENT)
             for _ in range(workers)
@@ -63,7 +61,7 @@ class BrinkQueue:
             for process in processes:
                 process.start()
                 stack.callback(process.kill)
-            self._await_workers(workers, name)
+            self._await_workers(workers)
             with self._campaigns(jobs) as campaigns:
                 seconds = self._await_done(campaigns, jobs)
         return Throughput(
@@ -118,7 +116,9 @@ class BrinkQueue:
                 for index in range(SAMPLES):
                     await asyncio.sleep(0.05)  # the worker is idle, and waits
                     began = time.time()
-                    submitted = asyncio.create_task(http.post("/api/v1/campaigns", json=_body(1, seed=index)))
+                    submitted = asyncio.create_task(
+                        http.post("/api/v1/campaigns", json=load_campaign(1, generation=1, seed=index))
+                    )
                     jobs = await waiting
                     had = time.time()
                     (await submitted).raise_for_status()
@@ -138,7 +138,7 @@ class BrinkQueue:
         ids = []
         for index in range(-(-jobs // CAMPAIGN_JOBS)):
             size = min(CAMPAIGN_JOBS, jobs - index * CAMPAIGN_JOBS)
-            ids.append(self._submit(_body(size, seed=index)))
+            ids.append(self._submit(load_campaign(size, generation=size, seed=index)))
         try:
             yield ids
         finally:
@@ -150,7 +150,7 @@ class BrinkQueue:
         response.raise_for_status()
         return str(response.json()["id"])
 
-    def _await_workers(self, count: int, name: str) -> None:
+    def _await_workers(self, count: int) -> None:
         deadline = time.monotonic() + _PATIENCE_S
         while True:
             seen = httpx.get(f"{self._coordinator.url}/api/v1/workers").json()
@@ -163,8 +163,9 @@ class BrinkQueue:
     def _await_done(self, campaigns: list[str], jobs: int) -> float:
         engines = open_engines(self._database)
         of_these = JobRow.campaign_id.in_(campaigns)
+        deadline = time.monotonic() + _PATIENCE_S
         try:
-            for _ in itertools.count():
+            while time.monotonic() < deadline:
                 with engines.reader.connect() as connection:
                     done = select(func.count()).where(of_these, JobRow.status == JobStatus.DONE)
                     if connection.execute(done).scalar_one() >= jobs:
@@ -177,12 +178,4 @@ class BrinkQueue:
                 time.sleep(0.2)
         finally:
             engines.dispose()
-        raise AssertionError
-
-
-def _body(jobs: int, *, seed: int) -> dict[str, Any]:
-    return {
-        "name": "queue", "problem": {"id": LOAD}, "seed": seed, "budget": {"simulations": jobs},
-        "algorithm": {"id": "random@1", "params": {"generation_size": jobs}},
-        "execution": {"cache": False, "keep_traces": 0},
-    }  # fmt: skip
+        raise DidNotStart("the workers do not come to an end")

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import sys
 import time
 from collections.abc import Iterator
@@ -29,7 +30,6 @@ class CeleryQueue:
     def __init__(self, url: str, folder: Path) -> None:
         self._folder = folder
         self._environment = {"BENCH_REDIS_URL": url}
-        import os
 
         os.environ.update(self._environment)
         from server.bench.queue.celery_app import app, nothing

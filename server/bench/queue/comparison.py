@@ -1,13 +1,13 @@
 """All queues in one run, on one machine, with the same durability."""
 
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
 from server.bench.queue.brink import BrinkQueue
 from server.bench.queue.figures import BATCHES, WORKERS, Pickup, Throughput
+from server.bench.telling import Told
 from server.bench.temporary.postgres import DURABLE, temporary_postgres
 from server.bench.temporary.redis import NoRedis, find_redis, temporary_redis
 
@@ -19,8 +19,6 @@ SETTINGS = {
 TARGET_BATCH = 8
 TARGET_TIMES = 5.0
 TARGET_PICKUP_MS = 10.0
-
-Told = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import os
 import sys
 import time
 from collections.abc import Iterator
@@ -31,7 +32,6 @@ class ProcrastinateQueue:
     name = NAME
 
     def __init__(self, url: str, folder: Path) -> None:
-        import os
 
         self._url = url
         self._folder = folder

@@ -8,30 +8,28 @@ import asyncio
 import contextlib
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import httpx
 
+from server.bench.load.campaign import load_campaign
 from server.bench.load.client import LoadClient
-from server.bench.load.problem import LOAD, MODULE
+from server.bench.load.problem import MODULE
 from server.bench.processes import cpu_of
+from server.bench.telling import Told
 from server.bench.temporary.coordinator import CoordinatorProcess
 from sim.catalogue import PLUGINS_VARIABLE
 
 WORKERS = (1, 4, 16, 64)
 MEAN_S = 5.0
-SIGMA = 0.5
 TARGET = 0.95
 TARGET_WORKERS = 64
 TARGET_CAMPAIGNS = 2
 TARGET_GENERATION = 256
 """Of jobs. With 100, two campaigns cannot fill 64 workers, whoever deals: the longest episodes take too long."""
 GENERATIONS = (100, TARGET_GENERATION)
-
-Told = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,7 +106,10 @@ def _measure(workers: int, campaigns: int, generation: int, budget: int, scale: 
         )
         try:
             coordinator.start_ready()
-            bodies = [_body(generation, budget, seed) for seed in range(campaigns)]
+            bodies = [
+                load_campaign(budget, generation=generation, seed=seed, mean_s=MEAN_S)
+                for seed in range(campaigns)
+            ]
             return asyncio.run(_Crew(coordinator, workers, scale).work(bodies, generation))
         finally:
             coordinator.kill()
@@ -183,11 +184,3 @@ class _Crew:
             if stands["status"] != "running":
                 return True
         return False
-
-
-def _body(generation: int, budget: int, seed: int) -> dict[str, Any]:
-    return {
-        "name": f"scale {seed}", "problem": {"id": LOAD, "params": {"mean_s": MEAN_S, "sigma": SIGMA}},
-        "algorithm": {"id": "random@1", "params": {"generation_size": generation}},
-        "budget": {"simulations": budget}, "seed": seed, "execution": {"cache": False, "keep_traces": 0},
-    }  # fmt: skip

@@ -9,8 +9,8 @@ from concurrent.futures import ProcessPoolExecutor
 from typing import Final
 
 from search.algorithms.simood import SimoodConfig
-from server.bench.simood.hazards import Told
 from server.bench.simood.places import Chain, Places
+from server.bench.telling import Told
 from server.problems.aeb_crossing import AebCrossingParams
 from sim.episode import EpisodeSpec
 from sim.figures import Row

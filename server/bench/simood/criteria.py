@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Final
 
 from server.bench.simood.costs import Costs
-from server.bench.simood.hazards import Hazards, Told
+from server.bench.simood.hazards import Hazards
 from server.bench.simood.searches import Searches
+from server.bench.telling import Told
 from sim.figures import Row
 from sim.trials import Records, code_fingerprint
 

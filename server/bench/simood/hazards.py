@@ -2,9 +2,8 @@
 
 import csv
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TypeAlias
 
 from server.bench.simood.places import (
     ACCIDENT,
@@ -16,13 +15,13 @@ from server.bench.simood.places import (
     singles,
     words,
 )
+from server.bench.telling import Told
 from server.problems.aeb_crossing import AebCrossingParams
 from sim.episode import EpisodeSpec
 from sim.figures import Row
 from sim.perturbations import CATALOGUE
 from sim.trials import Record, Records
 
-Told: TypeAlias = Callable[[str, int, int], None]
 """Called with what is being measured, how much of it is done, and how much there is."""
 
 CLEAN_PLACES = range(20)

@@ -12,8 +12,8 @@ from scipy import stats
 from search.algorithm import Evaluation, Measured
 from search.algorithms.simood import Simood, SimoodConfig, SimoodState, Stage, finalists_of
 from search.statistics import compared
-from server.bench.simood.hazards import Told
 from server.bench.simood.places import Chain, Places
+from server.bench.telling import Told
 from sim.figures import Row
 from sim.perturbations import CATALOGUE
 from sim.trials import Records
