@@ -9,11 +9,11 @@ from functools import partial
 from importlib.metadata import version
 
 from fastapi import APIRouter, FastAPI
-from fastapi_offline import FastAPIOffline
 
 from server.access.gate import Gate
 from server.api import campaigns, catalogue, health, jobs, llm, solutions, violations
 from server.api.context import Context
+from server.api.docs_page import add_docs
 from server.api.guards import Guards
 from server.api.measured import Measured
 from server.api.problem_details import describe, install
@@ -84,8 +84,8 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
             await loop.run_in_executor(None, context.queue.writer.close)
             engines.dispose()
 
-    app = FastAPIOffline(  # the pages of the API must work where there is no way out to the internet
-        redoc_url=None, static_url="/docs-files", title="Brink", description=DESCRIPTION,
+    app = FastAPI(
+        docs_url=None, redoc_url=None, title="Brink", description=DESCRIPTION,
         version=version("brink"), lifespan=lifespan, redirect_slashes=False,
         responses={
             "4XX": {"model": ProblemDetail, "description": "What is wrong with the request."},
@@ -101,6 +101,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
         api.include_router(module.router)
     app.include_router(api)
     app.include_router(health.router)
+    add_docs(app)
     token = settings.token.get_secret_value() if settings.token else None
     exposed = settings.host not in LOOPBACK
     gate = Gate(engines, token=token, exposed=exposed, rate_limit=settings.rate_limit) if sweeping else None

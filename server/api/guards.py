@@ -11,12 +11,13 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from server.access.gate import Gate
+from server.api import docs_page
 from server.api.elsewhere import from_elsewhere
 from server.api.problem_details import problem
 
 OPEN_PATHS = ("/healthz", "/readyz", "/docs", "/openapi.json")
 """What says nothing of any campaign: whether the coordinator lives, and what its API is."""
-OPEN_FOLDERS = ("/docs-files/",)
+OPEN_FOLDERS = (f"{docs_page.FOLDER}/",)
 SLOWEST_BYTES_PER_S = 10_000.0
 """What a body that takes longer than a stall must come with on the whole."""
 

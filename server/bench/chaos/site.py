@@ -47,7 +47,7 @@ class Site:
         rng: random.Random,
     ) -> None:
         self.faults: Counter[str] = Counter()
-        self.own_ends: Counter[str] = Counter()
+        self.own_ends: list[str] = []
         self.folder = folder
         self.coordinators = [
             CoordinatorProcess(database, folder / f"coordinator-{index}.log", env)
@@ -101,7 +101,7 @@ class Site:
         for kind, processes in (("coordinator", self.coordinators), ("worker", self.workers)):
             for process in processes:
                 if not process.alive and process not in self._away:
-                    self.own_ends[kind] += 1
+                    self.own_ends.append(f"{kind}, exit {process.exit_status}: {process.last_words}")
                     process.start()
 
     async def mend(self) -> None:

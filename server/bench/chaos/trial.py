@@ -6,7 +6,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -71,7 +71,7 @@ class ChaosOutcome:
         campaigns: Campaigns that were submitted, and their simulations.
         digests: For each campaign the digest of its archive in the trial, and undisturbed.
         findings: What is wrong.
-        own_ends: Processes that ended by themselves, and were started again.
+        own_ends: Of each process that ended by itself, and was started again, what it was and its last words.
         minutes: How long things broke.
     """
 
@@ -82,7 +82,7 @@ class ChaosOutcome:
     campaigns: Mapping[str, int]
     digests: Mapping[str, tuple[str, str]]
     findings: Findings
-    own_ends: Counter[str] = field(default_factory=Counter)
+    own_ends: tuple[str, ...] = ()
     minutes: float = 0.0
 
     @property
@@ -117,7 +117,7 @@ def run_trial(plan: ChaosPlan, told: Told) -> ChaosOutcome:
         undisturbed = _undisturbed(plan, list(trial.bodies.values()), folder, told)
     return ChaosOutcome(
         broken=trial.site.faults, messages=trial.messages, requests=trial.requests, statuses=ledger.statuses,
-        campaigns=trial.campaigns, findings=findings, own_ends=trial.site.own_ends, minutes=trial.minutes,
+        campaigns=trial.campaigns, findings=findings, own_ends=tuple(trial.site.own_ends), minutes=trial.minutes,
         digests={
             campaign: (ours, theirs)
             for (campaign, ours), theirs in zip(trial.digests.items(), undisturbed, strict=True)

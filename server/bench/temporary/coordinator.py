@@ -52,6 +52,16 @@ class Process:
         """The end of what it wrote."""
         return self._log_file.read_text(errors="replace")[-4000:] if self._log_file.exists() else ""
 
+    @property
+    def last_words(self) -> str:
+        """The last line that it wrote."""
+        return self.said.strip().rpartition("\n")[2]
+
+    @property
+    def exit_status(self) -> int | None:
+        """How it ended, if it did: minus the signal, if one killed it."""
+        return None if self._popen is None else self._popen.poll()
+
     def start(self) -> None:
         """Start it if it does not run."""
         if self.alive:

@@ -132,10 +132,8 @@ def chaos(
     table.add_row(f"messages, of {outcome.requests:,}", str(outcome.messages.total()))
     screen.print(table, "")
     screen.print(f"results answered: {_counts(outcome.statuses)}")
-    if outcome.own_ends:
-        screen.print(
-            f"processes that ended by themselves and were started again: {_counts(outcome.own_ends)}"
-        )
+    for end in outcome.own_ends:
+        screen.print(f"ended by itself and was started again: {end}", markup=False)
     table = figure_table("in the end", "value", "target", "")
     for name, found in wrong.items():
         table.add_row(f"verdicts or jobs {name}", str(len(found)), "0", said(not found))
