@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 
 from sqlalchemy import Connection
 
-from server.db.clock import database_now
 from server.queue import holding_store, lease_store, report_store
 from server.queue.values import LeaseTerms, LeaseWanted, Outcome, Report
 from worker.wire import HeldLease, LeasedJob
@@ -50,9 +49,8 @@ def exchange(connection: Connection, requests: Sequence[Exchange]) -> list[Excha
     for request in requests:
         for note in request.notes:
             note(connection)
-    now = database_now(connection)
     outcomes = [outcome for request in requests for outcome in request.outcomes]
-    taken = report_store.take_in(connection, outcomes, requests[0].terms, now)
+    taken, now = report_store.take_in(connection, outcomes, requests[0].terms)
     released = [holding_store.release(connection, request.release) for request in requests]
     wanted = [request.wanted for request in requests if request.wanted is not None]
     granted = lease_store.lease_together(connection, wanted, now)

@@ -77,6 +77,15 @@ _WAITING = select(
     exists(select(JobRow.id).where(_IS_QUEUED, _IS_TRACE)).label("traces"),
     exists(select(JobRow.id).where(_IS_QUEUED, _WAS_TRIED, _DUE)).label("retries"),
 )
+_WAITING_OR_TRIED = _WAITING.add_columns(
+    exists(
+        select(JobRow.id).where(
+            _IS_LEASED,
+            JobRow.attempt > literal(1, literal_execute=True),
+            among(JobRow.lease_worker, "workers"),
+        )
+    ).label("tried")
+)
 _DUE_RETRIES = select(func.count()).where(_IS_QUEUED, _WAS_TRIED, _DUE).select_from(JobRow)
 _FRESH = select(*_GRANTED).where(*_ELIGIBLE, JobRow.attempt == 0)
 _FRESH_TRACES = _FRESH.where(_IS_TRACE).order_by(JobRow.id).limit(bindparam("most"))
@@ -183,9 +192,7 @@ def lease_together(connection: Connection, wanted: Sequence[LeaseWanted], now: d
     """
     if not wanted:
         return _NOTHING
-    holdings = _holdings(connection, wanted)
-    enough = max(_enough(one) for one in wanted) + sum(one.max_jobs for one in wanted[1:])
-    waiting = connection.execute(_WAITING, {"enough": enough, "now": now}).one()
+    waiting, holdings = _look(connection, wanted, now)
     if len(wanted) > 1 and (waiting.retries or waiting.traces):
         alone = [lease_together(connection, [one], now) for one in wanted]
         return Grants(
@@ -247,7 +254,10 @@ class _Deal:
             served = self._stands[campaign][1]
             left, before = max(1, TURN * live_workers - served), taken[campaign]
             most = min(limit - len(rows), left)
-            more = self._first(line, before + most, capabilities, ahead=self._ahead)[before:]
+            # Where no other campaign comes between, the next turn is its own again: all is read at once.
+            alone = not any(other == priority for other, *_ in order)
+            ahead = self._ahead + (limit - len(rows) - most if alone else 0)
+            more = self._first(line, before + most, capabilities, ahead=ahead)[before:]
             rows += more
             taken[campaign] += len(more)
             over = len(more) == left
@@ -322,17 +332,24 @@ def _choose(
     )
 
 
-def _holdings(connection: Connection, wanted: Sequence[LeaseWanted]) -> dict[str, list[int]]:
-    """Return the attempts of the jobs that workers hold."""
-    found: dict[str, list[int]] = {}
+def _look(
+    connection: Connection, wanted: Sequence[LeaseWanted], now: datetime
+) -> tuple[JobRecord, dict[str, list[int]]]:
+    """Return what waits, and the attempts of the jobs that workers hold where these decide anything."""
     workers = [one.worker for one in wanted]
+    enough = max(_enough(one) for one in wanted) + sum(one.max_jobs for one in wanted[1:])
+    known: dict[str, Any] = {"enough": enough, "now": now}
     if connection.dialect.name == "sqlite":
-        rows = connection.execute(_HOLDINGS_SQLITE, {"workers": json.dumps(workers)})
-    else:
-        rows = connection.execute(_HOLDINGS, {"workers": workers})
+        waiting = connection.execute(_WAITING, known).one()
+        rows = connection.execute(_HOLDINGS_SQLITE, {"workers": json.dumps(workers)}).all()
+    else:  # where a question has a way to go
+        waiting = connection.execute(_WAITING_OR_TRIED, {**known, "workers": workers}).one()
+        decide = waiting.retries or waiting.tried
+        rows = connection.execute(_HOLDINGS, {"workers": workers}).all() if decide else []
+    holdings: dict[str, list[int]] = {}
     for row in rows:
-        found.setdefault(row.lease_worker, []).append(row.attempt)
-    return found
+        holdings.setdefault(row.lease_worker, []).append(row.attempt)
+    return waiting, holdings
 
 
 def _enough(wanted: LeaseWanted) -> int:

@@ -9,12 +9,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
 
-from sqlalchemy import Connection, bindparam, exists, insert, select, update
+from sqlalchemy import Connection, bindparam, exists, func, insert, select, update
 
 from server.db.clock import database_now
 from server.db.locking import locked
 from server.db.many import UpdateEach, among
 from server.db.models import EVALUATES, CampaignRow, CampaignStatus, JobRow, JobStatus, TraceRow
+from server.db.types import UtcDateTime
 from server.queue.values import JobRecord, LeaseTerms, Loss, Outcome, Report
 
 MAX_ERROR_CHARACTERS = 4000
@@ -25,8 +26,13 @@ _REPORTED = select(
     JobRow.id, JobRow.campaign_id, JobRow.kind, JobRow.status, JobRow.lease_token,
     JobRow.lease_worker, JobRow.attempt, JobRow.max_attempts, JobRow.spec_hash, JobRow.cache,
 ).where(among(JobRow.id, "jobs"))  # fmt: skip
-_REPORTED_IN_ORDER = _REPORTED.order_by(JobRow.id)
-"""Where rows are locked, so that coordinators do not wait for one another in a circle; SQLite would read all jobs."""
+_REPORTED_IN_ORDER = _REPORTED.add_columns(func.clock_timestamp(type_=UtcDateTime).label("now")).order_by(
+    JobRow.id
+)
+"""Where rows are locked, so that coordinators do not wait for one another in a circle; SQLite would read all jobs.
+
+With the time, which is a question less.
+"""
 _FINISH = UpdateEach(
     JobRow.id, [JobRow.result], status=JobStatus.DONE, finished_at=bindparam("now"), lease_expires_at=None
 )
@@ -56,19 +62,28 @@ _IDLE = select(CampaignRow.id).where(
 
 def report(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms) -> Report:
     """Store outcomes of jobs whose lease still holds; everything else changes nothing."""
-    taken = take_in(connection, outcomes, terms, database_now(connection))
+    taken, _ = take_in(connection, outcomes, terms)
     return replace(taken, campaigns=idle_campaigns(connection, taken.campaigns))
 
 
-def take_in(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms, now: datetime) -> Report:
-    """Store outcomes as `report` does; return all campaigns that they have to do with, idle or not."""
+def take_in(
+    connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms
+) -> tuple[Report, datetime]:
+    """Store outcomes as `report` does.
+
+    Returns:
+        The report, with all campaigns that they have to do with, idle or not; and the database's time.
+    """
     if not outcomes:
-        return Report(statuses=(), campaigns=())
+        return Report(statuses=(), campaigns=()), database_now(connection)
     known = {"jobs": sorted({outcome.job for outcome in outcomes})}
-    query = (
-        _REPORTED if connection.dialect.name == "sqlite" else locked(_REPORTED_IN_ORDER, connection, JobRow)
-    )
-    rows = {row.id: row for row in connection.execute(query, known)}
+    if connection.dialect.name == "sqlite":
+        found = connection.execute(_REPORTED, known).all()
+        now = database_now(connection)
+    else:
+        found = connection.execute(locked(_REPORTED_IN_ORDER, connection, JobRow), known).all()
+        now = found[0].now if found else database_now(connection)
+    rows: dict[int, JobRecord] = {row.id: row for row in found}
     statuses: list[str] = []
     accepted: dict[int, Outcome] = {}
     for outcome in outcomes:
@@ -87,12 +102,13 @@ def take_in(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTer
         terms.retry_backoff_s,
     )
     touched = {rows[job].campaign_id for job in accepted} | sharing
-    return Report(
+    taken = Report(
         statuses=tuple(statuses),
         campaigns=tuple(sorted(touched)),
         owners={job: row.campaign_id for job, row in rows.items()},
         quarantined=tuple(loss for loss in losses if loss.final),
     )
+    return taken, now
 
 
 def expire(connection: Connection, terms: LeaseTerms) -> tuple[tuple[str, ...], list[Loss]]:
