@@ -5,10 +5,8 @@ Many workers ask at once: then fresh jobs are read once and dealt out in memory,
 after the other. The database's clock decides when a lease ends.
 """
 
-import heapq
 import json
 import secrets
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
@@ -239,34 +237,28 @@ class _Deal:
     def fresh(self, capabilities: tuple[str, ...], limit: int, live_workers: int) -> list[JobRecord]:
         """Take up to `limit` fresh jobs from the running campaigns, by priority, then in turn.
 
-        A turn lasts for so many jobs a live worker, or until there are no more: campaigns that took turns job by
-        job would come to the ends of their generations together, and workers wait for the last jobs of all.
+        A turn ends with the grant by which the campaign has handed out so many jobs a live worker, or when there are
+        no more: campaigns that took turns job by job would come to the ends of their generations together, and
+        workers wait for the last jobs of all.
         """
         lines = [
             line for line in self._of(capabilities) if line.untouched or self._first(line, 1, capabilities)
         ]
-        order = [(-line.priority, self._stands[line.campaign][0], line.campaign, line) for line in lines]
-        heapq.heapify(order)
+        lines.sort(key=lambda line: (-line.priority, self._stands[line.campaign][0], line.campaign))
         rows: list[JobRecord] = []
-        taken: Counter[str] = Counter()
-        while order and len(rows) < limit:
-            priority, turn, campaign, line = heapq.heappop(order)
-            served = self._stands[campaign][1]
-            left, before = max(1, TURN * live_workers - served), taken[campaign]
-            most = min(limit - len(rows), left)
-            # Where no other campaign comes between, the next turn is its own again: all is read at once.
-            alone = not any(other == priority for other, *_ in order)
-            ahead = self._ahead + (limit - len(rows) - most if alone else 0)
-            more = self._first(line, before + most, capabilities, ahead=ahead)[before:]
+        for line in lines:
+            more = self._first(line, limit - len(rows), capabilities, ahead=self._ahead)
+            if not more:
+                continue
             rows += more
-            taken[campaign] += len(more)
-            over = len(more) == left
-            self._turns_ended += over
-            stands = (_AFTER_ALL + self._turns_ended, 0) if over else (turn, served + len(more))
-            if more:
-                self._stands[campaign] = self.changed[campaign] = stands
-            if over:
-                heapq.heappush(order, (priority, stands[0], campaign, line))
+            turn, served = self._stands[line.campaign]
+            served += len(more)
+            if served >= TURN * live_workers:
+                self._turns_ended += 1
+                turn, served = _AFTER_ALL + self._turns_ended, 0
+            self._stands[line.campaign] = self.changed[line.campaign] = (turn, served)
+            if len(rows) == limit:
+                break
         return rows
 
     def note(self, rows: Sequence[JobRecord]) -> None:

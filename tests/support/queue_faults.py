@@ -69,12 +69,10 @@ FAULTS = {
         lease_store, "    _write_turns(connection, deal.changed)\n", ""
     ),
     "a turn has no end": Fault(
-        lease_store, "left, before = max(1, TURN * live_workers - served), taken[campaign]",
-        "left, before = limit + 1, taken[campaign]",
+        lease_store, "if served >= TURN * live_workers:", "if live_workers == 0:"
     ),
-    "a turn is a job": Fault(
-        lease_store, "left, before = max(1, TURN * live_workers - served), taken[campaign]",
-        "left, before = 1, taken[campaign]",
+    "a turn is a grant": Fault(
+        lease_store, "if served >= TURN * live_workers:", "if live_workers > 0:"
     ),
     "the end of the queue goes to one worker": Fault(
         lease_store, "return min(wanted.max_jobs, max(1, share))", "return wanted.max_jobs"
@@ -105,7 +103,8 @@ FAULTS = {
         lease_store, "not (row.cache and (row.spec_hash", "not ((row.spec_hash"
     ),
     "who comes second finds the same turn": Fault(
-        lease_store, "self._stands[campaign] = self.changed[campaign] = stands", "self.changed[campaign] = stands"
+        lease_store, "self._stands[line.campaign] = self.changed[line.campaign] = (turn, served)",
+        "self.changed[line.campaign] = (turn, served)",
     ),
     "who comes second sees the queue as it was": Fault(
         lease_store, "limit = _limit(one, waiting.jobs - sum(map(len, grants)))",

@@ -126,26 +126,19 @@ class Model:
         line = self.in_turn(capabilities)
         taken: list[ModelJob] = []
         stands: dict[str, tuple[int, int]] = {}
-        while line and len(taken) < limit:
-            campaign = line.pop(0)
-            turn, served = stands.get(campaign.id, (campaign.turn, campaign.served))
-            left = max(1, TURN * live_workers - served)
+        for campaign in line:
             its = [
                 job
                 for job in self.jobs.values()
-                if job.campaign is campaign
-                and job.attempt == 0
-                and self.eligible(job, capabilities)
-                and job not in taken
-            ][: min(left, limit - len(taken))]
+                if job.campaign is campaign and job.attempt == 0 and self.eligible(job, capabilities)
+            ][: limit - len(taken)]
             taken += its
-            if len(its) == left:
+            if not its:
+                break
+            stands[campaign.id] = (campaign.turn, campaign.served + len(its))
+            if campaign.served + len(its) >= TURN * live_workers:
                 last = max(one.turn for one in self.campaigns.values())
                 stands[campaign.id] = (max([last, *(turn for turn, _ in stands.values())]) + 1, 0)
-                behind = [one for one in line if one.priority >= campaign.priority]
-                line.insert(len(behind), campaign)
-            elif its:
-                stands[campaign.id] = (turn, served + len(its))
         seen: set[str] = set()
         kept = []
         for job in taken:

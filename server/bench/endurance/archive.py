@@ -52,7 +52,22 @@ class Answers:
         return percentile(self.times_ms, 95)
 
 
-def measure_answers(told: Told, *, solutions: int = 100_000, samples: int = 100) -> list[Answers]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LargeArchive:
+    """What a large archive costs.
+
+    Attributes:
+        answers: How long requests took.
+        bytes_a_solution: Of the database, with jobs and results.
+        last_step_s: The last generation step: `GENERATION` new solutions beside all others.
+    """
+
+    answers: tuple[Answers, ...]
+    bytes_a_solution: float
+    last_step_s: float
+
+
+def measure_archive(told: Told, *, solutions: int = 100_000, samples: int = 100) -> LargeArchive:
     """Fill an archive by simulations that take no time, start the coordinator again, and ask.
 
     Args:
@@ -69,15 +84,19 @@ def measure_answers(told: Told, *, solutions: int = 100_000, samples: int = 100)
         coordinator = CoordinatorProcess(database, folder / "coordinator.log", {PLUGINS_VARIABLE: MODULE})
         try:
             coordinator.start_ready()
-            campaign = asyncio.run(_fill(coordinator, solutions, told))
+            campaign, last_step_s = asyncio.run(_fill(coordinator, solutions, told))
             coordinator.stop()
+            size = sum(file.stat().st_size for file in folder.glob("archive.db*"))
             coordinator.start_ready()
-            return asyncio.run(_ask(coordinator, campaign, solutions, samples, told))
+            answers = asyncio.run(_ask(coordinator, campaign, solutions, samples, told))
+            return LargeArchive(
+                answers=tuple(answers), bytes_a_solution=size / solutions, last_step_s=last_step_s
+            )
         finally:
             coordinator.kill()
 
 
-async def _fill(coordinator: CoordinatorProcess, solutions: int, told: Told) -> str:
+async def _fill(coordinator: CoordinatorProcess, solutions: int, told: Told) -> tuple[str, float]:
     async with httpx.AsyncClient(base_url=f"{coordinator.url}/api/v1", timeout=120.0) as api:
         campaign = await _submit(api, load_campaign(solutions, generation=GENERATION, seed=1, radius=RADIUS))
         async with _working(coordinator.url, FILLERS, batch=FILLER_BATCH):
@@ -89,7 +108,9 @@ async def _fill(coordinator: CoordinatorProcess, solutions: int, told: Told) -> 
                 if time.monotonic() > deadline:
                     raise DidNotStart("the archive is not full within an hour")
                 await asyncio.sleep(1.0)
-    return campaign
+        last = f"/campaigns/{campaign}/progress?since={solutions // GENERATION - 1}"
+        generations = (await api.get(last)).raise_for_status().json()["generations"]
+    return campaign, float(generations[-1]["step_s"])
 
 
 async def _ask(

@@ -80,16 +80,16 @@ def test_a_campaign_without_fresh_jobs_gives_its_turn_away(queue: Queue) -> None
     assert campaigns_of(queue, queue.lease(max_jobs=5)) == [first] * 2 + [second] * 3
 
 
-def test_a_grant_goes_on_past_the_end_of_a_turn(queue: Queue) -> None:
+def test_a_turn_ends_with_the_grant_that_reaches_its_end(queue: Queue) -> None:
     first, second = queue.campaign(40), queue.campaign(40)
-    order = campaigns_of(queue, queue.lease(max_jobs=10))
-    assert order == [first] * 4 + [second] * 4 + [first] * 2
-    assert campaigns_of(queue, queue.lease(max_jobs=3)) == [first] * 2 + [second]
+    order = [campaigns_of(queue, queue.lease(max_jobs=size)) for size in (3, 3, 10, 1)]
+    assert order == [[first] * 3, [first] * 3, [second] * 10, [first]]
 
 
 def test_turns_that_end_together_end_in_their_order(queue: Queue) -> None:
     first, second = queue.campaign(40), queue.campaign(40)
-    assert campaigns_of(queue, queue.lease(max_jobs=8)) == [first] * 4 + [second] * 4
+    granted = queue.lease_together([("w1", 4, (SIMULATOR,)), ("w2", 4, (SIMULATOR,))])
+    assert [campaigns_of(queue, jobs) for jobs in granted] == [[first] * 4, [second] * 4]
     assert campaigns_of(queue, queue.lease(max_jobs=1)) == [first]
 
 
