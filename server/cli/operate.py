@@ -30,6 +30,7 @@ from server.cli.options import (
 )
 from server.db.engine import open_engines
 from server.db.upgrade import current_revision, head_revision
+from server.open_files import allow_many_open_files
 from server.settings import Settings
 from sim.catalogue import PLUGINS_VARIABLE
 from worker.log import LogFormat, configure_logging
@@ -67,6 +68,7 @@ def serve(
         log_level=log_level,
         access_log=access_log,
     )
+    allow_many_open_files()
     with closing(listen(settings)) as listener:
         before, after = prepare_database(settings)
         configure_logging(settings.log_level, settings.log_format)

@@ -20,6 +20,7 @@ from server.bench.load.problem import MODULE
 from server.bench.processes import cpu_of
 from server.bench.telling import Told
 from server.bench.temporary.coordinator import CoordinatorProcess
+from server.open_files import allow_many_open_files
 from sim.catalogue import PLUGINS_VARIABLE
 
 WORKERS = (1, 4, 16, 64)
@@ -67,13 +68,13 @@ class Utilisation:
 
 
 def measure_utilisation(
-    told: Told, *, generations: tuple[int, ...] = GENERATIONS, seconds: float = 30.0, scale: float = 0.2
+    told: Told, *, workers: int | None = None, seconds: float = 30.0, scale: float = 0.2
 ) -> list[Utilisation]:
-    """Measure one, two and four campaigns with 1 to 64 workers.
+    """Measure one, two and four campaigns with 1 to 64 workers, or one and two with so many.
 
     Args:
         told: Hears how far it is.
-        generations: Jobs a generation.
+        workers: How many, in place of 1 to 64; generations are four jobs each then.
         seconds: About how long each measurement takes.
         scale: What of its time an episode takes here.
 
@@ -81,18 +82,21 @@ def measure_utilisation(
         DidNotStart: The coordinator did not come up.
     """
     plans = [
-        (workers, campaigns, generation)
-        for workers in WORKERS
-        for generation in generations
+        (count, campaigns, generation)
+        for count in WORKERS
+        for generation in GENERATIONS
         for campaigns in (1, 2, 4)
-        if workers == TARGET_WORKERS or (campaigns == 1 and generation == generations[0])
+        if count == TARGET_WORKERS or (campaigns == 1 and generation == GENERATIONS[0])
     ]
+    if workers is not None:
+        allow_many_open_files()
+        plans = [(workers, campaigns, 4 * workers) for campaigns in (1, 2)]
     found = []
-    for place, (workers, campaigns, generation) in enumerate(plans):
+    for place, (count, campaigns, generation) in enumerate(plans):
         told("measurements", place, len(plans))
-        jobs = workers * seconds / (MEAN_S * scale * campaigns)
+        jobs = count * seconds / (MEAN_S * scale * campaigns)
         budget = generation * max(3, round(jobs / generation))
-        found.append(_measure(workers, campaigns, generation, budget, scale))
+        found.append(_measure(count, campaigns, generation, budget, scale))
     told("measurements", len(plans), len(plans))
     return found
 

@@ -148,6 +148,12 @@ def chaos(
 
 
 def scale(
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            min=2, max=5000, help="So many instead, with generations of four jobs for each of them."
+        ),
+    ] = None,
     seconds: Annotated[float, typer.Option(min=5, help="About how long each measurement takes.")] = 30.0,
     shrunk: Annotated[
         float, typer.Option("--scale", min=0.01, max=1, help="What of its 5 s an episode takes here.")
@@ -158,12 +164,12 @@ def scale(
 
     Between two generations of one campaign workers wait for its longest episodes; other campaigns fill the gap.
 
-    Example: brink bench scale
+    Example: brink bench scale --workers 1000 --scale 1
     """
     from server.bench.scale.utilisation import TARGET, measure_utilisation
 
     with bars(Console(stderr=True)) as progress:
-        found = measure_utilisation(teller(progress), seconds=seconds, scale=shrunk)
+        found = measure_utilisation(teller(progress), workers=workers, seconds=seconds, scale=shrunk)
     missed = any(one.meets is False for one in found)
     if as_json:
         print_json(
