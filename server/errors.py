@@ -6,6 +6,7 @@ ServerError
 ├── Conflict          409  the resource is in a state that does not allow this
 ├── Unavailable       503  try again later: the database is away, the coordinator is stopping, no worker can
 └── DatabaseError     1    command line only: the database cannot be used as it is
+    └── Damaged            of one campaign, which ends with it
 """
 
 import difflib
@@ -71,6 +72,10 @@ class Unavailable(ServerError):
 
 class DatabaseError(ServerError):
     """The database cannot be used as it is."""
+
+
+class Damaged(DatabaseError):
+    """What is stored of a campaign does not fit together."""
 
 
 def nearest(name: str, valid: Iterable[str]) -> str | None:

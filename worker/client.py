@@ -35,6 +35,9 @@ REPLY_TIMEOUT_S: Final = 15.0
 LONGEST_RETRY_AFTER_S: Final = 1.0
 """A coordinator that asks for a longer pause is left to the caller."""
 
+_LATER: Final = frozenset({httpx.codes.REQUEST_TIMEOUT, httpx.codes.TOO_MANY_REQUESTS})
+"""Refusals that say nothing against the request: the network was slow, or too much came at once."""
+
 Reply = TypeVar("Reply", bound=Message)
 
 
@@ -139,7 +142,7 @@ class CoordinatorClient:
         if response.status_code == httpx.codes.OK:
             return self._parse(response.content, reply_type)
         message = f"{self.server}: {name} answered {_explain(response)}"
-        if response.status_code >= 500 or response.status_code == httpx.codes.TOO_MANY_REQUESTS:
+        if response.status_code >= 500 or response.status_code in _LATER:
             raise CoordinatorAway(message, retry_after_s=_retry_after_s(response))
         if response.status_code >= 400:
             raise RequestRefused(message, status=response.status_code)

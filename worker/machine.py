@@ -4,6 +4,7 @@ A host's name says neither. Containers and clones of virtual machines share name
 is another process, or none.
 """
 
+import functools
 import os
 from pathlib import Path
 
@@ -11,6 +12,7 @@ _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _PID_NAMESPACE = "/proc/self/ns/pid"
 
 
+@functools.cache
 def machine_name() -> str:
     """Return a name that two processes share only if they see each other's process ids; "" where none can be had."""
     try:

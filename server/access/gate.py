@@ -8,6 +8,7 @@ import asyncio
 import secrets
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Final
@@ -78,6 +79,8 @@ class Gate:
         self._known: dict[str, StoredToken] = {}
         self._read_at = -REMEMBERED_S
         self._reading = asyncio.Lock()
+        # Of its own: heartbeats must not wait for archives that others read.
+        self._reader = ThreadPoolExecutor(1, thread_name_prefix="brink-gate")
         self._buckets: dict[str, _Bucket] = {}
 
     async def closed(self) -> bool:
@@ -124,6 +127,9 @@ class Gate:
         return self._buckets.setdefault(name, _Bucket(rate, now)).take(rate, now)
 
     async def _refresh(self) -> None:
+        age = self._clock() - self._read_at
+        if age < REMEMBERED_S or (age < 2 * REMEMBERED_S and self._reading.locked()):
+            return  # in the latter case somebody is reading them
         async with self._reading:
             if self._clock() - self._read_at < REMEMBERED_S:
                 return
@@ -132,5 +138,5 @@ class Gate:
                 with self._engines.reader.connect() as connection:
                     return {token.id: token for token in list_tokens(connection)}
 
-            self._known = await asyncio.get_running_loop().run_in_executor(None, read)
+            self._known = await asyncio.get_running_loop().run_in_executor(self._reader, read)
             self._read_at = self._clock()

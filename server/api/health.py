@@ -1,21 +1,24 @@
 """Routes at the root: is the process alive, can it serve, what does it measure."""
 
 import asyncio
+import logging
 
 from fastapi import APIRouter, Response
 from fastapi.responses import PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Gauge, generate_latest
-from sqlalchemy import Connection, func, select, text
+from sqlalchemy import Connection, func, literal, select, text
 
 from server.api.context import Services
 from server.api.problem_details import problem
 from server.campaigns.service import read
 from server.db.clock import database_now
-from server.db.models import CampaignRow, CampaignStatus, JobRow, JobStatus
+from server.db.models import CampaignRow, JobRow, JobStatus
 from server.db.upgrade import current_revision, head_revision
 from server.errors import DatabaseError
+from server.queue.census import count_jobs
 from server.queue.workers import list_seen
 
+log = logging.getLogger(__name__)
 router = APIRouter(tags=["operations"])
 READY_S = 5.0
 
@@ -35,9 +38,13 @@ async def readyz(services: Services) -> Response:
         writing = asyncio.wrap_future(services.queue.writer.submit(lambda c: c.execute(text("SELECT 1"))))
         await asyncio.wait_for(writing, READY_S)
         if trouble := services.queue.writer.trouble:  # a full disk still answers a question
-            return problem(503, "Not ready", trouble.reason)
-    except (DatabaseError, TimeoutError) as error:
-        return problem(503, "Not ready", str(error) or "the database takes no writes")
+            log.warning("not ready: %s", trouble.reason)
+            return problem(503, "Not ready", "the database took no writes lately; the log says why")
+    except DatabaseError as error:  # which names it: strangers come here, too
+        log.warning("not ready: %s", error)
+        return problem(503, "Not ready", "the database does not answer; the log says why")
+    except TimeoutError:
+        return problem(503, "Not ready", "the database takes no writes")
     if revision != head_revision():
         return problem(503, "Not ready", f"schema {revision}, expected {head_revision()}")
     return PlainTextResponse("ready\n")
@@ -48,7 +55,10 @@ async def metrics(services: Services) -> Response:
     """Return the state of campaigns, jobs and workers, and what this process measured, for Prometheus."""
     registry = CollectorRegistry()
     jobs = Gauge(
-        "brink_jobs", "Jobs that are not done, by state", ["status", "kind", "needs"], registry=registry
+        "brink_jobs",
+        "Jobs that are queued, leased or in quarantine",
+        ["status", "kind", "needs"],
+        registry=registry,
     )
     campaigns = Gauge("brink_campaigns", "Campaigns by state", ["status"], registry=registry)
     workers = Gauge("brink_workers_live", "Workers heard of lately", registry=registry)
@@ -64,35 +74,26 @@ async def metrics(services: Services) -> Response:
     )  # fmt: skip
     oldest = Gauge("brink_oldest_queued_seconds", "Age of the job that waits longest", registry=registry)
 
+    waits = [0.0]
+
     def collect(connection: Connection) -> None:
-        # Those done are counted as results: all jobs that ever were would take longer and longer.
-        counted = (
-            select(JobRow.status, JobRow.kind, JobRow.needs, func.count())
-            .where(JobRow.status.in_([status for status in JobStatus if status is not JobStatus.DONE]))
-            .group_by(JobRow.status, JobRow.kind, JobRow.needs)
-        )
-        for status, kind, needs, count in connection.execute(counted):
-            jobs.labels(status, kind, needs).set(count)
-        states = select(CampaignRow.status, func.count()).group_by(CampaignRow.status)
-        for status, count in connection.execute(states):
-            campaigns.labels(status).set(count)
-        is_open = JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED])
-        by_campaign = (
-            select(JobRow.campaign_id, JobRow.needs, JobRow.status, func.count())
-            .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
-            .where(is_open, CampaignRow.status == CampaignStatus.RUNNING)
-            .group_by(JobRow.campaign_id, JobRow.needs, JobRow.status)
-        )
-        for campaign, needs, status, count in connection.execute(by_campaign):
-            depth.labels(campaign, needs, status).set(count)
         now = database_now(connection)
-        expires = select(func.min(JobRow.lease_expires_at)).where(JobRow.status == JobStatus.LEASED)
+        for count in count_jobs(connection):
+            jobs.labels(count.status, count.kind, count.needs).inc(count.jobs)
+            if count.running and count.status is not JobStatus.QUARANTINED:
+                depth.labels(count.campaign, count.needs, count.status).inc(count.jobs)
+            if count.status is JobStatus.QUEUED:
+                waits.append((now - count.since).total_seconds())
+        oldest.set(max(waits))
+        states = select(CampaignRow.status, func.count()).group_by(CampaignRow.status)
+        for status, number in connection.execute(states):
+            campaigns.labels(status).set(number)
+        expires = select(func.min(JobRow.lease_expires_at)).where(
+            JobRow.status == literal(JobStatus.LEASED, literal_execute=True)
+        )
         if (first := connection.execute(expires).scalar_one()) is not None:
             left_s = (first - now).total_seconds()
             unrenewed.set(max(0.0, services.settings.lease_s - left_s))
-        waits = select(func.min(JobRow.created_at)).where(JobRow.status == JobStatus.QUEUED)
-        if (since := connection.execute(waits).scalar_one()) is not None:
-            oldest.set(max(0.0, (now - since).total_seconds()))
         workers.set(len(list_seen(connection, within_s=services.settings.worker_seen_s)))
 
     await read(services.engines, collect)

@@ -9,6 +9,7 @@ from typing import Any
 from fastapi import Request, Response
 from fastapi.routing import APIRoute
 from pydantic import BaseModel, ValidationError
+from starlette.requests import ClientDisconnect
 
 JSON = "application/json"
 
@@ -26,6 +27,8 @@ class WireRoute(APIRoute):
                 return await usual(request)
             try:
                 message = model.model_validate_json(await request.body())
+            except ClientDisconnect:  # or a body that is too large, or late, which the guards answer
+                return Response(status_code=400)
             except ValidationError:
                 return await usual(request)  # which says what is wrong
             reply = await serve(message=message, request=request, services=request.app.state.context)

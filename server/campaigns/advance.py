@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 from sqlalchemy import Row
-from sqlalchemy.exc import InterfaceError, OperationalError
+from sqlalchemy.exc import DBAPIError
+from sqlalchemy.exc import TimeoutError as PoolTimeout
 
 from search.algorithm import Candidate, Evaluation, Failed, Measured, Question, Scored
 from search.archive import Archive
@@ -48,8 +49,8 @@ from server.campaigns.values import (
 )
 from server.db.engine import Engines
 from server.db.models import CampaignStatus, JobStatus, SolutionVerdict
-from server.db.writer import Writer
-from server.errors import FieldError, InvalidInput, Unavailable
+from server.db.writer import Writer, passes
+from server.errors import Damaged, FieldError, InvalidInput, Unavailable
 from server.metrics import Metrics
 from server.problems.base import InProcessProblem, MeasuresOnData, Problem, SimulatedProblem
 from worker.wire import Completed
@@ -89,8 +90,13 @@ class Stepper:
         self._live[campaign_id] = live
 
     def forget(self, campaign_id: str) -> None:
-        """Drop the state of a campaign that has ended."""
+        """Drop the state of a campaign that has ended, or waits."""
         self._live.pop(campaign_id, None)
+
+    @property
+    def kept(self) -> tuple[str, ...]:
+        """The campaigns whose states are in memory."""
+        return tuple(self._live)
 
     def archive(self, campaign_id: str, generation: int) -> Archive | None:
         """Return a campaign's archive if it is in memory and at that generation."""
@@ -145,7 +151,10 @@ class Stepper:
                 raise
             log.exception("generation cannot be told", extra=_about(campaign))
             reason = f"generation {campaign.generation} cannot be told: {type(error).__name__}: {error}"
-            self._end(campaign, CampaignStatus.FAILED, reason)
+            if isinstance(error, Damaged):
+                self._end(campaign, CampaignStatus.FAILED, reason)
+            else:  # nothing is lost; whatever it was may be mended
+                self._end(campaign, CampaignStatus.PAUSED, f"{reason}. Resume once that is mended.")
             raise
 
     def _seed(self, campaign: Campaign, live: Live) -> bool:
@@ -282,7 +291,7 @@ class Stepper:
         if checkpoint is None and campaign.generation == 0:
             live, _ = first_generation(campaign.body)
         elif checkpoint is None or checkpoint.generation != campaign.generation:
-            raise ValueError(f"campaign {campaign.id}: no checkpoint of generation {campaign.generation}")
+            raise Damaged(f"campaign {campaign.id}: no checkpoint of generation {campaign.generation}")
         else:
             state = plan.algorithm.load(
                 plan.problem.space,
@@ -369,9 +378,11 @@ def _evaluation(problem: SimulatedProblem, question: Question, result: str) -> E
 
 
 def _passes(error: Exception) -> bool:
-    """Whether a step failed for the database's sake: away, locked, stopping. It is then taken again."""
+    """Whether a step failed for the database's sake: away, locked, busy, stopping. It is then taken again."""
     cause = error.__cause__ if isinstance(error, Unavailable) else error
-    return cause is None or isinstance(cause, OperationalError | InterfaceError)
+    if isinstance(cause, DBAPIError):
+        return passes(cause)
+    return cause is None or isinstance(cause, PoolTimeout)
 
 
 def _judged(number: int, evaluation: Evaluation) -> Judged:

@@ -248,13 +248,13 @@ class CampaignService:
             Conflict: It is not in quarantine, or its generation went on without it.
         """
         await self._write(lambda connection: job_store.retry(connection, job))
-        self.queue.wakeups.wake(1)
+        self.queue.wakeups.wake()  # the first in line may be unable to run it
 
     async def request_trace(self, campaign_id: str, number: int) -> bool:
         """Have workers make the trace of a solution; return whether it can be made."""
         campaign = await self.get(campaign_id)
         possible = await self._write(lambda connection: traces.request_trace(connection, campaign, number))
-        self.queue.wakeups.wake(1)
+        self.queue.wakeups.wake()  # the first in line may be unable to run it
         return possible
 
     async def _change(

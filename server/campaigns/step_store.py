@@ -28,6 +28,7 @@ from server.db.models import (
     SolutionVerdict,
 )
 from server.db.news import announce
+from server.errors import Damaged
 
 log = logging.getLogger(__name__)
 
@@ -273,7 +274,7 @@ def find_checkpoint(connection: Connection, campaign_id: str) -> Checkpoint | No
     """Return a campaign's checkpoint, or None before its first generation was told or seeded.
 
     Raises:
-        ValueError: The stored checksum does not fit: the database is damaged.
+        Damaged: The stored checksum does not fit.
     """
     row = connection.execute(
         select(CheckpointRow.__table__).where(CheckpointRow.campaign_id == campaign_id)
@@ -285,7 +286,7 @@ def find_checkpoint(connection: Connection, campaign_id: str) -> Checkpoint | No
         unsafe_neighbours=row.unsafe_neighbours,
     )  # fmt: skip
     if checkpoint.sha256() != row.sha256:
-        raise ValueError(f"campaign {campaign_id}: the checkpoint of generation {row.generation} is damaged")
+        raise Damaged(f"campaign {campaign_id}: the checkpoint of generation {row.generation} is damaged")
     return checkpoint
 
 

@@ -112,6 +112,16 @@ def list_campaigns(
     return [_campaign(row) for row in connection.execute(query.limit(limit))]
 
 
+def running_among(connection: Connection, campaigns: Sequence[str]) -> frozenset[str]:
+    """Return which of these campaigns are running."""
+    if not campaigns:
+        return frozenset()
+    query = select(CampaignRow.id).where(
+        CampaignRow.id.in_(list(campaigns)), CampaignRow.status == CampaignStatus.RUNNING
+    )
+    return frozenset(connection.execute(query).scalars())
+
+
 def running_idle(connection: Connection) -> list[str]:
     """Return running campaigns without an open episode: their next step is due."""
     busy = select(JobRow.id).where(

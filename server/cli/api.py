@@ -116,8 +116,8 @@ async def open_api(server: str | None, settings: Settings) -> AsyncIterator[Api]
         yield Api(client, settings.database)
 
 
-def check_database(settings: Settings) -> None:
-    """Raise unless the database is there and has this version's schema.
+def check_there(settings: Settings) -> None:
+    """Raise unless the database is there, where it is a file; looking at one makes it.
 
     Raises:
         DatabaseError: It is not, with what to do.
@@ -128,6 +128,15 @@ def check_database(settings: Settings) -> None:
             f"no database at {path}: run a campaign first (brink run FILE), name another one with --database, "
             "or name a coordinator with --server"
         )
+
+
+def check_database(settings: Settings) -> None:
+    """Raise unless the database is there and has this version's schema.
+
+    Raises:
+        DatabaseError: It is not, with what to do.
+    """
+    check_there(settings)
     engines = open_engines(settings.database)
     try:
         revision = current_revision(engines)

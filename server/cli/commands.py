@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from server.cli import inspect, llm, operate, perturbations
+from server.cli import inspect, llm, operate, perturbations, steer
 from server.cli.benchmarks import methods, service
 from server.cli.benchmarks.figures import bench
 from server.cli.compare import compare
@@ -34,6 +34,8 @@ app.command()(operate.worker)
 app.command()(operate.submit)
 app.command()(inspect.status)
 app.command()(inspect.results)
+for steering in (steer.pause, steer.resume, steer.cancel, steer.retry, steer.delete):
+    app.command()(steering)
 app.command()(combinations)
 app.command()(violations)
 app.command()(inspect.plot)

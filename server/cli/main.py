@@ -16,6 +16,8 @@ def main() -> None:
 
 def _run() -> int:
     # The commands load numpy, scipy and a web server, which takes a second: Ctrl-C may come meanwhile.
+    from sqlalchemy.exc import DBAPIError
+
     from server.cli.commands import app
     from server.errors import InvalidInput, ServerError
     from sim.errors import SimulatorError
@@ -28,6 +30,9 @@ def _run() -> int:
             print(f"brink: {item}", file=sys.stderr)
     except (ServerError, WorkerError, SimulatorError) as error:
         print(f"brink: {error}", file=sys.stderr)
+    except DBAPIError as error:
+        words = str(error.orig).strip().splitlines()
+        print(f"brink: database: {words[0] if words else type(error.orig).__name__}", file=sys.stderr)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         print(f"brink: {where}{error.strerror or error}", file=sys.stderr)

@@ -11,11 +11,11 @@ from rich.markup import escape
 from rich.table import Table
 
 from server.campaigns.store import named_campaign
-from server.cli.api import check_database
+from server.cli.api import check_database, check_there
 from server.cli.coordinator import prepare_database
 from server.cli.options import AsJson, Database, console, file_name, print_json, settings_with
 from server.db.engine import open_engines
-from server.errors import FieldError, InvalidInput
+from server.errors import DatabaseError, FieldError, InvalidInput
 from server.operations.doctor import State, examine
 from server.operations.prune import prune
 from server.operations.transfer import export_campaign, import_campaign
@@ -40,6 +40,7 @@ def doctor(
     Example: brink doctor --thorough
     """
     settings = settings_with(database=database)
+    check_there(settings)
     engines = open_engines(settings.database)
     try:
         found = list(examine(settings, engines, thorough=thorough))
@@ -153,10 +154,6 @@ def prune_(
                 traces=None if traces_days is None else timedelta(days=traces_days),
                 really=really,
             )
-        if really and settings.sqlite_file is not None:
-            engines.dispose()
-            with closing(sqlite3.connect(settings.sqlite_file)) as file:
-                file.execute("VACUUM")  # not in a transaction, as all of ours are
     finally:
         engines.dispose()
     screen = console()
@@ -167,3 +164,22 @@ def prune_(
         f"{len(found.campaigns)} campaigns with {found.solutions} solutions, {found.traces} traces: {said}",
         markup=False,
     )
+    if really and settings.sqlite_file is not None:
+        _shrink(settings.sqlite_file)
+
+
+def _shrink(file: Path) -> None:
+    """Give back to the disk what is free in an SQLite file.
+
+    Raises:
+        DatabaseError: That cannot be done now.
+    """
+    try:
+        with closing(sqlite3.connect(file)) as connection:
+            connection.execute("VACUUM")  # not in a transaction, as all of ours are
+            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    except sqlite3.Error as error:
+        raise DatabaseError(
+            f"all that is deleted, but {file} keeps its size ({error}): shrinking needs as much free space as the "
+            "file has, and nobody who writes to it; stop the coordinator and say it again"
+        ) from None

@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from rich.console import Console
 
 from server.cli.api import Api, open_api
+from server.cli.coordinator import shown_url
 from server.errors import FieldError, InvalidInput
 from server.settings import Settings
 from sim.catalogue import PLUGINS_VARIABLE
@@ -97,9 +98,12 @@ def brink() -> str:
 
 
 def database_option(settings: Settings) -> str:
-    """Return the option that names the database in a hint; empty for the default one."""
-    default = Settings.model_fields["database"].default
-    return "" if settings.database == default else f" --database {settings.database}"
+    """Return the option that names the database in a hint, without its password.
+
+    Empty for the default one, and for that of the environment, which the next command has as well.
+    """
+    usual = {Settings.model_fields["database"].default, os.environ.get("BRINK_DATABASE")}
+    return "" if settings.database in usual else f" --database {shown_url(settings)}"
 
 
 def with_api(server: str | None, database: str | None, work: Callable[[Api], Awaitable[T]]) -> T:

@@ -13,7 +13,8 @@ from sqlalchemy import Connection
 from server.access.gate import REMEMBERED_S
 from server.access.store import create_token, list_tokens, revoke_token
 from server.access.tokens import Scope
-from server.cli.coordinator import prepare_database
+from server.cli.api import check_database
+from server.cli.coordinator import prepare_database, shown_url
 from server.cli.options import AsJson, Database, console, print_json, settings_with
 from server.db.engine import open_engines
 
@@ -23,9 +24,12 @@ token = typer.Typer(
 
 
 @contextmanager
-def _connected(database: str | None) -> Iterator[Connection]:
+def _connected(database: str | None, *, new: bool = False) -> Iterator[Connection]:
     settings = settings_with(database=database)
-    prepare_database(settings)
+    if new:
+        prepare_database(settings)
+    else:
+        check_database(settings)
     engines = open_engines(settings.database)
     try:
         with engines.writer.begin() as connection:
@@ -55,11 +59,13 @@ def create(
     """
     if not 1 <= len(name) <= 200 or not name.isprintable():
         raise typer.BadParameter("expected 1 to 200 printable characters", param_hint="NAME")
-    with _connected(database) as connection:
+    with _connected(database, new=True) as connection:
         made = create_token(connection, scope, name, None if days is None else timedelta(days=days))
     typer.echo(made)
     typer.echo(
-        f"it is shown this once; give it on as BRINK_TOKEN. It works within {REMEMBERED_S:g} s", err=True
+        f"a token of {shown_url(settings_with(database=database))}, shown this once; give it on as BRINK_TOKEN. "
+        f"It works within {REMEMBERED_S:g} s",
+        err=True,
     )
 
 

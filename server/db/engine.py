@@ -18,6 +18,8 @@ from sqlalchemy.pool import ConnectionPoolEntry
 from server.errors import DatabaseError
 
 SQLITE_BUSY_S = 30.0
+MAX_OVERFLOW = 32
+"""Connections of a pool besides those that it keeps: more than there are threads that read at a time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,15 +81,23 @@ def open_engines(database: str) -> Engines:
     try:
         # The writer finds rows by index; statistics of a moment ago, when all jobs were queued, say otherwise.
         by_index = {"options": "-c enable_seqscan=off -c jit=off -c plan_cache_mode=force_generic_plan"}
-        writer = create_engine(url, pool_pre_ping=True, pool_size=4, connect_args=by_index)
-        reader = create_engine(url, pool_pre_ping=True, pool_size=8, isolation_level="REPEATABLE READ")
+        writer = create_engine(
+            url, pool_pre_ping=True, pool_size=4, connect_args=by_index, hide_parameters=True
+        )
+        reader = create_engine(
+            url, pool_pre_ping=True, pool_size=8, max_overflow=MAX_OVERFLOW, isolation_level="REPEATABLE READ",
+            hide_parameters=True,
+        )  # fmt: skip
     except ModuleNotFoundError:
         raise DatabaseError("Postgres needs its driver: pip install 'brink[postgres]'") from None
     return Engines(writer=writer, reader=reader)
 
 
 def _sqlite(url: URL, begin: str) -> Engine:
-    engine = create_engine(url, connect_args={"timeout": SQLITE_BUSY_S, "check_same_thread": False})
+    engine = create_engine(
+        url, connect_args={"timeout": SQLITE_BUSY_S, "check_same_thread": False}, max_overflow=MAX_OVERFLOW,
+        hide_parameters=True,
+    )  # fmt: skip
 
     @event.listens_for(engine, "connect")
     def configure(connection: sqlite3.Connection, _: ConnectionPoolEntry) -> None:

@@ -7,7 +7,7 @@ from sqlalchemy import Connection, delete, func, select
 
 from server.campaigns.store import ENDED, delete_campaign
 from server.db.clock import database_now
-from server.db.models import CampaignRow, SolutionRow, TraceRow
+from server.db.models import CampaignRow, JobKind, JobRow, JobStatus, SolutionRow, TraceRow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,5 +56,14 @@ def prune(
     if old is not None:
         gone = connection.execute(select(func.count()).select_from(TraceRow).where(old)).scalar_one()
         if really:
+            made = select(TraceRow.spec_hash).where(old)
+            # A finished job would stand for a trace that is there, and nobody could ask for it again.
+            connection.execute(
+                delete(JobRow).where(
+                    JobRow.kind == JobKind.TRACE,
+                    JobRow.status == JobStatus.DONE,
+                    JobRow.spec_hash.in_(made),
+                )
+            )
             connection.execute(delete(TraceRow).where(old))
     return Pruned(campaigns=tuple(found), solutions=count, traces=gone)

@@ -12,6 +12,7 @@ import hashlib
 import io
 import json
 import zipfile
+import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime
 from importlib.metadata import version
@@ -125,7 +126,12 @@ def import_campaign(connection: Connection, file: Path) -> tuple[str, dict[str, 
     except (IntegrityError, DataError) as error:
         words = str(error.orig).strip().splitlines()
         raise BadFile(f"{file}: it says what cannot be stored: {words[0] if words else error}") from None
-    except (zipfile.BadZipFile, EOFError, OSError, KeyError, UnicodeDecodeError) as error:
+    except FileNotFoundError:
+        raise BadFile(f"{file}: no such file") from None
+    except (
+        zipfile.BadZipFile, zlib.error, EOFError, OSError, KeyError, UnicodeDecodeError, NotImplementedError,
+        RuntimeError,  # of zipfile: a member that is encrypted
+    ) as error:  # fmt: skip
         raise BadFile(f"{file}: expected a file of brink export, undamaged: {error}") from None
 
 

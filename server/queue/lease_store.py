@@ -7,7 +7,7 @@ after the other. The database's clock decides when a lease ends.
 
 import json
 import secrets
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Any
@@ -27,6 +27,7 @@ _IS_QUEUED = JobRow.status == literal(JobStatus.QUEUED, literal_execute=True)
 _IS_TRACE = JobRow.kind == literal(JobKind.TRACE, literal_execute=True)
 _IS_LEASED = JobRow.status == literal(JobStatus.LEASED, literal_execute=True)
 _WAS_TRIED = JobRow.attempt > literal(0, literal_execute=True)
+_ITS_CAMPAIGN_GOES_ON = or_(_IS_TRACE, CampaignRow.status == CampaignStatus.RUNNING)
 _TWIN = JobRow.__table__.alias("twin")
 _SOMEBODY_RUNS_IT = exists(
     select(_TWIN.c.id).where(
@@ -61,6 +62,18 @@ _HOLDINGS_SQLITE = text(  # which, without statistics, would look through all le
     "SELECT lease_worker, attempt FROM jobs INDEXED BY ix_jobs_lease_worker "
     f"WHERE status = '{JobStatus.LEASED}' AND lease_worker IN (SELECT value FROM json_each(:workers))"
 )
+# Those that nobody can run now must not cost everybody a look for each worker.
+_DUE_RETRY = (
+    select(JobRow.id)
+    .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
+    .where(
+        _IS_QUEUED,
+        _WAS_TRIED,
+        _DUE,
+        among(JobRow.needs, "capabilities"),
+        _ITS_CAMPAIGN_GOES_ON,
+    )
+)
 _WAITING = select(
     select(func.count())
     .select_from(
@@ -72,8 +85,10 @@ _WAITING = select(
     )
     .scalar_subquery()
     .label("jobs"),
-    exists(select(JobRow.id).where(_IS_QUEUED, _IS_TRACE)).label("traces"),
-    exists(select(JobRow.id).where(_IS_QUEUED, _WAS_TRIED, _DUE)).label("retries"),
+    exists(select(JobRow.id).where(_IS_QUEUED, _IS_TRACE, among(JobRow.needs, "capabilities"))).label(
+        "traces"
+    ),
+    exists(_DUE_RETRY).label("retries"),
 )
 _WAITING_OR_TRIED = _WAITING.add_columns(
     exists(
@@ -84,7 +99,7 @@ _WAITING_OR_TRIED = _WAITING.add_columns(
         )
     ).label("tried")
 )
-_DUE_RETRIES = select(func.count()).where(_IS_QUEUED, _WAS_TRIED, _DUE).select_from(JobRow)
+_DUE_RETRIES = select(func.count()).select_from(_DUE_RETRY.subquery())
 _FRESH = select(*_GRANTED).where(*_ELIGIBLE, JobRow.attempt == 0)
 _FRESH_TRACES = _FRESH.where(_IS_TRACE).order_by(JobRow.id).limit(bindparam("most"))
 _FRESH_WORK = (
@@ -103,7 +118,7 @@ _RETRY = (
             JobRow.failed_worker != bindparam("worker"),
             ~among(JobRow.needs, "elsewhere"),
         ),
-        or_(_IS_TRACE, CampaignRow.status == CampaignStatus.RUNNING),
+        _ITS_CAMPAIGN_GOES_ON,
     )
     .order_by(_IS_TRACE.desc(), CampaignRow.priority.desc(), JobRow.not_before, JobRow.id)
     .limit(1)
@@ -162,9 +177,10 @@ class _Line:
         return self.last < 0 and not self.ended
 
 
-def due_retries(connection: Connection) -> int:
-    """Return how many jobs whose backoff is over wait to be tried again."""
-    return connection.execute(_DUE_RETRIES, {"now": database_now(connection)}).scalar_one()
+def due_retries(connection: Connection, capabilities: Iterable[str]) -> int:
+    """Return how many jobs whose backoff is over wait to be tried again, of those that workers like this can run."""
+    known = {"now": database_now(connection), "capabilities": sorted(capabilities)}
+    return connection.execute(_DUE_RETRIES, known).scalar_one()
 
 
 def lease(
@@ -330,7 +346,8 @@ def _look(
     """Return what waits, and the attempts of the jobs that workers hold where these decide anything."""
     workers = [one.worker for one in wanted]
     enough = max(_enough(one) for one in wanted) + sum(one.max_jobs for one in wanted[1:])
-    known: dict[str, Any] = {"enough": enough, "now": now}
+    capabilities = sorted({name for one in wanted for name in one.capabilities})
+    known: dict[str, Any] = {"enough": enough, "now": now, "capabilities": capabilities}
     if connection.dialect.name == "sqlite":
         waiting = connection.execute(_WAITING, known).one()
         rows = connection.execute(_HOLDINGS_SQLITE, {"workers": json.dumps(workers)}).all()

@@ -9,12 +9,14 @@ import base64
 import itertools
 import logging
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 from sqlalchemy import Connection
 
+from server.campaigns import store
 from server.campaigns.advance import Stepper
 from server.db.writer import Joint, Writer
 from server.errors import FieldError, InvalidInput
@@ -42,6 +44,8 @@ RECHECK_S = 10.0
 """Pause after which a waiting lease looks again by itself, in case that news was lost."""
 SHARED_RECHECK_S = 2.0
 """The same where coordinators share a database: no news tells of jobs that one read ahead and did not grant."""
+CREW_S = 0.5
+"""How long a list of the live workers is good."""
 TOUCH_S = 5.0
 """Pause between two notes in the database that a worker was heard of."""
 FORGET_S = 24 * 3600.0
@@ -62,6 +66,38 @@ class _Seen:
     failed: int = 0
 
 
+@dataclass(frozen=True, slots=True)
+class _Crew:
+    """The live workers as of a moment, what each of them can run, and how many can run each."""
+
+    at: float
+    capabilities: dict[str, tuple[str, ...]]
+    count: Counter[str] = field(init=False)
+
+    def __post_init__(self) -> None:
+        count = Counter(itertools.chain.from_iterable(map(set, self.capabilities.values())))
+        object.__setattr__(self, "count", count)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Swept:
+    """What a sweep found.
+
+    Attributes:
+        idle: Campaigns that have no open job any more.
+        lost: Leases that ran out.
+        live: What the workers can run that any coordinator has heard of lately.
+        due: How many jobs wait to be tried again that one of them can run.
+        running: Which campaigns go on, of those whose states are in memory.
+    """
+
+    idle: tuple[str, ...]
+    lost: list[Loss]
+    live: dict[str, tuple[str, ...]]
+    due: int
+    running: frozenset[str]
+
+
 @dataclass(slots=True)
 class QueueService:
     """The queue of one coordinator process."""
@@ -74,6 +110,7 @@ class QueueService:
     clock: Callable[[], float] = time.monotonic
     stopping: bool = False
     _seen: dict[str, _Seen] = field(default_factory=dict)
+    _crew: _Crew | None = None
     _with_others: dict[str, tuple[str, ...]] = field(default_factory=dict)
     _due: set[str] = field(default_factory=set)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
@@ -97,21 +134,29 @@ class QueueService:
 
     def terms(self, worker: str | None = None) -> LeaseTerms:
         """Return how leases are granted now, to a worker if one is named."""
-        horizon = self.clock() - self.settings.worker_seen_s
-        mine = {name: seen.capabilities for name, seen in self._seen.items() if seen.at >= horizon}
-        live = self._with_others | mine
-        others = (capabilities for name, capabilities in live.items() if name != worker)
+        crew = self._live_crew()
+        own = crew.capabilities.get(worker, ()) if worker is not None else ()
         return LeaseTerms(
             lease_s=self.settings.lease_s,
             retry_backoff_s=self.settings.retry_backoff_s,
-            live_workers=max(1, len(live)),
-            elsewhere=frozenset(itertools.chain.from_iterable(others)),
+            live_workers=max(1, len(crew.capabilities)),
+            elsewhere=frozenset(name for name, count in crew.count.items() if count > (name in own)),
         )
+
+    def _live_crew(self) -> _Crew:
+        """Return the live workers: with a thousand of them, a look through all is too much for each request."""
+        now = self.clock()
+        if self._crew is None or now - self._crew.at >= CREW_S:
+            horizon = now - self.settings.worker_seen_s
+            mine = {name: seen.capabilities for name, seen in self._seen.items() if seen.at >= horizon}
+            self._crew = _Crew(at=now, capabilities=self._with_others | mine)
+        return self._crew
 
     async def lease(self, request: LeaseRequest, gone: asyncio.Event) -> LeaseReply:
         """Grant jobs, waiting for some if need be, as long as the client is there."""
         deadline = self.clock() + request.wait_s
         while not gone.is_set():
+            news = self.wakeups.news
             granted = await self._lease_now(request)
             remaining = deadline - self.clock()
             if granted and gone.is_set():
@@ -120,7 +165,7 @@ class QueueService:
             if granted or remaining <= 0 or self.stopping:
                 return LeaseReply(jobs=granted, lease_s=self.settings.lease_s)
             recheck_s = RECHECK_S if self._alone else SHARED_RECHECK_S
-            await self.wakeups.wait(min(remaining, recheck_s), gone)
+            await self.wakeups.wait(min(remaining, recheck_s), gone, since=news)
         return LeaseReply(jobs=[], lease_s=self.settings.lease_s)
 
     async def heartbeat(self, request: HeartbeatRequest) -> HeartbeatReply:
@@ -155,8 +200,8 @@ class QueueService:
         self._count(request, report)
         _log_report(request, report)
         _log_granted(request.worker.id, granted)
-        if released:
-            self.wakeups.wake(released)
+        if released or report.quarantined:  # the latter may have kept the same simulation of others waiting
+            self.wakeups.wake()  # not only the first in line, who may be unable to run what there is now
         self.advance_soon(report.campaigns)
         reply: LeaseReply | None = None
         if wanted is not None:
@@ -211,14 +256,13 @@ class QueueService:
             self.wakeups.wake()
 
     async def sweep(self) -> None:
-        """Take back leases that ran out, and forget workers that are gone."""
+        """Take back leases that ran out; forget workers that are gone and campaigns that do not go on."""
         terms = self.terms()
         local = self._alone
         unnoted = self._drop_absent()
+        kept = self.stepper.kept
 
-        def unit(
-            connection: Connection,
-        ) -> tuple[tuple[str, ...], list[Loss], dict[str, tuple[str, ...]], int]:
+        def unit(connection: Connection) -> _Swept:
             for name, seen in unnoted.items():
                 workers.add_counts(connection, name, done=seen.done, failed=seen.failed)
             workers.forget_absent(connection, FORGET_S)
@@ -226,18 +270,29 @@ class QueueService:
             if local:  # then workers of this machine can be looked up, and need not be waited for
                 dead = workers.leases_of(connection, workers.process_is_gone)
                 holding_store.cut_short(connection, dead)
-            return *report_store.expire(connection, terms), live, lease_store.due_retries(connection)
+            idle, lost = report_store.expire(connection, terms)
+            return _Swept(
+                idle=idle,
+                lost=lost,
+                live=live,
+                due=lease_store.due_retries(connection, terms.elsewhere),
+                running=store.running_among(connection, kept),
+            )
 
-        idle, lost, live, due = await asyncio.wrap_future(self.writer.submit(unit))
-        self._with_others = {name: known for name, known in live.items() if name not in self._seen}
+        swept = await asyncio.wrap_future(self.writer.submit(unit))
+        self._with_others = {name: known for name, known in swept.live.items() if name not in self._seen}
+        self._crew = None
+        for campaign in set(kept) - swept.running:  # ended or paused, perhaps through another coordinator
+            self.stepper.forget(campaign)
+        lost = swept.lost
         if lost:
             log.warning("leases that ran out: %d", len(lost))
             for loss in lost:
                 log.info("lease ran out", extra=loss.fields)
             _log_quarantined(lost)
             self.metrics.expired.inc(len(lost))
-        self.wakeups.wake(due)
-        self.advance_soon(idle)
+        self.wakeups.wake(swept.due)
+        self.advance_soon(swept.idle)
 
     def _drop_absent(self) -> dict[str, _Seen]:
         """Drop workers that were not heard of lately, or are dead; return those with counts not yet noted."""
@@ -272,7 +327,7 @@ class QueueService:
         await asyncio.wrap_future(
             self.writer.submit(lambda connection: holding_store.release(connection, leases))
         )
-        self.wakeups.wake(1)
+        self.wakeups.wake()
 
     def _heard_of(
         self, worker: WorkerIdentity, capabilities: Sequence[str] | None
@@ -282,11 +337,13 @@ class QueueService:
         if worker.id not in self._seen:
             about = {"worker": worker.id, "host": worker.host, "pid": worker.pid, "version": worker.version}
             log.info("worker first seen", extra=about)
+            self._crew = None
         seen = self._seen.setdefault(worker.id, _Seen(identity=worker, at=now))
         seen.at, seen.identity = now, worker
         changed = capabilities is not None and tuple(capabilities) != seen.capabilities
-        if capabilities is not None:
+        if changed and capabilities is not None:
             seen.capabilities = tuple(capabilities)
+            self._crew = None
         if not changed and now - seen.noted_at < TOUCH_S:
             return None
         done, failed = seen.done, seen.failed

@@ -53,7 +53,8 @@ FAULTS = {
         "        exists(\n            select(JobRow.id)",
     ),
     "paused campaigns hand out retries": Fault(
-        lease_store, "        or_(_IS_TRACE, CampaignRow.status == CampaignStatus.RUNNING),\n", ""
+        lease_store, "or_(_IS_TRACE, CampaignRow.status == CampaignStatus.RUNNING)\n",
+        "or_(_IS_TRACE, CampaignRow.id.is_not(None))\n",
     ),
     "priorities are ignored": Fault(
         lease_store, ".order_by(CampaignRow.priority.desc(), CampaignRow.turn, CampaignRow.id)",

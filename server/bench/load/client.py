@@ -5,12 +5,14 @@ A small client over asyncio's streams: a full one costs more than the coordinato
 
 import asyncio
 import json
+import os
 import time
 from types import TracebackType
 from typing import Any, Self
 from urllib.parse import urlsplit
 
 from server.bench.load.problem import LOAD, REQUIREMENT
+from worker.machine import machine_name
 
 OUTCOME = {
     "kind": "completed",
@@ -32,8 +34,9 @@ class LoadClient:
     def __init__(self, url: str, name: str, *, max_jobs: int = 1, wait_s: float = 20.0) -> None:
         parts = urlsplit(url)
         self._host, self._port = parts.hostname or "", parts.port or 80
+        worker = {"id": name, "host": "bench", "machine": machine_name(), "pid": os.getpid()}
         self._lease = {
-            "worker": {"id": name, "host": "bench"}, "capabilities": [LOAD], "max_jobs": max_jobs, "wait_s": wait_s,
+            "worker": worker, "capabilities": [LOAD], "max_jobs": max_jobs, "wait_s": wait_s,
         }  # fmt: skip
         self.times_s: list[float] = []
 

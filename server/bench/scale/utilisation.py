@@ -143,7 +143,10 @@ class _Crew:
             ]
             replies = [await api.post("/campaigns", json=body) for body in bodies]
             ids = [reply.raise_for_status().json()["id"] for reply in replies]
-            await self._all_work.wait()
+            every = asyncio.create_task(self._all_work.wait())
+            done, _ = await asyncio.wait([every, *tasks], return_when=asyncio.FIRST_COMPLETED)
+            for task in done - {every}:
+                task.result()  # raises what went wrong
             began, cpu_s = time.perf_counter(), cpu_of(self._coordinator.pid or 0)
             while not await self._any_ended(api, ids):
                 for task in tasks:

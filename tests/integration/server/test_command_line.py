@@ -2,8 +2,10 @@
 
 import json
 import socket
+import sqlite3
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,8 +20,12 @@ from typer.testing import CliRunner
 from server.cli import commands
 from server.cli.commands import app
 from server.cli.main import main
+from server.cli.options import database_option
+from server.db import engine
 from server.db.engine import Engines, open_engines
 from server.db.upgrade import upgrade
+from server.settings import Settings
+from worker.wire import JobFailed
 
 MTQ = {
     "name": "mtq", "problem": {"id": "mtq@1"}, "algorithm": {"id": "mlcshe@1"}, "budget": {"simulations": 150},
@@ -272,6 +278,74 @@ def test_commands_say_the_same_from_the_database_and_from_afar(
             assert "no such campaign" in brink("status", "zzzz", *place).line
         again = brink("results", campaign, "--out", "boundary.txt", *places[0])
         assert ".csv or .json" in again.line
+
+
+def test_campaigns_are_steered_by_command(
+    brink: Command, databases: Databases, small_problems: None, tmp_path: Path
+) -> None:
+    with databases.database("steered") as url, coordinator(url) as client:
+        campaign = submit(client, ball(simulations=100))
+        afar, near = ("--server", str(client.base_url)), ("--database", url)
+        assert "brink resume" in brink("pause", campaign[:4], *afar).out
+        assert FakeWorker(client).lease() == []
+        assert "is running" in brink("resume", campaign, *near).out
+        FakeWorker(client, judge=lambda _: JobFailed(reason="invalid", message="no")).work(campaign)
+        assert "paused" in brink("status", campaign, *afar).out
+        assert "20 jobs are in the queue again" in brink("retry", campaign, *afar).out
+        assert "0 jobs" in brink("retry", campaign, *afar).out
+        assert "cancel it before deleting it" in brink("delete", campaign, "--yes", *afar).line
+        assert "what it found stays" in brink("cancel", campaign, *near).out
+        assert "to pause it, it must be running" in brink("pause", campaign, *near).line
+        assert "is deleted" in brink("delete", campaign, "--yes", *afar).out
+        assert "no such campaign" in brink("status", campaign, *afar).line
+        assert "no such campaign" in brink("delete", campaign, "--yes", *near).line
+
+
+def test_what_only_looks_makes_no_database(brink: Command, tmp_path: Path) -> None:
+    for command in (
+        ["doctor"],
+        ["token", "list"],
+        ["token", "revoke", "x"],
+        ["db", "prune", "--ended-days", "1"],
+    ):
+        assert "no database at brink.db" in brink(*command).line
+    assert list(tmp_path.glob("*.db*")) == []
+
+
+def test_a_file_that_cannot_be_shrunk_is_one_line_after_what_went(
+    brink: Command, database_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*given: Any, **named: Any) -> Any:
+        if named:  # ours have settings
+            return connect(*given, **named)
+        raise sqlite3.OperationalError("database or disk is full")
+
+    url = f"sqlite:///{tmp_path}/a.db"
+    connect = sqlite3.connect
+    assert brink("db", "upgrade", "--database", url).status == 0
+    monkeypatch.setattr(sqlite3, "connect", full)
+    said = brink("db", "prune", "--ended-days", "1", "--yes", "--database", url)
+    assert "0 campaigns" in said.out
+    assert "database or disk is full" in said.line
+
+
+def test_hints_keep_the_password_of_the_database(monkeypatch: pytest.MonkeyPatch) -> None:
+    url = "postgresql://brink:s3cret@db/brink"
+    monkeypatch.delenv("BRINK_DATABASE", raising=False)
+    assert database_option(Settings(database=url)) == " --database postgresql+psycopg://brink:***@db/brink"
+    assert database_option(Settings()) == ""
+    monkeypatch.setenv("BRINK_DATABASE", url)
+    assert database_option(Settings()) == "", "the next command has it, too"
+
+
+def test_a_database_that_fails_is_one_line(
+    brink: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert brink("db", "upgrade").status == 0
+    monkeypatch.setattr(engine, "SQLITE_BUSY_S", 0.05)
+    with closing(sqlite3.connect(tmp_path / "brink.db")) as other:
+        other.execute("BEGIN IMMEDIATE")
+        assert brink("token", "revoke", "00000000").line == "brink: database: database is locked"
 
 
 def test_a_submission_with_a_key_is_one_campaign(

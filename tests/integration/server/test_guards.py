@@ -64,15 +64,16 @@ def test_a_token_that_no_header_can_carry_is_refused(token: str) -> None:
         Settings(token=SecretStr(token))
 
 
+@pytest.mark.parametrize("path", ["campaigns", "jobs/lease", "jobs/results"])
 @pytest.mark.parametrize("chunked", [False, True])
-def test_a_body_past_the_bound_is_refused(database_url: str, small_problems: None, chunked: bool) -> None:
+def test_a_body_past_the_bound_is_refused(
+    database_url: str, small_problems: None, chunked: bool, path: str
+) -> None:
     with coordinator(database_url, max_body_bytes=2000) as client:
         expect(client.post("/api/v1/campaigns", json=ball()), 201)
         body = b" " * 2001
         content = (body[start : start + 500] for start in range(0, len(body), 500)) if chunked else body
-        answer = client.post(
-            "/api/v1/campaigns", content=content, headers={"Content-Type": "application/json"}
-        )
+        answer = client.post(f"/api/v1/{path}", content=content, headers={"Content-Type": "application/json"})
         assert answer.status_code == 413, answer.text
         assert "2000 bytes" in answer.json()["detail"]
         assert len(expect(client.get("/api/v1/campaigns"))["campaigns"]) == 1

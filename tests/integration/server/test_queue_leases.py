@@ -11,6 +11,7 @@ from server.campaigns import store
 from server.campaigns.traces import request_trace
 from server.db.clock import database_now
 from server.db.models import CampaignStatus
+from server.queue import lease_store
 from worker.wire import LeasedJob
 
 
@@ -91,6 +92,21 @@ def test_turns_that_end_together_end_in_their_order(queue: Queue) -> None:
     granted = queue.lease_together([("w1", 4, (SIMULATOR,)), ("w2", 4, (SIMULATOR,))])
     assert [campaigns_of(queue, jobs) for jobs in granted] == [[first] * 4, [second] * 4]
     assert campaigns_of(queue, queue.lease(max_jobs=1)) == [first]
+
+
+def test_retries_that_nobody_here_can_run_cost_nobody_a_look(queue: Queue) -> None:
+    paused, elsewhere = queue.campaign(1), queue.campaign(1, needs="other@1")
+    queue.fail(*queue.lease(capabilities=(SIMULATOR,)), *queue.lease("w2", capabilities=("other@1",)))
+    queue.end_backoffs()
+
+    def due(*capabilities: str) -> int:
+        return queue.run(lambda connection: lease_store.due_retries(connection, capabilities))
+
+    assert (due(SIMULATOR), due("other@1"), due(SIMULATOR, "other@1"), due()) == (1, 1, 2, 0)
+    queue.set_status(paused, CampaignStatus.PAUSED)
+    assert due(SIMULATOR) == 0
+    queue.set_status(elsewhere, CampaignStatus.CANCELLED)
+    assert due(SIMULATOR, "other@1") == 0
 
 
 def test_a_worker_gets_only_what_it_can_run(queue: Queue) -> None:

@@ -9,11 +9,12 @@ from datetime import timedelta
 
 import pytest
 from sqlalchemy import update
-from support.api import settings_for
+from support.api import ball, settings_for
 from support.postgres import PostgresDatabases
 from support.queue import Queue
 
 from server.app import create_app
+from server.campaigns.body import parse_body
 from server.db.clock import database_now
 from server.db.models import WorkerRow
 from server.queue import holding_store, workers
@@ -125,6 +126,25 @@ def identity(worker: str, machine: str = "", pid: int = 0) -> WorkerIdentity:
 async def ask(service: QueueService, who: WorkerIdentity, *capabilities: str) -> None:
     wanted = LeaseRequest(worker=who, capabilities=list(capabilities), wait_s=0)
     await service.lease(wanted, asyncio.Event())
+
+
+def test_a_coordinator_keeps_no_state_of_a_campaign_that_another_one_stopped(
+    database_url: str, small_problems: None
+) -> None:
+    async def body() -> None:
+        async with AsyncExitStack() as stack:
+            apps = [create_app(settings_for(database_url), sweeping=False) for _ in range(2)]
+            for app in apps:
+                await stack.enter_async_context(app.router.lifespan_context(app))
+            first, second = (app.state.context for app in apps)
+            one, other = [(await first.campaigns.submit(parse_body(ball(seed=n)), None))[0] for n in (1, 2)]
+            await first.queue.sweep()
+            assert set(first.queue.stepper.kept) == {one.id, other.id}
+            await second.campaigns.cancel(one.id)
+            await first.queue.sweep()
+            assert set(first.queue.stepper.kept) == {other.id}
+
+    asyncio.run(body())
 
 
 def test_a_coordinator_forgets_who_was_not_heard_of_lately_but_not_what_they_did(

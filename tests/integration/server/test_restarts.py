@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 from sqlalchemy import Connection, func, select, text, update
-from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import DBAPIError, OperationalError
+from sqlalchemy.exc import TimeoutError as PoolTimeout
 from support.api import FakeWorker, ball, coordinator, eventually, progress, submit
 from support.llm_endpoint import serving
 from support.problems import SIMULATOR, simulated
@@ -18,7 +19,7 @@ from support.traffic import driven, seeded
 
 from search.digest import archive_digest
 from search.seeding import Proposal, SeedRequest
-from server.campaigns import jobs, step_store, store
+from server.campaigns import advance, jobs, step_store, store
 from server.campaigns.advance import Stepper
 from server.campaigns.body import parse_body
 from server.campaigns.plan import first_generation, make_plan, restored_archive
@@ -26,7 +27,7 @@ from server.campaigns.values import Campaign
 from server.db.engine import Engines
 from server.db.models import CampaignStatus, CheckpointRow, GenerationRow, SolutionRow
 from server.db.writer import Writer
-from server.errors import Unavailable
+from server.errors import Damaged, Unavailable
 from server.llm.store import claim
 from server.problems.base import Problem
 from server.queue.values import Outcome
@@ -312,12 +313,54 @@ def test_a_database_that_goes_away_ends_no_campaign(
     assert two.campaign.generation == 1
 
 
+@pytest.mark.parametrize(
+    "passing",
+    [
+        PoolTimeout("QueuePool limit reached"),
+        DBAPIError("SELECT", {}, Exception("idle in transaction"), connection_invalidated=True),
+    ],
+)
+def test_a_database_that_is_busy_ends_no_campaign(
+    two: Coordinators, monkeypatch: pytest.MonkeyPatch, passing: Exception
+) -> None:
+    two.simulate()
+
+    def busy(*_: Any) -> None:
+        raise passing
+
+    with monkeypatch.context() as patched:
+        patched.setattr(step_store, "read_archive", busy)
+        with pytest.raises(type(passing)):
+            two.steppers[1].advance("c0ffee")
+    assert two.campaign.status is CampaignStatus.RUNNING
+    assert two.steppers[1].advance("c0ffee")
+
+
+def test_a_fault_of_ours_pauses_a_campaign_and_loses_nothing(
+    two: Coordinators, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    two.simulate()
+
+    def faulty(*_: Any, **__: Any) -> None:
+        raise ZeroDivisionError("ours")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(advance, "distinct_boundary", faulty)
+        with pytest.raises(ZeroDivisionError):
+            two.steppers[0].advance("c0ffee")
+    assert two.campaign.status is CampaignStatus.PAUSED
+    assert "ZeroDivisionError: ours. Resume once that is mended" in two.campaign.status_reason
+    two.queue.set_status("c0ffee", CampaignStatus.RUNNING)
+    assert two.steppers[0].advance("c0ffee")
+    assert two.campaign.generation == 1
+
+
 def test_a_damaged_checkpoint_is_not_believed(two: Coordinators) -> None:
     two.simulate()
     assert two.steppers[0].advance("c0ffee")
     two.queue.run(lambda c: c.execute(update(CheckpointRow).values(neighbours=b"\0" * 160)))
     two.simulate()
-    with pytest.raises(ValueError, match="damaged"):
+    with pytest.raises(Damaged, match="damaged"):
         two.steppers[1].advance("c0ffee")
     assert two.campaign.status is CampaignStatus.FAILED
     assert "checkpoint of generation 1 is damaged" in two.campaign.status_reason

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -26,6 +27,9 @@ from server.cli.api import CoordinatorSaid
 from server.cli.commands import app
 from server.db.engine import Engines
 from server.db.models import WorkerRow
+from server.operations.prune import prune
+from server.queue import service
+from server.queue.wakeups import Wakeups
 from worker.wire import Completed, JobFailed, LeasedJob
 
 
@@ -76,6 +80,52 @@ def test_asking_for_a_trace_waits_for_the_worker(client: httpx.Client) -> None:
     worker.report(worker.lease(wait_s=20))
     asking.join()
     assert (answers[0].status_code, answers[0].content) == (200, b"the trace")
+
+
+def test_traces_that_were_deleted_can_be_made_again(client: httpx.Client, engines: Engines) -> None:
+    worker = FakeWorker(client, judge=traces(b"the trace"))
+    campaign = finished(client, worker)
+    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
+    assert client.get(path, params={"wait_s": 0}).status_code == 202
+    assert worker.report(worker.lease()) == ["accepted"]
+    with engines.writer.begin() as connection:
+        pruned = prune(connection, ended=None, traces=timedelta(days=-1), really=True)
+    assert pruned.traces == 1
+    assert client.get(path, params={"wait_s": 0}).status_code == 202
+    assert worker.report(worker.lease()) == ["accepted"]
+    assert client.get(path, params={"wait_s": 0}).content == b"the trace"
+
+
+def test_whoever_can_make_a_trace_is_woken_behind_one_who_cannot(
+    client: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(service, "RECHECK_S", 600.0)
+    monkeypatch.setattr(service, "SHARED_RECHECK_S", 600.0)
+    worker = FakeWorker(client, id="who-can", judge=traces(b"the trace"))
+    campaign = finished(client, worker)
+    first = FakeWorker(client, id="who-cannot", capabilities=("another-simulator@1",))
+    got: list[LeasedJob] = []
+    waiting = [
+        threading.Thread(target=lambda: first.lease(wait_s=20)),
+        threading.Thread(target=lambda: got.extend(worker.lease(wait_s=20))),
+    ]
+    in_line: list[Wakeups] = []
+    wait = Wakeups.wait
+
+    async def noted(self: Wakeups, *given: Any, **named: Any) -> bool:
+        in_line.append(self)
+        return await wait(self, *given, **named)
+
+    monkeypatch.setattr(Wakeups, "wait", noted)
+    waiting[0].start()
+    eventually(lambda: len(in_line) == 1, "the first waits")
+    waiting[1].start()
+    eventually(lambda: len(in_line) == 2, "the second waits")
+    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
+    assert client.get(path, params={"wait_s": 0}).status_code == 202
+    waiting[1].join(10)
+    assert [job.record for job in got] == [True]
+    waiting[0].join()
 
 
 @pytest.mark.parametrize("what", ["trace", "replay.png", "replay.mp4"])

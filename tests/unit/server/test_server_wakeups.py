@@ -106,3 +106,26 @@ def test_those_who_gave_up_leave_the_line() -> None:
         assert len(wakeups._line) == 0
 
     on_a_loop(body)
+
+
+def test_news_since_the_last_look_needs_no_wait() -> None:
+    async def body(wakeups: Wakeups) -> None:
+        news = wakeups.news
+        wakeups.wake(0)
+        assert wakeups.news == news, "none is none"
+        wakeups.wake()  # with nobody in line
+        assert await wakeups.wait(LONG_S, asyncio.Event(), since=news)
+        assert not await wakeups.wait(0.001, asyncio.Event(), since=wakeups.news)
+
+    on_a_loop(body)
+
+
+def test_who_has_gone_has_no_use_for_news() -> None:
+    async def body(wakeups: Wakeups) -> None:
+        gone = asyncio.Event()
+        gone.set()
+        news = wakeups.news
+        wakeups.wake()
+        assert not await wakeups.wait(LONG_S, gone, since=news)
+
+    on_a_loop(body)

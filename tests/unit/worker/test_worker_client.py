@@ -77,6 +77,7 @@ def test_without_a_token_no_authorisation_is_sent() -> None:
         httpx.Response(500),
         httpx.Response(503),
         httpx.Response(429),
+        httpx.Response(408),
     ],
 )
 def test_a_short_disturbance_is_tried_again_with_growing_pauses(trouble: httpx.Response | Exception) -> None:

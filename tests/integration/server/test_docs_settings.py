@@ -1,0 +1,14 @@
+"""The settings are described where operators look for them."""
+
+from pathlib import Path
+
+import pytest
+
+from server.settings import Settings
+
+OPERATIONS = Path(__file__).parents[3] / "docs" / "operations.md"
+
+
+@pytest.mark.parametrize("name", Settings.model_fields)
+def test_every_setting_is_described(name: str) -> None:
+    assert f"`BRINK_{name.upper()}`" in OPERATIONS.read_text()
