@@ -13,8 +13,18 @@ from rich.table import Table
 from server.campaigns.store import named_campaign
 from server.cli.api import check_database, check_there
 from server.cli.coordinator import prepare_database
-from server.cli.options import AsJson, Database, console, file_name, print_json, settings_with
+from server.cli.options import (
+    AsJson,
+    Database,
+    brink,
+    console,
+    database_option,
+    file_name,
+    print_json,
+    settings_with,
+)
 from server.db.engine import open_engines
+from server.db.models import CampaignStatus
 from server.errors import DatabaseError, FieldError, InvalidInput
 from server.operations.doctor import State, examine
 from server.operations.prune import prune
@@ -105,9 +115,13 @@ def import_(
     try:
         with engines.writer.begin() as connection:
             campaign, counts = import_campaign(connection, file)
+            status = named_campaign(connection, campaign).status
     finally:
         engines.dispose()
     _told(f"campaign {campaign} taken in from {file}", {"campaign": campaign}, counts, as_json)
+    if status is CampaignStatus.PAUSED and not as_json:
+        hint = f"it is paused; go on with: {brink()} resume {campaign}{database_option(settings)}"
+        console().print(hint, soft_wrap=True, markup=False)
 
 
 def _told(words: str, facts: dict[str, str], counts: dict[str, int], as_json: bool) -> None:
