@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 from server.cli.commands import app
 from server.db.engine import open_engines
 from server.db.models import CampaignRow, JobRow, SolutionRow
-from server.errors import Conflict, NotFound
+from server.errors import Conflict, NotFound, ServerError
 from server.operations.transfer import BadFile, export_campaign
 
 pytestmark = pytest.mark.usefixtures("small_problems")
@@ -230,9 +230,26 @@ def test_damage_is_noticed(exported: tuple[str, str, Path], tmp_path: Path) -> N
     with pytest.raises(BadFile, match=r"solutions\.jsonl: it is damaged"):
         run("import", str(changed), "--database", f"sqlite:///{tmp_path}/new.db")
     (tmp_path / "short.brink").write_bytes(exported[2].read_bytes()[:900])
-    for other in ("short.brink", "none.brink"):
-        with pytest.raises(BadFile, match="expected a file of brink export"):
+    for other, words in (("short.brink", "expected a file of brink export"), ("none.brink", "no such file")):
+        with pytest.raises(BadFile, match=words):
             run("import", str(tmp_path / other), "--database", f"sqlite:///{tmp_path}/new.db")
+
+
+def test_a_flipped_bit_anywhere_is_noticed_or_does_no_harm(
+    exported: tuple[str, str, Path], tmp_path: Path
+) -> None:
+    whole = exported[2].read_bytes()
+    flipped = tmp_path / "flipped.brink"
+    noticed = 0
+    for place in range(0, len(whole), len(whole) // 60):
+        flipped.write_bytes(whole[:place] + bytes([whole[place] ^ 0x10]) + whole[place + 1 :])
+        try:
+            told = run("import", str(flipped), "--database", f"sqlite:///{tmp_path}/{place}.db")
+        except (BadFile, ServerError):
+            noticed += 1
+        else:
+            assert exported[0] in told.output
+    assert noticed > 40
 
 
 def test_what_is_not_there_cannot_be_written(database_url: str, tmp_path: Path) -> None:
