@@ -16,7 +16,7 @@ from server.db.models import CampaignRow, JobRow, JobStatus
 from server.db.upgrade import current_revision, head_revision
 from server.errors import DatabaseError
 from server.queue.census import count_jobs
-from server.queue.workers import list_seen
+from server.queue.workers import capabilities_of_live
 
 log = logging.getLogger(__name__)
 router = APIRouter(tags=["operations"])
@@ -94,7 +94,7 @@ async def metrics(services: Services) -> Response:
         if (first := connection.execute(expires).scalar_one()) is not None:
             left_s = (first - now).total_seconds()
             unrenewed.set(max(0.0, services.settings.lease_s - left_s))
-        workers.set(len(list_seen(connection, within_s=services.settings.worker_seen_s)))
+        workers.set(len(capabilities_of_live(connection, services.settings.worker_seen_s)))
 
     await read(services.engines, collect)
     told = generate_latest(registry) + generate_latest(services.metrics.registry)

@@ -26,7 +26,7 @@ from server.db.models import CampaignStatus, JobStatus
 from server.db.writer import Trouble
 from server.errors import NotFound
 from server.problems.base import Problem, words_of
-from server.queue.workers import list_seen
+from server.queue.workers import capabilities_of_live
 
 RATE_WINDOW = 5
 """Generations over which the rate is taken."""
@@ -65,8 +65,8 @@ def read_progress(
     ended = campaign.finished_at is not None
     asked = 0 if ended else view_store.count_pending(connection, campaign)
     in_generation = max(0, asked - queued - leased)
-    seen = list_seen(connection, within_s=worker_seen_s)
-    capabilities = {name for worker in seen for name in worker.capabilities}
+    live = capabilities_of_live(connection, worker_seen_s)
+    capabilities = set().union(*live.values())
     waiting = view_store.waiting_needs(connection, campaign.id) if queued else {}
     done = campaign.told + in_generation
     end = campaign.finished_at or datetime.now(UTC)
@@ -79,7 +79,7 @@ def read_progress(
         quarantined=open_jobs.get(JobStatus.QUARANTINED, 0), queued=queued, leased=leased,
         generation=campaign.generation, rate_per_s=rate,
         remaining_s=remaining / rate if rate and not ended else None,
-        elapsed_s=max(0.0, (end - campaign.created_at).total_seconds()), workers=len(seen),
+        elapsed_s=max(0.0, (end - campaign.created_at).total_seconds()), workers=len(live),
         unrunnable={needs: n for needs, n in waiting.items() if needs not in capabilities},
         digest=archive.digest if archive is not None else None,
         looks_for_boundary=looks_for_boundary(campaign.body),

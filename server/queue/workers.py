@@ -72,7 +72,7 @@ def add_counts(connection: Connection, worker_id: str, *, done: int, failed: int
 
 
 def list_seen(connection: Connection, *, within_s: float | None = None) -> list[SeenWorker]:
-    """Return workers, the latest heard of first; with `within_s`, only those heard of lately and not known dead."""
+    """Return workers and what they hold, the latest heard of first; with `within_s`, only the live ones."""
     now = database_now(connection)
     holding = select(JobRow.lease_worker, func.count()).where(_IS_LEASED).group_by(JobRow.lease_worker)
     held = {str(row[0]): int(row[1]) for row in connection.execute(holding)}

@@ -1,24 +1,41 @@
 """All queues in one run, on one machine, with the same durability."""
 
+import contextlib
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Protocol, TypeAlias
 
 from server.bench.queue.brink import BrinkQueue
-from server.bench.queue.figures import BATCHES, WORKERS, Pickup, Throughput
+from server.bench.queue.figures import BATCHES, WORKERS, Pickup, Throughput, medians, together
 from server.bench.telling import Told
 from server.bench.temporary.postgres import DURABLE, temporary_postgres
 from server.bench.temporary.redis import NoRedis, find_redis, temporary_redis
 
 SQLITE, POSTGRES = "Brink, SQLite", "Brink, Postgres"
+PROCRASTINATE, CELERY = "procrastinate, Postgres", "Celery, Redis"
 SETTINGS = {
     SQLITE: "journal_mode WAL, synchronous FULL",
     POSTGRES: ", ".join(f"{name} {value}" for name, value in DURABLE.items()),
 }
+_Measured: TypeAlias = tuple[list[Throughput], list[Pickup]]
 TARGET_BATCH = 8
 TARGET_TIMES = 5.0
 TARGET_PICKUP_MS = 10.0
+
+
+class OtherQueue(Protocol):
+    """A queue that Brink's is measured beside."""
+
+    name: str
+
+    def throughput(self, workers: int, jobs: int) -> Throughput:
+        """Measure how many jobs go through so many workers."""
+
+    def pickup(self) -> list[Pickup]:
+        """Measure how soon an idle worker starts a job."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,68 +66,106 @@ class Comparison:
         return found
 
 
-def compare_queues(told: Told, *, jobs: int = 10_000, quick: bool = False) -> Comparison:
+def compare_queues(told: Told, *, jobs: int = 4_000, rounds: int = 3, quick: bool = False) -> Comparison:
     """Measure Brink on SQLite and Postgres, and Celery and procrastinate where they are installed.
+
+    All of it in rounds, one system after the other in each: a machine that is slower for a minute is so for all of
+    them, and the median of the rounds is kept.
 
     Args:
         told: Hears how far it is.
         jobs: Jobs of Brink's at the largest batches; the others and small batches get fewer.
+        rounds: How often everything is measured.
         quick: Only one batch and one number of workers, for a look.
 
     Raises:
         NoPostgres: There is none.
         DidNotStart: A process did not come up.
     """
+    left_out = {name: reason for name, reason in _absent().items() if reason}
+    settings = dict(SETTINGS)
     throughput: list[Throughput] = []
     pickups: list[Pickup] = []
-    settings = dict(SETTINGS)
-    left_out: dict[str, str] = {}
-    numbers = (4,) if quick else WORKERS
-    batches = (TARGET_BATCH,) if quick else BATCHES
-    few = max(200, jobs // 5)
-    with tempfile.TemporaryDirectory(prefix="brink-bench-") as name, temporary_postgres() as server:
-        folder = Path(name)
-        for system, database in (
-            (SQLITE, f"sqlite:///{folder}/queue.db"),
-            (POSTGRES, server.database("brink")),
-        ):
-            with BrinkQueue(system, database, folder) as queue:
-                told(system, 0, len(numbers) + 1)
-                pickups += queue.pickup()
-                for place, workers in enumerate(numbers, start=1):
-                    told(system, place, len(numbers) + 1)
-                    throughput += [
-                        queue.throughput(workers, batch, jobs if batch > 1 else few) for batch in batches
-                    ]
-                    if not quick:
-                        throughput.append(queue.worker_throughput(workers, few))
-                told(system, len(numbers) + 1, len(numbers) + 1)
-        if find_spec("procrastinate") is None:
-            left_out["procrastinate, Postgres"] = "pip install 'brink[bench]'"
-        else:
+    plan = _Plan(
+        numbers=(4,) if quick else WORKERS,
+        batches=(TARGET_BATCH,) if quick else BATCHES,
+        jobs=jobs,
+        quick=quick,
+    )
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="brink-bench-")))
+        server = stack.enter_context(temporary_postgres())
+        measures: list[Callable[[int], _Measured]] = [
+            lambda turn: _of_brink(SQLITE, f"sqlite:///{folder}/queue-{turn}.db", folder, plan),
+            lambda turn: _of_brink(POSTGRES, server.database(f"brink_{turn}"), folder, plan),
+        ]
+        if PROCRASTINATE not in left_out:
             from server.bench.queue import procrastinate_postgres
 
-            other = procrastinate_postgres.ProcrastinateQueue(server.database("procrastinate"), folder)
-            settings[other.name] = procrastinate_postgres.SETTINGS
-            for place, workers in enumerate(numbers):
-                told(other.name, place, len(numbers))
-                throughput.append(other.throughput(workers, few))
-            pickups += other.pickup()
-        if reason := _no_celery():
-            left_out["Celery, Redis"] = reason
-        else:
-            with temporary_redis() as url:
-                from server.bench.queue import celery_redis
+            settings[PROCRASTINATE] = procrastinate_postgres.SETTINGS
+            procrastinate = procrastinate_postgres.ProcrastinateQueue(
+                server.database("procrastinate"), folder
+            )
+            measures.append(lambda _: _of_other(procrastinate, plan))
+        if CELERY not in left_out:
+            from server.bench.queue import celery_redis
 
-                celery = celery_redis.CeleryQueue(url, folder)
-                settings[celery.name] = celery_redis.SETTINGS
-                for place, workers in enumerate(numbers):
-                    told(celery.name, place, len(numbers))
-                    throughput.append(celery.throughput(workers, few))
-                pickups += celery.pickup()
+            settings[CELERY] = celery_redis.SETTINGS
+            celery = celery_redis.CeleryQueue(stack.enter_context(temporary_redis()), folder)
+            measures.append(lambda _: _of_other(celery, plan))
+        total = rounds * len(measures)
+        for place in range(total):
+            told("measurements", place, total)
+            turn, which = divmod(place, len(measures))
+            jobs_a_second, soon = measures[which](turn)
+            throughput += jobs_a_second
+            pickups += soon
+        told("measurements", total, total)
     return Comparison(
-        throughput=tuple(throughput), pickups=tuple(pickups), settings=settings, left_out=left_out
-    )
+        throughput=tuple(medians(throughput)), pickups=tuple(together(pickups)), settings=settings,
+        left_out=left_out,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Plan:
+    """What is measured of each system."""
+
+    numbers: tuple[int, ...]
+    batches: tuple[int, ...]
+    jobs: int
+    quick: bool
+
+    @property
+    def few(self) -> int:
+        """Jobs where each takes long."""
+        return max(200, self.jobs // 3)
+
+
+def _of_brink(system: str, database: str, folder: Path, plan: _Plan) -> _Measured:
+    throughput: list[Throughput] = []
+    with BrinkQueue(system, database, folder) as queue:
+        pickups = queue.pickup()
+        for workers in plan.numbers:
+            throughput += [
+                queue.throughput(workers, batch, plan.jobs if batch > 1 else plan.few)
+                for batch in plan.batches
+            ]
+            if not plan.quick:
+                throughput.append(queue.worker_throughput(workers, plan.few))
+    return throughput, pickups
+
+
+def _of_other(queue: OtherQueue, plan: _Plan) -> _Measured:
+    return [queue.throughput(workers, plan.few) for workers in plan.numbers], queue.pickup()
+
+
+def _absent() -> dict[str, str]:
+    """Return why the other systems cannot be measured here; nothing where they can."""
+    return {
+        PROCRASTINATE: "" if find_spec("procrastinate") else "pip install 'brink[bench]'",
+        CELERY: _no_celery(),
+    }
 
 
 def _no_celery() -> str:

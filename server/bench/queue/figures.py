@@ -1,7 +1,7 @@
 """What is measured of a queue."""
 
 import statistics
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 WORKERS = (1, 4, 16)
@@ -59,6 +59,22 @@ class Pickup:
     def p99_ms(self) -> float:
         """99th percentile."""
         return percentile(self.times_ms, 99)
+
+
+def medians(measured: Iterable[Throughput]) -> list[Throughput]:
+    """Return, of what was measured several times, the one with the median of the jobs a second."""
+    found: dict[tuple[str, int, int], list[Throughput]] = {}
+    for one in measured:
+        found.setdefault((one.system, one.workers, one.batch), []).append(one)
+    return [sorted(same, key=lambda one: one.per_s)[len(same) // 2] for same in found.values()]
+
+
+def together(measured: Iterable[Pickup]) -> list[Pickup]:
+    """Return what was measured several times as one."""
+    found: dict[tuple[str, str], tuple[float, ...]] = {}
+    for one in measured:
+        found[one.system, one.since] = found.get((one.system, one.since), ()) + one.times_ms
+    return [Pickup(system=system, since=since, times_ms=times) for (system, since), times in found.items()]
 
 
 def percentile(values: Sequence[float], percent: int) -> float:

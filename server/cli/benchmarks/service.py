@@ -11,7 +11,10 @@ from server.cli.options import AsJson, console, print_json
 
 
 def queue(
-    jobs: Annotated[int, typer.Option(min=500, help="Jobs a measurement.")] = 10_000,
+    jobs: Annotated[int, typer.Option(min=500, help="Jobs a measurement.")] = 4_000,
+    rounds: Annotated[
+        int, typer.Option(min=1, help="How often all of it is measured; medians are shown.")
+    ] = 3,
     quick: Annotated[bool, typer.Option("--quick", help="Only 4 workers, batches of 8.")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -28,7 +31,7 @@ def queue(
     from server.bench.queue.comparison import TARGET_PICKUP_MS, TARGET_TIMES, compare_queues
 
     with bars(Console(stderr=True)) as progress:
-        found = compare_queues(teller(progress), jobs=jobs, quick=quick)
+        found = compare_queues(teller(progress), jobs=jobs, rounds=rounds, quick=quick)
     ratios = found.ratios()
     missed = any(ratio < TARGET_TIMES for _, _, ratio in ratios) or any(
         pickup.p99_ms >= TARGET_PICKUP_MS for pickup in found.pickups if pickup.since == "stored"
