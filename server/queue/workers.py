@@ -10,7 +10,8 @@ from sqlalchemy import Connection, delete, exists, func, insert, select, update
 
 from server.db.clock import database_now
 from server.db.locking import locked
-from server.db.models import JobRow, JobStatus, WorkerRow
+from server.db.many import among
+from server.db.models import IS_LEASED, JobRow, WorkerRow
 from worker.machine import machine_name
 from worker.wire import HeldLease, WorkerIdentity
 
@@ -71,11 +72,7 @@ def add_counts(connection: Connection, worker_id: str, *, done: int, failed: int
 def list_seen(connection: Connection, *, within_s: float | None = None) -> list[SeenWorker]:
     """Return workers, the latest heard of first; with `within_s`, only those heard of lately and not known dead."""
     now = database_now(connection)
-    holding = (
-        select(JobRow.lease_worker, func.count())
-        .where(JobRow.status == JobStatus.LEASED)
-        .group_by(JobRow.lease_worker)
-    )
+    holding = select(JobRow.lease_worker, func.count()).where(IS_LEASED).group_by(JobRow.lease_worker)
     held = {str(row[0]): int(row[1]) for row in connection.execute(holding)}
     query = select(WorkerRow.__table__).order_by(WorkerRow.last_seen_at.desc(), WorkerRow.id)
     if within_s is not None:
@@ -111,7 +108,7 @@ def can_run(connection: Connection, needs: str, within_s: float) -> bool:
     now = database_now(connection)
     holds_a_lease = exists(
         select(JobRow.id).where(
-            JobRow.status == JobStatus.LEASED,
+            IS_LEASED,
             JobRow.lease_worker == WorkerRow.id,
             JobRow.lease_expires_at >= now,
         )
@@ -135,7 +132,7 @@ def leases_of(connection: Connection, gone: Callable[[str, int], bool]) -> list[
     holding = (
         select(JobRow.id, JobRow.lease_token, WorkerRow.machine, WorkerRow.pid)
         .join(WorkerRow, WorkerRow.id == JobRow.lease_worker)
-        .where(JobRow.status == JobStatus.LEASED)
+        .where(IS_LEASED)
     )
     return [
         HeldLease(job=row.id, token=row.lease_token)
@@ -159,13 +156,11 @@ def process_is_gone(machine: str, pid: int) -> bool:
 
 def forget_absent(connection: Connection, after_s: float) -> int:
     """Forget workers that were not heard of for so long and hold nothing; return how many."""
-    holding = exists(
-        select(JobRow.id).where(JobRow.status == JobStatus.LEASED, JobRow.lease_worker == WorkerRow.id)
-    )
+    holding = exists(select(JobRow.id).where(IS_LEASED, JobRow.lease_worker == WorkerRow.id))
     absent = select(WorkerRow.id).where(
         WorkerRow.last_seen_at < database_now(connection) - timedelta(seconds=after_s), ~holding
     )
     names = list(connection.execute(locked(absent, connection, WorkerRow, skip_locked=True)).scalars())
     if names:
-        connection.execute(delete(WorkerRow).where(WorkerRow.id.in_(names)))
+        connection.execute(delete(WorkerRow).where(among(WorkerRow.id, "names")), {"names": names})
     return len(names)
