@@ -6,13 +6,13 @@ import logging
 from fastapi import APIRouter, Response
 from fastapi.responses import PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Gauge, generate_latest
-from sqlalchemy import Connection, func, literal, select, text
+from sqlalchemy import Connection, func, select, text
 
 from server.api.context import Services
 from server.api.problem_details import problem
 from server.campaigns.service import read
 from server.db.clock import database_now
-from server.db.models import CampaignRow, JobRow, JobStatus
+from server.db.models import IS_LEASED, CampaignRow, JobRow, JobStatus
 from server.db.upgrade import current_revision, head_revision
 from server.errors import DatabaseError
 from server.queue.census import count_jobs
@@ -88,9 +88,7 @@ async def metrics(services: Services) -> Response:
         states = select(CampaignRow.status, func.count()).group_by(CampaignRow.status)
         for status, number in connection.execute(states):
             campaigns.labels(status).set(number)
-        expires = select(func.min(JobRow.lease_expires_at)).where(
-            JobRow.status == literal(JobStatus.LEASED, literal_execute=True)
-        )
+        expires = select(func.min(JobRow.lease_expires_at)).where(IS_LEASED)
         if (first := connection.execute(expires).scalar_one()) is not None:
             left_s = (first - now).total_seconds()
             unrenewed.set(max(0.0, services.settings.lease_s - left_s))

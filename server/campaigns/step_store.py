@@ -26,6 +26,7 @@ from server.db.models import (
     JobStatus,
     SolutionRow,
     SolutionVerdict,
+    has_open_jobs,
 )
 from server.db.news import announce
 from server.errors import Damaged
@@ -196,12 +197,7 @@ def write_step(connection: Connection, step: Step) -> bool:
 
 
 def _has_open_jobs(connection: Connection, step: Step) -> bool:
-    still_open = select(JobRow.id).where(
-        JobRow.campaign_id == step.campaign,
-        EVALUATES,
-        JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),
-    )
-    return connection.execute(still_open.limit(1)).first() is not None
+    return bool(connection.execute(select(has_open_jobs(step.campaign))).scalar_one())
 
 
 def _write_judged(connection: Connection, step: Step) -> None:

@@ -13,7 +13,15 @@ from sqlalchemy import Connection, Row, delete, func, insert, select, update
 from server.campaigns.body import CampaignBody
 from server.campaigns.values import Campaign
 from server.db.clock import database_now
-from server.db.models import EVALUATES, CampaignRow, CampaignStatus, JobRow, JobStatus, TraceRow
+from server.db.models import (
+    EVALUATES,
+    CampaignRow,
+    CampaignStatus,
+    JobRow,
+    JobStatus,
+    TraceRow,
+    has_open_jobs,
+)
 from server.db.news import announce
 from server.errors import NotFound
 
@@ -124,12 +132,8 @@ def running_among(connection: Connection, campaigns: Sequence[str]) -> frozenset
 
 def running_idle(connection: Connection) -> list[str]:
     """Return running campaigns without an open episode: their next step is due."""
-    busy = select(JobRow.id).where(
-        JobRow.campaign_id == CampaignRow.id,
-        EVALUATES,
-        JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),
-    )
-    query = select(CampaignRow.id).where(CampaignRow.status == CampaignStatus.RUNNING, ~busy.exists())
+    idle = ~has_open_jobs(CampaignRow.id)
+    query = select(CampaignRow.id).where(CampaignRow.status == CampaignStatus.RUNNING, idle)
     return list(connection.execute(query).scalars())
 
 

@@ -14,6 +14,7 @@ from sqlalchemy import (
     JSON,
     BigInteger,
     CheckConstraint,
+    ColumnElement,
     Double,
     ForeignKey,
     Index,
@@ -25,10 +26,11 @@ from sqlalchemy import (
     UniqueConstraint,
     func,
     literal,
+    or_,
     select,
     text,
 )
-from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+from sqlalchemy.orm import DeclarativeBase, InstrumentedAttribute, Mapped, mapped_column
 
 from server.access.tokens import Scope
 from server.db.types import UtcDateTime
@@ -335,6 +337,23 @@ LAST_TURN = select(func.coalesce(func.max(_EVERY_CAMPAIGN.c.turn), 0) + 1).scala
 
 EVALUATES = JobRow.kind != literal(JobKind.TRACE, literal_execute=True)
 """Of jobs that evaluate a solution, in an episode or on a data set; spelled out, so that plans use the indexes."""
+
+IS_LEASED = JobRow.status == literal(JobStatus.LEASED, literal_execute=True)
+"""Of jobs that a worker has; spelled out for the same reason."""
+
+
+def has_open_jobs(campaign: ColumnElement[str] | InstrumentedAttribute[str] | str) -> ColumnElement[bool]:
+    """Return the condition that jobs of a campaign that evaluate a solution wait or run.
+
+    One look by the index for each of the two: for both at once Postgres may read all that the campaign ever had.
+    """
+    waits, runs = (
+        select(JobRow.id)
+        .where(JobRow.campaign_id == campaign, JobRow.status == status, EVALUATES)
+        .offset(0)  # else Postgres may join
+        for status in (JobStatus.QUEUED, JobStatus.LEASED)
+    )
+    return or_(waits.exists(), runs.exists())
 
 
 class WorkerRow(Base):

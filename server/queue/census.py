@@ -10,10 +10,9 @@ from datetime import datetime
 
 from sqlalchemy import Connection, and_, func, literal, select
 
-from server.db.models import EVALUATES, CampaignRow, CampaignStatus, JobRow, JobStatus
+from server.db.models import EVALUATES, IS_LEASED, CampaignRow, CampaignStatus, JobRow, JobStatus
 
 _QUEUED = JobRow.status == literal(JobStatus.QUEUED, literal_execute=True)
-_LEASED = JobRow.status == literal(JobStatus.LEASED, literal_execute=True)
 _QUARANTINED = JobRow.status == literal(JobStatus.QUARANTINED, literal_execute=True)
 _COUNTED = (JobRow.status, JobRow.kind, JobRow.needs, JobRow.campaign_id, CampaignRow.status.label("of"))
 _STATEMENTS = tuple(
@@ -22,7 +21,7 @@ _STATEMENTS = tuple(
     .join(JobRow, JobRow.campaign_id == CampaignRow.id)
     .where(condition)
     .group_by(*_COUNTED)
-    for condition in (and_(_QUEUED, EVALUATES), and_(_QUEUED, ~EVALUATES), _LEASED, _QUARANTINED)
+    for condition in (and_(_QUEUED, EVALUATES), and_(_QUEUED, ~EVALUATES), IS_LEASED, _QUARANTINED)
 )
 
 

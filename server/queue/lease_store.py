@@ -17,7 +17,16 @@ from sqlalchemy import Connection, Select, bindparam, exists, func, literal, or_
 from server.db.clock import database_now
 from server.db.locking import locked
 from server.db.many import UpdateEach, among
-from server.db.models import EVALUATES, LAST_TURN, CampaignRow, CampaignStatus, JobKind, JobRow, JobStatus
+from server.db.models import (
+    EVALUATES,
+    IS_LEASED,
+    LAST_TURN,
+    CampaignRow,
+    CampaignStatus,
+    JobKind,
+    JobRow,
+    JobStatus,
+)
 from server.queue.values import Grants, JobRecord, LeaseTerms, LeaseWanted
 from worker.wire import LeasedJob
 
@@ -25,14 +34,15 @@ from worker.wire import LeasedJob
 # use the indexes that hold queued or leased jobs alone.
 _IS_QUEUED = JobRow.status == literal(JobStatus.QUEUED, literal_execute=True)
 _IS_TRACE = JobRow.kind == literal(JobKind.TRACE, literal_execute=True)
-_IS_LEASED = JobRow.status == literal(JobStatus.LEASED, literal_execute=True)
 _WAS_TRIED = JobRow.attempt > literal(0, literal_execute=True)
 _ITS_CAMPAIGN_GOES_ON = or_(_IS_TRACE, CampaignRow.status == CampaignStatus.RUNNING)
 _TWIN = JobRow.__table__.alias("twin")
 _SOMEBODY_RUNS_IT = exists(
-    select(_TWIN.c.id).where(
+    select(_TWIN.c.id)
+    .where(
         _TWIN.c.spec_hash == JobRow.spec_hash, _TWIN.c.kind == JobRow.kind, _TWIN.c.status == JobStatus.LEASED
     )
+    .offset(0)  # one look a job: Postgres would first gather all that run, out of all that there ever were
 )
 _DUE = or_(JobRow.not_before.is_(None), JobRow.not_before <= bindparam("now"))
 _ELIGIBLE = (
@@ -56,7 +66,7 @@ _NOTHING = Grants(jobs=(), campaigns=frozenset())
 
 # Built once: making a statement costs more than running it.
 _HOLDINGS = select(JobRow.lease_worker, JobRow.attempt).where(
-    _IS_LEASED, among(JobRow.lease_worker, "workers")
+    IS_LEASED, among(JobRow.lease_worker, "workers")
 )
 _HOLDINGS_SQLITE = text(  # which, without statistics, would look through all leases
     "SELECT lease_worker, attempt FROM jobs INDEXED BY ix_jobs_lease_worker "
@@ -93,7 +103,7 @@ _WAITING = select(
 _WAITING_OR_TRIED = _WAITING.add_columns(
     exists(
         select(JobRow.id).where(
-            _IS_LEASED,
+            IS_LEASED,
             JobRow.attempt > literal(1, literal_execute=True),
             among(JobRow.lease_worker, "workers"),
         )

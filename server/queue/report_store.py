@@ -9,17 +9,27 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
 
-from sqlalchemy import Connection, bindparam, exists, func, insert, select, update
+from sqlalchemy import Connection, bindparam, func, insert, select, update
 
 from server.db.clock import database_now
 from server.db.locking import locked
 from server.db.many import UpdateEach, among
-from server.db.models import EVALUATES, CampaignRow, CampaignStatus, JobRow, JobStatus, TraceRow
+from server.db.models import (
+    IS_LEASED,
+    CampaignRow,
+    CampaignStatus,
+    JobRow,
+    JobStatus,
+    TraceRow,
+    has_open_jobs,
+)
 from server.db.types import UtcDateTime
 from server.queue.values import JobRecord, LeaseTerms, Loss, Outcome, Report
 
 MAX_ERROR_CHARACTERS = 4000
 MAX_BACKOFF_S = 300.0
+MAX_EXPIRED = 1000
+"""Leases that one sweep takes back: when all run out at once, nobody waits long for the writer."""
 
 # Built once: making a statement costs more than running it.
 _REPORTED = select(
@@ -48,16 +58,15 @@ _TWINS = (
 _IDLE = select(CampaignRow.id).where(
     among(CampaignRow.id, "campaigns"),
     CampaignRow.status == CampaignStatus.RUNNING,
-    ~exists(
-        select(JobRow.id)
-        .where(
-            JobRow.campaign_id == CampaignRow.id,
-            EVALUATES,
-            JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),
-        )
-        .offset(0)  # one look a campaign: Postgres would join
-    ),
+    ~has_open_jobs(CampaignRow.id),
 )
+_RAN_OUT = (
+    select(JobRow.id, JobRow.campaign_id, JobRow.attempt, JobRow.max_attempts, JobRow.lease_worker)
+    .where(IS_LEASED, JobRow.lease_expires_at < bindparam("now"))
+    .order_by(JobRow.lease_expires_at)
+    .limit(bindparam("most"))
+)
+_FORGET_TOKENS = update(JobRow).where(among(JobRow.id, "jobs")).values(lease_token=None)
 
 
 def report(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms) -> Report:
@@ -112,22 +121,14 @@ def take_in(
 
 
 def expire(connection: Connection, terms: LeaseTerms) -> tuple[tuple[str, ...], list[Loss]]:
-    """Take back leases that ran out: to the queue after a backoff, or into quarantine.
+    """Take back leases that ran out, the oldest `MAX_EXPIRED`: to the queue after a backoff, or into quarantine.
 
     Returns:
         The campaigns that have no open episode left because of it, and the leases that ran out.
     """
     now = database_now(connection)
-    rows = connection.execute(
-        locked(
-            select(
-                JobRow.id, JobRow.campaign_id, JobRow.attempt, JobRow.max_attempts, JobRow.lease_worker
-            ).where(JobRow.status == JobStatus.LEASED, JobRow.lease_expires_at < now),
-            connection,
-            JobRow,
-            skip_locked=True,
-        )
-    ).all()
+    ran_out = locked(_RAN_OUT, connection, JobRow, skip_locked=True)
+    rows = connection.execute(ran_out, {"now": now, "most": MAX_EXPIRED}).all()
     if not rows:
         return (), []
     failures = [
@@ -142,8 +143,7 @@ def expire(connection: Connection, terms: LeaseTerms) -> tuple[tuple[str, ...], 
     ]  # fmt: skip
     losses = _fail(connection, failures, now, terms.retry_backoff_s)
     # Nothing was reported: whatever comes with these tokens from now on is late, and must not pass for stored.
-    lost = [row.id for row in rows]
-    connection.execute(update(JobRow).where(JobRow.id.in_(lost)).values(lease_token=None))
+    connection.execute(_FORGET_TOKENS, {"jobs": [row.id for row in rows]})
     return idle_campaigns(connection, {row.campaign_id for row in rows}), losses
 
 

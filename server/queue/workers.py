@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
 
-from sqlalchemy import Connection, delete, exists, func, insert, literal, select, update
+from sqlalchemy import Connection, delete, exists, func, insert, select, update
 
 from server.db.clock import database_now
 from server.db.locking import locked
 from server.db.many import among
-from server.db.models import JobRow, JobStatus, WorkerRow
+from server.db.models import IS_LEASED, JobRow, WorkerRow
 from worker.machine import machine_name
 from worker.wire import HeldLease, WorkerIdentity
-
-_IS_LEASED = JobRow.status == literal(JobStatus.LEASED, literal_execute=True)  # so that plans use the index
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,7 +72,7 @@ def add_counts(connection: Connection, worker_id: str, *, done: int, failed: int
 def list_seen(connection: Connection, *, within_s: float | None = None) -> list[SeenWorker]:
     """Return workers and what they hold, the latest heard of first; with `within_s`, only the live ones."""
     now = database_now(connection)
-    holding = select(JobRow.lease_worker, func.count()).where(_IS_LEASED).group_by(JobRow.lease_worker)
+    holding = select(JobRow.lease_worker, func.count()).where(IS_LEASED).group_by(JobRow.lease_worker)
     held = {str(row[0]): int(row[1]) for row in connection.execute(holding)}
     query = select(WorkerRow.__table__).order_by(WorkerRow.last_seen_at.desc(), WorkerRow.id)
     if within_s is not None:
@@ -110,7 +108,7 @@ def can_run(connection: Connection, needs: str, within_s: float) -> bool:
     now = database_now(connection)
     holds_a_lease = exists(
         select(JobRow.id).where(
-            _IS_LEASED,
+            IS_LEASED,
             JobRow.lease_worker == WorkerRow.id,
             JobRow.lease_expires_at >= now,
         )
@@ -132,12 +130,12 @@ def leases_of(connection: Connection, gone: Callable[[str, int], bool]) -> list[
         gone: Whether the process of a machine and a process id is no more.
     """
     holders = select(WorkerRow.id, WorkerRow.machine, WorkerRow.pid).where(
-        exists(select(JobRow.id).where(_IS_LEASED, JobRow.lease_worker == WorkerRow.id))
+        exists(select(JobRow.id).where(IS_LEASED, JobRow.lease_worker == WorkerRow.id))
     )
     dead = [row.id for row in connection.execute(holders).all() if gone(row.machine, row.pid)]
     if not dead:
         return []
-    held = select(JobRow.id, JobRow.lease_token).where(_IS_LEASED, among(JobRow.lease_worker, "workers"))
+    held = select(JobRow.id, JobRow.lease_token).where(IS_LEASED, among(JobRow.lease_worker, "workers"))
     return [
         HeldLease(job=row.id, token=row.lease_token) for row in connection.execute(held, {"workers": dead})
     ]
@@ -158,11 +156,11 @@ def process_is_gone(machine: str, pid: int) -> bool:
 
 def forget_absent(connection: Connection, after_s: float) -> int:
     """Forget workers that were not heard of for so long and hold nothing; return how many."""
-    holding = exists(select(JobRow.id).where(_IS_LEASED, JobRow.lease_worker == WorkerRow.id))
+    holding = exists(select(JobRow.id).where(IS_LEASED, JobRow.lease_worker == WorkerRow.id))
     absent = select(WorkerRow.id).where(
         WorkerRow.last_seen_at < database_now(connection) - timedelta(seconds=after_s), ~holding
     )
     names = list(connection.execute(locked(absent, connection, WorkerRow, skip_locked=True)).scalars())
     if names:
-        connection.execute(delete(WorkerRow).where(WorkerRow.id.in_(names)))
+        connection.execute(delete(WorkerRow).where(among(WorkerRow.id, "names")), {"names": names})
     return len(names)

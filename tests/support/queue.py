@@ -2,6 +2,7 @@
 
 import itertools
 import secrets
+import sqlite3
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
@@ -41,6 +42,13 @@ class Queue:
         """Run a unit in a transaction of its own."""
         with self.engines.writer.begin() as connection:
             return unit(connection)
+
+    def limit_parameters(self, most: int) -> None:
+        """Let a statement of the writer have so many parameters at most; SQLite alone can be told."""
+        with self.engines.writer.connect() as connection:
+            driver = connection.connection.driver_connection
+            assert isinstance(driver, sqlite3.Connection)
+            driver.setlimit(sqlite3.SQLITE_LIMIT_VARIABLE_NUMBER, most)
 
     def campaign(
         self,
@@ -142,8 +150,12 @@ class Queue:
 
     def run_out(self, *jobs: LeasedJob) -> None:
         """Let leases run out and take them back."""
-        self._move("lease_expires_at", [job.job for job in jobs])
+        self.end_leases(*jobs)
         assert self.expire()[1] == len(jobs)
+
+    def end_leases(self, *jobs: LeasedJob) -> None:
+        """Let leases run out, and nobody take them back yet."""
+        self._move("lease_expires_at", [job.job for job in jobs])
 
     def retry(self, job: int) -> None:
         """Retry a job by hand."""

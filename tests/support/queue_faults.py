@@ -149,16 +149,15 @@ FAULTS = {
         report_store, '"wait_until": now + timedelta(seconds=wait_s) if retry else None', '"wait_until": None'
     ),
     "leases never run out": Fault(
-        report_store, ".where(JobRow.status == JobStatus.LEASED, JobRow.lease_expires_at < now)",
-        ".where(JobRow.status == JobStatus.LEASED, JobRow.lease_expires_at < datetime(2000, 1, 1))",
+        report_store, 'JobRow.lease_expires_at < bindparam("now"))',
+        'JobRow.lease_expires_at < datetime.fromisoformat("2000-01-01T00:00:00+00:00"))',
     ),
     "leases run out at once": Fault(
-        report_store, ".where(JobRow.status == JobStatus.LEASED, JobRow.lease_expires_at < now)",
-        ".where(JobRow.status == JobStatus.LEASED)",
+        report_store, '.where(IS_LEASED, JobRow.lease_expires_at < bindparam("now"))', ".where(IS_LEASED)"
     ),
     "a late report is called stored": Fault(
         report_store,
-        "    connection.execute(update(JobRow).where(JobRow.id.in_(lost)).values(lease_token=None))\n", "",
+        '    connection.execute(_FORGET_TOKENS, {"jobs": [row.id for row in rows]})\n', "",
     ),
     "a result is not shared": Fault(
         report_store,

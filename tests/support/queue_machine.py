@@ -486,5 +486,6 @@ def run_machine(
             database=None,
             phases=(Phase.generate, Phase.shrink) if shrinks else (Phase.generate,),
             suppress_health_check=list(HealthCheck),
+            report_multiple_bugs=shrinks,
         ),
     )

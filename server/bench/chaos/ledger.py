@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, func, select
 
 from server.db.models import CampaignRow, JobKind, JobRow, JobStatus, SolutionRow, SolutionVerdict
 from worker.wire import Completed
@@ -41,7 +41,8 @@ class Findings:
 
     Attributes:
         lost: Verdicts that were taken and are not stored, and solutions without one.
-        doubled: Verdicts that were taken twice, and campaigns or solutions that are there twice.
+        doubled: Verdicts that were taken twice, campaigns that count more verdicts than their solutions have, and
+            campaigns that are there twice.
         stuck: Jobs and campaigns that did not come to their end.
     """
 
@@ -76,20 +77,24 @@ def audit(connection: Connection, ledger: Ledger, campaigns: Mapping[str, int]) 
             stuck.append(f"job {row.id} is {row.status}")
         elif row.status != JobStatus.DONE and row.kind != JobKind.TRACE:
             lost.append(f"job {row.id} is {row.status}")
-    found = {row.id: row.status for row in connection.execute(select(CampaignRow.id, CampaignRow.status))}
+    told = connection.execute(select(CampaignRow.id, CampaignRow.status, CampaignRow.evaluated)).all()
+    found = {row.id: row.status for row in told}
+    counted = {row.id: row.evaluated for row in told}
     doubled += [f"campaign {campaign}: nobody submitted it" for campaign in found.keys() - campaigns.keys()]
     stuck += [
         f"campaign {campaign} is {status}" for campaign, status in found.items() if status != "finished"
     ]
     for campaign, simulations in campaigns.items():
-        verdicts = connection.execute(
-            select(SolutionRow.number, SolutionRow.verdict).where(SolutionRow.campaign_id == campaign)
-        ).all()
-        judged = [
-            row.number for row in verdicts if row.verdict in (SolutionVerdict.SAFE, SolutionVerdict.UNSAFE)
-        ]
-        if len(judged) < simulations:
-            lost.append(f"campaign {campaign}: {len(judged)} verdicts of {simulations} simulations")
-        if len(set(judged)) < len(judged):
-            doubled.append(f"campaign {campaign}: a solution was judged twice")
+        judged = connection.execute(
+            select(func.count()).where(
+                SolutionRow.campaign_id == campaign,
+                SolutionRow.verdict.in_([SolutionVerdict.SAFE, SolutionVerdict.UNSAFE]),
+            )
+        ).scalar_one()
+        if judged < simulations:
+            lost.append(f"campaign {campaign}: {judged} verdicts of {simulations} simulations")
+        if counted.get(campaign, 0) > judged:
+            doubled.append(
+                f"campaign {campaign}: counts {counted[campaign]} solutions, {judged} have a verdict"
+            )
     return Findings(lost=tuple(lost), doubled=tuple(doubled), stuck=tuple(stuck))

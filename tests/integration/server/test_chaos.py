@@ -4,13 +4,14 @@ import json
 from typing import Any
 
 import pytest
+from sqlalchemy import update
 from support.processes import environment
 from support.queue import RESULT, Queue
 
 from server.bench.chaos.ledger import Ledger, audit
 from server.bench.chaos.trial import ChaosPlan, run_trial
 from server.db.engine import Engines
-from server.db.models import CampaignStatus
+from server.db.models import CampaignRow, CampaignStatus, SolutionRow, SolutionVerdict
 from worker.wire import LeasedJob
 
 SHORT = ChaosPlan(minutes=0.25, faults=8, every_s=1.2, share=0.05, simulations=100, drives=False)
@@ -51,6 +52,15 @@ def findings_of(engines: Engines, ledger: Ledger, campaigns: dict[str, int]) -> 
     return list(found.lost), list(found.doubled), list(found.stuck)
 
 
+def judge(queue: Queue, campaign: str, *, counted: int) -> None:
+    """Give all solutions of a campaign a verdict, and have the campaign count so many."""
+    safe = {"verdict": SolutionVerdict.SAFE, "robustness": 1.0}
+    queue.run(lambda c: c.execute(update(SolutionRow).values(safe)))
+    queue.run(
+        lambda c: c.execute(update(CampaignRow).where(CampaignRow.id == campaign).values(evaluated=counted))
+    )
+
+
 @pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
 class TestAudit:
     def test_a_verdict_that_was_taken_but_is_not_stored_is_lost(self, queue: Queue, engines: Engines) -> None:
@@ -87,8 +97,27 @@ class TestAudit:
         lost, _, stuck = findings_of(engines, Ledger(), {campaign: 1})
         assert stuck == ["job 1 is queued", f"campaign {campaign} is running"]
         assert lost == [f"campaign {campaign}: 0 verdicts of 1 simulations"]
+
+    def test_a_job_in_quarantine_is_lost_and_not_stuck(self, queue: Queue, engines: Engines) -> None:
+        campaign = queue.campaign(2)
+        jobs = queue.lease_all()
+        queue.fail(jobs[0], final=True)
+        queue.complete(jobs[1])
         queue.set_status(campaign, CampaignStatus.FINISHED)
-        queue.fail(*queue.lease(), final=True)
+        lost, doubled, stuck = findings_of(engines, Ledger(), {campaign: 0})
+        assert lost == [f"job {jobs[0].job} is quarantined"]
+        assert (doubled, stuck) == ([], [])
+
+    def test_solutions_that_are_counted_without_a_verdict_are_doubled(
+        self, queue: Queue, engines: Engines
+    ) -> None:
+        campaign = queue.campaign(2)
+        judge(queue, campaign, counted=2)
+        assert findings_of(engines, Ledger(), {campaign: 2})[1] == []
+        judge(queue, campaign, counted=3)
+        assert findings_of(engines, Ledger(), {campaign: 2})[1] == [
+            f"campaign {campaign}: counts 3 solutions, 2 have a verdict"
+        ]
 
     def test_a_campaign_that_nobody_submitted_is_doubled(self, queue: Queue, engines: Engines) -> None:
         campaign = queue.campaign(1)

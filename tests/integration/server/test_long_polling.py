@@ -6,36 +6,50 @@ import threading
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from datetime import timedelta
 from typing import Any
 
 import httpx
 import psycopg
 import pytest
+from sqlalchemy import update
 from support.api import FakeWorker, ball, coordinator, eventually, expect, progress, settings_for, submit
 from support.queue import Queue
 
 from server.api.context import Context
 from server.app import create_app
+from server.db.clock import database_now
 from server.db.engine import Engines
-from server.queue import service
+from server.db.models import JobRow
+from server.queue import holding_store, service
 from worker.wire import HeldLease, LeaseRequest, ResultsRequest, WorkerIdentity
 
 PATIENCE_S = 30.0
+NEWS_S = 10.0
+"""How long news may take: less than who waits for it waits, for that ends with a look."""
 
 
-def wait_in_thread(worker: FakeWorker, wait_s: float = 30.0) -> tuple[threading.Thread, list[Any]]:
+@pytest.fixture
+def nobody_looks_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let who waits have nothing but news."""
+    for pause in ("RECHECK_S", "SHARED_RECHECK_S"):
+        monkeypatch.setattr(service, pause, 10 * PATIENCE_S)
+
+
+def wait_in_thread(worker: FakeWorker, wait_s: float = PATIENCE_S) -> tuple[threading.Thread, list[Any]]:
     got: list[Any] = []
     thread = threading.Thread(target=lambda: got.extend(worker.lease(wait_s=wait_s)))
     thread.start()
     return thread, got
 
 
+@pytest.mark.usefixtures("nobody_looks_again")
 def test_a_submission_wakes_a_waiting_worker(client: httpx.Client) -> None:
     worker = FakeWorker(client)
     thread, got = wait_in_thread(worker)
     eventually(lambda: len(expect(client.get("/api/v1/workers"))) == 1, "the worker asked")
     submit(client, ball())
-    thread.join(PATIENCE_S)
+    thread.join(NEWS_S)
     assert len(got) == 8
 
 
@@ -45,6 +59,7 @@ def test_a_wait_ends_without_work(client: httpx.Client) -> None:
     assert time.monotonic() - began >= 0.3
 
 
+@pytest.mark.usefixtures("nobody_looks_again")
 def test_the_next_generation_wakes_a_waiting_worker(client: httpx.Client) -> None:
     worker, campaign = FakeWorker(client), submit(client, ball())
     jobs = []
@@ -53,7 +68,7 @@ def test_the_next_generation_wakes_a_waiting_worker(client: httpx.Client) -> Non
     thread, got = wait_in_thread(FakeWorker(client, id="worker-2"))
     eventually(lambda: len(expect(client.get("/api/v1/workers"))) == 2, "the second worker asked")
     worker.report(jobs)
-    thread.join(PATIENCE_S)
+    thread.join(NEWS_S)
     assert got
     assert progress(client, campaign)["generation"] == 1
 
@@ -74,6 +89,7 @@ def test_a_result_can_ask_for_the_next_lease(client: httpx.Client) -> None:
     assert len(reply["lease"]["jobs"]) == 3
 
 
+@pytest.mark.usefixtures("nobody_looks_again")
 def test_a_released_job_wakes_a_waiting_worker(client: httpx.Client) -> None:
     worker = FakeWorker(client)
     submit(client, ball())
@@ -83,11 +99,11 @@ def test_a_released_job_wakes_a_waiting_worker(client: httpx.Client) -> None:
     thread, got = wait_in_thread(FakeWorker(client, id="worker-2"))
     eventually(lambda: len(expect(client.get("/api/v1/workers"))) == 2, "the second worker asked")
     worker.report([], release=[HeldLease(job=jobs[0].job, token=jobs[0].token).model_dump()])
-    thread.join(PATIENCE_S)
+    thread.join(NEWS_S)
     assert [(job.job, job.attempt) for job in got] == [(jobs[0].job, 1)]
 
 
-def test_a_lost_lease_goes_to_a_waiting_worker(database_url: str, small_problems: None) -> None:
+def test_who_lost_a_lease_can_neither_report_nor_renew_it(database_url: str, small_problems: None) -> None:
     with coordinator(database_url, lease_s=0.2) as client:
         worker, campaign = FakeWorker(client), submit(client, ball())
         lost = worker.lease(max_jobs=2)
@@ -96,6 +112,26 @@ def test_a_lost_lease_goes_to_a_waiting_worker(database_url: str, small_problems
         assert progress(client, campaign)["queued"] == 20
         heartbeat = {"worker": worker.identity, "leases": [{"job": j.job, "token": j.token} for j in lost]}
         assert expect(client.post("/api/v1/jobs/heartbeat", json=heartbeat))["held"] == []
+
+
+@pytest.mark.usefixtures("small_problems", "nobody_looks_again")
+def test_a_lost_lease_goes_to_a_waiting_worker(database_url: str) -> None:
+    async def body(context: Context, client: httpx.AsyncClient) -> None:
+        await client.post("/api/v1/campaigns", json=ball(simulations=20))
+        held = []
+        while granted := (await context.queue.lease(request("w1", wait_s=0), asyncio.Event())).jobs:
+            held += granted
+        waiting = asyncio.create_task(context.queue.lease(request("w2"), asyncio.Event()))
+        await waiters(context, 1)
+        lost = held[0].job
+        with context.engines.writer.begin() as connection:
+            past = database_now(connection) - timedelta(seconds=1)
+            connection.execute(update(JobRow).where(JobRow.id == lost).values(lease_expires_at=past))
+        await context.queue.sweep()
+        async with asyncio.timeout(NEWS_S):
+            assert [(job.job, job.attempt) for job in (await waiting).jobs] == [(lost, 2)]
+
+    on_services(database_url, body)
 
 
 def test_heartbeats_keep_a_lease(database_url: str, small_problems: None) -> None:
@@ -130,7 +166,7 @@ def on_services(database_url: str, body: Callable[[Context, httpx.AsyncClient], 
     asyncio.run(run())
 
 
-def request(worker: str, wait_s: float = 30.0) -> LeaseRequest:
+def request(worker: str, wait_s: float = PATIENCE_S) -> LeaseRequest:
     return LeaseRequest(worker=WorkerIdentity(id=worker), capabilities=["faulty@1"], wait_s=wait_s)
 
 
@@ -158,7 +194,7 @@ def test_a_client_that_goes_while_it_waits_takes_no_lease(database_url: str) -> 
     on_services(database_url, body)
 
 
-@pytest.mark.usefixtures("small_problems")
+@pytest.mark.usefixtures("small_problems", "nobody_looks_again")
 def test_a_wake_up_of_a_client_that_has_gone_goes_to_the_next(database_url: str) -> None:
     async def body(context: Context, client: httpx.AsyncClient) -> None:
         submitted = (await client.post("/api/v1/campaigns", json=ball(simulations=20))).json()
@@ -171,12 +207,13 @@ def test_a_wake_up_of_a_client_that_has_gone_goes_to_the_next(database_url: str)
         second = asyncio.create_task(context.queue.lease(request("w2"), asyncio.Event()))
         await waiters(context, 2)
         release = [HeldLease(job=held[0].job, token=held[0].token)]
+        with context.engines.writer.begin() as connection:
+            assert holding_store.release(connection, release) == 1
+        context.queue.wakeups.wake(1)  # is the first one's, who goes before it looks
         gone.set()
-        await context.queue.results(
-            ResultsRequest(worker=WorkerIdentity(id="w0"), results=[], release=release), asyncio.Event()
-        )
-        assert (await first).jobs == []
-        assert [job.job for job in (await second).jobs] == [held[0].job]
+        async with asyncio.timeout(NEWS_S):
+            assert (await first).jobs == []
+            assert [job.job for job in (await second).jobs] == [held[0].job]
         assert submitted["status"] == "running"
 
     on_services(database_url, body)
@@ -218,6 +255,7 @@ def test_a_connection_that_is_closed_while_waiting_takes_no_lease(client: httpx.
     assert held["impatient"] == 0
 
 
+@pytest.mark.usefixtures("nobody_looks_again")
 def test_a_coordinator_that_stops_answers_who_waits(database_url: str, small_problems: None) -> None:
     with contextlib.ExitStack() as stack:
         with coordinator(database_url) as client:
@@ -231,16 +269,14 @@ def test_a_coordinator_that_stops_answers_who_waits(database_url: str, small_pro
     assert time.monotonic() - began < PATIENCE_S / 2
 
 
+@pytest.mark.usefixtures("small_problems", "nobody_looks_again")
 @pytest.mark.parametrize("databases", ["postgres"], indirect=True)
-def test_a_worker_of_another_coordinator_hears_of_new_jobs_at_once(
-    database_url: str, small_problems: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(service, "RECHECK_S", 60.0)  # nobody looks by itself
+def test_a_worker_of_another_coordinator_hears_of_new_jobs_at_once(database_url: str) -> None:
     with coordinator(database_url) as here, coordinator(database_url) as there:
         thread, got = wait_in_thread(FakeWorker(there))
         eventually(lambda: len(expect(there.get("/api/v1/workers"))) == 1, "the worker asked")
         submit(here, ball())
-        thread.join(PATIENCE_S)
+        thread.join(NEWS_S)
     assert len(got) == 8
 
 

@@ -8,6 +8,7 @@ from server.campaigns.jobs import retry
 from server.campaigns.traces import request_trace
 from server.db.models import CampaignStatus, TraceRow
 from server.errors import Conflict, NotFound
+from server.queue import report_store
 from server.queue.values import Outcome
 from worker.wire import LeasedJob
 
@@ -166,6 +167,31 @@ def test_the_last_lease_to_run_out_names_the_campaign_whose_step_is_due(queue: Q
     campaign = queue.campaign(1, max_attempts=1)
     queue.lease(lease_s=-1.0)
     assert queue.expire() == ((campaign,), 1)
+
+
+def test_a_sweep_takes_back_some_of_many_leases_that_ran_out_the_oldest_first(
+    queue: Queue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(report_store, "MAX_EXPIRED", 3)
+    queue.campaign(10)
+    late = [*queue.lease("w1", max_jobs=2, lease_s=-1.0), *queue.lease("w2", max_jobs=1, lease_s=-2.0)]
+    oldest = queue.lease("w3", max_jobs=2, lease_s=-3.0)
+    assert queue.expire()[1] == 3
+    assert {queue.job(job.job).status for job in (*oldest, late[2])} == {"queued"}
+    assert {queue.job(job.job).status for job in late[:2]} == {"leased"}
+    assert queue.complete(*late[:2]) == ("accepted", "accepted"), "those still hold"
+    assert queue.complete(*oldest) == ("stale", "stale")
+    assert queue.expire()[1] == 0
+
+
+@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+def test_more_leases_run_out_at_once_than_a_statement_has_parameters(queue: Queue) -> None:
+    campaign = queue.campaign(40)
+    jobs = queue.lease_all()
+    queue.end_leases(*jobs)
+    queue.limit_parameters(30)
+    assert queue.expire() == ((), 40)
+    assert queue.states(campaign) == ["queued"] * 40
 
 
 def test_an_invalid_job_is_never_tried_again(queue: Queue) -> None:

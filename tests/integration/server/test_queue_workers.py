@@ -98,6 +98,16 @@ def test_workers_that_were_not_heard_of_for_long_are_forgotten_unless_they_hold_
     assert names(queue) == {"holds", "live"}
 
 
+@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+def test_more_workers_are_forgotten_at_once_than_a_statement_has_parameters(queue: Queue) -> None:
+    for number in range(40):
+        noted(queue, "", 1, f"w{number}")
+    silent_for(queue, timedelta(hours=2))
+    queue.limit_parameters(30)
+    assert queue.run(lambda c: workers.forget_absent(c, after_s=3600.0)) == 40
+    assert names(queue) == set()
+
+
 def test_what_live_workers_can_run_leaves_out_the_dead(queue: Queue, dead_pid: int) -> None:
     noted(queue, "", 1, "silent")
     silent_for(queue, timedelta(seconds=60))
