@@ -23,7 +23,7 @@ from server.campaigns.advance import Stepper
 from server.db.engine import open_engines
 from server.db.models import JobStatus
 from server.db.writer import Writer
-from server.queue import holding_store, workers
+from server.queue import census, holding_store, workers
 from server.queue.exchange import Exchange, exchange
 from server.queue.service import QueueService
 from server.queue.values import LeaseWanted, Outcome
@@ -115,6 +115,13 @@ def periodic(queue: Queue) -> None:
     queue.run(store.running_idle)
 
 
+def watching(queue: Queue) -> None:
+    """Ask what those ask who watch, every few seconds."""
+    queue.lease("w1")
+    queue.run(lambda connection: list(census.count_jobs(connection)))
+    queue.run(workers.list_seen)
+
+
 def looked_at(connection: Connection, statement: Statement) -> str:
     """Return the plan of a statement, line by line; Postgres' as JSON."""
     words, parameters = statement
@@ -169,7 +176,9 @@ BY_HAND = ("not_before IS NOT NULL", "lease_expires_at IS NOT NULL")
 """What the test itself says."""
 
 
-@pytest.mark.parametrize(("work", "least"), [(hot, 10), (periodic, 7)], ids=["hot", "periodic"])
+@pytest.mark.parametrize(
+    ("work", "least"), [(hot, 10), (periodic, 7), (watching, 8)], ids=["hot", "periodic", "watching"]
+)
 def test_no_statement_that_is_said_again_and_again_reads_all_jobs(
     stale: Queue, work: Callable[[Queue], None], least: int
 ) -> None:
