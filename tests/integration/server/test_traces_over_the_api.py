@@ -106,7 +106,7 @@ def test_whoever_can_make_a_trace_is_woken_behind_one_who_cannot(
     first = FakeWorker(client, id="who-cannot", capabilities=("another-simulator@1",))
     got: list[LeasedJob] = []
     waiting = [
-        threading.Thread(target=lambda: first.lease(wait_s=20)),
+        threading.Thread(target=lambda: first.lease(wait_s=6)),
         threading.Thread(target=lambda: got.extend(worker.lease(wait_s=20))),
     ]
     in_line: list[Wakeups] = []
