@@ -80,7 +80,11 @@ def open_engines(database: str) -> Engines:
         return Engines(writer=_sqlite(url, "BEGIN IMMEDIATE"), reader=_sqlite(url, "BEGIN"))
     try:
         # The writer finds rows by index; statistics of a moment ago, when all jobs were queued, say otherwise.
-        by_index = {"options": "-c enable_seqscan=off -c jit=off -c plan_cache_mode=force_generic_plan"}
+        # So would joins that read both tables in order, or one of them whole.
+        settings = ("enable_seqscan=off", "enable_mergejoin=off", "enable_hashjoin=off", "jit=off")
+        by_index = {
+            "options": " ".join(f"-c {one}" for one in (*settings, "plan_cache_mode=force_generic_plan"))
+        }
         writer = create_engine(
             url, pool_pre_ping=True, pool_size=4, connect_args=by_index, hide_parameters=True
         )
