@@ -74,10 +74,8 @@ async def metrics(services: Services) -> Response:
     )  # fmt: skip
     oldest = Gauge("brink_oldest_queued_seconds", "Age of the job that waits longest", registry=registry)
 
-    waits = [0.0]
-
     def collect(connection: Connection) -> None:
-        now = database_now(connection)
+        now, waits = database_now(connection), [0.0]
         for count in count_jobs(connection):
             jobs.labels(count.status, count.kind, count.needs).inc(count.jobs)
             if count.running and count.status is not JobStatus.QUARANTINED:

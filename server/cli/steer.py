@@ -16,6 +16,9 @@ from server.cli.options import (
     with_api,
 )
 
+PAGE = 1000
+"""Jobs that are asked for at a time."""
+
 
 def pause(campaign: CampaignId, database: Database = None, server: Server = None) -> None:
     """Hand out no more jobs of a campaign; what is running is still taken in.
@@ -78,15 +81,16 @@ def retry(campaign: CampaignId, database: Database = None, server: Server = None
 
     async def work(api: Api) -> tuple[int, str]:
         found = await api.get(f"/campaigns/{campaign}/progress")
-        listed = await api.get("/jobs", {"campaign": found["id"], "status": "quarantined", "limit": 1000})
-        back, reason = 0, ""
-        for job in listed["jobs"]:
-            try:
-                await api.post(f"/jobs/{job['id']}/retry")
-                back += 1
-            except CoordinatorSaid as error:
-                reason = str(error)
-        stay = len(listed["jobs"]) - back
+        back, stay, reason = 0, 0, ""
+        wanted = {"campaign": found["id"], "status": "quarantined", "limit": PAGE, "after": 0}
+        while jobs := (await api.get("/jobs", wanted))["jobs"]:
+            for job in jobs:
+                try:
+                    await api.post(f"/jobs/{job['id']}/retry")
+                    back += 1
+                except CoordinatorSaid as error:
+                    stay, reason = stay + 1, str(error)
+            wanted["after"] = jobs[-1]["id"]
         return back, f"; {stay} stay in quarantine: {reason}" if stay else ""
 
     back, rest = with_api(server, database, work)

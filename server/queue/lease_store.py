@@ -267,6 +267,8 @@ class _Deal:
         no more: campaigns that took turns job by job would come to the ends of their generations together, and
         workers wait for the last jobs of all.
         """
+        if limit <= 0:  # traces took it all
+            return []
         lines = [
             line for line in self._of(capabilities) if line.untouched or self._first(line, 1, capabilities)
         ]

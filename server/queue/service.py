@@ -72,11 +72,7 @@ class _Crew:
 
     at: float
     capabilities: dict[str, tuple[str, ...]]
-    count: Counter[str] = field(init=False)
-
-    def __post_init__(self) -> None:
-        count = Counter(itertools.chain.from_iterable(map(set, self.capabilities.values())))
-        object.__setattr__(self, "count", count)
+    count: Counter[str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,7 +145,9 @@ class QueueService:
         if self._crew is None or now - self._crew.at >= CREW_S:
             horizon = now - self.settings.worker_seen_s
             mine = {name: seen.capabilities for name, seen in self._seen.items() if seen.at >= horizon}
-            self._crew = _Crew(at=now, capabilities=self._with_others | mine)
+            live = self._with_others | mine
+            count = Counter(itertools.chain.from_iterable(map(set, live.values())))
+            self._crew = _Crew(at=now, capabilities=live, count=count)
         return self._crew
 
     async def lease(self, request: LeaseRequest, gone: asyncio.Event) -> LeaseReply:

@@ -21,8 +21,8 @@ def queue(
     """Measure jobs a second and pick-up times, beside Celery on Redis and procrastinate on Postgres.
 
     All of them in one run, each durable: what was acknowledged survives a power cut. The others need
-    pip install 'brink[bench]' and an installed redis-server; Postgres is started in a temporary folder. Takes about
-    ten minutes.
+    pip install 'brink[bench]' and an installed redis-server; Postgres is started in a temporary folder. --quick is
+    for a look.
 
     Example: brink bench queue
     """

@@ -17,7 +17,7 @@ from support.api import FakeWorker, ball, coordinator, submit
 from support.databases import Databases
 from typer.testing import CliRunner
 
-from server.cli import commands
+from server.cli import commands, steer
 from server.cli.commands import app
 from server.cli.main import main
 from server.cli.options import database_option
@@ -281,8 +281,9 @@ def test_commands_say_the_same_from_the_database_and_from_afar(
 
 
 def test_campaigns_are_steered_by_command(
-    brink: Command, databases: Databases, small_problems: None, tmp_path: Path
+    brink: Command, databases: Databases, small_problems: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(steer, "PAGE", 7)
     with databases.database("steered") as url, coordinator(url) as client:
         campaign = submit(client, ball(simulations=100))
         afar, near = ("--server", str(client.base_url)), ("--database", url)
