@@ -33,8 +33,8 @@ check: $(VENV)/.dev  ## linter, strict types, import layers
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-test: check  ## check, then every test, on SQLite and on a real Postgres
-	$(BIN)/python -m pytest
+test: check  ## check, then every test, on SQLite and on a real Postgres, a process a core (up to four)
+	$(BIN)/python -m pytest --numprocesses logical --maxprocesses 4 --dist loadfile
 
 clean:  ## remove .venv and caches
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
