@@ -117,7 +117,7 @@ def _context(
         with suppress(RuntimeError):  # the coordinator has stopped meanwhile
             loop.call_soon_threadsafe(lambda: queue.advance_soon([campaign_id]))
 
-    writer = Writer(engines.writer)
+    writer = Writer(engines.writer, took=metrics.commits.observe)
     seeds = LlmSeeds(engines, writer, came)
     stepper = Stepper(
         engines, writer, max_stored_distances=settings.max_stored_distances, seeds=seeds, metrics=metrics

@@ -5,7 +5,7 @@ from typing import Final
 from prometheus_client import CollectorRegistry, Counter, Histogram
 
 _REQUEST_S: Final = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0)
-_STEP_S: Final = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 120.0)
+_STEP_S: Final = (0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 120.0)
 
 
 class Metrics:
@@ -30,5 +30,9 @@ class Metrics:
         self.expired = Counter("brink_leases_expired", "Leases that ran out", registry=self.registry)
         self.steps = Histogram(
             "brink_step_seconds", "Time of a generation step: tell, grow, ask, store", buckets=_STEP_S,
+            registry=self.registry,
+        )  # fmt: skip
+        self.commits = Histogram(
+            "brink_commit_seconds", "Time of a write transaction; all other writes wait for it", buckets=_STEP_S,
             registry=self.registry,
         )  # fmt: skip

@@ -84,10 +84,16 @@ class Trouble:
 
 
 class Writer:
-    """Runs units on the writer engine, many a commit."""
+    """Runs units on the writer engine, many a commit.
 
-    def __init__(self, engine: Engine) -> None:
+    Args:
+        engine: Where it writes.
+        took: Hears how long each committed transaction took, in seconds.
+    """
+
+    def __init__(self, engine: Engine, took: Callable[[float], None] | None = None) -> None:
         self._engine = engine
+        self._took = took
         self._waiting: queue.SimpleQueue[_Waiting | None] = queue.SimpleQueue()
         self._closing = False
         self._trouble: Trouble | None = None
@@ -206,6 +212,8 @@ class Writer:
             self._disconnect()
             raise
         self._used_s = time.monotonic()
+        if self._took is not None:
+            self._took(self._used_s - now)
 
     def _disconnect(self) -> None:
         connection, self._connection = self._connection, None

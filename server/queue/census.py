@@ -13,15 +13,24 @@ from sqlalchemy import Connection, text
 from server.db.models import CampaignStatus, JobStatus
 from server.db.types import UtcDateTime
 
-# By hand: SQLite takes the tables of a CROSS JOIN in this order, whatever its statistics say. One look a campaign.
 _COUNT = """SELECT jobs.kind, jobs.needs, jobs.campaign_id, campaigns.status AS of, count(*) AS jobs,
     min(jobs.created_at) AS since
-FROM campaigns CROSS JOIN jobs
-WHERE jobs.campaign_id = campaigns.id AND jobs.status = '{status}'
+FROM {jobs}
 GROUP BY jobs.kind, jobs.needs, jobs.campaign_id, campaigns.status"""
+# One look a campaign, whatever statistics say: SQLite takes the tables of a CROSS JOIN in this order, Postgres runs
+# what has an OFFSET as it stands.
+_JOBS = {
+    "sqlite": "campaigns CROSS JOIN jobs WHERE jobs.campaign_id = campaigns.id AND jobs.status = '{status}'",
+    "postgresql": """campaigns CROSS JOIN LATERAL (
+    SELECT * FROM jobs WHERE jobs.campaign_id = campaigns.id AND jobs.status = '{status}' OFFSET 0
+) AS jobs""",
+}
 _STATEMENTS = {
-    status: text(_COUNT.format(status=status)).columns(since=UtcDateTime)
-    for status in (JobStatus.QUEUED, JobStatus.LEASED, JobStatus.QUARANTINED)
+    dialect: {
+        status: text(_COUNT.format(jobs=jobs.format(status=status))).columns(since=UtcDateTime)
+        for status in (JobStatus.QUEUED, JobStatus.LEASED, JobStatus.QUARANTINED)
+    }
+    for dialect, jobs in _JOBS.items()
 }
 
 
@@ -50,7 +59,7 @@ class Count:
 
 def count_jobs(connection: Connection) -> Iterator[Count]:
     """Give the counts of all jobs that are queued, leased or in quarantine."""
-    for status, statement in _STATEMENTS.items():
+    for status, statement in _STATEMENTS[connection.dialect.name].items():
         for row in connection.execute(statement):
             yield Count(
                 status=status, kind=row.kind, needs=row.needs, campaign=row.campaign_id,

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Any
 
-from sqlalchemy import Connection, Select, bindparam, exists, func, literal, or_, select, text, update
+from sqlalchemy import Connection, Label, Select, bindparam, exists, func, literal, or_, select, text, update
 
 from server.db.clock import database_now
 from server.db.locking import locked
@@ -84,30 +84,36 @@ _DUE_RETRY = (
         _ITS_CAMPAIGN_GOES_ON,
     )
 )
-_WAITING = select(
-    select(func.count())
-    .select_from(
-        select(JobRow.id)
-        .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
-        .where(_IS_QUEUED, EVALUATES, CampaignRow.status == CampaignStatus.RUNNING)
-        .limit(bindparam("enough"))
-        .subquery()
-    )
-    .scalar_subquery()
-    .label("jobs"),
+_WORK = (
+    select(JobRow.id)
+    .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
+    .where(_IS_QUEUED, EVALUATES, CampaignRow.status == CampaignStatus.RUNNING)
+    .limit(bindparam("enough"))
+)
+
+
+def _counted(rows: Select[Any]) -> Label[int]:
+    return select(func.count()).select_from(rows.subquery()).scalar_subquery().label("jobs")
+
+
+_OTHERS = (
     exists(select(JobRow.id).where(_IS_QUEUED, _IS_TRACE, among(JobRow.needs, "capabilities"))).label(
         "traces"
     ),
     exists(_DUE_RETRY).label("retries"),
 )
-_WAITING_OR_TRIED = _WAITING.add_columns(
+_WAITING = select(_counted(_WORK), *_OTHERS)
+_WAITING_OR_TRIED = select(
+    # The order is that of the index of queued jobs, which Postgres takes then; else it may read all jobs.
+    _counted(_WORK.order_by(JobRow.campaign_id, JobRow.attempt, JobRow.id)),
+    *_OTHERS,
     exists(
         select(JobRow.id).where(
             IS_LEASED,
             JobRow.attempt > literal(1, literal_execute=True),
             among(JobRow.lease_worker, "workers"),
         )
-    ).label("tried")
+    ).label("tried"),
 )
 _DUE_RETRIES = select(func.count()).select_from(_DUE_RETRY.subquery())
 _FRESH = select(*_GRANTED).where(*_ELIGIBLE, JobRow.attempt == 0)
@@ -361,7 +367,7 @@ def _look(
     capabilities = sorted({name for one in wanted for name in one.capabilities})
     known: dict[str, Any] = {"enough": enough, "now": now, "capabilities": capabilities}
     if connection.dialect.name == "sqlite":
-        waiting = connection.execute(_WAITING, known).one()
+        waiting: JobRecord = connection.execute(_WAITING, known).one()
         rows = connection.execute(_HOLDINGS_SQLITE, {"workers": json.dumps(workers)}).all()
     else:  # where a question has a way to go
         waiting = connection.execute(_WAITING_OR_TRIED, {**known, "workers": workers}).one()

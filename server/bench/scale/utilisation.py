@@ -45,6 +45,8 @@ class Utilisation:
         seconds: That time: from when all have work for the first time until the first campaign ends.
         busy_s: Time in which workers ran episodes, of all together.
         coordinator_s: Processor time of the coordinator.
+        writing_s: Time in which its writer was in a transaction.
+        step_s: Mean time of a generation step, storing it included.
     """
 
     workers: int
@@ -54,6 +56,8 @@ class Utilisation:
     seconds: float
     busy_s: float
     coordinator_s: float
+    writing_s: float
+    step_s: float
 
     @property
     def share(self) -> float:
@@ -147,6 +151,7 @@ class _Crew:
             done, _ = await asyncio.wait([every, *tasks], return_when=asyncio.FIRST_COMPLETED)
             for task in done - {every}:
                 task.result()  # raises what went wrong
+            before = await asyncio.to_thread(self._coordinator.measured)
             began, cpu_s = time.perf_counter(), cpu_of(self._coordinator.pid or 0)
             while not await self._any_ended(api, ids):
                 for task in tasks:
@@ -154,6 +159,7 @@ class _Crew:
                         task.result()  # raises what went wrong
                 await asyncio.sleep(0.1)
             ended, cpu_s = time.perf_counter(), cpu_of(self._coordinator.pid or 0) - cpu_s
+            after = await asyncio.to_thread(self._coordinator.measured)
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
@@ -163,9 +169,12 @@ class _Crew:
             for start, end in self._spans
             if end > began and start < ended
         ]
+        grown = {name: after[name] - before.get(name, 0.0) for name in after}
         return Utilisation(
             workers=self._workers, campaigns=len(bodies), generation=generation, coordinator_s=cpu_s,
             jobs=len(within), seconds=ended - began, busy_s=sum(end - start for start, end in within),
+            writing_s=grown["brink_commit_seconds_sum"],
+            step_s=grown["brink_step_seconds_sum"] / grown["brink_step_seconds_count"],
         )  # fmt: skip
 
     async def _run(self, name: str, client: LoadClient) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import httpx
+from prometheus_client.parser import text_string_to_metric_families
 
 from server.errors import ServerError
 
@@ -130,6 +131,16 @@ class CoordinatorProcess(Process):
             if not self.alive or time.monotonic() > deadline:
                 raise DidNotStart(f"the coordinator did not come up: {self.said}")
             time.sleep(0.02)  # between two looks
+
+    def measured(self) -> dict[str, float]:
+        """Return what it measures of itself without regard to labels, by the names in ``/metrics``."""
+        told = httpx.get(f"{self.url}/metrics", timeout=60.0).raise_for_status().text
+        return {
+            sample.name: sample.value
+            for family in text_string_to_metric_families(told)
+            for sample in family.samples
+            if not sample.labels
+        }
 
 
 def worker_command(server: str, *options: str) -> list[str]:

@@ -183,13 +183,14 @@ def scale(
         )
         raise typer.Exit(int(missed))
     table = figure_table(
-        "workers", "campaigns", "generation", "jobs", "seconds", "used", "target", "", "coordinator CPU"
-    )
+        "workers", "campaigns", "generation", "jobs", "seconds", "used", "target", "", "coordinator CPU",
+        "its writer", "step s",
+    )  # fmt: skip
     for one in found:
         table.add_row(
             str(one.workers), str(one.campaigns), str(one.generation), f"{one.jobs:,}", f"{one.seconds:.0f}",
             f"{one.share:.1%}", "" if one.meets is None else f"at least {TARGET:.0%}", said(one.meets),
-            f"{one.coordinator_s / one.seconds:.0%}",
+            f"{one.coordinator_s / one.seconds:.0%}", f"{one.writing_s / one.seconds:.0%}", f"{one.step_s:.3f}",
         )  # fmt: skip
     console().print(table)
     if missed:

@@ -240,6 +240,7 @@ def test_health_readiness_and_metrics_are_at_the_root(finished: Finished) -> Non
     # Equal simulations run once; pictures run again.
     assert samples["brink_results_total", "accepted"] >= stands["simulations"] // 2
     assert samples[("brink_step_seconds_count",)] == stands["generation"]
+    assert samples[("brink_commit_seconds_count",)] >= stands["generation"]
     assert samples["brink_request_seconds_count", "/jobs/results", "2xx", "POST"] >= 1
     assert finished.id not in metrics, "labels have few values"
 

@@ -57,9 +57,9 @@ def statements_of(engine: Engine, run: Callable[[], Any]) -> list[Statement]:
     return said
 
 
-@pytest.fixture
-def stale(databases: Databases) -> Iterator[Queue]:
-    """A queue of which nearly everything is done since its statistics were made."""
+@pytest.fixture(params=[(), ("VACUUM",), ("ANALYZE",), ("VACUUM", "ANALYZE")], ids=" and ".join)
+def stale(databases: Databases, request: pytest.FixtureRequest) -> Iterator[Queue]:
+    """A queue of which nearly everything is done since its statistics were made, but for what Postgres did by itself."""
     with databases.database() as url:
         engines = open_engines(url)
         queue = Queue(engines=engines)
@@ -74,6 +74,9 @@ def stale(databases: Databases) -> Iterator[Queue]:
                 {"done": JobStatus.DONE, "campaign": campaign},
             )
         )
+        with engines.writer.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
+            for statement in request.param if connection.dialect.name == "postgresql" else ():
+                connection.execute(text(statement))
         yield queue
         engines.dispose()
 
@@ -172,6 +175,15 @@ def reads_all_jobs(plan: str) -> bool:
     return False
 
 
+CIRCUMSTANCES = (
+    "",
+    "SET LOCAL enable_indexonlyscan = off",
+    "SET LOCAL enable_bitmapscan = off",
+    "SET LOCAL random_page_cost = 1.1",
+    "SET LOCAL random_page_cost = 40",
+    "SET LOCAL cpu_index_tuple_cost = 0.1",
+)
+"""What tips Postgres between plans that seem equally good to it, as the sizes of its indexes do."""
 BY_HAND = ("not_before IS NOT NULL", "lease_expires_at IS NOT NULL")
 """What the test itself says."""
 
@@ -192,9 +204,12 @@ def test_no_statement_that_is_said_again_and_again_reads_all_jobs(
     }
     assert len(about_jobs) >= least
     with stale.engines.writer.connect() as connection:
-        for statement in about_jobs.items():
-            plan = looked_at(connection, statement)
-            assert not reads_all_jobs(plan), f"{statement[0]}\n\n{plan}"
+        for circumstance in CIRCUMSTANCES if connection.dialect.name == "postgresql" else ("",):
+            connection.exec_driver_sql(circumstance or "SELECT 1")
+            for statement in about_jobs.items():
+                plan = looked_at(connection, statement)
+                assert not reads_all_jobs(plan), f"{circumstance}\n{statement[0]}\n\n{plan}"
+            connection.rollback()
 
 
 def test_a_scan_would_be_noticed(stale: Queue) -> None:
