@@ -59,7 +59,7 @@ def statements_of(engine: Engine, run: Callable[[], Any]) -> list[Statement]:
 
 @pytest.fixture(params=[(), ("VACUUM",), ("ANALYZE",), ("VACUUM", "ANALYZE")], ids=" and ".join)
 def stale(databases: Databases, request: pytest.FixtureRequest) -> Iterator[Queue]:
-    """A queue of which nearly everything is done since its statistics were made, but for what Postgres did by itself."""
+    """A queue of which nearly everything is done since its statistics were made, or Postgres tidied up by itself."""
     with databases.database() as url:
         engines = open_engines(url)
         queue = Queue(engines=engines)
