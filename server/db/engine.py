@@ -80,10 +80,13 @@ def open_engines(database: str) -> Engines:
         return Engines(writer=_sqlite(url, "BEGIN IMMEDIATE"), reader=_sqlite(url, "BEGIN"))
     try:
         # The writer finds rows by index; statistics of a moment ago, when all jobs were queued, say otherwise.
-        # So would joins that read both tables in order, or one of them whole.
-        settings = ("enable_seqscan=off", "enable_mergejoin=off", "enable_hashjoin=off", "jit=off")
+        # So would joins that read both tables in order, or one of them whole, and bitmaps, which gather all that an
+        # index has before the first row comes.
+        off = ("enable_seqscan", "enable_bitmapscan", "enable_mergejoin", "enable_hashjoin", "jit")
         by_index = {
-            "options": " ".join(f"-c {one}" for one in (*settings, "plan_cache_mode=force_generic_plan"))
+            "options": " ".join(
+                [*(f"-c {name}=off" for name in off), "-c plan_cache_mode=force_generic_plan"]
+            )
         }
         writer = create_engine(
             url, pool_pre_ping=True, pool_size=4, connect_args=by_index, hide_parameters=True

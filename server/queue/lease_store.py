@@ -73,15 +73,20 @@ _HOLDINGS_SQLITE = text(  # which, without statistics, would look through all le
     f"WHERE status = '{JobStatus.LEASED}' AND lease_worker IN (SELECT value FROM json_each(:workers))"
 )
 # Those that nobody can run now must not cost everybody a look for each worker.
+_TRIED = (
+    select(JobRow.id, JobRow.campaign_id, JobRow.kind)
+    .where(_IS_QUEUED, _WAS_TRIED, _DUE, among(JobRow.needs, "capabilities"))
+    .offset(0)  # by themselves: Postgres would look for them among all that is queued of each campaign
+    .subquery()
+)
 _DUE_RETRY = (
-    select(JobRow.id)
-    .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
+    select(_TRIED.c.id)
+    .join(CampaignRow, CampaignRow.id == _TRIED.c.campaign_id)
     .where(
-        _IS_QUEUED,
-        _WAS_TRIED,
-        _DUE,
-        among(JobRow.needs, "capabilities"),
-        _ITS_CAMPAIGN_GOES_ON,
+        or_(
+            _TRIED.c.kind == literal(JobKind.TRACE, literal_execute=True),
+            CampaignRow.status == CampaignStatus.RUNNING,
+        )
     )
 )
 _WORK = (
