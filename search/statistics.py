@@ -1,6 +1,6 @@
-"""Statistics of repeated campaigns: mean with interval, Mann-Whitney U, Vargha-Delaney A12.
+"""Statistics of repeated campaigns: mean with interval, Mann-Whitney U, Vargha-Delaney A12, Holm's correction.
 
-Source: Sharifi et al. 2023, evaluation; Vargha and Delaney 2000.
+Source: Sharifi et al. 2023, evaluation; Vargha and Delaney 2000; Holm 1979.
 """
 
 from collections.abc import Sequence
@@ -84,3 +84,39 @@ def compared(first: Sequence[float], second: Sequence[float]) -> Comparison:
         return Comparison(a12=effect, u=u, p_value=1.0)
     p_value = float(stats.mannwhitneyu(first, second, alternative="two-sided").pvalue)
     return Comparison(a12=effect, u=u, p_value=p_value)
+
+
+SIZES = ((0.71, "large"), (0.64, "medium"), (0.56, "small"))
+"""Least A12 of an effect that is called so (Vargha and Delaney 2000), and 1 - A12 the other way round."""
+
+
+def effect_size(effect: float) -> str:
+    """Return an A12 in words: ``negligible``, ``small``, ``medium`` or ``large``, whichever way it goes.
+
+    Raises:
+        ValueError: It is not in [0, 1].
+    """
+    if not 0 <= effect <= 1:
+        raise ValueError(f"a12: expected a number in [0, 1], got {effect!r}")
+    # Rounded: 1 - 0.29 is a little less than 0.71.
+    distance = round(max(effect, 1 - effect), 9)
+    return next((word for least, word in SIZES if distance >= least), "negligible")
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return p-values adjusted for their number, in the same order, by Holm's step-down method.
+
+    An adjusted value at or below a level alpha means: rejected, with a chance of at most alpha that any of all the
+    rejections is wrong.
+
+    Raises:
+        ValueError: A p-value is not in [0, 1].
+    """
+    values = np.asarray(p_values, np.float64)
+    if not ((values >= 0) & (values <= 1)).all():
+        raise ValueError(f"p_values: expected numbers in [0, 1], got {list(p_values)}")
+    order = np.argsort(values, kind="stable")
+    stepped = np.maximum.accumulate(values[order] * (values.size - np.arange(values.size)))
+    adjusted = np.empty_like(values)
+    adjusted[order] = np.minimum(stepped, 1.0)
+    return [float(value) for value in adjusted]

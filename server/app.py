@@ -11,7 +11,7 @@ from importlib.metadata import version
 from fastapi import APIRouter, FastAPI
 
 from server.access.gate import Gate
-from server.api import campaigns, catalogue, health, jobs, llm, solutions, violations
+from server.api import campaigns, catalogue, experiments, health, jobs, llm, solutions, violations
 from server.api.context import Context
 from server.api.docs_page import add_docs
 from server.api.guards import Guards
@@ -26,6 +26,8 @@ from server.db.engine import Engines, open_engines
 from server.db.news import listen
 from server.db.writer import Writer
 from server.errors import Unavailable
+from server.experiments.scorebook import Scorebook
+from server.experiments.service import ExperimentService
 from server.llm.seeds import LlmSeeds
 from server.metrics import Metrics
 from server.queue.service import QueueService
@@ -97,7 +99,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
     api = APIRouter(prefix="/api/v1")
     # The busiest first: routes are tried in order.
     api.include_router(jobs.wire)
-    for module in (jobs, campaigns, solutions, violations, llm, catalogue):
+    for module in (jobs, campaigns, solutions, violations, llm, experiments, catalogue):
         api.include_router(module.router)
     app.include_router(api)
     app.include_router(health.router)
@@ -123,17 +125,22 @@ def _context(
         engines, writer, max_stored_distances=settings.max_stored_distances, seeds=seeds, metrics=metrics
     )
     queue = QueueService(settings=settings, writer=writer, stepper=stepper, metrics=metrics)
+    campaigns = CampaignService(
+        engines=engines, writer=writer, stepper=stepper, queue=queue, llm_endpoints=settings.llm_endpoints
+    )
+    archives = Archives(engines=engines, stepper=stepper)
+    drawing = ThreadPoolExecutor(SLOW_AT_ONCE, thread_name_prefix="brink-draw")
     return Context(
         settings=settings,
         engines=engines,
         queue=queue,
-        campaigns=CampaignService(
-            engines=engines, writer=writer, stepper=stepper, queue=queue, llm_endpoints=settings.llm_endpoints
-        ),
-        archives=Archives(engines=engines, stepper=stepper),
+        campaigns=campaigns,
+        experiments=ExperimentService(campaigns=campaigns),
+        scorebook=Scorebook(archives=archives, threads=drawing),
+        archives=archives,
         seeds=seeds,
         metrics=metrics,
-        drawing=ThreadPoolExecutor(SLOW_AT_ONCE, thread_name_prefix="brink-draw"),
+        drawing=drawing,
     )
 
 

@@ -1,15 +1,13 @@
 """Routes of campaigns: submit, list, look, control, progress."""
 
-import base64
 import hashlib
-import re
-from datetime import UTC, datetime
 from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request, Response
 
 from server.api.context import Context, Services
+from server.api.cursor import cursor_of, read_cursor
 from server.api.schemas import MAX_NUMBER, CampaignList, CampaignView, Progress
 from server.api.views import campaign_view, read_progress
 from server.campaigns.archives import ReadArchive
@@ -18,12 +16,9 @@ from server.campaigns.service import read
 from server.campaigns.store import ENDED
 from server.campaigns.values import Campaign
 from server.db.models import CampaignStatus
-from server.errors import FieldError, InvalidInput
+from server.errors import InvalidInput
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"])
-
-LATEST_S = 4e9
-"""Later than any campaign, and a time that every platform can name."""
 
 
 @router.post(
@@ -58,14 +53,14 @@ async def list_campaigns(
     """List campaigns, newest first."""
     campaigns = await services.campaigns.list(
         limit=limit,
-        before=_read_cursor(cursor) if cursor else None,
+        before=read_cursor(cursor) if cursor else None,
         statuses=tuple(status or ()),
         document_hash=document_hash,
     )
     last = campaigns[-1] if len(campaigns) == limit else None
     return CampaignList(
         campaigns=[campaign_view(campaign) for campaign in campaigns],
-        next=_cursor(last.created_at, last.id) if last else None,
+        next=cursor_of(last.created_at, last.id) if last else None,
     )
 
 
@@ -145,22 +140,3 @@ async def _final_archive(services: Context, campaign: Campaign) -> ReadArchive |
         return await services.archives.get(campaign)
     except InvalidInput:
         return None
-
-
-def _cursor(moment: datetime, campaign_id: str) -> str:
-    return base64.urlsafe_b64encode(f"{moment.timestamp()!r} {campaign_id}".encode()).decode()
-
-
-def _read_cursor(cursor: str) -> tuple[datetime, str]:
-    known = re.fullmatch(r"(\d+\.\d+) ([0-9a-z]+)", _decoded(cursor))
-    if known is None:
-        message = "expected the value of `next` of an earlier page"
-        raise InvalidInput([FieldError(pointer="/query/cursor", message=message)])
-    return datetime.fromtimestamp(min(float(known[1]), LATEST_S), UTC), known[2]
-
-
-def _decoded(cursor: str) -> str:
-    try:
-        return base64.urlsafe_b64decode(cursor).decode()
-    except ValueError:
-        return ""

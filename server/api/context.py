@@ -12,6 +12,8 @@ from fastapi import Depends, Request
 from server.campaigns.archives import Archives
 from server.campaigns.service import CampaignService
 from server.db.engine import Engines
+from server.experiments.scorebook import Scorebook
+from server.experiments.service import ExperimentService
 from server.llm.seeds import LlmSeeds
 from server.metrics import Metrics
 from server.queue.service import QueueService
@@ -25,6 +27,8 @@ class Context:
     settings: Settings
     engines: Engines
     campaigns: CampaignService
+    experiments: ExperimentService
+    scorebook: Scorebook
     queue: QueueService
     archives: Archives
     seeds: LlmSeeds

@@ -25,7 +25,12 @@ class Body(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
-def _without_controls(text: str) -> str:
+def without_controls(text: str) -> str:
+    """Return a text that can be shown on one line.
+
+    Raises:
+        ValueError: It cannot.
+    """
     if not text.isprintable():
         raise ValueError("expected text without control characters")
     return text
@@ -62,7 +67,7 @@ class CampaignBody(Body):
     """A campaign: a problem, an algorithm, a budget, a seed."""
 
     name: Annotated[
-        str, Field(min_length=1, max_length=200, examples=["night-rain"]), AfterValidator(_without_controls)
+        str, Field(min_length=1, max_length=200, examples=["night-rain"]), AfterValidator(without_controls)
     ]
     problem: PluginChoice
     algorithm: PluginChoice
@@ -79,8 +84,13 @@ class CampaignBody(Body):
         document = self.model_dump(mode="json")
         if self.llm is None:
             del document["llm"]  # as it was before there were language models
-        text = json.dumps(document, sort_keys=True, separators=(",", ":"))
-        return hashlib.sha256(text.encode()).hexdigest()
+        return hash_of(document)
+
+
+def hash_of(document: object) -> str:
+    """Return the SHA-256 of a JSON document, whatever the order of its keys."""
+    text = json.dumps(document, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def parse_body(document: object) -> CampaignBody:
@@ -100,10 +110,19 @@ def parse_body(document: object) -> CampaignBody:
 
 
 def read_campaign_file(path: Path) -> CampaignBody:
-    """Read a campaign file (YAML, of which JSON is a part).
+    """Read a campaign file.
 
     Raises:
         InvalidInput: The file cannot be read, is no YAML, or is no campaign.
+    """
+    return parse_body(read_yaml(path))
+
+
+def read_yaml(path: Path) -> object:
+    """Read a file of YAML, of which JSON is a part.
+
+    Raises:
+        InvalidInput: The file cannot be read, or is no YAML.
     """
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
@@ -115,10 +134,10 @@ def read_campaign_file(path: Path) -> CampaignBody:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise InvalidInput([FieldError(pointer="", message=f"{path}: {reason}")]) from None
     try:
-        document = yaml.load(text, _Loader)
+        document: object = yaml.load(text, _Loader)
     except yaml.YAMLError as error:
         raise InvalidInput([FieldError(pointer="", message=f"{path}: {_yaml_trouble(error)}")]) from None
-    return parse_body(document)
+    return document
 
 
 class _Loader(yaml.SafeLoader):
@@ -202,9 +221,11 @@ def _escaped(part: str) -> str:
 
 def _fields_at(model: type[BaseModel], location: list[Any]) -> set[str]:
     for part in location:
+        if isinstance(part, int):  # one of a list, whose model is known
+            continue
         field = model.model_fields.get(str(part))
         inner = field.annotation if field else None
-        for choice in get_args(inner):  # a model that may be left out
+        for choice in get_args(inner):  # a model that may be left out, or a list of them
             inner = choice if isinstance(choice, type) and issubclass(choice, BaseModel) else inner
         if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
             return set()

@@ -119,6 +119,48 @@ def _check_endpoint(llm: LlmSettings | None, allowed: str) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Prepared:
+    """A campaign that can run, not stored yet.
+
+    Attributes:
+        id: Its id.
+        body: As it was submitted.
+        live: With its first generation asked.
+        solutions: That generation.
+    """
+
+    id: str
+    body: CampaignBody
+    live: Live
+    solutions: Sequence[NewSolution]
+
+
+def prepared(body: CampaignBody, llm_endpoints: str) -> Prepared:
+    """Check a campaign, and ask for its first generation.
+
+    Args:
+        body: What was asked for.
+        llm_endpoints: Which language models may be asked from here.
+
+    Raises:
+        InvalidInput: It cannot run.
+    """
+    _check_endpoint(body.llm, llm_endpoints)
+    live, solutions = check_submission(body)
+    return Prepared(id=secrets.token_hex(4), body=body, live=live, solutions=solutions)
+
+
+def store_prepared(connection: Connection, campaign: Prepared, key: str | None = None) -> Campaign:
+    """Store a campaign with its first generation."""
+    store.insert_campaign(
+        connection, campaign.id, campaign.live.plan.body, campaign.body.document_hash(), key
+    )
+    stored = _found(store.find_campaign(connection, campaign.id), campaign.id)
+    step_store.insert_solutions(connection, stored, 0, campaign.solutions)
+    return stored
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignService:
     """Campaigns of one coordinator process."""
 
@@ -154,33 +196,39 @@ class CampaignService:
             known = await self._read(lambda connection: store.find_by_key(connection, key))
             if known is not None:
                 return _same(known, body), False
-        _check_endpoint(body.llm, self.llm_endpoints)
-        live, solutions = await asyncio.get_running_loop().run_in_executor(
-            self.checks, check_submission, body
+        ready = await asyncio.get_running_loop().run_in_executor(
+            self.checks, prepared, body, self.llm_endpoints
         )
-        campaign_id = secrets.token_hex(4)
 
         def unit(connection: Connection) -> tuple[Campaign, bool, Sequence[str]]:
             known = store.find_by_key(connection, key) if key is not None else None
             if known is not None:
                 return _same(known, body), False, ()
-            store.insert_campaign(connection, campaign_id, live.plan.body, body.document_hash(), key)
-            campaign = _found(store.find_campaign(connection, campaign_id), campaign_id)
-            step_store.insert_solutions(connection, campaign, 0, solutions)
-            return campaign, True, idle_campaigns(connection, [campaign_id])
+            campaign = store_prepared(connection, ready, key)
+            return campaign, True, idle_campaigns(connection, [ready.id])
 
         campaign, new, idle = await self._write(unit)
         if new:
-            about = {
-                "problem": body.problem.id,
-                "algorithm": body.algorithm.id,
-                "simulations": body.budget.simulations,
-            }
-            log.info("campaign submitted", extra={"campaign": campaign_id, **about})
-            self.stepper.adopt(campaign_id, live)
-            self.queue.wakeups.wake()
-            self.queue.advance_soon(idle)  # whose simulations are all known, or need no workers
+            self.begin([ready], idle)
         return campaign, new
+
+    def begin(self, campaigns: Sequence[Prepared], idle: Sequence[str]) -> None:
+        """Set out with campaigns that were just stored.
+
+        Args:
+            campaigns: Which.
+            idle: Those whose simulations are all known, or need no workers.
+        """
+        for one in campaigns:
+            about = {
+                "problem": one.body.problem.id,
+                "algorithm": one.body.algorithm.id,
+                "simulations": one.body.budget.simulations,
+            }
+            log.info("campaign submitted", extra={"campaign": one.id, **about})
+            self.stepper.adopt(one.id, one.live)
+        self.queue.wakeups.wake()
+        self.queue.advance_soon(idle)
 
     async def get(self, campaign_id: str) -> Campaign:
         """Return a campaign by its id, or by the beginning of its id if that is unique.

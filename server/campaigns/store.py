@@ -58,7 +58,7 @@ def find_campaign(connection: Connection, campaign_id: str, *, lock: bool = Fals
     if lock and connection.dialect.name != "sqlite":
         query = query.with_for_update()
     row = connection.execute(query).one_or_none()
-    return None if row is None else _campaign(row)
+    return None if row is None else campaign_of(row)
 
 
 def find_by_key(connection: Connection, key: str) -> Campaign | None:
@@ -66,7 +66,7 @@ def find_by_key(connection: Connection, key: str) -> Campaign | None:
     row = connection.execute(
         select(CampaignRow.__table__).where(CampaignRow.idempotency_key == key)
     ).one_or_none()
-    return None if row is None else _campaign(row)
+    return None if row is None else campaign_of(row)
 
 
 def named_campaign(connection: Connection, name: str) -> Campaign:
@@ -94,7 +94,7 @@ def _find_by_prefix(connection: Connection, prefix: str) -> list[Campaign]:
         .order_by(CampaignRow.id)
         .limit(2)
     )
-    return [_campaign(row) for row in connection.execute(query)]
+    return [campaign_of(row) for row in connection.execute(query)]
 
 
 def list_campaigns(
@@ -117,7 +117,7 @@ def list_campaigns(
         query = query.where(CampaignRow.document_hash == document_hash)
     if statuses:
         query = query.where(CampaignRow.status.in_(statuses))
-    return [_campaign(row) for row in connection.execute(query.limit(limit))]
+    return [campaign_of(row) for row in connection.execute(query.limit(limit))]
 
 
 def running_among(connection: Connection, campaigns: Sequence[str]) -> frozenset[str]:
@@ -220,7 +220,8 @@ def delete_campaign(connection: Connection, campaign_id: str) -> None:
     connection.execute(delete(CampaignRow).where(CampaignRow.id == campaign_id))
 
 
-def _campaign(row: Row[*tuple[Any, ...]]) -> Campaign:
+def campaign_of(row: Row[*tuple[Any, ...]]) -> Campaign:
+    """Return the campaign that a row of its table says."""
     return Campaign(
         id=row.id, body=CampaignBody.model_validate(row.document), document_hash=row.document_hash,
         status=CampaignStatus(row.status),

@@ -12,6 +12,7 @@ from server.cli import inspect, llm, operate, perturbations, steer
 from server.cli.benchmarks import methods, service
 from server.cli.benchmarks.figures import bench
 from server.cli.compare import compare
+from server.cli.experiments.commands import experiment
 from server.cli.findings.combinations import combinations
 from server.cli.findings.violations import violations
 from server.cli.operations import doctor, export, import_, prune_
@@ -49,6 +50,7 @@ app.add_typer(operate.db, name="db")
 app.add_typer(token, name="token")
 for measurement in (*methods.COMMANDS, *service.COMMANDS):
     bench.command()(measurement)
+app.add_typer(experiment, name="experiment")
 app.add_typer(bench, name="bench")
 app.add_typer(perturbations.perturbations, name="perturbations")
 app.add_typer(llm.llm, name="llm")

@@ -78,7 +78,7 @@ class CampaignDisplay:
                 f"{last['best_fitness']:.3f}" if last and last["best_fitness"] is not None else "–",
                 spark([g["best_fitness"] for g in self._series if g["best_fitness"] is not None]),
             ),
-            ("rate", f"{_rate(progress)}   left {_duration(progress['remaining_s'])}", ""),
+            ("rate", f"{rate_of(progress['rate_per_s'])}   left {duration(progress['remaining_s'])}", ""),
             (
                 "workers",
                 f"{progress['workers'] or 'none yet'}   running {progress['leased']}   queued {progress['queued']}",
@@ -113,8 +113,8 @@ class CampaignDisplay:
             if name in facts
         )
         return (
-            f"{progress['simulations']}/{progress['budget']} simulations, {said}, {_rate(progress)}, "
-            f"left {_duration(progress['remaining_s'])}, workers {progress['workers']}"
+            f"{progress['simulations']}/{progress['budget']} simulations, {said}, {rate_of(progress['rate_per_s'])}, "
+            f"left {duration(progress['remaining_s'])}, workers {progress['workers']}"
             + (f", {progress['asking']}" if progress["asking"] else "")
         )
 
@@ -130,14 +130,15 @@ def spark(values: list[float]) -> str:
     return "".join(BARS[round((value - low) / (high - low) * (len(BARS) - 1))] for value in shown)
 
 
-def _rate(progress: dict[str, Any]) -> str:
-    rate = progress["rate_per_s"]
+def rate_of(rate: float | None) -> str:
+    """Return simulations a second for people."""
     if rate is None:
         return "–"
     return f"{rate:.1f} a second" if rate >= 1 else f"{60 * rate:.1f} a minute"
 
 
-def _duration(seconds: float | None) -> str:
+def duration(seconds: float | None) -> str:
+    """Return a time for people."""
     if seconds is None:
         return "–"
     minutes, rest = divmod(round(seconds), 60)

@@ -3,36 +3,25 @@
 import asyncio
 import contextlib
 import logging
-import secrets
-import signal
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
-import httpx
 import typer
-from pydantic import SecretStr
 from rich.console import Console
 
-from server.bench.comparison import in_words
 from server.campaigns.body import CampaignBody, read_campaign_file
 from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.service import check_submission
-from server.cli.api import TIMEOUT, Api, CoordinatorSaid
+from server.cli.api import Api, CoordinatorSaid
 from server.cli.compare import compared_archives
-from server.cli.coordinator import (
-    EmbeddedCoordinator,
-    WorkerProcesses,
-    has_tokens,
-    prepare_database,
-    release_leases_of_the_dead,
-)
+from server.cli.coordinator import WorkerProcesses
 from server.cli.findings.drawing import Drawing
 from server.cli.findings.finding import Findings, fetch_findings
 from server.cli.live import CampaignDisplay
+from server.cli.local import Local, check_extra, local_service, stopping
 from server.cli.options import (
     CampaignFile,
     Database,
@@ -46,11 +35,10 @@ from server.cli.options import (
 from server.cli.pictures import draw_figures, fetch_archive, write_results
 from server.cli.replays import write_replays
 from server.cli.summary import print_summary
-from server.errors import Conflict, FieldError, InvalidInput, Unavailable
-from server.problems.base import NeedsExtra, Problem
+from server.errors import Conflict, Unavailable
+from server.experiments.comparison import in_words
 from server.settings import Settings
 
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 LOOK_EVERY_S = 0.3
 TRACES_S = 30.0
 TROUBLE_S = 5.0
@@ -108,61 +96,25 @@ def run(
         pictures=pictures, replays=replays, json=as_json,
     )  # fmt: skip
     live, _ = check_submission(plan.body)
-    _check_extra(live.plan.problem)
+    check_extra(live.plan.problem)
     # The campaign is the user's own, and so is the coordinator: it may ask whom the file names.
     settings = settings_with(database=database, port=port, llm_endpoints="*")
     screen = Console(stderr=True, highlight=False) if as_json else console()
     out.mkdir(parents=True, exist_ok=True)  # what cannot be written is known before an hour of simulations
-    prepare_database(settings)
-    if settings.token is None and has_tokens(settings, that_hold=False):
-        # The database is that of a coordinator with tokens: this command and its workers have one of their own.
-        settings = settings.model_copy(update={"token": SecretStr(secrets.token_hex(24))})
-    release_leases_of_the_dead(settings)
-    coordinator = EmbeddedCoordinator(settings)
-    coordinator.start()
-    processes = WorkerProcesses(
-        url=coordinator.url,
-        log_file=out / "worker.log",
-        token=settings.token.get_secret_value() if settings.token else None,
-    )
-    try:
-        status = asyncio.run(_run(plan, settings, coordinator.url, processes, screen))
-    finally:
-        processes.stop()
-        coordinator.stop()
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    with local_service(settings, out / "worker.log") as local:
+        status = asyncio.run(_run(plan, settings, local, screen))
     raise typer.Exit(status)
 
 
-def _check_extra(problem: Problem) -> None:
-    """Refuse a problem that the workers of this machine cannot simulate.
-
-    Raises:
-        InvalidInput: An optional part of Brink is missing here.
-    """
-    if isinstance(problem, NeedsExtra) and any(find_spec(module) is None for module in problem.modules):
-        message = (
-            f"{problem.id} needs the {problem.extra} extra, which is not installed here: "
-            f"pip install -c constraints.txt -e '.[{problem.extra}]'"
-        )
-        raise InvalidInput([FieldError(pointer="/problem/id", message=message)])
-
-
-async def _run(
-    plan: RunPlan, settings: Settings, url: str, processes: WorkerProcesses, screen: Console
-) -> int:
+async def _run(plan: RunPlan, settings: Settings, local: Local, screen: Console) -> int:
     """Return the exit status: 0 only if everything that was asked for is there."""
     stop = asyncio.Event()
     database = database_option(settings)
-    token = settings.token.get_secret_value() if settings.token else None
-    headers = {"Authorization": f"Bearer {token}"} if token else {}
-    async with httpx.AsyncClient(base_url=url, timeout=TIMEOUT, headers=headers) as client:
-        api = Api(client, url)
+    async with local.api() as api:
         campaign_id = await _campaign(api, plan, screen)
-        with _stopping(stop):
-            processes.start(plan.workers)
-            progress = await _watch(api, campaign_id, processes, stop, screen)
+        with stopping(stop):
+            local.processes.start(plan.workers)
+            progress = await _watch(api, campaign_id, local.processes, stop, screen)
             if stop.is_set():
                 await _set_aside(api, campaign_id, plan, progress, screen, database)
                 return 1
@@ -232,20 +184,6 @@ async def _campaign(api: Api, plan: RunPlan, screen: Console) -> str:
         f"{plan.body.budget.simulations} simulations, seed {plan.body.seed}"
     )
     return str(campaign["id"])
-
-
-@contextlib.contextmanager
-def _stopping(stop: asyncio.Event) -> Iterator[None]:
-    """Set the event on Ctrl-C or SIGTERM instead of dying; afterwards, while all is being stopped, ignore both."""
-    loop = asyncio.get_running_loop()
-    for number in STOP_SIGNALS:
-        loop.add_signal_handler(number, stop.set)
-    try:
-        yield
-    finally:
-        for number in STOP_SIGNALS:
-            loop.remove_signal_handler(number)
-            signal.signal(number, signal.SIG_IGN)
 
 
 async def _watch(

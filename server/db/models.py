@@ -137,6 +137,32 @@ class CampaignRow(Base):
     finished_at: Mapped[datetime | None]
 
 
+class ExperimentRow(Base):
+    """An experiment: what was asked for."""
+
+    __tablename__ = "experiments"
+
+    id: Mapped[str] = mapped_column(String(16), primary_key=True)
+    name: Mapped[str] = mapped_column(String(200))
+    document: Mapped[dict[str, Any]]
+    document_hash: Mapped[str] = mapped_column(String(64), index=True)
+    idempotency_key: Mapped[str | None] = mapped_column(String(200), unique=True)
+    created_at: Mapped[datetime]
+
+
+class ExperimentCampaignRow(Base):
+    """A campaign of an experiment, and its place there."""
+
+    __tablename__ = "experiment_campaigns"
+    __table_args__ = (UniqueConstraint("experiment_id", "place"),)
+
+    campaign_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="CASCADE"), primary_key=True)
+    experiment_id: Mapped[str] = mapped_column(ForeignKey("experiments.id", ondelete="CASCADE"))
+    place: Mapped[int] = mapped_column(Integer)
+    method: Mapped[str] = mapped_column(String(100))
+    problem: Mapped[str] = mapped_column(String(100))
+
+
 class GenerationRow(Base):
     """A generation that was told, as series for progress and plots."""
 

@@ -1,7 +1,11 @@
+import itertools
+
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy import stats
 
-from search.statistics import a12, compared, mean_interval
+from search.statistics import a12, compared, effect_size, holm, mean_interval
 
 
 def test_mean_interval_is_students() -> None:
@@ -44,3 +48,58 @@ def test_nothing_cannot_be_compared() -> None:
         compared([], [1.0])
     with pytest.raises(ValueError, match="expected values"):
         mean_interval([])
+
+
+COUNTS = st.lists(st.integers(0, 6).map(float), min_size=1, max_size=9)
+
+
+@given(COUNTS, COUNTS)
+def test_comparison_follows_the_definitions_whatever_the_ties(
+    first: list[float], second: list[float]
+) -> None:
+    found = compared(first, second)
+    wins = sum((a > b) + (a == b) / 2 for a, b in itertools.product(first, second))
+    assert found.a12 == pytest.approx(wins / (len(first) * len(second)))
+    assert found.u == pytest.approx(wins)
+    if len({*first, *second}) > 1:
+        reference = stats.mannwhitneyu(first, second, alternative="two-sided")
+        assert (found.u, found.p_value) == pytest.approx((reference.statistic, reference.pvalue))
+    turned = compared(second, first)
+    assert (turned.a12, turned.p_value) == pytest.approx((1 - found.a12, found.p_value))
+
+
+@pytest.mark.parametrize(
+    ("effect", "word"),
+    [
+        (0.5, "negligible"), (0.559, "negligible"), (0.56, "small"), (0.44, "small"), (0.64, "medium"),
+        (0.36, "medium"), (0.71, "large"), (0.29, "large"), (0.0, "large"), (1.0, "large"),
+    ],
+)  # fmt: skip
+def test_effects_are_named_as_by_vargha_and_delaney(effect: float, word: str) -> None:
+    assert effect_size(effect) == word
+
+
+def test_holm_adjusts_as_in_the_textbook() -> None:
+    # As R's p.adjust(c(.01, .04, .03, .005), "holm") has it.
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([]) == []
+    assert holm([0.4, 0.9]) == pytest.approx([0.8, 0.9])
+
+
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=8))
+def test_holm_rejects_what_its_steps_reject(p_values: list[float]) -> None:
+    adjusted = holm(p_values)
+    for alpha in (0.01, 0.05, 0.3):
+        rejected = set()
+        for step, index in enumerate(sorted(range(len(p_values)), key=lambda i: p_values[i])):
+            if p_values[index] * (len(p_values) - step) > alpha:
+                break
+            rejected.add(index)
+        assert {i for i, value in enumerate(adjusted) if value <= alpha} == rejected
+
+
+def test_only_probabilities_are_adjusted() -> None:
+    with pytest.raises(ValueError, match=r"in \[0, 1\]"):
+        holm([0.5, 1.5])
+    with pytest.raises(ValueError, match=r"in \[0, 1\]"):
+        effect_size(-0.1)

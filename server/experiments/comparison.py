@@ -11,17 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from search.archive import Archive
-from search.boundary import PAPER_D_THS, PAPER_T_BS, DbsGrid, dbs_grid
-from search.control import ScenarioRisk, blind_archive
+from search.boundary import PAPER_D_THS, PAPER_T_BS
 from server.campaigns.body import CampaignBody
 from server.campaigns.plan import Plan
+from server.experiments.scores import ENOUGH_REPEATS, scored
 
-SCENARIO = "scenario"
-"""Name of the component whose effect a control keeps."""
-ENOUGH_REPEATS = 3.0
-"""Evaluations a scenario from which on a control can be believed."""
-DRAWS = 5
-"""Controls a campaign: their figures are means."""
 SPREADS = 2.0
 """Standard deviations of its draws by which a campaign must exceed its control, to owe anything to behaviour."""
 CALIBRATION = 0.15
@@ -68,20 +62,30 @@ class Row:
 
 
 def compare(campaigns: Sequence[ComparedCampaign], *, control: bool = True) -> list[Row]:
-    """Return a row for each campaign, followed by one for its control if its space has a scenario.
-
-    What an algorithm simulated beyond its budget, to end a generation, is not counted.
-    """
+    """Return a row for each campaign, followed by one for its control if its space has a scenario."""
     rows = []
     for campaign in campaigns:
-        archive = campaign.archive
-        within = archive.first(int(np.searchsorted(archive.numbers, campaign.body.budget.simulations)))
-        rows.append(_row(campaign.label, campaign.id, [within]))
-        names = [component.name for component in campaign.plan.problem.space.components]
-        if control and len(within) and SCENARIO in names and len(names) > 1:
-            risk = ScenarioRisk.fitted(within, campaign.plan.problem.space, scenario=names.index(SCENARIO))
-            blind = [blind_archive(within, risk, seed=campaign.body.seed, draw=draw) for draw in range(DRAWS)]
-            rows.append(_row(f"{campaign.label}, control", campaign.id, blind, repeats=risk.repeats))
+        body, space = campaign.body, campaign.plan.problem.space
+        scores = scored(
+            campaign.archive, space, simulations=body.budget.simulations, seed=body.seed, fractions=(1.0,),
+            control=control,
+        )  # fmt: skip
+        share = scores.unsafe / scores.evaluated if scores.evaluated else 0.0
+        figures = scores.figures
+        rows.append(
+            Row(
+                label=campaign.label, campaign=campaign.id, unsafe_share=share, dbs=figures.dbs[-1],
+                strict=figures.strict[-1], strict_spread=np.zeros_like(figures.strict[-1]), repeats=None,
+            )
+        )  # fmt: skip
+        if (blind := scores.control) is not None:
+            rows.append(
+                Row(
+                    label=f"{campaign.label}, control", campaign=campaign.id, unsafe_share=blind.unsafe_share,
+                    dbs=blind.figures.dbs[-1], strict=blind.figures.strict[-1], strict_spread=blind.spread,
+                    repeats=blind.repeats,
+                )
+            )  # fmt: skip
     return rows
 
 
@@ -114,18 +118,3 @@ def _said(row: Row, control: Row, place: tuple[int, int]) -> str:
     if beyond > max(SPREADS * float(control.strict_spread[place]), CALIBRATION * blind):
         return f"{facts}: about {beyond:.0f} of {found:g} are owed to how the component behaves"
     return f"{facts}: no more than scenarios and chance give, so it does not show that the component matters"
-
-
-def _row(label: str, campaign: str, archives: Sequence[Archive], *, repeats: float | None = None) -> Row:
-    grids: list[DbsGrid] = [dbs_grid(archive, PAPER_T_BS, PAPER_D_THS) for archive in archives]
-    return Row(
-        label=label,
-        campaign=campaign,
-        unsafe_share=float(
-            np.mean([np.mean(archive.unsafe) if len(archive) else 0.0 for archive in archives])
-        ),
-        dbs=np.mean([grid.dbs for grid in grids], axis=0),
-        strict=np.mean([grid.strict for grid in grids], axis=0),
-        strict_spread=np.std([grid.strict for grid in grids], axis=0),
-        repeats=repeats,
-    )

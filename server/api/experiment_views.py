@@ -1,0 +1,152 @@
+"""Experiments as users see them."""
+
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+from sqlalchemy import Connection
+
+from search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
+from server.api.experiment_schemas import (
+    ControlView,
+    DuelView,
+    ExperimentProgress,
+    ExperimentSummary,
+    ExperimentView,
+    MemberView,
+    RepeatView,
+    Results,
+    StandingView,
+)
+from server.campaigns.store import ENDED
+from server.db.models import CampaignStatus, JobStatus
+from server.db.writer import Trouble
+from server.experiments import store
+from server.experiments.scores import Control
+from server.experiments.tables import Repeat, duels, standings
+from server.experiments.values import Experiment
+from server.queue.workers import capabilities_of_live
+
+RATE_S = 60.0
+"""Time over which the rate is taken."""
+
+
+def summary_view(experiment: Experiment) -> ExperimentSummary:
+    """Return an experiment without its campaigns."""
+    return ExperimentSummary(**_summary(experiment))
+
+
+def _summary(experiment: Experiment) -> dict[str, Any]:
+    campaigns = [member.campaign for member in experiment.members]
+    return {
+        "id": experiment.id,
+        "name": experiment.body.name,
+        "status": experiment.status,
+        "campaigns": experiment.body.campaigns,
+        "deleted": experiment.body.campaigns - len(campaigns),
+        "finished": sum(campaign.status is CampaignStatus.FINISHED for campaign in campaigns),
+        "simulations": experiment.simulations,
+        "budget": experiment.budget,
+        "failed": sum(campaign.failed for campaign in campaigns),
+        "created_at": experiment.created_at,
+    }
+
+
+def experiment_view(experiment: Experiment) -> ExperimentView:
+    """Return an experiment with its campaigns."""
+    return ExperimentView(
+        **_summary(experiment),
+        body=experiment.body,
+        members=[
+            MemberView(
+                campaign=member.campaign.id, method=member.method, problem=member.problem,
+                seed=member.campaign.body.seed, status=member.campaign.status,
+                status_reason=member.campaign.status_reason, simulations=member.campaign.told,
+                unsafe=member.campaign.unsafe, failed=member.campaign.failed,
+            )
+            for member in experiment.members
+        ],
+    )  # fmt: skip
+
+
+def read_progress(
+    connection: Connection, experiment: Experiment, worker_seen_s: float, trouble: Trouble | None
+) -> ExperimentProgress:
+    """Return counts and rates of all campaigns of an experiment together."""
+    ids = [member.campaign.id for member in experiment.members]
+    open_jobs = store.count_open_jobs(connection, ids)
+    ended = experiment.status in ENDED
+    ends = [m.campaign.finished_at for m in experiment.members if m.campaign.finished_at is not None]
+    now = max(ends) if ended and ends else datetime.now(UTC)
+    elapsed_s = max(0.0, (now - experiment.created_at).total_seconds())
+    span_s = elapsed_s if ended else min(RATE_S, elapsed_s)
+    before = store.told_by(connection, ids, now - timedelta(seconds=span_s))
+    done = experiment.simulations
+    rate = (done - before) / span_s if span_s > 0 and done > before else None
+    remaining = sum(
+        max(0, member.campaign.body.budget.simulations - member.campaign.told)
+        for member in experiment.members
+        if member.campaign.status not in ENDED
+    )
+    return ExperimentProgress(
+        **_summary(experiment),
+        rate_per_s=rate,
+        remaining_s=remaining / rate if rate and not ended else None,
+        elapsed_s=elapsed_s,
+        queued=open_jobs.get(JobStatus.QUEUED, 0),
+        leased=open_jobs.get(JobStatus.LEASED, 0),
+        quarantined=open_jobs.get(JobStatus.QUARANTINED, 0),
+        workers=len(capabilities_of_live(connection, worker_seen_s)),
+        paused=[
+            f"{member.campaign.id}: {member.campaign.status_reason or 'by hand'}"
+            for member in experiment.members
+            if member.campaign.status is CampaignStatus.PAUSED
+        ],
+        trouble=trouble.reason if trouble else None,
+        trouble_s=trouble.span_s if trouble else 0.0,
+    )
+
+
+def results_view(experiment: Experiment, repeats: Sequence[Repeat]) -> Results:
+    """Return the tables of an experiment."""
+    return Results(
+        id=experiment.id, name=experiment.body.name, status=experiment.status,
+        created_at=experiment.created_at, campaigns=experiment.body.campaigns, scored=len(repeats),
+        fractions=list(PAPER_FRACTIONS), t_bs=list(PAPER_T_BS), d_ths=list(PAPER_D_THS),
+        standings=[
+            StandingView(
+                problem=one.line.problem, method=one.line.method, control=one.line.control,
+                measure=one.measure, t_b=one.t_b, d_th=one.d_th, mean=one.value.mean, low=one.value.low,
+                high=one.value.high, repeats=one.value.repeats,
+            )
+            for one in standings(repeats)
+        ],
+        duels=[
+            DuelView(
+                problem=one.first.problem, first=one.first.method, second=one.second.method,
+                control=one.second.control, measure=one.measure, t_b=one.t_b, d_th=one.d_th,
+                u=one.result.u, p=one.result.p_value, p_holm=one.adjusted, a12=one.result.a12,
+                effect=one.size,
+            )
+            for one in duels(repeats)
+        ],
+        repeats=[
+            RepeatView(
+                problem=one.problem, method=one.method, seed=one.seed, campaign=one.campaign,
+                evaluated=one.scores.evaluated, unsafe=one.scores.unsafe,
+                dbs=one.scores.figures.dbs.tolist(), strict=one.scores.figures.strict.tolist(),
+                control=_control(one.scores.control),
+            )
+            for one in repeats
+        ],
+    )  # fmt: skip
+
+
+def _control(control: Control | None) -> ControlView | None:
+    if control is None:
+        return None
+    return ControlView(
+        unsafe_share=control.unsafe_share, behaviours_a_scenario=control.repeats, reads_low=control.reads_low,
+        dbs=control.figures.dbs.tolist(), strict=control.figures.strict.tolist(),
+        spread=control.spread.tolist(),
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""`brink experiment`: several methods with several seeds, compared."""

@@ -1,0 +1,180 @@
+"""`brink experiment run`: a coordinator, workers and all campaigns of an experiment in one command."""
+
+import asyncio
+import contextlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from server.campaigns.service import checked_plan
+from server.cli.api import Api, CoordinatorSaid
+from server.cli.coordinator import WorkerProcesses
+from server.cli.experiments.display import ExperimentDisplay
+from server.cli.experiments.results import fetch_results, print_results, write_report
+from server.cli.local import Local, check_extra, local_service, stopping
+from server.cli.options import Database, brink, console, database_option, file_name, print_json, settings_with
+from server.errors import Conflict, InvalidInput, Unavailable
+from server.experiments.body import ExperimentBody, read_experiment_file
+from server.settings import Settings
+
+LOOK_EVERY_S = 0.5
+TROUBLE_S = 5.0
+"""How long a database may take no writes before a run gives up."""
+RESULTS = Path("brink-results")
+
+ExperimentFile = Annotated[
+    Path, typer.Argument(metavar="FILE", help="Experiment file (YAML or JSON).", show_default=False)
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Plan:
+    body: ExperimentBody
+    file: Path
+    workers: int
+    out: Path
+    resume: bool
+    new: bool
+    json: bool
+
+
+def run(
+    file: ExperimentFile,
+    workers: Annotated[int, typer.Option(min=1, max=256, help="Worker processes.")] = 2,
+    database: Database = None,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume", help="Go on with this file's latest experiment, or show it if it is finished."
+        ),
+    ] = False,
+    new: Annotated[
+        bool, typer.Option("--new", help="Start another experiment even if there is one of this file.")
+    ] = False,
+    out: Annotated[Path, typer.Option(help="Folder for the report.")] = RESULTS,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port of the coordinator; 0 takes a free one.")
+    ] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
+) -> None:
+    """Run every algorithm on every problem with every seed, and write a report that compares them.
+
+    Ctrl-C stops cleanly; the same command with --resume goes on from there.
+
+    Example: brink experiment run examples/paper-rq1.yaml --workers 2
+    """
+    plan = _Plan(
+        body=read_experiment_file(file),
+        file=file,
+        workers=workers,
+        out=out,
+        resume=resume,
+        new=new,
+        json=as_json,
+    )
+    for cell in plan.body.cells()[: len(plan.body.problems) * len(plan.body.algorithms)]:
+        try:
+            check_extra(checked_plan(cell.body).problem)
+        except InvalidInput as error:
+            raise cell.in_experiment(error) from None
+    # The experiment is the user's own, and so is the coordinator: it may ask whom the file names.
+    settings = settings_with(database=database, port=port, llm_endpoints="*")
+    screen = Console(stderr=True, highlight=False) if as_json else console()
+    out.mkdir(parents=True, exist_ok=True)  # what cannot be written is known before an hour of simulations
+    with local_service(settings, out / "worker.log") as local:
+        status = asyncio.run(_run(plan, settings, local, screen))
+    raise typer.Exit(status)
+
+
+async def _run(plan: _Plan, settings: Settings, local: Local, screen: Console) -> int:
+    stop = asyncio.Event()
+    database = database_option(settings)
+    async with local.api() as api:
+        experiment = await _experiment(api, plan, screen)
+        with stopping(stop):
+            local.processes.start(plan.workers)
+            progress = await _watch(api, experiment, local.processes, stop, screen)
+            if stop.is_set():
+                with contextlib.suppress(CoordinatorSaid):
+                    await api.post(f"/experiments/{experiment}/pause")
+                screen.print(
+                    f"stopped at {progress['simulations']:,} of {progress['budget']:,} simulations; nothing is lost"
+                )
+                screen.print(
+                    f"go on with: {brink()} experiment run {plan.file} --resume{database}", soft_wrap=True
+                )
+                return 1
+            if progress["status"] != "finished":
+                screen.print(f"experiment {experiment} is {progress['status']}")
+                for reason in progress["paused"]:
+                    screen.print(f"  campaign {reason}", markup=False)
+                screen.print(
+                    f"look closer with: {brink()} experiment status {experiment}{database}", soft_wrap=True
+                )
+                return 1
+            results = await fetch_results(api, experiment, screen)
+            folder = plan.out / f"{file_name(plan.body.name)}-{experiment}"
+            with screen.status("drawing"):
+                files = await asyncio.to_thread(write_report, results, progress, plan.body, folder)
+    if plan.json:
+        print_json({**results.model_dump(mode="json"), "files": [str(path) for path in files]})
+    else:
+        print_results(screen, results)
+        screen.print(f"report: {folder / 'report.html'}", soft_wrap=True)
+    return 0
+
+
+async def _experiment(api: Api, plan: _Plan, screen: Console) -> str:
+    """Return the experiment to watch: the latest one of this file that was not cancelled, or a new one."""
+    params = {"document_hash": plan.body.document_hash(), "limit": 100}
+    known = [
+        one
+        for one in (await api.get("/experiments", params))["experiments"]
+        if one["status"] in ("running", "paused", "finished") and not one["deleted"]
+    ]
+    unfinished = [one for one in known if one["status"] != "finished"]
+    if plan.resume and known and not plan.new:
+        found = known[0]
+        if found["status"] == "finished":
+            screen.print(f"experiment {found['id']} of this file is finished; --new starts another")
+        else:
+            await api.post(f"/experiments/{found['id']}/resume")
+            screen.print(
+                f"experiment {found['id']}: going on at {found['simulations']:,} of {found['budget']:,} simulations"
+            )
+        return str(found["id"])
+    if unfinished and not plan.new:
+        found = unfinished[0]
+        raise Conflict(
+            f"experiment {found['id']} of this file stands at {found['simulations']:,} of {found['budget']:,} "
+            "simulations: go on with it by --resume, or start another by --new"
+        )
+    experiment = await api.post("/experiments", plan.body.model_dump(mode="json"))
+    body = plan.body
+    screen.print(
+        f"experiment {experiment['id']}: {len(body.algorithms)} algorithms x {len(body.problems)} problems x "
+        f"{len(body.seeds)} seeds x {body.budget.simulations:,} simulations = {experiment['budget']:,}"
+    )
+    return str(experiment["id"])
+
+
+async def _watch(
+    api: Api, experiment: str, processes: WorkerProcesses, stop: asyncio.Event, screen: Console
+) -> dict[str, Any]:
+    with ExperimentDisplay(screen) as display:
+        while True:
+            progress: dict[str, Any] = await api.get(f"/experiments/{experiment}/progress")
+            members = (await api.get(f"/experiments/{experiment}"))["members"] if screen.is_terminal else []
+            display.show(progress, members)
+            if progress["status"] != "running" or stop.is_set():
+                return progress
+            if progress["trouble_s"] > TROUBLE_S:
+                raise Unavailable(
+                    f"{progress['trouble']}; what was acknowledged is stored, go on later with --resume"
+                )
+            processes.replace_dead()
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(stop.wait(), LOOK_EVERY_S)

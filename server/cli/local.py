@@ -1,0 +1,107 @@
+"""A coordinator and workers on this machine for as long as a command runs."""
+
+import asyncio
+import contextlib
+import secrets
+import signal
+from collections.abc import AsyncIterator, Iterator
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+import httpx
+from pydantic import SecretStr
+
+from server.cli.api import TIMEOUT, Api
+from server.cli.coordinator import (
+    EmbeddedCoordinator,
+    WorkerProcesses,
+    has_tokens,
+    prepare_database,
+    release_leases_of_the_dead,
+)
+from server.errors import FieldError, InvalidInput
+from server.problems.base import NeedsExtra, Problem
+from server.settings import Settings
+
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Local:
+    """What runs.
+
+    Attributes:
+        url: Where the coordinator listens.
+        token: What it wants from everybody, if anything.
+        processes: The workers, of which none is started yet.
+    """
+
+    url: str
+    token: str | None
+    processes: WorkerProcesses
+
+    @contextlib.asynccontextmanager
+    async def api(self) -> AsyncIterator[Api]:
+        """Give its API."""
+        headers = {"Authorization": f"Bearer {self.token}"} if self.token else {}
+        async with httpx.AsyncClient(base_url=self.url, timeout=TIMEOUT, headers=headers) as client:
+            yield Api(client, self.url)
+
+
+@contextlib.contextmanager
+def local_service(settings: Settings, worker_log: Path) -> Iterator[Local]:
+    """Give a coordinator that serves, and stop it and its workers in the end.
+
+    Args:
+        settings: Of the coordinator. Its database is made or upgraded.
+        worker_log: Where workers write what they say.
+
+    Raises:
+        DatabaseError: The database cannot be used.
+        CannotListen: The coordinator did not come up.
+    """
+    prepare_database(settings)
+    if settings.token is None and has_tokens(settings, that_hold=False):
+        # The database is that of a coordinator with tokens: this command and its workers have one of their own.
+        settings = settings.model_copy(update={"token": SecretStr(secrets.token_hex(24))})
+    release_leases_of_the_dead(settings)
+    coordinator = EmbeddedCoordinator(settings)
+    coordinator.start()
+    token = settings.token.get_secret_value() if settings.token else None
+    processes = WorkerProcesses(url=coordinator.url, log_file=worker_log, token=token)
+    try:
+        yield Local(url=coordinator.url, token=token, processes=processes)
+    finally:
+        processes.stop()
+        coordinator.stop()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+@contextlib.contextmanager
+def stopping(stop: asyncio.Event) -> Iterator[None]:
+    """Set the event on Ctrl-C or SIGTERM instead of dying; afterwards, while all is being stopped, ignore both."""
+    loop = asyncio.get_running_loop()
+    for number in STOP_SIGNALS:
+        loop.add_signal_handler(number, stop.set)
+    try:
+        yield
+    finally:
+        for number in STOP_SIGNALS:
+            loop.remove_signal_handler(number)
+            signal.signal(number, signal.SIG_IGN)
+
+
+def check_extra(problem: Problem) -> None:
+    """Refuse a problem that the workers of this machine cannot simulate.
+
+    Raises:
+        InvalidInput: An optional part of Brink is missing here.
+    """
+    if isinstance(problem, NeedsExtra) and any(find_spec(module) is None for module in problem.modules):
+        message = (
+            f"{problem.id} needs the {problem.extra} extra, which is not installed here: "
+            f"pip install -c constraints.txt -e '.[{problem.extra}]'"
+        )
+        raise InvalidInput([FieldError(pointer="/problem/id", message=message)])

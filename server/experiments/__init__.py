@@ -1,0 +1,1 @@
+"""Experiments: methods on problems with seeds, as campaigns that are compared."""

@@ -1,0 +1,198 @@
+"""What a user submits as an experiment, and the campaigns that it consists of."""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
+
+from server.campaigns.body import (
+    Body,
+    Budget,
+    CampaignBody,
+    Execution,
+    PluginChoice,
+    hash_of,
+    invalid_input,
+    read_yaml,
+    without_controls,
+)
+from server.errors import FieldError, InvalidInput
+from server.llm.settings import LlmSettings
+
+MAX_CAMPAIGNS = 500
+"""Of one experiment: all are checked and stored at once."""
+
+Name = Annotated[str, Field(min_length=1, max_length=60), AfterValidator(without_controls)]
+Seed = Annotated[int, Field(ge=0, lt=2**53)]
+
+
+class Choice(PluginChoice):
+    """A plug-in with its parameters, and what it is called in tables."""
+
+    name: Annotated[Name | None, Field(description="In tables; the id if left out.")] = None
+
+    @property
+    def label(self) -> str:
+        """What it is called."""
+        return self.name or self.id
+
+
+class Method(Choice):
+    """An algorithm to compare."""
+
+    llm: Annotated[
+        LlmSettings | None, Field(description="Language model that seeds an algorithm which asks for seeds.")
+    ] = None
+
+
+class SeedRange(Body):
+    """Seeds one after the other."""
+
+    first: Seed = 1
+    count: Annotated[int, Field(ge=1, le=MAX_CAMPAIGNS)]
+
+
+def _one_by_one(seeds: object) -> object:
+    """Return the seeds of a range; anything else as it came."""
+    if not isinstance(seeds, Mapping):
+        return seeds
+    try:
+        named = SeedRange.model_validate(dict(seeds))
+    except ValidationError:
+        raise ValueError(
+            f"expected a list of seeds, or first (0 or more) and count (1 to {MAX_CAMPAIGNS})"
+        ) from None
+    return list(range(named.first, named.first + named.count))
+
+
+class ExperimentBody(Body):
+    """An experiment: every algorithm on every problem with every seed, a campaign each."""
+
+    name: Annotated[
+        str, Field(min_length=1, max_length=120, examples=["paper-rq1"]), AfterValidator(without_controls)
+    ]
+    problems: Annotated[list[Choice], Field(min_length=1, max_length=20)]
+    algorithms: Annotated[list[Method], Field(min_length=1, max_length=20)]
+    seeds: Annotated[
+        list[Seed],
+        BeforeValidator(_one_by_one, json_schema_input_type=list[Seed] | SeedRange),
+        Field(
+            min_length=1, max_length=MAX_CAMPAIGNS, description="A list, or {first, count}.",
+            examples=[{"first": 1, "count": 10}],
+        ),
+    ]  # fmt: skip
+    budget: Budget
+    priority: Annotated[int, Field(ge=-100, le=100, description="Higher goes first.")] = 0
+    execution: Execution = Field(default_factory=Execution)
+
+    @model_validator(mode="after")
+    def _can_be_told_apart(self) -> Self:
+        for what, names in (
+            ("problems", [choice.label for choice in self.problems]),
+            ("algorithms", [choice.label for choice in self.algorithms]),
+            ("seeds", [str(seed) for seed in self.seeds]),
+        ):
+            twice = [name for name, times in Counter(names).items() if times > 1]
+            if twice:
+                hint = "" if what == "seeds" else "; give each a name of its own"
+                raise ValueError(f"{what}: expected different ones, got {twice[0]!r} more than once{hint}")
+        if self.campaigns > MAX_CAMPAIGNS:
+            raise ValueError(f"expected at most {MAX_CAMPAIGNS} campaigns, got {self.campaigns}")
+        return self
+
+    @property
+    def campaigns(self) -> int:
+        """How many campaigns it consists of."""
+        return len(self.problems) * len(self.algorithms) * len(self.seeds)
+
+    def document_hash(self) -> str:
+        """Return a hash by which the same submission is known again."""
+        return hash_of(self.model_dump(mode="json"))
+
+    def cells(self) -> list["Cell"]:
+        """Return the campaigns, whole repeats first: all methods with the first seed, then with the second."""
+        return [
+            self._cell(place, *found)
+            for place, found in enumerate(
+                (seed, problem, method)
+                for seed in self.seeds
+                for problem in range(len(self.problems))
+                for method in range(len(self.algorithms))
+            )
+        ]
+
+    def _cell(self, place: int, seed: int, problem: int, method: int) -> "Cell":
+        case, algorithm = self.problems[problem], self.algorithms[method]
+        on = f", {case.label}" if len(self.problems) > 1 else ""
+        body = CampaignBody(
+            name=f"{self.name}: {algorithm.label}{on}, seed {seed}",
+            problem=PluginChoice(id=case.id, params=case.params),
+            algorithm=PluginChoice(id=algorithm.id, params=algorithm.params),
+            budget=self.budget, seed=seed, priority=self.priority, execution=self.execution,
+            llm=algorithm.llm,
+        )  # fmt: skip
+        return Cell(
+            place=place, method=algorithm.label, problem=case.label, body=body,
+            pointers=(f"/problems/{problem}", f"/algorithms/{method}"),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cell:
+    """A campaign of an experiment.
+
+    Attributes:
+        place: Which of them.
+        method: What its algorithm is called.
+        problem: What its problem is called.
+        body: The campaign.
+        pointers: Where its problem and its algorithm stand in the experiment.
+    """
+
+    place: int
+    method: str
+    problem: str
+    body: CampaignBody
+    pointers: tuple[str, str]
+
+    def in_experiment(self, error: InvalidInput) -> InvalidInput:
+        """Return what is wrong with the campaign as what is wrong with the experiment."""
+        problem, algorithm = self.pointers
+        places = {"/problem": problem, "/algorithm": algorithm, "/llm": f"{algorithm}/llm"}
+
+        def moved(pointer: str) -> str:
+            head, rest = "/".join(pointer.split("/")[:2]), pointer.split("/")[2:]
+            return "/".join([places.get(head, head), *rest])
+
+        return InvalidInput(
+            FieldError(pointer=moved(item.pointer), message=item.message, nearest=item.nearest)
+            for item in error.errors
+        )
+
+
+def parse_experiment(document: object) -> ExperimentBody:
+    """Read an experiment.
+
+    Raises:
+        InvalidInput: With a pointer to each wrong field.
+    """
+    if not isinstance(document, Mapping):
+        came = "nothing" if document is None else f"a {type(document).__name__}"
+        message = f"expected an experiment with name, problems, algorithms, seeds and budget, got {came}"
+        raise InvalidInput([FieldError(pointer="", message=message)])
+    try:
+        return ExperimentBody.model_validate(dict(document))
+    except ValidationError as error:
+        raise invalid_input(error, ExperimentBody) from None
+
+
+def read_experiment_file(path: Path) -> ExperimentBody:
+    """Read an experiment file.
+
+    Raises:
+        InvalidInput: The file cannot be read, is no YAML, or is no experiment.
+    """
+    return parse_experiment(read_yaml(path))

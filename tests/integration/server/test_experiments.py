@@ -1,0 +1,167 @@
+"""Experiments over the API: all of their campaigns or none, and what they found."""
+
+import json
+from typing import Any
+
+import httpx
+import pytest
+from support.api import FakeWorker, ball, coordinator, eventually, expect, row_counts
+
+from search.boundary import PAPER_FRACTIONS
+from server.db.engine import Engines
+
+API = "/api/v1/experiments"
+
+
+def experiment(**changes: Any) -> dict[str, Any]:
+    """Return a small experiment on the ball: two methods, three seeds."""
+    ga = ball()["algorithm"]
+    return {
+        "name": "small",
+        "problems": [{"name": "ball", "id": "ball@1"}],
+        "algorithms": [{"name": "GA", **ga}, {"name": "RS", "id": "random@1", "params": {"generation_size": 20}}],
+        "seeds": {"first": 1, "count": 3},
+        "budget": {"simulations": 60},
+        **changes,
+    }
+
+
+def submit(client: httpx.Client, **changes: Any) -> dict[str, Any]:
+    found: dict[str, Any] = expect(client.post(API, json=experiment(**changes)), 201)
+    return found
+
+
+def work_through(client: httpx.Client, name: str) -> None:
+    worker = FakeWorker(client)
+
+    def done() -> bool:
+        while jobs := worker.lease():
+            worker.report(jobs)
+        return bool(expect(client.get(f"{API}/{name}"))["status"] != "running")
+
+    eventually(done, "the experiment ends")
+
+
+def test_an_experiment_is_submitted_with_all_of_its_campaigns(client: httpx.Client, engines: Engines) -> None:
+    answer = client.post(API, json=experiment())
+    found = expect(answer, 201)
+    assert answer.headers["Location"] == f"{API}/{found['id']}"
+    assert (found["status"], found["campaigns"], found["budget"]) == ("running", 6, 360)
+    assert [(m["method"], m["seed"]) for m in found["members"]] == [
+        (method, seed) for seed in (1, 2, 3) for method in ("GA", "RS")
+    ]
+    assert row_counts(engines)["campaigns"] == 6
+    named = expect(client.get(f"{API}/{found['id'][:4]}"))
+    assert named["members"] == found["members"]
+    campaign = expect(client.get(f"/api/v1/campaigns/{found['members'][3]['campaign']}"))
+    assert campaign["name"] == "small: RS, seed 2"
+
+
+@pytest.mark.parametrize(
+    ("changes", "pointer"),
+    [
+        (
+            {"problems": [{"id": "ball@1"}, {"name": "far", "id": "ball@1", "params": {"limit": 99}}]},
+            "/problems/1/params/limit",
+        ),
+        ({"algorithms": [{"id": "ga@1"}, {"id": "gaa@1"}]}, "/algorithms/1/id"),
+        ({"algorithms": [{"id": "ga@1", "params": {"radius": -1}}]}, "/algorithms/0/params/radius"),
+    ],
+)  # fmt: skip
+def test_nothing_is_stored_of_an_experiment_that_cannot_run(
+    client: httpx.Client, engines: Engines, changes: dict[str, Any], pointer: str
+) -> None:
+    document = expect(client.post(API, json=experiment(**changes)), 422)
+    assert [error["pointer"] for error in document["errors"]] == [pointer]
+    counts = row_counts(engines)
+    assert (counts["experiments"], counts["campaigns"], counts["jobs"]) == (0, 0, 0)
+
+
+def test_the_same_key_again_submits_nothing_new(client: httpx.Client, engines: Engines) -> None:
+    headers = {"Idempotency-Key": "key-1"}
+    first = expect(client.post(API, json=experiment(), headers=headers), 201)
+    again = expect(client.post(API, json=experiment(), headers=headers), 200)
+    assert (again["id"], row_counts(engines)["campaigns"]) == (first["id"], 6)
+    other = expect(client.post(API, json=experiment(name="other"), headers=headers), 409)
+    assert first["id"] in other["detail"]
+
+
+def test_an_experiment_runs_to_its_end_and_says_what_it_found(client: httpx.Client) -> None:
+    found = submit(client)
+    before = expect(client.get(f"{API}/{found['id']}/results"))
+    assert (before["scored"], before["standings"], before["repeats"]) == (0, [], [])
+    work_through(client, found["id"])
+    progress = expect(client.get(f"{API}/{found['id']}/progress"))
+    assert (progress["status"], progress["finished"], progress["queued"]) == ("finished", 6, 0)
+    assert progress["simulations"] >= 360
+    assert progress["remaining_s"] is None
+    results = expect(client.get(f"{API}/{found['id']}/results", params={"wait_s": 30}))
+    assert results["scored"] == 6
+    assert [(r["method"], r["seed"]) for r in results["repeats"]] == [
+        (method, seed) for seed in (1, 2, 3) for method in ("GA", "RS")
+    ]
+    for repeat in results["repeats"]:
+        path = f"/api/v1/campaigns/{repeat['campaign']}/boundary"
+        grid = expect(client.get(path))["grid"]
+        assert len(repeat["dbs"]) == len(PAPER_FRACTIONS)
+        if expect(client.get(f"/api/v1/campaigns/{repeat['campaign']}"))["simulations"] == 60:
+            assert [cell["dbs"] for cell in grid] == [figure for row in repeat["dbs"][-1] for figure in row]
+            assert [cell["strict_dbs"] for cell in grid] == [f for row in repeat["strict"][-1] for f in row]
+        assert repeat["control"] is None, "the ball has no component called scenario"
+    assert {(d["first"], d["second"]) for d in results["duels"]} == {("GA", "RS")}
+    mean = next(s for s in results["standings"] if s["method"] == "GA" and s["measure"] == "dbs")
+    assert mean["repeats"] == 3
+
+
+def test_an_experiment_is_paused_resumed_cancelled_and_deleted(
+    client: httpx.Client, engines: Engines
+) -> None:
+    name = submit(client)["id"]
+    assert expect(client.post(f"{API}/{name}/pause"))["status"] == "paused"
+    assert FakeWorker(client).lease() == []
+    assert expect(client.post(f"{API}/{name}/resume"))["status"] == "running"
+    assert FakeWorker(client).lease()
+    assert "cancel it" in expect(client.delete(f"{API}/{name}"), 409)["detail"]
+    assert expect(client.post(f"{API}/{name}/cancel"))["status"] == "cancelled"
+    assert client.delete(f"{API}/{name}").status_code == 204
+    expect(client.get(f"{API}/{name}"), 404)
+    counts = row_counts(engines)
+    assert (counts["experiments"], counts["experiment_campaigns"], counts["campaigns"], counts["jobs"]) == (
+        0,
+        0,
+        0,
+        0,
+    )
+
+
+def test_a_campaign_of_an_experiment_may_be_deleted_by_itself(client: httpx.Client) -> None:
+    found = submit(client)
+    gone = found["members"][0]["campaign"]
+    expect(client.post(f"/api/v1/campaigns/{gone}/cancel"))
+    assert client.delete(f"/api/v1/campaigns/{gone}").status_code == 204
+    left = expect(client.get(f"{API}/{found['id']}"))
+    assert (left["deleted"], len(left["members"])) == (1, 5)
+
+
+def test_experiments_are_listed_newest_first_and_page_by_page(client: httpx.Client) -> None:
+    names = [submit(client, name=f"n{place}", seeds=[1])["id"] for place in range(3)]
+    page = expect(client.get(API, params={"limit": 2}))
+    assert [one["id"] for one in page["experiments"]] == [names[2], names[1]]
+    rest = expect(client.get(API, params={"limit": 2, "cursor": page["next"]}))
+    assert ([one["id"] for one in rest["experiments"]], rest["next"]) == ([names[0]], None)
+    expect(client.get(API, params={"cursor": "nonsense"}), 422)
+
+
+def test_results_wait_no_longer_than_asked(database_url: str) -> None:
+    mtq = experiment(
+        problems=[{"id": "mtq@1"}], algorithms=[{"id": "mlcshe@1"}], seeds={"count": 4},
+        budget={"simulations": 400},
+    )  # fmt: skip
+    with coordinator(database_url) as client:
+        name = expect(client.post(API, json=mtq), 201)["id"]
+        work_through(client, name)
+        answer = client.get(f"{API}/{name}/results", params={"wait_s": 0})
+        if answer.status_code == 202:
+            assert "of 4 finished campaigns" in json.loads(answer.content)["detail"]
+            assert answer.headers["Retry-After"]
+        assert expect(client.get(f"{API}/{name}/results", params={"wait_s": 60}))["scored"] == 4

@@ -1,0 +1,158 @@
+"""Tables of an experiment against scipy, the paper's definitions and naive recomputation; and its report."""
+
+import itertools
+import re
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from search.archive import Archive, Neighbourhood
+from search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, dbs, strict_dbs
+from search.testing import example_spaces
+from server.experiments.body import parse_experiment
+from server.experiments.report import html_report, markdown_report
+from server.experiments.scores import Control, Figures, Scores, scored
+from server.experiments.tables import Line, Measure, Repeat, duels, standings
+from server.plots.experiment import EXPERIMENT_FIGURES
+
+SHAPE = (len(PAPER_FRACTIONS), len(PAPER_T_BS), len(PAPER_D_THS))
+METHODS = {"MLCSHE": 30, "GA": 18, "RS <b>": 4}
+SEEDS = 10
+
+
+def made_up() -> list[Repeat]:
+    rng = np.random.default_rng(5)
+    repeats = []
+    for seed, (method, level) in itertools.product(range(SEEDS), METHODS.items()):
+        grown = np.cumsum(rng.poisson(level / 10, SHAPE), axis=0).astype(float)
+        blind = Control(
+            figures=Figures(dbs=grown * 0.8, strict=grown * 0.5), unsafe_share=0.2, spread=np.ones(SHAPE[1:]),
+            repeats=1.1 if method.startswith("RS") else 6.0,
+        )  # fmt: skip
+        scores = Scores(
+            evaluated=1300, unsafe=300, figures=Figures(dbs=grown, strict=grown * 0.7), control=blind
+        )
+        repeats.append(
+            Repeat(problem="gap", method=method, seed=seed, campaign=f"c{seed}{method[:2]}", scores=scores)
+        )
+    return repeats
+
+
+REPEATS = made_up()
+
+
+def values(line: Line, measure: Measure, i: int, j: int) -> list[float]:
+    found = []
+    for repeat in REPEATS:
+        if repeat.method == line.method:
+            figures = (
+                repeat.scores.control.figures
+                if line.control and repeat.scores.control
+                else repeat.scores.figures
+            )
+            found.append(float(measure.of(figures)[-1, i, j]))
+    return found
+
+
+def test_table_1_has_means_with_students_intervals() -> None:
+    table = standings(REPEATS)
+    assert len(table) == 6 * 2 * len(PAPER_T_BS) * len(PAPER_D_THS)
+    for one in table[::7]:
+        sample = values(one.line, one.measure, PAPER_T_BS.index(one.t_b), PAPER_D_THS.index(one.d_th))
+        assert one.value.mean == pytest.approx(np.mean(sample))
+        low, high = stats.t.interval(0.95, SEEDS - 1, loc=np.mean(sample), scale=stats.sem(sample))
+        assert (one.value.low, one.value.high) == pytest.approx((low, high))
+
+
+def test_table_2_agrees_with_scipy_and_the_papers_definitions() -> None:
+    table = duels(REPEATS)
+    assert {(d.first.method, d.second.method) for d in table if not d.second.control} == set(
+        itertools.combinations(METHODS, 2)
+    )
+    assert {d.first.method for d in table if d.second.control} == set(METHODS)
+    for measure in Measure:
+        family = [d for d in table if d.measure is measure]
+        p_values, adjusted_by_us = [], []
+        for duel in family:
+            i, j = PAPER_T_BS.index(duel.t_b), PAPER_D_THS.index(duel.d_th)
+            a, b = values(duel.first, measure, i, j), values(duel.second, measure, i, j)
+            reference = stats.mannwhitneyu(a, b, alternative="two-sided")
+            assert (duel.result.u, duel.result.p_value) == pytest.approx(
+                (reference.statistic, reference.pvalue)
+            )
+            wins = sum((x > y) + (x == y) / 2 for x, y in itertools.product(a, b))
+            assert duel.result.a12 == pytest.approx(wins / SEEDS**2)
+            if len({*a, *b}) > 1:
+                p_values.append(reference.pvalue)
+                adjusted_by_us.append(duel.adjusted)
+            else:
+                assert duel.adjusted == 1.0
+        order = np.argsort(p_values)
+        steps = np.array(p_values)[order] * np.arange(len(p_values), 0, -1)
+        adjusted = np.minimum(np.maximum.accumulate(steps), 1)
+        assert [adjusted_by_us[k] for k in order] == pytest.approx(adjusted.tolist())
+
+
+def test_figures_over_the_budget_are_those_of_what_was_known_then() -> None:
+    space = example_spaces()["mixed"]
+    rng = np.random.default_rng(3)
+    rows = np.array([space.join(space.sample(rng)) for _ in range(260)])
+    unsafe = rows[:, 0] + rng.random(260) < 0.9
+    kept = np.setdiff1d(np.arange(260), [3, 77])  # two failed
+    near = Neighbourhood(radius=0.3, p_th=0.1)
+    whole = Archive.empty(space, near).grown(kept, rows[kept], unsafe[kept], np.zeros(kept.size))
+    scores = scored(whole, space, simulations=200, seed=1)
+    assert scores.evaluated == 198, "what lies beyond the budget is not counted"
+    for k, fraction in enumerate(PAPER_FRACTIONS):
+        known = kept[kept < round(200 * fraction)]
+        naive = Archive.empty(space, near).grown(known, rows[known], unsafe[known], np.zeros(known.size))
+        for (i, t_b), (j, d_th) in itertools.product(enumerate(PAPER_T_BS), enumerate(PAPER_D_THS)):
+            assert scores.figures.dbs[k, i, j] == dbs(naive, t_b, d_th)
+            assert scores.figures.strict[k, i, j] == strict_dbs(naive, t_b, d_th)
+
+
+def report(folder: Path) -> str:
+    body = parse_experiment(
+        {
+            "name": "rq1 <script>", "problems": [{"name": "gap", "id": "mtq@1"}],
+            "algorithms": [{"name": name, "id": "ga@1"} for name in METHODS], "seeds": {"count": SEEDS + 1},
+            "budget": {"simulations": 1300},
+        }
+    )  # fmt: skip
+    pictures = {}
+    for measure in Measure:
+        for kind, draw in EXPERIMENT_FIGURES.items():
+            name = f"{measure}-{kind}.png"
+            draw(REPEATS, "gap", measure).savefig(folder / name)
+            pictures["gap", measure, kind] = name
+    return markdown_report(
+        body,
+        REPEATS,
+        pictures,
+        experiment="3f2a",
+        created_at=datetime(2026, 1, 2, tzinfo=UTC),
+        elapsed_s=3700,
+    )
+
+
+def test_the_report_says_what_the_tables_say(tmp_path: Path) -> None:
+    text = report(tmp_path)
+    mean = np.mean(values(Line(problem="gap", method="GA", control=False), Measure.DBS, 3, 1))
+    assert "30 of 33 campaigns have finished" in text
+    assert f"{mean:.1f} [" in text
+    assert "**MLCSHE** and **GA**" in text
+    assert "MLCSHE finds more" in text
+    assert "The control of RS <b> **reads low**" in text
+    assert text.count("![") == 4
+
+
+def test_the_page_has_its_pictures_inside_and_nobodys_html(tmp_path: Path) -> None:
+    page = html_report(report(tmp_path), "rq1 <script>", tmp_path)
+    assert page.count('src="data:image/png;base64,') == 4
+    assert "<script>" not in page
+    assert "<b>" not in page
+    assert "<table>" in page
+    assert not re.search(r"""(src|href|url)[=(]["']?http""", page)
