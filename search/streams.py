@@ -21,6 +21,7 @@ class Stream(IntEnum):
     CONTRACT = 6
     FINALISTS = 7
     SEEDS = 8
+    MONITOR = 9
 
 
 def _sequence(seed: int, stream: int, index: tuple[int, ...]) -> np.random.SeedSequence:

@@ -40,11 +40,11 @@ class Scope(StrEnum):
             return False
         if method in _READS:
             return True
-        return self is Scope.USER and not _deletes_a_campaign(method, path)
+        return self is Scope.USER and not _deletes_for_good(method, path)
 
 
-def _deletes_a_campaign(method: str, path: str) -> bool:
-    return method == "DELETE" and re.fullmatch(r"/api/v1/campaigns/[^/]*/?", path) is not None
+def _deletes_for_good(method: str, path: str) -> bool:
+    return method == "DELETE" and re.fullmatch(r"/api/v1/(campaigns|experiments)/[^/]*/?", path) is not None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

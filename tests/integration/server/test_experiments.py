@@ -19,7 +19,10 @@ def experiment(**changes: Any) -> dict[str, Any]:
     return {
         "name": "small",
         "problems": [{"name": "ball", "id": "ball@1"}],
-        "algorithms": [{"name": "GA", **ga}, {"name": "RS", "id": "random@1", "params": {"generation_size": 20}}],
+        "algorithms": [
+            {"name": "GA", **ga},
+            {"name": "RS", "id": "random@1", "params": {"generation_size": 20}},
+        ],
         "seeds": {"first": 1, "count": 3},
         "budget": {"simulations": 60},
         **changes,

@@ -1,0 +1,125 @@
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from search.errors import DocumentError, SpaceError
+from search.fitness import wilson_interval
+from search.metric import Metric
+from search.monitor import BANDWIDTHS, Answer, Monitor
+from search.space import Component, Real, SearchSpace
+from search.statistics import a12
+from search.testing import example_spaces
+
+MIXED = example_spaces()["mixed"]
+PLANE = SearchSpace((Component("scenario", (Real("x", 0, 1),)), Component("behaviour", (Real("y", 0, 1),))))
+
+
+def plane(count: int, seed: int = 1) -> tuple[np.typing.NDArray[np.float64], np.typing.NDArray[np.bool_]]:
+    """Points of the unit square that are unsafe with probability x: the behaviour tells nothing."""
+    rng = np.random.default_rng(seed)
+    rows = rng.random((count, 2))
+    return rows, rng.random(count) < rows[:, 0]
+
+
+def naive(monitor: Monitor, row: np.typing.NDArray[np.float64]) -> tuple[float, float, float]:
+    n = k = 0.0
+    for other, unsafe in zip(monitor.vectors, monitor.unsafe, strict=True):
+        exponent = 0.0
+        for place, part in enumerate(monitor.space.slices):
+            metric = Metric.of_component(monitor.space, place)
+            exponent += metric.between(row[None, part], other[None, part])[0, 0] / monitor.bandwidths[place]
+        n += math.exp(-exponent)
+        k += math.exp(-exponent) * unsafe
+    return n, k, (k + monitor.unsafe_share) / (n + 1)
+
+
+@pytest.mark.parametrize("widths", [(0.1, 0.3), (0.05, math.inf), (math.inf, math.inf)])
+def test_scores_are_the_kernel_sums_of_the_definition(widths: tuple[float, float]) -> None:
+    rng = np.random.default_rng(4)
+    rows = np.array([MIXED.join(MIXED.sample(rng)) for _ in range(90)])
+    monitor = Monitor.of(MIXED, widths, rows[:70], rng.random(70) < 0.3, threshold=0.1)
+    risks = monitor.score(rows[60:])
+    for place, row in enumerate(rows[60:]):
+        n, k, probability = naive(monitor, row)
+        assert (risks.neighbours[place], risks.probability[place]) == pytest.approx((n, probability))
+        assert risks.low[place] <= k / n <= risks.high[place]
+
+
+def test_the_interval_is_wilsons_where_weights_are_whole() -> None:
+    rows = np.zeros((30, 2))
+    unsafe = np.arange(30) < 6
+    risks = Monitor.of(PLANE, (0.1, 0.1), rows, unsafe, threshold=0.1).score(np.zeros((1, 2)))
+    low, high = wilson_interval(6, 30)
+    assert (risks.low[0], risks.high[0]) == pytest.approx((float(low), float(high)))
+
+
+def test_far_from_everything_the_answer_is_unknown() -> None:
+    rows, unsafe = np.full((50, 2), 0.01), np.ones(50, bool)
+    monitor = Monitor.of(PLANE, (0.001, 0.001), rows, unsafe, threshold=0.5)
+    near, far, nowhere = monitor.score(np.array([[0.01, 0.01], [0.02, 0.02], [1.0, 1.0]])).answers(0.5)
+    assert (near, far, nowhere) == (Answer.UNSAFE, Answer.UNKNOWN, Answer.UNKNOWN)
+    risk = monitor.ask({"scenario": {"x": 1.0}, "behaviour": {"y": 1.0}})
+    assert (risk.low, risk.high, risk.answer) == (0.0, 1.0, Answer.UNKNOWN)
+    assert risk.neighbours < 1e-9
+    assert risk.probability == pytest.approx(1.0), "all that is known of nowhere is the share of all"
+
+
+def test_a_component_that_tells_nothing_is_not_listened_to() -> None:
+    rows, unsafe = plane(500)
+    monitor = Monitor.fitted(PLANE, rows, unsafe, threshold=0.5)
+    of_scenario, of_behaviour = monitor.bandwidths
+    assert of_scenario < of_behaviour
+    assert of_behaviour >= BANDWIDTHS[-2]
+    fresh, truth = plane(2000, seed=2)
+    risks = monitor.score(fresh)
+    assert a12(risks.probability[truth].tolist(), risks.probability[~truth].tolist()) > 0.8
+    inside = (risks.low <= fresh[:, 0]) & (fresh[:, 0] <= risks.high)
+    assert inside.mean() > 0.9, "intervals hold the true probability"
+
+
+def test_a_monitor_comes_back_from_its_file(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    rows = np.array([MIXED.join(MIXED.sample(rng)) for _ in range(40)])
+    monitor = Monitor.of(MIXED, (0.1, math.inf), rows, rng.random(40) < 0.3, threshold=0.2)
+    path = tmp_path / "monitor.json"
+    path.write_text(monitor.to_json({"campaign": "3f2a"}))
+    again = Monitor.load(path)
+    assert json.loads(path.read_text())["about"] == {"campaign": "3f2a"}
+    assert (again.bandwidths, again.threshold) == (monitor.bandwidths, monitor.threshold)
+    assert (again.score(rows).probability == monitor.score(rows).probability).all()
+    decoded = MIXED.decode(MIXED.split(rows[3]))
+    assert again.ask(decoded) == monitor.ask(decoded)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "expected a monitor"),
+        ("[]", "format 'brink-monitor'"),
+        ('{"format": "brink-monitor", "version": 9, "metric_version": 1}', "expected version 1"),
+        ('{"format": "brink-monitor", "version": 1, "metric_version": 1}', "expected a monitor: KeyError"),
+    ],
+)
+def test_what_is_no_monitor_is_refused(text: str, said: str) -> None:
+    with pytest.raises(DocumentError, match=said):
+        Monitor.from_json(text)
+
+
+def test_questions_that_make_no_sense_are_refused() -> None:
+    rows, unsafe = plane(20)
+    monitor = Monitor.of(PLANE, (0.1, 0.1), rows, unsafe, threshold=0.1)
+    with pytest.raises(SpaceError, match="x: expected a number in"):
+        monitor.ask({"scenario": {"x": 7}, "behaviour": {"y": 0.5}})
+    with pytest.raises(SpaceError, match="behaviour: missing component"):
+        monitor.ask({"scenario": {"x": 0.7}})
+    with pytest.raises(SpaceError, match="rows of 2 numbers"):
+        monitor.score(np.zeros((3, 3)))
+    with pytest.raises(ValueError, match="at least two"):
+        Monitor.fitted(PLANE, rows[:1], unsafe[:1], threshold=0.1)
+    with pytest.raises(ValueError, match="bandwidths > 0"):
+        Monitor.of(PLANE, (0.1, 0.0), rows, unsafe, threshold=0.1)
+    with pytest.raises(ValueError, match=r"probability in \(0, 1\)"):
+        Monitor.of(PLANE, (0.1, 0.1), rows, unsafe, threshold=1.0)
