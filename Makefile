@@ -17,7 +17,7 @@ $(VENV)/.base: pyproject.toml constraints.txt | $(BIN)/python
 	touch $@
 
 $(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP) install --quiet -c constraints.txt -e '.[dev,postgres,vision,torch,ray]'
+	$(PIP) install --quiet -c constraints.txt -e '.[dev,analysis,postgres,vision,torch,ray]'
 	touch $@ $(VENV)/.base
 
 install: $(VENV)/.base  ## set up .venv with what `brink run` needs

@@ -11,7 +11,7 @@ from importlib.metadata import version
 from fastapi import APIRouter, FastAPI
 
 from server.access.gate import Gate
-from server.api import campaigns, catalogue, experiments, health, jobs, llm, solutions, violations
+from server.api import campaigns, catalogue, experiments, health, jobs, llm, monitors, solutions, violations
 from server.api.context import Context
 from server.api.docs_page import add_docs
 from server.api.guards import Guards
@@ -30,6 +30,7 @@ from server.experiments.scorebook import Scorebook
 from server.experiments.service import ExperimentService
 from server.llm.seeds import LlmSeeds
 from server.metrics import Metrics
+from server.monitors.kept import Monitors
 from server.queue.service import QueueService
 from server.settings import LOOPBACK, Settings
 
@@ -99,7 +100,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
     api = APIRouter(prefix="/api/v1")
     # The busiest first: routes are tried in order.
     api.include_router(jobs.wire)
-    for module in (jobs, campaigns, solutions, violations, llm, experiments, catalogue):
+    for module in (jobs, campaigns, solutions, violations, llm, monitors, experiments, catalogue):
         api.include_router(module.router)
     app.include_router(api)
     app.include_router(health.router)
@@ -137,6 +138,7 @@ def _context(
         campaigns=campaigns,
         experiments=ExperimentService(campaigns=campaigns),
         scorebook=Scorebook(archives=archives, threads=drawing),
+        monitors=Monitors(archives=archives, threads=drawing),
         archives=archives,
         seeds=seeds,
         metrics=metrics,

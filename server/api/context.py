@@ -16,6 +16,7 @@ from server.experiments.scorebook import Scorebook
 from server.experiments.service import ExperimentService
 from server.llm.seeds import LlmSeeds
 from server.metrics import Metrics
+from server.monitors.kept import Monitors
 from server.queue.service import QueueService
 from server.settings import Settings
 
@@ -29,6 +30,7 @@ class Context:
     campaigns: CampaignService
     experiments: ExperimentService
     scorebook: Scorebook
+    monitors: Monitors
     queue: QueueService
     archives: Archives
     seeds: LlmSeeds

@@ -15,6 +15,7 @@ from server.cli.compare import compare
 from server.cli.experiments.commands import experiment
 from server.cli.findings.combinations import combinations
 from server.cli.findings.violations import violations
+from server.cli.monitor import monitor
 from server.cli.operations import doctor, export, import_, prune_
 from server.cli.run import run
 from server.cli.tokens import token
@@ -51,6 +52,7 @@ app.add_typer(token, name="token")
 for measurement in (*methods.COMMANDS, *service.COMMANDS):
     bench.command()(measurement)
 app.add_typer(experiment, name="experiment")
+app.add_typer(monitor, name="monitor")
 app.add_typer(bench, name="bench")
 app.add_typer(perturbations.perturbations, name="perturbations")
 app.add_typer(llm.llm, name="llm")
