@@ -48,6 +48,11 @@ ALLOWED = {
     ("PUT", "/api/v1/campaigns/{campaign}/violations/1/x/name"): {"user", "admin"},
     ("DELETE", "/api/v1/campaigns/{campaign}/violations/1/x/name"): {"user", "admin"},
     ("DELETE", "/api/v1/campaigns/{campaign}"): {"admin"},
+    ("GET", "/api/v1/experiments"): {"read", "user", "admin"},
+    ("POST", "/api/v1/experiments"): {"user", "admin"},
+    ("POST", "/api/v1/experiments/3f2a/pause"): {"user", "admin"},
+    ("DELETE", "/api/v1/experiments/3f2a"): {"admin"},
+    ("POST", "/api/v1/campaigns/{campaign}/monitor/score"): {"user", "admin"},
 }
 
 

@@ -1,0 +1,85 @@
+"""`brink experiment run`: killed in the middle and gone on with, to the same report."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from support.api import ball
+from support.databases import Databases
+from support.processes import BRINK, TOY, Program, brink
+
+EXPERIMENT = {
+    "name": "two methods",
+    "problems": [{"name": "ball", "id": "ball@1", "params": {"slow_s": 0.04}}],
+    "algorithms": [
+        {"name": "GA", **ball()["algorithm"]},
+        {"name": "RS", "id": "random@1", "params": {"generation_size": 20}},
+    ],
+    "seeds": {"first": 1, "count": 3},
+    "budget": {"simulations": 80},
+}
+
+
+def written(folder: Path) -> str:
+    file = folder / "experiment.yaml"
+    file.write_text(yaml.safe_dump(EXPERIMENT))
+    return str(file)
+
+
+def found(output: str) -> list[dict[str, Any]]:
+    """What the campaigns of an experiment reached, without their ids."""
+    results = json.loads(output)
+    assert results["scored"] == 6
+    return [{**repeat, "campaign": ""} for repeat in results["repeats"]]
+
+
+def test_an_experiment_that_is_killed_goes_on_to_the_same_report(
+    databases: Databases, tmp_path: Path, small_problems: None
+) -> None:
+    file = written(tmp_path)
+    with databases.database() as url:
+        command = ["experiment", "run", file, "--database", url, "--workers", "2"]
+        with Program([BRINK, "-v", *command], cwd=tmp_path, env=TOY) as running:
+            running.await_line(r"generation told .*generation=1\b")
+            running.process.kill()
+            running.wait()
+        refused = brink(*command, cwd=tmp_path, env=TOY)
+        assert refused.returncode == 1
+        assert "go on with it by --resume" in refused.stderr
+        resumed = brink(*command, "--resume", "--json", cwd=tmp_path, env=TOY)
+        assert resumed.returncode == 0, resumed.stderr
+        assert re.search(r"going on at [\d,]+ of 480 simulations", resumed.stderr)
+        name = json.loads(resumed.stdout)["id"]
+        folder = tmp_path / "brink-results" / f"two-methods-{name}"
+        assert (folder / "report.html").read_text().count("data:image/png;base64,") == 4
+        assert "**GA** and **RS**" in (folder / "report.md").read_text()
+        shown = brink(*command, "--resume", cwd=tmp_path, env=TOY)
+        assert f"experiment {name} of this file is finished" in shown.stdout
+        status = brink("experiment", "status", name, "--database", url, "--json", cwd=tmp_path, env=TOY)
+        assert json.loads(status.stdout)["finished"] == 6
+        listed = brink("experiment", "list", "--database", url, cwd=tmp_path, env=TOY)
+        assert name in listed.stdout
+    with databases.database("undisturbed") as url:
+        whole = brink(
+            "experiment", "run", file, "--database", url, "--workers", "1", "--json", cwd=tmp_path, env=TOY
+        )
+    assert found(whole.stdout) == found(resumed.stdout)
+
+
+@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+def test_a_file_that_is_no_experiment_is_refused_before_anything_is_made(
+    databases: Databases, tmp_path: Path
+) -> None:
+    file = tmp_path / "wrong.yaml"
+    file.write_text(yaml.safe_dump({**EXPERIMENT, "algorithms": [{"id": "ga@1"}, {"id": "gaa@1"}]}))
+    said = brink("experiment", "run", str(file), cwd=tmp_path)
+    assert said.returncode == 1
+    assert "/problems/0/id" in said.stderr, "ball@1 is known to tests alone"
+    file.write_text(yaml.safe_dump({**EXPERIMENT, "problems": [{"id": "mtq@1"}], "algorithms": [{"id": "gaa@1"}]}))
+    said = brink("experiment", "run", str(file), cwd=tmp_path)
+    assert "/algorithms/0/id" in said.stderr
+    assert "did you mean 'ga@1'" in said.stderr
+    assert not list(tmp_path.glob("*.db"))
