@@ -18,8 +18,8 @@ EXPERIMENT = {
         {"name": "GA", **ball()["algorithm"]},
         {"name": "RS", "id": "random@1", "params": {"generation_size": 20}},
     ],
-    "seeds": {"first": 1, "count": 3},
-    "budget": {"simulations": 80},
+    "seeds": [1, 2],
+    "budget": {"simulations": 40},
 }
 
 
@@ -32,7 +32,7 @@ def written(folder: Path) -> str:
 def found(output: str) -> list[dict[str, Any]]:
     """What the campaigns of an experiment reached, without their ids."""
     results = json.loads(output)
-    assert results["scored"] == 6
+    assert results["scored"] == 4
     return [{**repeat, "campaign": ""} for repeat in results["repeats"]]
 
 
@@ -43,7 +43,7 @@ def test_an_experiment_that_is_killed_goes_on_to_the_same_report(
     with databases.database() as url:
         command = ["experiment", "run", file, "--database", url, "--workers", "2"]
         with Program([BRINK, "-v", *command], cwd=tmp_path, env=TOY) as running:
-            running.await_line(r"generation told .*generation=1\b")
+            running.await_line(r"generation told .*generation=0\b")
             running.process.kill()
             running.wait()
         refused = brink(*command, cwd=tmp_path, env=TOY)
@@ -51,17 +51,11 @@ def test_an_experiment_that_is_killed_goes_on_to_the_same_report(
         assert "go on with it by --resume" in refused.stderr
         resumed = brink(*command, "--resume", "--json", cwd=tmp_path, env=TOY)
         assert resumed.returncode == 0, resumed.stderr
-        assert re.search(r"going on at [\d,]+ of 480 simulations", resumed.stderr)
+        assert re.search(r"going on at [\d,]+ of 160 simulations", resumed.stderr)
         name = json.loads(resumed.stdout)["id"]
         folder = tmp_path / "brink-results" / f"two-methods-{name}"
         assert (folder / "report.html").read_text().count("data:image/png;base64,") == 4
         assert "**GA** and **RS**" in (folder / "report.md").read_text()
-        shown = brink(*command, "--resume", cwd=tmp_path, env=TOY)
-        assert f"experiment {name} of this file is finished" in shown.stdout
-        status = brink("experiment", "status", name, "--database", url, "--json", cwd=tmp_path, env=TOY)
-        assert json.loads(status.stdout)["finished"] == 6
-        listed = brink("experiment", "list", "--database", url, cwd=tmp_path, env=TOY)
-        assert name in listed.stdout
     with databases.database("undisturbed") as url:
         whole = brink(
             "experiment", "run", file, "--database", url, "--workers", "1", "--json", cwd=tmp_path, env=TOY
@@ -78,7 +72,9 @@ def test_a_file_that_is_no_experiment_is_refused_before_anything_is_made(
     said = brink("experiment", "run", str(file), cwd=tmp_path)
     assert said.returncode == 1
     assert "/problems/0/id" in said.stderr, "ball@1 is known to tests alone"
-    file.write_text(yaml.safe_dump({**EXPERIMENT, "problems": [{"id": "mtq@1"}], "algorithms": [{"id": "gaa@1"}]}))
+    file.write_text(
+        yaml.safe_dump({**EXPERIMENT, "problems": [{"id": "mtq@1"}], "algorithms": [{"id": "gaa@1"}]})
+    )
     said = brink("experiment", "run", str(file), cwd=tmp_path)
     assert "/algorithms/0/id" in said.stderr
     assert "did you mean 'ga@1'" in said.stderr

@@ -39,6 +39,10 @@ def before_call(context: Any, case: Any, **_: Any) -> None:
     for name, known in (("problem", "ball@1"), ("algorithm", "ga@1")):
         if isinstance(body.get(name), dict) and _rng.random() < SHARE:
             body[name]["id"] = known
+    if case.path.endswith("/monitor/score") and body and _rng.random() < SHARE:
+        body["solutions"] = KNOWN["solutions"]
+        body.pop("threshold", None)
+        case.path_parameters["campaign_id"] = KNOWN["campaigns"][0]
 
 
 def _would_wait(query: Any) -> bool:
@@ -58,8 +62,9 @@ def _ends(case: Any) -> bool:
 
 def _would_end_one(case: Any) -> bool:
     """Whether a made-up id is the beginning of that of a campaign which the other cases need."""
-    made_up = str(case.path_parameters.get("campaign_id", "?"))
-    return _ends(case) and any(campaign.startswith(made_up) for campaign in KNOWN["campaigns"])
+    made_up = str(case.path_parameters.get("campaign_id", case.path_parameters.get("experiment_id", "?")))
+    needed = [*KNOWN["campaigns"], *KNOWN["experiments"]]
+    return _ends(case) and any(name.startswith(made_up) for name in needed)
 
 
 def _find(case: Any) -> None:
@@ -70,6 +75,8 @@ def _find(case: Any) -> None:
         path.update(_rng.choice(KNOWN["violations"]))
     elif case.path.endswith(("/trace", "/replay.{extension}")) and _rng.random() < SHARE:
         path.update(_rng.choice(KNOWN["traced"]))
+    elif "experiment_id" in path:
+        path["experiment_id"] = _rng.choice(KNOWN["spare_experiments" if ends else "experiments"])
     elif "campaign_id" in path:
         path["campaign_id"] = _rng.choice(KNOWN["spares" if ends else "campaigns"])
         if "number" in path:

@@ -42,7 +42,15 @@ def fill(client: httpx.Client) -> dict[str, list[Any]]:
     spares = [submit(client, ball(seed=9, simulations=20, **nobodys)) for _ in range(SPARES)]
     for spare in spares[::2]:
         expect(client.post(f"/api/v1/campaigns/{spare}/cancel"))
+    tiny: dict[str, Any] = {
+        "name": "tiny", "problems": [{"id": "ball@1"}], "algorithms": [{"id": "random@1"}], "seeds": [1],
+        "budget": {"simulations": 20},
+    }  # fmt: skip
+    experiments = [expect(client.post("/api/v1/experiments", json=tiny), 201)["id"] for _ in range(SPARES)]
     return {
+        "experiments": experiments[:1],
+        "spare_experiments": experiments[1:],
+        "solutions": [{"where": {"x": 0.0}, "what": {"y": 0.5}}],
         "campaigns": [finished, slots, traffic, running, unrunnable],
         "spares": spares,
         "numbers": [0, 1, 2, 3, 19],

@@ -1,13 +1,17 @@
 """Experiments over the API: all of their campaigns or none, and what they found."""
 
 import json
+from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+import yaml
 from support.api import FakeWorker, ball, coordinator, eventually, expect, row_counts
+from typer.testing import CliRunner
 
 from search.boundary import PAPER_FRACTIONS
+from server.cli.commands import app
 from server.db.engine import Engines
 
 API = "/api/v1/experiments"
@@ -168,3 +172,32 @@ def test_results_wait_no_longer_than_asked(database_url: str) -> None:
             assert "of 4 finished campaigns" in json.loads(answer.content)["detail"]
             assert answer.headers["Retry-After"]
         assert expect(client.get(f"{API}/{name}/results", params={"wait_s": 60}))["scored"] == 4
+
+
+@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+def test_the_command_line_does_all_of_it(client: httpx.Client, tmp_path: Path) -> None:
+    file, server = tmp_path / "experiment.yaml", ["--server", str(client.base_url)]
+    file.write_text(yaml.safe_dump(experiment()))
+
+    def said(*arguments: str, status: int = 0) -> str:
+        result = CliRunner(env={"COLUMNS": "200"}).invoke(app, ["experiment", *arguments, *server])
+        assert result.exit_code == status, f"{result.output} {result.exception}"
+        return f"{result.output} {result.exception or ''}"
+
+    name = json.loads(said("submit", str(file), "--json"))["id"]
+    assert name in said("list")
+    assert "is paused" in said("pause", name)
+    assert "is running" in said("resume", name)
+    assert "no campaign of it has finished yet" in said("report", name, "--out", str(tmp_path), status=1)
+    assert "cancel it" in said("delete", name, "--yes", status=1)
+    work_through(client, name)
+    status = said("status", name)
+    assert "finished, 389 of 360 simulations" in status, "generations end whole"
+    assert status.count("GA") == 3
+    report = said("report", name, "--out", str(tmp_path))
+    assert "strict DBS" in report
+    folder = tmp_path / f"small-{name}"
+    assert {path.name for path in folder.iterdir()} == {"report.html", "report.md", "results.json", "figures"}
+    assert "GA, ball, seed" not in (folder / "report.md").read_text()
+    assert "is deleted" in said("delete", name, "--yes")
+    assert "no experiments yet" in said("list")
