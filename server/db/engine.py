@@ -20,6 +20,10 @@ from server.errors import DatabaseError
 SQLITE_BUSY_S = 30.0
 MAX_OVERFLOW = 32
 """Connections of a pool besides those that it keeps: more than there are threads that read at a time."""
+WRITER_CACHE_KIB = 32 * 1024
+READER_CACHE_KIB = 8 * 1024
+"""Pages of the database that a connection keeps, at most. Each fills its own as the database grows; what one does not
+keep the system's cache of files has."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,7 +81,10 @@ def open_engines(database: str) -> Engines:
     """
     url = parse_url(database)
     if url.drivername == "sqlite":
-        return Engines(writer=_sqlite(url, "BEGIN IMMEDIATE"), reader=_sqlite(url, "BEGIN"))
+        return Engines(
+            writer=_sqlite(url, "BEGIN IMMEDIATE", cache_kib=WRITER_CACHE_KIB),
+            reader=_sqlite(url, "BEGIN", cache_kib=READER_CACHE_KIB),
+        )
     try:
         # The writer finds rows by index; statistics of a moment ago, when all jobs were queued, say otherwise.
         # So would joins that read both tables in order, or one of them whole, and bitmaps, which gather all that an
@@ -100,17 +107,17 @@ def open_engines(database: str) -> Engines:
     return Engines(writer=writer, reader=reader)
 
 
-def _sqlite(url: URL, begin: str) -> Engine:
+def _sqlite(url: URL, begin: str, *, cache_kib: int) -> Engine:
     engine = create_engine(
         url, connect_args={"timeout": SQLITE_BUSY_S, "check_same_thread": False}, max_overflow=MAX_OVERFLOW,
-        hide_parameters=True,
+        hide_parameters=True, pool_use_lifo=True,
     )  # fmt: skip
 
     @event.listens_for(engine, "connect")
     def configure(connection: sqlite3.Connection, _: ConnectionPoolEntry) -> None:
         connection.isolation_level = None  # the driver's own BEGIN is neither immediate nor covers DDL
         _enter_wal(connection)
-        for pragma in ("synchronous=FULL", "foreign_keys=ON", "cache_size=-65536"):
+        for pragma in ("synchronous=FULL", "foreign_keys=ON", f"cache_size=-{cache_kib}"):
             connection.execute(f"PRAGMA {pragma}").close()
 
     @event.listens_for(engine, "begin")
