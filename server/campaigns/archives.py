@@ -1,7 +1,6 @@
 """Archives for reading: from the live state where it is in memory, else restored from the database."""
 
 import asyncio
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -17,6 +16,7 @@ from server.campaigns.advance import Stepper
 from server.campaigns.plan import Plan, make_plan, restored_archive
 from server.campaigns.values import Campaign, StoredArchive
 from server.db.engine import Engines
+from server.latest import Latest
 
 KEPT = 8
 
@@ -51,29 +51,11 @@ class Archives:
 
     engines: Engines
     stepper: Stepper
-    _kept: OrderedDict[str, ReadArchive] = field(default_factory=OrderedDict)
-    _loading: dict[tuple[str, int], asyncio.Future[ReadArchive]] = field(default_factory=dict)
+    _latest: Latest[ReadArchive] = field(default_factory=lambda: Latest(KEPT))
 
     async def get(self, campaign: Campaign) -> ReadArchive:
         """Return the archive of a campaign."""
-        kept = self._kept.get(campaign.id)
-        if kept is None or kept.generation != campaign.generation:
-            kept = await self._loaded(campaign)
-            self._kept[campaign.id] = kept
-        self._kept.move_to_end(campaign.id)
-        while len(self._kept) > KEPT:
-            self._kept.popitem(last=False)
-        return kept
-
-    async def _loaded(self, campaign: Campaign) -> ReadArchive:
-        """Load an archive, once for all who ask for it meanwhile."""
-        wanted = campaign.id, campaign.generation
-        loading = self._loading.get(wanted)
-        if loading is None:
-            loading = asyncio.get_running_loop().run_in_executor(None, self._load, campaign)
-            self._loading[wanted] = loading
-            loading.add_done_callback(lambda _: self._loading.pop(wanted, None))
-        return await asyncio.shield(loading)  # who goes away leaves it to the others
+        return await self._latest.get(campaign.id, campaign.generation, lambda: self._load(campaign))
 
     def stored(self, campaign: Campaign) -> tuple[Plan, StoredArchive, Archive]:
         """Return a campaign's plan, the stored rows of its archive, and the archive that they make."""

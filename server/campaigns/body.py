@@ -7,7 +7,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, TypeVar, get_args
 
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
@@ -17,6 +17,8 @@ from server.llm.settings import LlmSettings
 from worker.wire import JsonValues
 
 MAX_FILE_BYTES = 1024 * 1024
+
+Model = TypeVar("Model", bound=BaseModel)
 
 
 class Body(BaseModel):
@@ -99,14 +101,27 @@ def parse_body(document: object) -> CampaignBody:
     Raises:
         InvalidInput: With a pointer to each wrong field.
     """
+    return parsed(document, CampaignBody, "a campaign with name, problem, algorithm and budget")
+
+
+def parsed(document: object, model: type[Model], expected: str) -> Model:
+    """Read a document.
+
+    Args:
+        document: What was written.
+        model: What it should be.
+        expected: The same, in words.
+
+    Raises:
+        InvalidInput: With a pointer to each wrong field.
+    """
     if not isinstance(document, Mapping):
         came = "nothing" if document is None else f"a {type(document).__name__}"
-        message = f"expected a campaign with name, problem, algorithm and budget, got {came}"
-        raise InvalidInput([FieldError(pointer="", message=message)])
+        raise InvalidInput([FieldError(pointer="", message=f"expected {expected}, got {came}")])
     try:
-        return CampaignBody.model_validate(dict(document))
+        return model.model_validate(dict(document))
     except ValidationError as error:
-        raise invalid_input(error, CampaignBody) from None
+        raise invalid_input(error, model) from None
 
 
 def read_campaign_file(path: Path) -> CampaignBody:

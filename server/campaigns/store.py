@@ -13,6 +13,7 @@ from sqlalchemy import Connection, Row, delete, func, insert, select, update
 from server.campaigns.body import CampaignBody
 from server.campaigns.values import Campaign
 from server.db.clock import database_now
+from server.db.listing import named_row, newest_first
 from server.db.models import (
     EVALUATES,
     CampaignRow,
@@ -23,9 +24,7 @@ from server.db.models import (
     has_open_jobs,
 )
 from server.db.news import announce
-from server.errors import NotFound
 
-MAX_ID = 16
 ENDED = (CampaignStatus.FINISHED, CampaignStatus.CANCELLED, CampaignStatus.FAILED)
 
 
@@ -75,26 +74,7 @@ def named_campaign(connection: Connection, name: str) -> Campaign:
     Raises:
         NotFound: There is none, or more than one.
     """
-    plausible = name.isalnum() and name.isascii() and len(name) <= MAX_ID
-    campaign = find_campaign(connection, name) if plausible else None
-    if campaign is not None:
-        return campaign
-    matches = _find_by_prefix(connection, name) if plausible and len(name) >= 2 else []
-    if len(matches) == 1:
-        return matches[0]
-    reason = "more than one campaign has an id that begins so" if matches else "no such campaign"
-    raise NotFound(f"campaign {name[:40]!r}: {reason}")
-
-
-def _find_by_prefix(connection: Connection, prefix: str) -> list[Campaign]:
-    """Return the campaigns whose id begins with a prefix, at most two."""
-    query = (
-        select(CampaignRow.__table__)
-        .where(CampaignRow.id.startswith(prefix, autoescape=True))
-        .order_by(CampaignRow.id)
-        .limit(2)
-    )
-    return [campaign_of(row) for row in connection.execute(query)]
+    return campaign_of(named_row(connection, CampaignRow.__table__, name, "campaign"))
 
 
 def list_campaigns(
@@ -106,18 +86,12 @@ def list_campaigns(
     statuses: Sequence[CampaignStatus] = (),
 ) -> list[Campaign]:
     """Return campaigns, newest first."""
-    query = select(CampaignRow.__table__).order_by(CampaignRow.created_at.desc(), CampaignRow.id.desc())
-    if before is not None:
-        moment, campaign_id = before
-        query = query.where(
-            (CampaignRow.created_at < moment)
-            | ((CampaignRow.created_at == moment) & (CampaignRow.id < campaign_id))
-        )
+    query = newest_first(CampaignRow.__table__, limit=limit, before=before)
     if document_hash is not None:
         query = query.where(CampaignRow.document_hash == document_hash)
     if statuses:
         query = query.where(CampaignRow.status.in_(statuses))
-    return [campaign_of(row) for row in connection.execute(query.limit(limit))]
+    return [campaign_of(row) for row in connection.execute(query)]
 
 
 def running_among(connection: Connection, campaigns: Sequence[str]) -> frozenset[str]:

@@ -1,10 +1,11 @@
 """The live display of a campaign: a few lines that change on a terminal, a line now and then elsewhere."""
 
 import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Self
 
-from rich.console import Console, Group
+from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.table import Table
@@ -15,15 +16,14 @@ BARS = "▁▂▃▄▅▆▇█"
 SERIES_WIDTH = 40
 
 
-class CampaignDisplay:
-    """Shows progress documents of ``GET /campaigns/{id}/progress``."""
+class LiveDisplay:
+    """Lines that change in their place on a terminal; elsewhere a line now and then."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
         self._live = (
             Live(console=console, refresh_per_second=4, transient=True) if console.is_terminal else None
         )
-        self._series: list[dict[str, Any]] = []
         self._said_at = float("-inf")
 
     def __enter__(self) -> Self:
@@ -39,6 +39,22 @@ class CampaignDisplay:
         if self._live is not None:
             self._live.stop()
 
+    def _update(self, panel: Callable[[], RenderableType], line: Callable[[], str]) -> None:
+        """Show what stands now: the panel on a terminal, or else the line, unless one was printed just before."""
+        if self._live is not None:
+            self._live.update(panel())
+        elif time.monotonic() - self._said_at >= PLAIN_EVERY_S:
+            self._said_at = time.monotonic()
+            self._console.print(line(), highlight=False)
+
+
+class CampaignDisplay(LiveDisplay):
+    """Shows progress documents of ``GET /campaigns/{id}/progress``."""
+
+    def __init__(self, console: Console) -> None:
+        super().__init__(console)
+        self._series: list[dict[str, Any]] = []
+
     @property
     def generations(self) -> int:
         """How many generations were shown: what to ask for next."""
@@ -47,11 +63,7 @@ class CampaignDisplay:
     def show(self, progress: dict[str, Any]) -> None:
         """Show where a campaign stands."""
         self._series += [g for g in progress["generations"] if g["number"] >= len(self._series)]
-        if self._live is not None:
-            self._live.update(self._panel(progress))
-        elif time.monotonic() - self._said_at >= PLAIN_EVERY_S:
-            self._said_at = time.monotonic()
-            self._console.print(self._line(progress), highlight=False)
+        self._update(lambda: self._panel(progress), lambda: self._line(progress))
 
     def _panel(self, progress: dict[str, Any]) -> Group:
         done, budget = progress["simulations"], progress["budget"]

@@ -4,10 +4,11 @@ import asyncio
 import contextlib
 import secrets
 import signal
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import httpx
 from pydantic import SecretStr
@@ -20,11 +21,16 @@ from server.cli.coordinator import (
     prepare_database,
     release_leases_of_the_dead,
 )
-from server.errors import FieldError, InvalidInput
+from server.errors import FieldError, InvalidInput, Unavailable
 from server.problems.base import NeedsExtra, Problem
 from server.settings import Settings
 
+RESULTS = Path("brink-results")
+"""Where commands that run something write what was found."""
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+LOOK_EVERY_S = 0.3
+TROUBLE_S = 5.0
+"""How long a database may take no writes before a run gives up."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,6 +83,35 @@ def local_service(settings: Settings, worker_log: Path) -> Iterator[Local]:
         coordinator.stop()
         signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+async def watched(
+    look: Callable[[], Awaitable[dict[str, Any]]], processes: WorkerProcesses, stop: asyncio.Event
+) -> dict[str, Any]:
+    """Look again and again how far something is, and keep its workers alive, until it ends or is stopped.
+
+    Args:
+        look: Returns its progress document, and shows it.
+        processes: The workers.
+        stop: Set when the user wants no more.
+
+    Returns:
+        The last progress.
+
+    Raises:
+        Unavailable: The database has taken no writes for a while.
+    """
+    while True:
+        progress = await look()
+        if progress["status"] != "running" or stop.is_set():
+            return progress
+        if progress["trouble_s"] > TROUBLE_S:
+            raise Unavailable(
+                f"{progress['trouble']}; what was acknowledged is stored, go on later with --resume"
+            )
+        processes.replace_dead()
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(stop.wait(), LOOK_EVERY_S)
 
 
 @contextlib.contextmanager

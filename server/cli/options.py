@@ -59,6 +59,14 @@ LogLevelOption = Annotated[
         help="Least severe lines of the log (default: BRINK_LOG_LEVEL, else info).",
     ),
 ]  # fmt: skip
+Sure = Annotated[bool, typer.Option("--yes", help="Do not ask.")]
+Workers = Annotated[int, typer.Option(min=1, max=256, help="Worker processes.")]
+Resume = Annotated[
+    bool,
+    typer.Option("--resume", help="Go on with what this file started last, or show it if it is finished."),
+]
+New = Annotated[bool, typer.Option("--new", help="Start anew even if this file was started before.")]
+Port = Annotated[int, typer.Option(min=0, max=65535, help="Port of the coordinator; 0 takes a free one.")]
 Threshold = Annotated[float, typer.Option(min=0.0, max=1.0)]
 
 
@@ -116,6 +124,36 @@ def with_api(server: str | None, database: str | None, work: Callable[[Api], Awa
     return asyncio.run(run())
 
 
+def look_at(path: str, server: str | None, database: str | None) -> dict[str, Any]:
+    """Return what a route answers."""
+
+    async def work(api: Api) -> dict[str, Any]:
+        found: dict[str, Any] = await api.get(path)
+        return found
+
+    return with_api(server, database, work)
+
+
+def change(path: str, verb: str, server: str | None, database: str | None) -> dict[str, Any]:
+    """Have something done with what a path names, and return how it stands then."""
+
+    async def work(api: Api) -> dict[str, Any]:
+        found: dict[str, Any] = await api.post(f"{path}/{verb}")
+        return found
+
+    return with_api(server, database, work)
+
+
+def delete_after_asking(
+    path: str, what: str, *, sure: bool, server: str | None, database: str | None
+) -> None:
+    """Delete what a path names, unless the user is asked and says no."""
+    if not sure:
+        typer.confirm(f"delete {what}? Nothing brings it back", abort=True)
+    with_api(server, database, lambda api: api.request("DELETE", path))
+    say(f"{what} is deleted")
+
+
 def print_json(document: Any) -> None:
     """Print a document for programs."""
     typer.echo(json.dumps(document, indent=2))
@@ -125,6 +163,11 @@ def console() -> Console:
     """Return the console for people; where no terminal says how wide it is, wide enough for our tables."""
     screen = Console(highlight=False)
     return screen if screen.is_terminal else Console(highlight=False, width=PLAIN_WIDTH)
+
+
+def say(words: str) -> None:
+    """Print a sentence as it is, however long."""
+    console().print(words, soft_wrap=True, markup=False)
 
 
 def file_name(name: str) -> str:

@@ -21,10 +21,14 @@ from server.cli.coordinator import WorkerProcesses
 from server.cli.findings.drawing import Drawing
 from server.cli.findings.finding import Findings, fetch_findings
 from server.cli.live import CampaignDisplay
-from server.cli.local import Local, check_extra, local_service, stopping
+from server.cli.local import RESULTS, Local, check_extra, local_service, stopping, watched
 from server.cli.options import (
     CampaignFile,
     Database,
+    New,
+    Port,
+    Resume,
+    Workers,
     brink,
     console,
     database_option,
@@ -35,16 +39,12 @@ from server.cli.options import (
 from server.cli.pictures import draw_figures, fetch_archive, write_results
 from server.cli.replays import write_replays
 from server.cli.summary import print_summary
-from server.errors import Conflict, Unavailable
+from server.errors import Conflict
 from server.experiments.comparison import in_words
 from server.settings import Settings
 
-LOOK_EVERY_S = 0.3
 TRACES_S = 30.0
-TROUBLE_S = 5.0
-"""How long a database may take no writes before a run gives up."""
 UNFINISHED = ("running", "paused")
-RESULTS = Path("brink-results")
 
 log = logging.getLogger(__name__)
 
@@ -66,23 +66,14 @@ class RunPlan:
 
 def run(
     file: CampaignFile,
-    workers: Annotated[int, typer.Option(min=1, max=256, help="Worker processes.")] = 2,
+    workers: Workers = 2,
     database: Database = None,
-    resume: Annotated[
-        bool,
-        typer.Option(
-            "--resume", help="Go on with this file's latest campaign, or show it if it is finished."
-        ),
-    ] = False,
-    new: Annotated[
-        bool, typer.Option("--new", help="Start another campaign even if there is one of this file.")
-    ] = False,
+    resume: Resume = False,
+    new: New = False,
     out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = RESULTS,
     pictures: Annotated[bool, typer.Option(help="Draw figures and replays at the end.")] = True,
     replays: Annotated[int, typer.Option(min=0, max=50, help="Replays of the best boundary solutions.")] = 3,
-    port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port of the coordinator; 0 takes a free one.")
-    ] = 0,
+    port: Port = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
     """Run one campaign: starts a coordinator and workers, shows progress, writes results and pictures.
@@ -190,20 +181,14 @@ async def _watch(
     api: Api, campaign_id: str, processes: WorkerProcesses, stop: asyncio.Event, screen: Console
 ) -> dict[str, Any]:
     with CampaignDisplay(screen) as display:
-        while True:
-            progress: dict[str, Any] = await api.get(
-                f"/campaigns/{campaign_id}/progress", {"since": display.generations}
-            )
+
+        async def look() -> dict[str, Any]:
+            since = {"since": display.generations}
+            progress: dict[str, Any] = await api.get(f"/campaigns/{campaign_id}/progress", since)
             display.show(progress)
-            if progress["status"] != "running" or stop.is_set():
-                return progress
-            if progress["trouble_s"] > TROUBLE_S:
-                raise Unavailable(
-                    f"{progress['trouble']}; what was acknowledged is stored, go on later with --resume"
-                )
-            processes.replace_dead()
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(stop.wait(), LOOK_EVERY_S)
+            return progress
+
+        return await watched(look, processes, stop)
 
 
 async def _set_aside(

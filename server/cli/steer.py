@@ -1,17 +1,17 @@
 """Commands that steer campaigns: pause, resume, cancel, delete, retry."""
 
-from typing import Annotated, Any
-
-import typer
-
 from server.cli.api import Api, CoordinatorSaid
 from server.cli.options import (
     CampaignId,
     Database,
     Server,
+    Sure,
     brink,
-    console,
+    change,
     database_option,
+    delete_after_asking,
+    look_at,
+    say,
     settings_with,
     with_api,
 )
@@ -25,9 +25,9 @@ def pause(campaign: CampaignId, database: Database = None, server: Server = None
 
     Example: brink pause 3f2a --server http://coordinator:8700
     """
-    found = _change(campaign, "pause", database, server)
+    found = change(f"/campaigns/{campaign}", "pause", server, database)
     elsewhere = f" --server {server}" if server else database_option(settings_with(database=database))
-    _say(f"campaign {found['id']} is paused; go on with: {brink()} resume {found['id']}{elsewhere}")
+    say(f"campaign {found['id']} is paused; go on with: {brink()} resume {found['id']}{elsewhere}")
 
 
 def resume(campaign: CampaignId, database: Database = None, server: Server = None) -> None:
@@ -35,8 +35,8 @@ def resume(campaign: CampaignId, database: Database = None, server: Server = Non
 
     Example: brink resume 3f2a --server http://coordinator:8700
     """
-    found = _change(campaign, "resume", database, server)
-    _say(f"campaign {found['id']} is {found['status']}: a coordinator with workers goes on with it")
+    found = change(f"/campaigns/{campaign}", "resume", server, database)
+    say(f"campaign {found['id']} is {found['status']}: a coordinator with workers goes on with it")
 
 
 def cancel(campaign: CampaignId, database: Database = None, server: Server = None) -> None:
@@ -44,13 +44,13 @@ def cancel(campaign: CampaignId, database: Database = None, server: Server = Non
 
     Example: brink cancel 3f2a --server http://coordinator:8700
     """
-    found = _change(campaign, "cancel", database, server)
-    _say(f"campaign {found['id']} is cancelled; what it found stays")
+    found = change(f"/campaigns/{campaign}", "cancel", server, database)
+    say(f"campaign {found['id']} is cancelled; what it found stays")
 
 
 def delete(
     campaign: CampaignId,
-    sure: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    sure: Sure = False,
     database: Database = None,
     server: Server = None,
 ) -> None:
@@ -58,17 +58,9 @@ def delete(
 
     Example: brink delete 3f2a --yes
     """
-
-    async def look(api: Api) -> dict[str, Any]:
-        found: dict[str, Any] = await api.get(f"/campaigns/{campaign}/progress")
-        return found
-
-    found = with_api(server, database, look)
+    found = look_at(f"/campaigns/{campaign}/progress", server, database)
     what = f"campaign {found['id']} ({found['name']}) with {found['simulations']} simulations"
-    if not sure:
-        typer.confirm(f"delete {what}? Nothing brings it back", abort=True)
-    with_api(server, database, lambda api: api.request("DELETE", f"/campaigns/{found['id']}"))
-    _say(f"{what} is deleted")
+    delete_after_asking(f"/campaigns/{found['id']}", what, sure=sure, server=server, database=database)
 
 
 def retry(campaign: CampaignId, database: Database = None, server: Server = None) -> None:
@@ -94,16 +86,4 @@ def retry(campaign: CampaignId, database: Database = None, server: Server = None
         return back, f"; {stay} stay in quarantine: {reason}" if stay else ""
 
     back, rest = with_api(server, database, work)
-    _say(f"{back} jobs are in the queue again{rest}")
-
-
-def _change(campaign: str, verb: str, database: str | None, server: str | None) -> dict[str, Any]:
-    async def work(api: Api) -> dict[str, Any]:
-        found: dict[str, Any] = await api.post(f"/campaigns/{campaign}/{verb}")
-        return found
-
-    return with_api(server, database, work)
-
-
-def _say(words: str) -> None:
-    console().print(words, soft_wrap=True, markup=False)
+    say(f"{back} jobs are in the queue again{rest}")

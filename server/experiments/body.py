@@ -15,7 +15,7 @@ from server.campaigns.body import (
     Execution,
     PluginChoice,
     hash_of,
-    invalid_input,
+    parsed,
     read_yaml,
     without_controls,
 )
@@ -179,14 +179,8 @@ def parse_experiment(document: object) -> ExperimentBody:
     Raises:
         InvalidInput: With a pointer to each wrong field.
     """
-    if not isinstance(document, Mapping):
-        came = "nothing" if document is None else f"a {type(document).__name__}"
-        message = f"expected an experiment with name, problems, algorithms, seeds and budget, got {came}"
-        raise InvalidInput([FieldError(pointer="", message=message)])
-    try:
-        return ExperimentBody.model_validate(dict(document))
-    except ValidationError as error:
-        raise invalid_input(error, ExperimentBody) from None
+    expected = "an experiment with name, problems, algorithms, seeds and budget"
+    return parsed(document, ExperimentBody, expected)
 
 
 def read_experiment_file(path: Path) -> ExperimentBody:

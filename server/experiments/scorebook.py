@@ -1,10 +1,8 @@
 """Scores of campaigns that have finished: computed once, in threads that nobody else waits for."""
 
 import asyncio
-import logging
-from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 
 from server.campaigns.archives import Archives
 from server.campaigns.values import Campaign
@@ -12,11 +10,10 @@ from server.db.models import CampaignStatus
 from server.experiments.scores import Scores, scored
 from server.experiments.tables import Repeat
 from server.experiments.values import Experiment
+from server.latest import Latest
 
 KEPT = 2_000
 """Campaigns whose scores are kept; each takes some 30 kB."""
-
-log = logging.getLogger(__name__)
 
 
 @dataclass(slots=True)
@@ -29,9 +26,11 @@ class Scorebook:
     """
 
     archives: Archives
-    threads: Executor
-    _kept: dict[str, Scores] = field(default_factory=dict)
-    _scoring: dict[str, asyncio.Future[Scores]] = field(default_factory=dict)
+    threads: InitVar[Executor]
+    _latest: Latest[Scores] = field(init=False)
+
+    def __post_init__(self, threads: Executor) -> None:
+        self._latest = Latest(KEPT, threads)
 
     async def repeats(self, experiment: Experiment, wait_s: float) -> tuple[list[Repeat], int]:
         """Return what the finished campaigns of an experiment reached.
@@ -44,36 +43,23 @@ class Scorebook:
             Those that are known, by place, and how many finished campaigns are still being scored.
         """
         finished = [m for m in experiment.members if m.campaign.status is CampaignStatus.FINISHED]
-        wanted = [member.campaign for member in finished if member.campaign.id not in self._kept]
-        if wanted:
-            await asyncio.wait([self._soon(campaign) for campaign in wanted], timeout=wait_s)
-        for campaign in wanted:
-            scoring = self._scoring.get(campaign.id)
-            if scoring is not None and scoring.done():
-                self._kept[campaign.id] = self._scoring.pop(campaign.id).result()
+        scoring = [self._soon(member.campaign) for member in finished]
+        if not all(one.done() for one in scoring):
+            await asyncio.wait(scoring, timeout=wait_s)
         known = [
             Repeat(
                 problem=member.problem, method=member.method, seed=member.campaign.body.seed,
-                campaign=member.campaign.id, scores=scores,
+                campaign=member.campaign.id, scores=one.result(),
             )
-            for member in finished
-            if (scores := self._kept.get(member.campaign.id)) is not None
+            for member, one in zip(finished, scoring, strict=True)
+            if one.done()
         ]  # fmt: skip
-        self._forget([repeat.campaign for repeat in known])
         return known, len(finished) - len(known)
 
     def _soon(self, campaign: Campaign) -> asyncio.Future[Scores]:
-        if campaign.id not in self._scoring:
-            loop = asyncio.get_running_loop()
-            self._scoring[campaign.id] = loop.run_in_executor(self.threads, self._score, campaign)
-        return self._scoring[campaign.id]
+        return self._latest.soon(campaign.id, campaign.generation, lambda: self._score(campaign))
 
     def _score(self, campaign: Campaign) -> Scores:
         plan, _, archive = self.archives.stored(campaign)
         simulations, seed = campaign.body.budget.simulations, campaign.body.seed
         return scored(archive, plan.problem.space, simulations=simulations, seed=seed)
-
-    def _forget(self, needed: Sequence[str]) -> None:
-        for campaign in list(self._kept)[: max(0, len(self._kept) - KEPT)]:
-            if campaign not in needed:
-                del self._kept[campaign]

@@ -7,6 +7,7 @@ from sqlalchemy import Connection, Row, delete, func, insert, select
 
 from server.campaigns import store as campaign_store
 from server.db.clock import database_now
+from server.db.listing import named_row, newest_first
 from server.db.models import (
     EVALUATES,
     CampaignRow,
@@ -16,11 +17,8 @@ from server.db.models import (
     JobRow,
     JobStatus,
 )
-from server.errors import NotFound
 from server.experiments.body import Cell, ExperimentBody
 from server.experiments.values import Experiment, Member
-
-MAX_ID = 16
 
 
 def insert_experiment(
@@ -69,14 +67,8 @@ def named_experiment(connection: Connection, name: str) -> Experiment:
     Raises:
         NotFound: There is none, or more than one.
     """
-    rows: Sequence[Row[*tuple[object, ...]]] = ()
-    if 2 <= len(name) <= MAX_ID and name.isalnum() and name.isascii():
-        begins = select(ExperimentRow.__table__).where(ExperimentRow.id.startswith(name, autoescape=True))
-        rows = connection.execute(begins.order_by(ExperimentRow.id).limit(2)).all()
-    if len(rows) != 1 and not (rows and rows[0].id == name):
-        reason = "more than one experiment has an id that begins so" if rows else "no such experiment"
-        raise NotFound(f"experiment {name[:40]!r}: {reason}")
-    return _experiments(connection, rows[:1])[0]
+    row = named_row(connection, ExperimentRow.__table__, name, "experiment")
+    return _experiments(connection, [row])[0]
 
 
 def list_experiments(
@@ -87,16 +79,10 @@ def list_experiments(
     document_hash: str | None = None,
 ) -> list[Experiment]:
     """Return experiments, newest first."""
-    query = select(ExperimentRow.__table__).order_by(ExperimentRow.created_at.desc(), ExperimentRow.id.desc())
-    if before is not None:
-        moment, experiment_id = before
-        query = query.where(
-            (ExperimentRow.created_at < moment)
-            | ((ExperimentRow.created_at == moment) & (ExperimentRow.id < experiment_id))
-        )
+    query = newest_first(ExperimentRow.__table__, limit=limit, before=before)
     if document_hash is not None:
         query = query.where(ExperimentRow.document_hash == document_hash)
-    return _experiments(connection, connection.execute(query.limit(limit)).all())
+    return _experiments(connection, connection.execute(query).all())
 
 
 def count_open_jobs(connection: Connection, campaigns: Sequence[str]) -> dict[str, int]:

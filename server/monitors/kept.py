@@ -1,14 +1,13 @@
 """Monitors of campaigns for the API: fitted once, in threads that nobody else waits for."""
 
-import asyncio
-from collections import OrderedDict
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 
 from search.monitor import Monitor
 from server.campaigns.archives import Archives
 from server.campaigns.values import Campaign
 from server.errors import Conflict
+from server.latest import Latest
 
 KEPT = 8
 MOST = 20_000
@@ -25,8 +24,11 @@ class Monitors:
     """
 
     archives: Archives
-    threads: Executor
-    _kept: OrderedDict[tuple[str, int], asyncio.Future[Monitor]] = field(default_factory=OrderedDict)
+    threads: InitVar[Executor]
+    _latest: Latest[Monitor] = field(init=False)
+
+    def __post_init__(self, threads: Executor) -> None:
+        self._latest = Latest(KEPT, threads)
 
     async def get(self, campaign: Campaign) -> Monitor:
         """Return the monitor of a campaign as it stands.
@@ -34,15 +36,7 @@ class Monitors:
         Raises:
             Conflict: Too little has been simulated.
         """
-        wanted = campaign.id, campaign.generation
-        found = self._kept.get(wanted)
-        if found is None or (found.done() and found.exception() is not None):
-            found = asyncio.get_running_loop().run_in_executor(self.threads, self._fit, campaign)
-            self._kept[wanted] = found
-        self._kept.move_to_end(wanted)
-        while len(self._kept) > KEPT:
-            self._kept.popitem(last=False)
-        return await asyncio.shield(found)  # who goes away leaves it to the others
+        return await self._latest.get(campaign.id, campaign.generation, lambda: self._fit(campaign))
 
     def _fit(self, campaign: Campaign) -> Monitor:
         plan, _, archive = self.archives.stored(campaign)

@@ -8,9 +8,23 @@ from rich.table import Table
 
 from server.cli.api import Api
 from server.cli.experiments.results import fetch_results, print_results, write_report
-from server.cli.experiments.running import RESULTS, ExperimentFile, run
+from server.cli.experiments.running import ExperimentFile, run
 from server.cli.live import duration, rate_of
-from server.cli.options import AsJson, Database, Server, console, file_name, print_json, with_api
+from server.cli.local import RESULTS
+from server.cli.options import (
+    AsJson,
+    Database,
+    Server,
+    Sure,
+    change,
+    console,
+    delete_after_asking,
+    file_name,
+    look_at,
+    print_json,
+    say,
+    with_api,
+)
 from server.errors import Conflict
 from server.experiments.body import ExperimentBody, read_experiment_file
 
@@ -42,7 +56,7 @@ def submit(
     if as_json:
         print_json(found)
     else:
-        _say(f"experiment {found['id']}: {found['campaigns']} campaigns, {found['budget']:,} simulations")
+        say(f"experiment {found['id']}: {found['campaigns']} campaigns, {found['budget']:,} simulations")
 
 
 def list_(database: Database = None, server: Server = None, as_json: AsJson = False) -> None:
@@ -168,7 +182,7 @@ def cancel(name: ExperimentId, database: Database = None, server: Server = None)
 
 def delete(
     name: ExperimentId,
-    sure: Annotated[bool, typer.Option("--yes", help="Do not ask.")] = False,
+    sure: Sure = False,
     database: Database = None,
     server: Server = None,
 ) -> None:
@@ -176,32 +190,16 @@ def delete(
 
     Example: brink experiment delete 3f2a --yes
     """
-
-    async def look(api: Api) -> dict[str, Any]:
-        found: dict[str, Any] = await api.get(f"/experiments/{name}")
-        return found
-
-    found = with_api(server, database, look)
+    found = look_at(f"/experiments/{name}", server, database)
     what = f"experiment {found['id']} ({found['name']}) with {found['simulations']:,} simulations"
-    if not sure:
-        typer.confirm(f"delete {what}? Nothing brings it back", abort=True)
-    with_api(server, database, lambda api: api.request("DELETE", f"/experiments/{found['id']}"))
-    _say(f"{what} is deleted")
+    delete_after_asking(f"/experiments/{found['id']}", what, sure=sure, server=server, database=database)
 
 
 def _change(name: str, verb: str, database: str | None, server: str | None) -> None:
-    async def work(api: Api) -> dict[str, Any]:
-        found: dict[str, Any] = await api.post(f"/experiments/{name}/{verb}")
-        return found
-
-    found = with_api(server, database, work)
-    _say(
+    found = change(f"/experiments/{name}", verb, server, database)
+    say(
         f"experiment {found['id']} is {found['status']}: {found['simulations']:,} of {found['budget']:,} simulations"
     )
-
-
-def _say(words: str) -> None:
-    console().print(words, soft_wrap=True, markup=False)
 
 
 for command in (run, submit, status, report, pause, resume, cancel, delete):

@@ -1,49 +1,22 @@
 """The live display of an experiment: a bar for all of it, and how far each method is."""
 
-import time
 from collections import Counter
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
-from rich.console import Console, Group
-from rich.live import Live
+from rich.console import Group
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from server.cli.live import PLAIN_EVERY_S, SERIES_WIDTH, duration, rate_of
+from server.cli.live import SERIES_WIDTH, LiveDisplay, duration, rate_of
 
 
-class ExperimentDisplay:
+class ExperimentDisplay(LiveDisplay):
     """Shows progress documents of ``GET /experiments/{id}/progress`` and the campaigns of the experiment."""
-
-    def __init__(self, console: Console) -> None:
-        self._console = console
-        self._live = (
-            Live(console=console, refresh_per_second=4, transient=True) if console.is_terminal else None
-        )
-        self._said_at = float("-inf")
-
-    def __enter__(self) -> Self:
-        """Begin to show."""
-        if self._live is not None:
-            self._live.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Leave the terminal as it was."""
-        if self._live is not None:
-            self._live.stop()
 
     def show(self, progress: dict[str, Any], members: list[dict[str, Any]]) -> None:
         """Show where an experiment stands."""
-        if self._live is not None:
-            self._live.update(self._panel(progress, members))
-        elif time.monotonic() - self._said_at >= PLAIN_EVERY_S:
-            self._said_at = time.monotonic()
-            self._console.print(_line(progress), highlight=False)
+        self._update(lambda: self._panel(progress, members), lambda: _line(progress))
 
     def _panel(self, progress: dict[str, Any], members: list[dict[str, Any]]) -> Group:
         head = Table.grid(padding=(0, 1))

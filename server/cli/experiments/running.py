@@ -14,16 +14,23 @@ from server.cli.api import Api, CoordinatorSaid
 from server.cli.coordinator import WorkerProcesses
 from server.cli.experiments.display import ExperimentDisplay
 from server.cli.experiments.results import fetch_results, print_results, write_report
-from server.cli.local import Local, check_extra, local_service, stopping
-from server.cli.options import Database, brink, console, database_option, file_name, print_json, settings_with
-from server.errors import Conflict, InvalidInput, Unavailable
+from server.cli.local import RESULTS, Local, check_extra, local_service, stopping, watched
+from server.cli.options import (
+    Database,
+    New,
+    Port,
+    Resume,
+    Workers,
+    brink,
+    console,
+    database_option,
+    file_name,
+    print_json,
+    settings_with,
+)
+from server.errors import Conflict, InvalidInput
 from server.experiments.body import ExperimentBody, read_experiment_file
 from server.settings import Settings
-
-LOOK_EVERY_S = 0.5
-TROUBLE_S = 5.0
-"""How long a database may take no writes before a run gives up."""
-RESULTS = Path("brink-results")
 
 ExperimentFile = Annotated[
     Path, typer.Argument(metavar="FILE", help="Experiment file (YAML or JSON).", show_default=False)
@@ -43,21 +50,12 @@ class _Plan:
 
 def run(
     file: ExperimentFile,
-    workers: Annotated[int, typer.Option(min=1, max=256, help="Worker processes.")] = 2,
+    workers: Workers = 2,
     database: Database = None,
-    resume: Annotated[
-        bool,
-        typer.Option(
-            "--resume", help="Go on with this file's latest experiment, or show it if it is finished."
-        ),
-    ] = False,
-    new: Annotated[
-        bool, typer.Option("--new", help="Start another experiment even if there is one of this file.")
-    ] = False,
+    resume: Resume = False,
+    new: New = False,
     out: Annotated[Path, typer.Option(help="Folder for the report.")] = RESULTS,
-    port: Annotated[
-        int, typer.Option(min=0, max=65535, help="Port of the coordinator; 0 takes a free one.")
-    ] = 0,
+    port: Port = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
 ) -> None:
     """Run every algorithm on every problem with every seed, and write a report that compares them.
@@ -165,16 +163,11 @@ async def _watch(
     api: Api, experiment: str, processes: WorkerProcesses, stop: asyncio.Event, screen: Console
 ) -> dict[str, Any]:
     with ExperimentDisplay(screen) as display:
-        while True:
+
+        async def look() -> dict[str, Any]:
             progress: dict[str, Any] = await api.get(f"/experiments/{experiment}/progress")
             members = (await api.get(f"/experiments/{experiment}"))["members"] if screen.is_terminal else []
             display.show(progress, members)
-            if progress["status"] != "running" or stop.is_set():
-                return progress
-            if progress["trouble_s"] > TROUBLE_S:
-                raise Unavailable(
-                    f"{progress['trouble']}; what was acknowledged is stored, go on later with --resume"
-                )
-            processes.replace_dead()
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(stop.wait(), LOOK_EVERY_S)
+            return progress
+
+        return await watched(look, processes, stop)
