@@ -22,6 +22,7 @@ class Stream(IntEnum):
     FINALISTS = 7
     SEEDS = 8
     MONITOR = 9
+    REPEATS = 10
 
 
 def _sequence(seed: int, stream: int, index: tuple[int, ...]) -> np.random.SeedSequence:

@@ -11,7 +11,18 @@ from importlib.metadata import version
 from fastapi import APIRouter, FastAPI
 
 from server.access.gate import Gate
-from server.api import campaigns, catalogue, experiments, health, jobs, llm, monitors, solutions, violations
+from server.api import (
+    campaigns,
+    catalogue,
+    experiments,
+    health,
+    jobs,
+    llm,
+    monitors,
+    repeats,
+    solutions,
+    violations,
+)
 from server.api.context import Context
 from server.api.docs_page import add_docs
 from server.api.guards import Guards
@@ -100,7 +111,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
     api = APIRouter(prefix="/api/v1")
     # The busiest first: routes are tried in order.
     api.include_router(jobs.wire)
-    for module in (jobs, campaigns, solutions, violations, llm, monitors, experiments, catalogue):
+    for module in (jobs, campaigns, solutions, violations, llm, monitors, repeats, experiments, catalogue):
         api.include_router(module.router)
     app.include_router(api)
     app.include_router(health.router)

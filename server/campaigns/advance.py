@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from sqlalchemy import Row
+from sqlalchemy import Connection, Row
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 
@@ -37,6 +37,7 @@ from server.campaigns.plan import (
     vector_bytes,
     wanted_seeds,
 )
+from server.campaigns.repeats import PlannedRepeats, plan_repeats, store_repeats
 from server.campaigns.seeding import SeedSource
 from server.campaigns.values import (
     Block,
@@ -197,7 +198,15 @@ class Stepper:
         asked_state, candidates = asked(live.plan, told)
         solutions = new_solutions(live.plan.problem, candidates, asked_state, campaign.body.seed)
         step = self._write_up(campaign, live.plan, evaluations, told, solutions, finished, began)
-        if not self._writer.submit(lambda connection: step_store.write_step(connection, step)).result():
+        again = self._repeats(campaign, live.plan, told.archive) if finished else None
+
+        def unit(connection: Connection) -> bool:
+            written = step_store.write_step(connection, step)
+            if written and again is not None:
+                store_repeats(connection, again)
+            return written
+
+        if not self._writer.submit(unit).result():
             self._live.pop(campaign.id, None)
             return False
         self._metrics.steps.observe(time.perf_counter() - began)
@@ -271,6 +280,14 @@ class Stepper:
         if isinstance(plan.problem, InProcessProblem):
             return []
         return [int(number) for number in archive.numbers[boundary][: campaign.body.execution.keep_traces]]
+
+    def _repeats(self, campaign: Campaign, plan: Plan, archive: Archive) -> PlannedRepeats | None:
+        """Return the repeats that the campaign asks for after its search, if any."""
+        if not campaign.body.repeats:
+            return None
+        return plan_repeats(
+            campaign, plan, archive, repeats=campaign.body.repeats, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH
+        )
 
     def _state(self, campaign: Campaign) -> Live:
         live = self._live.get(campaign.id)

@@ -77,6 +77,14 @@ class CampaignBody(Body):
     seed: Annotated[int, Field(ge=0, lt=2**53)] = 1
     priority: Annotated[int, Field(ge=-100, le=100, description="Higher goes first.")] = 0
     execution: Execution = Field(default_factory=Execution)
+    repeats: Annotated[
+        int,
+        Field(
+            ge=0,
+            le=10_000,
+            description="Simulations with other seeds of each distinct boundary solution, after the search.",
+        ),
+    ] = 0
     llm: Annotated[
         LlmSettings | None, Field(description="Language model that seeds an algorithm which asks for seeds.")
     ] = None
@@ -86,6 +94,8 @@ class CampaignBody(Body):
         document = self.model_dump(mode="json")
         if self.llm is None:
             del document["llm"]  # as it was before there were language models
+        if not self.repeats:
+            del document["repeats"]  # and repeats
         return hash_of(document)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from search.algorithm import Algorithm, Candidate, Question
 from search.algorithms.multi_objective import MultiObjectiveConfig
+from search.algorithms.repeats import RepeatsConfig
 from search.archive import Archive, Neighbourhood
 from search.seeding import Seeded, SeedRequest
 from search.streams import episode_seed
@@ -66,7 +67,7 @@ def looks_for_boundary(body: CampaignBody) -> bool:
         algorithm = make_algorithm(body.algorithm.id)
     except InvalidInput:  # a plug-in that is not here: its campaigns can be looked at all the same
         return True
-    return not issubclass(algorithm.config_type, MultiObjectiveConfig)
+    return not issubclass(algorithm.config_type, MultiObjectiveConfig | RepeatsConfig)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

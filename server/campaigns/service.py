@@ -2,7 +2,6 @@
 
 import asyncio
 import logging
-import secrets
 from collections.abc import Awaitable, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -11,21 +10,20 @@ from typing import TypeVar
 
 from sqlalchemy import Connection
 
-from search.errors import ConfigError, UnsupportedSpace
+from search.archive import Archive
 from server.campaigns import jobs as job_store
-from server.campaigns import step_store, store, traces
+from server.campaigns import store, traces
 from server.campaigns.advance import Stepper
 from server.campaigns.body import CampaignBody
-from server.campaigns.plan import Live, Plan, first_generation, make_plan
+from server.campaigns.plan import Plan
+from server.campaigns.repeats import PlannedRepeats, check_no_open_repeats, plan_repeats, store_repeats
 from server.campaigns.store import ENDED
-from server.campaigns.values import Campaign, NewSolution
-from server.catalogue import config_field_error
+from server.campaigns.submission import Prepared, check_repeatable, prepared, store_prepared
+from server.campaigns.values import Campaign
 from server.db.engine import Engines
 from server.db.models import CampaignStatus
 from server.db.writer import Writer
-from server.errors import Conflict, FieldError, InvalidInput, NotFound
-from server.llm.settings import LlmSettings
-from server.problems.base import ChecksInputs, Describes
+from server.errors import Conflict, NotFound
 from server.queue.report_store import idle_campaigns
 from server.queue.service import QueueService
 
@@ -34,130 +32,12 @@ log = logging.getLogger(__name__)
 T = TypeVar("T")
 SLOW_AT_ONCE = 2
 """Submissions that are checked at once, and pictures that are drawn."""
-LLM = "llm"
-"""What an algorithm's setting `seeder` is that wants seeds from a language model."""
 DONE = {
     CampaignStatus.PAUSED: "paused",
     CampaignStatus.RUNNING: "resumed",
     CampaignStatus.CANCELLED: "cancelled",
 }
 """What the log says was done to a campaign that is now in a state."""
-
-
-def check_submission(body: CampaignBody) -> tuple[Live, list[NewSolution]]:
-    """Return the first generation of a campaign that can run.
-
-    Raises:
-        InvalidInput: It cannot; with a pointer to each wrong field.
-    """
-    checked_plan(body)
-    return first_generation(body)
-
-
-def checked_plan(body: CampaignBody) -> Plan:
-    """Return the plan of a campaign that can run.
-
-    Raises:
-        InvalidInput: It cannot; with a pointer to each wrong field.
-    """
-    plan = make_plan(body)
-    if isinstance(plan.problem, ChecksInputs) and (wrong := plan.problem.wrong_inputs()):
-        raise InvalidInput(
-            [FieldError(pointer=f"/problem/params/{name}", message=message) for name, message in wrong]
-        )
-    _check_seeder(plan)
-    try:
-        plan.algorithm.check(plan.problem.space, plan.config, budget=body.budget.simulations)
-    except UnsupportedSpace as error:
-        message = f"{body.algorithm.id} cannot search the space of {body.problem.id}: {error}"
-        raise InvalidInput([FieldError(pointer="/algorithm/id", message=message)]) from None
-    except ConfigError as error:
-        if error.field == "budget":
-            message = str(error).removeprefix("budget: ")
-            raise InvalidInput([FieldError(pointer="/budget/simulations", message=message)]) from None
-        raise InvalidInput([config_field_error(error, "/algorithm/params")]) from None
-    return plan
-
-
-def _check_seeder(plan: Plan) -> None:
-    """Check that who asks for a language model has one, and the other way round.
-
-    Raises:
-        InvalidInput: One of the two is missing.
-    """
-    asks = getattr(plan.config, "seeder", None) == LLM
-    if asks and plan.body.llm is None:
-        message = "expected a language model, such as {endpoint: http://127.0.0.1:8000/v1, model: ...}"
-        raise InvalidInput([FieldError(pointer="/llm", message=message)])
-    if plan.body.llm is not None and not asks:
-        message = f"{plan.body.algorithm.id} does not ask it; expected algorithm.params.seeder: llm"
-        raise InvalidInput([FieldError(pointer="/llm", message=message)])
-    if asks and not isinstance(plan.problem, Describes):
-        message = f"{plan.body.problem.id} cannot be described to a language model"
-        raise InvalidInput([FieldError(pointer="/problem/id", message=message)])
-
-
-def _check_endpoint(llm: LlmSettings | None, allowed: str) -> None:
-    """Check that a campaign may ask its language model from here, with the key that it names.
-
-    Whoever may submit a campaign could otherwise have any variable of this machine sent anywhere.
-
-    Raises:
-        InvalidInput: It may not.
-    """
-    if llm is None:
-        return
-    bases = [base for one in allowed.split(",") if (base := one.strip().rstrip("/"))]
-    own = llm.on_this_machine and llm.api_key_env is None
-    listed = any(base == "*" or f"{llm.endpoint}/".startswith(f"{base}/") for base in bases)
-    if not own and not listed:
-        message = (
-            f"this coordinator may ask {', '.join(bases) or 'models on its own machine, without a key'}, not "
-            f"{llm.endpoint}; whoever runs it can allow that in BRINK_LLM_ENDPOINTS"
-        )
-        raise InvalidInput([FieldError(pointer="/llm/endpoint", message=message)])
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Prepared:
-    """A campaign that can run, not stored yet.
-
-    Attributes:
-        id: Its id.
-        body: As it was submitted.
-        live: With its first generation asked.
-        solutions: That generation.
-    """
-
-    id: str
-    body: CampaignBody
-    live: Live
-    solutions: Sequence[NewSolution]
-
-
-def prepared(body: CampaignBody, llm_endpoints: str) -> Prepared:
-    """Check a campaign, and ask for its first generation.
-
-    Args:
-        body: What was asked for.
-        llm_endpoints: Which language models may be asked from here.
-
-    Raises:
-        InvalidInput: It cannot run.
-    """
-    _check_endpoint(body.llm, llm_endpoints)
-    live, solutions = check_submission(body)
-    return Prepared(id=secrets.token_hex(4), body=body, live=live, solutions=solutions)
-
-
-def store_prepared(connection: Connection, campaign: Prepared, key: str | None = None) -> Campaign:
-    """Store a campaign with its first generation."""
-    store.insert_campaign(
-        connection, campaign.id, campaign.live.plan.body, campaign.body.document_hash(), key
-    )
-    stored = _found(store.find_campaign(connection, campaign.id), campaign.id)
-    step_store.insert_solutions(connection, stored, 0, campaign.solutions)
-    return stored
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -283,10 +163,51 @@ class CampaignService:
             current = _found(store.find_campaign(connection, campaign.id, lock=True), campaign.id)
             if current.status not in ENDED:
                 raise Conflict(f"campaign {campaign.id} is {current.status}: cancel it before deleting it")
+            check_no_open_repeats(connection, campaign.id)
             store.delete_campaign(connection, campaign.id)
 
         await self._write(unit)
         log.info("campaign deleted", extra={"campaign": campaign.id})
+
+    async def repeat(
+        self, campaign: Campaign, plan: Plan, archive: Archive, *, repeats: int, t_b: float, d_th: float
+    ) -> tuple[Campaign, bool]:
+        """Simulate a campaign's distinct boundary solutions again with other seeds, in a campaign of their own.
+
+        Args:
+            campaign: The campaign; it has ended.
+            plan: Its plan.
+            archive: What it found.
+            repeats: Simulations of each solution.
+            t_b: Largest fitness of the solutions.
+            d_th: Least distance between two of them.
+
+        Returns:
+            The campaign that does it, and whether it is new.
+
+        Raises:
+            InvalidInput: Its problem has no chance in it.
+            Conflict: It has not ended, or has no boundary solutions.
+        """
+        if campaign.status not in ENDED:
+            raise Conflict(f"campaign {campaign.id} is {campaign.status}: its boundary is not known yet")
+        check_repeatable(plan)
+
+        def look() -> PlannedRepeats | None:
+            return plan_repeats(campaign, plan, archive, repeats=repeats, t_b=t_b, d_th=d_th)
+
+        planned = await asyncio.get_running_loop().run_in_executor(self.checks, look)
+        if planned is None:
+            raise Conflict(f"campaign {campaign.id} has no boundary solutions at t_b {t_b:g}, d_th {d_th:g}")
+
+        def unit(connection: Connection) -> tuple[Campaign, bool]:
+            store.named_campaign(connection, campaign.id)
+            return store_repeats(connection, planned)
+
+        found, new = await self._write(unit)
+        if new:
+            self.begin([planned.campaign], ())
+        return found, new
 
     async def retry_job(self, job: int) -> None:
         """Put a quarantined job back into the queue.

@@ -20,6 +20,7 @@ from server.db.models import (
     CampaignStatus,
     JobRow,
     JobStatus,
+    RepeatsRow,
     TraceRow,
     has_open_jobs,
 )
@@ -185,11 +186,14 @@ def count_quarantined(connection: Connection, campaign_id: str) -> int:
 
 
 def delete_campaign(connection: Connection, campaign_id: str) -> None:
-    """Delete a campaign and everything that belongs to it, traces included that no other campaign has."""
+    """Delete a campaign with its repeats and all that is theirs, traces included that no other campaign has."""
     own = select(JobRow.spec_hash).where(JobRow.campaign_id == campaign_id)
     others = select(JobRow.id).where(
         JobRow.spec_hash == TraceRow.spec_hash, JobRow.campaign_id != campaign_id
     )
+    again = select(RepeatsRow.campaign_id).where(RepeatsRow.of_id == campaign_id)
+    for repeats in list(connection.execute(again).scalars()):
+        delete_campaign(connection, repeats)
     connection.execute(delete(TraceRow).where(TraceRow.spec_hash.in_(own), ~others.exists()))
     connection.execute(delete(CampaignRow).where(CampaignRow.id == campaign_id))
 

@@ -17,6 +17,7 @@ from server.cli.findings.combinations import combinations
 from server.cli.findings.violations import violations
 from server.cli.monitor import monitor
 from server.cli.operations import doctor, export, import_, prune_
+from server.cli.repeats import repeats
 from server.cli.run import run
 from server.cli.tokens import token
 from sim.catalogue import PLUGINS_VARIABLE
@@ -40,6 +41,7 @@ for steering in (steer.pause, steer.resume, steer.cancel, steer.retry, steer.del
     app.command()(steering)
 app.command()(combinations)
 app.command()(violations)
+app.command()(repeats)
 app.command()(inspect.plot)
 app.command()(inspect.replay)
 app.command()(compare)

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from search.seeding import SeedRequest
 from server.campaigns.body import CampaignBody, read_campaign_file
-from server.campaigns.service import checked_plan
+from server.campaigns.submission import checked_plan
 from server.cli.api import Api
 from server.cli.options import (
     AsJson,

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from server.campaigns.body import CampaignBody, read_campaign_file
 from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
-from server.campaigns.service import check_submission
+from server.campaigns.submission import check_submission
 from server.cli.api import Api, CoordinatorSaid
 from server.cli.compare import compared_archives
 from server.cli.coordinator import WorkerProcesses
@@ -37,6 +37,7 @@ from server.cli.options import (
     settings_with,
 )
 from server.cli.pictures import draw_figures, fetch_archive, write_results
+from server.cli.repeats import finished_repeats, sentence, write_repeats
 from server.cli.replays import write_replays
 from server.cli.summary import print_summary
 from server.errors import Conflict
@@ -115,6 +116,9 @@ async def _run(plan: RunPlan, settings: Settings, local: Local, screen: Console)
                 return 1
             folder = plan.out / f"{file_name(plan.body.name)}-{campaign_id}"
             written = await _write_all(api, campaign_id, plan, folder, stop, screen)
+            again = await finished_repeats(api, campaign_id, local.processes, stop, screen)
+            if again is not None:
+                written.files.extend(write_repeats(again, folder, picture=plan.pictures))
     boundary = written.boundary
     summary = {
         "campaign": campaign_id,
@@ -133,12 +137,15 @@ async def _run(plan: RunPlan, settings: Settings, local: Local, screen: Console)
         "looks_for_boundary": progress["looks_for_boundary"],
         "origins": progress["origins"],
         "findings": {findings.name: findings.sentence() for findings in written.findings},
+        "repeats": again,
         "folder": str(folder),
         "files": [str(path) for path in written.files],
     }
     if plan.json:
         print_json(summary)
     else:
+        if again is not None:
+            screen.print(sentence(again), soft_wrap=True)
         print_summary(
             screen, plan.body, summary, boundary, written.findings, brink=brink(), database=database
         )

@@ -163,6 +163,19 @@ class ExperimentCampaignRow(Base):
     problem: Mapped[str] = mapped_column(String(100))
 
 
+class RepeatsRow(Base):
+    """A campaign that simulates the boundary solutions of another one again, with other seeds."""
+
+    __tablename__ = "repeats"
+
+    campaign_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="CASCADE"), primary_key=True)
+    of_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="CASCADE"), index=True)
+    t_b: Mapped[float]
+    d_th: Mapped[float]
+    repeats: Mapped[int] = mapped_column(Integer)
+    numbers: Mapped[list[int]] = mapped_column(JSON)
+
+
 class GenerationRow(Base):
     """A generation that was told, as series for progress and plots."""
 

@@ -10,8 +10,9 @@ from typing import TypeVar
 
 from sqlalchemy import Connection
 
-from server.campaigns.service import CampaignService, Prepared, prepared, read, store_prepared
+from server.campaigns.service import CampaignService, read
 from server.campaigns.store import ENDED
+from server.campaigns.submission import Prepared, prepared, store_prepared
 from server.campaigns.values import Campaign
 from server.db.models import CampaignStatus
 from server.errors import Conflict, InvalidInput

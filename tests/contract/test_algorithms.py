@@ -19,6 +19,7 @@ from sim.catalogue import load_plugin, plugin_ids
 
 GROUP = "brink.algorithms"
 SIMOOD = "simood-ga@1"
+REPEAT = "repeat@1"
 NEEDS: dict[str, tuple[type[Any], str]] = {
     SIMOOD: (Slots, "slots"),
     "nsga2@1": (Participants, "participants"),
@@ -40,6 +41,14 @@ def test_the_projects_own_algorithms_are_registered() -> None:
     assert known <= set(plugin_ids(GROUP))
 
 
+def config_for(checked: Algorithm, space: SearchSpace) -> Any:
+    """Return an algorithm's default settings; where there are none, three solutions."""
+    if checked.id != REPEAT:
+        return checked.config_type()
+    rng = np.random.default_rng(1)
+    return checked.config_type(solutions=[space.join(space.sample(rng)).tolist() for _ in range(3)])
+
+
 def supports(plugin_id: str, space: SearchSpace) -> bool:
     needed = NEEDS.get(plugin_id)
     rules = [rule for component in space.components for rule in component.constraints]
@@ -55,7 +64,10 @@ def test_algorithm_keeps_its_contract(plugin_id: str, space: SearchSpace) -> Non
         with pytest.raises(UnsupportedSpace, match=NEEDS[plugin_id][1]):
             checked.check(space, checked.config_type(), budget=170)
         return
-    run = check_algorithm(checked, space, budget=170, ends_itself=plugin_id == SIMOOD)
+    run = check_algorithm(
+        checked, space, budget=170, config=config_for(checked, space), ends_itself=plugin_id == SIMOOD,
+        repeats=plugin_id == REPEAT,
+    )  # fmt: skip
     assert len(run.generations) >= 2
 
 
@@ -63,11 +75,12 @@ def test_algorithm_keeps_its_contract(plugin_id: str, space: SearchSpace) -> Non
 def test_state_of_another_algorithm_is_refused(plugin_id: str) -> None:
     checked = algorithm(plugin_id)
     space = next(space for space in SPACES.values() if supports(plugin_id, space))
-    state = checked.start(space, checked.config_type(), seed=1, budget=170)
+    config = config_for(checked, space)
+    state = checked.start(space, config, seed=1, budget=170)
     stored = checked.dump(state)
     for foreign in (replace(stored, kind="other@1"), replace(stored, version=stored.version + 1)):
         with pytest.raises(DocumentError):
-            checked.load(space, checked.config_type(), Document.from_bytes(foreign.to_bytes()), state.archive)
+            checked.load(space, config, Document.from_bytes(foreign.to_bytes()), state.archive)
 
 
 class Repeating(RandomSearch):

@@ -28,6 +28,9 @@ def fill(client: httpx.Client) -> dict[str, list[Any]]:
     """Fill a coordinator; return what there is, by kind, as `tests/fuzzing/schemathesis_hooks.py` takes it."""
     finished = submit(client, ball(simulations=20, execution={"keep_traces": 0}))
     assert FakeWorker(client).work(finished)["status"] == "finished"
+    doubtful: dict[str, Any] = {"t_b": 1.0, "repeats": 2}
+    again = expect(client.post(f"/api/v1/campaigns/{finished}/repeats", json=doubtful), 201)
+    assert FakeWorker(client).work(again["campaign"])["status"] == "finished"
     slots = submit(client, SLOTS)
     assert FakeWorker(client, judge=_strong).work(slots)["status"] == "finished"
     traffic = submit(client, TRAFFIC)

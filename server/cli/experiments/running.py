@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from server.campaigns.service import checked_plan
+from server.campaigns.submission import checked_plan
 from server.cli.api import Api, CoordinatorSaid
 from server.cli.coordinator import WorkerProcesses
 from server.cli.experiments.display import ExperimentDisplay

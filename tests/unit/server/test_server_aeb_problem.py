@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from search.algorithm import Measured, Scored
 from search.errors import ConfigError
 from server.campaigns.body import parse_body
-from server.campaigns.service import check_submission
+from server.campaigns.submission import check_submission
 from server.errors import InvalidInput
 from server.problems.aeb_crossing import ACCIDENT, DANGEROUS_STOP, AebCrossing, AebCrossingParams
 from server.problems.base import MeasuresOnData, SimulatedProblem

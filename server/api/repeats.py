@@ -1,0 +1,142 @@
+"""Routes of repeats: does the boundary hold up when its solutions are simulated with other seeds?"""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Response
+from pydantic import Field
+
+from server.api.context import Services
+from server.api.schemas import View
+from server.campaigns.archives import ReadArchive
+from server.campaigns.body import Body
+from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from server.campaigns.repeats import StoredRepeats, read_repeats
+from server.campaigns.service import read
+from server.db.models import CampaignStatus
+
+router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["repeats"])
+
+DEFAULT_REPEATS = 50
+
+
+class RepeatsBody(Body):
+    """What is repeated, and how often."""
+
+    repeats: Annotated[
+        int, Field(ge=2, le=10_000, description="Simulations of each distinct boundary solution.")
+    ] = DEFAULT_REPEATS
+    t_b: Annotated[float, Field(ge=0, le=1, description="Largest fitness of the solutions.")] = DEFAULT_T_B
+    d_th: Annotated[float, Field(ge=0, le=1, description="Least distance between two.")] = DEFAULT_D_TH
+
+
+class RepeatedSolution(View):
+    """How likely a solution is unsafe."""
+
+    number: int
+    evaluated: Annotated[int, Field(description="Simulations with other seeds that gave a verdict.")]
+    unsafe: int
+    probability: Annotated[float | None, Field(description="Unsafe share of these.")]
+    low: Annotated[float, Field(description="Lower limit of its Wilson interval.")]
+    high: float
+    holds: Annotated[bool | None, Field(description="Whether the interval contains p_th.")]
+    around: Annotated[
+        float | None, Field(description="Unsafe share of its neighbourhood in the archive, itself included.")
+    ]
+    around_low: Annotated[float | None, Field(description="Lower limit of that one's interval.")]
+    around_high: float | None
+
+
+class RepeatsView(View):
+    """Boundary solutions of a campaign, simulated again."""
+
+    campaign: Annotated[str, Field(description="That simulates them.")]
+    of: Annotated[str, Field(description="Whose boundary solutions they are.")]
+    name: Annotated[str, Field(description="Of the latter.")]
+    status: CampaignStatus
+    status_reason: str
+    repeats: int
+    t_b: float
+    d_th: float
+    p_th: float
+    simulations: int
+    budget: int
+    holding: Annotated[int, Field(description="Solutions whose interval contains p_th.")]
+    below: Annotated[int, Field(description="Solutions whose interval lies below it: safer than reported.")]
+    above: Annotated[int, Field(description="Solutions whose interval lies above it.")]
+    evaluated: Annotated[int, Field(description="Simulations of all of them.")]
+    unsafe: int
+    solutions: Annotated[list[RepeatedSolution], Field(description="Best fitness first.")]
+
+
+@router.post(
+    "/repeats",
+    status_code=201,
+    responses={200: {"model": RepeatsView, "description": "The same were asked for before."}},
+)
+async def repeat_boundary(
+    campaign_id: str, body: RepeatsBody, services: Services, response: Response
+) -> RepeatsView:
+    """Simulate the distinct boundary solutions again with other seeds, in a campaign of their own."""
+    campaign = await services.campaigns.get(campaign_id)
+    found = await services.archives.get(campaign)
+    repeats, new = await services.campaigns.repeat(
+        campaign, found.plan, found.archive, repeats=body.repeats, t_b=body.t_b, d_th=body.d_th
+    )
+    response.headers["Location"] = f"/api/v1/campaigns/{repeats.id}"
+    if not new:
+        response.status_code = 200
+    views = await _views(services, campaign_id)
+    return next(view for view in views if view.campaign == repeats.id)
+
+
+@router.get("/repeats")
+async def get_repeats(campaign_id: str, services: Services) -> list[RepeatsView]:
+    """Return what came of the boundary solutions that were simulated again; one entry for each time."""
+    return await _views(services, campaign_id)
+
+
+async def _views(services: Services, campaign_id: str) -> list[RepeatsView]:
+    campaign = await services.campaigns.get(campaign_id)
+    stored = await read(services.engines, lambda connection: read_repeats(connection, campaign.id))
+    if not stored:
+        return []
+    found = await services.archives.get(campaign)
+    return [_view(campaign.id, campaign.body.name, one, found) for one in stored]
+
+
+def _view(of: str, name: str, stored: StoredRepeats, read_archive: ReadArchive) -> RepeatsView:
+    near = read_archive.plan.neighbourhood
+    tallies = stored.tallies(near.z)
+    known, holds = tallies.evaluated > 0, tallies.holds(near.p_th)
+    solutions = []
+    for place, number in enumerate(stored.numbers):
+        index = read_archive.places.get(number)
+        around = None if index is None else _around(read_archive, index)
+        solutions.append(
+            RepeatedSolution(
+                number=number,
+                evaluated=int(tallies.evaluated[place]),
+                unsafe=int(tallies.unsafe[place]),
+                probability=float(tallies.probability[place]) if known[place] else None,
+                low=float(tallies.low[place]),
+                high=float(tallies.high[place]),
+                holds=bool(holds[place]) if known[place] else None,
+                around=around[0] if around else None,
+                around_low=around[1] if around else None,
+                around_high=around[2] if around else None,
+            )
+        )
+    return RepeatsView(
+        campaign=stored.campaign.id, of=of, name=name, status=stored.campaign.status,
+        status_reason=stored.campaign.status_reason, repeats=stored.repeats, t_b=stored.t_b, d_th=stored.d_th,
+        p_th=near.p_th, simulations=stored.campaign.told, budget=stored.campaign.body.budget.simulations,
+        holding=int((holds & known).sum()), below=int((tallies.high < near.p_th).sum()),
+        above=int((tallies.low > near.p_th).sum()), evaluated=int(tallies.evaluated.sum()),
+        unsafe=int(tallies.unsafe.sum()), solutions=solutions,
+    )  # fmt: skip
+
+
+def _around(read_archive: ReadArchive, index: int) -> tuple[float, float, float]:
+    archive = read_archive.archive
+    low, high = archive.interval[index].tolist()
+    return float(archive.unsafe_neighbours[index] / archive.neighbours[index]), low, high

@@ -1,0 +1,182 @@
+"""Repeats: the boundary solutions of a campaign simulated again with other seeds, in a campaign of their own.
+
+So they need nothing that campaigns do not have: workers, progress, resuming, no result lost. Its algorithm is
+`search.algorithms.repeats`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sqlalchemy import Connection, insert, select
+
+from search.algorithms.repeats import Repeats, Tallies, tallied
+from search.archive import Archive
+from search.boundary import distinct_boundary
+from search.streams import Stream, generator
+from server.campaigns import store
+from server.campaigns.body import Budget, CampaignBody, PluginChoice
+from server.campaigns.plan import Plan
+from server.campaigns.submission import Prepared, prepared, store_prepared
+from server.campaigns.values import Campaign
+from server.db.models import CampaignRow, CampaignStatus, RepeatsRow, SolutionRow, SolutionVerdict
+from server.errors import Conflict
+
+MOST = 1_000
+"""Solutions that are repeated, the best ones: they stand in the settings of a campaign."""
+_NAME_LENGTH = 200
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlannedRepeats:
+    """Repeats that can run, not stored yet.
+
+    Attributes:
+        of: The campaign whose solutions they repeat.
+        t_b: Largest fitness of these.
+        d_th: Least distance between these.
+        repeats: Simulations of each.
+        numbers: Which they are, best first.
+        campaign: That simulates them.
+    """
+
+    of: str
+    t_b: float
+    d_th: float
+    repeats: int
+    numbers: tuple[int, ...]
+    campaign: Prepared
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredRepeats:
+    """Repeats as they stand.
+
+    Attributes:
+        campaign: That simulates them.
+        t_b: Largest fitness of the solutions.
+        d_th: Least distance between them.
+        repeats: Simulations of each, in the end.
+        numbers: Which they are, best first.
+        evaluated: Numbers in the campaign of what was evaluated so far.
+        unsafe: Their verdicts.
+    """
+
+    campaign: Campaign
+    t_b: float
+    d_th: float
+    repeats: int
+    numbers: tuple[int, ...]
+    evaluated: tuple[int, ...]
+    unsafe: tuple[bool, ...]
+
+    def tallies(self, z: float) -> Tallies:
+        """Return how likely each solution is unsafe, by its own simulations."""
+        return tallied(self.evaluated, self.unsafe, len(self.numbers), z)
+
+
+def plan_repeats(
+    campaign: Campaign, plan: Plan, archive: Archive, *, repeats: int, t_b: float, d_th: float
+) -> PlannedRepeats | None:
+    """Return repeats of a campaign's distinct boundary solutions; None if it has none.
+
+    Args:
+        campaign: The campaign.
+        plan: Its plan.
+        archive: What it found.
+        repeats: Simulations of each solution.
+        t_b: Largest fitness.
+        d_th: Least distance between two.
+
+    Raises:
+        InvalidInput: They cannot run.
+    """
+    chosen = distinct_boundary(archive, t_b, d_th)[:MOST]
+    if not len(chosen):
+        return None
+    body, near = campaign.body, plan.neighbourhood
+    # A seed of their own: with the campaign's, the first of them would be its own episodes.
+    seed = int(generator(body.seed, Stream.REPEATS, repeats).integers(2**53))
+    return PlannedRepeats(
+        of=campaign.id, t_b=t_b, d_th=d_th, repeats=repeats,
+        numbers=tuple(archive.numbers[chosen].tolist()),
+        campaign=prepared(
+            CampaignBody(
+                name=f"{body.name}: boundary again"[:_NAME_LENGTH],
+                problem=body.problem,
+                algorithm=PluginChoice(
+                    id=Repeats.id,
+                    params={
+                        "solutions": archive.vectors[chosen].tolist(),
+                        "radius": near.radius, "p_th": near.p_th, "z": near.z,
+                    },
+                ),
+                budget=Budget(simulations=repeats * len(chosen)),
+                seed=seed, priority=body.priority,
+                execution=body.execution.model_copy(update={"keep_traces": 0}),
+            ),
+            llm_endpoints="",
+        ),
+    )  # fmt: skip
+
+
+def store_repeats(connection: Connection, planned: PlannedRepeats) -> tuple[Campaign, bool]:
+    """Store repeats, unless the same were asked for before; return their campaign, and whether it is new."""
+    known = connection.execute(
+        select(CampaignRow.__table__)
+        .join(RepeatsRow, RepeatsRow.campaign_id == CampaignRow.id)
+        .where(
+            RepeatsRow.of_id == planned.of, RepeatsRow.t_b == planned.t_b, RepeatsRow.d_th == planned.d_th,
+            RepeatsRow.repeats == planned.repeats,
+            CampaignRow.status.not_in((CampaignStatus.CANCELLED, CampaignStatus.FAILED)),
+        )
+    ).first()  # fmt: skip
+    if known is not None:
+        return store.campaign_of(known), False
+    campaign = store_prepared(connection, planned.campaign)
+    connection.execute(
+        insert(RepeatsRow).values(
+            campaign_id=campaign.id, of_id=planned.of, t_b=planned.t_b, d_th=planned.d_th,
+            repeats=planned.repeats, numbers=list(planned.numbers),
+        )
+    )  # fmt: skip
+    return campaign, True
+
+
+def read_repeats(connection: Connection, campaign_id: str) -> list[StoredRepeats]:
+    """Return all repeats of a campaign's solutions, those that were asked for first first."""
+    query = (
+        select(RepeatsRow.t_b, RepeatsRow.d_th, RepeatsRow.repeats, RepeatsRow.numbers, CampaignRow.__table__)
+        .join(CampaignRow, CampaignRow.id == RepeatsRow.campaign_id)
+        .where(RepeatsRow.of_id == campaign_id)
+        .order_by(CampaignRow.created_at, CampaignRow.id)
+    )
+    found = []
+    for row in connection.execute(query):
+        campaign = store.campaign_of(row)
+        verdicts = _verdicts(connection, campaign.id)
+        found.append(
+            StoredRepeats(
+                campaign=campaign, t_b=row.t_b, d_th=row.d_th, repeats=row.repeats,
+                numbers=tuple(row.numbers), evaluated=tuple(number for number, _ in verdicts),
+                unsafe=tuple(unsafe for _, unsafe in verdicts),
+            )
+        )  # fmt: skip
+    return found
+
+
+def check_no_open_repeats(connection: Connection, campaign_id: str) -> None:
+    """Raise Conflict while repeats of a campaign run or wait: they would lose what they repeat."""
+    query = select(CampaignRow.id, CampaignRow.status).join(
+        RepeatsRow, RepeatsRow.campaign_id == CampaignRow.id
+    )
+    for row in connection.execute(query.where(RepeatsRow.of_id == campaign_id)):
+        if row.status not in store.ENDED:
+            raise Conflict(f"campaign {row.id} repeats its boundary and is {row.status}: cancel it first")
+
+
+def _verdicts(connection: Connection, campaign_id: str) -> Sequence[tuple[int, bool]]:
+    query = select(SolutionRow.number, SolutionRow.verdict).where(
+        SolutionRow.campaign_id == campaign_id,
+        SolutionRow.verdict.in_((SolutionVerdict.SAFE, SolutionVerdict.UNSAFE)),
+    )
+    return [(row.number, row.verdict == SolutionVerdict.UNSAFE) for row in connection.execute(query)]

@@ -1,0 +1,170 @@
+"""Repeats over the API: boundary solutions simulated again with other seeds, in a campaign of their own."""
+
+import json
+from collections import Counter, defaultdict
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from PIL import Image
+from support.api import FakeWorker, ball, coordinator, expect, row_counts, submit
+from support.problems import REQUIREMENT
+from typer.testing import CliRunner
+
+from search.fitness import wilson_interval
+from server.cli.commands import app
+from server.db.engine import Engines
+from worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
+
+API = "/api/v1/campaigns"
+WIDE: dict[str, float] = {"t_b": 0.5, "d_th": 0.05}
+
+
+def by_chance(job: LeasedJob) -> Completed | JobFailed:
+    """Judge by the episode's seed: unsafe in about a third of all cases, wherever it is."""
+    robustness = -1.0 if job.spec["seed"] % 3 == 0 else 1.0
+    return Completed(verdicts={REQUIREMENT: WireVerdict(robustness=robustness, unit="m", violated_at_s=None)})
+
+
+def body(simulations: int = 60, **changes: Any) -> dict[str, Any]:
+    """Return a campaign whose solutions lie on its boundary: about a third is sought, and comes."""
+    params = {"generation_size": 60, "p_th": 0.35, "radius": 1.0}
+    return ball(simulations=simulations, algorithm={"id": "random@1", "params": params}, **changes)
+
+
+def finished(client: httpx.Client, **changes: Any) -> str:
+    campaign = submit(client, body(**changes))
+    assert FakeWorker(client, judge=by_chance).work(campaign)["status"] == "finished"
+    return campaign
+
+
+def solutions(client: httpx.Client, campaign: str) -> list[dict[str, Any]]:
+    page = expect(client.get(f"{API}/{campaign}/solutions", params={"limit": 1000}))
+    found: list[dict[str, Any]] = page["solutions"]
+    return found
+
+
+def test_boundary_solutions_are_simulated_again_with_seeds_of_their_own(client: httpx.Client) -> None:
+    campaign = finished(client)
+    answer = client.post(f"{API}/{campaign}/repeats", json={"repeats": 12, **WIDE})
+    view = expect(answer, 201)
+    again = view["campaign"]
+    assert answer.headers["Location"] == f"{API}/{again}"
+    boundary = expect(client.get(f"{API}/{campaign}/boundary", params=WIDE))
+    numbers = [solution["number"] for solution in boundary["solutions"]]
+    assert len(numbers) >= 2
+    assert [one["number"] for one in view["solutions"]] == numbers
+    assert view["budget"] == 12 * len(numbers)
+    assert (view["evaluated"], view["holding"]) == (0, 0)
+    assert {one["holds"] for one in view["solutions"]} == {None}
+
+    assert FakeWorker(client, judge=by_chance).work(again)["status"] == "finished"
+    [view] = expect(client.get(f"{API}/{campaign}/repeats"))
+    before, after = solutions(client, campaign), solutions(client, again)
+    where = {json.dumps(s["parameters"]): s["number"] for s in before}
+    assert len({s["seed"] for s in [*before, *after]}) == len(before) + len(after)
+    counts: dict[int, Counter[str]] = defaultdict(Counter)
+    for solution in after:
+        counts[where[json.dumps(solution["parameters"])]][solution["verdict"]] += 1
+    assert list(counts) == numbers
+    for one in view["solutions"]:
+        count = counts[one["number"]]
+        assert (one["evaluated"], one["unsafe"]) == (12, count["unsafe"])
+        low, high = wilson_interval(count["unsafe"], 12, 1.96)
+        assert (one["low"], one["high"]) == pytest.approx((float(low), float(high)))
+        assert one["holds"] == (one["low"] <= 0.35 <= one["high"])
+        assert one["around_low"] <= one["around"] <= one["around_high"]
+    sides = [view["holding"], view["below"], view["above"]]
+    assert sum(sides) == len(numbers)
+    assert view["holding"] == sum(one["holds"] for one in view["solutions"])
+
+
+def test_the_same_repeats_are_not_run_twice_and_others_are(client: httpx.Client, engines: Engines) -> None:
+    campaign = finished(client)
+    first = expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 3, **WIDE}), 201)
+    same = expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 3, **WIDE}), 200)
+    assert same["campaign"] == first["campaign"]
+    other = expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 4, **WIDE}), 201)
+    assert [one["repeats"] for one in expect(client.get(f"{API}/{campaign}/repeats"))] == [3, 4]
+    expect(client.post(f"{API}/{other['campaign']}/cancel"))
+    expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 4, **WIDE}), 201)
+    assert row_counts(engines)["repeats"] == 3
+
+
+def test_a_campaign_may_ask_for_repeats_itself(client: httpx.Client) -> None:
+    campaign = finished(client, simulations=600, repeats=5)
+    [view] = expect(client.get(f"{API}/{campaign}/repeats"))
+    assert (view["repeats"], view["t_b"], view["d_th"]) == (5, 0.1, 0.2)
+    assert FakeWorker(client, judge=by_chance).work(view["campaign"])["status"] == "finished"
+    [view] = expect(client.get(f"{API}/{campaign}/repeats"))
+    assert {one["evaluated"] for one in view["solutions"]} == {5}
+
+
+def test_a_running_campaign_has_no_boundary_to_repeat(client: httpx.Client) -> None:
+    campaign = submit(client, ball())
+    answer = expect(client.post(f"{API}/{campaign}/repeats", json={}), 409)
+    assert "is running: its boundary is not known yet" in answer["detail"]
+    assert expect(client.get(f"{API}/{campaign}/repeats")) == []
+
+
+def test_no_boundary_no_repeats(client: httpx.Client) -> None:
+    campaign = finished(client)
+    answer = expect(client.post(f"{API}/{campaign}/repeats", json={"t_b": 0.0}), 409)
+    assert "has no boundary solutions at t_b 0, d_th 0.2" in answer["detail"]
+
+
+def test_what_is_computed_is_not_repeated(client: httpx.Client) -> None:
+    computed = ball(problem={"id": "mtq@1"}, repeats=5)
+    answer = expect(client.post(API, json=computed), 422)
+    assert [(e["pointer"], e["message"]) for e in answer["errors"]] == [
+        ("/repeats", "mtq@1 is computed, not simulated: with other seeds it says the same")
+    ]
+
+
+def test_a_campaign_is_deleted_with_its_repeats_once_they_have_ended(
+    client: httpx.Client, engines: Engines
+) -> None:
+    campaign = finished(client)
+    view = expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 3, **WIDE}), 201)
+    answer = expect(client.delete(f"{API}/{campaign}"), 409)
+    assert f"campaign {view['campaign']} repeats its boundary and is running" in answer["detail"]
+    expect(client.post(f"{API}/{view['campaign']}/cancel"))
+    expect(client.delete(f"{API}/{campaign}"), 204)
+    counts = row_counts(engines)
+    assert (counts["campaigns"], counts["repeats"], counts["solutions"], counts["jobs"]) == (0, 0, 0, 0)
+
+
+@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+def test_repeats_go_on_after_the_coordinator_is_gone(database_url: str, small_problems: None) -> None:
+    with coordinator(database_url) as client:
+        campaign = submit(client, body(600, repeats=30))
+        FakeWorker(client, judge=by_chance).work(campaign)
+        [view] = expect(client.get(f"{API}/{campaign}/repeats"))
+        worker = FakeWorker(client, judge=by_chance)
+        worker.report(worker.lease())
+    with coordinator(database_url) as client:
+        assert FakeWorker(client, judge=by_chance).work(view["campaign"])["status"] == "finished"
+        [view] = expect(client.get(f"{API}/{campaign}/repeats"))
+        assert {one["evaluated"] for one in view["solutions"]} == {30}
+
+
+@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+def test_the_command_asks_then_shows_what_came(client: httpx.Client, tmp_path: Path) -> None:
+    campaign = finished(client)
+    picture = tmp_path / "repeats.png"
+    wanted = ["repeats", campaign, "--repeats", "12", "--t-b", "0.5", "--d-th", "0.05"]
+    server = ["--server", str(client.base_url)]
+    asked = CliRunner().invoke(app, [*wanted, *server])
+    assert asked.exit_code == 0, asked.output
+    assert "the same command shows what came of it" in asked.output
+    [view] = expect(client.get(f"{API}/{campaign}/repeats"))
+    FakeWorker(client, judge=by_chance).work(view["campaign"])
+    shown = CliRunner().invoke(app, [*wanted, *server, "--picture", str(picture)])
+    assert shown.exit_code == 0, shown.output
+    [view] = expect(client.get(f"{API}/{campaign}/repeats"))
+    count = len(view["solutions"])
+    assert f"of {count} distinct boundary solutions" in shown.output
+    assert f"{view['holding']} ({view['holding'] / count:.0%}) have an interval" in shown.output
+    with Image.open(picture) as drawn:
+        assert drawn.width == 1600

@@ -1,0 +1,82 @@
+import math
+
+import numpy as np
+import pytest
+
+from search.algorithm import Candidate
+from search.algorithms.repeats import Repeats, RepeatsConfig, tallied
+from search.document import Document
+from search.errors import ConfigError
+from search.fitness import wilson_interval
+from search.testing import example_spaces, made_up_verdicts, play
+
+SPACE = example_spaces()["mixed"]
+GIVEN = [SPACE.join(SPACE.sample(np.random.default_rng(seed))).tolist() for seed in range(7)]
+
+
+def test_every_round_has_every_solution_and_rounds_come_one_after_the_other() -> None:
+    config = RepeatsConfig(solutions=GIVEN, generation_size=16)
+    run = play(Repeats(), SPACE, config, made_up_verdicts(SPACE, failing=0.2), seed=1, budget=7 * 5)
+    assert [len(generation) for generation in run.generations] == [14, 14, 7]
+    assert [c.number for c in run.candidates] == list(range(35))
+    assert [SPACE.join(c.vectors).tolist() for c in run.candidates] == GIVEN * 5
+    assert all(c.seed_number is None for c in run.candidates)  # a seed of its own for each
+
+
+def test_a_round_is_asked_at_once_however_small_generations_should_be() -> None:
+    config = RepeatsConfig(solutions=GIVEN, generation_size=1)
+    run = play(Repeats(), SPACE, config, made_up_verdicts(SPACE), seed=1, budget=16)
+    assert [len(generation) for generation in run.generations] == [7, 7, 2]
+
+
+def test_it_goes_on_from_any_state_that_was_stored() -> None:
+    config = RepeatsConfig(solutions=GIVEN, generation_size=7)
+    verdicts = made_up_verdicts(SPACE, failing=0.3)
+    whole = play(Repeats(), SPACE, config, verdicts, seed=3, budget=40)
+    repeats = Repeats()
+    state = repeats.start(SPACE, config, seed=3, budget=40)
+    seen: list[Candidate] = []
+    while not repeats.finished(state):
+        document = Document.from_bytes(repeats.dump(state).to_bytes())
+        state, candidates = repeats.ask(repeats.load(SPACE, config, document, state.archive))
+        seen += candidates
+        state = repeats.tell(state, {c.number: verdicts(c) for c in candidates})
+    assert [c.number for c in seen] == [c.number for c in whole.candidates]
+    assert [SPACE.join(c.vectors).tolist() for c in seen] == GIVEN * 5 + GIVEN[:5]
+
+
+@pytest.mark.parametrize(
+    ("config", "budget", "field"),
+    [
+        (RepeatsConfig(), 10, "solutions"),
+        (RepeatsConfig(solutions=[[0.0]]), 10, "solutions"),
+        (RepeatsConfig(solutions=[[math.nan] * SPACE.dimension]), 10, "solutions"),
+        (RepeatsConfig(solutions=[*GIVEN, [1e9] * SPACE.dimension]), 10, "solutions"),
+        (RepeatsConfig(solutions=GIVEN), 6, "budget"),
+    ],
+)
+def test_what_cannot_be_repeated_is_refused(config: RepeatsConfig, budget: int, field: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        Repeats().check(SPACE, config, budget=budget)
+    assert caught.value.field == field
+
+
+def test_tallies_are_counted_by_solution() -> None:
+    # Solution 0: numbers 0, 3, 6, 9; solution 1: 1, 4, 7 (10 failed); solution 2: none.
+    numbers = [0, 1, 3, 4, 6, 7, 9]
+    found = tallied(numbers, [True, False, True, False, False, False, False], 3)
+    assert found.evaluated.tolist() == [4, 3, 0]
+    assert found.unsafe.tolist() == [2, 0, 0]
+    assert found.probability[:2].tolist() == [0.5, 0.0]
+    assert math.isnan(found.probability[2])
+    low, high = wilson_interval([2, 0], [4, 3])
+    assert found.low.tolist() == [*low, 0.0]
+    assert found.high.tolist() == [*high, 1.0]
+    assert found.holds(0.1).tolist() == [False, True, True]
+
+
+def test_nine_of_fifty_still_hold_a_tenth_and_none_of_fifty_does_not() -> None:
+    # Wilson's interval of 9 in 50 is .098 to .308, of 10 in 50 .112 to .330, of none in 50 0 to .071.
+    for unsafe, holds in ((0, False), (1, True), (9, True), (10, False)):
+        verdicts = [place < unsafe for place in range(50)]
+        assert tallied(range(50), verdicts, 1).holds(0.1).tolist() == [holds]
