@@ -1,7 +1,6 @@
 """Routes of what a campaign found: solutions, boundary, distances, the archive, traces and replays."""
 
 import asyncio
-import csv
 import io
 import json
 from dataclasses import dataclass
@@ -31,6 +30,7 @@ from server.api.schemas import (
     Variant,
 )
 from server.api.views import boundary_view, solution_views
+from server.boundary.table import boundary_rows, table_bytes
 from server.campaigns import view_store
 from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.service import read
@@ -46,6 +46,8 @@ from sim.trace import Trace
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
 
 MAX_DISTANCES = 1_000
+MEDIA = {"csv": "text/csv", "jsonl": "application/jsonl", "parquet": "application/vnd.apache.parquet"}
+"""Media types of tables."""
 LOOK_AGAIN_S = 0.25
 NO_WORKER_RETRY_S = 5
 
@@ -92,45 +94,27 @@ async def get_solution(campaign_id: str, number: Number, services: Services) -> 
     return solution_views(rows, found, full=True)[0]
 
 
-@router.get("/boundary", responses={200: {"content": {"text/csv": {}}}})
+@router.get(
+    "/boundary",
+    responses={200: {"content": {media: {} for media in MEDIA.values()}}},
+)
 async def get_boundary(
     campaign_id: str,
     services: Services,
     t_b: Threshold = DEFAULT_T_B,
     d_th: Threshold = DEFAULT_D_TH,
-    format: Literal["json", "csv"] = "json",  # noqa: A002  (the name of the query parameter)
+    format: Literal["json", "csv", "jsonl", "parquet"] = "json",  # noqa: A002  (the name of the query parameter)
 ) -> Boundary:
-    """Return the distinct boundary solutions, DBS and strict DBS."""
+    """Return the distinct boundary solutions, DBS and strict DBS; as a table, one row a solution."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     view = await read(services.engines, lambda c: boundary_view(c, campaign, found, t_b, d_th))
-    if format == "csv":
-        headers = {"Content-Disposition": f'attachment; filename="boundary-{campaign.id}.csv"'}
-        return PlainResponse(boundary_csv(view), media_type="text/csv", headers=headers)  # type: ignore[return-value]
-    return view
-
-
-def boundary_csv(boundary: Boundary) -> str:
-    """Return boundary solutions as CSV: one row a solution, one column a decoded parameter."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    fixed = ("number", "verdict", "robustness", "fitness", "neighbours", "unsafe_neighbours")
-    parameters = [
-        (component, name)
-        for component, values in (boundary.solutions[0].parameters.items() if boundary.solutions else ())
-        for name in values
-    ]
-    columns = [f"{component}.{name}" for component, name in parameters]
-    writer.writerow([*fixed, "interval_low", "interval_high", "strict", "seed", "words", *columns])
-    strict = set(boundary.strict)
-    for solution in boundary.solutions:
-        low, high = solution.interval or (None, None)
-        values = [getattr(solution, name) for name in fixed]
-        decoded = [solution.parameters[component][name] for component, name in parameters]
-        writer.writerow(
-            [*values, low, high, solution.number in strict, solution.seed, solution.words, *decoded]
-        )
-    return text.getvalue()
+    if format == "json":
+        return view
+    rows = boundary_rows(view, campaign.id, campaign.body)
+    table = await asyncio.get_running_loop().run_in_executor(None, table_bytes, rows, format)
+    headers = {"Content-Disposition": f'attachment; filename="boundary-{campaign.id}.{format}"'}
+    return PlainResponse(table, media_type=MEDIA[format], headers=headers)  # type: ignore[return-value]
 
 
 @router.get("/combinations")

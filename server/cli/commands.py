@@ -12,6 +12,7 @@ from server.cli import inspect, llm, operate, perturbations, steer
 from server.cli.benchmarks import methods, service
 from server.cli.benchmarks.figures import bench
 from server.cli.compare import compare
+from server.cli.evidence import evidence
 from server.cli.experiments.commands import experiment
 from server.cli.findings.combinations import combinations
 from server.cli.findings.violations import violations
@@ -41,6 +42,7 @@ for steering in (steer.pause, steer.resume, steer.cancel, steer.retry, steer.del
     app.command()(steering)
 app.command()(combinations)
 app.command()(violations)
+app.command()(evidence)
 app.command()(repeats)
 app.command()(inspect.plot)
 app.command()(inspect.replay)

@@ -9,6 +9,7 @@ import typer
 from rich.progress import Progress
 from rich.table import Table
 
+from server.boundary.table import FORMATS
 from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from server.cli.api import Api
 from server.cli.live import spark
@@ -120,7 +121,7 @@ def results(
     d_th: Annotated[
         float, typer.Option("--d-th", min=0.0, max=1.0, help="Least distance apart.")
     ] = DEFAULT_D_TH,
-    out: Annotated[Path | None, typer.Option(help="File to write: .csv or .json.")] = None,
+    out: Annotated[Path | None, typer.Option(help="File to write: .csv, .jsonl, .parquet or .json.")] = None,
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
@@ -129,20 +130,20 @@ def results(
 
     Example: brink results 3f2a --t-b 0.1 --d-th 0.2 --out boundary.csv
     """
-    if out is not None and out.suffix not in (".csv", ".json"):
-        message = f"{out}: expected a file name that ends in .csv or .json"
+    if out is not None and out.suffix.removeprefix(".") not in ("json", *FORMATS):
+        message = f"{out}: expected a file name that ends in .csv, .jsonl, .parquet or .json"
         raise InvalidInput([FieldError(pointer="--out", message=message)])
 
     async def work(api: Api) -> None:
         params: dict[str, Any] = {"t_b": t_b, "d_th": d_th}
         boundary = await api.get(f"/campaigns/{campaign}/boundary", params)
         if out is not None:
-            if out.suffix == ".csv":
-                path = f"/campaigns/{campaign}/boundary"
-                text = (await api.request("GET", path, params={**params, "format": "csv"})).text
+            form, path = out.suffix.removeprefix("."), f"/campaigns/{campaign}/boundary"
+            if form == "json":
+                content = f"{json.dumps(boundary, indent=2)}\n".encode()
             else:
-                text = json.dumps(boundary, indent=2) + "\n"
-            out.write_text(text, encoding="utf-8")
+                content = (await api.request("GET", path, params={**params, "format": form})).content
+            out.write_bytes(content)
             typer.echo(f"{out}: {boundary['dbs']} distinct boundary solutions", err=as_json)
         if as_json:
             print_json(boundary)

@@ -21,7 +21,7 @@ from server.cli.coordinator import (
     prepare_database,
     release_leases_of_the_dead,
 )
-from server.errors import FieldError, InvalidInput, Unavailable
+from server.errors import FieldError, InvalidInput, Unavailable, install
 from server.problems.base import NeedsExtra, Problem
 from server.settings import Settings
 
@@ -137,6 +137,6 @@ def check_extra(problem: Problem) -> None:
     if isinstance(problem, NeedsExtra) and any(find_spec(module) is None for module in problem.modules):
         message = (
             f"{problem.id} needs the {problem.extra} extra, which is not installed here: "
-            f"pip install -c constraints.txt -e '.[{problem.extra}]'"
+            f"{install(problem.extra)}"
         )
         raise InvalidInput([FieldError(pointer="/problem/id", message=message)])

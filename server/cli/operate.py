@@ -30,6 +30,7 @@ from server.cli.options import (
 )
 from server.db.engine import open_engines
 from server.db.upgrade import current_revision, head_revision
+from server.errors import install
 from server.open_files import allow_many_open_files
 from server.settings import Settings
 from sim.catalogue import PLUGINS_VARIABLE
@@ -146,9 +147,7 @@ def worker(
 
 def _run_on_ray(address: str, settings: WorkerSettings, workers: int | None, common: Settings) -> int:
     if find_spec("ray") is None:
-        message = (
-            "needs the ray extra, which is not installed here: pip install -c constraints.txt -e '.[ray]'"
-        )
+        message = f"needs the ray extra, which is not installed here: {install('ray')}"
         raise typer.BadParameter(message, param_hint="--ray")
     from worker.ray_pool import PoolSettings, run_pool
 

@@ -13,6 +13,7 @@ import numpy as np
 from search.component import BoolArray, FloatArray
 from search.judging import Alarm, Judgement, alarms, judge
 from search.monitor import Answer, Monitor
+from server.errors import install
 
 MONITOR, MAJORITY, TREES = "monitor", "majority", "gradient-boosted trees"
 ALARM_STEPS = tuple(np.round(np.arange(0.0, 1.0001, 0.01), 2).tolist())
@@ -92,7 +93,7 @@ def try_monitor(monitor: Monitor, vectors: FloatArray, unsafe: BoolArray, *, see
     ]
     left_out = {}
     if find_spec("sklearn") is None:
-        left_out[TREES] = "scikit-learn is not installed: pip install -c constraints.txt -e '.[analysis]'"
+        left_out[TREES] = f"scikit-learn is not installed: {install('analysis')}"
     elif monitor.unsafe.all() or not monitor.unsafe.any():
         left_out[TREES] = "the monitor learned from one verdict alone"
     else:

@@ -8,7 +8,7 @@ import av
 import numpy as np
 import pytest
 from PIL import Image, ImageSequence
-from synthetic_trace import make_trace
+from support.traces import make_trace
 
 from sim.replay import FramePainter, ReplayError, render, render_bytes, render_png_bytes
 from sim.replay.video import HOLD_S, film_samples

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
-from synthetic_trace import make_trace
+from support.traces import make_trace
 
 from sim.replay.errors import ReplayError
 from sim.replay.layout import DEFAULT_SIZE, Layout

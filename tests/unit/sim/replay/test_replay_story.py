@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic_trace import make_trace
+from support.traces import make_trace
 
 from sim.replay.captions import scenario_words, with_unit
 from sim.replay.errors import ReplayError

@@ -1,0 +1,111 @@
+"""Rules of a region: known regions are found, and nothing is praised for knowing by heart."""
+
+import numpy as np
+import pytest
+
+from search.archive import Archive, Neighbourhood
+from search.space import Categorical, Component, Integer, Real, SearchSpace
+from server.boundary.rules import LEAST_LEAF, Rules, region_rules, rules_markdown
+
+SPACE = SearchSpace(
+    (
+        Component(
+            "scenario",
+            (
+                Categorical("weather", ("dry", "wet", "fog", "snow", "hail")),
+                Categorical("night", ("no", "yes")),
+            ),
+        ),
+        Component("behaviour", (Real("late_s", 0.0, 10.0, "s"), Integer("misses", 0, 9))),
+    )
+)
+NEAR = Neighbourhood(radius=0.3, p_th=0.1, z=1.96)
+
+
+def archive(rows: np.ndarray) -> Archive:
+    count = len(rows)
+    return Archive.empty(SPACE, NEAR).grown(
+        np.arange(count), rows, np.zeros(count, np.bool_), np.ones(count, np.float64)
+    )
+
+
+def drawn(count: int, seed: int = 1) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.array([SPACE.join(SPACE.sample(rng)) for _ in range(count)])
+
+
+def found(rows: np.ndarray, inside: np.ndarray) -> Rules:
+    return region_rules(archive(rows), SPACE, inside, "the region", seed=1)
+
+
+def test_a_region_of_two_conditions_is_found_and_told_in_words() -> None:
+    rows = drawn(600)
+    inside = (rows[:, 0] == 2) & (rows[:, 2] > 4.0)
+    rules = found(rows, inside)
+    best = rules.rules[0]
+    assert best.share > 0.95
+    assert "scenario.weather is fog" in best.conditions
+    [late] = [condition for condition in best.conditions if "late_s" in condition]
+    assert late.startswith("behaviour.late_s at least ")
+    assert float(late.split()[-2]) == pytest.approx(4.0, abs=0.3)
+    assert late.endswith(" s")
+    assert sum(rule.solutions for rule in rules.rules) == 600
+    assert sum(rule.inside for rule in rules.rules) == rules.inside == inside.sum()
+    assert min(rule.solutions for rule in rules.rules) >= LEAST_LEAF
+    assert rules.accuracy is not None
+    assert rules.accuracy > 0.95 > rules.usual
+    text = rules_markdown([rules])
+    assert "## The region" in text
+    assert f"{inside.sum()} of 600 evaluated solutions" in text
+
+
+def test_every_solution_falls_under_the_rule_that_says_so() -> None:
+    rows = drawn(300)
+    inside = (rows[:, 3] <= 4) & (rows[:, 1] == 1)
+    rules = found(rows, inside)
+    best = rules.rules[0]
+    assert set(best.conditions) == {"scenario.night is yes", "behaviour.misses at most 4"}
+    assert best.share == 1.0
+    assert best.solutions == inside.sum()
+
+
+def test_chance_is_not_praised() -> None:
+    rng = np.random.default_rng(3)
+    rows = drawn(500)
+    rules = found(rows, rng.random(500) < 0.3)
+    assert rules.accuracy is not None
+    assert rules.accuracy < rules.usual + 0.03
+    assert rules.balanced == pytest.approx(0.5, abs=0.08)
+
+
+def test_a_scenario_is_never_on_both_sides_of_a_fold() -> None:
+    # Whether a solution is inside is a coin for each of 60 scenarios, learned by heart if one may meet it again.
+    rng = np.random.default_rng(5)
+    space = SearchSpace(
+        (Component("scenario", (Real("place", 0.0, 1.0),)), Component("what", (Real("y", 0.0, 1.0),)))
+    )
+    places, coin = np.sort(rng.random(60)), np.tile([True, False], 30)
+    which = np.repeat(np.arange(60), 20)
+    rows = np.column_stack([places[which], rng.random(1200)])
+    count = len(rows)
+    every = Archive.empty(space, NEAR).grown(
+        np.arange(count), rows, np.zeros(count, np.bool_), np.ones(count, np.float64)
+    )
+    rules = region_rules(every, space, coin[which], "coins", seed=1)
+    assert rules.balanced is not None
+    assert rules.balanced < 0.65
+
+
+def test_a_region_of_everything_or_nothing_has_no_rules() -> None:
+    rows = drawn(50)
+    for inside in (np.ones(50, np.bool_), np.zeros(50, np.bool_)):
+        with pytest.raises(ValueError, match="some solutions inside and some outside"):
+            found(rows, inside)
+
+
+def test_too_few_scenarios_are_not_cross_validated() -> None:
+    rows = drawn(60)
+    rows[:, :2] = 0
+    rules = found(rows, rows[:, 2] > 5)
+    assert (rules.accuracy, rules.balanced, rules.folds) == (None, None, 0)
+    assert "Too few" in rules_markdown([rules])

@@ -1,0 +1,91 @@
+"""Boundary solutions as tables."""
+
+import csv
+import io
+import json
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+
+from server.api.schemas import Boundary, SolutionView
+from server.boundary.table import boundary_rows, table_bytes
+from server.campaigns.body import parse_body
+from server.db.models import SolutionVerdict
+
+BODY = parse_body(
+    {
+        "name": "x",
+        "problem": {"id": "urban-injected@1"},
+        "algorithm": {"id": "ga@1"},
+        "budget": {"simulations": 9},
+        "seed": 4,
+    }
+)
+
+
+def solution(number: int, **changes: Any) -> SolutionView:
+    known: dict[str, Any] = {
+        "number": number, "generation": 2, "verdict": SolutionVerdict.SAFE, "robustness": 0.5,
+        "objectives": None, "failure": None, "origin": None, "fitness": 0.05, "neighbours": 40,
+        "unsafe_neighbours": 4, "interval": (0.04, 0.23), "seed": 2**52 + 1, "attempts": 1,
+        "words": 'fog, "late", 3 s',
+        "parameters": {"scenario": {"weather": "fog", "lanes": 2}, "behaviour": {"late_s": 3.25}},
+        "verdicts": {"front-gap@1": {"robustness": 0.5, "unit": "m", "violated_at_s": None}},
+        "features": {"ended": "goal", "where": [1, 2]},
+        "provenance": {"brink": "0.1.0", "cpu_s": 0.2},
+        **changes,
+    }  # fmt: skip
+    return SolutionView(**known)
+
+
+def boundary(*solutions: SolutionView) -> Boundary:
+    return Boundary(
+        t_b=0.1, d_th=0.2, dbs=len(solutions), strict_dbs=1, note="", grid=[], solutions=list(solutions),
+        strict=[7],
+    )  # fmt: skip
+
+
+def rows() -> list[dict[str, Any]]:
+    other = solution(9, verdicts=None, features={"ended": 3}, provenance=None, interval=None)
+    return [dict(row) for row in boundary_rows(boundary(solution(7), other), "c0ffee", BODY)]
+
+
+def test_a_row_says_all_that_is_known_of_a_solution() -> None:
+    first, second = rows()
+    assert list(first) == list(second)
+    wanted = {
+        "number": 7, "verdict": "safe", "interval_low": 0.04, "interval_high": 0.23, "strict": True,
+        "seed": 2**52 + 1, "scenario.weather": "fog", "behaviour.late_s": 3.25, "campaign": "c0ffee",
+        "problem": "urban-injected@1", "algorithm": "ga@1", "campaign_seed": 4, "generation": 2,
+        "robustness.front-gap@1": 0.5, "feature.ended": "goal", "feature.where": "[1, 2]",
+        "version.brink": "0.1.0",
+    }  # fmt: skip
+    assert {name: first[name] for name in wanted} == wanted
+    assert "version.cpu_s" not in first
+    assert (second["strict"], second["interval_low"], second["robustness.front-gap@1"]) == (False, None, None)
+
+
+def test_the_three_formats_say_the_same() -> None:
+    given = rows()
+    as_csv = list(csv.DictReader(io.StringIO(table_bytes(given, "csv").decode())))
+    as_lines = [json.loads(line) for line in table_bytes(given, "jsonl").splitlines()]
+    as_parquet = pq.read_table(io.BytesIO(table_bytes(given, "parquet"))).to_pylist()
+    assert as_lines == given
+    assert [list(row) for row in as_csv] == [list(row) for row in given]
+    for row, text in zip(given, as_csv, strict=True):
+        assert text == {name: "" if value is None else str(value) for name, value in row.items()}
+    for row, read in zip(given, as_parquet, strict=True):
+        # A column of texts and numbers becomes one of texts: a data frame has one type a column.
+        assert read == {**row, "feature.ended": str(row["feature.ended"])}
+
+
+@pytest.mark.parametrize("form", ["csv", "jsonl", "parquet"])
+def test_a_boundary_without_solutions_is_a_table_all_the_same(form: str) -> None:
+    written = table_bytes(boundary_rows(boundary(), "c0ffee", BODY), form)
+    if form == "csv":
+        assert written == b"number\n"
+    elif form == "jsonl":
+        assert written == b""
+    else:
+        assert pq.read_table(io.BytesIO(written)).num_rows == 0
