@@ -268,7 +268,7 @@ def test_commands_say_the_same_from_the_database_and_from_afar(
                 brink("results", campaign, "--t-b", "0.3", "--d-th", "0.1", *place, "--json").out
             )
             assert boundary["dbs"] == len(boundary["solutions"])
-            for name in ("boundary.csv", "boundary.json"):
+            for name in ("boundary.csv", "boundary.jsonl", "boundary.parquet", "boundary.json"):
                 said = brink("results", campaign, "--out", name, *place)
                 assert (said.status, name in said.out) == (0, True)
                 assert (tmp_path / name).stat().st_size > 0
@@ -277,7 +277,7 @@ def test_commands_say_the_same_from_the_database_and_from_afar(
             assert done["digest"] in people
             assert "no such campaign" in brink("status", "zzzz", *place).line
         again = brink("results", campaign, "--out", "boundary.txt", *places[0])
-        assert ".csv or .json" in again.line
+        assert ".csv, .jsonl, .parquet or .json" in again.line
 
 
 def test_campaigns_are_steered_by_command(
