@@ -20,6 +20,7 @@ from server.cli.monitor import monitor
 from server.cli.operations import doctor, export, import_, prune_
 from server.cli.repeats import repeats
 from server.cli.run import run
+from server.cli.sensitivity import sensitivity
 from server.cli.tokens import token
 from sim.catalogue import PLUGINS_VARIABLE
 from worker.log import LogLevel, configure_logging, environment_format
@@ -57,6 +58,7 @@ for measurement in (*methods.COMMANDS, *service.COMMANDS):
     bench.command()(measurement)
 app.add_typer(experiment, name="experiment")
 app.add_typer(monitor, name="monitor")
+app.add_typer(sensitivity, name="sensitivity")
 app.add_typer(bench, name="bench")
 app.add_typer(perturbations.perturbations, name="perturbations")
 app.add_typer(llm.llm, name="llm")

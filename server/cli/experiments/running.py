@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
+from server.api.experiment_schemas import Results
 from server.campaigns.submission import checked_plan
 from server.cli.api import Api, CoordinatorSaid
 from server.cli.coordinator import WorkerProcesses
@@ -48,6 +49,19 @@ class _Plan:
     json: bool
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ran:
+    """An experiment that ended.
+
+    Attributes:
+        results: What was found.
+        folder: Where its report is.
+    """
+
+    results: Results
+    folder: Path
+
+
 def run(
     file: ExperimentFile,
     workers: Workers = 2,
@@ -64,16 +78,47 @@ def run(
 
     Example: brink experiment run examples/paper-rq1.yaml --workers 2
     """
-    plan = _Plan(
-        body=read_experiment_file(file),
-        file=file,
-        workers=workers,
-        out=out,
-        resume=resume,
-        new=new,
-        json=as_json,
-    )
-    for cell in plan.body.cells()[: len(plan.body.problems) * len(plan.body.algorithms)]:
+    ran = run_experiment(
+        read_experiment_file(file), file, workers=workers, database=database, resume=resume, new=new, out=out,
+        port=port, as_json=as_json,
+    )  # fmt: skip
+    raise typer.Exit(int(ran is None))
+
+
+def run_experiment(
+    body: ExperimentBody,
+    file: Path,
+    *,
+    workers: int,
+    database: str | None,
+    resume: bool,
+    new: bool,
+    out: Path,
+    port: int = 0,
+    as_json: bool = False,
+) -> Ran | None:
+    """Run an experiment on this machine and write its report.
+
+    Args:
+        body: The experiment.
+        file: Where it is written, for hints how to go on.
+        workers: Worker processes.
+        database: URL; the default one if None.
+        resume: Go on with the one that was started last.
+        new: Start anew even if there is one.
+        out: Folder for the report.
+        port: Of the coordinator; 0 takes a free one.
+        as_json: Print the results as JSON.
+
+    Returns:
+        What was found; None if it did not end.
+
+    Raises:
+        InvalidInput: It cannot run.
+        Conflict: There is one that has not ended, and neither `resume` nor `new` was given.
+    """
+    plan = _Plan(body=body, file=file, workers=workers, out=out, resume=resume, new=new, json=as_json)
+    for cell in body.cells()[: len(body.problems) * len(body.algorithms)]:
         try:
             check_extra(checked_plan(cell.body).problem)
         except InvalidInput as error:
@@ -83,11 +128,10 @@ def run(
     screen = Console(stderr=True, highlight=False) if as_json else console()
     out.mkdir(parents=True, exist_ok=True)  # what cannot be written is known before an hour of simulations
     with local_service(settings, out / "worker.log") as local:
-        status = asyncio.run(_run(plan, settings, local, screen))
-    raise typer.Exit(status)
+        return asyncio.run(_run(plan, settings, local, screen))
 
 
-async def _run(plan: _Plan, settings: Settings, local: Local, screen: Console) -> int:
+async def _run(plan: _Plan, settings: Settings, local: Local, screen: Console) -> Ran | None:
     stop = asyncio.Event()
     database = database_option(settings)
     async with local.api() as api:
@@ -104,7 +148,7 @@ async def _run(plan: _Plan, settings: Settings, local: Local, screen: Console) -
                 screen.print(
                     f"go on with: {brink()} experiment run {plan.file} --resume{database}", soft_wrap=True
                 )
-                return 1
+                return None
             if progress["status"] != "finished":
                 screen.print(f"experiment {experiment} is {progress['status']}")
                 for reason in progress["paused"]:
@@ -112,7 +156,7 @@ async def _run(plan: _Plan, settings: Settings, local: Local, screen: Console) -
                 screen.print(
                     f"look closer with: {brink()} experiment status {experiment}{database}", soft_wrap=True
                 )
-                return 1
+                return None
             results = await fetch_results(api, experiment, screen)
             folder = plan.out / f"{file_name(plan.body.name)}-{experiment}"
             with screen.status("drawing"):
@@ -122,7 +166,7 @@ async def _run(plan: _Plan, settings: Settings, local: Local, screen: Console) -
     else:
         print_results(screen, results)
         screen.print(f"report: {folder / 'report.html'}", soft_wrap=True)
-    return 0
+    return Ran(results=results, folder=folder)
 
 
 async def _experiment(api: Api, plan: _Plan, screen: Console) -> str:
