@@ -74,27 +74,35 @@ def read_progress(
 ) -> ExperimentProgress:
     """Return counts and rates of all campaigns of an experiment together."""
     ids = [member.campaign.id for member in experiment.members]
+    running = [member.campaign.id for member in experiment.members if member.campaign.status not in ENDED]
     open_jobs = store.count_open_jobs(connection, ids)
+    queued, leased = open_jobs.get(JobStatus.QUEUED, 0), open_jobs.get(JobStatus.LEASED, 0)
+    in_generations = max(0, store.count_pending(connection, running) - queued - leased)
     ended = experiment.status in ENDED
     ends = [m.campaign.finished_at for m in experiment.members if m.campaign.finished_at is not None]
     now = max(ends) if ended and ends else datetime.now(UTC)
     elapsed_s = max(0.0, (now - experiment.created_at).total_seconds())
     span_s = elapsed_s if ended else min(RATE_S, elapsed_s)
     before = store.told_by(connection, ids, now - timedelta(seconds=span_s))
-    done = experiment.simulations
-    rate = (done - before) / span_s if span_s > 0 and done > before else None
+    told = experiment.simulations
+    done = told + in_generations
+    if before:  # of what was in generations by then nothing is known
+        rate = (told - before) / span_s if span_s > 0 and told > before else None
+    else:
+        rate = done / elapsed_s if elapsed_s > 0 and done else None
     remaining = sum(
         max(0, member.campaign.body.budget.simulations - member.campaign.told)
         for member in experiment.members
         if member.campaign.status not in ENDED
     )
+    remaining = max(0, remaining - in_generations)
     return ExperimentProgress(
-        **_summary(experiment),
+        **{**_summary(experiment), "simulations": done},
         rate_per_s=rate,
         remaining_s=remaining / rate if rate and not ended else None,
         elapsed_s=elapsed_s,
-        queued=open_jobs.get(JobStatus.QUEUED, 0),
-        leased=open_jobs.get(JobStatus.LEASED, 0),
+        queued=queued,
+        leased=leased,
         quarantined=open_jobs.get(JobStatus.QUARANTINED, 0),
         workers=len(capabilities_of_live(connection, worker_seen_s)),
         paused=[

@@ -16,6 +16,7 @@ from server.db.models import (
     GenerationRow,
     JobRow,
     JobStatus,
+    SolutionRow,
 )
 from server.experiments.body import Cell, ExperimentBody
 from server.experiments.values import Experiment, Member
@@ -97,6 +98,20 @@ def count_open_jobs(connection: Connection, campaigns: Sequence[str]) -> dict[st
         .group_by(JobRow.status)
     )
     return {str(row[0]): int(row[1]) for row in connection.execute(query)}
+
+
+def count_pending(connection: Connection, campaigns: Sequence[str]) -> int:
+    """Return how many solutions the generations have that some campaigns are being evaluated at."""
+    query = (
+        select(func.count())
+        .select_from(SolutionRow)
+        .join(
+            CampaignRow,
+            (CampaignRow.id == SolutionRow.campaign_id) & (CampaignRow.generation == SolutionRow.generation),
+        )
+        .where(CampaignRow.id.in_(list(campaigns)))
+    )
+    return connection.execute(query).scalar_one()
 
 
 def told_by(connection: Connection, campaigns: Sequence[str], moment: datetime) -> int:

@@ -49,6 +49,22 @@ def work_through(client: httpx.Client, name: str) -> None:
     eventually(done, "the experiment ends")
 
 
+def test_progress_counts_what_is_done_of_the_generations_under_way(client: httpx.Client) -> None:
+    found = submit(client)
+    path = f"{API}/{found['id']}/progress"
+    assert expect(client.get(path))["simulations"] == 0
+    worker = FakeWorker(client)
+    worker.report(worker.lease(max_jobs=8))
+    progress = expect(client.get(path))
+    assert (progress["simulations"], progress["queued"]) == (8, 6 * 20 - 8)
+    assert progress["rate_per_s"] > 0
+    assert progress["remaining_s"] > 0
+    work_through(client, found["id"])
+    assert (
+        expect(client.get(path))["simulations"] == expect(client.get(f"{API}/{found['id']}"))["simulations"]
+    )
+
+
 def test_an_experiment_is_submitted_with_all_of_its_campaigns(client: httpx.Client, engines: Engines) -> None:
     answer = client.post(API, json=experiment())
     found = expect(answer, 201)
