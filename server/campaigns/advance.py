@@ -221,7 +221,7 @@ class Stepper:
         log.info("generation told", extra={**_about(campaign), **told_about, "step_ms": step_ms})
         if finished:
             log.info("campaign finished", extra={**_about(campaign), **told_about})
-        return not finished
+        return True  # also when it was the last one: repeats may have begun
 
     def _write_up(
         self,

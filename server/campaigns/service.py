@@ -200,13 +200,14 @@ class CampaignService:
         if planned is None:
             raise Conflict(f"campaign {campaign.id} has no boundary solutions at t_b {t_b:g}, d_th {d_th:g}")
 
-        def unit(connection: Connection) -> tuple[Campaign, bool]:
+        def unit(connection: Connection) -> tuple[Campaign, bool, Sequence[str]]:
             store.named_campaign(connection, campaign.id)
-            return store_repeats(connection, planned)
+            found, new = store_repeats(connection, planned)
+            return found, new, idle_campaigns(connection, [found.id])
 
-        found, new = await self._write(unit)
+        found, new, idle = await self._write(unit)
         if new:
-            self.begin([planned.campaign], ())
+            self.begin([planned.campaign], idle)
         return found, new
 
     async def retry_job(self, job: int) -> None:

@@ -1,7 +1,9 @@
 """Repeats over the API: boundary solutions simulated again with other seeds, in a campaign of their own."""
 
 import json
+import time
 from collections import Counter, defaultdict
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +29,9 @@ def by_chance(job: LeasedJob) -> Completed | JobFailed:
     return Completed(verdicts={REQUIREMENT: WireVerdict(robustness=robustness, unit="m", violated_at_s=None)})
 
 
-def body(simulations: int = 60, **changes: Any) -> dict[str, Any]:
+def body(simulations: int = 60, *, generation_size: int = 60, **changes: Any) -> dict[str, Any]:
     """Return a campaign whose solutions lie on its boundary: about a third is sought, and comes."""
-    params = {"generation_size": 60, "p_th": 0.35, "radius": 1.0}
+    params = {"generation_size": generation_size, "p_th": 0.35, "radius": 1.0}
     return ball(simulations=simulations, algorithm={"id": "random@1", "params": params}, **changes)
 
 
@@ -133,6 +135,22 @@ def test_a_campaign_is_deleted_with_its_repeats_once_they_have_ended(
     expect(client.delete(f"{API}/{campaign}"), 204)
     counts = row_counts(engines)
     assert (counts["campaigns"], counts["repeats"], counts["solutions"], counts["jobs"]) == (0, 0, 0, 0)
+
+
+def test_a_worker_that_waits_gets_them_at_once(client: httpx.Client) -> None:
+    submit(client, body(600, repeats=5, generation_size=600))
+    last, waiting = (FakeWorker(client, id=name, judge=by_chance) for name in ("last", "waiting"))
+    jobs: list[LeasedJob] = []
+    while batch := last.lease(max_jobs=128):
+        jobs += batch
+    for first in range(1, len(jobs), 200):
+        last.report(jobs[first : first + 200])
+    with ThreadPoolExecutor(1) as thread:
+        began = time.monotonic()
+        leased = thread.submit(waiting.lease, 8, 9.0)
+        last.report(jobs[:1])
+        assert leased.result()
+    assert time.monotonic() - began < 6, "a look now and then would have found them, too"
 
 
 @pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
