@@ -4,7 +4,7 @@ It is written as Markdown with its pictures beside it; the HTML page is made fro
 """
 
 import base64
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from datetime import datetime
 from html import escape
 from importlib.metadata import version
@@ -60,7 +60,10 @@ def markdown_report(
     found_standings, found_duels = standings(repeats), duels(repeats)
     for problem in dict.fromkeys(repeat.problem for repeat in repeats):
         heading = f": {problem}" if len(body.problems) > 1 else ""
-        parts += [f"## What it says{heading}", "\n".join(sentences(found_standings, found_duels, problem))]
+        parts += [
+            f"## What it says{heading}",
+            "\n".join(sentences(repeats, found_standings, found_duels, problem)),
+        ]
         for measure in Measure:
             name = NAMES[measure]
             parts += [f"## {name[0].upper()}{name[1:]}{heading}"]
@@ -96,7 +99,9 @@ def html_report(markdown: str, title: str, folder: Path) -> str:
     )
 
 
-def sentences(found: Sequence[Standing], compared: Sequence[Duel], problem: str) -> Iterator[str]:
+def sentences(
+    repeats: Sequence[Repeat], found: Sequence[Standing], compared: Sequence[Duel], problem: str
+) -> Iterator[str]:
     """Yield what the tables say of a problem at the usual thresholds, a list item each."""
     yield f"At t_b {DEFAULT_T_B:g} and d_th {DEFAULT_D_TH:g}:\n"
     means = {(one.line, one.measure): one.value for one in found if (one.t_b, one.d_th) == _USUAL}
@@ -104,13 +109,13 @@ def sentences(found: Sequence[Standing], compared: Sequence[Duel], problem: str)
         if (duel.t_b, duel.d_th) != _USUAL or duel.first.problem != problem:
             continue
         first, second = (means[line, duel.measure].mean for line in (duel.first, duel.second))
-        yield f"- {_in_words(duel, first, second)}"
+        yield f"- {_in_words(duel, first, second, _with_low_controls(repeats, problem))}"
 
 
 _USUAL = (DEFAULT_T_B, DEFAULT_D_TH)
 
 
-def _in_words(duel: Duel, first: float, second: float) -> str:
+def _in_words(duel: Duel, first: float, second: float, low: Collection[str]) -> str:
     figures = (
         f"{NAMES[duel.measure]} {first:.1f} against {second:.1f}, A12 {duel.result.a12:.2f} ({duel.size}), "
         f"p {_p(duel.adjusted)} corrected"
@@ -118,6 +123,8 @@ def _in_words(duel: Duel, first: float, second: float) -> str:
     differs = duel.adjusted <= LEVEL
     if duel.second.control:
         who = f"**{duel.first.method}** beside its control"
+        if duel.first.method in low:
+            return f"{who}: {figures}; the control reads low here, so that this proves nothing."
         says = (
             f"more than scenarios and chance give: {first - second:.1f} are owed to behaviour"
             if differs and first > second
@@ -209,7 +216,7 @@ def _campaigns(repeats: Sequence[Repeat]) -> str:
 
 
 def _method(repeats: Sequence[Repeat]) -> str:
-    low = sorted({one.method for one in repeats if one.scores.control and one.scores.control.reads_low})
+    low = _with_low_controls(repeats)
     items = [
         "**DBS**: solutions whose fitness is at most t_b, taken greedily, best first, each at least d_th from all "
         "taken before. What was simulated beyond the budget, to end a generation, is not counted.",
@@ -227,6 +234,17 @@ def _method(repeats: Sequence[Repeat]) -> str:
             "scenario: what lies beyond it proves nothing."
         )
     return "\n".join(f"- {item}" for item in items)
+
+
+def _with_low_controls(repeats: Sequence[Repeat], problem: str | None = None) -> list[str]:
+    """Return the methods whose control reads low, with any of their seeds."""
+    return sorted(
+        {
+            one.method
+            for one in repeats
+            if one.scores.control and one.scores.control.reads_low and problem in (None, one.problem)
+        }
+    )
 
 
 def _interval(value: MeanInterval) -> str:

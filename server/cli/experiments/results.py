@@ -92,7 +92,7 @@ def print_results(screen: Console, results: Results) -> None:
             share = "" if line.control else f"{shares[line.problem, line.method]:.0%}"
             table.add_row(line.label, *cells, share, style="dim" if line.control else None)
         screen.print(table, "")
-        for sentence in sentences(found, compared, problem):
+        for sentence in sentences(repeats, found, compared, problem):
             screen.print(sentence.replace("**", "").rstrip(), markup=False, highlight=False)
         screen.print()
 

@@ -149,6 +149,15 @@ def test_the_report_says_what_the_tables_say(tmp_path: Path) -> None:
     assert text.count("![") == 4
 
 
+def test_nothing_is_said_to_be_owed_to_behaviour_beyond_a_control_that_reads_low(tmp_path: Path) -> None:
+    said = [line for line in report(tmp_path).splitlines() if "beside its control" in line]
+    assert len(said) == 6
+    for line in said:
+        proves_nothing = "the control reads low here, so that this proves nothing" in line
+        assert proves_nothing == ("RS" in line)
+        assert ("owed to behaviour" in line or "than scenarios and chance give" in line) == ("RS" not in line)
+
+
 def test_the_page_has_its_pictures_inside_and_nobodys_html(tmp_path: Path) -> None:
     page = html_report(report(tmp_path), "rq1 <script>", tmp_path)
     assert page.count('src="data:image/png;base64,') == 4
