@@ -27,7 +27,7 @@ def main() -> None:
     asked = [space.decode(space.sample(rng)) for _ in range(arguments.repeats)]
     print(f"{'solutions':>10} {'min ms':>8} {'median ms':>10} {'target ms':>10}")
     for size in arguments.sizes:
-        monitor = Monitor.of(space, [0.1] * len(space.components), rows[:size], unsafe[:size], threshold=0.1)
+        monitor = Monitor.of(space, np.ones(space.dimension), rows[:size], unsafe[:size], threshold=0.1)
         times_ms = []
         for values in asked:
             start = time.perf_counter()

@@ -1,12 +1,13 @@
 """A safety monitor: how likely a complete solution is unsafe, from what was simulated around it.
 
-Every evaluated solution counts with a weight that falls with its distance, exp(-sum of d_c / h_c) over the components
-c: each component has its own distance and its own bandwidth h_c, chosen so that every solution is best foretold by
-all others (least mean log loss). With n the sum of weights and k that of the unsafe ones, the probability of unsafe
-is (k + m) / (n + 1), where m is the unsafe share of all: one evaluation's weight for what is known of no place at
-all. The interval is Wilson's for k of n. Where little was simulated n is small and the interval wide, and "unknown"
-is the answer: the monitor calls a solution unsafe only if the whole interval lies above the threshold, and safe only
-if none of it does.
+Every evaluated solution counts with a weight that falls with its distance, exp(-sum of w_j d_j) over the parameters
+j: d_j is the share of its range by which a number differs, or 1 where a category does, and w_j >= 0 says how much the
+parameter tells. These are chosen so that every solution is best foretold by all others (least mean log loss); most of
+them become 0. With n the sum of weights and k that of the unsafe ones, the probability of unsafe is
+(k + m) / (n + 1), where m is the unsafe share of all: one evaluation's weight for what is known of no place at all.
+The interval is Wilson's for k of n. Where little was simulated n is small and the interval wide, and "unknown" is the
+answer: the monitor calls a solution unsafe only if the whole interval lies above the threshold, and safe only if none
+of it does.
 
 A monitor needs numpy and scipy alone, and no server: ``Monitor.load("monitor.json").ask({...})``.
 
@@ -16,29 +17,35 @@ regression (Nadaraya 1964, Watson 1964).
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import cdist
 
 from search.component import BoolArray, Component, FloatArray, frozen_array
 from search.errors import DocumentError, SpaceError
 from search.fitness import Z_95
-from search.metric import METRIC_VERSION, Metric, Points
 from search.parameters import Categorical, Integer, Parameter, Real
 from search.space import SearchSpace
 from search.streams import Stream, generator
 
 FORMAT: Final = "brink-monitor"
-VERSION: Final = 1
-BANDWIDTHS: Final = (0.01, 0.02, 0.035, 0.06, 0.1, 0.17, 0.3, 0.5, math.inf)
-"""That are tried for each component; an infinite one makes it count for nothing."""
-FORETOLD: Final = 1_500
-"""Solutions, drawn at random, that bandwidths are judged by."""
-SWEEPS: Final = 3
+VERSION: Final = 2
+LEVELS: Final = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+"""Weights that are tried for each parameter."""
+_START: Final = LEVELS.index(1.0)
+FORETOLD: Final = 1_000
+"""Solutions, drawn at random, that weights are judged by."""
+LEARNED: Final = 3_000
+"""Solutions, drawn at random, that foretell them while weights are chosen; a monitor counts all."""
+SWEEPS: Final = 4
+BLOCK: Final = 1 << 20
+"""Pairs of solutions that are looked at together."""
 
 
 class Answer(StrEnum):
@@ -98,7 +105,7 @@ class Monitor:
 
     Attributes:
         space: Whose complete solutions it can be asked about; without constraints.
-        bandwidths: One a component, > 0; infinite where a component tells nothing.
+        weights: How much each parameter tells, >= 0, shape ``(d,)``.
         vectors: What was simulated, shape ``(n, d)``.
         unsafe: Its verdicts, shape ``(n,)``.
         threshold: Probability of unsafe above which a solution is called unsafe, in (0, 1).
@@ -106,26 +113,26 @@ class Monitor:
     """
 
     space: SearchSpace
-    bandwidths: tuple[float, ...]
+    weights: FloatArray
     vectors: FloatArray
     unsafe: BoolArray
     threshold: float
     z: float
-    _metrics: tuple[Metric, ...]
-    _points: tuple[Points, ...]
+    _scales: FloatArray
+    _numbers: FloatArray
 
     @classmethod
     def of(
         cls,
         space: SearchSpace,
-        bandwidths: Sequence[float],
+        weights: ArrayLike,
         vectors: FloatArray,
         unsafe: BoolArray,
         *,
         threshold: float,
         z: float = Z_95,
     ) -> Self:
-        """Return a monitor with given bandwidths.
+        """Return a monitor with given weights of the parameters.
 
         Raises:
             ValueError: Something does not fit.
@@ -137,19 +144,17 @@ class Monitor:
             )
         if not len(rows):
             raise ValueError("expected at least one evaluated solution")
-        if len(bandwidths) != len(space.components) or not all(width > 0 for width in bandwidths):
-            raise ValueError(f"expected {len(space.components)} bandwidths > 0, got {list(bandwidths)}")
+        given = frozen_array(weights)
+        if given.shape != (space.dimension,) or not (np.isfinite(given).all() and (given >= 0).all()):
+            raise ValueError(f"expected {space.dimension} weights >= 0, got {given.tolist()}")
         if not 0 < threshold < 1:
             raise ValueError(f"threshold: expected a probability in (0, 1), got {threshold!r}")
         if not (math.isfinite(z) and z > 0):
             raise ValueError(f"z: expected a number > 0, got {z!r}")
-        metrics = tuple(Metric.of_component(space, place) for place in range(len(space.components)))
+        scales = np.where(space.categorical, 0.0, given / space.ranges)
         return cls(
-            space=space, bandwidths=tuple(bandwidths), vectors=rows, unsafe=verdicts, threshold=threshold, z=z,
-            _metrics=metrics,
-            _points=tuple(
-                metric.points(rows[:, part]) for metric, part in zip(metrics, space.slices, strict=True)
-            ),
+            space=space, weights=given, vectors=rows, unsafe=verdicts, threshold=threshold, z=z,
+            _scales=frozen_array(scales), _numbers=frozen_array(_scaled(rows, scales)),
         )  # fmt: skip
 
     @classmethod
@@ -163,7 +168,7 @@ class Monitor:
         z: float = Z_95,
         seed: int = 1,
     ) -> Self:
-        """Return the monitor whose bandwidths foretell what was simulated best.
+        """Return the monitor whose weights foretell what was simulated best.
 
         Args:
             space: What was searched.
@@ -171,19 +176,16 @@ class Monitor:
             unsafe: Its verdicts, shape ``(n,)``.
             threshold: Probability of unsafe above which a solution is called unsafe.
             z: Quantile of the standard normal for the interval.
-            seed: Decides which solutions bandwidths are judged by, if there are many.
+            seed: Decides which solutions weights are chosen with, if there are many.
 
         Raises:
             ValueError: Something does not fit.
         """
         if len(vectors) < 2:
             raise ValueError(f"expected at least two evaluated solutions, got {len(vectors)}")
-        start = cls.of(space, [0.1] * len(space.components), vectors, unsafe, threshold=threshold, z=z)
-        judged = np.arange(len(vectors))
-        if len(vectors) > FORETOLD:
-            judged = np.sort(generator(seed, Stream.MONITOR).choice(len(vectors), FORETOLD, replace=False))
-        widths = _best_bandwidths(start, judged)
-        return cls.of(space, widths, vectors, unsafe, threshold=threshold, z=z)
+        start = cls.of(space, np.ones(space.dimension), vectors, unsafe, threshold=threshold, z=z)
+        weights = _best_weights(space, start.vectors, start.unsafe, generator(seed, Stream.MONITOR))
+        return cls.of(space, weights, vectors, unsafe, threshold=threshold, z=z)
 
     def __len__(self) -> int:
         return len(self.vectors)
@@ -205,12 +207,13 @@ class Monitor:
         rows = np.asarray(vectors, np.float64)
         if rows.ndim != 2 or rows.shape[1] != self.space.dimension:
             raise SpaceError(f"expected rows of {self.space.dimension} numbers, got shape {rows.shape}")
-        parts = zip(self._metrics, self.space.slices, strict=True)
-        asked = [metric.points(rows[:, part]) for metric, part in parts]
         n, k = np.zeros(len(rows)), np.zeros(len(rows))
-        for places, columns, weights in self._weights(asked):
-            n[places] += weights.sum(axis=1)
-            k[places] += weights @ self.unsafe[columns]
+        step = max(1, BLOCK // len(self))
+        for first in range(0, len(rows), step):
+            part = slice(first, first + step)
+            kernel = self._kernel(rows[part])
+            n[part] = kernel.sum(axis=1)
+            k[part] = kernel @ self.unsafe
         return self._risks(n, k)
 
     def ask(self, values: Mapping[str, Mapping[str, object]]) -> Risk:
@@ -228,18 +231,19 @@ class Monitor:
             neighbours=float(risks.neighbours[0]), answer=risks.answers(self.threshold)[0],
         )  # fmt: skip
 
-    def _weights(self, asked: Sequence[Points]) -> Any:
-        """Yield blocks of weights: which of those asked about, which of those simulated, and the weights."""
-        used = [place for place, width in enumerate(self.bandwidths) if math.isfinite(width)]
-        if not used:
-            yield slice(0, len(asked[0])), slice(0, len(self)), np.ones((len(asked[0]), len(self)))
-            return
-        blocks = [self._metrics[place].blocks(asked[place], self._points[place]) for place in used]
-        for parts in zip(*blocks, strict=True):
-            exponent = sum(
-                block / self.bandwidths[place] for place, (_, _, block) in zip(used, parts, strict=True)
-            )
-            yield parts[0][0], parts[0][1], np.exp(-exponent)
+    def _kernel(self, rows: FloatArray) -> FloatArray:
+        """Return how much each evaluated solution counts for each row, shape ``(rows, n)``."""
+        exponent = cdist(_scaled(rows, self._scales), self._numbers, "cityblock")
+        for column in np.flatnonzero(self.space.categorical & (self.weights > 0)):
+            exponent += self.weights[column] * (rows[:, column, None] != self.vectors[None, :, column])
+        kernel: FloatArray = np.exp(-exponent)
+        return kernel
+
+    @property
+    def telling(self) -> dict[str, float]:
+        """The weights of the parameters that tell something, the largest first, by ``component.parameter``."""
+        known = zip(self.space.column_names(), self.weights.tolist(), strict=True)
+        return dict(sorted(((name, weight) for name, weight in known if weight > 0), key=lambda one: -one[1]))
 
     def _risks(self, n: FloatArray, k: FloatArray) -> Risks:
         probability = (k + self.unsafe_share) / (n + 1.0)
@@ -266,11 +270,10 @@ class Monitor:
         document = {
             "format": FORMAT,
             "version": VERSION,
-            "metric_version": METRIC_VERSION,
             "about": dict(about or {}),
             "threshold": self.threshold,
             "z": self.z,
-            "bandwidths": [width if math.isfinite(width) else None for width in self.bandwidths],
+            "weights": self.weights.tolist(),
             "components": [
                 {"name": component.name, "parameters": [p.describe() for p in component.parameters]}
                 for component in self.space.components
@@ -293,11 +296,8 @@ class Monitor:
             raise DocumentError(f"expected a monitor: {error}") from None
         if not isinstance(document, dict) or document.get("format") != FORMAT:
             raise DocumentError(f"expected a document with format {FORMAT!r}")
-        if (document.get("version"), document.get("metric_version")) != (VERSION, METRIC_VERSION):
-            raise DocumentError(
-                f"expected version {VERSION} with metric version {METRIC_VERSION}, got "
-                f"{document.get('version')!r} and {document.get('metric_version')!r}"
-            )
+        if document.get("version") != VERSION:
+            raise DocumentError(f"expected version {VERSION}, got {document.get('version')!r}: fit it again")
         try:
             space = SearchSpace(
                 tuple(
@@ -305,9 +305,9 @@ class Monitor:
                     for part in document["components"]
                 )
             )
-            widths = [math.inf if width is None else float(width) for width in document["bandwidths"]]
             return cls.of(
-                space, widths, np.array(document["vectors"], np.float64), np.array(document["unsafe"], np.bool_),
+                space, document["weights"], np.array(document["vectors"], np.float64),
+                np.array(document["unsafe"], np.bool_),
                 threshold=float(document["threshold"]), z=float(document["z"]),
             )  # fmt: skip
         except (KeyError, TypeError, ValueError) as error:
@@ -339,39 +339,52 @@ def _parameter(described: Mapping[str, Any]) -> Parameter:
     raise DocumentError(f"{name}: expected a real, integer or categorical parameter, got {kind!r}")
 
 
-def _best_bandwidths(monitor: Monitor, judged: np.typing.NDArray[np.intp]) -> tuple[float, ...]:
-    """Return the bandwidths with the least mean log loss, each solution foretold by all others.
+def _scaled(rows: FloatArray, scales: FloatArray) -> FloatArray:
+    """Return the numbers that tell something, in units in which their distances are added up."""
+    used = scales > 0
+    return np.ascontiguousarray(rows[:, used] * scales[used]) if used.any() else np.zeros((len(rows), 1))
 
-    One component after the other, until nothing changes.
+
+def _best_weights(
+    space: SearchSpace, vectors: FloatArray, unsafe: BoolArray, rng: np.random.Generator
+) -> FloatArray:
+    """Return the weights with the least mean log loss, each solution foretold by all others.
+
+    One parameter after the other, until nothing changes. What changes the loss by nothing is left out.
     """
-    distances = [
-        metric.between(monitor.vectors[judged][:, part], monitor.vectors[:, part]).astype(np.float32)
-        for metric, part in zip(monitor._metrics, monitor.space.slices, strict=True)
-    ]
-    unsafe = monitor.unsafe.astype(np.float32)
-    truth = monitor.unsafe[judged]
+    learned = np.sort(rng.permutation(len(vectors))[:LEARNED])
+    rows, truth = vectors[learned], unsafe[learned]
+    judged = np.sort(rng.permutation(len(rows))[:FORETOLD])
     itself = (np.arange(judged.size), judged)
+    counts, share = truth.astype(np.float32), float(unsafe.mean())
 
-    def loss(widths: Sequence[float]) -> float:
-        exponent = np.zeros_like(distances[0])
-        for distance, width in zip(distances, widths, strict=True):
-            if math.isfinite(width):
-                exponent += distance / np.float32(width)
-        weights = np.exp(-exponent)
-        weights[itself] = 0.0
-        foretold = (weights @ unsafe + monitor.unsafe_share) / (weights.sum(axis=1) + 1.0)
-        foretold = np.clip(foretold, 1e-6, 1 - 1e-6)
-        return -float(np.mean(np.where(truth, np.log(foretold), np.log1p(-foretold))))
+    def difference(column: int) -> NDArray[np.float32]:
+        apart = np.abs(rows[judged, column, None] - rows[None, :, column])
+        apart = apart != 0 if space.categorical[column] else apart / space.ranges[column]
+        shares: NDArray[np.float32] = apart.astype(np.float32)
+        return shares
 
-    best = list(monitor.bandwidths)
-    least = loss(best)
+    def loss(exponent: NDArray[np.float32]) -> float:
+        kernel = np.exp(-exponent)
+        kernel[itself] = 0.0
+        foretold = (kernel @ counts + share) / (kernel.sum(axis=1) + 1.0)
+        foretold = np.clip(foretold.astype(np.float64), 1e-6, 1 - 1e-6)
+        return -float(np.mean(np.where(truth[judged], np.log(foretold), np.log1p(-foretold))))
+
+    levels = np.full(space.dimension, _START)
+    exponent = np.zeros((judged.size, len(rows)), np.float32)
+    for column in range(space.dimension):
+        exponent += np.float32(LEVELS[_START]) * difference(column)
     for _ in range(SWEEPS):
-        before = tuple(best)
-        for place in range(len(best)):
-            for width in BANDWIDTHS:
-                tried = [*best[:place], width, *best[place + 1 :]]
-                if (found := loss(tried)) < least:
-                    best, least = tried, found
-        if tuple(best) == before:
+        before = levels.copy()
+        for column in range(space.dimension):
+            apart = difference(column)
+            others = exponent - np.float32(LEVELS[levels[column]]) * apart
+            # Of equal losses the smallest weight: fewer parameters tell as much.
+            found = [loss(others + np.float32(level) * apart) for level in LEVELS]
+            levels[column] = int(np.argmin(found))
+            exponent = others + np.float32(LEVELS[levels[column]]) * apart
+        if (levels == before).all():
             break
-    return tuple(best)
+    weights: FloatArray = np.array(LEVELS)[levels]
+    return weights

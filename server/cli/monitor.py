@@ -75,20 +75,13 @@ def fit(
     }
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(made.to_json(about) + "\n", encoding="utf-8")
-    widths = {
-        component.name: width for component, width in zip(made.space.components, made.bandwidths, strict=True)
-    }
     if as_json:
-        finite = {name: width if np.isfinite(width) else None for name, width in widths.items()}
-        print_json({"file": str(out), "solutions": len(made), "threshold": level, "bandwidths": finite})
+        print_json({"file": str(out), "solutions": len(made), "threshold": level, "weights": made.telling})
         return
-    reach = ", ".join(
-        f"{name} {width:g}" if np.isfinite(width) else f"{name} tells nothing"
-        for name, width in widths.items()
-    )
+    tell = ", ".join(f"{name} {weight:g}" for name, weight in made.telling.items()) or "nothing"
     console().print(
-        f"{out}: {len(made):,} solutions, {made.unsafe_share:.0%} unsafe; bandwidths: {reach}; "
-        f"unsafe above {level:g}",
+        f"{out}: {len(made):,} solutions, {made.unsafe_share:.0%} unsafe; unsafe above {level:g}\n"
+        f"what tells, by weight: {tell}",
         soft_wrap=True, markup=False,
     )  # fmt: skip
 

@@ -24,12 +24,12 @@ LEVEL = 0.05
 """Of an adjusted p-value at which a difference is called one."""
 STYLE = """
 :root { color-scheme: light dark; }
-body { font: 16px/1.55 system-ui, sans-serif; max-width: 72rem; margin: 2rem auto; padding: 0 1.2rem;
+body { font: 16px/1.55 system-ui, sans-serif; max-width: 76rem; margin: 2rem auto; padding: 0 1.2rem;
   color: #1f252b; background: #fff; }
 h1, h2, h3 { line-height: 1.25; margin: 2.2em 0 .6em; } h1 { margin-top: 0; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .86rem; display: block;
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .78rem; display: block;
   overflow-x: auto; }
-th, td { padding: .3rem .7rem; text-align: right; border-bottom: 1px solid #d0d5d9; white-space: nowrap; }
+th, td { padding: .3rem .55rem; text-align: right; border-bottom: 1px solid #d0d5d9; white-space: nowrap; }
 th:first-child, td:first-child { text-align: left; } img { max-width: 100%; height: auto; }
 code { font-size: .92em; } em { color: #68727b; font-style: normal; }
 @media (prefers-color-scheme: dark) { body { color: #e6e9ec; background: #14181c; } th, td { border-color: #3a424a; }
@@ -118,9 +118,10 @@ _USUAL = (DEFAULT_T_B, DEFAULT_D_TH)
 def _in_words(duel: Duel, first: float, second: float, low: Collection[str]) -> str:
     figures = (
         f"{NAMES[duel.measure]} {first:.1f} against {second:.1f}, A12 {duel.result.a12:.2f} ({duel.size}), "
-        f"p {_p(duel.adjusted)} corrected"
+        f"p {_p(duel.result.p_value)}, corrected {_p(duel.adjusted)}"
     )
-    differs = duel.adjusted <= LEVEL
+    differs, alone = duel.adjusted <= LEVEL, duel.result.p_value <= LEVEL
+    chance = "by itself that would be a difference, but among so many comparisons it may be chance"
     if duel.second.control:
         who = f"**{duel.first.method}** beside its control"
         if duel.first.method in low:
@@ -128,12 +129,14 @@ def _in_words(duel: Duel, first: float, second: float, low: Collection[str]) -> 
         says = (
             f"more than scenarios and chance give: {first - second:.1f} are owed to behaviour"
             if differs and first > second
+            else f"more than scenarios and chance give? {chance}"
+            if alone and first > second
             else "no more than scenarios and chance give, as far as these repeats can tell"
         )
         return f"{who}: {figures}; {says}."
     who = f"**{duel.first.method}** and **{duel.second.method}**"
     if not differs:
-        return f"{who}: {figures}; these repeats show no difference."
+        return f"{who}: {figures}; {chance if alone else 'these repeats show no difference'}."
     better = duel.first.method if duel.result.a12 > 0.5 else duel.second.method
     return f"{who}: {figures}; {better} finds more."
 

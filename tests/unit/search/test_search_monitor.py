@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import search.monitor
 from search.errors import DocumentError, SpaceError
 from search.fitness import wilson_interval
-from search.metric import Metric
-from search.monitor import BANDWIDTHS, Answer, Monitor
+from search.monitor import Answer, Monitor
 from search.space import Component, Real, SearchSpace
 from search.statistics import a12
 from search.testing import example_spaces
@@ -26,21 +26,27 @@ def plane(count: int, seed: int = 1) -> tuple[np.typing.NDArray[np.float64], np.
 
 def naive(monitor: Monitor, row: np.typing.NDArray[np.float64]) -> tuple[float, float, float]:
     n = k = 0.0
+    space = monitor.space
     for other, unsafe in zip(monitor.vectors, monitor.unsafe, strict=True):
         exponent = 0.0
-        for place, part in enumerate(monitor.space.slices):
-            metric = Metric.of_component(monitor.space, place)
-            exponent += metric.between(row[None, part], other[None, part])[0, 0] / monitor.bandwidths[place]
+        for column, weight in enumerate(monitor.weights):
+            apart = abs(row[column] - other[column]) / space.ranges[column]
+            exponent += weight * (apart > 0 if space.categorical[column] else apart)
         n += math.exp(-exponent)
         k += math.exp(-exponent) * unsafe
     return n, k, (k + monitor.unsafe_share) / (n + 1)
 
 
-@pytest.mark.parametrize("widths", [(0.1, 0.3), (0.05, math.inf), (math.inf, math.inf)])
-def test_scores_are_the_kernel_sums_of_the_definition(widths: tuple[float, float]) -> None:
+@pytest.mark.parametrize("kind", ["all", "some", "numbers", "categories", "none"])
+def test_scores_are_the_kernel_sums_of_the_definition(kind: str) -> None:
     rng = np.random.default_rng(4)
     rows = np.array([MIXED.join(MIXED.sample(rng)) for _ in range(90)])
-    monitor = Monitor.of(MIXED, widths, rows[:70], rng.random(70) < 0.3, threshold=0.1)
+    weights = rng.uniform(0.5, 4.0, MIXED.dimension)
+    told = {
+        "all": np.ones(MIXED.dimension, bool), "some": np.arange(MIXED.dimension) % 2 == 0,
+        "numbers": ~MIXED.categorical, "categories": MIXED.categorical, "none": np.zeros(MIXED.dimension, bool),
+    }[kind]  # fmt: skip
+    monitor = Monitor.of(MIXED, weights * told, rows[:70], rng.random(70) < 0.3, threshold=0.1)
     risks = monitor.score(rows[60:])
     for place, row in enumerate(rows[60:]):
         n, k, probability = naive(monitor, row)
@@ -48,17 +54,28 @@ def test_scores_are_the_kernel_sums_of_the_definition(widths: tuple[float, float
         assert risks.low[place] <= k / n <= risks.high[place]
 
 
+def test_many_questions_are_answered_as_each_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows, unsafe = plane(300)
+    monitor = Monitor.of(PLANE, (8, 2), rows, unsafe, threshold=0.5)
+    asked, _ = plane(70, seed=9)
+    at_once = monitor.score(asked)
+    monkeypatch.setattr(search.monitor, "BLOCK", 700)
+    in_blocks = monitor.score(asked)
+    assert in_blocks.probability == pytest.approx(at_once.probability)
+    assert in_blocks.neighbours == pytest.approx(at_once.neighbours)
+
+
 def test_the_interval_is_wilsons_where_weights_are_whole() -> None:
     rows = np.zeros((30, 2))
     unsafe = np.arange(30) < 6
-    risks = Monitor.of(PLANE, (0.1, 0.1), rows, unsafe, threshold=0.1).score(np.zeros((1, 2)))
+    risks = Monitor.of(PLANE, (10, 10), rows, unsafe, threshold=0.1).score(np.zeros((1, 2)))
     low, high = wilson_interval(6, 30)
     assert (risks.low[0], risks.high[0]) == pytest.approx((float(low), float(high)))
 
 
 def test_far_from_everything_the_answer_is_unknown() -> None:
     rows, unsafe = np.full((50, 2), 0.01), np.ones(50, bool)
-    monitor = Monitor.of(PLANE, (0.001, 0.001), rows, unsafe, threshold=0.5)
+    monitor = Monitor.of(PLANE, (1000, 1000), rows, unsafe, threshold=0.5)
     near, far, nowhere = monitor.score(np.array([[0.01, 0.01], [0.02, 0.02], [1.0, 1.0]])).answers(0.5)
     assert (near, far, nowhere) == (Answer.UNSAFE, Answer.UNKNOWN, Answer.UNKNOWN)
     risk = monitor.ask({"scenario": {"x": 1.0}, "behaviour": {"y": 1.0}})
@@ -67,12 +84,13 @@ def test_far_from_everything_the_answer_is_unknown() -> None:
     assert risk.probability == pytest.approx(1.0), "all that is known of nowhere is the share of all"
 
 
-def test_a_component_that_tells_nothing_is_not_listened_to() -> None:
+def test_a_parameter_that_tells_nothing_is_not_listened_to() -> None:
     rows, unsafe = plane(500)
     monitor = Monitor.fitted(PLANE, rows, unsafe, threshold=0.5)
-    of_scenario, of_behaviour = monitor.bandwidths
-    assert of_scenario < of_behaviour
-    assert of_behaviour >= BANDWIDTHS[-2]
+    of_scenario, of_behaviour = monitor.weights
+    assert of_scenario >= 4
+    assert of_behaviour <= 0.5
+    assert next(iter(monitor.telling)) == "scenario.x"
     fresh, truth = plane(2000, seed=2)
     risks = monitor.score(fresh)
     assert a12(risks.probability[truth].tolist(), risks.probability[~truth].tolist()) > 0.8
@@ -83,15 +101,27 @@ def test_a_component_that_tells_nothing_is_not_listened_to() -> None:
 def test_a_monitor_comes_back_from_its_file(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     rows = np.array([MIXED.join(MIXED.sample(rng)) for _ in range(40)])
-    monitor = Monitor.of(MIXED, (0.1, math.inf), rows, rng.random(40) < 0.3, threshold=0.2)
+    monitor = Monitor.of(MIXED, np.arange(MIXED.dimension), rows, rng.random(40) < 0.3, threshold=0.2)
     path = tmp_path / "monitor.json"
     path.write_text(monitor.to_json({"campaign": "3f2a"}))
     again = Monitor.load(path)
     assert json.loads(path.read_text())["about"] == {"campaign": "3f2a"}
-    assert (again.bandwidths, again.threshold) == (monitor.bandwidths, monitor.threshold)
+    assert again.threshold == monitor.threshold
+    assert (again.weights == monitor.weights).all()
     assert (again.score(rows).probability == monitor.score(rows).probability).all()
     decoded = MIXED.decode(MIXED.split(rows[3]))
     assert again.ask(decoded) == monitor.ask(decoded)
+
+
+def test_weights_are_the_same_each_time_and_chosen_by_the_seed_where_there_are_many(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rows, unsafe = plane(400)
+    monkeypatch.setattr(search.monitor, "LEARNED", 150)
+    monkeypatch.setattr(search.monitor, "FORETOLD", 100)
+    first, again = (Monitor.fitted(PLANE, rows, unsafe, threshold=0.5, seed=3) for _ in range(2))
+    assert (first.weights == again.weights).all()
+    assert len(first) == 400, "all that was simulated counts, whatever weights were chosen with"
 
 
 @pytest.mark.parametrize(
@@ -99,8 +129,8 @@ def test_a_monitor_comes_back_from_its_file(tmp_path: Path) -> None:
     [
         ("{", "expected a monitor"),
         ("[]", "format 'brink-monitor'"),
-        ('{"format": "brink-monitor", "version": 9, "metric_version": 1}', "expected version 1"),
-        ('{"format": "brink-monitor", "version": 1, "metric_version": 1}', "expected a monitor: KeyError"),
+        ('{"format": "brink-monitor", "version": 1}', "expected version 2, got 1: fit it again"),
+        ('{"format": "brink-monitor", "version": 2}', "expected a monitor: KeyError"),
     ],
 )
 def test_what_is_no_monitor_is_refused(text: str, said: str) -> None:
@@ -110,7 +140,7 @@ def test_what_is_no_monitor_is_refused(text: str, said: str) -> None:
 
 def test_questions_that_make_no_sense_are_refused() -> None:
     rows, unsafe = plane(20)
-    monitor = Monitor.of(PLANE, (0.1, 0.1), rows, unsafe, threshold=0.1)
+    monitor = Monitor.of(PLANE, (10, 10), rows, unsafe, threshold=0.1)
     with pytest.raises(SpaceError, match="x: expected a number in"):
         monitor.ask({"scenario": {"x": 7}, "behaviour": {"y": 0.5}})
     with pytest.raises(SpaceError, match="behaviour: missing component"):
@@ -119,7 +149,7 @@ def test_questions_that_make_no_sense_are_refused() -> None:
         monitor.score(np.zeros((3, 3)))
     with pytest.raises(ValueError, match="at least two"):
         Monitor.fitted(PLANE, rows[:1], unsafe[:1], threshold=0.1)
-    with pytest.raises(ValueError, match="bandwidths > 0"):
-        Monitor.of(PLANE, (0.1, 0.0), rows, unsafe, threshold=0.1)
+    with pytest.raises(ValueError, match="weights >= 0"):
+        Monitor.of(PLANE, (0.1, -1.0), rows, unsafe, threshold=0.1)
     with pytest.raises(ValueError, match=r"probability in \(0, 1\)"):
-        Monitor.of(PLANE, (0.1, 0.1), rows, unsafe, threshold=1.0)
+        Monitor.of(PLANE, (10, 10), rows, unsafe, threshold=1.0)
