@@ -18,8 +18,8 @@ def upgrade() -> None:
         "repeats",
         sa.Column("campaign_id", sa.String(length=16), nullable=False),
         sa.Column("of_id", sa.String(length=16), nullable=False),
-        sa.Column("t_b", sa.Float(), nullable=False),
-        sa.Column("d_th", sa.Float(), nullable=False),
+        sa.Column("t_b", sa.Double(), nullable=False),
+        sa.Column("d_th", sa.Double(), nullable=False),
         sa.Column("repeats", sa.Integer(), nullable=False),
         sa.Column("numbers", sa.JSON(), nullable=False),
         sa.ForeignKeyConstraint(
