@@ -25,6 +25,8 @@ from server.errors import FieldError, InvalidInput, install
 
 DEPTH: Final = 4
 FOLDS: Final = 5
+NOTHING: Final = 0.55
+"""Balanced accuracy up to which rules say next to nothing: guessing is .50."""
 LEAST_LEAF: Final = 15
 """Solutions of a rule, at least: fewer say too little."""
 
@@ -278,8 +280,10 @@ def trust(one: Rules) -> str:
     """Return how far rules can be trusted, in words."""
     if one.accuracy is None:
         return "Too few of them to say how well the rules foretell others."
+    helps = one.balanced is not None and one.balanced > NOTHING
+    verdict = "" if helps else " **They say next to nothing of scenarios that they have not seen.**"
     return (
         f"Cross-validated over {one.folds} folds of other scenarios, the rules are right for {one.accuracy:.1%} "
         f"(standard deviation {one.accuracy_sd:.1%}), where always saying the more frequent is right for "
-        f"{one.usual:.1%}; balanced accuracy {one.balanced:.2f}, where guessing is .50."
+        f"{one.usual:.1%}; balanced accuracy {one.balanced:.2f}, where guessing is .50.{verdict}"
     )

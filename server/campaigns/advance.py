@@ -285,9 +285,13 @@ class Stepper:
         """Return the repeats that the campaign asks for after its search, if any."""
         if not campaign.body.repeats:
             return None
-        return plan_repeats(
-            campaign, plan, archive, repeats=campaign.body.repeats, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH
-        )
+        try:
+            return plan_repeats(
+                campaign, plan, archive, repeats=campaign.body.repeats, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH
+            )
+        except InvalidInput as error:  # the search has ended all the same
+            log.warning("its boundary cannot be repeated: %s", error, extra=_about(campaign))
+            return None
 
     def _state(self, campaign: Campaign) -> Live:
         live = self._live.get(campaign.id)

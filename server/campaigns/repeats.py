@@ -165,13 +165,20 @@ def read_repeats(connection: Connection, campaign_id: str) -> list[StoredRepeats
 
 
 def check_no_open_repeats(connection: Connection, campaign_id: str) -> None:
-    """Raise Conflict while repeats of a campaign run or wait: they would lose what they repeat."""
+    """Check that a campaign may be deleted with its repeats, and with theirs.
+
+    Raises:
+        Conflict: Some of them run, or wait.
+    """
     query = select(CampaignRow.id, CampaignRow.status).join(
         RepeatsRow, RepeatsRow.campaign_id == CampaignRow.id
     )
-    for row in connection.execute(query.where(RepeatsRow.of_id == campaign_id)):
+    for row in connection.execute(query.where(RepeatsRow.of_id == campaign_id)).all():
         if row.status not in store.ENDED:
-            raise Conflict(f"campaign {row.id} repeats its boundary and is {row.status}: cancel it first")
+            raise Conflict(
+                f"campaign {row.id} repeats the boundary of {campaign_id} and is {row.status}: cancel it first"
+            )
+        check_no_open_repeats(connection, row.id)
 
 
 def _verdicts(connection: Connection, campaign_id: str) -> Sequence[tuple[int, bool]]:

@@ -201,7 +201,7 @@ class CampaignService:
             raise Conflict(f"campaign {campaign.id} has no boundary solutions at t_b {t_b:g}, d_th {d_th:g}")
 
         def unit(connection: Connection) -> tuple[Campaign, bool, Sequence[str]]:
-            store.named_campaign(connection, campaign.id)
+            _found(store.find_campaign(connection, campaign.id, lock=True), campaign.id)  # one at a time
             found, new = store_repeats(connection, planned)
             return found, new, idle_campaigns(connection, [found.id])
 

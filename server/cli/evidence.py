@@ -25,8 +25,13 @@ from server.errors import FieldError, InvalidInput, ServerError, install
 from sim.errors import SimulatorError
 from sim.replay import render
 from sim.trace import Trace
+from worker.errors import WorkerError
 
 PATIENCE_S = 120.0
+UNDRAWABLE = (
+    NoTrace, CoordinatorSaid, SimulatorError, WorkerError, LookupError, ValueError, TypeError, ArithmeticError,
+)  # fmt: skip
+"""A simulator may record anything; what cannot be had or drawn is noted, and the next one follows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,13 +87,10 @@ async def _write(api: Api, campaign: str, wanted: _Wanted, screen: Console) -> d
     answer = await api.request("GET", f"/campaigns/{fetched.id}/boundary", params=params)
     boundary = Boundary.model_validate_json(answer.content)
     wanted.folder.mkdir(parents=True, exist_ok=True)
-    rows = boundary_rows(boundary, fetched.id, fetched.body)
-    drawn, notes = await _replays(api, fetched, rows, boundary, wanted, screen)
-    for form in FORMATS:
-        if form == "parquet" and not has_parquet():
-            notes.append(f"no boundary.parquet: {install('analysis')}")
-        else:
-            (wanted.folder / f"boundary.{form}").write_bytes(table_bytes(rows, form))
+    rows, notes = boundary_rows(boundary, fetched.id, fetched.body), list[str]()
+    if not has_parquet():
+        notes.append(f"no boundary.parquet: {install('analysis')}")
+    _tables(rows, wanted.folder)
     found: list[Rules] = []
     with screen.status("finding rules"):
         try:
@@ -97,12 +99,25 @@ async def _write(api: Api, campaign: str, wanted: _Wanted, screen: Console) -> d
             notes.append(f"no rules: {error}")
     document = [asdict(one) for one in found]
     (wanted.folder / "rules.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
-    readme = _readme(fetched, boundary, wanted, found, notes, drawn)
-    (wanted.folder / "README.md").write_text(readme, encoding="utf-8")
+    # What takes long comes last: whoever stops it has all the rest.
+    drawn = 0
+    for replays in (False, True):
+        if replays:
+            drawn, missing = await _replays(api, fetched, rows, boundary, wanted, screen)
+            notes += missing
+            _tables(rows, wanted.folder)
+        readme = _readme(fetched, boundary, wanted, found, notes, drawn)
+        (wanted.folder / "README.md").write_text(readme, encoding="utf-8")
     return {
         "campaign": fetched.id, "folder": str(wanted.folder), "solutions": len(rows), "replays": drawn,
         "rules": document, "notes": notes,
     }  # fmt: skip
+
+
+def _tables(rows: Sequence[Row], folder: Path) -> None:
+    for form in FORMATS:
+        if form != "parquet" or has_parquet():
+            (folder / f"boundary.{form}").write_bytes(table_bytes(rows, form))
 
 
 def _rules(fetched: FetchedArchive, t_b: float) -> list[Rules]:
@@ -145,11 +160,11 @@ async def _replays(
         for row, number in progress.track(chosen, description="replays"):
             try:
                 trace = await _trace(api, fetched.id, number, wanted)
+                compared = seen_and_said(trace)
                 await asyncio.to_thread(_draw, trace, folder, number, wanted.film, requirement)
-            except (NoTrace, CoordinatorSaid, SimulatorError, ValueError) as error:
-                notes.append(f"solution {number} has no replay: {error}")
+            except UNDRAWABLE as error:
+                notes.append(f"solution {number} has no replay: {type(error).__name__}: {error}")
                 continue
-            compared = seen_and_said(trace)
             row.update({f"component.{name}": getattr(compared, name) for name in names})
             row["replay"] = f"episodes/{number}.{wanted.film or 'png'}"
             drawn += 1
@@ -204,7 +219,8 @@ def _readme(
 
 
 def _files(film: str | None, drawn: int) -> str:
-    lines = ["- `boundary.csv`, `boundary.jsonl`, `boundary.parquet`: one row a solution, best first."]
+    tables = ", ".join(f"`boundary.{form}`" for form in FORMATS if form != "parquet" or has_parquet())
+    lines = [f"- {tables}: one row a solution, best first."]
     if drawn:
         films = f" and `episodes/NUMBER.{film}`" if film else ""
         lines += [

@@ -17,7 +17,7 @@ from search.judging import false_alarms_at
 from search.monitor import Answer, Monitor
 from server.campaigns.body import read_yaml
 from server.cli.api import Api
-from server.cli.options import AsJson, Database, Server, console, print_json, with_api
+from server.cli.options import AsJson, Database, Server, check_picture, console, print_json, with_api
 from server.cli.pictures import FetchedArchive, fetch_archive
 from server.errors import Conflict, FieldError, InvalidInput
 from server.monitors.trial import Trial, try_monitor
@@ -141,6 +141,7 @@ def judge(
 
     Example: brink monitor judge monitor.json 91bc --picture monitor.png
     """
+    check_picture(picture)
     known = _read(file)
     fetched = with_api(server, database, lambda api: _fetched(api, campaigns))
     vectors, unsafe = _together(fetched)

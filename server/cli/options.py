@@ -165,6 +165,17 @@ def console() -> Console:
     return screen if screen.is_terminal else Console(highlight=False, width=PLAIN_WIDTH)
 
 
+def check_picture(file: Path | None) -> None:
+    """Refuse a file that no picture can be drawn into, before anything takes long.
+
+    Raises:
+        InvalidInput: Its name has another ending than .png, .svg or .pdf.
+    """
+    if file is not None and file.suffix.lower() not in (".png", ".svg", ".pdf"):
+        message = f"{file}: expected a file name that ends in .png, .svg or .pdf"
+        raise InvalidInput([FieldError(pointer="--picture", message=message)])
+
+
 def say(words: str) -> None:
     """Print a sentence as it is, however long."""
     console().print(words, soft_wrap=True, markup=False)

@@ -11,11 +11,12 @@ from rich.console import Console
 from rich.table import Table
 
 from server.api.repeats import DEFAULT_REPEATS
-from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from server.campaigns.body import CampaignBody
+from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B, make_plan
 from server.cli.api import Api, CoordinatorSaid
 from server.cli.coordinator import WorkerProcesses
 from server.cli.live import CampaignDisplay
-from server.cli.local import RESULTS, local_service, stopping, watched
+from server.cli.local import RESULTS, check_extra, local_service, stopping, watched
 from server.cli.options import (
     AsJson,
     CampaignId,
@@ -23,12 +24,14 @@ from server.cli.options import (
     Server,
     Workers,
     brink,
+    check_picture,
     console,
     database_option,
     print_json,
     settings_with,
     with_api,
 )
+from server.settings import Settings
 
 SHOWN = 20
 
@@ -57,18 +60,15 @@ def repeats(
 
     Example: brink repeats 3f2a --repeats 50 --picture repeats.png
     """
+    check_picture(picture)
     asked = {"repeats": times, "t_b": t_b, "d_th": d_th}
     screen = Console(stderr=True, highlight=False) if as_json else console()
     if server:
-
-        async def work(api: Api) -> dict[str, Any]:
-            return await _asked_for(api, campaign, asked)
-
-        view = with_api(server, database, work)
-        if view["status"] not in ("finished", "cancelled", "failed"):
+        view = with_api(server, database, lambda api: _asked_for(api, campaign, asked))
+        if view["status"] in ("running", "paused"):
             screen.print(
-                f"campaign {view['campaign']} repeats them: {view['simulations']:,} of {view['budget']:,} "
-                "simulations; the same command shows what came of it"
+                f"campaign {view['campaign']} repeats them; the same command shows how far it is",
+                soft_wrap=True,
             )
     else:
         view = _run(campaign, asked, workers, settings_with(database=database, port=0), screen)
@@ -83,7 +83,7 @@ def repeats(
 
 
 def _run(
-    campaign: str, asked: dict[str, Any], workers: int, settings: Any, screen: Console
+    campaign: str, asked: dict[str, Any], workers: int, settings: Settings, screen: Console
 ) -> dict[str, Any]:
     RESULTS.mkdir(parents=True, exist_ok=True)
     with local_service(settings, RESULTS / "worker.log") as local:
@@ -91,17 +91,17 @@ def _run(
         async def work() -> dict[str, Any]:
             stop = asyncio.Event()
             async with local.api() as api:
+                body = CampaignBody.model_validate((await api.get(f"/campaigns/{campaign}"))["body"])
+                check_extra(make_plan(body).problem)
                 view = await _asked_for(api, campaign, asked)
                 with stopping(stop):
                     if view["status"] != "finished":
                         local.processes.start(workers)
                         view = await watch_repeats(api, view, local.processes, stop, screen)
                     if stop.is_set() and view["status"] != "finished":
-                        with contextlib.suppress(CoordinatorSaid):
-                            await api.post(f"/campaigns/{view['campaign']}/pause")
+                        hint = f"--repeats {asked['repeats']} --t-b {asked['t_b']:g} --d-th {asked['d_th']:g}"
                         screen.print(
-                            f"stopped; nothing is lost. Go on with: {brink()} repeats {campaign} --repeats "
-                            f"{asked['repeats']} --t-b {asked['t_b']:g} --d-th {asked['d_th']:g}"
+                            f"stopped; nothing is lost. Go on with: {brink()} repeats {campaign} {hint}"
                             f"{database_option(settings)}",
                             soft_wrap=True,
                         )
@@ -111,40 +111,65 @@ def _run(
 
 
 async def _asked_for(api: Api, campaign: str, asked: dict[str, Any]) -> dict[str, Any]:
+    """Return these repeats, asked for now unless they were before."""
+    known = await _latest(api, campaign, asked)
+    if known is not None:
+        return known
     view: dict[str, Any] = await api.post(f"/campaigns/{campaign}/repeats", asked)
-    if view["status"] == "paused":
-        await api.post(f"/campaigns/{view['campaign']}/resume")
     return view
+
+
+async def _latest(api: Api, campaign: str, asked: dict[str, Any]) -> dict[str, Any] | None:
+    """Return the latest of these repeats that were not given up."""
+    found: list[dict[str, Any]] = await api.get(f"/campaigns/{campaign}/repeats")
+    same = [one for one in found if all(one[name] == value for name, value in asked.items())]
+    return next((one for one in reversed(same) if one["status"] not in ("cancelled", "failed")), None)
 
 
 async def watch_repeats(
     api: Api, view: dict[str, Any], processes: WorkerProcesses, stop: asyncio.Event, screen: Console
 ) -> dict[str, Any]:
-    """Show how far repeats are until they end or are stopped; return what came of them."""
+    """Show how far repeats are until they end or are stopped, which pauses them; return what came of them.
+
+    Those that were paused by hand, or by being stopped, go on; those that were paused for a reason do not.
+    """
+    path = f"/campaigns/{view['campaign']}"
+    if view["status"] == "paused" and not view["status_reason"]:
+        await api.post(f"{path}/resume")
     with CampaignDisplay(screen) as display:
 
         async def look() -> dict[str, Any]:
-            since = {"since": display.generations}
-            progress: dict[str, Any] = await api.get(f"/campaigns/{view['campaign']}/progress", since)
+            progress: dict[str, Any] = await api.get(f"{path}/progress", {"since": display.generations})
             display.show(progress)
             return progress
 
-        await watched(look, processes, stop)
+        progress = await watched(look, processes, stop)
+    if progress["status"] == "running":
+        with contextlib.suppress(CoordinatorSaid):
+            await api.post(f"{path}/pause")
     found: list[dict[str, Any]] = await api.get(f"/campaigns/{view['of']}/repeats")
     return next(one for one in found if one["campaign"] == view["campaign"])
 
 
 async def finished_repeats(
-    api: Api, campaign: str, processes: WorkerProcesses, stop: asyncio.Event, screen: Console
+    api: Api, campaign: str, times: int, processes: WorkerProcesses, stop: asyncio.Event, screen: Console
 ) -> dict[str, Any] | None:
-    """Wait for the repeats that a campaign asked for itself; return what came of them, None if there are none."""
-    found: list[dict[str, Any]] = await api.get(f"/campaigns/{campaign}/repeats")
-    if not found:
-        return None
-    view = found[0]
-    if view["status"] == "paused":
-        await api.post(f"/campaigns/{view['campaign']}/resume")
-    if view["status"] == "finished":
+    """Wait for the repeats that a campaign asked for itself; return what came of them.
+
+    Args:
+        api: Of the coordinator.
+        campaign: The campaign, which has finished.
+        times: How many repeats it asked for.
+        processes: The workers.
+        stop: Set when the user wants no more.
+        screen: Where to say how far it is.
+
+    Returns:
+        None if it asked for none, or has no boundary.
+    """
+    asked = {"repeats": times, "t_b": DEFAULT_T_B, "d_th": DEFAULT_D_TH}
+    view = await _latest(api, campaign, asked) if times else None
+    if view is None or view["status"] == "finished" or stop.is_set():
         return view
     screen.print("simulating the boundary again with other seeds")
     return await watch_repeats(api, view, processes, stop, screen)
@@ -173,16 +198,27 @@ def print_repeats(screen: Console, view: dict[str, Any]) -> None:
 
 def sentence(view: dict[str, Any]) -> str:
     """Return how many boundary solutions hold up, in words."""
-    judged = sum(one["evaluated"] > 0 for one in view["solutions"])
-    if not judged:
-        return f"none of {len(view['solutions'])} boundary solutions is simulated again yet"
-    share = view["unsafe"] / view["evaluated"]
-    return (
-        f"of {judged} distinct boundary solutions (fitness at most {view['t_b']:g}, {view['d_th']:g} apart), "
-        f"simulated again {view['repeats']} times each, {view['holding']} ({view['holding'] / judged:.0%}) have an "
-        f"interval that contains p_th = {view['p_th']:g}; {view['below']} lie below it, {view['above']} above; "
-        f"all together {share:.1%} unsafe"
+    solutions = len(view["solutions"])
+    reason = f" ({view['status_reason']})" if view["status_reason"] else ""
+    if not view["evaluated"]:
+        return f"none of {solutions} boundary solutions is simulated again yet: {view['status']}{reason}"
+    what = (
+        f"{solutions} distinct boundary solutions (fitness at most {view['t_b']:g}, {view['d_th']:g} apart), "
+        f"simulated again {_times(view)} times each"
     )
+    share = f"all together {view['unsafe'] / view['evaluated']:.1%} unsafe"
+    if view["status"] != "finished":
+        return f"not yet {view['repeats']} times: {what}, {share}; {view['status']}{reason}"
+    judged = sum(one["evaluated"] > 0 for one in view["solutions"])
+    return (
+        f"of {what}, {view['holding']} ({view['holding'] / judged:.0%}) have an interval that contains p_th = "
+        f"{view['p_th']:g}; {view['below']} lie below it, {view['above']} above; {share}"
+    )
+
+
+def _times(view: dict[str, Any]) -> str:
+    counts = sorted({one["evaluated"] for one in view["solutions"]})
+    return f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
 
 
 def write_repeats(view: dict[str, Any], folder: Path, *, picture: bool) -> list[Path]:
@@ -210,4 +246,4 @@ def draw_repeats(view: dict[str, Any], file: Path) -> None:
     ]  # fmt: skip
     file.parent.mkdir(parents=True, exist_ok=True)
     title = f"Does the boundary hold up? {view['name']}"
-    figure_repeats(points, p_th=view["p_th"], repeats=view["repeats"], title=title).savefig(file)
+    figure_repeats(points, p_th=view["p_th"], times=_times(view), title=title).savefig(file)

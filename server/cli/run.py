@@ -116,7 +116,7 @@ async def _run(plan: RunPlan, settings: Settings, local: Local, screen: Console)
                 return 1
             folder = plan.out / f"{file_name(plan.body.name)}-{campaign_id}"
             written = await _write_all(api, campaign_id, plan, folder, stop, screen)
-            again = await finished_repeats(api, campaign_id, local.processes, stop, screen)
+            again = await finished_repeats(api, campaign_id, plan.body.repeats, local.processes, stop, screen)
             if again is not None:
                 written.files.extend(write_repeats(again, folder, picture=plan.pictures))
     boundary = written.boundary
@@ -149,6 +149,8 @@ async def _run(plan: RunPlan, settings: Settings, local: Local, screen: Console)
         print_summary(
             screen, plan.body, summary, boundary, written.findings, brink=brink(), database=database
         )
+    if again is not None and again["status"] != "finished" and not stop.is_set():
+        return 1
     if not stop.is_set():
         return 0
     screen.print("[yellow]interrupted: not all pictures are drawn[/yellow]")

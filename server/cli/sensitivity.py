@@ -25,6 +25,7 @@ from server.cli.options import (
     Resume,
     Server,
     Workers,
+    check_picture,
     console,
     file_name,
     print_json,
@@ -67,6 +68,7 @@ def rescore(
 
     Example: brink sensitivity rescore 3f2a --picture sensitivity.png
     """
+    check_picture(picture)
     wanted_radii = _numbers("--radius", radii, low=0.0, high=1.0, closed=True)
     wanted_p_ths = _numbers("--p-th", p_ths, low=0.0, high=1.0, closed=False)
     fetched = with_api(server, database, lambda api: fetch_archive(api, campaign))
@@ -172,6 +174,7 @@ def varied(body: CampaignBody, parameter: str, values: list[Any], seeds: int) ->
             {
                 "name": f"{value:g}" if isinstance(value, float) else str(value),
                 "id": body.algorithm.id, "params": {**body.algorithm.params, parameter: value},
+                "llm": None if body.llm is None else body.llm.model_dump(mode="json"),
             }
             for value in values
         ],
@@ -184,8 +187,14 @@ def varied(body: CampaignBody, parameter: str, values: list[Any], seeds: int) ->
 
 
 def _values(text: str) -> list[Any]:
-    """Return values as YAML reads them: numbers, true and false, texts."""
-    return [yaml.safe_load(part) for part in text.split(",") if part.strip()]
+    """Return values as they are written: numbers, true and false, texts."""
+    found: list[Any] = []
+    for part in filter(None, map(str.strip, text.split(","))):
+        try:
+            found.append(json.loads(part))
+        except ValueError:
+            found.append(part)
+    return found
 
 
 def _numbers(option: str, text: str, *, low: float, high: float, closed: bool) -> list[float]:

@@ -10,6 +10,7 @@ from typing import TypeVar
 
 from sqlalchemy import Connection
 
+from server.campaigns.repeats import check_no_open_repeats
 from server.campaigns.service import CampaignService, read
 from server.campaigns.store import ENDED
 from server.campaigns.submission import Prepared, prepared, store_prepared
@@ -119,6 +120,8 @@ class ExperimentService:
             experiment = store.named_experiment(connection, name)
             if experiment.status not in ENDED:
                 raise Conflict(f"experiment {name} is {experiment.status}: cancel it before deleting it")
+            for member in experiment.members:
+                check_no_open_repeats(connection, member.campaign.id)
             store.delete_experiment(connection, experiment)
 
         await self._write(unit)

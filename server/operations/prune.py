@@ -1,13 +1,14 @@
 """Retention: campaigns that ended long ago, and traces that can be made again."""
 
 from dataclasses import dataclass
-from datetime import timedelta
+from datetime import datetime, timedelta
 
-from sqlalchemy import Connection, delete, func, select
+from sqlalchemy import ColumnElement, Connection, delete, func, select
+from sqlalchemy.orm import aliased
 
 from server.campaigns.store import ENDED, delete_campaign
 from server.db.clock import database_now
-from server.db.models import CampaignRow, JobKind, JobRow, JobStatus, SolutionRow, TraceRow
+from server.db.models import CampaignRow, JobKind, JobRow, JobStatus, RepeatsRow, SolutionRow, TraceRow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,7 +42,11 @@ def prune(
     if ended is not None:
         query = (
             select(CampaignRow.id, CampaignRow.name)
-            .where(CampaignRow.status.in_(ENDED), CampaignRow.finished_at < now - ended)
+            .where(
+                CampaignRow.status.in_(ENDED),
+                CampaignRow.finished_at < now - ended,
+                ~_repeated_since(now - ended),
+            )
             .order_by(CampaignRow.finished_at)
         )
         found = [(row.id, row.name) for row in connection.execute(query)]
@@ -67,3 +72,15 @@ def prune(
             )
             connection.execute(delete(TraceRow).where(old))
     return Pruned(campaigns=tuple(found), solutions=count, traces=gone)
+
+
+def _repeated_since(moment: datetime) -> ColumnElement[bool]:
+    """Return the condition that repeats of a campaign have not ended, or ended later: they would go with it."""
+    again = aliased(CampaignRow)
+    young = again.finished_at.is_(None) | (again.finished_at >= moment)
+    return (
+        select(RepeatsRow.campaign_id)
+        .join(again, again.id == RepeatsRow.campaign_id)
+        .where(RepeatsRow.of_id == CampaignRow.id, young)
+        .exists()
+    )

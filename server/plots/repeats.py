@@ -51,13 +51,13 @@ class RepeatedPoint:
         return -1 if self.high < p_th else 1 if self.low > p_th else 0
 
 
-def figure_repeats(points: Sequence[RepeatedPoint], *, p_th: float, repeats: int, title: str) -> Figure:
+def figure_repeats(points: Sequence[RepeatedPoint], *, p_th: float, times: str, title: str) -> Figure:
     """Return each solution's own probability of unsafe with its interval, least first.
 
     Args:
         points: Solutions, at least one.
         p_th: Probability on the boundary that was sought.
-        repeats: Simulations of each.
+        times: How often each was simulated, in words.
         title: What it is about.
     """
     ordered = sorted(points, key=lambda point: (point.probability, point.number))
@@ -69,8 +69,8 @@ def figure_repeats(points: Sequence[RepeatedPoint], *, p_th: float, repeats: int
     figure = new_figure(
         height,
         title,
-        f"{len(points)} distinct boundary solutions{left_out}, each simulated {repeats} times with seeds that the "
-        f"search never used.\nLines are 95% Wilson intervals. The boundary that was sought is where unsafe has "
+        f"{len(points)} distinct boundary solutions{left_out}, each simulated {times} times with seeds that the "
+        f"search never used.\nLines are Wilson intervals. The boundary that was sought is where unsafe has "
         f"probability {p_th:g}.",
     )
     axes = figure.add_axes((

@@ -4,19 +4,22 @@ import json
 import time
 from collections import Counter, defaultdict
 from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 from PIL import Image
-from support.api import FakeWorker, ball, coordinator, expect, row_counts, submit
+from sqlalchemy import update
+from support.api import FakeWorker, ball, coordinator, expect, progress, row_counts, submit
 from support.problems import REQUIREMENT
 from typer.testing import CliRunner
 
 from search.fitness import wilson_interval
 from server.cli.commands import app
 from server.db.engine import Engines
+from server.db.models import CampaignRow
 from worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
 API = "/api/v1/campaigns"
@@ -130,7 +133,9 @@ def test_a_campaign_is_deleted_with_its_repeats_once_they_have_ended(
     campaign = finished(client)
     view = expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 3, **WIDE}), 201)
     answer = expect(client.delete(f"{API}/{campaign}"), 409)
-    assert f"campaign {view['campaign']} repeats its boundary and is running" in answer["detail"]
+    assert (
+        f"campaign {view['campaign']} repeats the boundary of {campaign} and is running" in answer["detail"]
+    )
     expect(client.post(f"{API}/{view['campaign']}/cancel"))
     expect(client.delete(f"{API}/{campaign}"), 204)
     counts = row_counts(engines)
@@ -175,7 +180,7 @@ def test_the_command_asks_then_shows_what_came(client: httpx.Client, tmp_path: P
     server = ["--server", str(client.base_url)]
     asked = CliRunner().invoke(app, [*wanted, *server])
     assert asked.exit_code == 0, asked.output
-    assert "the same command shows what came of it" in asked.output
+    assert "the same command shows how far it is" in asked.output
     [view] = expect(client.get(f"{API}/{campaign}/repeats"))
     FakeWorker(client, judge=by_chance).work(view["campaign"])
     shown = CliRunner().invoke(app, [*wanted, *server, "--picture", str(picture)])
@@ -186,3 +191,67 @@ def test_the_command_asks_then_shows_what_came(client: httpx.Client, tmp_path: P
     assert f"{view['holding']} ({view['holding'] / count:.0%}) have an interval" in shown.output
     with Image.open(picture) as drawn:
         assert drawn.width == 1600
+
+
+@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+def test_unfinished_repeats_are_not_shown_as_a_verdict_nor_resumed(client: httpx.Client) -> None:
+    campaign = finished(client)
+    wanted = ["repeats", campaign, "--repeats", "12", "--t-b", "0.5", "--d-th", "0.05"]
+    command = [*wanted, "--server", str(client.base_url)]
+    assert CliRunner().invoke(app, command).exit_code == 0
+    [view] = expect(client.get(f"{API}/{campaign}/repeats"))
+    count = len(view["solutions"])
+    worker = FakeWorker(client, judge=by_chance)
+    while (stands := progress(client, view["campaign"]))["generation"] < 1:
+        assert stands["status"] == "running"
+        worker.report(worker.lease())
+    expect(client.post(f"{API}/{view['campaign']}/pause"))
+    shown = CliRunner().invoke(app, command)
+    assert shown.exit_code == 0, shown.output
+    assert f"not yet 12 times: {count} distinct boundary solutions" in shown.output
+    assert "paused" in shown.output
+    assert "contains p_th" not in shown.output
+    assert progress(client, view["campaign"])["status"] == "paused", "whoever looks does not resume"
+
+
+def test_retention_keeps_a_campaign_whose_repeats_are_young(
+    client: httpx.Client, engines: Engines, database_url: str
+) -> None:
+    campaign = finished(client)
+    view = expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 3, **WIDE}), 201)
+    command = ["db", "prune", "--ended-days", "30", "--yes", "--database", database_url]
+    with engines.writer.begin() as connection:
+        ended = update(CampaignRow).where(CampaignRow.id == campaign)
+        connection.execute(ended.values(finished_at=datetime(2020, 1, 1, tzinfo=UTC)))
+    assert CliRunner().invoke(app, command).exit_code == 0
+    assert row_counts(engines)["campaigns"] == 2, "they run"
+    FakeWorker(client, judge=by_chance).work(view["campaign"])
+    assert CliRunner().invoke(app, command).exit_code == 0
+    assert row_counts(engines)["campaigns"] == 2, "they ended just now"
+    with engines.writer.begin() as connection:
+        connection.execute(update(CampaignRow).values(finished_at=datetime(2020, 1, 1, tzinfo=UTC)))
+    assert CliRunner().invoke(app, command).exit_code == 0
+    assert row_counts(engines)["campaigns"] == 0
+
+
+@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+def test_an_experiment_is_not_deleted_while_its_boundaries_are_repeated(client: httpx.Client) -> None:
+    one = body()
+    document = {
+        "name": "small", "problems": [one["problem"]], "algorithms": [one["algorithm"]], "seeds": [1],
+        "budget": one["budget"],
+    }  # fmt: skip
+    found = expect(client.post("/api/v1/experiments", json=document), 201)
+    campaign = found["members"][0]["campaign"]
+    FakeWorker(client, judge=by_chance).work(campaign)
+    view = expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 3, **WIDE}), 201)
+    answer = expect(client.delete(f"/api/v1/experiments/{found['id']}"), 409)
+    assert view["campaign"] in answer["detail"]
+    expect(client.post(f"{API}/{view['campaign']}/cancel"))
+    expect(client.delete(f"/api/v1/experiments/{found['id']}"), 204)
+
+
+def test_a_picture_of_another_kind_is_refused_before_anything_is_simulated() -> None:
+    said = CliRunner().invoke(app, ["repeats", "3f2a", "--picture", "out.txt"])
+    assert said.exit_code != 0
+    assert "ends in .png, .svg or .pdf" in str(said.exception)
