@@ -91,6 +91,13 @@ def _print_next(
         hints.append((f"replay {campaign} {best} --out replay.mp4{database}", "watch the best one"))
     if _is_about_the_boundary(summary):
         hints.append((f"results {campaign} --t-b 0.15 --d-th 0.1{database}", "other thresholds"))
+    if any("replay-" in path for path in summary["files"]):
+        if not summary["repeats"]:
+            again = "its boundary again with other seeds: does it hold up?"
+            hints.append((f"repeats {campaign} --picture repeats.png{database}", again))
+        hints.append(
+            (f"evidence {campaign} --out evidence{database}", "tables, rules and replays for others")
+        )
     if summary["control"]:
         hints.append((f"compare {campaign}{database}", "what is owed to the component's behaviour, in full"))
     if body.problem.id == "urban-injected@1" and body.budget.simulations < PAPER_BUDGET:
