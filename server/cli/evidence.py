@@ -100,14 +100,12 @@ async def _write(api: Api, campaign: str, wanted: _Wanted, screen: Console) -> d
     document = [asdict(one) for one in found]
     (wanted.folder / "rules.json").write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
     # What takes long comes last: whoever stops it has all the rest.
-    drawn = 0
-    for replays in (False, True):
-        if replays:
-            drawn, missing = await _replays(api, fetched, rows, boundary, wanted, screen)
-            notes += missing
-            _tables(rows, wanted.folder)
-        readme = _readme(fetched, boundary, wanted, found, notes, drawn)
-        (wanted.folder / "README.md").write_text(readme, encoding="utf-8")
+    readme = wanted.folder / "README.md"
+    readme.write_text(_readme(fetched, boundary, wanted, found, notes, 0), encoding="utf-8")
+    drawn, missing = await _replays(api, fetched, rows, boundary, wanted, screen)
+    notes += missing
+    _tables(rows, wanted.folder)
+    readme.write_text(_readme(fetched, boundary, wanted, found, notes, drawn), encoding="utf-8")
     return {
         "campaign": fetched.id, "folder": str(wanted.folder), "solutions": len(rows), "replays": drawn,
         "rules": document, "notes": notes,

@@ -12,6 +12,7 @@ from typing import Any
 
 import httpx
 from pydantic import SecretStr
+from rich.console import Console
 
 from server.cli.api import TIMEOUT, Api
 from server.cli.coordinator import (
@@ -21,6 +22,7 @@ from server.cli.coordinator import (
     prepare_database,
     release_leases_of_the_dead,
 )
+from server.cli.live import CampaignDisplay
 from server.errors import FieldError, InvalidInput, Unavailable, install
 from server.problems.base import NeedsExtra, Problem
 from server.settings import Settings
@@ -112,6 +114,21 @@ async def watched(
         processes.replace_dead()
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(stop.wait(), LOOK_EVERY_S)
+
+
+async def watch_campaign(
+    api: Api, campaign: str, processes: WorkerProcesses, stop: asyncio.Event, screen: Console
+) -> dict[str, Any]:
+    """Show how far a campaign is until it ends or is stopped; return its last progress."""
+    with CampaignDisplay(screen) as display:
+
+        async def look() -> dict[str, Any]:
+            since = {"since": display.generations}
+            progress: dict[str, Any] = await api.get(f"/campaigns/{campaign}/progress", since)
+            display.show(progress)
+            return progress
+
+        return await watched(look, processes, stop)
 
 
 @contextlib.contextmanager

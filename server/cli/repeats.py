@@ -15,8 +15,7 @@ from server.campaigns.body import CampaignBody
 from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B, make_plan
 from server.cli.api import Api, CoordinatorSaid
 from server.cli.coordinator import WorkerProcesses
-from server.cli.live import CampaignDisplay
-from server.cli.local import RESULTS, check_extra, local_service, stopping, watched
+from server.cli.local import RESULTS, check_extra, local_service, stopping, watch_campaign
 from server.cli.options import (
     AsJson,
     CampaignId,
@@ -136,14 +135,7 @@ async def watch_repeats(
     path = f"/campaigns/{view['campaign']}"
     if view["status"] == "paused" and not view["status_reason"]:
         await api.post(f"{path}/resume")
-    with CampaignDisplay(screen) as display:
-
-        async def look() -> dict[str, Any]:
-            progress: dict[str, Any] = await api.get(f"{path}/progress", {"since": display.generations})
-            display.show(progress)
-            return progress
-
-        progress = await watched(look, processes, stop)
+    progress = await watch_campaign(api, view["campaign"], processes, stop, screen)
     if progress["status"] == "running":
         with contextlib.suppress(CoordinatorSaid):
             await api.post(f"{path}/pause")

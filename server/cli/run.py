@@ -17,11 +17,9 @@ from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.submission import check_submission
 from server.cli.api import Api, CoordinatorSaid
 from server.cli.compare import compared_archives
-from server.cli.coordinator import WorkerProcesses
 from server.cli.findings.drawing import Drawing
 from server.cli.findings.finding import Findings, fetch_findings
-from server.cli.live import CampaignDisplay
-from server.cli.local import RESULTS, Local, check_extra, local_service, stopping, watched
+from server.cli.local import RESULTS, Local, check_extra, local_service, stopping, watch_campaign
 from server.cli.options import (
     CampaignFile,
     Database,
@@ -106,7 +104,7 @@ async def _run(plan: RunPlan, settings: Settings, local: Local, screen: Console)
         campaign_id = await _campaign(api, plan, screen)
         with stopping(stop):
             local.processes.start(plan.workers)
-            progress = await _watch(api, campaign_id, local.processes, stop, screen)
+            progress = await watch_campaign(api, campaign_id, local.processes, stop, screen)
             if stop.is_set():
                 await _set_aside(api, campaign_id, plan, progress, screen, database)
                 return 1
@@ -184,20 +182,6 @@ async def _campaign(api: Api, plan: RunPlan, screen: Console) -> str:
         f"{plan.body.budget.simulations} simulations, seed {plan.body.seed}"
     )
     return str(campaign["id"])
-
-
-async def _watch(
-    api: Api, campaign_id: str, processes: WorkerProcesses, stop: asyncio.Event, screen: Console
-) -> dict[str, Any]:
-    with CampaignDisplay(screen) as display:
-
-        async def look() -> dict[str, Any]:
-            since = {"since": display.generations}
-            progress: dict[str, Any] = await api.get(f"/campaigns/{campaign_id}/progress", since)
-            display.show(progress)
-            return progress
-
-        return await watched(look, processes, stop)
 
 
 async def _set_aside(
