@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from search.boundary import IndexArray, distinct_boundary
 from search.component import FloatArray
 from search.embedding import embedded
-from server.plots.axis_meaning import AxisMeaning, axis_meanings
+from server.boundary.axes import AxisMeaning, axis_meanings
 from server.plots.inputs import CampaignFigures
 from server.plots.style import (
     HAIRLINE,
@@ -105,7 +105,7 @@ def _placed(inputs: CampaignFigures) -> _Map:
     return _Map(
         points=points,
         explained=embedding.explained,
-        meanings=axis_meanings(inputs, points),
+        meanings=axis_meanings(inputs.space, inputs.archive.vectors, points),
         near=np.flatnonzero(inputs.archive.fitness <= inputs.t_b),
         distinct=distinct_boundary(inputs.archive, inputs.t_b, inputs.d_th),
         strict=int(distinct_boundary(inputs.archive, inputs.t_b, inputs.d_th, strict=True).size),

@@ -4,21 +4,18 @@ A share is shown with its Wilson interval. The numbers of a sleeping block mean 
 panels. What a search evaluated is no random sample, so this says where the unsafe solutions were found, not why.
 """
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import scipy.stats
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator, PercentFormatter
-from numpy.typing import NDArray
 
-from search.component import BoolArray, FloatArray
-from search.fitness import IntArray, wilson_interval
-from search.space import Categorical, Integer
+from search.fitness import wilson_interval
+from search.space import Categorical
+from server.boundary.dependence import FEWEST_IN_BIN, Dependence, dependences
+from server.boundary.parameters import ParameterColumn
 from server.plots.inputs import CampaignFigures
-from server.plots.parameter_values import ParameterColumn, parameter_columns
 from server.plots.style import (
     INK,
     MUTED,
@@ -35,35 +32,6 @@ from server.plots.style import (
 COLUMNS: Final = 5
 PANEL_PX: Final = 250
 TOP_PX, BOTTOM_PX = 150, 44
-FEWEST_IN_BIN: Final = 15
-MOST_BINS: Final = 8
-FEW_INTEGERS: Final = 9
-"""Integers with at most this many values are shown value by value."""
-DETECTABLE: Final = 0.05
-"""Probability, over all parameters together, that one without effect stands out."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Dependence:
-    """The unsafe share over the values of one parameter.
-
-    Attributes:
-        column: The parameter.
-        places: Where each group lies on the axis: index of the choice or value, or the median of the bin.
-        labels: Names of the groups; empty if the axis is a scale.
-        counts: Solutions in each group.
-        unsafe: Unsafe ones among them.
-        strength: Cramér's V between group and verdict, in [0, 1].
-        p_value: Of the chi-squared test that the verdict does not depend on the group; 1 if there is one group.
-    """
-
-    column: ParameterColumn
-    places: FloatArray
-    labels: tuple[str, ...]
-    counts: IntArray
-    unsafe: IntArray
-    strength: float
-    p_value: float
 
 
 def figure_parameters(inputs: CampaignFigures) -> Figure:
@@ -72,7 +40,7 @@ def figure_parameters(inputs: CampaignFigures) -> Figure:
     Args:
         inputs: The campaign.
     """
-    found = dependences(inputs)
+    found = dependences(inputs.space, inputs.archive)
     rows = -(-len(found) // COLUMNS)
     height_px = TOP_PX + BOTTOM_PX + rows * PANEL_PX
     archive = inputs.archive
@@ -97,67 +65,9 @@ def figure_parameters(inputs: CampaignFigures) -> Figure:
                 (PANEL_PX - 116) / height_px,
             )
         )
-        _plot(axes, dependence, overall, ceiling, detectable=dependence.p_value < DETECTABLE / len(found))
+        _plot(axes, dependence, overall, ceiling, detectable=dependence.detectable(len(found)))
         axes.tick_params(labelleft=column == 0)
     return figure
-
-
-def dependences(inputs: CampaignFigures) -> list[Dependence]:
-    """Return how the verdict depends on each parameter, strongest first, those without two groups last."""
-    found = [_dependence(column, inputs.archive.unsafe) for column in parameter_columns(inputs)]
-    return sorted(found, key=lambda dependence: -dependence.strength)
-
-
-def _dependence(column: ParameterColumn, verdicts: BoolArray) -> Dependence:
-    values, unsafe = column.values[column.awake], verdicts[column.awake]
-    places, labels, group = _grouped(column, values)
-    counts = np.bincount(group, minlength=places.size).astype(np.int64)
-    bad = np.bincount(group[unsafe], minlength=places.size).astype(np.int64)
-    strength, p_value = _association(counts, bad)
-    return Dependence(
-        column=column,
-        places=places,
-        labels=labels,
-        counts=counts,
-        unsafe=bad,
-        strength=strength,
-        p_value=p_value,
-    )
-
-
-def _grouped(
-    column: ParameterColumn, values: FloatArray
-) -> tuple[FloatArray, tuple[str, ...], NDArray[np.intp]]:
-    """Return the groups' places and labels, and each value's group."""
-    parameter = column.parameter
-    if isinstance(parameter, Categorical):
-        labels = tuple(choice.replace("_", " ") for choice in parameter.choices)
-        return np.arange(len(labels), dtype=np.float64), labels, values.astype(np.intp)
-    if isinstance(parameter, Integer) and parameter.range < FEW_INTEGERS:
-        whole = np.arange(parameter.low, parameter.high + 1)
-        return (
-            whole.astype(np.float64),
-            tuple(map(str, whole.tolist())),
-            (values - parameter.low).astype(np.intp),
-        )
-    if values.size == 0:
-        return np.empty(0), (), np.empty(0, np.intp)
-    bins = int(np.clip(values.size // FEWEST_IN_BIN, 1, MOST_BINS))
-    edges = np.unique(np.quantile(values, np.linspace(0, 1, bins + 1)))
-    group = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(edges.size - 2, 0))
-    kept, group = np.unique(group, return_inverse=True)
-    places = np.array([np.median(values[group == index]) for index in range(kept.size)])
-    return places, (), group.reshape(-1)
-
-
-def _association(counts: IntArray, unsafe: IntArray) -> tuple[float, float]:
-    """Return Cramér's V and the p-value of groups by verdict; (0, 1) if either has one value only."""
-    filled = counts > 0
-    table = np.stack([unsafe[filled], (counts - unsafe)[filled]])
-    if table.shape[1] < 2 or (table.sum(axis=1) == 0).any():
-        return 0.0, 1.0
-    result = scipy.stats.chi2_contingency(table, correction=False)
-    return float(np.sqrt(result.statistic / table.sum())), float(result.pvalue)
 
 
 def _ceiling(found: list[Dependence], overall: float) -> float:

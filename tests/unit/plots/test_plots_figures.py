@@ -14,6 +14,7 @@ from search.boundary import PAPER_D_THS, PAPER_T_BS, dbs, dbs_grid, distinct_bou
 from search.embedding import embedded
 from search.fitness import wilson_interval
 from search.problems.mtq import SPACE
+from server.boundary.dependence import dependences
 from server.plots import (
     FIGURES,
     CampaignFigures,
@@ -22,7 +23,6 @@ from server.plots import (
     figure_fitness,
     figure_parameters,
 )
-from server.plots.parameters import dependences
 from server.plots.style import WIDTH_PX
 
 MakeFigure = Callable[[CampaignFigures], Figure]
@@ -159,7 +159,7 @@ def test_panels_show_the_share_of_each_choice_with_its_interval() -> None:
     inputs = mixed_campaign()
     figure = figure_parameters(inputs)
     assert len(figure.axes) == inputs.space.dimension
-    strongest = dependences(inputs)[0]
+    strongest = dependences(inputs.space, inputs.archive)[0]
     assert strongest.column.name == "scenario.weather"
     share = next(item for item in figure.axes[0].lines if item.get_gid() == "share")
     weather = inputs.archive.vectors[:, 0]
@@ -174,7 +174,7 @@ def test_panels_show_the_share_of_each_choice_with_its_interval() -> None:
 def test_numbers_of_a_sleeping_block_are_left_out_of_their_panels() -> None:
     inputs = mixed_campaign()
     awake = inputs.archive.vectors[:, 2] == 1
-    found = {dependence.column.name: dependence for dependence in dependences(inputs)}
+    found = {dependence.column.name: dependence for dependence in dependences(inputs.space, inputs.archive)}
     assert found["behaviour.x_px"].counts.sum() == awake.sum() < len(inputs.archive)
     assert found["behaviour.x_px"].unsafe.sum() == inputs.archive.unsafe[awake].sum()
     assert found["behaviour.x_px"].places.min() > 0
@@ -182,7 +182,8 @@ def test_numbers_of_a_sleeping_block_are_left_out_of_their_panels() -> None:
 
 
 def test_verdicts_that_do_not_depend_on_a_parameter_are_not_called_dependent() -> None:
-    found = {dependence.column.name: dependence for dependence in dependences(mixed_campaign(600))}
+    inputs = mixed_campaign(600)
+    found = {dependence.column.name: dependence for dependence in dependences(inputs.space, inputs.archive)}
     assert found["scenario.weather"].p_value < 1e-6
     assert found["scenario.lanes"].p_value > 0.01
     assert found["scenario.weather"].strength > 3 * found["scenario.lanes"].strength

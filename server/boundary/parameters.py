@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from search.component import BoolArray, FloatArray
-from search.space import Categorical, Component, Dormant, Parameter
-from server.plots.inputs import CampaignFigures
+from search.space import Categorical, Component, Dormant, Parameter, SearchSpace
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -31,11 +30,16 @@ class ParameterColumn:
         return f"{self.component}.{self.parameter.name}"
 
 
-def parameter_columns(inputs: CampaignFigures) -> list[ParameterColumn]:
-    """Return all parameters in the order of the genome."""
+def parameter_columns(space: SearchSpace, vectors: FloatArray) -> list[ParameterColumn]:
+    """Return all parameters in the order of the genome.
+
+    Args:
+        space: Where the solutions come from.
+        vectors: Complete solutions as rows, shape ``(n, d)``.
+    """
     columns: list[ParameterColumn] = []
-    for component, part in zip(inputs.space.components, inputs.space.slices, strict=True):
-        rows = inputs.archive.vectors[:, part]
+    for component, part in zip(space.components, space.slices, strict=True):
+        rows = vectors[:, part]
         awake = _awake(component, rows)
         columns += [
             ParameterColumn(

@@ -6,9 +6,8 @@ from typing import Final
 import numpy as np
 
 from search.component import FloatArray
-from search.space import Categorical
-from server.plots.inputs import CampaignFigures
-from server.plots.parameter_values import ParameterColumn, parameter_columns
+from search.space import Categorical, SearchSpace
+from server.boundary.parameters import ParameterColumn, parameter_columns
 
 TELLING: Final = 0.25
 """Least share of the variance along an axis that a parameter must explain to be named."""
@@ -36,17 +35,18 @@ class AxisMeaning:
 
 
 def axis_meanings(
-    inputs: CampaignFigures, points: FloatArray
+    space: SearchSpace, vectors: FloatArray, points: FloatArray
 ) -> tuple[AxisMeaning | None, AxisMeaning | None]:
     """Return for each axis of a map the parameter that explains most of it, or None if none explains a quarter.
 
     A category explains the variance between its groups (correlation ratio), a number the squared correlation.
 
     Args:
-        inputs: The campaign.
+        space: Where the solutions come from.
+        vectors: Complete solutions as rows, shape ``(n, d)``.
         points: The map, shape ``(n, 2)``.
     """
-    columns = parameter_columns(inputs)
+    columns = parameter_columns(space, vectors)
     found: list[AxisMeaning | None] = []
     for axis in (0, 1):
         scored = [AxisMeaning(name=c.name, explained=_explained(c, points[:, axis])) for c in columns]
