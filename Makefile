@@ -4,7 +4,7 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help run test check install dev clean
+.PHONY: help run test check install dev screenshots clean
 
 help:  ## list the commands
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -35,6 +35,9 @@ check: $(VENV)/.dev  ## linter, strict types, import layers
 
 test: check  ## check, then every test, on SQLite and on a real Postgres, a process a core (up to four)
 	$(BIN)/python -m pytest --numprocesses logical --maxprocesses 4 --dist loadfile
+
+screenshots: $(VENV)/.dev  ## take the documentation's pictures of the dashboard anew, in Chromium
+	PYTHONPATH=tests:tests/plugins $(BIN)/python -m browser.screenshots
 
 clean:  ## remove .venv and caches
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

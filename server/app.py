@@ -12,14 +12,20 @@ from fastapi import APIRouter, FastAPI
 
 from server.access.gate import Gate
 from server.api import (
+    access,
     campaigns,
     catalogue,
+    episodes,
     experiments,
+    figures,
     health,
     jobs,
     llm,
     monitors,
+    neighbours,
+    overview,
     repeats,
+    scores,
     solutions,
     violations,
 )
@@ -33,9 +39,14 @@ from server.campaigns import store
 from server.campaigns.advance import Stepper
 from server.campaigns.archives import Archives
 from server.campaigns.service import SLOW_AT_ONCE, CampaignService, read
+from server.dashboard.course import Courses
+from server.dashboard.overview import Sparks
+from server.dashboard.page import add_dashboard
+from server.dashboard.solution_map import SolutionMaps
 from server.db.engine import Engines, open_engines
 from server.db.news import listen
 from server.db.writer import Writer
+from server.episodes.films import Films
 from server.errors import Unavailable
 from server.experiments.scorebook import Scorebook
 from server.experiments.service import ExperimentService
@@ -93,7 +104,8 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
             loop = asyncio.get_running_loop()
             await loop.run_in_executor(None, context.seeds.close)
             await loop.run_in_executor(None, context.campaigns.close)
-            await loop.run_in_executor(None, partial(context.drawing.shutdown, cancel_futures=True))
+            for threads in (context.drawing, context.looking):
+                await loop.run_in_executor(None, partial(threads.shutdown, cancel_futures=True))
             await loop.run_in_executor(None, context.queue.close)
             await loop.run_in_executor(None, context.queue.writer.close)
             engines.dispose()
@@ -111,11 +123,28 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
     api = APIRouter(prefix="/api/v1")
     # The busiest first: routes are tried in order.
     api.include_router(jobs.wire)
-    for module in (jobs, campaigns, solutions, violations, llm, monitors, repeats, experiments, catalogue):
+    for module in (
+        jobs,
+        campaigns,
+        solutions,
+        episodes,
+        neighbours,
+        violations,
+        llm,
+        monitors,
+        repeats,
+        scores,
+        experiments,
+        catalogue,
+        access,
+        overview,
+        figures,
+    ):
         api.include_router(module.router)
     app.include_router(api)
     app.include_router(health.router)
     add_docs(app)
+    add_dashboard(app)
     token = settings.token.get_secret_value() if settings.token else None
     exposed = settings.host not in LOOPBACK
     gate = Gate(engines, token=token, exposed=exposed, rate_limit=settings.rate_limit) if sweeping else None
@@ -142,6 +171,7 @@ def _context(
     )
     archives = Archives(engines=engines, stepper=stepper)
     drawing = ThreadPoolExecutor(SLOW_AT_ONCE, thread_name_prefix="brink-draw")
+    looking = ThreadPoolExecutor(SLOW_AT_ONCE, thread_name_prefix="brink-look")
     return Context(
         settings=settings,
         engines=engines,
@@ -151,9 +181,14 @@ def _context(
         scorebook=Scorebook(archives=archives, threads=drawing),
         monitors=Monitors(archives=archives, threads=drawing),
         archives=archives,
+        films=Films(engines=engines),
         seeds=seeds,
         metrics=metrics,
+        maps=SolutionMaps(threads=looking),
+        courses=Courses(threads=looking),
+        sparks=Sparks(),
         drawing=drawing,
+        looking=looking,
     )
 
 

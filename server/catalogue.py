@@ -12,10 +12,11 @@ from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from pydantic import Field as PydanticField
 
 from search.algorithm import Algorithm
-from search.errors import ConfigError
+from search.errors import ConfigError, UnsupportedSpace
+from search.levels import slots_of
 from server.campaigns.body import invalid_input
 from server.errors import FieldError, InvalidInput, nearest
-from server.problems.base import InProcessProblem, Problem, SimulatedProblem
+from server.problems.base import InProcessProblem, Problem, SimulatedProblem, TellsViolations
 from sim.catalogue import load_plugin, plugin_ids
 
 PROBLEMS = "brink.problems"
@@ -152,9 +153,20 @@ def describe_problems() -> list[dict[str, Any]]:
                 "params": params_model(kind.params_type).model_json_schema(),
                 "space": problem.space.describe(),
                 "simulator": problem.needs if isinstance(problem, SimulatedProblem) else None,
+                "finds": _finds(problem),
             }
         )
     return described
+
+
+def _finds(problem: Problem) -> list[str]:
+    """Return what can be told of a campaign on a problem besides its boundary, by the names of the routes."""
+    found = ["violations"] if isinstance(problem, TellsViolations) else []
+    try:
+        slots_of(problem.space)
+    except UnsupportedSpace:
+        return found
+    return [*found, "combinations"]
 
 
 def describe_algorithms() -> list[dict[str, Any]]:

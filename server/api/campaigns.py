@@ -1,22 +1,25 @@
 """Routes of campaigns: submit, list, look, control, progress."""
 
-import hashlib
 from functools import partial
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Query, Request, Response
+from fastapi import APIRouter, Body, Header, Query, Request, Response
+from sqlalchemy import Connection
 
+from server.api.conditional import NOTHING_NEW, is_known, nothing_new, tag_of
 from server.api.context import Context, Services
 from server.api.cursor import cursor_of, read_cursor
 from server.api.schemas import MAX_NUMBER, CampaignList, CampaignView, Progress
 from server.api.views import campaign_view, read_progress
+from server.campaigns import view_store
 from server.campaigns.archives import ReadArchive
-from server.campaigns.body import CampaignBody
+from server.campaigns.body import MAX_FILE_BYTES, CampaignBody, parse_body, yaml_document
 from server.campaigns.service import read
 from server.campaigns.store import ENDED
 from server.campaigns.values import Campaign
 from server.db.models import CampaignStatus
 from server.errors import InvalidInput
+from server.queue.workers import capabilities_of_live
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"])
 
@@ -40,6 +43,24 @@ async def submit_campaign(
     if not new:
         response.status_code = 200
     return campaign_view(campaign)
+
+
+@router.post("/check")
+async def check_campaign(
+    text: Annotated[
+        str,
+        Body(
+            media_type="application/yaml",
+            max_length=MAX_FILE_BYTES,
+            description="A campaign file: YAML, of which JSON is a part.",
+        ),
+    ],
+    services: Services,
+) -> CampaignBody:
+    """Return the campaign of a file if it could be submitted, with the same errors if it could not; store nothing."""
+    body = parse_body(yaml_document(text))
+    await services.campaigns.check(body)
+    return body
 
 
 @router.get("")
@@ -94,7 +115,7 @@ async def delete_campaign(campaign_id: str, services: Services) -> None:
     await services.campaigns.delete(campaign_id)
 
 
-@router.get("/{campaign_id}/progress", responses={304: {"description": "Nothing new since that ETag."}})
+@router.get("/{campaign_id}/progress", responses=NOTHING_NEW)
 async def get_progress(
     campaign_id: str,
     services: Services,
@@ -105,13 +126,33 @@ async def get_progress(
     ] = 0,
 ) -> Progress:
     """Return counts and rates, and the series of generations from `since` on. Answers 304 to a known ETag."""
+    etag = await _pulse(services, campaign_id, since)
+    if etag is None:  # the beginning of an id, or none
+        campaign_id = (await services.campaigns.get(campaign_id)).id
+        etag = await _pulse(services, campaign_id, since)
+    if etag is not None and is_known(request, etag):
+        return nothing_new(etag)  # type: ignore[no-any-return]
+    # What is read now is as new as the tag, or newer: no change can be missed.
     progress = await _progress(services, campaign_id, since)
-    known = progress.model_dump_json(exclude={"elapsed_s", "rate_per_s", "remaining_s", "trouble_s"})
-    etag = f'"{hashlib.sha256(known.encode()).hexdigest()[:32]}"'
-    response.headers["ETag"] = etag
-    if request.headers.get("if-none-match") == etag:
-        response.status_code = 304
+    response.headers["ETag"] = etag or ""
     return progress
+
+
+async def _pulse(services: Context, campaign_id: str, since: int) -> str | None:
+    """Return the tag of a campaign's progress; None without a campaign of that whole id."""
+    trouble = services.queue.writer.trouble
+
+    def look(connection: Connection) -> tuple[object, ...] | None:
+        pulse = view_store.read_pulse(connection, campaign_id)
+        if pulse is None:
+            return None
+        live = capabilities_of_live(connection, services.settings.worker_seen_s)
+        return (*pulse, sorted((worker, sorted(able)) for worker, able in live.items()))
+
+    pulse = await read(services.engines, look)
+    if pulse is None:
+        return None
+    return tag_of(pulse, since, services.seeds.doing(campaign_id), trouble.reason if trouble else None)
 
 
 async def _progress(services: Context, campaign_id: str, since: int) -> Progress:

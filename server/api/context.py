@@ -11,7 +11,11 @@ from fastapi import Depends, Request
 
 from server.campaigns.archives import Archives
 from server.campaigns.service import CampaignService
+from server.dashboard.course import Courses
+from server.dashboard.overview import Sparks
+from server.dashboard.solution_map import SolutionMaps
 from server.db.engine import Engines
+from server.episodes.films import Films
 from server.experiments.scorebook import Scorebook
 from server.experiments.service import ExperimentService
 from server.llm.seeds import LlmSeeds
@@ -33,10 +37,16 @@ class Context:
     monitors: Monitors
     queue: QueueService
     archives: Archives
+    films: Films
     seeds: LlmSeeds
     metrics: Metrics
+    maps: SolutionMaps
+    courses: Courses
+    sparks: Sparks
     drawing: ThreadPoolExecutor
     """Threads of their own: a film takes seconds, and all else must not wait for that."""
+    looking: ThreadPoolExecutor
+    """What people look at waits for a map, but not for films, or the scores of thirty campaigns."""
 
 
 async def context_of(request: Request) -> Context:  # async: another thread would cost more than this does

@@ -104,6 +104,10 @@ class DuelView(View):
     p_holm: Annotated[float, Field(description="Corrected for all comparisons of this problem and measure.")]
     a12: float
     effect: str
+    differs: Annotated[
+        bool, Field(description="Whether the corrected p is small enough to call it a difference.")
+    ]
+    says: Annotated[str, Field(description="What can be concluded, in words.")]
 
 
 class RepeatView(View):

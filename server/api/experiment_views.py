@@ -22,8 +22,9 @@ from server.campaigns.store import ENDED
 from server.db.models import CampaignStatus, JobStatus
 from server.db.writer import Trouble
 from server.experiments import store
+from server.experiments.conclusions import LEVEL, conclusion, with_low_controls
 from server.experiments.scores import Control
-from server.experiments.tables import Repeat, duels, standings
+from server.experiments.tables import Duel, Repeat, duels, standings
 from server.experiments.values import Experiment
 from server.queue.workers import capabilities_of_live
 
@@ -117,6 +118,15 @@ def read_progress(
 
 def results_view(experiment: Experiment, repeats: Sequence[Repeat]) -> Results:
     """Return the tables of an experiment."""
+    stand = standings(repeats)
+    means = {(one.line, one.measure, one.t_b, one.d_th): one.value.mean for one in stand}
+    problems = {repeat.problem for repeat in repeats}
+    low = {problem: with_low_controls(repeats, problem) for problem in problems}
+
+    def says(one: Duel) -> str:
+        first, second = (means[line, one.measure, one.t_b, one.d_th] for line in (one.first, one.second))
+        return conclusion(one, first, second, low[one.first.problem])
+
     return Results(
         id=experiment.id, name=experiment.body.name, status=experiment.status,
         created_at=experiment.created_at, campaigns=experiment.body.campaigns, scored=len(repeats),
@@ -127,14 +137,14 @@ def results_view(experiment: Experiment, repeats: Sequence[Repeat]) -> Results:
                 measure=one.measure, t_b=one.t_b, d_th=one.d_th, mean=one.value.mean, low=one.value.low,
                 high=one.value.high, repeats=one.value.repeats,
             )
-            for one in standings(repeats)
+            for one in stand
         ],
         duels=[
             DuelView(
                 problem=one.first.problem, first=one.first.method, second=one.second.method,
                 control=one.second.control, measure=one.measure, t_b=one.t_b, d_th=one.d_th,
                 u=one.result.u, p=one.result.p_value, p_holm=one.adjusted, a12=one.result.a12,
-                effect=one.size,
+                effect=one.size, differs=one.adjusted <= LEVEL, says=says(one),
             )
             for one in duels(repeats)
         ],
@@ -143,14 +153,15 @@ def results_view(experiment: Experiment, repeats: Sequence[Repeat]) -> Results:
                 problem=one.problem, method=one.method, seed=one.seed, campaign=one.campaign,
                 evaluated=one.scores.evaluated, unsafe=one.scores.unsafe,
                 dbs=one.scores.figures.dbs.tolist(), strict=one.scores.figures.strict.tolist(),
-                control=_control(one.scores.control),
+                control=control_view(one.scores.control),
             )
             for one in repeats
         ],
     )  # fmt: skip
 
 
-def _control(control: Control | None) -> ControlView | None:
+def control_view(control: Control | None) -> ControlView | None:
+    """Return what the control of a campaign reached."""
     if control is None:
         return None
     return ControlView(

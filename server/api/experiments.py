@@ -2,9 +2,10 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Query, Response
+from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import JSONResponse
 
+from server.api.conditional import NOTHING_NEW, tag
 from server.api.context import Services
 from server.api.cursor import cursor_of, read_cursor
 from server.api.experiment_schemas import (
@@ -46,36 +47,51 @@ async def submit_experiment(
     return experiment_view(experiment)
 
 
-@router.get("")
+@router.get("", responses=NOTHING_NEW)
 async def list_experiments(
     services: Services,
+    request: Request,
+    response: Response,
     limit: Annotated[int, Query(ge=1, le=100)] = 20,
     cursor: Annotated[str | None, Query(max_length=200)] = None,
     document_hash: Annotated[str | None, Query(max_length=64, pattern="^[0-9a-f]*$")] = None,
 ) -> ExperimentList:
-    """List experiments, newest first."""
+    """List experiments, newest first. Answers 304 to a known ETag."""
     found = await services.experiments.list(
         limit=limit, before=read_cursor(cursor) if cursor else None, document_hash=document_hash
     )
     last = found[-1] if len(found) == limit else None
-    return ExperimentList(
+    view = ExperimentList(
         experiments=[summary_view(experiment) for experiment in found],
         next=cursor_of(last.created_at, last.id) if last else None,
     )
+    tag(request, response, view)
+    return view
 
 
-@router.get("/{experiment_id}")
-async def get_experiment(experiment_id: str, services: Services) -> ExperimentView:
-    """Return an experiment by its id, or by the beginning of its id if that is unique."""
-    return experiment_view(await services.experiments.get(experiment_id))
+@router.get("/{experiment_id}", responses=NOTHING_NEW)
+async def get_experiment(
+    experiment_id: str, services: Services, request: Request, response: Response
+) -> ExperimentView:
+    """Return an experiment by its id, or by the beginning of its id if that is unique.
+
+    Answers 304 to a known ETag.
+    """
+    view = experiment_view(await services.experiments.get(experiment_id))
+    tag(request, response, view)
+    return view
 
 
-@router.get("/{experiment_id}/progress")
-async def get_progress(experiment_id: str, services: Services) -> ExperimentProgress:
-    """Return counts and rates of all campaigns together."""
+@router.get("/{experiment_id}/progress", responses=NOTHING_NEW)
+async def get_progress(
+    experiment_id: str, services: Services, request: Request, response: Response
+) -> ExperimentProgress:
+    """Return counts and rates of all campaigns together. Answers 304 to a known ETag."""
     experiment = await services.experiments.get(experiment_id)
     seen_s, trouble = services.settings.worker_seen_s, services.queue.writer.trouble
-    return await read(services.engines, lambda c: read_progress(c, experiment, seen_s, trouble))
+    view = await read(services.engines, lambda c: read_progress(c, experiment, seen_s, trouble))
+    tag(request, response, view, leave_out=("elapsed_s", "rate_per_s", "remaining_s", "trouble_s"))
+    return view
 
 
 @router.post("/{experiment_id}/pause")

@@ -4,20 +4,24 @@ import asyncio
 import logging
 import math
 import time
+from typing import cast
 
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from server.access.gate import Gate
+from server.access.gate import Caller, Gate
 from server.api import docs_page
 from server.api.elsewhere import from_elsewhere
 from server.api.problem_details import problem
+from server.dashboard import page
 
-OPEN_PATHS = ("/healthz", "/readyz", "/docs", "/openapi.json")
-"""What says nothing of any campaign: whether the coordinator lives, and what its API is."""
-OPEN_FOLDERS = (f"{docs_page.FOLDER}/",)
+OPEN_PATHS = ("/", "/healthz", "/readyz", "/docs", "/openapi.json")
+"""What says nothing of any campaign: whether the coordinator lives, what its API is, a page that asks for a token."""
+OPEN_FOLDERS = (f"{docs_page.FOLDER}/", f"{page.FOLDER}/")
+_CALLER = "brink.caller"
 SLOWEST_BYTES_PER_S = 10_000.0
 """What a body that takes longer than a stall must come with on the whole."""
 
@@ -35,6 +39,11 @@ _DOCS_POLICY = (
 """The page of the API is another's, and starts itself by a script within."""
 
 log = logging.getLogger(__name__)
+
+
+def caller_of(request: Request) -> Caller | None:
+    """Return whose token a request carries; None where no token is asked for."""
+    return cast(Caller | None, request.scope.get(_CALLER))
 
 
 class Guards:
@@ -94,6 +103,7 @@ class Guards:
             )
         if wait_s := self._gate.wait_s(caller):
             return _too_many(wait_s)
+        scope[_CALLER] = caller
         if not caller.scope.may(scope["method"], scope["path"]):
             return problem(
                 403, "Forbidden",

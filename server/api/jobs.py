@@ -2,10 +2,12 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query, Request
+from fastapi import APIRouter, Path, Query, Request, Response
 
+from server.api.conditional import NOTHING_NEW, tag
 from server.api.context import Services, client_gone
-from server.api.schemas import MAX_NUMBER, JobList, JobViewModel, WorkerView
+from server.api.job_views import job_counts
+from server.api.schemas import MAX_NUMBER, JobCounts, JobList, JobViewModel, WorkerView
 from server.api.wire_route import WireRoute
 from server.campaigns.jobs import list_jobs
 from server.campaigns.service import read
@@ -44,15 +46,17 @@ async def report_results(message: ResultsRequest, request: Request, services: Se
         return await services.queue.results(message, gone)
 
 
-@router.get("/jobs")
+@router.get("/jobs", responses=NOTHING_NEW)
 async def get_jobs(
     services: Services,
+    request: Request,
+    response: Response,
     status: Annotated[list[JobStatus] | None, Query(description="Only jobs in these states.")] = None,
     campaign: Annotated[str | None, Query(max_length=16, pattern="^[0-9a-z]*$")] = None,
     after: Annotated[int, Query(ge=0, le=MAX_NUMBER)] = 0,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> JobList:
-    """List jobs, ascending by id."""
+    """List jobs, ascending by id. Answers 304 to a known ETag."""
     jobs = await read(
         services.engines,
         lambda connection: list_jobs(
@@ -60,7 +64,18 @@ async def get_jobs(
         ),
     )
     views = [JobViewModel.model_validate(job, from_attributes=True) for job in jobs]
-    return JobList(jobs=views, next=views[-1].id if len(views) == limit else None)
+    view = JobList(jobs=views, next=views[-1].id if len(views) == limit else None)
+    tag(request, response, view)
+    return view
+
+
+@router.get("/jobs/counts", responses=NOTHING_NEW)
+async def get_job_counts(services: Services, request: Request, response: Response) -> JobCounts:
+    """Count the jobs that are not done, by campaign and by what they need. Answers 304 to a known ETag."""
+    seen_s = services.settings.worker_seen_s
+    view = await read(services.engines, lambda connection: job_counts(connection, seen_s))
+    tag(request, response, view)
+    return view
 
 
 @router.post("/jobs/{job}/retry", status_code=204)
@@ -69,12 +84,12 @@ async def retry_job(job: Annotated[int, Path(ge=0, le=MAX_NUMBER)], services: Se
     await services.campaigns.retry_job(job)
 
 
-@router.get("/workers", tags=["workers"])
-async def get_workers(services: Services) -> list[WorkerView]:
-    """List workers, the latest heard of first."""
+@router.get("/workers", tags=["workers"], responses=NOTHING_NEW)
+async def get_workers(services: Services, request: Request, response: Response) -> list[WorkerView]:
+    """List workers, the latest heard of first. Answers 304 to a known ETag."""
     seen = await read(services.engines, lambda connection: list_seen(connection))
     horizon = services.settings.worker_seen_s
-    return [
+    views = [
         WorkerView(
             id=w.id, host=w.host, pid=w.pid, version=w.version, capabilities=list(w.capabilities),
             first_seen_at=w.first_seen_at, last_seen_at=w.last_seen_at, seen_s_ago=w.seen_s_ago,
@@ -83,3 +98,5 @@ async def get_workers(services: Services) -> list[WorkerView]:
         )
         for w in seen
     ]  # fmt: skip
+    tag(request, response, views, leave_out=("seen_s_ago",))
+    return views

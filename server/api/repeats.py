@@ -1,16 +1,17 @@
 """Routes of repeats: does the boundary hold up when its solutions are simulated with other seeds?"""
 
-from typing import Annotated
+from collections import Counter
+from typing import Annotated, Self
 
 from fastapi import APIRouter, Response
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from server.api.context import Services
-from server.api.schemas import View
+from server.api.schemas import MAX_NUMBER, View
 from server.campaigns.archives import ReadArchive
 from server.campaigns.body import Body
 from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
-from server.campaigns.repeats import StoredRepeats, read_repeats
+from server.campaigns.repeats import MOST, StoredRepeats, read_repeats
 from server.campaigns.service import read
 from server.db.models import CampaignStatus
 
@@ -22,11 +23,30 @@ DEFAULT_REPEATS = 50
 class RepeatsBody(Body):
     """What is repeated, and how often."""
 
-    repeats: Annotated[
-        int, Field(ge=2, le=10_000, description="Simulations of each distinct boundary solution.")
-    ] = DEFAULT_REPEATS
+    repeats: Annotated[int, Field(ge=2, le=10_000, description="Simulations of each solution.")] = (
+        DEFAULT_REPEATS
+    )
     t_b: Annotated[float, Field(ge=0, le=1, description="Largest fitness of the solutions.")] = DEFAULT_T_B
     d_th: Annotated[float, Field(ge=0, le=1, description="Least distance between two.")] = DEFAULT_D_TH
+    numbers: Annotated[
+        list[Annotated[int, Field(ge=0, le=MAX_NUMBER)]] | None,
+        Field(
+            min_length=1,
+            max_length=MOST,
+            description="Evaluated solutions, each once, in place of the distinct boundary at t_b and d_th.",
+        ),
+    ] = None
+
+    @model_validator(mode="after")
+    def _names_a_boundary_or_solutions(self) -> Self:
+        if self.numbers is None:
+            return self
+        if given := sorted({"t_b", "d_th"} & self.model_fields_set):
+            raise ValueError(f"expected numbers or {given[0]}, not both: t_b and d_th choose the boundary")
+        twice = [number for number, times in Counter(self.numbers).items() if times > 1]
+        if twice:
+            raise ValueError(f"numbers: expected each once, got {twice[0]} more than once")
+        return self
 
 
 class RepeatedSolution(View):
@@ -47,14 +67,21 @@ class RepeatedSolution(View):
 
 
 class RepeatsView(View):
-    """Boundary solutions of a campaign, simulated again."""
+    """Solutions of a campaign, simulated again."""
 
     campaign: Annotated[str, Field(description="That simulates them.")]
-    of: Annotated[str, Field(description="Whose boundary solutions they are.")]
+    of: Annotated[str, Field(description="Whose solutions they are.")]
     name: Annotated[str, Field(description="Of the latter.")]
     status: CampaignStatus
     status_reason: str
     repeats: int
+    boundary: Annotated[
+        bool,
+        Field(
+            description="Whether they are the distinct boundary at t_b and d_th. If not, they were named, and "
+            "these leave nothing out: t_b is 1 and d_th 0."
+        ),
+    ]
     t_b: float
     d_th: float
     p_th: float
@@ -76,11 +103,17 @@ class RepeatsView(View):
 async def repeat_boundary(
     campaign_id: str, body: RepeatsBody, services: Services, response: Response
 ) -> RepeatsView:
-    """Simulate the distinct boundary solutions again with other seeds, in a campaign of their own."""
+    """Simulate the distinct boundary solutions, or named ones, again with other seeds, in a campaign of their own."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     repeats, new = await services.campaigns.repeat(
-        campaign, found.plan, found.archive, repeats=body.repeats, t_b=body.t_b, d_th=body.d_th
+        campaign,
+        found.plan,
+        found.archive,
+        repeats=body.repeats,
+        t_b=body.t_b,
+        d_th=body.d_th,
+        numbers=body.numbers,
     )
     response.headers["Location"] = f"/api/v1/campaigns/{repeats.id}"
     if not new:
@@ -91,7 +124,7 @@ async def repeat_boundary(
 
 @router.get("/repeats")
 async def get_repeats(campaign_id: str, services: Services) -> list[RepeatsView]:
-    """Return what came of the boundary solutions that were simulated again; one entry for each time."""
+    """Return what came of the solutions that were simulated again; one entry for each time."""
     return await _views(services, campaign_id)
 
 
@@ -128,7 +161,8 @@ def _view(of: str, name: str, stored: StoredRepeats, read_archive: ReadArchive) 
         )
     return RepeatsView(
         campaign=stored.campaign.id, of=of, name=name, status=stored.campaign.status,
-        status_reason=stored.campaign.status_reason, repeats=stored.repeats, t_b=stored.t_b, d_th=stored.d_th,
+        status_reason=stored.campaign.status_reason, repeats=stored.repeats, boundary=stored.boundary,
+        t_b=stored.t_b, d_th=stored.d_th,
         p_th=near.p_th, simulations=stored.campaign.told, budget=stored.campaign.body.budget.simulations,
         holding=int((holds & known).sum()), below=int((tallies.high < near.p_th).sum()),
         above=int((tallies.low > near.p_th).sum()), evaluated=int(tallies.evaluated.sum()),

@@ -25,6 +25,9 @@ class CampaignView(View):
     name: str
     status: CampaignStatus
     status_reason: str
+    sequence: Annotated[
+        int, Field(description="Grows with every change of the campaign but its jobs' states.")
+    ]
     simulations: Annotated[
         int, Field(description="Candidates evaluated so far, measured and failed ones included.")
     ]
@@ -68,6 +71,9 @@ class Progress(View):
     name: str
     status: CampaignStatus
     status_reason: str
+    sequence: Annotated[
+        int, Field(description="Grows with every change of the campaign but its jobs' states.")
+    ]
     budget: int
     simulations: Annotated[int, Field(description="Done so far, this generation's included.")]
     evaluated: int
@@ -285,6 +291,27 @@ class JobList(View):
     next: int | None
 
 
+class JobCounts(View):
+    """How many jobs are not done: one entry a list for those that are alike."""
+
+    status: Annotated[list[JobStatus], Field(description="Queued, leased or quarantined.")]
+    campaign: list[str]
+    kind: list[str]
+    needs: Annotated[list[str], Field(description="What a worker must be able to run.")]
+    jobs: list[int]
+    campaigns: Annotated[dict[str, str], Field(description="Names of the campaigns by their ids.")]
+    paused: Annotated[list[str], Field(description="Of them, those that are paused with jobs in the queue.")]
+    ended: Annotated[
+        list[str], Field(description="Of them, those that have ended: nobody waits for their jobs.")
+    ]
+    unrunnable: Annotated[
+        dict[str, int],
+        Field(
+            description="Queued jobs, but for those of paused campaigns, by a need that no live worker meets."
+        ),
+    ]
+
+
 class WorkerView(View):
     """A worker that was heard of."""
 
@@ -310,6 +337,10 @@ class ProblemView(View):
     params: Annotated[dict[str, Any], Field(description="JSON schema of its parameters.")]
     space: Annotated[dict[str, Any], Field(description="Its search space with default parameters.")]
     simulator: str | None
+    finds: Annotated[
+        list[str],
+        Field(description="What a campaign on it tells besides a boundary: violations, combinations."),
+    ]
 
 
 class AlgorithmView(View):

@@ -3,43 +3,34 @@
 import asyncio
 import io
 import json
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 from fastapi import Path as PathParameter
-from fastapi.responses import JSONResponse
-from sqlalchemy import Connection, Row
 from starlette.responses import Response as PlainResponse
 
 from search.errors import UnsupportedSpace
 from search.parameters import Categorical
 from search.space import SearchSpace
 from server.api.combination_views import combinations_view, variants_view
-from server.api.context import Context, Services, client_gone
+from server.api.context import Services
 from server.api.schemas import (
     MAX_NUMBER,
-    BeingMade,
     Boundary,
     Combinations,
     DistanceBlock,
-    ProblemDetail,
     SolutionPage,
     SolutionView,
     Variant,
 )
+from server.api.traces import NOT_YET, UNREADABLE, Wait, being_made, trace_of
 from server.api.views import boundary_view, solution_views
 from server.boundary.table import boundary_rows, table_bytes
 from server.campaigns import view_store
 from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from server.campaigns.service import read
-from server.campaigns.traces import find_trace, simulator_of, trace_job
-from server.campaigns.values import Campaign
-from server.db.models import JobStatus
-from server.errors import Conflict, FieldError, InvalidInput, NotFound, Unavailable
-from server.queue.workers import can_run
-from sim.errors import SimulatorError
+from server.errors import Conflict, FieldError, InvalidInput, NotFound
 from sim.replay import render_bytes
 from sim.trace import Trace
 
@@ -48,8 +39,6 @@ router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
 MAX_DISTANCES = 1_000
 MEDIA = {"csv": "text/csv", "jsonl": "application/jsonl", "parquet": "application/vnd.apache.parquet"}
 """Media types of tables."""
-LOOK_AGAIN_S = 0.25
-NO_WORKER_RETRY_S = 5
 
 Threshold = Annotated[float, Query(ge=0, le=1)]
 Number = Annotated[int, PathParameter(ge=0, le=MAX_NUMBER)]
@@ -208,34 +197,24 @@ def _choices(space: SearchSpace) -> list[str]:
     ]
 
 
-_NOT_YET: dict[int | str, dict[str, Any]] = {
-    202: {"model": BeingMade, "description": "Being made; ask again after `Retry-After`."},
-    503: {
-        "model": ProblemDetail,
-        "description": "No live worker can make it; ask again after `Retry-After`.",
-    },
-}
-Wait = Annotated[float, Query(ge=0, le=60, description="How long to wait for workers to make the trace.")]
-
-
 @router.get(
     "/solutions/{number}/trace",
     response_class=Response,
-    responses={200: {"content": {"application/x-npz": {}}}, **_NOT_YET},
+    responses={200: {"content": {"application/x-npz": {}}}, **NOT_YET},
 )
 async def get_trace(
     campaign_id: str, number: Number, request: Request, services: Services, wait_s: Wait = 20.0
 ) -> Response:
     """Return the trace of a solution's episode as npz; workers re-run the episode if it was not kept."""
     campaign = await services.campaigns.get(campaign_id)
-    data = await _trace(services, campaign, number, request, wait_s)
-    return _being_made() if data is None else Response(data, media_type="application/x-npz")
+    data = await trace_of(services, campaign, number, request, wait_s)
+    return being_made() if data is None else Response(data, media_type="application/x-npz")
 
 
 @router.get(
     "/solutions/{number}/replay.{extension}",
     response_class=Response,
-    responses={200: {"content": {"image/png": {}, "image/gif": {}, "video/mp4": {}}}, **_NOT_YET},
+    responses={200: {"content": {"image/png": {}, "image/gif": {}, "video/mp4": {}}}, **NOT_YET},
 )
 async def get_replay(
     campaign_id: str,
@@ -247,9 +226,9 @@ async def get_replay(
 ) -> Response:
     """Return a picture or an animation of a solution's episode, seen from above."""
     campaign = await services.campaigns.get(campaign_id)
-    data = await _trace(services, campaign, number, request, wait_s)
+    data = await trace_of(services, campaign, number, request, wait_s)
     if data is None:
-        return _being_made()
+        return being_made()
     requirement = campaign.body.problem.params.get("requirement")
 
     def draw() -> bytes:
@@ -257,69 +236,9 @@ async def get_replay(
 
     try:
         picture = await asyncio.get_running_loop().run_in_executor(services.drawing, draw)
-    except (SimulatorError, LookupError, ValueError, TypeError, ArithmeticError, MemoryError) as error:
-        # A worker may send anything; that nobody can draw it is no fault of the coordinator.
+    except UNREADABLE as error:
         raise Conflict(
             f"solution {number}: its trace cannot be drawn: {type(error).__name__}: {error}"
         ) from None
     media = {"png": "image/png", "gif": "image/gif", "mp4": "video/mp4"}[extension]
     return Response(picture, media_type=media)
-
-
-async def _trace(
-    services: Context, campaign: Campaign, number: int, request: Request, wait_s: float
-) -> bytes | None:
-    """Return the trace of a solution, waiting for a worker to make it; None if it takes longer.
-
-    Nobody waits, and nothing is asked for, while there is no worker that could make it.
-    """
-    deadline = asyncio.get_running_loop().time() + wait_s
-
-    def look(connection: Connection) -> _Look:
-        kept = find_trace(connection, campaign.id, number)
-        needs = simulator_of(connection, campaign.id, number)
-        job = trace_job(connection, campaign.id, number)
-        waits = kept is None and needs is not None and (job is None or job.status == JobStatus.QUEUED)
-        away = waits and not can_run(connection, str(needs), services.settings.worker_seen_s)
-        return _Look(kept=kept, needs=needs, job=job, away=away)
-
-    async with client_gone(request) as gone:
-        while True:
-            seen = await read(services.engines, look)
-            if seen.kept is not None:
-                return seen.kept
-            if seen.needs is None:
-                raise NotFound(f"campaign {campaign.id} has no simulated solution {number}")
-            if seen.away:
-                raise Unavailable(
-                    f"solution {number}: no live worker can run {seen.needs} to make the trace; start one, "
-                    "and ask again",
-                    retry_after_s=NO_WORKER_RETRY_S,
-                )
-            if seen.job is None:
-                await services.campaigns.request_trace(campaign.id, number)
-                continue
-            if seen.job.status == JobStatus.DONE:
-                raise Conflict(f"solution {number}: its simulator records no traces")
-            if seen.job.status in (JobStatus.QUARANTINED, JobStatus.CANCELLED):
-                raise Conflict(f"solution {number}: the trace cannot be made: {seen.job.last_error}")
-            late = asyncio.get_running_loop().time() >= deadline
-            if late or gone.is_set() or services.queue.stopping:
-                return None
-            await asyncio.sleep(LOOK_AGAIN_S)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Look:
-    """Where the trace of a solution stands."""
-
-    kept: bytes | None
-    needs: str | None
-    job: Row[*tuple[Any, ...]] | None
-    away: bool
-    """Nobody could make it now."""
-
-
-def _being_made() -> JSONResponse:
-    view = BeingMade(detail="a worker is asked to make the trace; ask again soon")
-    return JSONResponse(view.model_dump(), status_code=202, headers={"Retry-After": "2"})

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterable, Mapping
-from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -21,23 +20,20 @@ from server.api.schemas import (
 from server.campaigns import store, view_store
 from server.campaigns.archives import ReadArchive
 from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B, looks_for_boundary
-from server.campaigns.values import Campaign, GenerationSummary
-from server.db.models import CampaignStatus, JobStatus
+from server.campaigns.standing import read_standing
+from server.campaigns.values import Campaign
 from server.db.writer import Trouble
 from server.errors import NotFound
 from server.problems.base import Problem, words_of
 from server.queue.workers import capabilities_of_live
-
-RATE_WINDOW = 5
-"""Generations over which the rate is taken."""
 
 
 def campaign_view(campaign: Campaign) -> CampaignView:
     """Return a campaign."""
     return CampaignView(
         id=campaign.id, name=campaign.body.name, status=campaign.status,
-        status_reason=campaign.status_reason, simulations=campaign.told,
-        budget=campaign.body.budget.simulations, unsafe=campaign.unsafe, failed=campaign.failed,
+        status_reason=campaign.status_reason, sequence=campaign.sequence, simulations=campaign.told,
+        budget=campaign.budget, unsafe=campaign.unsafe, failed=campaign.failed,
         measured=campaign.measured, generation=campaign.generation, created_at=campaign.created_at,
         finished_at=campaign.finished_at,
         body=campaign.body,
@@ -57,53 +53,30 @@ def read_progress(
     campaign = store.find_campaign(connection, campaign_id)
     if campaign is None:
         raise NotFound(f"campaign {campaign_id}: no such campaign")
-    series = view_store.list_generations(
-        connection, campaign.id, max(0, min(since, campaign.generation - RATE_WINDOW))
-    )
-    open_jobs = view_store.count_open_jobs(connection, campaign.id)
-    queued, leased = open_jobs.get(JobStatus.QUEUED, 0), open_jobs.get(JobStatus.LEASED, 0)
-    ended = campaign.finished_at is not None
-    asked = 0 if ended else view_store.count_pending(connection, campaign)
-    in_generation = max(0, asked - queued - leased)
+    standing = read_standing(connection, campaign)
     live = capabilities_of_live(connection, worker_seen_s)
     capabilities = set().union(*live.values())
-    waiting = view_store.waiting_needs(connection, campaign.id) if queued else {}
-    done = campaign.told + in_generation
-    end = campaign.finished_at or datetime.now(UTC)
-    rate = _rate(campaign, series, done, end)
-    remaining = max(0, campaign.body.budget.simulations - done)
+    waiting = view_store.waiting_needs(connection, campaign.id) if standing.queued else {}
     return Progress(
         id=campaign.id, name=campaign.body.name, status=campaign.status,
-        status_reason=campaign.status_reason, budget=campaign.body.budget.simulations, simulations=done,
-        evaluated=campaign.evaluated, unsafe=campaign.unsafe, failed=campaign.failed, measured=campaign.measured,
-        quarantined=open_jobs.get(JobStatus.QUARANTINED, 0), queued=queued, leased=leased,
-        generation=campaign.generation, rate_per_s=rate,
-        remaining_s=remaining / rate if rate and not ended else None,
-        elapsed_s=max(0.0, (end - campaign.created_at).total_seconds()), workers=len(live),
+        status_reason=campaign.status_reason, sequence=campaign.sequence, budget=campaign.budget,
+        simulations=standing.done, evaluated=campaign.evaluated, unsafe=campaign.unsafe, failed=campaign.failed,
+        measured=campaign.measured, quarantined=standing.quarantined, queued=standing.queued,
+        leased=standing.leased, generation=campaign.generation, rate_per_s=standing.rate_per_s,
+        remaining_s=standing.remaining_s, elapsed_s=standing.elapsed_s, workers=len(live),
         unrunnable={needs: n for needs, n in waiting.items() if needs not in capabilities},
         digest=archive.digest if archive is not None else None,
-        looks_for_boundary=looks_for_boundary(campaign.body),
-        origins=view_store.count_origins(connection, campaign.id) if ended else {},
+        looks_for_boundary=looks_for_boundary(campaign.body.algorithm.id),
+        origins=view_store.count_origins(connection, campaign.id) if campaign.finished_at else {},
         asking=asking,
         trouble=trouble.reason if trouble else None,
         trouble_s=trouble.span_s if trouble else 0.0,
         t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH,
         generations=[
             GenerationView.model_validate(item, from_attributes=True)
-            for item in series if item.number >= since
+            for item in view_store.list_generations(connection, campaign.id, since)
         ],
     )  # fmt: skip
-
-
-def _rate(campaign: Campaign, series: list[GenerationSummary], done: int, end: datetime) -> float | None:
-    """Return simulations a second over the last generations, or since the start."""
-    start, before = campaign.created_at, 0
-    if campaign.status is CampaignStatus.RUNNING and len(series) > RATE_WINDOW:
-        base = series[-RATE_WINDOW - 1]
-        assert base.told_at is not None
-        start, before = base.told_at, base.told
-    elapsed = (end - start).total_seconds()
-    return (done - before) / elapsed if elapsed > 0 and done > before else None
 
 
 def solution_views(

@@ -158,10 +158,22 @@ def read_yaml(path: Path) -> object:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise InvalidInput([FieldError(pointer="", message=f"{path}: {reason}")]) from None
+    return yaml_document(text, f"{path}: ")
+
+
+def yaml_document(text: str, prefix: str = "") -> object:
+    """Read a text of YAML, of which JSON is a part.
+
+    Raises:
+        InvalidInput: It is no YAML; the message begins with the prefix.
+    """
     try:
         document: object = yaml.load(text, _Loader)
     except yaml.YAMLError as error:
-        raise InvalidInput([FieldError(pointer="", message=f"{path}: {_yaml_trouble(error)}")]) from None
+        raise InvalidInput([FieldError(pointer="", message=f"{prefix}{_yaml_trouble(error)}")]) from None
+    except (ValueError, RecursionError) as error:  # a date that is none; nested without end
+        reason = str(error) if isinstance(error, ValueError) else "nested too deeply"
+        raise InvalidInput([FieldError(pointer="", message=f"{prefix}not YAML: {reason}")]) from None
     return document
 
 

@@ -61,10 +61,10 @@ def make_plan(body: CampaignBody) -> Plan:
     )
 
 
-def looks_for_boundary(body: CampaignBody) -> bool:
-    """Return whether a campaign's search looks for the hazard boundary; others look for different violations."""
+def looks_for_boundary(algorithm_id: str) -> bool:
+    """Return whether an algorithm looks for the hazard boundary; others look for different violations."""
     try:
-        algorithm = make_algorithm(body.algorithm.id)
+        algorithm = make_algorithm(algorithm_id)
     except InvalidInput:  # a plug-in that is not here: its campaigns can be looked at all the same
         return True
     return not issubclass(algorithm.config_type, MultiObjectiveConfig | RepeatsConfig)

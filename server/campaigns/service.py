@@ -16,7 +16,13 @@ from server.campaigns import store, traces
 from server.campaigns.advance import Stepper
 from server.campaigns.body import CampaignBody
 from server.campaigns.plan import Plan
-from server.campaigns.repeats import PlannedRepeats, check_no_open_repeats, plan_repeats, store_repeats
+from server.campaigns.repeats import (
+    PlannedRepeats,
+    check_no_open_repeats,
+    plan_named,
+    plan_repeats,
+    store_repeats,
+)
 from server.campaigns.store import ENDED
 from server.campaigns.submission import Prepared, check_repeatable, prepared, store_prepared
 from server.campaigns.values import Campaign
@@ -110,6 +116,14 @@ class CampaignService:
         self.queue.wakeups.wake()
         self.queue.advance_soon(idle)
 
+    async def check(self, body: CampaignBody) -> None:
+        """Check that a campaign could be submitted; nothing is stored.
+
+        Raises:
+            InvalidInput: It could not; with a pointer to each wrong field.
+        """
+        await asyncio.get_running_loop().run_in_executor(self.checks, prepared, body, self.llm_endpoints)
+
     async def get(self, campaign_id: str) -> Campaign:
         """Return a campaign by its id, or by the beginning of its id if that is unique.
 
@@ -170,30 +184,42 @@ class CampaignService:
         log.info("campaign deleted", extra={"campaign": campaign.id})
 
     async def repeat(
-        self, campaign: Campaign, plan: Plan, archive: Archive, *, repeats: int, t_b: float, d_th: float
+        self,
+        campaign: Campaign,
+        plan: Plan,
+        archive: Archive,
+        *,
+        repeats: int,
+        t_b: float,
+        d_th: float,
+        numbers: Sequence[int] | None = None,
     ) -> tuple[Campaign, bool]:
-        """Simulate a campaign's distinct boundary solutions again with other seeds, in a campaign of their own.
+        """Simulate solutions of a campaign again with other seeds, in a campaign of their own.
 
         Args:
             campaign: The campaign; it has ended.
             plan: Its plan.
             archive: What it found.
             repeats: Simulations of each solution.
-            t_b: Largest fitness of the solutions.
+            t_b: Largest fitness of the solutions, which are its distinct boundary.
             d_th: Least distance between two of them.
+            numbers: Which solutions, each once, in place of the boundary.
 
         Returns:
             The campaign that does it, and whether it is new.
 
         Raises:
-            InvalidInput: Its problem has no chance in it.
+            InvalidInput: Its problem has no chance in it, or it has no such solution.
             Conflict: It has not ended, or has no boundary solutions.
         """
         if campaign.status not in ENDED:
-            raise Conflict(f"campaign {campaign.id} is {campaign.status}: its boundary is not known yet")
+            why = "its boundary is not known yet" if numbers is None else "wait until it has ended"
+            raise Conflict(f"campaign {campaign.id} is {campaign.status}: {why}")
         check_repeatable(plan)
 
         def look() -> PlannedRepeats | None:
+            if numbers is not None:
+                return plan_named(campaign, plan, archive, repeats=repeats, numbers=numbers)
             return plan_repeats(campaign, plan, archive, repeats=repeats, t_b=t_b, d_th=d_th)
 
         planned = await asyncio.get_running_loop().run_in_executor(self.checks, look)

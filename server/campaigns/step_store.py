@@ -10,12 +10,13 @@ from sqlalchemy import Connection, Row, bindparam, delete, insert, select, updat
 
 from search.component import FloatArray
 from search.metric import METRIC_VERSION
-from server.campaigns.store import find_campaign, set_status
+from server.campaigns.store import find_campaign, note_change, set_status
 from server.campaigns.values import Campaign, Checkpoint, NewJob, NewSolution, Step, StoredArchive
 from server.db.clock import database_now
 from server.db.models import (
     EVALUATES,
     LAST_TURN,
+    NEXT_SEQUENCE,
     CampaignRow,
     CampaignStatus,
     CheckpointRow,
@@ -74,6 +75,7 @@ def write_seeded(
         return False
     _save_checkpoint(connection, campaign.id, checkpoint)
     insert_solutions(connection, campaign, campaign.generation, solutions)
+    note_change(connection, campaign.id)
     return True
 
 
@@ -189,6 +191,7 @@ def write_step(connection: Connection, step: Step) -> bool:
         .values(
             generation=told, evaluated=step.summary.evaluated, unsafe=step.summary.unsafe,
             failed=step.summary.failed, measured=step.summary.measured, turn=LAST_TURN, served=0,
+            sequence=NEXT_SEQUENCE,
         )
     )  # fmt: skip
     if step.status is not CampaignStatus.RUNNING:

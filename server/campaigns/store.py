@@ -16,6 +16,7 @@ from server.db.clock import database_now
 from server.db.listing import named_row, newest_first
 from server.db.models import (
     EVALUATES,
+    NEXT_SEQUENCE,
     CampaignRow,
     CampaignStatus,
     JobRow,
@@ -149,7 +150,7 @@ def set_status(
     failures_accepted: int | None = None,
 ) -> None:
     """Change what a campaign is; on cancelling, its open episodes end too, but not the pictures asked for."""
-    values: dict[str, Any] = {"status": status, "status_reason": reason}
+    values: dict[str, Any] = {"status": status, "status_reason": reason, "sequence": NEXT_SEQUENCE}
     if status in (CampaignStatus.FINISHED, CampaignStatus.CANCELLED, CampaignStatus.FAILED):
         values["finished_at"] = database_now(connection)
     if failures_accepted is not None:
@@ -172,6 +173,13 @@ def set_status(
                 finished_at=database_now(connection),
             )
         )
+
+
+def note_change(connection: Connection, campaign_id: str) -> None:
+    """Have everybody see that something of a campaign changed."""
+    connection.execute(
+        update(CampaignRow).where(CampaignRow.id == campaign_id).values(sequence=NEXT_SEQUENCE)
+    )
 
 
 def count_quarantined(connection: Connection, campaign_id: str) -> int:
@@ -205,5 +213,5 @@ def campaign_of(row: Row[*tuple[Any, ...]]) -> Campaign:
         status=CampaignStatus(row.status),
         status_reason=row.status_reason, generation=row.generation, evaluated=row.evaluated,
         unsafe=row.unsafe, failed=row.failed, measured=row.measured, failures_accepted=row.failures_accepted,
-        created_at=row.created_at, finished_at=row.finished_at,
+        sequence=row.sequence, created_at=row.created_at, finished_at=row.finished_at,
     )  # fmt: skip

@@ -19,6 +19,16 @@ def find_trace(connection: Connection, campaign_id: str, number: int) -> bytes |
     return connection.execute(query).scalar_one_or_none()
 
 
+def trace_key(connection: Connection, campaign_id: str, number: int) -> str | None:
+    """Return by what the trace of a solution is known if it is kept: the same simulation has the same trace."""
+    query = (
+        select(TraceRow.spec_hash)
+        .join(SolutionRow, SolutionRow.spec_hash == TraceRow.spec_hash)
+        .where(SolutionRow.campaign_id == campaign_id, SolutionRow.number == number)
+    )
+    return connection.execute(query).scalar_one_or_none()
+
+
 def simulator_of(connection: Connection, campaign_id: str, number: int) -> str | None:
     """Return what a worker must be capable of to make the trace of a solution; None if it was not simulated."""
     query = select(JobRow.needs).where(

@@ -19,6 +19,7 @@ class Campaign:
     Attributes:
         body: What was asked for, with every parameter spelled out.
         document_hash: Of the body as it was submitted.
+        sequence: Grows with every change, but for jobs that are handed out and reported within a generation.
     """
 
     id: str
@@ -32,8 +33,14 @@ class Campaign:
     failed: int
     measured: int
     failures_accepted: int
+    sequence: int
     created_at: datetime
     finished_at: datetime | None
+
+    @property
+    def budget(self) -> int:
+        """Simulations that it may cost."""
+        return self.body.budget.simulations
 
     @property
     def told(self) -> int:

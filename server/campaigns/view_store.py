@@ -6,9 +6,10 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, func, select
 
 from server.campaigns.step_store import MAX_NAMED
-from server.campaigns.values import Campaign, GenerationSummary
+from server.campaigns.values import GenerationSummary
 from server.db.models import (
     EVALUATES,
+    CampaignRow,
     GenerationRow,
     JobRow,
     JobStatus,
@@ -17,6 +18,23 @@ from server.db.models import (
 )
 
 _NOT_DONE = tuple(status for status in JobStatus if status is not JobStatus.DONE)
+
+
+def read_pulse(connection: Connection, campaign_id: str) -> tuple[object, ...] | None:
+    """Return what is another one whenever something of a campaign has changed, quickly; None if there is none.
+
+    Args:
+        connection: Sees one snapshot.
+        campaign_id: Its whole id.
+    """
+    row = connection.execute(
+        select(CampaignRow.sequence, CampaignRow.finished_at).where(CampaignRow.id == campaign_id)
+    ).one_or_none()
+    if row is None:
+        return None
+    if row.finished_at is not None:  # the jobs of what has ended stay as they are
+        return (campaign_id, row.sequence)
+    return (campaign_id, row.sequence, *sorted(count_open_jobs(connection, campaign_id).items()))
 
 
 def list_generations(connection: Connection, campaign_id: str, since: int) -> list[GenerationSummary]:
@@ -58,11 +76,11 @@ def count_origins(connection: Connection, campaign_id: str) -> dict[str, int]:
     return {str(row[0]): int(row[1]) for row in connection.execute(query)}
 
 
-def count_pending(connection: Connection, campaign: Campaign) -> int:
-    """Return how many solutions the generation that is being simulated has."""
+def count_pending(connection: Connection, campaign_id: str, generation: int) -> int:
+    """Return how many solutions a generation has, such as the one that is being simulated."""
     return connection.execute(
         select(func.count()).where(
-            SolutionRow.campaign_id == campaign.id, SolutionRow.generation == campaign.generation
+            SolutionRow.campaign_id == campaign_id, SolutionRow.generation == generation
         )
     ).scalar_one()
 

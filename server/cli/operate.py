@@ -77,7 +77,10 @@ def serve(
         if before != after:
             say(f"database upgraded from schema {before or 'none'} to {after}")
         url = url_of(listener)
-        say(f"coordinator at {url} on {shown_url(settings)}; API described at {url}/docs; Ctrl-C stops it")
+        say(
+            f"coordinator at {url} on {shown_url(settings)}; dashboard at {url}/, API described at {url}/docs; "
+            "Ctrl-C stops it"
+        )
         CoordinatorServer(settings).run(sockets=[listener])
 
 

@@ -119,9 +119,11 @@ async def _asked_for(api: Api, campaign: str, asked: dict[str, Any]) -> dict[str
 
 
 async def _latest(api: Api, campaign: str, asked: dict[str, Any]) -> dict[str, Any] | None:
-    """Return the latest of these repeats that were not given up."""
+    """Return the latest of these repeats of a boundary that were not given up."""
     found: list[dict[str, Any]] = await api.get(f"/campaigns/{campaign}/repeats")
-    same = [one for one in found if all(one[name] == value for name, value in asked.items())]
+    same = [
+        one for one in found if one["boundary"] and all(one[name] == value for name, value in asked.items())
+    ]
     return next((one for one in reversed(same) if one["status"] not in ("cancelled", "failed")), None)
 
 

@@ -102,6 +102,8 @@ async def _run(plan: RunPlan, settings: Settings, local: Local, screen: Console)
     database = database_option(settings)
     async with local.api() as api:
         campaign_id = await _campaign(api, plan, screen)
+        if local.token is None:  # else the page would ask for one that nobody was told
+            screen.print(f"watch it in a browser: {local.url}/#/campaigns/{campaign_id}", soft_wrap=True)
         with stopping(stop):
             local.processes.start(plan.workers)
             progress = await watch_campaign(api, campaign_id, local.processes, stop, screen)

@@ -133,6 +133,7 @@ class CampaignRow(Base):
     failures_accepted: Mapped[int] = mapped_column(BigInteger, default=0)
     turn: Mapped[int] = mapped_column(BigInteger, default=0)
     served: Mapped[int] = mapped_column(Integer, default=0, server_default="0")
+    sequence: Mapped[int] = mapped_column(BigInteger, default=0, server_default="0")
     created_at: Mapped[datetime]
     finished_at: Mapped[datetime | None]
 
@@ -164,7 +165,7 @@ class ExperimentCampaignRow(Base):
 
 
 class RepeatsRow(Base):
-    """A campaign that simulates the boundary solutions of another one again, with other seeds."""
+    """A campaign that simulates boundary solutions of another one, or named ones, again with other seeds."""
 
     __tablename__ = "repeats"
 
@@ -373,6 +374,9 @@ class TraceRow(Base):
 _EVERY_CAMPAIGN = CampaignRow.__table__.alias("every_campaign")
 LAST_TURN = select(func.coalesce(func.max(_EVERY_CAMPAIGN.c.turn), 0) + 1).scalar_subquery()
 """The turn of a campaign that goes to the end of the line."""
+
+NEXT_SEQUENCE = CampaignRow.sequence + 1
+"""The sequence number of a campaign that changes: whoever knows the one before can tell that there is news."""
 
 EVALUATES = JobRow.kind != literal(JobKind.TRACE, literal_execute=True)
 """Of jobs that evaluate a solution, in an episode or on a data set; spelled out, so that plans use the indexes."""

@@ -14,7 +14,7 @@ from search.archive import Archive
 from search.boundary import PAPER_D_THS, PAPER_T_BS
 from server.campaigns.body import CampaignBody
 from server.campaigns.plan import Plan
-from server.experiments.scores import ENOUGH_REPEATS, scored
+from server.experiments.scores import ENOUGH_REPEATS, Scores, scored
 
 SPREADS = 2.0
 """Standard deviations of its draws by which a campaign must exceed its control, to owe anything to behaviour."""
@@ -70,23 +70,26 @@ def compare(campaigns: Sequence[ComparedCampaign], *, control: bool = True) -> l
             campaign.archive, space, simulations=body.budget.simulations, seed=body.seed, fractions=(1.0,),
             control=control,
         )  # fmt: skip
-        share = scores.unsafe / scores.evaluated if scores.evaluated else 0.0
-        figures = scores.figures
-        rows.append(
-            Row(
-                label=campaign.label, campaign=campaign.id, unsafe_share=share, dbs=figures.dbs[-1],
-                strict=figures.strict[-1], strict_spread=np.zeros_like(figures.strict[-1]), repeats=None,
-            )
-        )  # fmt: skip
-        if (blind := scores.control) is not None:
-            rows.append(
-                Row(
-                    label=f"{campaign.label}, control", campaign=campaign.id, unsafe_share=blind.unsafe_share,
-                    dbs=blind.figures.dbs[-1], strict=blind.figures.strict[-1], strict_spread=blind.spread,
-                    repeats=blind.repeats,
-                )
-            )  # fmt: skip
+        rows += rows_of(scores, campaign=campaign.id, label=campaign.label)
     return rows
+
+
+def rows_of(scores: Scores, *, campaign: str, label: str) -> list[Row]:
+    """Return the row of a campaign at its whole budget, followed by that of its control if it has one."""
+    figures = scores.figures
+    own = Row(
+        label=label, campaign=campaign, unsafe_share=scores.unsafe / scores.evaluated if scores.evaluated else 0.0,
+        dbs=figures.dbs[-1], strict=figures.strict[-1], strict_spread=np.zeros_like(figures.strict[-1]),
+        repeats=None,
+    )  # fmt: skip
+    if (blind := scores.control) is None:
+        return [own]
+    control = Row(
+        label=f"{label}, control", campaign=campaign, unsafe_share=blind.unsafe_share,
+        dbs=blind.figures.dbs[-1], strict=blind.figures.strict[-1], strict_spread=blind.spread,
+        repeats=blind.repeats,
+    )  # fmt: skip
+    return [own, control]
 
 
 def in_words(rows: Sequence[Row], t_b: float, d_th: float) -> list[str]:
@@ -99,13 +102,20 @@ def in_words(rows: Sequence[Row], t_b: float, d_th: float) -> list[str]:
     """
     place = PAPER_T_BS.index(t_b), PAPER_D_THS.index(d_th)
     return [
-        f"{row.label}: {_said(row, control, place)}"
+        f"{row.label}: {said(row, control, place)}"
         for row, control in itertools.pairwise(rows)
         if row.repeats is None and control.repeats is not None
     ]
 
 
-def _said(row: Row, control: Row, place: tuple[int, int]) -> str:
+def said(row: Row, control: Row, place: tuple[int, int]) -> str:
+    """Return what a campaign and its control say together.
+
+    Args:
+        row: Of the campaign.
+        control: Of its control.
+        place: Of t_b in `PAPER_T_BS`, of d_th in `PAPER_D_THS`.
+    """
     found, blind = float(row.strict[place]), float(control.strict[place])
     facts = (
         f"strict DBS {found:g} within its budget, {blind:.3g} if verdicts ignored the component's behaviour"

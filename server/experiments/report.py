@@ -16,12 +16,11 @@ from search.boundary import PAPER_D_THS, PAPER_T_BS
 from search.statistics import MeanInterval
 from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from server.experiments.body import ExperimentBody
+from server.experiments.conclusions import LEVEL, conclusion, with_low_controls
 from server.experiments.scores import DRAWS, ENOUGH_REPEATS
 from server.experiments.tables import Duel, Line, Measure, Repeat, Standing, duels, standings
 
 NAMES = {Measure.DBS: "DBS", Measure.STRICT: "strict DBS"}
-LEVEL = 0.05
-"""Of an adjusted p-value at which a difference is called one."""
 STYLE = """
 :root { color-scheme: light dark; }
 body { font: 16px/1.55 system-ui, sans-serif; max-width: 76rem; margin: 2rem auto; padding: 0 1.2rem;
@@ -109,7 +108,7 @@ def sentences(
         if (duel.t_b, duel.d_th) != _USUAL or duel.first.problem != problem:
             continue
         first, second = (means[line, duel.measure].mean for line in (duel.first, duel.second))
-        yield f"- {_in_words(duel, first, second, _with_low_controls(repeats, problem))}"
+        yield f"- {_in_words(duel, first, second, with_low_controls(repeats, problem))}"
 
 
 _USUAL = (DEFAULT_T_B, DEFAULT_D_TH)
@@ -120,25 +119,8 @@ def _in_words(duel: Duel, first: float, second: float, low: Collection[str]) -> 
         f"{NAMES[duel.measure]} {first:.1f} against {second:.1f}, A12 {duel.result.a12:.2f} ({duel.size}), "
         f"p {_p(duel.result.p_value)}, corrected {_p(duel.adjusted)}"
     )
-    differs, alone = duel.adjusted <= LEVEL, duel.result.p_value <= LEVEL
-    chance = "by itself that would be a difference, but among so many comparisons it may be chance"
-    if duel.second.control:
-        who = f"**{duel.first.method}** beside its control"
-        if duel.first.method in low:
-            return f"{who}: {figures}; the control reads low here, so that this proves nothing."
-        says = (
-            f"more than scenarios and chance give: {first - second:.1f} are owed to behaviour"
-            if differs and first > second
-            else f"more than scenarios and chance give? {chance}"
-            if alone and first > second
-            else "no more than scenarios and chance give, as far as these repeats can tell"
-        )
-        return f"{who}: {figures}; {says}."
-    who = f"**{duel.first.method}** and **{duel.second.method}**"
-    if not differs:
-        return f"{who}: {figures}; {chance if alone else 'these repeats show no difference'}."
-    better = duel.first.method if duel.result.a12 > 0.5 else duel.second.method
-    return f"{who}: {figures}; {better} finds more."
+    other = "beside its control" if duel.second.control else f"and **{duel.second.method}**"
+    return f"**{duel.first.method}** {other}: {figures}; {conclusion(duel, first, second, low)}."
 
 
 def _facts(
@@ -219,7 +201,7 @@ def _campaigns(repeats: Sequence[Repeat]) -> str:
 
 
 def _method(repeats: Sequence[Repeat]) -> str:
-    low = _with_low_controls(repeats)
+    low = with_low_controls(repeats)
     items = [
         "**DBS**: solutions whose fitness is at most t_b, taken greedily, best first, each at least d_th from all "
         "taken before. What was simulated beyond the budget, to end a generation, is not counted.",
@@ -237,17 +219,6 @@ def _method(repeats: Sequence[Repeat]) -> str:
             "scenario: what lies beyond it proves nothing."
         )
     return "\n".join(f"- {item}" for item in items)
-
-
-def _with_low_controls(repeats: Sequence[Repeat], problem: str | None = None) -> list[str]:
-    """Return the methods whose control reads low, with any of their seeds."""
-    return sorted(
-        {
-            one.method
-            for one in repeats
-            if one.scores.control and one.scores.control.reads_low and problem in (None, one.problem)
-        }
-    )
 
 
 def _interval(value: MeanInterval) -> str:

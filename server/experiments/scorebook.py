@@ -1,4 +1,4 @@
-"""Scores of campaigns that have finished: computed once, in threads that nobody else waits for."""
+"""Scores of campaigns that have ended: computed once, in threads that nobody else waits for."""
 
 import asyncio
 from concurrent.futures import Executor
@@ -55,6 +55,21 @@ class Scorebook:
             if one.done()
         ]  # fmt: skip
         return known, len(finished) - len(known)
+
+    async def scores(self, campaign: Campaign, wait_s: float) -> Scores | None:
+        """Return what a campaign that has ended reached.
+
+        Args:
+            campaign: Which.
+            wait_s: How long to wait for it, if it is not known yet.
+
+        Returns:
+            Its scores; None if they are still being computed.
+        """
+        scoring = self._soon(campaign)
+        if not scoring.done():
+            await asyncio.wait([scoring], timeout=wait_s)
+        return scoring.result() if scoring.done() else None
 
     def _soon(self, campaign: Campaign) -> asyncio.Future[Scores]:
         return self._latest.soon(campaign.id, campaign.generation, lambda: self._score(campaign))

@@ -67,7 +67,7 @@ _TABLES: Final[Mapping[str, type[Base]]] = {
     "llm_calls": LlmCallRow,
 }
 _LEFT_OUT: Final[Mapping[str, tuple[str, ...]]] = {
-    "campaigns": ("idempotency_key", "turn"),
+    "campaigns": ("idempotency_key", "turn", "sequence"),
     "jobs": ("id", "cache", *_LEASE),
 }
 """Columns that mean something only where they are."""

@@ -1,4 +1,4 @@
-"""How many jobs there are that are not done: for metrics, which are asked for every few seconds.
+"""How many jobs there are that are not done: for metrics and for pages, which ask every few seconds.
 
 Each statement finds by an index what it counts, and little else: all jobs that ever were would take longer and
 longer.
@@ -13,10 +13,10 @@ from sqlalchemy import Connection, text
 from server.db.models import CampaignStatus, JobStatus
 from server.db.types import UtcDateTime
 
-_COUNT = """SELECT jobs.kind, jobs.needs, jobs.campaign_id, campaigns.status AS of, count(*) AS jobs,
-    min(jobs.created_at) AS since
+_COUNT = """SELECT jobs.kind, jobs.needs, jobs.campaign_id, campaigns.status AS of, campaigns.name,
+    count(*) AS jobs, min(jobs.created_at) AS since
 FROM {jobs}
-GROUP BY jobs.kind, jobs.needs, jobs.campaign_id, campaigns.status"""
+GROUP BY jobs.kind, jobs.needs, jobs.campaign_id, campaigns.status, campaigns.name"""
 # One look a campaign, whatever statistics say: SQLite takes the tables of a CROSS JOIN in this order, Postgres runs
 # what has an OFFSET as it stands.
 _JOBS = {
@@ -43,7 +43,8 @@ class Count:
         kind: What they are.
         needs: What a worker must be able to run.
         campaign: Whose they are.
-        running: Whether it is running.
+        name: What that is called.
+        of: Where that stands.
         jobs: How many.
         since: When the first of them was stored.
     """
@@ -52,9 +53,15 @@ class Count:
     kind: str
     needs: str
     campaign: str
-    running: bool
+    name: str
+    of: CampaignStatus
     jobs: int
     since: datetime
+
+    @property
+    def running(self) -> bool:
+        """Whether their campaign is running."""
+        return self.of is CampaignStatus.RUNNING
 
 
 def count_jobs(connection: Connection) -> Iterator[Count]:
@@ -63,5 +70,5 @@ def count_jobs(connection: Connection) -> Iterator[Count]:
         for row in connection.execute(statement):
             yield Count(
                 status=status, kind=row.kind, needs=row.needs, campaign=row.campaign_id,
-                running=row.of == CampaignStatus.RUNNING, jobs=row.jobs, since=row.since,
+                name=row.name, of=CampaignStatus(row.of), jobs=row.jobs, since=row.since,
             )  # fmt: skip

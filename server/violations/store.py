@@ -5,6 +5,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, delete, insert, select
 
+from server.campaigns.store import note_change
 from server.db.clock import database_now
 from server.db.models import EVALUATES, JobRow, SolutionRow, SolutionVerdict, ViolationNameRow
 
@@ -35,6 +36,7 @@ def give_name(
     connection: Connection, campaign_id: str, number: int, requirement: str, name: str | None
 ) -> None:
     """Name a violation, or take its name away."""
+    note_change(connection, campaign_id)
     connection.execute(
         delete(ViolationNameRow).where(
             ViolationNameRow.campaign_id == campaign_id,

@@ -15,6 +15,7 @@ KNOWN: dict[str, list[Any]] = json.loads(os.environ["BRINK_FUZZ_KNOWN"])
 SHARE = 0.7
 """Of cases that are told what there is."""
 
+_NEED_TRACES = ("/trace", "/episode", "/pictures/{index}.jpg", "/replay.{extension}")
 _rng = random.Random(1)
 
 
@@ -25,7 +26,7 @@ def before_call(context: Any, case: Any, **_: Any) -> None:
     for place in (body, body.get("lease")):
         if isinstance(place, dict) and "capabilities" in place:
             place["wait_s"] = 0
-    if case.path.endswith(("/trace", "/replay.{extension}")) and _would_wait(case.query):
+    if case.path.endswith(_NEED_TRACES) and _would_wait(case.query):
         case.query["wait_s"] = 0
     if isinstance(case.path_parameters, dict) and (_rng.random() < SHARE or _would_end_one(case)):
         _find(case)
@@ -73,8 +74,10 @@ def _find(case: Any) -> None:
     ends = _ends(case)
     if "requirement" in path:
         path.update(_rng.choice(KNOWN["violations"]))
-    elif case.path.endswith(("/trace", "/replay.{extension}")) and _rng.random() < SHARE:
+    elif case.path.endswith(_NEED_TRACES) and _rng.random() < SHARE:
         path.update(_rng.choice(KNOWN["traced"]))
+        if "index" in path:
+            path["index"] = _rng.randrange(4)
     elif "experiment_id" in path:
         path["experiment_id"] = _rng.choice(KNOWN["spare_experiments" if ends else "experiments"])
     elif "campaign_id" in path:

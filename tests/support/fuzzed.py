@@ -8,8 +8,10 @@ import httpx
 
 from sim.encounter.simulator import BrinkEncounter
 from sim.episode import EpisodeSpec
+from sim.trace import Trace
 from support.api import FakeWorker, ball, expect, submit
 from support.problems import REQUIREMENT, SIMULATOR
+from support.traces import filmed
 from support.traffic import traffic_worker
 from worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
@@ -80,7 +82,7 @@ def _strong(job: LeasedJob) -> Completed:
 
 
 def _traced(client: httpx.Client, campaign: str) -> int:
-    """Have the trace of a solution kept, and return its number."""
+    """Have the trace of a solution kept, with a film, and return its number."""
     number = 0
     path = f"/api/v1/campaigns/{campaign}/solutions/{number}/trace"
     assert client.get(path, params={"wait_s": 0}).status_code == 202
@@ -88,7 +90,8 @@ def _traced(client: httpx.Client, campaign: str) -> int:
     def with_trace(job: LeasedJob) -> Completed | JobFailed:
         trace = BrinkEncounter().run(EpisodeSpec.from_json(job.spec), record=True).trace
         assert trace is not None
-        return Completed(verdicts={}, trace=base64.b64encode(trace).decode())
+        seen = filmed(Trace.from_bytes(trace)).to_bytes()
+        return Completed(verdicts={}, trace=base64.b64encode(seen).decode())
 
     worker = FakeWorker(client, capabilities=("brink-encounter@1",), judge=with_trace)
     assert worker.report(worker.lease()) == ["accepted"]

@@ -1,10 +1,25 @@
 """An episode made by hand, with everything in it that a replay draws; positions are exact, so tests can check."""
 
+import io
+from dataclasses import replace
+
 import numpy as np
+from PIL import Image
 
 from sim.driving.camera import Body, Camera
 from sim.driving.interface import ObstacleLabel
-from sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, ActorTrack, Event, Ragged, Surface, Trace
+from sim.trace import (
+    BOX_COLUMNS,
+    FOUND_COLUMNS,
+    JUDGED_COLUMNS,
+    PERCEIVED_COLUMNS,
+    ActorTrack,
+    Event,
+    Film,
+    Ragged,
+    Surface,
+    Trace,
+)
 
 REQUIRED_GAP_M = 1.5
 HORIZON_M = 50.0
@@ -153,3 +168,25 @@ def _seen(ego: np.ndarray, actors: list[ActorTrack]) -> list[list[tuple[float, .
                 rows.append((0.0 if vehicle else 1.0, box.x_min_px, box.x_max_px, box.y_min_px, box.y_max_px))
         found.append(rows)
     return found
+
+
+def filmed(trace: Trace, pictures: int = 3) -> Trace:
+    """Return an episode with a film: a person who is there at every sample, and detected less and less surely."""
+    samples = len(trace.time_s)
+    there = (1.0, 100.0, 130.0, 150.0, 240.0)
+    film = Film(
+        size_px=(320, 240),
+        pictures=tuple(grey_jpeg(64 + 8 * index) for index in range(pictures)),
+        samples=np.arange(pictures, dtype=np.int32) * 2,
+        judged=ragged(JUDGED_COLUMNS, [[(*there, 0.0)] for _ in range(samples)]),
+        found=ragged(FOUND_COLUMNS, [[(*there, 1 - index / samples)] for index in range(samples)]),
+        regions={"warning": np.array([(130, 150), (190, 150), (250, 240), (70, 240)], np.float32)},
+    )
+    return replace(trace, film=film)
+
+
+def grey_jpeg(level: int) -> bytes:
+    """Return a small picture of one grey."""
+    buffer = io.BytesIO()
+    Image.new("RGB", (32, 24), (level, level, level)).save(buffer, "JPEG")
+    return buffer.getvalue()

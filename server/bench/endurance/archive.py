@@ -84,7 +84,7 @@ def measure_archive(told: Told, *, solutions: int = 100_000, samples: int = 100)
         coordinator = CoordinatorProcess(database, folder / "coordinator.log", {PLUGINS_VARIABLE: MODULE})
         try:
             coordinator.start_ready()
-            campaign, last_step_s = asyncio.run(_fill(coordinator, solutions, told))
+            campaign, last_step_s = asyncio.run(filled(coordinator, solutions, told))
             coordinator.stop()
             size = sum(file.stat().st_size for file in folder.glob("archive.db*"))
             coordinator.start_ready()
@@ -96,7 +96,12 @@ def measure_archive(told: Told, *, solutions: int = 100_000, samples: int = 100)
             coordinator.kill()
 
 
-async def _fill(coordinator: CoordinatorProcess, solutions: int, told: Told) -> tuple[str, float]:
+async def filled(coordinator: CoordinatorProcess, solutions: int, told: Told) -> tuple[str, float]:
+    """Fill an archive; return its campaign, and how long its last generation step took in seconds.
+
+    Raises:
+        DidNotStart: It is not full within an hour.
+    """
     async with httpx.AsyncClient(base_url=f"{coordinator.url}/api/v1", timeout=120.0) as api:
         campaign = await _submit(api, load_campaign(solutions, generation=GENERATION, seed=1, radius=RADIUS))
         async with _working(coordinator.url, FILLERS, batch=FILLER_BATCH):

@@ -1,4 +1,4 @@
-"""`brink bench queue | chaos | scale | archive | soak`: the coordinator itself, measured and maltreated."""
+"""`brink bench queue | chaos | scale | archive | soak | dashboard`: the coordinator, measured and maltreated."""
 
 from collections import Counter
 from typing import Annotated
@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from server.cli.benchmarks.figures import bars, figure_table, said, teller
+from server.cli.benchmarks.figures import bars, figure_table, print_figures, said, teller
 from server.cli.options import AsJson, console, print_json
 
 
@@ -269,4 +269,26 @@ def _counts(counter: Counter[str]) -> str:
     return ", ".join(f"{count:,} {name}" for name, count in counter.most_common())
 
 
-COMMANDS = (queue, chaos, scale, archive, soak)
+def dashboard(
+    solutions: Annotated[
+        int, typer.Option(min=2000, help="Solutions of the campaign that is looked at.")
+    ] = 20_000,
+    polls: Annotated[
+        int, typer.Option(min=100, help="Polls of a page that is left open; the default is a day's.")
+    ] = 8_640,
+    as_json: AsJson = False,
+) -> None:
+    """Measure the dashboard in a headless Chromium: first view, polls, dragging the map, a day of being left open.
+
+    Needs pip install 'brink[dev]' and Chromium, such as by apt-get install chromium.
+
+    Example: brink bench dashboard --polls 500
+    """
+    from server.bench.dashboard.trial import measure_dashboard
+
+    with bars(Console(stderr=True)) as progress:
+        rows = measure_dashboard(teller(progress), solutions=solutions, polls=polls)
+    print_figures(rows, as_json=as_json)
+
+
+COMMANDS = (queue, chaos, scale, archive, soak, dashboard)

@@ -9,6 +9,7 @@ import asyncio
 import json
 import re
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import psycopg
@@ -19,6 +20,7 @@ from support.databases import Databases
 from support.problems import SIMULATOR
 from support.queue import RESULT, TERMS, Queue, held
 
+from server.campaigns import jobs as job_store
 from server.campaigns import store
 from server.campaigns.advance import Stepper
 from server.db.engine import open_engines
@@ -124,6 +126,9 @@ def watching(queue: Queue) -> None:
     queue.lease("w1")
     queue.run(lambda connection: list(census.count_jobs(connection)))
     queue.run(workers.list_seen)
+    for status in job_store.OPEN:
+        queue.run(partial(job_store.list_jobs, statuses=[status]))
+        queue.run(partial(job_store.list_jobs, statuses=[status], campaign="00000000", after=7))
 
 
 def prepare(connection: Connection, words: str) -> list[str]:

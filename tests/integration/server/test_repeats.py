@@ -106,6 +106,87 @@ def test_a_campaign_may_ask_for_repeats_itself(client: httpx.Client) -> None:
     assert {one["evaluated"] for one in view["solutions"]} == {5}
 
 
+def test_named_solutions_are_simulated_again_in_place_of_the_boundary(client: httpx.Client) -> None:
+    campaign = finished(client)
+    by_fitness = sorted(solutions(client, campaign), key=lambda one: (one["fitness"], one["number"]))
+    best_first = [one["number"] for one in by_fitness if one["number"] in (3, 17, 42)]
+    answer = client.post(f"{API}/{campaign}/repeats", json={"repeats": 6, "numbers": [42, 3, 17]})
+    view = expect(answer, 201)
+    assert answer.headers["Location"] == f"{API}/{view['campaign']}"
+    assert [one["number"] for one in view["solutions"]] == best_first
+    assert (view["boundary"], view["t_b"], view["d_th"], view["budget"]) == (False, 1.0, 0.0, 18)
+    again = expect(client.get(f"{API}/{view['campaign']}"))
+    assert again["name"] == "ball: 3 solutions again"
+    assert FakeWorker(client, judge=by_chance).work(view["campaign"])["status"] == "finished"
+    [view] = expect(client.get(f"{API}/{campaign}/repeats"))
+    where = {one["number"]: one["parameters"] for one in by_fitness}
+    simulated = Counter(json.dumps(one["parameters"]) for one in solutions(client, view["campaign"]))
+    assert simulated == {json.dumps(where[number]): 6 for number in best_first}
+    for one in view["solutions"]:
+        assert one["evaluated"] == 6
+        low, high = wilson_interval(one["unsafe"], 6, 1.96)
+        assert (one["low"], one["high"]) == pytest.approx((float(low), float(high)))
+
+
+def test_the_same_named_solutions_are_not_simulated_twice_and_others_are(client: httpx.Client) -> None:
+    campaign = finished(client)
+
+    def ask(status: int, *numbers: int, repeats: int = 3) -> str:
+        wanted = {"repeats": repeats, "numbers": list(numbers)}
+        return str(expect(client.post(f"{API}/{campaign}/repeats", json=wanted), status)["campaign"])
+
+    one = ask(201, 5)
+    assert ask(200, 5) == one
+    assert len({one, ask(201, 6), ask(201, 5, repeats=4), ask(201, 5, 6)}) == 4
+    assert ask(200, 6, 5) == ask(200, 5, 6), "in whatever order"
+    boundary = expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 3, **WIDE}), 201)
+    assert boundary["boundary"]
+    views = expect(client.get(f"{API}/{campaign}/repeats"))
+    assert sorted(view["boundary"] for view in views) == [False, False, False, False, True]
+    episodes = [solution["seed"] for view in views for solution in solutions(client, view["campaign"])]
+    assert len(set(episodes)) == len(episodes), "each with seeds of its own"
+
+
+@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+@pytest.mark.parametrize(
+    ("wanted", "pointer", "message"),
+    [
+        ({"numbers": [1, 9999]}, "/numbers/1", "has no evaluated solution 9999"),
+        ({"numbers": [1, 2, 1]}, "", "numbers: expected each once, got 1 more than once"),
+        ({"numbers": []}, "/numbers", "at least 1"),
+        ({"numbers": [-1]}, "/numbers/0", "greater than or equal to 0"),
+        ({"numbers": [1], "t_b": 0.2}, "", "expected numbers or t_b, not both"),
+        ({"numbers": list(range(1001))}, "/numbers", "at most 1000"),
+    ],
+)
+def test_solutions_that_cannot_be_named_are_refused(
+    client: httpx.Client, engines: Engines, wanted: dict[str, Any], pointer: str, message: str
+) -> None:
+    campaign = finished(client)
+    [error] = expect(client.post(f"{API}/{campaign}/repeats", json=wanted), 422)["errors"]
+    assert error["pointer"] == pointer
+    assert message in error["message"]
+    assert row_counts(engines)["repeats"] == 0
+
+
+@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+def test_named_solutions_wait_until_their_campaign_has_ended(client: httpx.Client) -> None:
+    campaign = submit(client, ball())
+    answer = expect(client.post(f"{API}/{campaign}/repeats", json={"numbers": [1]}), 409)
+    assert "is running: wait until it has ended" in answer["detail"]
+
+
+@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+def test_the_command_shows_the_boundary_and_not_what_was_named(client: httpx.Client) -> None:
+    campaign = finished(client)
+    named = expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 12, "numbers": [5]}), 201)
+    wanted = ["repeats", campaign, "--repeats", "12", "--t-b", "1", "--d-th", "0"]
+    shown = CliRunner().invoke(app, [*wanted, "--server", str(client.base_url), "--json"])
+    assert shown.exit_code == 0, shown.output
+    assert len(expect(client.get(f"{API}/{campaign}/repeats"))) == 2
+    assert f'"campaign": "{named["campaign"]}"' not in shown.stdout
+
+
 def test_a_running_campaign_has_no_boundary_to_repeat(client: httpx.Client) -> None:
     campaign = submit(client, ball())
     answer = expect(client.post(f"{API}/{campaign}/repeats", json={}), 409)

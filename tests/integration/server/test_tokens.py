@@ -36,6 +36,7 @@ UNKNOWN = "brink_admin_00000000_" + "0" * 48
 ALLOWED = {
     ("GET", "/api/v1/campaigns"): {"read", "user", "admin"},
     ("GET", "/api/v1/workers"): {"read", "user", "admin"},
+    ("GET", "/api/v1/access"): {"read", "user", "admin"},
     ("GET", "/metrics"): {"read", "user", "admin"},
     ("POST", "/api/v1/campaigns"): {"user", "admin"},
     ("POST", "/api/v1/campaigns/{campaign}/pause"): {"user", "admin"},

@@ -1,0 +1,33 @@
+"""Jobs as those see them who look after them."""
+
+from collections import Counter
+
+from sqlalchemy import Connection
+
+from server.api.schemas import JobCounts
+from server.campaigns.store import ENDED
+from server.db.models import JobKind, JobStatus
+from server.queue.census import count_jobs
+from server.queue.workers import capabilities_of_live
+
+
+def job_counts(connection: Connection, worker_seen_s: float) -> JobCounts:
+    """Return how many jobs are not done, by what they have in common."""
+    counts = sorted(count_jobs(connection), key=lambda one: (one.campaign, one.status, one.needs, one.kind))
+    able = set().union(*capabilities_of_live(connection, worker_seen_s).values())
+    unrunnable: Counter[str] = Counter()
+    paused = set()
+    for one in counts:
+        handed_out = one.running or one.kind == JobKind.TRACE  # traces are made after the end, too
+        if one.status is JobStatus.QUEUED and not handed_out:
+            paused.add(one.campaign)
+        elif one.status is JobStatus.QUEUED and one.needs not in able:
+            unrunnable[one.needs] += one.jobs
+    return JobCounts(
+        status=[one.status for one in counts], campaign=[one.campaign for one in counts],
+        kind=[one.kind for one in counts], needs=[one.needs for one in counts],
+        jobs=[one.jobs for one in counts],
+        campaigns={one.campaign: one.name for one in counts},
+        paused=sorted(paused), ended=sorted({one.campaign for one in counts if one.of in ENDED}),
+        unrunnable=dict(unrunnable),
+    )  # fmt: skip

@@ -1,0 +1,47 @@
+"""The course of a campaign: distinct boundary solutions over simulations, at thresholds that somebody chose."""
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import InitVar, dataclass, field
+from typing import Final
+
+import numpy as np
+
+from search.boundary import BudgetPoint, dbs_by_budget
+from server.campaigns.archives import ReadArchive
+from server.latest import Latest
+
+POINTS: Final = 24
+MOST: Final = 10_000
+"""Solutions up to which a course is counted anew: each point counts the neighbours of all that were known by then."""
+KEPT: Final = 64
+
+
+@dataclass(slots=True)
+class Courses:
+    """The courses that were asked for last.
+
+    Attributes:
+        threads: Where they are counted.
+    """
+
+    threads: InitVar[Executor]
+    _latest: Latest[Sequence[BudgetPoint]] = field(init=False)
+
+    def __post_init__(self, threads: Executor) -> None:
+        self._latest = Latest(KEPT, threads)
+
+    async def get(self, campaign: str, read: ReadArchive, t_b: float, d_th: float) -> Sequence[BudgetPoint]:
+        """Return DBS at shares of what was simulated so far; nothing of an archive that is empty or too large."""
+        if not 0 < len(read.archive) <= MOST:
+            return ()
+        return await self._latest.get(
+            (campaign, t_b, d_th), read.generation, lambda: _counted(read, t_b, d_th)
+        )
+
+
+def _counted(read: ReadArchive, t_b: float, d_th: float) -> Sequence[BudgetPoint]:
+    archive = read.archive
+    spent = int(archive.numbers[-1]) + 1
+    fractions = (np.arange(1, POINTS + 1) / POINTS).tolist()
+    return list(dbs_by_budget(archive, spent, fractions, (t_b,), (d_th,)))

@@ -1,0 +1,83 @@
+/** What a view gets: where to ask, what it may do, how to say that something went wrong. It ends with the view. */
+
+import { ApiError, get, send } from "./api.js";
+import { h, replace } from "./dom.js";
+import { poll } from "./poll.js";
+
+/** One view's services. */
+export class Context {
+  /**
+   * @param {object} given
+   * @param {AbortSignal} given.signal Aborted when the view is left.
+   * @param {{steer: boolean, remove: boolean}} given.may What the token's scope allows.
+   * @param {Element} given.main Where the view is.
+   * @param {(away: boolean) => void} given.away Told when the coordinator is away, and when it is back.
+   * @param {() => void} given.signIn Asks for a token.
+   */
+  constructor({ signal, may, main, away, signIn }) {
+    this.signal = signal;
+    this.may = may;
+    this.main = main;
+    this.away = away;
+    this.signIn = signIn;
+  }
+
+  /** Name the view: the page's title, and what is read out. */
+  title(words) {
+    document.title = `${words} · Brink`;
+  }
+
+  /** Poll a path while the view is there; see `poll`. A refusal takes the view's place unless `refuse` is given. */
+  watch(path, take, { busy, refuse = (error) => this.fail(error) } = {}) {
+    const heard = (error) => (error.status === 401 ? this.signIn() : refuse(error));
+    return poll(path, take, { signal: this.signal, busy, refuse: heard, away: this.away });
+  }
+
+  /** Return what a path holds. */
+  get(path) {
+    return get(path, { signal: this.signal });
+  }
+
+  /** Do something, say so, and return what was answered; undefined if it was refused, which is said too. */
+  async act(method, path, said, options = {}) {
+    try {
+      const answer = await send(method, path, options);
+      if (said) toast(said);
+      return answer;
+    } catch (error) {
+      if (!(error instanceof ApiError)) throw error;
+      if (error.status === 401) this.signIn();
+      else toast(error.message, { bad: true });
+      return undefined;
+    }
+  }
+
+  /** Show an error in place of the view. */
+  fail(error) {
+    if (this.signal.aborted) return;
+    const heading = error.status === 404 ? "Not here" : "This cannot be shown";
+    replace(this.main, h("div.empty", null, h("h1", null, heading), h("p", null, error.message),
+      h("p", null, h("a", { href: "#/" }, "All campaigns"))));
+  }
+
+  /** Run something asynchronous of the view; its error is shown, unless the view was left meanwhile. */
+  async attempt(doing) {
+    try {
+      return await doing();
+    } catch (error) {
+      if (this.signal.aborted) return undefined;
+      if (!(error instanceof ApiError)) throw error;
+      if (error.status === 401) this.signIn();
+      else this.fail(error);
+      return undefined;
+    }
+  }
+}
+
+/** Say something for a few seconds; what is bad stays until it is put away. */
+export function toast(words, { bad = false } = {}) {
+  const node = h(`div.toast${bad ? ".bad" : ""}`, null, h("span", null, words),
+    h("button.quiet", { type: "button", "aria-label": "Put away", onclick: () => node.remove() }, "×"));
+  document.getElementById("toasts").append(node);
+  if (!bad) setTimeout(() => node.remove(), 5_000);
+}

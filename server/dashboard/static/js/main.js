@@ -1,0 +1,126 @@
+/** The frame: which view is shown, who looks, whether the coordinator is there. */
+
+import { ApiError, get } from "./api.js";
+import { Context } from "./context.js";
+import { attribute, h, replace, text } from "./dom.js";
+import { place } from "./router.js";
+import { currentToken, dropToken, rights } from "./session.js";
+import { chosen, turn } from "./theme.js";
+
+const NAV = [
+  ["#/", "Campaigns", ["", "campaigns", "new"]],
+  ["#/compare", "Compare", ["compare"]],
+  ["#/experiments", "Experiments", ["experiments"]],
+  ["#/workers", "Workers", ["workers"]],
+  ["#/jobs", "Jobs", ["jobs"]],
+];
+
+const main = document.getElementById("main");
+const notice = document.getElementById("notice");
+let shown = null; // ends the view that is shown
+let access = null; // what the coordinator says of who looks
+
+/** The module that shows a place. */
+function viewOf(parts) {
+  const [first = "campaigns", id, part, number] = parts;
+  if (first === "campaigns" && !id) return import("./views/campaigns.js");
+  if (first === "campaigns" && !part) return import("./views/campaign.js");
+  if (first === "campaigns" && part === "solutions" && /^\d+$/.test(number ?? "")) return import("./views/solution.js");
+  if (first === "new") return import("./views/new_campaign.js");
+  if (first === "compare") return import("./views/compare.js");
+  if (first === "experiments") return id ? import("./views/experiment.js") : import("./views/experiments.js");
+  if (first === "workers") return import("./views/workers.js");
+  if (first === "jobs") return import("./views/jobs.js");
+  return null;
+}
+
+async function show({ focus = true } = {}) {
+  shown?.abort();
+  const mine = (shown = new AbortController());
+  const where = place();
+  markNav(where.parts[0] ?? "");
+  if (access === null && !(await identify())) return;
+  if (mine.signal.aborted) return;
+  const loading = viewOf(where.parts);
+  const context = new Context({
+    signal: mine.signal, may: rights(access.scope), main, away: sayAway, signIn: () => signIn("This token is no longer taken."),
+  });
+  if (loading === null) {
+    context.title("Not here");
+    context.fail(new ApiError(404, "There is no such page."));
+    return;
+  }
+  const view = await loading;
+  if (mine.signal.aborted) return;
+  replace(main);
+  window.scrollTo(0, 0);
+  await context.attempt(() => view.show(main, context, where));
+  if (focus && !mine.signal.aborted) main.focus({ preventScroll: true });
+}
+
+/** Ask who looks; without a token that is taken, ask for one. Returns whether the view may be shown. */
+async function identify() {
+  try {
+    access = await get("access");
+    sayAway(false);
+  } catch (error) {
+    if (!(error instanceof ApiError)) throw error;
+    if (error.status === 401) {
+      await signIn(currentToken() ? "This token is not taken." : "");
+    } else if (error.status === 403 && currentToken()) {
+      await signIn("This token is a worker's: it may lease jobs and see nothing. Take one of scope read, user or admin.");
+    } else if (error.passes) {
+      sayAway(true);
+      setTimeout(show, 3_000);
+    } else {
+      const context = new Context({ signal: shown.signal, may: rights(""), main, away: sayAway, signIn: () => signIn("") });
+      context.title("No access");
+      context.fail(error);
+    }
+    return false;
+  }
+  drawTools();
+  return true;
+}
+
+async function signIn(reason) {
+  access = null;
+  shown?.abort();
+  shown = new AbortController();
+  dropToken();
+  drawTools();
+  const { show: ask } = await import("./views/sign_in.js");
+  ask(main, { reason, signal: shown.signal, done: () => show() });
+}
+
+function markNav(first) {
+  for (const [index, item] of [...document.querySelectorAll("#nav a")].entries()) {
+    attribute(item, "aria-current", NAV[index][2].includes(first) ? "page" : null);
+  }
+}
+
+function drawTools() {
+  const words = { system: "Theme: system", light: "Theme: light", dark: "Theme: dark" };
+  const theme = h("button.quiet", { type: "button", onclick: () => text(theme, words[turn()]) }, words[chosen()]);
+  const scope = access?.tokens ? h("span.scope", { title: "What this token may do" }, `scope ${access.scope}`) : null;
+  const out = access?.tokens
+    ? h("button.quiet", { type: "button", onclick: () => signIn("") }, "Sign out")
+    : null;
+  replace(document.getElementById("tools"), scope, h("a.quiet", { href: "docs" }, "API"), theme, out);
+}
+
+function sayAway(away) {
+  if (away === !notice.hidden && notice.childElementCount > 0) return;
+  notice.hidden = !away;
+  replace(notice, away && h("p.away", null, "The coordinator does not answer. This page tries again; nothing that it holds is lost."));
+}
+
+replace(document.getElementById("nav"), NAV.map(([href, words]) => h("a", { href }, words)));
+notice.hidden = true;
+drawTools();
+document.querySelector(".skip").addEventListener("click", (event) => {
+  event.preventDefault(); // #main is no place
+  main.focus();
+});
+addEventListener("hashchange", () => show());
+show({ focus: false });

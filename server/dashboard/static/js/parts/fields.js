@@ -1,0 +1,79 @@
+/** Fields of a form made from a JSON schema: an empty one stands for its default; errors are shown beside them. */
+
+import { attribute, h, text } from "../dom.js";
+import { spaced } from "../format.js";
+
+/**
+ * @typedef {object} FormField
+ * @property {string} pointer Of the field in the document, such as ``/problem/params/duration_s``.
+ * @property {HTMLElement} node
+ * @property {() => *} read The value; undefined if it is left empty.
+ * @property {(value: *) => void} fill
+ * @property {(message: string) => void} complain Says what is wrong with it; an empty text for nothing.
+ */
+
+/** Return a field for one property of a JSON schema. */
+export function field(name, schema, pointer, { label = capital(spaced(name)), required = false, help = schema.description } = {}) {
+  const id = `field${pointer.replaceAll("/", "-")}`;
+  const wrong = h("p.wrong", { id: `${id}-wrong`, role: "alert", hidden: true });
+  const hint = help || schema.unit ? h("p.help", { id: `${id}-help` }, [help, schema.unit && `in ${schema.unit}`].filter(Boolean).join(" ").replace(/\. in /, ", in ")) : null;
+  const input = control(schema, { id, required, described: [hint && `${id}-help`, `${id}-wrong`].filter(Boolean).join(" ") });
+  const node = h("div.field", null, h("label", { for: id }, label), input, hint, wrong);
+  return {
+    pointer, node,
+    read: () => valueOf(input, schema),
+    fill: (value) => fill(input, schema, value),
+    complain: (message) => {
+      text(wrong, message);
+      wrong.hidden = !message;
+      attribute(input, "aria-invalid", message ? "true" : null);
+    },
+    focus: () => input.focus(),
+  };
+}
+
+function capital(words) {
+  return words.charAt(0).toUpperCase() + words.slice(1);
+}
+
+function control(schema, { id, required, described }) {
+  const usual = schema.default ?? null;
+  const about = { id, "aria-describedby": described, required: required || null };
+  if (schema.enum || schema.type === "boolean") {
+    const choices = schema.enum ?? [true, false];
+    return h("select", about, usual !== null && h("option", { value: "" }, `${spaced(String(usual))} (default)`),
+      choices.filter((choice) => choice !== usual).map((choice) => h("option", { value: String(choice) }, spaced(String(choice)))));
+  }
+  if (schema.type === "integer" || schema.type === "number") {
+    return h("input", {
+      ...about, type: "number", step: schema.type === "integer" ? 1 : "any", min: schema.minimum, max: schema.maximum,
+      placeholder: usual === null ? null : String(usual),
+    });
+  }
+  if (schema.type === "array" || schema.type === "object") {
+    return h("textarea", { ...about, rows: 3, placeholder: "JSON", spellcheck: "false" });
+  }
+  return h("input", { ...about, type: "text", placeholder: usual === null ? null : String(usual), spellcheck: "false" });
+}
+
+function valueOf(input, schema) {
+  const written = input.value.trim();
+  // A number that cannot be read has an empty value: the browser says why.
+  if (written === "") return undefined;
+  if (schema.type === "boolean") return written === "true";
+  if (schema.type === "integer" || schema.type === "number") return Number(written);
+  if (schema.type === "array" || schema.type === "object") {
+    try {
+      return JSON.parse(written);
+    } catch {
+      return written; // the server says what it expected
+    }
+  }
+  return written;
+}
+
+function fill(input, schema, value) {
+  const same = value === undefined || value === null || value === schema.default;
+  if (same) input.value = "";
+  else input.value = typeof value === "object" ? JSON.stringify(value) : String(value);
+}

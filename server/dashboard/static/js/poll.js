@@ -1,0 +1,71 @@
+/** Polling: every 2 s while something goes on, every 10 s while not, never while nobody looks. */
+
+import { ApiError, Conditional, UNCHANGED } from "./api.js";
+
+const BUSY_MS = 2_000;
+const IDLE_MS = 10_000;
+const AWAY_MS = 3_000;
+
+/**
+ * Ask for a path again and again, until the signal says stop.
+ *
+ * @param {string | (() => string)} path What to ask for; a function says it anew each time.
+ * @param {(read: *) => void} take Called with each answer that is new.
+ * @param {object} options
+ * @param {AbortSignal} options.signal Ends it.
+ * @param {(read: *) => boolean} [options.busy] Whether to look often, by the last answer.
+ * @param {(error: ApiError) => void} options.refuse Called with an error that will not pass.
+ * @param {(away: boolean) => void} options.away Called when the coordinator is away, and when it is back.
+ * @returns {{now: () => void}} Something that looks at once.
+ */
+export function poll(path, take, { signal, busy = () => false, refuse, away }) {
+  const conditional = new Conditional();
+  let last;
+  let timer = null;
+  let under_way = false;
+  let again = false;
+
+  async function look() {
+    clearTimeout(timer);
+    if (signal.aborted) return;
+    if (under_way) {
+      again = true;
+      return;
+    }
+    if (document.hidden) return; // `shown` looks again
+    under_way = true;
+    let wait = IDLE_MS;
+    try {
+      const read = await conditional.get(typeof path === "function" ? path() : path, { signal });
+      if (signal.aborted) return;
+      away(false);
+      if (read !== UNCHANGED) {
+        last = read;
+        take(read);
+      }
+      if (last !== undefined && busy(last)) wait = BUSY_MS;
+    } catch (error) {
+      if (signal.aborted) return;
+      if (!(error instanceof ApiError)) throw error;
+      if (!error.passes) {
+        refuse(error);
+        return;
+      }
+      away(true);
+      wait = AWAY_MS;
+    } finally {
+      under_way = false;
+    }
+    timer = setTimeout(look, again ? 0 : wait);
+    again = false;
+  }
+
+  function shown() {
+    if (!document.hidden) look();
+  }
+
+  document.addEventListener("visibilitychange", shown, { signal });
+  signal.addEventListener("abort", () => clearTimeout(timer), { once: true });
+  look();
+  return { now: look };
+}

@@ -1,0 +1,46 @@
+/** Loading what takes a while: only when there is news, and never so often that it is all that is done. */
+
+/**
+ * Return a function to be told of news; it loads as soon as it may.
+ *
+ * @param {() => Promise<void>} load Loads and shows.
+ * @param {{signal: AbortSignal, leastMs?: number, share?: number}} options ``share`` of the time at most is spent loading.
+ */
+export function sparing(load, { signal, leastMs = 1_000, share = 0.1 }) {
+  let known;
+  let wanted;
+  let under_way = false;
+  let notBefore = 0;
+  let timer = null;
+
+  async function run() {
+    clearTimeout(timer);
+    if (signal.aborted || under_way || wanted === known) return;
+    const now = performance.now();
+    if (now < notBefore || document.hidden) {
+      timer = setTimeout(run, Math.max(250, notBefore - now));
+      return;
+    }
+    under_way = true;
+    const loading = wanted;
+    try {
+      await load();
+      known = loading;
+    } catch (error) {
+      if (signal.aborted) return;
+      // Polling says that the coordinator is away; what failed is loaded again.
+      if (!error.passes) throw error;
+    } finally {
+      under_way = false;
+      notBefore = performance.now() + Math.max(leastMs, (performance.now() - now) / share);
+    }
+    run();
+  }
+
+  signal.addEventListener("abort", () => clearTimeout(timer), { once: true });
+  return (news, { atOnce = false } = {}) => {
+    wanted = news;
+    if (atOnce) notBefore = 0;
+    run();
+  };
+}

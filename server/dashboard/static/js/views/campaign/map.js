@@ -1,0 +1,293 @@
+/**
+ * A canvas with up to some twenty thousand points: drag to move, wheel or pinch to zoom, a lasso to choose, a click to
+ * open. All points are painted anew for each frame.
+ */
+
+import { h } from "../../dom.js";
+import { colour, onTheme } from "../../theme.js";
+import { packed, Stamp } from "./stamping.js";
+
+const MARGIN = 24;
+const NEAR_PX = 14;
+const MOST_ZOOM = 60;
+const SOLID = 0.8;
+const FAINT = 0.22;
+
+/**
+ * Return a map.
+ *
+ * @param {object} given
+ * @param {AbortSignal} given.signal
+ * @param {(index: number|null, event: {x: number, y: number}) => void} given.hover The point under the pointer.
+ * @param {(index: number) => void} given.open A point was clicked.
+ * @param {(indices: number[]) => void} given.choose A lasso was closed.
+ * @returns {HTMLCanvasElement} With ``show``, ``select``, ``zoom``, ``whole``, ``lasso`` and, for measurements, ``frames``.
+ */
+export function solutionMap({ signal, hover, open, choose }) {
+  const canvas = h("canvas.map", {
+    tabindex: 0, role: "application",
+    "aria-label": "Map of the solutions. Arrow keys move it, plus and minus zoom, 0 shows all. The table of boundary solutions says the same in words.",
+  });
+  const pen = canvas.getContext("2d", { willReadFrequently: true }); // kept in memory, where it is painted
+  let width = 0;
+  let height = 0;
+  let ratio = 1;
+  let data = null;
+  let colouring = null;
+  let picture = null;
+  let pixels = null;
+  let bounds = { x: 0, y: 0, scale: 1 };
+  let view = { zoom: 1, dx: 0, dy: 0 };
+  let chosen = new Set();
+  let ringed = []; // the boundary
+  let ring = null; // what is open
+  let lassoing = false;
+  let path = null;
+  let due = false;
+  canvas.frames = [];
+
+  const scale = () => bounds.scale * view.zoom;
+  const toX = (x) => width / 2 + (x - bounds.x) * scale() + view.dx;
+  const toY = (y) => height / 2 - (y - bounds.y) * scale() + view.dy;
+
+  function resize() {
+    ratio = Math.min(devicePixelRatio || 1, 2);
+    width = canvas.clientWidth;
+    height = canvas.clientHeight;
+    canvas.width = Math.round(width * ratio);
+    canvas.height = Math.round(height * ratio);
+    fit();
+    draw();
+  }
+
+  function fit() {
+    if (!data || !data.count || !width) return;
+    let [left, right, bottom, top] = [Infinity, -Infinity, Infinity, -Infinity];
+    for (let i = 0; i < data.count; i += 1) {
+      left = Math.min(left, data.x[i]);
+      right = Math.max(right, data.x[i]);
+      bottom = Math.min(bottom, data.y[i]);
+      top = Math.max(top, data.y[i]);
+    }
+    bounds = {
+      x: (left + right) / 2, y: (bottom + top) / 2,
+      scale: Math.min((width - 2 * MARGIN) / Math.max(right - left, 1e-6), (height - 2 * MARGIN) / Math.max(top - bottom, 1e-6)),
+    };
+  }
+
+  function radius() {
+    const base = Math.max(1.6, Math.min(5, 110 / Math.sqrt(data.count + 1)));
+    return base * Math.min(2.2, Math.sqrt(Math.sqrt(view.zoom)));
+  }
+
+  function draw() {
+    if (due) return;
+    due = true;
+    requestAnimationFrame(() => {
+      due = false;
+      const began = performance.now();
+      paint();
+      canvas.frames.push([began, performance.now() - began]);
+      if (canvas.frames.length > 600) canvas.frames.shift();
+    });
+  }
+
+  function paint() {
+    if (!canvas.width || !canvas.height) return;
+    if (picture?.width !== canvas.width || picture.height !== canvas.height) {
+      picture = pen.createImageData(canvas.width, canvas.height);
+      pixels = new Uint32Array(picture.data.buffer);
+    }
+    pixels.fill(packed(colour("--sunk")));
+    const ready = data?.count && colouring;
+    if (ready) stampAll();
+    pen.putImageData(picture, 0, 0);
+    if (!ready) return;
+    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+    rings();
+    drawPath();
+  }
+
+  function stampAll() {
+    const { width: w, height: tall } = picture;
+    const [k, x0, y0] = [scale() * ratio, toX(0) * ratio, toY(0) * ratio];
+    const colours = colouring.colours.map(packed);
+    const stamp = new Stamp(radius() * ratio, w, chosen.size ? FAINT : SOLID);
+    const one = (i, with_) => {
+      const x = Math.round(x0 + data.x[i] * k);
+      const y = Math.round(y0 - data.y[i] * k);
+      const { reach } = with_;
+      if (x >= reach && y >= reach && x < w - reach && y < tall - reach) with_.onto(pixels, y * w + x, colours[colouring.index[i]]);
+    };
+    for (let i = 0; i < data.count; i += 1) one(i, stamp);
+    if (!chosen.size) return;
+    const solid = new Stamp(radius() * ratio, w, 1);
+    for (const i of chosen) one(i, solid);
+  }
+
+  function rings() {
+    pen.strokeStyle = colour("--edge");
+    pen.lineWidth = 1.6;
+    const size = radius() + 3;
+    for (const i of ringed) circle(i, size);
+    if (ring !== null) {
+      pen.lineWidth = 3;
+      circle(ring, size + 4);
+    }
+  }
+
+  function circle(i, size) {
+    pen.beginPath();
+    pen.arc(toX(data.x[i]), toY(data.y[i]), size, 0, 7);
+    pen.stroke();
+  }
+
+  function drawPath() {
+    if (!path) return;
+    pen.beginPath();
+    path.forEach(([x, y], place) => (place ? pen.lineTo(x, y) : pen.moveTo(x, y)));
+    pen.closePath();
+    pen.strokeStyle = colour("--accent");
+    pen.lineWidth = 1.5;
+    pen.setLineDash([5, 4]);
+    pen.stroke();
+    pen.setLineDash([]);
+  }
+
+  function nearest(x, y) {
+    if (!data) return null;
+    let [best, least] = [null, NEAR_PX ** 2];
+    const [k, x0, y0] = [scale(), toX(0), toY(0)];
+    for (let i = 0; i < data.count; i += 1) {
+      const away = (x0 + data.x[i] * k - x) ** 2 + (y0 - data.y[i] * k - y) ** 2;
+      if (away < least) [best, least] = [i, away];
+    }
+    return best;
+  }
+
+  function zoomAt(x, y, factor) {
+    const zoom = Math.max(0.5, Math.min(MOST_ZOOM, view.zoom * factor));
+    const real = zoom / view.zoom;
+    view = { zoom, dx: x - width / 2 - (x - width / 2 - view.dx) * real, dy: y - height / 2 - (y - height / 2 - view.dy) * real };
+    draw();
+  }
+
+  function inside() {
+    const found = [];
+    for (let i = 0; i < data.count; i += 1) if (within(toX(data.x[i]), toY(data.y[i]))) found.push(i);
+    return found;
+  }
+
+  function within(x, y) {
+    let odd = false;
+    for (let a = 0, b = path.length - 1; a < path.length; b = a, a += 1) {
+      const [[ax, ay], [bx, by]] = [path[a], path[b]];
+      if (ay > y !== by > y && x < ((bx - ax) * (y - ay)) / (by - ay) + ax) odd = !odd;
+    }
+    return odd;
+  }
+
+  // Pointers: one moves the map or draws the lasso, two zoom.
+  const down = new Map();
+  let moved = 0;
+  const at = (event) => [event.offsetX, event.offsetY];
+
+  const listen = (name, listener, options) => canvas.addEventListener(name, listener, { signal, ...options });
+  listen("pointerdown", (event) => {
+    canvas.setPointerCapture(event.pointerId);
+    down.set(event.pointerId, at(event));
+    moved = 0;
+    if (lassoing || event.shiftKey) path = [at(event)];
+  });
+  listen("pointermove", (event) => {
+    const before = down.get(event.pointerId);
+    const now = at(event);
+    if (!before) {
+      hover(nearest(...now), { x: now[0], y: now[1] });
+      return;
+    }
+    moved += Math.abs(now[0] - before[0]) + Math.abs(now[1] - before[1]);
+    if (down.size === 2) {
+      const other = [...down].find(([id]) => id !== event.pointerId)[1];
+      const [was, is] = [before, now].map(([x, y]) => Math.hypot(x - other[0], y - other[1]));
+      if (was > 0) zoomAt((now[0] + other[0]) / 2, (now[1] + other[1]) / 2, is / was);
+    } else if (path) {
+      path.push(now);
+      draw();
+    } else {
+      view = { ...view, dx: view.dx + now[0] - before[0], dy: view.dy + now[1] - before[1] };
+      hover(null, { x: 0, y: 0 });
+      draw();
+    }
+    down.set(event.pointerId, now);
+  });
+  listen("pointerup", (event) => {
+    down.delete(event.pointerId);
+    if (path && moved > 8) {
+      choose(inside());
+    } else if (moved <= 4 && data) {
+      const found = nearest(...at(event));
+      if (found === null) choose([]);
+      else open(found);
+    }
+    path = null;
+    draw();
+  });
+  listen("pointercancel", (event) => {
+    down.delete(event.pointerId);
+    path = null;
+    draw();
+  });
+  listen("pointerleave", () => hover(null, { x: 0, y: 0 }));
+  listen("wheel", (event) => {
+    // Only when the map was chosen: a page that scrolls by must not be caught.
+    if (document.activeElement !== canvas && !event.ctrlKey) return;
+    event.preventDefault();
+    zoomAt(...at(event), Math.exp(-event.deltaY * 0.002));
+  }, { passive: false });
+  listen("keydown", (event) => {
+    const moves = { ArrowLeft: [40, 0], ArrowRight: [-40, 0], ArrowUp: [0, 40], ArrowDown: [0, -40] };
+    if (moves[event.key]) view = { ...view, dx: view.dx + moves[event.key][0], dy: view.dy + moves[event.key][1] };
+    else if (event.key === "+" || event.key === "=") zoomAt(width / 2, height / 2, 1.4);
+    else if (event.key === "-") zoomAt(width / 2, height / 2, 1 / 1.4);
+    else if (event.key === "0") view = { zoom: 1, dx: 0, dy: 0 };
+    else if (event.key === "Escape") choose([]);
+    else return;
+    event.preventDefault();
+    draw();
+  });
+
+  canvas.show = (next, colours, { anew = false } = {}) => {
+    const first = data === null || anew;
+    data = next;
+    colouring = colours;
+    const place = new Map();
+    for (let i = 0; i < data.count; i += 1) place.set(data.number[i], i);
+    data.place = place;
+    if (first) fit();
+    canvas.dataset.points = data.count;
+    draw();
+  };
+  canvas.select = ({ indices, boundary, opened }) => {
+    chosen = new Set(indices);
+    ringed = boundary;
+    ring = opened;
+    draw();
+  };
+  canvas.zoom = (factor) => zoomAt(width / 2, height / 2, factor);
+  canvas.whole = () => {
+    view = { zoom: 1, dx: 0, dy: 0 };
+    fit();
+    draw();
+  };
+  canvas.lasso = (on) => {
+    lassoing = on;
+    canvas.classList.toggle("lassoing", on);
+  };
+
+  const seen = new ResizeObserver(resize);
+  seen.observe(canvas);
+  signal.addEventListener("abort", () => seen.disconnect(), { once: true });
+  onTheme(draw, signal);
+  return canvas;
+}

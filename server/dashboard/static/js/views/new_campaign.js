@@ -1,0 +1,225 @@
+/** Submits a campaign: from a form made of the catalogue's schemas, or from the text of a campaign file. */
+
+import { ApiError, send } from "../api.js";
+import { h, replace, text } from "../dom.js";
+import { plainId } from "../format.js";
+import { callout } from "../parts/callout.js";
+import { field } from "../parts/fields.js";
+import { go } from "../router.js";
+
+const FIRST = { problem: "urban-injected@1", algorithm: "mlcshe@1" };
+const HIDDEN_ALGORITHMS = new Set(["repeat@1"]); // made by Brink itself
+const EXAMPLE = `# A campaign file, as brink run and brink submit take them.
+name: quickstart
+problem:
+  id: urban-injected@1
+  params:
+    requirement: front-gap@1
+algorithm:
+  id: mlcshe@1
+budget:
+  simulations: 300
+seed: 1
+`;
+
+export async function show(main, context, { query }) {
+  context.title("New campaign");
+  const from = query.get("from");
+  const [problems, algorithms, description, model] = await Promise.all([
+    context.get("problems"), context.get("algorithms"), schemas(context),
+    from ? context.get(`campaigns/${encodeURIComponent(from)}`) : null,
+  ]);
+  if (!context.may.steer) {
+    replace(main, h("h1", null, "New campaign"), callout("warn", "This token may look only. One of scope user can submit campaigns."));
+    return;
+  }
+  const trouble = h("div", { role: "alert" });
+  const form = formOf({ problems, algorithms: algorithms.filter((one) => !HIDDEN_ALGORITHMS.has(one.id)), description });
+  const file = h("textarea", { id: "yaml", spellcheck: "false", "aria-describedby": "yaml-help" });
+  file.value = EXAMPLE;
+  const panes = {
+    form: h("div", null, form.node),
+    file: h("div.card", { hidden: true }, h("label", { for: "yaml" }, "Campaign file"), file,
+      h("p.hint", { id: "yaml-help" }, "YAML or JSON with the same fields as the form, and llm for a language model.")),
+  };
+  let mode = "form";
+  const modes = Object.entries({ form: "Form", file: "Campaign file" }).map(([name, words]) => h("button",
+    { type: "button", "aria-pressed": String(name === mode), data: { mode: name }, onclick: () => turn(name) }, words));
+  const submit = h("button.primary", { type: "submit" }, "Submit campaign");
+  const check = h("button", { type: "button", onclick: () => attempt(checked) }, "Check only");
+
+  replace(main, h("p.crumb", null, h("a", { href: "#/campaigns" }, "Campaigns")),
+    h("div.head", null, h("h1", null, model ? `Clone of ${model.name}` : "New campaign"), h("div.segments", { role: "group", "aria-label": "How to write it" }, modes)),
+    h("form.new-campaign", { novalidate: true, onsubmit: (event) => { event.preventDefault(); attempt(submitted); } },
+      trouble, panes.form, panes.file, h("div.actions", null, submit, check)));
+  if (model) form.fill({ ...model.body, seed: Math.min(model.body.seed + 1, Number.MAX_SAFE_INTEGER) });
+
+  /** Change over, and take along what was written. */
+  async function turn(name) {
+    if (name === mode) return;
+    if (name === "file") file.value = `# JSON is YAML, too.\n${JSON.stringify(form.read(), null, 2)}\n`;
+    else if (!await attempt(async () => form.fill(await document()))) return;
+    mode = name;
+    for (const [each, pane] of Object.entries(panes)) pane.hidden = each !== mode;
+    for (const each of modes) each.setAttribute("aria-pressed", String(each.dataset.mode === mode));
+    replace(trouble);
+  }
+
+  async function document() {
+    return mode === "form" ? form.read() : send("POST", "campaigns/check", { text: file.value, headers: YAML });
+  }
+
+  async function submitted() {
+    const made = await send("POST", "campaigns", { json: await document(), headers: { "Idempotency-Key": key() } });
+    go("campaigns", made.id);
+  }
+
+  async function checked() {
+    const body = await send("POST", "campaigns/check", { text: JSON.stringify(await document()), headers: YAML });
+    replace(trouble, callout("", `${body.name} could be submitted: ${body.problem.id}, ${body.algorithm.id}, ${body.budget.simulations} simulations.`));
+  }
+
+  let attempted = "";
+  let keyOf = "";
+
+  /** One key for one text: a second click on Submit makes no second campaign. */
+  function key() {
+    const told = JSON.stringify(mode === "form" ? form.read() : file.value);
+    if (told !== attempted) [attempted, keyOf] = [told, `dashboard-${crypto.randomUUID?.() ?? `${Date.now()}-${Math.random()}`}`];
+    return keyOf;
+  }
+
+  /** Do something; show what is wrong beside the fields. Returns whether it was done. */
+  async function attempt(doing) {
+    replace(trouble);
+    form.complain([]);
+    submit.disabled = check.disabled = true;
+    try {
+      await doing();
+      return true;
+    } catch (error) {
+      if (!(error instanceof ApiError)) throw error;
+      if (error.status === 401) {
+        context.signIn();
+        return false;
+      }
+      const rest = mode === "form" ? form.complain(error.errors) : error.errors;
+      const words = error.errors.length ? rest.map((one) => h("li", null, one.pointer && h("code", null, one.pointer), one.pointer && ": ", one.message, one.nearest && ` Did you mean ${one.nearest}?`)) : [h("li", null, error.message)];
+      replace(trouble, callout("bad", words.length ? h("ul.plain", null, words) : "Some fields are wrong: see beside them."));
+      return false;
+    } finally {
+      submit.disabled = check.disabled = false;
+    }
+  }
+}
+
+const YAML = { "Content-Type": "application/yaml" };
+
+/** Return the schemas of a campaign's own parts, from the description of the API. */
+async function schemas(context) {
+  const read = await fetch(new URL("openapi.json", document.baseURI), { signal: context.signal });
+  return (await read.json()).components.schemas;
+}
+
+function formOf({ problems, algorithms, description }) {
+  const campaign = description.CampaignBody.properties;
+  const own = [
+    field("name", campaign.name, "/name", { required: true, help: "What you call it." }),
+    field("simulations", description.Budget.properties.simulations, "/budget/simulations", { required: true, label: "Simulations", help: "The budget: how many it may cost." }),
+    field("seed", campaign.seed, "/seed", { help: "The same seed finds the same." }),
+    field("priority", campaign.priority, "/priority"),
+    field("repeats", campaign.repeats, "/repeats"),
+  ];
+  const execution = Object.entries(description.Execution.properties).map(([name, schema]) => field(name, schema, `/execution/${name}`));
+  const problem = plugin("problem", "Problem", problems, FIRST.problem);
+  const algorithm = plugin("algorithm", "Algorithm", algorithms, FIRST.algorithm);
+  const every = () => [...own, ...execution, ...problem.fields(), ...algorithm.fields()];
+  let kept = {}; // what the form has no field for
+
+  const node = h("div.stack", null,
+    h("fieldset.card", null, h("legend", null, "Campaign"), h("div.fields", null, own.map((one) => one.node))),
+    problem.node, algorithm.node,
+    h("details.card", null, h("summary", null, "How its simulations are run"), h("div.fields", null, execution.map((one) => one.node))));
+
+  function read() {
+    const document = { ...kept, problem: problem.read(), algorithm: algorithm.read(), budget: {} };
+    const ran = {};
+    for (const one of own) {
+      const value = one.read();
+      if (value === undefined) continue;
+      if (one.pointer === "/budget/simulations") document.budget.simulations = value;
+      else document[one.pointer.slice(1)] = value;
+    }
+    for (const one of execution) if (one.read() !== undefined) ran[one.pointer.split("/").at(-1)] = one.read();
+    if (Object.keys(ran).length) document.execution = ran;
+    return document;
+  }
+
+  function fill(body) {
+    const { llm } = body;
+    kept = llm ? { llm } : {};
+    for (const one of own) one.fill(one.pointer === "/budget/simulations" ? body.budget?.simulations : body[one.pointer.slice(1)]);
+    for (const one of execution) one.fill(body.execution?.[one.pointer.split("/").at(-1)]);
+    problem.fill(body.problem);
+    algorithm.fill(body.algorithm);
+  }
+
+  /** Say what is wrong beside the fields; returns what belongs to none of them. */
+  function complain(errors) {
+    const rest = [];
+    const fields = every();
+    for (const one of fields) one.complain("");
+    let first = null;
+    for (const error of errors) {
+      const place = fields.find((one) => one.pointer === error.pointer);
+      if (!place) rest.push(error);
+      else {
+        place.complain(error.nearest ? `${error.message}. Did you mean ${error.nearest}?` : error.message);
+        place.node.closest("details")?.setAttribute("open", "");
+        first ??= place;
+      }
+    }
+    first?.focus();
+    return rest;
+  }
+
+  return { node, read, fill, complain };
+}
+
+/** Return the part of the form that chooses a plug-in and its parameters. */
+function plugin(part, title, known, first) {
+  const select = h("select", { id: `choose-${part}`, onchange: () => choose(select.value) }, known.map((one) => h("option", { value: one.id }, plainId(one.id))));
+  const summary = h("p.help", { id: `about-${part}` });
+  select.setAttribute("aria-describedby", `about-${part}`);
+  const wrong = h("p.wrong", { role: "alert", hidden: true });
+  const place = h("div.fields");
+  const more = h("details", null, h("summary", null, `Parameters of the ${part}`), place);
+  const node = h("fieldset.card", null, h("legend", null, title), h("div.field", null, h("label", { for: `choose-${part}` }, title), select, summary, wrong), more);
+  let fields = [];
+
+  function choose(id) {
+    const chosen = known.find((one) => one.id === id) ?? known[0];
+    if (!known.some((one) => one.id === id)) select.append(h("option", { value: id }, id)); // the server says what it thinks of it
+    select.value = id;
+    text(summary, chosen.id === id ? chosen.summary : "");
+    const properties = chosen.id === id ? chosen.params.properties ?? {} : {};
+    fields = Object.entries(properties).map(([name, schema]) => field(name, schema, `/${part}/params/${name}`));
+    replace(place, fields.map((one) => one.node));
+    more.hidden = fields.length === 0;
+  }
+
+  choose(known.some((one) => one.id === first) ? first : known[0].id);
+  return {
+    node,
+    fields: () => [...fields, { pointer: `/${part}/id`, node: select, focus: () => select.focus(), complain: (message) => { text(wrong, message); wrong.hidden = !message; } }],
+    read: () => {
+      const params = Object.fromEntries(fields.map((one) => [one.pointer.split("/").at(-1), one.read()]).filter(([, value]) => value !== undefined));
+      return Object.keys(params).length ? { id: select.value, params } : { id: select.value };
+    },
+    fill: (given) => {
+      choose(given?.id ?? first);
+      for (const one of fields) one.fill(given?.params?.[one.pointer.split("/").at(-1)]);
+      if (fields.some((one) => one.read() !== undefined)) more.open = true;
+    },
+  };
+}

@@ -1,0 +1,80 @@
+"""The map of a campaign as it grows: what is drawn, and that what was drawn stays put."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from search.archive import Archive, Neighbourhood
+from search.testing import example_spaces
+from server.dashboard import solution_map
+from server.dashboard.solution_map import drawn_rows, evenly, made_for, mapped
+
+SPACE = example_spaces()["mixed"]
+
+
+def archive_of(count: int) -> Archive:
+    rng = np.random.default_rng(0)
+    rows = np.array([SPACE.join(SPACE.sample(rng)) for _ in range(count)]).reshape(count, SPACE.dimension)
+    return Archive.empty(SPACE, Neighbourhood(radius=0.3, p_th=0.1)).grown(
+        np.arange(count), rows, rng.random(count) < 0.3, rng.random(count), keep_rows=False
+    )
+
+
+WHOLE = archive_of(400)
+
+
+def test_points_stay_where_they_are_until_the_archive_has_grown_by_half() -> None:
+    before = mapped(SPACE, WHOLE.first(200), ended=False)
+    after = mapped(SPACE, WHOLE.first(210), ended=False, before=before)
+    assert after.version == before.version
+    assert np.array_equal(after.points[:200], before.points)
+    assert len(after.points) == 210
+    assert mapped(SPACE, WHOLE.first(330), ended=False, before=after).version != before.version
+
+
+def test_every_coordinator_draws_the_same_map_whatever_it_drew_before() -> None:
+    before = mapped(SPACE, WHOLE.first(150), ended=False)
+    grown = mapped(SPACE, WHOLE.first(210), ended=False, before=before)
+    fresh = mapped(SPACE, WHOLE.first(210), ended=False)
+    assert grown.version == fresh.version
+    assert np.allclose(grown.points, fresh.points)
+
+
+def test_a_campaign_that_has_ended_is_mapped_by_all_of_its_solutions() -> None:
+    ended = mapped(SPACE, WHOLE, ended=True, before=mapped(SPACE, WHOLE, ended=False))
+    assert ended.version == "400-end"
+    assert len(ended.points) == 400
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 63, 64, 65])
+def test_few_solutions_are_mapped_too(count: int) -> None:
+    for ended in (False, True):
+        assert mapped(SPACE, WHOLE.first(count), ended=ended).points.shape == (count, 2)
+
+
+def test_a_map_is_made_anew_less_and_less_often() -> None:
+    made = [made_for(count) for count in range(1, 60_000, 7)]
+    steps = sorted(set(made))
+    assert made == sorted(made)
+    assert all(of <= count for of, count in zip(made, range(1, 60_000, 7), strict=True))
+    assert all(later <= before * solution_map.GROWTH + 1 for before, later in pairwise(steps) if before >= 64)
+    assert len(steps) < 110
+
+
+def test_a_large_map_is_thinned_and_what_was_drawn_before_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(solution_map, "MOST", 100)
+    monkeypatch.setattr(solution_map, "NEAREST", 40)
+    first = drawn_rows(WHOLE.first(150), 140, ended=False)
+    later = drawn_rows(WHOLE.first(160), 140, ended=False)
+    assert np.array_equal(later[: len(first)], first)
+    assert len(later) <= 100 + 20
+    ended = drawn_rows(WHOLE, 400, ended=True)
+    assert 60 <= len(ended) <= 100
+    nearest = np.argsort(WHOLE.fitness, kind="stable")[:40]
+    assert np.isin(nearest, ended).all(), "what is nearest to the boundary is always drawn"
+
+
+def test_evenly_spread_positions_reach_from_the_first_to_the_last() -> None:
+    assert evenly(5, 10).tolist() == [0, 1, 2, 3, 4]
+    assert evenly(1000, 5).tolist() == [0, 249, 499, 749, 999]
