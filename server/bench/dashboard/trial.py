@@ -4,26 +4,23 @@ A real coordinator and a real headless Chromium on one machine, on an archive of
 """
 
 import asyncio
-import os
-import shutil
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from typing import Any, Final
 
 import httpx
-from playwright.sync_api import Browser, CDPSession, Page, sync_playwright
+from playwright.sync_api import Browser, CDPSession, Page
 from prometheus_client.parser import text_string_to_metric_families
 
 from server.bench.endurance.archive import filled
 from server.bench.load.problem import MODULE
 from server.bench.telling import Told
+from server.bench.temporary.chromium import chromium, executable
 from server.bench.temporary.coordinator import CoordinatorProcess
-from server.errors import ServerError
 from sim.catalogue import PLUGINS_VARIABLE
 from sim.figures import Row
 
@@ -36,28 +33,8 @@ GROWTH_MIB: Final = 2.0
 DRAG_S: Final = 4.0
 IDLE_MS: Final = 10_000
 DAY_POLLS: Final = 24 * 3600 * 1000 // IDLE_MS
-CHROMIUM: Final = "BRINK_CHROMIUM"
-_NAMES: Final = ("chromium", "chromium-browser", "google-chrome")
 _MAPPED: Final = "canvas.map[data-points]"
 _PROGRESS: Final = "/campaigns/{campaign_id}/progress"
-
-
-class NoBrowser(ServerError):
-    """There is no Chromium on this machine."""
-
-
-def chromium() -> str:
-    """Return the Chromium of this machine.
-
-    Raises:
-        NoBrowser: There is none.
-    """
-    for name in filter(None, (os.environ.get(CHROMIUM), *_NAMES)):
-        if found := shutil.which(name):
-            return found
-    raise NoBrowser(
-        f"expected Chromium on this machine, such as by: apt-get install chromium; or its path in {CHROMIUM}"
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,10 +60,10 @@ def measure_dashboard(told: Told, *, solutions: int, views: int = 7, polls: int 
         polls: Of a page that is left open; as many as in a day, unless somebody is in a hurry.
 
     Raises:
-        NoBrowser: There is no Chromium.
+        NoChromium: There is no Chromium.
         DidNotStart: The coordinator did not come up.
     """
-    program = chromium()
+    executable()  # before an archive is filled
     with tempfile.TemporaryDirectory(prefix="brink-dashboard-") as name:
         folder = Path(name)
         database = f"sqlite:///{folder}/archive.db"
@@ -94,7 +71,7 @@ def measure_dashboard(told: Told, *, solutions: int, views: int = 7, polls: int 
         try:
             coordinator.start_ready()
             campaign, _ = asyncio.run(filled(coordinator, solutions, told))
-            with _browser(program) as browser:
+            with chromium() as browser:
                 seen = [_first_view(browser, coordinator.url) for _ in _counted(told, "first views", views)]
                 poll_ms, poll_bytes = _poll(coordinator.url, campaign)
                 frames, paint_ms, drawn = _drag(browser, coordinator.url, campaign)
@@ -123,16 +100,6 @@ def _counted(told: Told, part: str, total: int) -> Iterator[int]:
         told(part, number, total)
         yield number
     told(part, total, total)
-
-
-@contextmanager
-def _browser(program: str) -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
-        try:
-            yield browser
-        finally:
-            browser.close()
 
 
 def _first_view(browser: Browser, url: str) -> FirstView:

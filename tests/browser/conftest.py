@@ -1,0 +1,84 @@
+"""Fixtures of tests in a browser: one browser and one coordinator for all of them, a visitor of its own for each."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from playwright.sync_api import Browser
+from playwright.sync_api import expect as shown
+from support.api import ball, coordinator, submit
+
+import server.access.gate
+from browser.console import Console, silence
+from browser.served import LOOSELY, NOBODYS, SECRET, Served, served, small_problems, unsafe_one
+from browser.views import View, views_of
+from browser.visits import PATIENCE_MS, Visits, visiting
+from server.bench.temporary.chromium import NoChromium, chromium, executable
+
+shown.set_options(timeout=PATIENCE_MS)
+
+
+@pytest.fixture(scope="package")
+def browser() -> Iterator[Browser]:
+    """Chromium; where there is none, the tests that need it fail and say how to get it."""
+    try:
+        executable()
+        missing = ""
+    except NoChromium as error:
+        missing = str(error)
+    if missing:
+        pytest.fail(missing, pytrace=False)
+    with chromium() as opened:
+        yield opened
+
+
+@pytest.fixture(scope="package")
+def site(sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """A coordinator with a worker and campaigns of every state, which tests look at and add to, but do not end."""
+    folder = tmp_path_factory.mktemp("site")
+    with served(f"sqlite:///{shutil.copyfile(sqlite_file, folder / 'brink.db')}", folder) as made:
+        yield made
+
+
+@pytest.fixture
+def own_database(sqlite_file: Path, tmp_path: Path) -> str:
+    """The URL of a database of the test's own."""
+    return f"sqlite:///{shutil.copyfile(sqlite_file, tmp_path / 'own.db')}"
+
+
+@pytest.fixture
+def own(own_database: str) -> Iterator[httpx.Client]:
+    """A coordinator of the test's own, without a worker."""
+    with small_problems(), coordinator(own_database) as client:
+        yield client
+
+
+@pytest.fixture
+def guarded(own_database: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[httpx.Client]:
+    """A coordinator of the test's own that asks for a token, with a campaign that runs."""
+    monkeypatch.setattr(server.access.gate, "REMEMBERED_S", 0.0)
+    with small_problems(), coordinator(own_database, token=SECRET) as client:
+        submit(client, ball(name="guarded", problem=NOBODYS))
+        yield client
+
+
+@pytest.fixture
+def views(site: Served) -> list[View]:
+    """Every view but that which asks for a token."""
+    return views_of(site.urban, unsafe_one(site)["number"], (site.urban, site.ball), site.experiment, LOOSELY)
+
+
+@pytest.fixture
+def console() -> Iterator[Console]:
+    """What the test's pages complain of; a test fails on anything that it did not expect."""
+    with silence() as opened:
+        yield opened
+
+
+@pytest.fixture
+def visit(browser: Browser, console: Console) -> Iterator[Visits]:
+    """Opens pages."""
+    with visiting(browser, console) as visits:
+        yield visits

@@ -1,0 +1,53 @@
+"""axe-core finds nothing serious in any view, light or dark."""
+
+from typing import Any
+
+import httpx
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Page
+from playwright.sync_api import expect as shown
+
+from browser.console import Console
+from browser.served import Served, origin
+from browser.views import View, open_view
+from browser.visits import Theme, Visits
+
+EVERYTHING = {"resultTypes": ["violations"]}
+COLOURS = {**EVERYTHING, "runOnly": ["color-contrast", "link-in-text-block"]}
+"""The rules that a theme can break: the dark one changes nothing but colours."""
+
+RULES: dict[Theme, dict[str, Any]] = {"light": EVERYTHING, "dark": COLOURS}
+
+
+def faults(page: Page, options: dict[str, Any]) -> list[str]:
+    """Return what is serious or critical on a page, with where it is."""
+    found = Axe().run(page, options=options).response["violations"]
+    return [
+        f"{one['id']}: {one['help']}: {[node['target'] for node in one['nodes']][:4]}"
+        for one in found
+        if one["impact"] in ("serious", "critical")
+    ]
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_no_view_has_a_serious_fault(site: Served, views: list[View], visit: Visits, theme: Theme) -> None:
+    page = visit(site.url, theme=theme)
+    found = {}
+    for view in views:
+        open_view(page, site.url, view)
+        if wrong := faults(page, RULES[theme]):
+            found[view.name] = wrong
+    assert not found
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_neither_has_the_page_that_asks_for_a_token(
+    guarded: httpx.Client, visit: Visits, console: Console, theme: Theme
+) -> None:
+    console.expect_status(401)
+    page = visit(origin(guarded), theme=theme)
+    page.get_by_label("Token").fill("wrong")
+    page.get_by_role("button", name="Sign in").click()
+    shown(page.get_by_role("alert")).to_contain_text("not taken")
+    assert faults(page, RULES[theme]) == []

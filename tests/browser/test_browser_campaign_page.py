@@ -1,0 +1,209 @@
+"""The page of one campaign: its map, its course, its table of boundary solutions, what can be done with it."""
+
+import csv
+import io
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Locator, Page
+from playwright.sync_api import expect as shown
+from support.api import ball, expect, progress, submit
+
+from browser.canvas import becomes, changes, picture
+from browser.served import API, LOOSE, NOBODYS, Served, loose
+from browser.visits import Visits
+
+
+@pytest.fixture
+def page(site: Served, visit: Visits) -> Page:
+    """The page of the urban campaign, with its map drawn and its table filled."""
+    page = visit(site.url, loose(site.urban))
+    shown(page.get_by_text("40 solutions.")).to_be_visible()
+    shown(page.locator("table.boundary tbody tr").first).to_be_visible()
+    return page
+
+
+@pytest.fixture
+def chart(page: Page) -> Locator:
+    """The map, in sight."""
+    chart = page.get_by_role("application", name="Map of the solutions")
+    chart.scroll_into_view_if_needed()
+    page.wait_for_function("canvas => canvas.frames.length > 0", arg=chart.element_handle())
+    return chart
+
+
+def boundary(site: Served, **more: Any) -> Any:
+    answer = site.client.get(f"{API}/campaigns/{site.urban}/boundary", params={**LOOSE, **more})
+    return answer.text if more else expect(answer)
+
+
+def test_the_map_is_coloured_by_a_parameter_and_remembers_it(page: Page, chart: Locator) -> None:
+    by_verdict = picture(chart)
+    colour = page.get_by_label("Colour", exact=True)
+    colour.select_option("scenario.weather")
+    changes(chart, by_verdict)
+    shown(page.get_by_role("list", name="Colours")).to_contain_text("rain")
+    page.reload()
+    shown(colour).to_have_value("scenario.weather")
+    shown(page.get_by_role("list", name="Colours")).to_contain_text("rain")
+
+
+def test_the_map_is_zoomed_by_buttons_keys_and_wheel(page: Page, chart: Locator) -> None:
+    whole = picture(chart)
+    page.get_by_role("button", name="Zoom in").click()
+    nearer = changes(chart, whole)
+    page.get_by_role("button", name="Show all solutions").click()
+    assert changes(chart, nearer) == whole
+    chart.focus()
+    page.keyboard.press("+")
+    changes(chart, whole)
+    page.keyboard.press("0")
+    becomes(chart, whole)
+    chart.hover()
+    page.mouse.wheel(0, -200)
+    changes(chart, whole)
+
+
+def test_the_lasso_chooses_all_that_it_encloses(page: Page, chart: Locator) -> None:
+    page.get_by_role("button", name="Lasso").click()
+    box = chart.bounding_box()
+    assert box is not None
+    left, top, right, bottom = (
+        box["x"] + 3,
+        box["y"] + 3,
+        box["x"] + box["width"] - 3,
+        box["y"] + box["height"] - 3,
+    )
+    page.mouse.move(left, top)
+    page.mouse.down()
+    for x, y in ((right, top), (right, bottom), (left, bottom)):
+        page.mouse.move(x, y, steps=3)
+    page.mouse.up()
+    panel = page.get_by_role("complementary", name="Chosen on the map")
+    shown(panel.get_by_role("heading", name="40 solutions chosen")).to_be_visible()
+    shown(panel.get_by_role("link")).to_have_count(40)
+    panel.get_by_role("button", name="Choose none").click()
+    shown(panel.get_by_role("heading", name="Nothing chosen")).to_be_visible()
+
+
+def test_a_point_that_is_clicked_says_which_solution_it_is(site: Served, page: Page, chart: Locator) -> None:
+    number, at = rightmost(expect(site.client.get(f"{API}/campaigns/{site.urban}/map")), chart)
+    chart.hover(position=at)
+    shown(page.get_by_text(f"solution {number}: ")).to_be_visible()
+    chart.click(position=at)
+    panel = page.get_by_role("complementary", name="Chosen on the map")
+    shown(panel.get_by_role("heading", name=f"Solution {number}")).to_be_visible()
+    words = expect(site.client.get(f"{API}/campaigns/{site.urban}/solutions/{number}"))["words"]
+    shown(panel).to_contain_text(words)
+    shown(panel.get_by_role("link", name="Open and replay")).to_have_attribute(
+        "href", f"#/campaigns/{site.urban}/solutions/{number}"
+    )
+
+
+def rightmost(told: Any, chart: Locator) -> tuple[int, Any]:
+    """Return the solution that lies farthest to the right on a map that shows all, and where."""
+    box = chart.bounding_box()
+    assert box is not None
+    x, y = told["x"], told["y"]
+    scale = min((box["width"] - 48) / (max(x) - min(x)), (box["height"] - 48) / (max(y) - min(y)))
+    place = max(range(len(x)), key=x.__getitem__)
+    return told["number"][place], {
+        "x": box["width"] / 2 + (x[place] - (max(x) + min(x)) / 2) * scale,
+        "y": box["height"] / 2 - (y[place] - (max(y) + min(y)) / 2) * scale,
+    }
+
+
+def test_the_table_of_boundary_solutions_is_filtered_and_sorted(site: Served, page: Page) -> None:
+    solutions = boundary(site)["solutions"]
+    region = page.get_by_role("region", name="Boundary solutions", exact=True)
+    rows = region.locator("tbody tr")
+    shown(region.locator("caption")).to_contain_text(f"{len(solutions)} distinct boundary solutions")
+
+    unsafe = [one for one in solutions if one["verdict"] == "unsafe"]
+    assert 0 < len(unsafe) <= 12, "one page of the table"
+    region.get_by_label("Verdict").select_option("unsafe")
+    shown(rows).to_have_count(len(unsafe))
+    shown(region.get_by_text(f"{len(unsafe)} of {len(solutions)} are like that.")).to_be_visible()
+    region.get_by_label("Verdict").select_option("")
+
+    number = solutions[-1]["number"]
+    region.get_by_label("Find").fill(str(number))
+    shown(rows.get_by_role("link", name=str(number), exact=True)).to_be_visible()
+    region.get_by_label("Find").fill("")
+
+    region.get_by_role("button", name="Robustness").click()
+    shown(region.get_by_role("columnheader", name="Robustness")).to_have_attribute("aria-sort", "ascending")
+    least = min(solutions, key=lambda one: (one["robustness"], one["number"]))
+    shown(rows.first.get_by_role("link")).to_have_text(str(least["number"]))
+    region.get_by_role("button", name="Show more").click()
+    shown(rows).to_have_count(min(24, len(solutions)))
+
+
+def test_the_boundary_is_saved_as_csv_as_the_api_tells_it(site: Served, page: Page) -> None:
+    with page.expect_download() as coming:
+        page.get_by_role("button", name="CSV").click()
+    assert coming.value.suggested_filename == f"boundary-{site.urban}.csv"
+    saved = Path(coming.value.path()).read_text(encoding="utf-8")
+    assert (
+        saved
+        == site.client.get(f"{API}/campaigns/{site.urban}/boundary", params={**LOOSE, "format": "csv"}).text
+    )
+    numbers = {row["number"] for row in csv.DictReader(io.StringIO(saved))}
+    assert numbers == {str(one["number"]) for one in boundary(site)["solutions"]}
+
+
+def test_other_thresholds_change_course_and_table_and_are_kept_in_the_address(
+    site: Served, visit: Visits
+) -> None:
+    page = visit(site.url, f"#/campaigns/{site.urban}")
+    curve = page.get_by_role("region", name="Boundary solutions over simulations")
+    shown(curve.get_by_text("Fitness at most t_b")).to_be_visible()
+    curve.get_by_label("t_b").fill("1")
+    curve.get_by_label("t_b").press("Enter")
+    curve.get_by_label("d_th").fill("0")
+    curve.get_by_label("d_th").press("Enter")
+    table = page.get_by_role("region", name="Boundary solutions", exact=True)
+    shown(table.locator("caption")).to_contain_text(f"{boundary(site)['dbs']} distinct boundary solutions")
+    shown(curve.get_by_text("surroundings without a single unsafe solution")).to_be_visible()
+    assert page.url.endswith("?t_b=1&d_th=0")
+    curve.get_by_role("button", name="Defaults").click()
+    shown(table.locator("caption")).to_contain_text("t_b 0.1, d_th 0.2")
+
+
+def test_a_campaign_is_paused_resumed_and_cancelled(site: Served, visit: Visits) -> None:
+    campaign = submit(site.client, ball(name="steered", problem=NOBODYS))
+    page = visit(site.url, f"#/campaigns/{campaign}")
+    state = page.locator(".head .badge")
+    shown(page.get_by_text("can be run by no live worker")).to_be_visible()
+    for button, then in (
+        ("Pause steered", "paused"),
+        ("Resume steered", "running"),
+        ("Pause steered", "paused"),
+    ):
+        page.get_by_role("button", name=button).click()
+        shown(state).to_have_text(then)
+        assert progress(site.client, campaign)["status"] == then
+    page.get_by_role("button", name="Cancel steered").click()
+    dialog = page.get_by_role("dialog", name="Cancel steered?")
+    dialog.get_by_role("button", name="No").click()
+    shown(dialog).to_be_hidden()
+    shown(state).to_have_text("paused")
+    page.get_by_role("button", name="Cancel steered").click()
+    page.get_by_role("button", name="Cancel it").click()
+    shown(state).to_have_text("cancelled")
+    assert progress(site.client, campaign)["status"] == "cancelled"
+    shown(page.get_by_role("button", name="Resume steered")).to_have_count(0)
+
+
+def test_a_campaign_is_deleted_only_when_that_is_confirmed(site: Served, visit: Visits) -> None:
+    campaign = submit(site.client, ball(name="unwanted", problem=NOBODYS))
+    expect(site.client.post(f"{API}/campaigns/{campaign}/cancel"))
+    page = visit(site.url, f"#/campaigns/{campaign}")
+    page.get_by_role("button", name="Delete").click()
+    page.get_by_role("button", name="Delete it").click()
+    shown(page.get_by_role("heading", name="Campaigns")).to_be_visible()
+    shown(page.get_by_text("unwanted is deleted.")).to_be_visible()
+    shown(page.get_by_role("row", name=re.compile("unwanted"))).to_have_count(0)
+    assert site.client.get(f"{API}/campaigns/{campaign}").status_code == 404

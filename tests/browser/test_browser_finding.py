@@ -1,0 +1,51 @@
+"""Finding one's way: campaigns by name and state, an experiment's results, campaigns side by side."""
+
+import re
+
+from playwright.sync_api import expect as shown
+from support.api import ball, submit
+
+from browser.served import NOBODYS, Served
+from browser.visits import Visits
+
+
+def test_campaigns_are_found_by_name_and_state_and_steered_from_the_list(site: Served, visit: Visits) -> None:
+    submit(site.client, ball(name="needle one", problem=NOBODYS))
+    submit(site.client, ball(name="needle two", problem=NOBODYS))
+    page = visit(site.url)
+    rows = page.locator("table.campaigns tbody tr")
+    shown(rows.filter(has_text="night rain")).to_be_visible()
+    page.get_by_label("Find").fill("needle")
+    shown(rows).to_have_count(2)
+    page.get_by_role("button", name="Pause needle one").click()
+    shown(rows.filter(has_text="needle one").locator(".badge")).to_have_text("paused")
+    page.get_by_label("Status").select_option("paused")
+    shown(rows).to_have_count(1)
+    page.reload()
+    shown(rows).to_have_count(1)
+    shown(page.get_by_label("Find")).to_have_value("needle")
+    page.get_by_label("Find").fill("haystack")
+    shown(page.get_by_text("No campaign is like that.")).to_be_visible()
+
+
+def test_an_experiment_shows_its_results_and_its_campaigns(site: Served, visit: Visits) -> None:
+    page = visit(site.url, "#/experiments")
+    page.get_by_role("link", name="two on a ball").click()
+    shown(page.locator(".head .badge")).to_have_text("finished")
+    shown(page.get_by_role("region", name="Where it stands")).to_contain_text("4 of 4")
+    shown(page.get_by_role("rowheader", name="random@1").first).to_be_visible()
+    page.get_by_role("link", name="Its campaigns").click()
+    shown(page.locator("table.campaigns tbody tr")).to_have_count(4)
+
+
+def test_campaigns_that_are_ticked_stand_side_by_side(site: Served, visit: Visits) -> None:
+    page = visit(site.url, f"#/compare?ids={site.urban}")
+    shown(page.get_by_text("Choose one more campaign to compare it with.")).to_be_visible()
+    page.get_by_role("checkbox", name=re.compile("^ball ")).check()
+    shown(page.get_by_role("heading", name="Side by side")).to_be_visible()
+    page.reload()
+    chosen = page.get_by_role("list", name="Campaigns that are compared").get_by_role("listitem")
+    shown(chosen).to_have_text(["night rain×", "ball×"])
+    shown(page.get_by_role("heading", name="Settings that differ")).to_be_visible()
+    chosen.filter(has_text="night rain").get_by_role("button").click()
+    shown(chosen).to_have_count(1)

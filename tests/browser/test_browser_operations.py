@@ -1,0 +1,88 @@
+"""Workers and jobs: who is there, what is in quarantine and why, and what becomes of a job that is retried."""
+
+import httpx
+import pytest
+from playwright.sync_api import expect as shown
+from support.api import FakeWorker, ball, expect, progress, submit
+
+from browser.served import API, Served, origin
+from browser.visits import Visits
+from worker.wire import Completed, JobFailed, LeasedJob
+
+
+def gives_up(job: LeasedJob) -> Completed | JobFailed:
+    return JobFailed(reason="crashed", message="the engine gave up\nin the second line")
+
+
+@pytest.fixture
+def unlucky(own: httpx.Client) -> tuple[str, int]:
+    """A campaign that waits for its jobs, three of which are in quarantine; one of those."""
+    campaign = submit(own, ball(name="unlucky", execution={"max_attempts": 1, "max_failed_share": 1.0}))
+    breaking = FakeWorker(own, id="breaking", judge=gives_up)
+    jobs = breaking.lease(3)
+    breaking.report(jobs)
+    return campaign, jobs[0].job
+
+
+def test_a_quarantined_job_is_looked_at_retried_and_done(
+    own: httpx.Client, unlucky: tuple[str, int], visit: Visits
+) -> None:
+    campaign, job = unlucky
+    page = visit(origin(own), f"#/campaigns/{campaign}")
+    page.get_by_text("3 jobs in quarantine.").get_by_role("link", name="Look and retry").click()
+    row = page.get_by_role("row").filter(has=page.get_by_role("rowheader", name=str(job), exact=True))
+    row.locator("summary").filter(has_text="the engine gave up").click()
+    shown(row.get_by_text("in the second line")).to_be_visible()
+    row.get_by_role("button", name=f"Retry job {job}").click()
+    shown(page.get_by_text(f"Job {job} is back in the queue.")).to_be_visible()
+    shown(row).to_have_count(0)
+    shown(page.get_by_role("button", name="In quarantine 2")).to_be_visible()
+
+    FakeWorker(own, id="working").work(campaign, until=lambda stands: stands["generation"] > 0)
+    page.goto(f"{origin(own)}/#/campaigns/{campaign}")
+    shown(page.get_by_role("region", name="Progress")).to_contain_text("In quarantine2")
+    numbers = expect(own.get(f"{API}/campaigns/{campaign}/solutions"))["solutions"]
+    assert len([one for one in numbers if one["verdict"] in ("safe", "unsafe")]) == 18
+
+
+def test_all_jobs_in_quarantine_are_retried_together(
+    own: httpx.Client, unlucky: tuple[str, int], visit: Visits
+) -> None:
+    page = visit(origin(own), "#/jobs")
+    page.get_by_role("button", name="Retry all 3 of this list").click()
+    page.get_by_role("button", name="Retry them").click()
+    shown(page.get_by_text("3 jobs are back in the queue.")).to_be_visible()
+    shown(page.get_by_text("No job is in quarantine.")).to_be_visible()
+    FakeWorker(own, id="working").work(unlucky[0])
+    assert (progress(own, unlucky[0])["status"], progress(own, unlucky[0])["quarantined"]) == ("finished", 0)
+
+
+def test_a_job_that_nobody_can_run_says_what_it_needs(site: Served, visit: Visits) -> None:
+    page = visit(site.url, "#/jobs?status=queued")
+    shown(page.get_by_text("which no live worker has").first).to_be_visible()
+    shown(page.locator("table.jobs tbody tr").first).to_contain_text("nobody-has-it@1")
+
+
+def test_jobs_are_chosen_by_state_and_campaign_and_the_address_keeps_it(site: Served, visit: Visits) -> None:
+    page = visit(site.url, "#/jobs?status=quarantined")
+    many = progress(site.client, site.broken)["quarantined"]
+    shown(page.get_by_role("button", name=f"In quarantine {many}")).to_have_attribute("aria-pressed", "true")
+    shown(page.locator("table.jobs tbody tr")).to_have_count(many)
+    page.get_by_role("button", name="Queued").click()
+    campaign = page.get_by_role("combobox", name="Campaign")
+    campaign.select_option(site.stuck)
+    shown(page.locator("table.jobs tbody tr")).to_have_count(20)
+    page.reload()
+    shown(page.get_by_role("button", name="Queued 20")).to_have_attribute("aria-pressed", "true")
+    shown(campaign).to_have_value(site.stuck)
+
+
+def test_the_workers_page_says_who_is_there_and_what_it_can_run(site: Served, visit: Visits) -> None:
+    [told] = [one for one in expect(site.client.get(f"{API}/workers")) if one["live"]]
+    page = visit(site.url, "#/workers")
+    row = page.locator("table.workers tbody tr")
+    shown(row).to_have_count(1)
+    shown(row).to_contain_text(told["id"])
+    shown(row).to_contain_text("brink-drive@1")
+    shown(row.locator(".badge")).to_have_text("live")
+    shown(page.get_by_role("region", name="All workers")).to_contain_text("Live workers")

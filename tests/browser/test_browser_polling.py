@@ -1,0 +1,88 @@
+"""A page that is left open: it follows what goes on, asks for nothing while hidden, and gets over an absence."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from playwright.sync_api import Page
+from playwright.sync_api import expect as shown
+from support.api import FakeWorker, ball
+from support.processes import TOY, Site
+from support.processes import site as processes
+
+from browser.console import Console
+from browser.served import Served
+from browser.visits import Visits
+
+HIDE = """hidden => {
+  Object.defineProperty(document, "hidden", { configurable: true, get: () => hidden });
+  document.dispatchEvent(new Event("visibilitychange"));
+}"""
+IDLE_MS = 10_000
+"""How often a page looks where nothing goes on."""
+
+
+def asked(page: Page) -> list[str]:
+    """Return a list to which every request of the API is added from now on."""
+    told: list[str] = []
+    page.on("request", lambda request: told.append(request.url) if "/api/v1/" in request.url else None)
+    return told
+
+
+def test_a_page_that_nobody_looks_at_asks_for_nothing_and_looks_at_once_when_it_is_shown(
+    site: Served, visit: Visits
+) -> None:
+    page = visit(site.url, stopped=True)
+    shown(page.get_by_role("link", name="night rain", exact=True)).to_be_visible()
+    with page.expect_response("**/api/v1/overview*"):
+        page.clock.run_for(IDLE_MS)
+    page.evaluate(HIDE, True)
+    page.clock.run_for(IDLE_MS)
+    told = asked(page)
+    page.clock.run_for(60 * IDLE_MS)
+    page.evaluate("() => fetch('dashboard/icon.svg')")
+    assert told == []
+    with page.expect_response("**/api/v1/overview*"):
+        page.evaluate(HIDE, False)
+
+
+def test_what_did_not_change_is_answered_without_a_body(site: Served, visit: Visits) -> None:
+    page = visit(site.url, f"#/campaigns/{site.ball}", stopped=True)
+    shown(page.locator(".head .badge")).to_have_text("finished")
+    statuses = []
+    for _ in range(3):
+        with page.expect_response("**/progress*") as coming:
+            page.clock.run_for(IDLE_MS)
+        statuses.append(coming.value.status)
+    assert statuses == [200, 304, 304], "once what is new since the generations that are known, then nothing"
+
+
+@pytest.fixture
+def killable(own_database: str, tmp_path: Path) -> Iterator[Site]:
+    """A coordinator process that can be killed and started again."""
+    with processes(tmp_path, own_database, TOY) as made:
+        yield made
+
+
+def test_a_page_says_that_the_coordinator_is_away_and_goes_on_when_it_is_back(
+    killable: Site, visit: Visits, console: Console
+) -> None:
+    campaign = killable.submit(ball(name="interrupted"))
+    with httpx.Client(base_url=killable.url, timeout=30.0) as client:
+        FakeWorker(client).report(FakeWorker(client).lease(5))
+    page = visit(killable.url, f"#/campaigns/{campaign}")
+    figures = page.get_by_role("region", name="Progress")
+    shown(figures).to_contain_text("5 of 60")
+    console.expect_lost_connections()
+    assert killable.coordinator is not None
+    killable.coordinator.kill()
+    notice = page.get_by_text("The coordinator does not answer.")
+    shown(notice).to_be_visible()
+    shown(figures).to_contain_text("5 of 60")
+
+    killable.start_coordinator()
+    shown(notice).to_be_hidden()
+    with httpx.Client(base_url=killable.url, timeout=30.0) as client:
+        FakeWorker(client).report(FakeWorker(client).lease(4))
+    shown(figures).to_contain_text("9 of 60")

@@ -1,0 +1,136 @@
+"""The page of one solution: its episode is made by a worker if it was not kept, played, scrubbed and saved."""
+
+import base64
+import json
+import re
+from datetime import UTC, datetime
+from pathlib import Path
+
+import httpx
+import pytest
+from playwright.sync_api import Locator, Page
+from playwright.sync_api import expect as shown
+from sqlalchemy import update
+from support.api import FakeWorker, ball, completes, expect, submit
+from support.traces import make_trace
+
+from browser.canvas import becomes, changes, picture
+from browser.console import Console
+from browser.served import API, Served, loose, origin, unsafe_one
+from browser.visits import Visits
+from server.db.engine import open_engines
+from server.db.models import WorkerRow
+from worker.wire import Completed, JobFailed, LeasedJob
+
+TRACE = base64.b64encode(make_trace().to_bytes()).decode()
+
+
+@pytest.fixture
+def solution(site: Served, visit: Visits) -> Page:
+    """The page of an unsafe boundary solution, opened from the table, with its replay there."""
+    number = unsafe_one(site)["number"]
+    page = visit(site.url, loose(site.urban))
+    table = page.get_by_role("region", name="Boundary solutions", exact=True)
+    table.get_by_label("Verdict").select_option("unsafe")
+    table.get_by_role("link", name=str(number), exact=True).click()
+    shown(page.get_by_role("heading", name=f"Solution {number}", exact=True)).to_be_visible()
+    shown(page.get_by_role("button", name="Play", exact=True)).to_be_visible(timeout=60_000)
+    return page
+
+
+def above(page: Page) -> Locator:
+    return page.get_by_role("img", name="The episode from above")
+
+
+def clock(page: Page) -> float:
+    return float(page.locator("output.clock").inner_text().split(" / ")[0])
+
+
+def test_a_replay_that_plays_advances_and_changes_the_picture(solution: Page) -> None:
+    sheet = above(solution)
+    sheet.scroll_into_view_if_needed()
+    first = picture(sheet)
+    solution.get_by_role("button", name="4×").click()
+    solution.get_by_role("button", name="Play", exact=True).click()
+    shown(solution.locator("output.clock")).to_have_text(re.compile(r"^[1-9]"))
+    solution.get_by_role("button", name="Pause", exact=True).click()
+    assert clock(solution) >= 1
+    assert int(solution.get_by_label("Time in the episode").input_value()) > 0
+    changes(sheet, first)
+    still, at = picture(sheet), clock(solution)
+    solution.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    assert (picture(sheet), clock(solution)) == (still, at), "it is paused"
+
+
+def test_the_scrubber_shows_any_moment_and_the_same_moment_the_same_picture(solution: Page) -> None:
+    sheet, scrubber = above(solution), solution.get_by_label("Time in the episode")
+    first = picture(sheet)
+    last = int(scrubber.get_attribute("max") or 0)
+    scrubber.fill(str(last // 2))
+    middle = changes(sheet, first)
+    end = float(solution.locator("output.clock").inner_text().split(" / ")[1].removesuffix(" s"))
+    assert clock(solution) == pytest.approx(end / 2, abs=0.2)
+    scrubber.focus()
+    solution.keyboard.press("End")
+    shown(solution.locator("output.clock")).to_have_text(f"{end} / {end} s")
+    changes(sheet, middle)
+    scrubber.fill(str(last // 2))
+    becomes(sheet, middle)
+
+
+def test_space_plays_and_the_way_to_the_violation_is_a_button(solution: Page) -> None:
+    solution.get_by_role("heading", name="Replay", exact=True).scroll_into_view_if_needed()
+    solution.get_by_role("main").focus()
+    solution.keyboard.press("Space")
+    shown(solution.get_by_role("button", name="Pause", exact=True)).to_be_visible()
+    solution.keyboard.press("Space")
+    shown(solution.get_by_role("button", name="Play", exact=True)).to_be_visible()
+    jump = solution.get_by_role("button", name="To the violation at")
+    seconds = float(jump.inner_text().rpartition("at ")[2].removesuffix(" s"))
+    jump.click()
+    assert clock(solution) == pytest.approx(seconds, abs=0.11)
+
+
+def test_what_the_page_says_is_what_the_api_says(site: Served, solution: Page) -> None:
+    one = unsafe_one(site)
+    shown(solution.locator(".head .badge")).to_have_text("unsafe")
+    shown(solution.get_by_role("region", name="What it is")).to_contain_text(one["words"])
+    with solution.expect_download() as coming:
+        solution.get_by_role("button", name="Specification, JSON").click()
+    told = expect(site.client.get(f"{API}/campaigns/{site.urban}/solutions/{one['number']}"))
+    assert json.loads(Path(coming.value.path()).read_text(encoding="utf-8")) == told["spec"]
+    solution.get_by_role("link", name="Open on the map").click()
+    panel = solution.get_by_role("complementary", name="Chosen on the map")
+    shown(panel.get_by_role("heading", name=f"Solution {one['number']}")).to_be_visible()
+
+
+def test_an_episode_that_nobody_can_make_is_made_once_somebody_can(
+    own: httpx.Client, own_database: str, visit: Visits, console: Console
+) -> None:
+    worker = FakeWorker(own, judge=with_trace)
+    campaign = submit(own, ball(execution={"keep_traces": 0}))
+    worker.work(campaign)
+    _forget_workers(own_database)
+    console.expect_status(503)
+    page = visit(origin(own), f"#/campaigns/{campaign}/solutions/3")
+    shown(page.get_by_text("no live worker can run faulty@1")).to_be_visible()
+    another = FakeWorker(own, id="another", judge=with_trace)
+    assert another.lease() == []
+    page.get_by_role("button", name="Try again").click()
+    another.report(another.lease(wait_s=20))
+    shown(page.get_by_role("button", name="Play", exact=True)).to_be_visible()
+    shown(page.locator("output.clock")).to_have_text("0.0 / 19.9 s")
+
+
+def with_trace(job: LeasedJob) -> Completed | JobFailed:
+    outcome = completes(job)
+    return outcome.model_copy(update={"trace": TRACE}) if job.record else outcome
+
+
+def _forget_workers(database: str) -> None:
+    engines = open_engines(database)
+    try:
+        with engines.writer.begin() as connection:
+            connection.execute(update(WorkerRow).values(last_seen_at=datetime(2020, 1, 1, tzinfo=UTC)))
+    finally:
+        engines.dispose()

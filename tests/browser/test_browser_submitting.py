@@ -1,0 +1,134 @@
+"""Submitting a campaign: by the form, as a file, as a clone; what is wrong is said where it is wrong."""
+
+import json
+import re
+from typing import Any
+
+import httpx
+import pytest
+from playwright.sync_api import Page
+from playwright.sync_api import expect as shown
+from support.api import expect
+
+from browser.console import Console
+from browser.served import API, Served
+from browser.visits import Visits
+
+FILE = """\
+name: from a file
+problem: {id: ball@1, params: {limit: 1.5}}
+algorithm: {id: random@1}
+budget: {simulations: 20}
+seed: 5
+"""
+
+
+def fill(page: Page, name: str, simulations: int) -> None:
+    page.get_by_label("Name", exact=True).fill(name)
+    page.get_by_label("Simulations", exact=True).fill(str(simulations))
+    page.get_by_label("Problem", exact=True).select_option("ball@1")
+    page.get_by_label("Algorithm", exact=True).select_option("random@1")
+
+
+def names(client: httpx.Client) -> list[str]:
+    found: list[str] = expect(client.get(f"{API}/overview", params={"limit": 200}))["name"]
+    return found
+
+
+def body_of(page: Page, client: httpx.Client) -> dict[str, Any]:
+    """Return what was submitted as the campaign that is shown."""
+    page.wait_for_url(re.compile(r"#/campaigns/[0-9a-f]+"))
+    campaign = page.url.rpartition("/")[2]
+    found: dict[str, Any] = expect(client.get(f"{API}/campaigns/{campaign}"))["body"]
+    return found
+
+
+def test_a_campaign_that_is_submitted_by_the_form_is_seen_to_finish(site: Served, visit: Visits) -> None:
+    page = visit(site.url)
+    page.get_by_role("link", name="New campaign").click()
+    fill(page, "by the form", 24)
+    page.get_by_role("button", name="Submit campaign").click()
+    shown(page.get_by_role("heading", name="by the form")).to_be_visible()
+    shown(page.locator(".head .badge")).to_have_text("finished")
+    figures = page.get_by_role("region", name="Progress")
+    shown(figures).to_contain_text("24 of 24")
+    shown(figures.get_by_role("progressbar")).to_have_attribute("aria-valuenow", "100")
+    shown(page.get_by_text("24 solutions.")).to_be_visible()
+
+
+@pytest.mark.parametrize(
+    ("label", "wrong", "words", "right"),
+    [
+        ("Simulations", "0", "greater than or equal to 1", "20"),
+        ("Limit", "9", "less than or equal to 4", "1.5"),
+    ],
+)
+def test_what_is_wrong_is_said_beside_its_field_and_nothing_is_stored(
+    site: Served, visit: Visits, console: Console, label: str, wrong: str, words: str, right: str
+) -> None:
+    name = f"wrong at first: {label}"
+    page = visit(site.url, "#/new")
+    fill(page, name, 20)
+    field = page.get_by_label(label, exact=True)
+    if label == "Limit":
+        page.get_by_text("Parameters of the problem").click()
+    field.fill(wrong)
+    console.expect_status(422)
+    page.get_by_role("button", name="Submit campaign").click()
+    shown(page.get_by_text("Some fields are wrong: see beside them.")).to_be_visible()
+    shown(field).to_have_attribute("aria-invalid", "true")
+    shown(field).to_have_accessible_description(re.compile(words))
+    shown(field).to_be_focused()
+    assert name not in names(site.client)
+
+    field.fill(right)
+    page.get_by_role("button", name="Submit campaign").click()
+    shown(page.get_by_role("heading", name=name)).to_be_visible()
+
+
+def test_a_campaign_can_be_checked_without_being_stored(site: Served, visit: Visits) -> None:
+    page = visit(site.url, "#/new")
+    fill(page, "only checked", 20)
+    page.get_by_role("button", name="Check only").click()
+    shown(
+        page.get_by_text("only checked could be submitted: ball@1, random@1, 20 simulations.")
+    ).to_be_visible()
+    assert "only checked" not in names(site.client)
+
+
+def test_a_campaign_file_is_pasted_and_submitted(site: Served, visit: Visits, console: Console) -> None:
+    page = visit(site.url, "#/new")
+    page.get_by_role("button", name="Campaign file").click()
+    page.get_by_label("Campaign file").fill(FILE.replace("random@1", "randm@1"))
+    console.expect_status(422)
+    page.get_by_role("button", name="Submit campaign").click()
+    shown(page.get_by_role("alert").filter(has_text="Did you mean random@1?")).to_contain_text(
+        "/algorithm/id"
+    )
+    page.get_by_label("Campaign file").fill(FILE)
+    page.get_by_role("button", name="Submit campaign").click()
+    shown(page.get_by_role("heading", name="from a file")).to_be_visible()
+    submitted = body_of(page, site.client)
+    assert (submitted["seed"], submitted["problem"]["params"]["limit"]) == (5, 1.5)
+
+
+def test_what_was_written_goes_along_between_form_and_file(site: Served, visit: Visits) -> None:
+    page = visit(site.url, "#/new")
+    fill(page, "to and fro", 33)
+    page.get_by_role("button", name="Campaign file").click()
+    text = page.get_by_label("Campaign file")
+    shown(text).to_have_value(re.compile('"simulations": 33'))
+    written = json.loads(text.input_value().partition("\n")[2])
+    text.fill(json.dumps({**written, "seed": 77}))
+    page.get_by_role("button", name="Form", exact=True).click()
+    shown(page.get_by_label("Seed")).to_have_value("77")
+    shown(page.get_by_label("Name", exact=True)).to_have_value("to and fro")
+
+
+def test_a_clone_is_the_same_campaign_with_the_next_seed(site: Served, visit: Visits) -> None:
+    page = visit(site.url)
+    page.get_by_role("button", name="Clone night rain").click()
+    shown(page.get_by_role("heading", name="Clone of night rain")).to_be_visible()
+    page.get_by_role("button", name="Submit campaign").click()
+    original = expect(site.client.get(f"{API}/campaigns/{site.urban}"))["body"]
+    assert body_of(page, site.client) == {**original, "seed": original["seed"] + 1}

@@ -1,0 +1,68 @@
+"""Every view of the dashboard, with something to look at, and how to see that it is all there."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from playwright.sync_api import Page
+from playwright.sync_api import expect as shown
+
+PATIENCE_MS = 60_000
+"""For what a worker has to simulate first."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class View:
+    """A view.
+
+    Attributes:
+        name: What it is called.
+        place: The address from the ``#`` on.
+        ready: Selectors of what is there once it is all drawn.
+    """
+
+    name: str
+    place: str
+    ready: tuple[str, ...]
+
+
+def views_of(
+    campaign: str, solution: int, compared: Sequence[str], experiment: str, thresholds: str = ""
+) -> list[View]:
+    """Return all views but that which asks for a token.
+
+    Args:
+        campaign: With boundary solutions.
+        solution: One of them.
+        compared: Campaigns.
+        experiment: That has finished.
+        thresholds: The query of the campaign's address.
+    """
+    return [
+        View(name="campaigns", place="#/", ready=("table.campaigns tbody tr",)),
+        View(
+            name="campaign", place=f"#/campaigns/{campaign}{thresholds}",
+            ready=("table.boundary tbody tr", ".chart canvas", ".panel svg", ".legend li"),
+        ),
+        View(name="new-campaign", place="#/new", ready=("text=Submit campaign",)),
+        View(
+            name="solution", place=f"#/campaigns/{campaign}/solutions/{solution}",
+            ready=("role=button[name='Play']", ".replay-map canvas"),
+        ),
+        View(
+            name="compare", place=f"#/compare?ids={','.join(compared)}", ready=(".chart canvas", ".chips li"),
+        ),
+        View(name="experiments", place="#/experiments", ready=("table.experiments tbody tr",)),
+        View(
+            name="experiment", place=f"#/experiments/{experiment}",
+            ready=("text=Campaigns finished", "main img, main canvas"),
+        ),
+        View(name="workers", place="#/workers", ready=("table.workers tbody tr",)),
+        View(name="jobs", place="#/jobs?status=quarantined", ready=("table.jobs tbody tr",)),
+    ]  # fmt: skip
+
+
+def open_view(page: Page, url: str, view: View) -> None:
+    """Go to a view, and wait until it is all there."""
+    page.goto(f"{url}/{view.place}")
+    for selector in view.ready:
+        shown(page.locator(selector).first).to_be_visible(timeout=PATIENCE_MS)
