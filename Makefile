@@ -1,6 +1,8 @@
 PYTHON ?= python3.11
 VENV   := .venv
 BIN    := $(VENV)/bin
+# Many tests wait for processes, sockets and disks: one more than there are cores keeps all of these busy.
+PROCESSES = $(shell $(BIN)/python -c 'import os; print(min(4, 1 + (os.cpu_count() or 1)))')
 PIP    := $(BIN)/python -m pip --disable-pip-version-check
 
 .DEFAULT_GOAL := help
@@ -33,8 +35,8 @@ check: $(VENV)/.dev  ## linter, strict types, import layers
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-test: check  ## check, then every test, on SQLite and on a real Postgres, a process a core (up to four)
-	$(BIN)/python -m pytest --numprocesses logical --maxprocesses 4 --dist loadfile
+test: check  ## check, then every test, on SQLite and on a real Postgres, in a process more than there are cores (up to four)
+	$(BIN)/python -m pytest --numprocesses $(PROCESSES) --dist loadfile
 
 screenshots: $(VENV)/.dev  ## take the documentation's pictures of the dashboard anew, in Chromium
 	PYTHONPATH=tests:tests/plugins $(BIN)/python -m browser.screenshots
