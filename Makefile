@@ -6,7 +6,7 @@ PROCESSES = $(shell $(BIN)/python -c 'import os; print(min(4, 1 + (os.cpu_count(
 PIP    := $(BIN)/python -m pip --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help run test check install dev screenshots clean
+.PHONY: help run test check install dev chromium screenshots clean
 
 help:  ## list the commands
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -35,11 +35,14 @@ check: $(VENV)/.dev  ## linter, strict types, import layers
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-test: check  ## check, then every test, on SQLite and on a real Postgres, in a process more than there are cores (up to four)
+test: chromium check  ## check, then every test, on SQLite and on a real Postgres, in a process more than there are cores (up to four)
 	$(BIN)/python -m pytest --numprocesses $(PROCESSES) --dist loadfile
 
 screenshots: $(VENV)/.dev  ## take the documentation's pictures of the dashboard anew, in Chromium
 	PYTHONPATH=tests:tests/plugins $(BIN)/python -m browser.screenshots
+
+chromium:  ## install the browser that the dashboard is tested in, unless there is one
+	@sh tests/browser/install_chromium.sh
 
 clean:  ## remove .venv and caches
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
