@@ -50,6 +50,7 @@ from server.episodes.films import Films
 from server.errors import Unavailable
 from server.experiments.scorebook import Scorebook
 from server.experiments.service import ExperimentService
+from server.latest import Latest
 from server.llm.seeds import LlmSeeds
 from server.metrics import Metrics
 from server.monitors.kept import Monitors
@@ -57,6 +58,9 @@ from server.queue.service import QueueService
 from server.settings import LOOPBACK, Settings
 
 log = logging.getLogger(__name__)
+
+DEPENDENCES_KEPT = 32
+"""Campaigns of which is remembered what their verdicts depend on."""
 
 DESCRIPTION = """
 Finds where a driving system with a machine-learned component stops being safe.
@@ -186,6 +190,7 @@ def _context(
         metrics=metrics,
         maps=SolutionMaps(threads=looking),
         courses=Courses(threads=looking),
+        dependences=Latest(DEPENDENCES_KEPT, looking),
         sparks=Sparks(),
         drawing=drawing,
         looking=looking,

@@ -9,6 +9,7 @@ from typing import Annotated, cast
 
 from fastapi import Depends, Request
 
+from server.boundary.dependence import Dependence
 from server.campaigns.archives import Archives
 from server.campaigns.service import CampaignService
 from server.dashboard.course import Courses
@@ -18,6 +19,7 @@ from server.db.engine import Engines
 from server.episodes.films import Films
 from server.experiments.scorebook import Scorebook
 from server.experiments.service import ExperimentService
+from server.latest import Latest
 from server.llm.seeds import LlmSeeds
 from server.metrics import Metrics
 from server.monitors.kept import Monitors
@@ -42,6 +44,7 @@ class Context:
     metrics: Metrics
     maps: SolutionMaps
     courses: Courses
+    dependences: Latest[list[Dependence]]
     sparks: Sparks
     drawing: ThreadPoolExecutor
     """Threads of their own: a film takes seconds, and all else must not wait for that."""

@@ -86,7 +86,9 @@ async def get_map(
     etag = _tag(campaign, found.generation, version, after, parameter)
     if is_known(request, etag):
         return nothing_new(etag)  # type: ignore[no-any-return]
-    column = _column(found, parameter) if parameter else None
+    column = None
+    if parameter:
+        column = await asyncio.get_running_loop().run_in_executor(None, _column, found, parameter)
     drawn = await services.maps.get(campaign.id, found, ended=campaign.status in ENDED)
     first = min(after, len(drawn.rows)) if version == drawn.version else 0
 
@@ -242,8 +244,8 @@ async def get_dependence(
     etag = _tag(campaign, found.generation)
     if is_known(request, etag):
         return nothing_new(etag)  # type: ignore[no-any-return]
-    known = await asyncio.get_running_loop().run_in_executor(
-        None, dependences, found.plan.problem.space, found.archive
+    known = await services.dependences.get(
+        campaign.id, found.generation, lambda: dependences(found.plan.problem.space, found.archive)
     )
     response.headers["ETag"] = etag
     return Dependences(

@@ -15,6 +15,8 @@ POINTS: Final = 24
 MOST: Final = 10_000
 """Solutions up to which a course is counted anew: each point counts the neighbours of all that were known by then."""
 KEPT: Final = 64
+DIGITS: Final = 3
+"""Of thresholds: finer ones would say nothing more, and each pair is counted once."""
 
 
 @dataclass(slots=True)
@@ -35,6 +37,7 @@ class Courses:
         """Return DBS at shares of what was simulated so far; nothing of an archive that is empty or too large."""
         if not 0 < len(read.archive) <= MOST:
             return ()
+        t_b, d_th = round(t_b, DIGITS), round(d_th, DIGITS)
         return await self._latest.get(
             (campaign, t_b, d_th), read.generation, lambda: _counted(read, t_b, d_th)
         )

@@ -101,7 +101,7 @@ def mapped(
     made = len(archive) if ended else made_for(len(archive))
     version = f"{made}-{'end' if ended else 'run'}"
     rows = drawn_rows(archive, made, ended=ended)
-    if before is not None and before.version == version:
+    if before is not None and before.version == version and len(before.rows) <= len(rows):
         later = before.projection.placed(archive.vectors[rows[len(before.rows) :]])
         return SolutionMap(
             version=version, projection=before.projection, axes=before.axes, rows=rows,
@@ -142,8 +142,10 @@ class SolutionMaps:
         found = await self._latest.get(
             (campaign, ended), read.generation, lambda: self._make(campaign, read, ended=ended)
         )
-        self._before[campaign] = found
-        self._before.move_to_end(campaign)
+        kept = self._before.get(campaign)
+        if kept is None or kept.evaluated <= found.evaluated:  # whoever asked earlier may come later
+            self._before[campaign] = found
+            self._before.move_to_end(campaign)
         while len(self._before) > KEPT:
             self._before.popitem(last=False)
         return found

@@ -43,6 +43,8 @@ from sim.trace import (
     Trace,
 )
 
+LONGEST_S: Final = 24 * 3600.0
+"""Of an episode that is drawn: a page draws marks along its time."""
 MOST_NUMBERS: Final = 4_000_000
 """Of a whole episode: an hour of an urban drive has a third of them."""
 
@@ -130,6 +132,8 @@ def _check(trace: Trace) -> None:
     _expect(trace.time_s.ndim == 1 and samples > 0, "time_s: expected at least one sample")
     ascends = np.isfinite(trace.time_s).all() and (np.diff(trace.time_s) >= 0).all()
     _expect(bool(ascends), "time_s: expected ascending times")
+    span_s = float(trace.time_s[-1]) - float(trace.time_s[0])
+    _expect(span_s <= LONGEST_S, f"time_s: expected at most {LONGEST_S:g} s, got {span_s:g}")
     shapes = {
         "ego": (trace.ego, (samples, 5)),
         "target_speed_mps": (trace.target_speed_mps, (samples,)),

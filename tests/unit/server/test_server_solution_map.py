@@ -33,6 +33,14 @@ def test_points_stay_where_they_are_until_the_archive_has_grown_by_half() -> Non
     assert mapped(SPACE, WHOLE.first(330), ended=False, before=after).version != before.version
 
 
+def test_who_asked_earlier_and_comes_later_gets_no_more_points_than_solutions() -> None:
+    later = mapped(SPACE, WHOLE.first(210), ended=False)
+    earlier = mapped(SPACE, WHOLE.first(200), ended=False, before=later)
+    assert later.version == earlier.version
+    assert len(earlier.points) == len(earlier.rows) == 200
+    assert np.allclose(earlier.points, later.points[:200])
+
+
 def test_every_coordinator_draws_the_same_map_whatever_it_drew_before() -> None:
     before = mapped(SPACE, WHOLE.first(150), ended=False)
     grown = mapped(SPACE, WHOLE.first(210), ended=False, before=before)

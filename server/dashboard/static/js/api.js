@@ -23,7 +23,7 @@ export class ApiError extends Error {
 
   /** Whether trying again later may help. */
   get passes() {
-    return this.status === 0 || this.status === 503 || this.status === 429;
+    return this.status === 0 || this.status === 429 || this.status >= 500; // a proxy has answers of its own
   }
 }
 
@@ -70,6 +70,16 @@ export async function request(method, path, { json, text, etag, signal, headers:
   throw await refusal(answer);
 }
 
+/** Return what an answer says; a connection that is lost within it is one that was never there. */
+async function read(answer) {
+  try {
+    return await answer.json();
+  } catch (error) {
+    if (error.name === "AbortError") throw error;
+    throw new ApiError(0, "the coordinator does not answer");
+  }
+}
+
 async function refusal(answer) {
   let told = null;
   try {
@@ -82,13 +92,13 @@ async function refusal(answer) {
 
 /** Return what a path holds. */
 export async function get(path, { signal } = {}) {
-  return (await request("GET", path, { signal })).json();
+  return read(await request("GET", path, { signal }));
 }
 
 /** Send something, and return what is answered, if anything is. */
 export async function send(method, path, options = {}) {
   const answer = await request(method, path, options);
-  return answer.status === 204 ? null : answer.json();
+  return answer.status === 204 ? null : read(answer);
 }
 
 /** Remembers one path's tag, so that what did not change is not sent again. */
@@ -101,10 +111,10 @@ export class Conditional {
     const etag = path === this.#path ? this.#etag : null;
     const answer = await request("GET", path, { etag, signal });
     if (answer.status === 304) return UNCHANGED;
-    const read = await answer.json();
+    const told = await read(answer);
     this.#path = path;
     this.#etag = answer.headers.get("etag");
-    return read;
+    return told;
   }
 
   /** Forget the tag: the next answer is whole. */

@@ -52,6 +52,28 @@ export class Context {
     }
   }
 
+  /** Do something small of the view; its error is said, and the view stays. */
+  async tell(doing) {
+    try {
+      return await doing();
+    } catch (error) {
+      if (this.signal.aborted) return undefined;
+      if (!(error instanceof ApiError)) throw error;
+      if (error.status === 401) this.signIn();
+      else toast(error.message, { bad: true });
+      return undefined;
+    }
+  }
+
+  /** Say what a part of the view cannot show, once. */
+  complain = (error) => {
+    if (error.status === 401) this.signIn();
+    else if (!this.#complained.has(error.message)) toast(error.message, { bad: true });
+    this.#complained.add(error.message);
+  };
+
+  #complained = new Set();
+
   /** Show an error in place of the view. */
   fail(error) {
     if (this.signal.aborted) return;

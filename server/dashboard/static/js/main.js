@@ -34,44 +34,63 @@ function viewOf(parts) {
   return null;
 }
 
+let retrying = null;
+
 async function show({ focus = true } = {}) {
   shown?.abort();
+  clearTimeout(retrying);
   const mine = (shown = new AbortController());
   const where = place();
   markNav(where.parts[0] ?? "");
-  if (access === null && !(await identify())) return;
+  if (access === null && !(await identify(mine.signal))) return;
   if (mine.signal.aborted) return;
-  const loading = viewOf(where.parts);
   const context = new Context({
     signal: mine.signal, may: rights(access.scope), main, away: sayAway, signIn: () => signIn("This token is no longer taken."),
   });
+  const loading = viewOf(where.parts);
   if (loading === null) {
     context.title("Not here");
     context.fail(new ApiError(404, "There is no such page."));
     return;
   }
-  const view = await loading;
-  if (mine.signal.aborted) return;
-  replace(main);
-  window.scrollTo(0, 0);
-  await context.attempt(() => view.show(main, context, where));
-  if (focus && !mine.signal.aborted) main.focus({ preventScroll: true });
+  try {
+    const view = await loading;
+    if (mine.signal.aborted) return;
+    replace(main);
+    window.scrollTo(0, 0);
+    await view.show(main, context, where);
+    if (focus && !mine.signal.aborted) main.focus({ preventScroll: true });
+  } catch (error) {
+    if (mine.signal.aborted) return;
+    const told = error instanceof ApiError;
+    if (told && error.status === 401) signIn("This token is no longer taken.");
+    else if (told && !error.passes) context.fail(error);
+    else if (told || error instanceof TypeError) tryAgain(); // of the latter kind is a module that cannot be fetched
+    else throw error;
+  }
+}
+
+/** The coordinator is away: say so, and come back to where one is. */
+function tryAgain() {
+  sayAway(true);
+  clearTimeout(retrying);
+  retrying = setTimeout(show, 3_000);
 }
 
 /** Ask who looks; without a token that is taken, ask for one. Returns whether the view may be shown. */
-async function identify() {
+async function identify(signal) {
   try {
-    access = await get("access");
+    access = await get("access", { signal });
     sayAway(false);
   } catch (error) {
+    if (signal.aborted) return false;
     if (!(error instanceof ApiError)) throw error;
     if (error.status === 401) {
       await signIn(currentToken() ? "This token is not taken." : "");
     } else if (error.status === 403 && currentToken()) {
       await signIn("This token is a worker's: it may lease jobs and see nothing. Take one of scope read, user or admin.");
     } else if (error.passes) {
-      sayAway(true);
-      setTimeout(show, 3_000);
+      tryAgain();
     } else {
       const context = new Context({ signal: shown.signal, may: rights(""), main, away: sayAway, signIn: () => signIn("") });
       context.title("No access");

@@ -16,7 +16,7 @@ const AWAY_MS = 3_000;
  * @param {(read: *) => boolean} [options.busy] Whether to look often, by the last answer.
  * @param {(error: ApiError) => void} options.refuse Called with an error that will not pass.
  * @param {(away: boolean) => void} options.away Called when the coordinator is away, and when it is back.
- * @returns {{now: () => void}} Something that looks at once.
+ * @returns {{now: (options?: {afresh: boolean}) => void}} Something that looks at once; ``afresh``, even if nothing is new.
  */
 export function poll(path, take, { signal, busy = () => false, refuse, away }) {
   const conditional = new Conditional();
@@ -24,8 +24,10 @@ export function poll(path, take, { signal, busy = () => false, refuse, away }) {
   let timer = null;
   let under_way = false;
   let again = false;
+  let fresh = false;
 
-  async function look() {
+  async function look({ afresh = false } = {}) {
+    fresh ||= afresh;
     clearTimeout(timer);
     if (signal.aborted) return;
     if (under_way) {
@@ -34,6 +36,8 @@ export function poll(path, take, { signal, busy = () => false, refuse, away }) {
     }
     if (document.hidden) return; // `shown` looks again
     under_way = true;
+    if (fresh) conditional.forget();
+    fresh = false;
     let wait = IDLE_MS;
     try {
       const read = await conditional.get(typeof path === "function" ? path() : path, { signal });
@@ -56,7 +60,7 @@ export function poll(path, take, { signal, busy = () => false, refuse, away }) {
     } finally {
       under_way = false;
     }
-    timer = setTimeout(look, again ? 0 : wait);
+    timer = setTimeout(() => look(), again ? 0 : wait);
     again = false;
   }
 

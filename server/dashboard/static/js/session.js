@@ -2,19 +2,17 @@
 
 const KEY = "brink.token";
 
-function stores() {
-  const found = [];
-  for (const name of ["sessionStorage", "localStorage"]) {
-    try {
-      found.push(window[name]);
-    } catch {
-      // storage is refused: the token lives as long as the page
-    }
+/** Do something with a storage, if there is one: without, the token lives as long as the page. */
+function stored(name, doing) {
+  try {
+    return doing(window[name]);
+  } catch {
+    return null;
   }
-  return found;
 }
 
-let token = stores().map((store) => store.getItem(KEY)).find(Boolean) ?? null;
+const STORES = ["sessionStorage", "localStorage"];
+let token = STORES.map((name) => stored(name, (store) => store.getItem(KEY))).find(Boolean) ?? null;
 
 /** Return the token that requests carry, or null. */
 export function currentToken() {
@@ -25,14 +23,13 @@ export function currentToken() {
 export function takeToken(given, { remember = false } = {}) {
   dropToken();
   token = given;
-  const [tab, device] = stores();
-  (remember ? device : tab)?.setItem(KEY, given);
+  stored(remember ? "localStorage" : "sessionStorage", (store) => store.setItem(KEY, given));
 }
 
 /** Forget the token everywhere. */
 export function dropToken() {
   token = null;
-  for (const store of stores()) store.removeItem(KEY);
+  for (const name of STORES) stored(name, (store) => store.removeItem(KEY));
 }
 
 /**

@@ -12,5 +12,6 @@ export function sure(question, { yes = "Yes", danger = true } = {}) {
       h(danger ? "button.danger" : "button.primary", { value: "yes" }, yes), h("button", { value: "no", autofocus: true }, "No"))));
     document.body.append(node);
     node.showModal();
+    addEventListener("hashchange", () => node.close("no"), { once: true }); // the view that asked is gone
   });
 }

@@ -22,7 +22,7 @@ export function field(name, schema, pointer, { label = capital(spaced(name)), re
   return {
     pointer, node,
     read: () => valueOf(input, schema),
-    fill: (value) => fill(input, schema, value),
+    fill: (value) => fill(input, value),
     complain: (message) => {
       text(wrong, message);
       wrong.hidden = !message;
@@ -42,7 +42,7 @@ function control(schema, { id, required, described }) {
   if (schema.enum || schema.type === "boolean") {
     const choices = schema.enum ?? [true, false];
     return h("select", about, usual !== null && h("option", { value: "" }, `${spaced(String(usual))} (default)`),
-      choices.filter((choice) => choice !== usual).map((choice) => h("option", { value: String(choice) }, spaced(String(choice)))));
+      choices.map((choice) => h("option", { value: String(choice) }, spaced(String(choice)))));
   }
   if (schema.type === "integer" || schema.type === "number") {
     return h("input", {
@@ -57,11 +57,11 @@ function control(schema, { id, required, described }) {
 }
 
 function valueOf(input, schema) {
-  const written = input.value.trim();
-  // A number that cannot be read has an empty value: the browser says why.
+  // A number that cannot be read has an empty value, which is not the same as none.
+  const written = input.validity.badInput ? "not a number" : input.value.trim();
   if (written === "") return undefined;
   if (schema.type === "boolean") return written === "true";
-  if (schema.type === "integer" || schema.type === "number") return Number(written);
+  if (schema.type === "integer" || schema.type === "number") return input.validity.badInput ? written : Number(written);
   if (schema.type === "array" || schema.type === "object") {
     try {
       return JSON.parse(written);
@@ -72,8 +72,7 @@ function valueOf(input, schema) {
   return written;
 }
 
-function fill(input, schema, value) {
-  const same = value === undefined || value === null || value === schema.default;
-  if (same) input.value = "";
+function fill(input, value) {
+  if (value === undefined || value === null) input.value = "";
   else input.value = typeof value === "object" ? JSON.stringify(value) : String(value);
 }

@@ -17,6 +17,8 @@ import { mapCard } from "./campaign/map_card.js";
 import { inWords, settingsCard } from "./campaign/settings.js";
 import { steering } from "./campaigns.js";
 
+const REPEAT = "repeat@1";
+
 export async function show(main, context, { parts, query }) {
   const [campaign, problems, algorithms] = await Promise.all([
     context.get(`campaigns/${encodeURIComponent(parts[1])}`), context.get("problems"), context.get("algorithms"),
@@ -50,7 +52,7 @@ export async function show(main, context, { parts, query }) {
       boundary, found, dependence,
       settingsCard(body, { problems, algorithms }),
       h("p.hint", null, `Campaign ${id}, submitted ${when(campaign.created_at)}. `,
-        h("button.quiet", { type: "button", onclick: () => context.attempt(() => download(`campaigns/${id}/archive.npz`, `archive-${id}.npz`)) }, "All solutions for numpy"))));
+        h("button.quiet", { type: "button", onclick: () => context.tell(() => download(`campaigns/${id}/archive.npz`, `archive-${id}.npz`)) }, "All solutions for numpy"))));
 
   const polling = context.watch(() => `campaigns/${id}/progress?since=${generations.next}`, take, {
     busy: (read) => read.status === "running",
@@ -76,17 +78,26 @@ export async function show(main, context, { parts, query }) {
       ...(read.quarantined ? { "In quarantine": count(read.quarantined) } : {}),
     });
     text(words, inWords(read, generations, algorithm));
-    replace(notes, warnings(read));
+    warn(read);
     if (steered !== read.status) {
       steered = read.status;
+      const inside = actions.contains(document.activeElement);
       replace(actions, h("a.quiet", { href: link("compare", { ids: id }) }, "Compare"),
-        context.may.steer && steering({ ...read, id, name }, context, polling), context.may.remove && ended && remover());
+        context.may.steer && steering({ ...read, id, name }, context, polling, { clonable: body.algorithm.id !== REPEAT }), context.may.remove && ended && remover());
+      if (inside) actions.querySelector("button")?.focus();
     }
     map.news(read.generation);
     course.news(read, generations);
     if (read.looks_for_boundary) boundary.news(read.generation, course.thresholds());
     found.news(`${read.sequence}`);
     dependence.news(read.generation);
+  }
+
+  function warn(read) {
+    const told = JSON.stringify([read.trouble, read.status, read.status_reason, read.workers === 0, read.unrunnable, read.quarantined]);
+    if (notes.dataset.told === told) return; // what is selected or focused stays
+    notes.dataset.told = told;
+    replace(notes, warnings(read));
   }
 
   function warnings(read) {

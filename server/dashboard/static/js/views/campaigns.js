@@ -55,6 +55,7 @@ export async function show(main, context, { query }) {
   });
 
   let waiting = null;
+  context.signal.addEventListener("abort", () => clearTimeout(waiting), { once: true });
   search.addEventListener("input", () => {
     clearTimeout(waiting);
     waiting = setTimeout(filtered, 250);
@@ -79,6 +80,9 @@ export async function show(main, context, { query }) {
     newest.hidden = !place().query.get("cursor");
     text(said, found ? `${count(rows.length)} shown` : "");
     const running = rows.filter((row) => row.status === "running").length;
+    const told = `${read.trouble} ${running > 0 && read.workers === 0}`;
+    if (notes.dataset.told === told) return; // what is selected or focused stays
+    notes.dataset.told = told;
     replace(notes,
       read.trouble && callout("bad", `The database takes no writes now: ${read.trouble}. Nothing that was acknowledged is lost.`),
       running > 0 && read.workers === 0 && callout("warn", "Campaigns are running, but no worker is there. Start one: ", workerCommand()));
@@ -125,15 +129,17 @@ function campaignRow(first, context, polling) {
     text(dbs, course.length ? count(course.at(-1)) : "–");
     if (drawn !== row.status) {
       drawn = row.status;
-      replace(actions, context.may.steer && steering(row, context, polling));
+      const inside = actions.contains(document.activeElement);
+      replace(actions, context.may.steer && steering(row, context, polling, { clonable: !row.repeats_of }));
+      if (inside) actions.querySelector("button")?.focus();
     }
   };
   node.update(first);
   return node;
 }
 
-/** Return the buttons that steer a campaign in its present state. */
-export function steering(row, context, polling) {
+/** Return the buttons that steer a campaign in its present state; repeats cannot be cloned, for they are of somebody. */
+export function steering(row, context, polling, { clonable = true } = {}) {
   const path = `campaigns/${row.id}`;
   const act = async (method, way, said) => {
     await context.act(method, path + way, said);
@@ -146,5 +152,5 @@ export function steering(row, context, polling) {
     (row.status === "running" || row.status === "paused") && button("Cancel", async () => {
       if (await sure(`Cancel ${row.name}? What it found stays; it cannot go on.`, { yes: "Cancel it" })) await act("POST", "/cancel", `${row.name} is cancelled.`);
     }),
-    button("Clone", () => go("new", { from: row.id })));
+    clonable && button("Clone", () => go("new", { from: row.id })));
 }

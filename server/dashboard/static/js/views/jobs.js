@@ -69,7 +69,7 @@ export async function show(main, context, { query }) {
     rewrite({ status: chosen.status, campaign: chosen.campaign, after: chosen.after || null });
     page.tally(counts, chosen);
     page.list([], counts, chosen, null, { waiting: true });
-    list.now();
+    list.now({ afresh: true });
   }
 
   async function retry(job) {
@@ -79,9 +79,10 @@ export async function show(main, context, { query }) {
 
   async function retryAll() {
     const many = retriable(counts, chosen.campaign);
+    const of = Object.fromEntries(asked({})); // whatever is chosen meanwhile
     if (!(await sure(`Put ${plural(many, "job")} back into the queue?`, { yes: "Retry them", danger: false }))) return;
     try {
-      await retryEach((after) => `jobs?${asked({ limit: 200, after })}`, (job) => isAwaited(job, counts), context.signal);
+      await retryEach((after) => `jobs?${new URLSearchParams({ ...of, limit: 200, after })}`, (job) => isAwaited(job, counts), context.signal);
     } catch (error) {
       if (context.signal.aborted) return;
       if (!(error instanceof ApiError)) throw error;

@@ -43,6 +43,7 @@ export async function show(main, context, { query }) {
       h("p.hint", { id: "yaml-help" }, "YAML or JSON with the same fields as the form, and llm for a language model.")),
   };
   let mode = "form";
+  let untouched = JSON.stringify(form.read(), null, 2);
   const modes = Object.entries({ form: "Form", file: "Campaign file" }).map(([name, words]) => h("button",
     { type: "button", "aria-pressed": String(name === mode), data: { mode: name }, onclick: () => turn(name) }, words));
   const submit = h("button.primary", { type: "submit" }, "Submit campaign");
@@ -57,12 +58,19 @@ export async function show(main, context, { query }) {
   /** Change over, and take along what was written. */
   async function turn(name) {
     if (name === mode) return;
-    if (name === "file") file.value = `# JSON is YAML, too.\n${JSON.stringify(form.read(), null, 2)}\n`;
+    if (name === "file") fileFromForm();
     else if (!await attempt(async () => form.fill(await document()))) return;
     mode = name;
     for (const [each, pane] of Object.entries(panes)) pane.hidden = each !== mode;
     for (const each of modes) each.setAttribute("aria-pressed", String(each.dataset.mode === mode));
     replace(trouble);
+  }
+
+  /** Write the form as a file, unless nothing was written there: then an example, or what was pasted before, says more. */
+  function fileFromForm() {
+    const written = JSON.stringify(form.read(), null, 2);
+    if (written !== untouched) file.value = `# JSON is YAML, too.\n${written}\n`;
+    untouched = written;
   }
 
   async function document() {
@@ -196,10 +204,12 @@ function plugin(part, title, known, first) {
   const more = h("details", null, h("summary", null, `Parameters of the ${part}`), place);
   const node = h("fieldset.card", null, h("legend", null, title), h("div.field", null, h("label", { for: `choose-${part}` }, title), select, summary, wrong), more);
   let fields = [];
+  let unknown = {}; // parameters of a plug-in that is not installed here
 
   function choose(id) {
+    unknown = {};
     const chosen = known.find((one) => one.id === id) ?? known[0];
-    if (!known.some((one) => one.id === id)) select.append(h("option", { value: id }, id)); // the server says what it thinks of it
+    if (![...select.options].some((one) => one.value === id)) select.append(h("option", { value: id }, id)); // the server says what it thinks of it
     select.value = id;
     text(summary, chosen.id === id ? chosen.summary : "");
     const properties = chosen.id === id ? chosen.params.properties ?? {} : {};
@@ -214,10 +224,11 @@ function plugin(part, title, known, first) {
     fields: () => [...fields, { pointer: `/${part}/id`, node: select, focus: () => select.focus(), complain: (message) => { text(wrong, message); wrong.hidden = !message; } }],
     read: () => {
       const params = Object.fromEntries(fields.map((one) => [one.pointer.split("/").at(-1), one.read()]).filter(([, value]) => value !== undefined));
-      return Object.keys(params).length ? { id: select.value, params } : { id: select.value };
+      return { id: select.value, params: { ...unknown, ...params } };
     },
     fill: (given) => {
       choose(given?.id ?? first);
+      if (!known.some((one) => one.id === given?.id)) unknown = given?.params ?? {};
       for (const one of fields) one.fill(given?.params?.[one.pointer.split("/").at(-1)]);
       if (fields.some((one) => one.read() !== undefined)) more.open = true;
     },

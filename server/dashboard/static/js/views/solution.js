@@ -73,7 +73,7 @@ export async function show(main, context, { parts }) {
 
   async function look() {
     const take = around.update;
-    if (news === null) await context.attempt(async () => take(await context.get(`${path}/neighbours`)));
+    if (news === null) await context.tell(async () => take(await context.get(`${path}/neighbours`)));
     else context.watch(`${path}/neighbours`, take, { refuse: () => {} });
   }
 

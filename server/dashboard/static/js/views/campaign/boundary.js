@@ -33,7 +33,7 @@ export function boundaryCard(context, id, found) {
     by ? h("button", { type: "button", onclick: () => sort(name) }, words) : words));
   const said = h("p.hint", { "aria-live": "polite" });
   const more = h("button", { type: "button", hidden: true, onclick: () => { most += PAGE; draw(); } }, "Show more");
-  const save = (format, words) => h("button", { type: "button", onclick: () => context.attempt(() => download(
+  const save = (format, words) => h("button", { type: "button", onclick: () => context.tell(() => download(
     `campaigns/${id}/boundary?t_b=${thresholds.t_b}&d_th=${thresholds.d_th}&format=${format}`, `boundary-${id}.${format}`)) }, words);
   const card = h("section.card", { "aria-label": "Boundary solutions", hidden: true },
     h("div.inline", null, h("h2", null, "Boundary solutions"), h("label", { for: "boundary-find" }, "Find"), filter, verdict,
@@ -50,7 +50,7 @@ export function boundaryCard(context, id, found) {
     card.hidden = false;
     found(read.solutions.map((one) => one.number));
     draw();
-  }, { signal: context.signal, leastMs: 3_000, share: 0.05 });
+  }, { signal: context.signal, refuse: context.complain, leastMs: 3_000, share: 0.05 });
 
   function sort(name) {
     sorting = { name, falling: sorting.name === name ? !sorting.falling : false };
@@ -68,7 +68,7 @@ export function boundaryCard(context, id, found) {
     rows.sort((a, b) => (by(a) < by(b) ? -1 : by(a) > by(b) ? 1 : a.number - b.number) * (sorting.falling ? -1 : 1));
     heads.forEach((head, place) => attribute(head, "aria-sort",
       COLUMNS[place][0] === sorting.name ? (sorting.falling ? "descending" : "ascending") : null));
-    keyed(body, rows.slice(0, most), (one) => `${one.number} ${one.neighbours} ${one.fitness}`, (one) => row(one, strictOnes.has(one.number)));
+    keyed(body, rows.slice(0, most), (one) => `${one.number} ${one.neighbours} ${one.fitness} ${strictOnes.has(one.number)}`, (one) => row(one, strictOnes.has(one.number)));
     text(caption, `t_b ${read.t_b}, d_th ${read.d_th}: ${plural(read.dbs, "distinct boundary solution")}, ${count(read.strict_dbs)} strict. ${read.note}`);
     text(said, rows.length < read.solutions.length ? `${count(rows.length)} of ${count(read.solutions.length)} are like that.` : read.solutions.length ? "" : "None yet at these thresholds.");
     more.hidden = rows.length <= most;

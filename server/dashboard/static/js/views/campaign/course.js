@@ -63,7 +63,7 @@ export function courseCards(context, id, query) {
     if (read === UNCHANGED || isDefault()) return;
     dbs.update([[0, ...read.simulations], [0, ...read.dbs], [0, ...read.strict_dbs]]);
     text(note, read.note ?? explained());
-  }, { signal: context.signal, leastMs: 2_000 });
+  }, { signal: context.signal, refuse: context.complain, leastMs: 2_000 });
 
   function isDefault() {
     return t_b.value() === defaults.t_b && d_th.value() === defaults.d_th;
@@ -117,5 +117,10 @@ function threshold(id, name, given, usual) {
     id, type: "number", min: 0, max: 1, step: 0.01, required: true,
     value: given !== null && Number.isFinite(known) && known >= 0 && known <= 1 ? known : usual,
   });
-  return { input, label: h("label", { for: id }, name, " ", input), value: () => Number(input.value) };
+  let valid = Number(input.value);
+  const value = () => {
+    if (input.value !== "" && input.validity.valid) valid = Number(input.value);
+    return valid; // of what is half written, the last that could be used
+  };
+  return { input, label: h("label", { for: id }, name, " ", input), value };
 }

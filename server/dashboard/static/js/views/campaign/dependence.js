@@ -25,7 +25,7 @@ export function dependenceCard(context, id, known) {
     card.hidden = read.evaluated === 0;
     known(read.parameters);
     draw();
-  }, { signal: context.signal, leastMs: 8_000, share: 0.05 });
+  }, { signal: context.signal, refuse: context.complain, leastMs: 8_000, share: 0.05 });
 
   function draw() {
     const overall = read.evaluated ? read.unsafe / read.evaluated : 0;

@@ -21,13 +21,19 @@ export function findings(context, id, tells) {
   const repeats = h("section.card", { hidden: true, "aria-label": "Repeats" });
   const node = h("div.stack", { hidden: true }, violations, combinations, repeats);
 
+  let told = "";
+  let later = null;
+
   const load = sparing(async () => {
     const [broken, chains, again] = await Promise.all([optional("violations"), optional("combinations"), context.get(`campaigns/${id}/repeats`)]);
     if (broken) showViolations(broken);
     if (chains) showCombinations(chains);
     showRepeats(again);
+    clearTimeout(later);
+    // They run in campaigns of their own, whose news are not this one's.
+    if (again.some((one) => one.status === "running")) later = setTimeout(() => load(`${told} ${performance.now()}`), 5_000);
     node.hidden = [...node.children].every((card) => card.hidden);
-  }, { signal: context.signal, leastMs: 10_000, share: 0.05 });
+  }, { signal: context.signal, refuse: context.complain, leastMs: 10_000, share: 0.05 });
 
   async function optional(part) {
     return tells.includes(part) ? context.get(`campaigns/${id}/${part}`) : null;
@@ -89,7 +95,12 @@ export function findings(context, id, tells) {
     return h("a", { href: link("campaigns", id, "solutions", number) }, `solution ${number}`);
   }
 
-  node.news = (generation) => load(generation);
+  context.signal.addEventListener("abort", () => clearTimeout(later), { once: true });
+  node.news = (sequence) => {
+    if (sequence === told) return;
+    told = sequence;
+    load(sequence);
+  };
   return node;
 }
 

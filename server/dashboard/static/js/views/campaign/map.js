@@ -174,7 +174,7 @@ export function solutionMap({ signal, hover, open, choose }) {
 
   function inside() {
     const found = [];
-    for (let i = 0; i < data.count; i += 1) if (within(toX(data.x[i]), toY(data.y[i]))) found.push(i);
+    for (let i = 0; i < (data?.count ?? 0); i += 1) if (within(toX(data.x[i]), toY(data.y[i]))) found.push(i);
     return found;
   }
 
@@ -194,6 +194,7 @@ export function solutionMap({ signal, hover, open, choose }) {
 
   const listen = (name, listener, options) => canvas.addEventListener(name, listener, { signal, ...options });
   listen("pointerdown", (event) => {
+    if (event.button !== 0) return;
     canvas.setPointerCapture(event.pointerId);
     down.set(event.pointerId, at(event));
     moved = 0;
@@ -222,6 +223,7 @@ export function solutionMap({ signal, hover, open, choose }) {
     down.set(event.pointerId, now);
   });
   listen("pointerup", (event) => {
+    if (!down.has(event.pointerId)) return;
     down.delete(event.pointerId);
     if (path && moved > 8) {
       choose(inside());

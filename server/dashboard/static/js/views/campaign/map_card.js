@@ -24,7 +24,7 @@ const MOST_LISTED = 60;
 export function mapCard(context, id, query) {
   const data = new MapData();
   let by = query.get("colour") ?? "verdict";
-  let opened = query.has("solution") ? Number(query.get("solution")) : null;
+  let opened = /^\d+$/.test(query.get("solution") ?? "") ? Number(query.get("solution")) : null;
   let chosen = [];
   let boundary = [];
 
@@ -48,9 +48,9 @@ export function mapCard(context, id, query) {
   explain();
 
   const load = sparing(async () => {
-    const wanted = by;
-    if (await data.load(id, isParameter(by) ? by : "", context.signal) && wanted === by) draw();
-  }, { signal: context.signal });
+    await data.load(id, isParameter(by) ? by : "", context.signal);
+    draw(); // even if nothing came: colours may have been chosen meanwhile
+  }, { signal: context.signal, refuse: context.complain });
 
   function isParameter(name) {
     return !OWN.some(([own]) => own === name);
@@ -70,8 +70,8 @@ export function mapCard(context, id, query) {
   function recolour(name) {
     by = name;
     rewrite({ colour: by === "verdict" ? null : by });
+    draw();
     if (isParameter(by)) load(`${last}/${by}`, { atOnce: true });
-    else draw();
   }
 
   let last = "";
@@ -89,10 +89,10 @@ export function mapCard(context, id, query) {
       const dot = h("i");
       dot.style.background = one.colour;
       return h("li", null, dot, one.label);
-    }), boundary.length > 0 && h("li", null, h("i.ringed"), `${plural(boundary.length, "distinct boundary solution")}, ringed`));
+    }), boundary.length > 0 && h("li", null, h("i.ringed"), `${plural(placed(boundary).length, "distinct boundary solution")}, ringed`));
     const { drawn, evaluated, explained, across, up } = data.about;
     text(about, [
-      drawn < evaluated ? `${count(drawn)} of ${count(evaluated)} solutions are drawn, the nearest to the boundary among them.` : `${plural(drawn, "solution")}.`,
+      drawn < evaluated ? `${count(drawn)} of ${count(evaluated)} solutions are drawn.` : `${plural(drawn, "solution")}.`,
       `Alike ones lie near each other; the plane holds ${percent(explained)} of the spread.`,
       across && `Across: ${across}.`, up && `Up: ${up}.`,
     ].filter(Boolean).join(" "));
@@ -138,7 +138,7 @@ export function mapCard(context, id, query) {
     opened = number;
     rewrite({ solution: number });
     mark();
-    const read = await context.attempt(() => context.get(`campaigns/${id}/solutions/${number}`));
+    const read = await context.tell(() => context.get(`campaigns/${id}/solutions/${number}`));
     if (!read || opened !== number) return;
     replace(panel, h("h3", null, `Solution ${number} `, badge(read.verdict)),
       h("p", null, read.words),

@@ -14,7 +14,10 @@ export function settingsCard(body, catalogue) {
       h("div.grid-2", null,
         part(`Problem ${body.problem.id}`, problem, body.problem.params),
         part(`Algorithm ${body.algorithm.id}`, algorithm, body.algorithm.params)),
-      part("Campaign", null, { seed: body.seed, priority: body.priority, repeats: body.repeats, ...body.execution })));
+      part("Campaign", null, {
+        simulations: body.budget.simulations, seed: body.seed, priority: body.priority, repeats: body.repeats, ...body.execution,
+        ...(body.llm ? { language_model: body.llm } : {}),
+      })));
 }
 
 function part(title, plugin, params) {
