@@ -48,6 +48,10 @@ def test_the_map_is_coloured_by_a_parameter_and_remembers_it(page: Page, chart: 
     page.reload()
     shown(colour).to_have_value("scenario.weather")
     shown(page.get_by_role("list", name="Colours")).to_contain_text("rain")
+    colour.select_option("verdict")
+    shown(page.get_by_role("list", name="Colours")).to_contain_text("unsafe")
+    colour.select_option("scenario.weather")
+    shown(page.get_by_role("list", name="Colours")).to_contain_text("rain")
 
 
 def test_the_map_is_zoomed_by_buttons_keys_and_wheel(page: Page, chart: Locator) -> None:
