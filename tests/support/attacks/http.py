@@ -78,7 +78,7 @@ def _pipelined(target: Target) -> Iterable[Answer]:
 @row("a request that is no HTTP of ours", 400, 401, problem=False)
 def _garbage(target: Target) -> Iterable[Answer]:
     for line in (
-        b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03", b"\x00\r\n\r\n", b"GET /\r\n\r\n",
+        b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03", b"\x00\r\n\r\n", b"GET /metrics\r\n\r\n",
         b"GET /metrics HTTP/1.1\r\nConnection: close\r\n\r\n", b"GET / HTTP/1.1\r\nHost: x\r\nno colon\r\n\r\n",
         b"HTTP/1.1 200 OK\r\n\r\n",
         b"GET /\xff HTTP/1.1\r\nHost: x\r\n\r\n", b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
