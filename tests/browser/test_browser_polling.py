@@ -21,6 +21,7 @@ HIDE = """hidden => {
 }"""
 IDLE_MS = 10_000
 """How often a page looks where nothing goes on."""
+LOOKS = 12
 
 
 def asked(page: Page) -> list[str]:
@@ -50,12 +51,15 @@ def test_a_page_that_nobody_looks_at_asks_for_nothing_and_looks_at_once_when_it_
 def test_what_did_not_change_is_answered_without_a_body(site: Served, visit: Visits) -> None:
     page = visit(site.url, f"#/campaigns/{site.ball}", stopped=True)
     shown(page.locator(".head .badge")).to_have_text("finished")
-    statuses = []
-    for _ in range(3):
+    statuses: list[int] = []
+    # Once what is new since the generations that are known, and once for each worker of another test that goes.
+    while statuses[-2:] != [304, 304]:
+        assert len(statuses) < LOOKS, (
+            f"expected two answers without a body, one after the other, got {statuses}"
+        )
         with page.expect_response("**/progress*") as coming:
             page.clock.run_for(IDLE_MS)
         statuses.append(coming.value.status)
-    assert statuses == [200, 304, 304], "once what is new since the generations that are known, then nothing"
 
 
 @pytest.fixture
