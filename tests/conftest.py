@@ -13,6 +13,9 @@ from support.llm_endpoint import Endpoint, serving
 from support.postgres import PostgresDatabases, running_postgres
 from support.problems import PLUGINS
 from support.queue import Queue
+from support.scheduling import ByFolder
+from support.scratch import use_memory
+from xdist.remote import Producer
 
 from server.bench.temporary.postgres import NoPostgres
 from server.catalogue import PROBLEMS
@@ -23,6 +26,14 @@ from sim import catalogue
 settings.register_profile("ci", derandomize=True, deadline=None)
 if os.environ.get("CI"):
     settings.load_profile("ci")
+
+use_memory()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> ByFolder:
+    """Distribute tests as `support.scheduling` says."""
+    return ByFolder(config, log)
 
 
 @pytest.fixture(scope="session")

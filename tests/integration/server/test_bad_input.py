@@ -1,13 +1,50 @@
 """Bad input is answered with a pointer, what was expected and the nearest valid name; nothing is stored."""
 
 import json
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
-from support.api import ball, row_counts
+from support.api import ball, coordinator, row_counts
+from support.databases import BACKENDS, Databases
+from support.problems import PLUGINS
 
-from server.db.engine import Engines
+from server.catalogue import PROBLEMS
+from server.db.engine import Engines, open_engines
+from sim import catalogue
+
+
+@pytest.fixture(scope="module", params=BACKENDS)
+def database_url(
+    request: pytest.FixtureRequest, sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[str]:
+    """The URL of a database for the whole file: nothing that is refused is stored."""
+    backend: str = request.param
+    databases = Databases(
+        backend=backend, template=sqlite_file, folder=tmp_path_factory.mktemp("bad-input"),
+        postgres=request.getfixturevalue("postgres_databases") if backend == "postgres" else None,
+    )  # fmt: skip
+    with databases.database() as url:
+        yield url
+
+
+@pytest.fixture(scope="module")
+def engines(database_url: str) -> Iterator[Engines]:
+    """The engines of that database."""
+    opened = open_engines(database_url)
+    yield opened
+    opened.dispose()
+
+
+@pytest.fixture(scope="module")
+def client(database_url: str) -> Iterator[httpx.Client]:
+    """A client of a coordinator on it."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setitem(catalogue._registered, PROBLEMS, dict(PLUGINS))
+        with coordinator(database_url) as opened:
+            yield opened
 
 
 def changed(path: str, value: object) -> dict[str, Any]:
