@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+import scipy  # its statistics take half a second to load: at the first use
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +55,7 @@ def mean_interval(values: Sequence[float], confidence: float = 0.95) -> MeanInte
     if sample.size == 1:
         return MeanInterval(mean=mean, low=None, high=None, repeats=1)
     half = float(
-        stats.t.ppf(0.5 + confidence / 2, sample.size - 1) * sample.std(ddof=1) / np.sqrt(sample.size)
+        scipy.stats.t.ppf(0.5 + confidence / 2, sample.size - 1) * sample.std(ddof=1) / np.sqrt(sample.size)
     )
     return MeanInterval(mean=mean, low=mean - half, high=mean + half, repeats=int(sample.size))
 
@@ -82,7 +82,7 @@ def compared(first: Sequence[float], second: Sequence[float]) -> Comparison:
     u = effect * len(first) * len(second)
     if np.unique([*first, *second]).size == 1:
         return Comparison(a12=effect, u=u, p_value=1.0)
-    p_value = float(stats.mannwhitneyu(first, second, alternative="two-sided").pvalue)
+    p_value = float(scipy.stats.mannwhitneyu(first, second, alternative="two-sided").pvalue)
     return Comparison(a12=effect, u=u, p_value=p_value)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import scipy.stats
+import scipy  # its statistics take half a second to load: at the first use
 from numpy.typing import NDArray
 
 from search.archive import Archive

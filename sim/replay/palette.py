@@ -8,7 +8,6 @@ from functools import cache
 from pathlib import Path
 from typing import Final, TypeAlias
 
-import matplotlib as mpl
 from PIL import ImageFont
 
 Rgb: TypeAlias = tuple[int, int, int]
@@ -85,5 +84,7 @@ def readable_on(colour: Rgb) -> Rgb:
 @cache
 def typeface(size_px: int, bold: bool = False) -> ImageFont.FreeTypeFont:
     """Return DejaVu Sans, which comes with matplotlib, so that pictures are the same on every machine."""
+    import matplotlib as mpl  # not before something is drawn: it takes a while to load
+
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
     return ImageFont.truetype(str(Path(mpl.get_data_path()) / "fonts" / "ttf" / name), max(6, size_px))

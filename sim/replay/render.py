@@ -1,16 +1,17 @@
 """The one door to replays: a trace becomes a picture or a film, by the extension of the file."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Final, TypeAlias
 
 from sim.replay.errors import ReplayError
 from sim.replay.layout import DEFAULT_SIZE, Size
-from sim.replay.still import still
-from sim.replay.top_down import FramePainter
-from sim.replay.video import Progress, write_gif, write_mp4
 from sim.trace import Trace
+
+Progress: TypeAlias = Callable[[int, int], None]
+"""Called with the number of frames done and the number of all."""
 
 DEFAULT_SIZES: Final[dict[str, Size]] = {".png": (1280, 720), ".gif": (800, 450), ".mp4": DEFAULT_SIZE}
 """Size of the frames of each kind of file; a PNG has more below its frame."""
@@ -42,6 +43,11 @@ def render(
         ReplayError: The extension is unknown, the size out of bounds, the trace empty or without the requirement.
         OSError: The file cannot be written.
     """
+    # Figures and films take a second to load: only those who draw wait for it.
+    from sim.replay.still import still
+    from sim.replay.top_down import FramePainter
+    from sim.replay.video import write_gif, write_mp4
+
     target = Path(path)
     kind = _kind(target.suffix)
     wanted = size or DEFAULT_SIZES[kind]

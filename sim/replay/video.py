@@ -1,19 +1,17 @@
 """Films: frames written as GIF or as H.264 in MP4, ten a simulated second, so that they play in real time."""
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import Final
 
 import av
 import numpy as np
 from PIL import Image
 
+from sim.replay.render import Progress
 from sim.replay.top_down import FramePainter
-
-Progress: TypeAlias = Callable[[int, int], None]
-"""Called with the number of frames done and the number of all."""
 
 FRAMES_PER_S: Final = 10
 HOLD_S: Final = 1.0

@@ -10,7 +10,8 @@ import pytest
 from PIL import Image, ImageSequence
 from support.traces import make_trace
 
-from sim.replay import FramePainter, ReplayError, render, render_bytes, render_png_bytes
+from sim.replay import ReplayError, render, render_bytes, render_png_bytes
+from sim.replay.top_down import FramePainter
 from sim.replay.video import HOLD_S, film_samples
 from sim.trace import Trace
 
