@@ -38,19 +38,16 @@ from server.api.schemas import ProblemDetail
 from server.campaigns import store
 from server.campaigns.advance import Stepper
 from server.campaigns.archives import Archives
+from server.campaigns.films import Films
 from server.campaigns.service import SLOW_AT_ONCE, CampaignService, read
-from server.dashboard.course import Courses
-from server.dashboard.overview import Sparks
+from server.dashboard.figures import Figures
 from server.dashboard.page import add_dashboard
-from server.dashboard.solution_map import SolutionMaps
 from server.db.engine import Engines, open_engines
 from server.db.news import listen
 from server.db.writer import Writer
-from server.episodes.films import Films
 from server.errors import Unavailable
 from server.experiments.scorebook import Scorebook
 from server.experiments.service import ExperimentService
-from server.latest import Latest
 from server.llm.seeds import LlmSeeds
 from server.metrics import Metrics
 from server.monitors.kept import Monitors
@@ -58,9 +55,6 @@ from server.queue.service import QueueService
 from server.settings import LOOPBACK, Settings
 
 log = logging.getLogger(__name__)
-
-DEPENDENCES_KEPT = 32
-"""Campaigns of which is remembered what their verdicts depend on."""
 
 DESCRIPTION = """
 Finds where a driving system with a machine-learned component stops being safe.
@@ -101,15 +95,13 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
             if listener is not None:
                 listener.cancel()
                 await asyncio.wait([listener])
-            if sweeper is not None:
-                await (
-                    sweeper
-                )  # cancelled, it would leave its thread with a connection of engines that are gone
+            if sweeper is not None:  # cancelled, its thread would hold a connection of engines that are gone
+                await sweeper
             loop = asyncio.get_running_loop()
             await loop.run_in_executor(None, context.seeds.close)
             await loop.run_in_executor(None, context.campaigns.close)
-            for threads in (context.drawing, context.looking):
-                await loop.run_in_executor(None, partial(threads.shutdown, cancel_futures=True))
+            await loop.run_in_executor(None, partial(context.drawing.shutdown, cancel_futures=True))
+            await loop.run_in_executor(None, context.figures.close)
             await loop.run_in_executor(None, context.queue.close)
             await loop.run_in_executor(None, context.queue.writer.close)
             engines.dispose()
@@ -175,7 +167,6 @@ def _context(
     )
     archives = Archives(engines=engines, stepper=stepper)
     drawing = ThreadPoolExecutor(SLOW_AT_ONCE, thread_name_prefix="brink-draw")
-    looking = ThreadPoolExecutor(SLOW_AT_ONCE, thread_name_prefix="brink-look")
     return Context(
         settings=settings,
         engines=engines,
@@ -188,12 +179,8 @@ def _context(
         films=Films(engines=engines),
         seeds=seeds,
         metrics=metrics,
-        maps=SolutionMaps(threads=looking),
-        courses=Courses(threads=looking),
-        dependences=Latest(DEPENDENCES_KEPT, looking),
-        sparks=Sparks(),
+        figures=Figures(SLOW_AT_ONCE),
         drawing=drawing,
-        looking=looking,
     )
 
 

@@ -154,6 +154,7 @@ def describe_problems() -> list[dict[str, Any]]:
                 "space": problem.space.describe(),
                 "simulator": problem.needs if isinstance(problem, SimulatedProblem) else None,
                 "finds": _finds(problem),
+                "algorithm_defaults": dict(problem.algorithm_defaults),
             }
         )
     return described

@@ -9,17 +9,13 @@ from typing import Annotated, cast
 
 from fastapi import Depends, Request
 
-from server.boundary.dependence import Dependence
 from server.campaigns.archives import Archives
+from server.campaigns.films import Films
 from server.campaigns.service import CampaignService
-from server.dashboard.course import Courses
-from server.dashboard.overview import Sparks
-from server.dashboard.solution_map import SolutionMaps
+from server.dashboard.figures import Figures
 from server.db.engine import Engines
-from server.episodes.films import Films
 from server.experiments.scorebook import Scorebook
 from server.experiments.service import ExperimentService
-from server.latest import Latest
 from server.llm.seeds import LlmSeeds
 from server.metrics import Metrics
 from server.monitors.kept import Monitors
@@ -42,14 +38,9 @@ class Context:
     films: Films
     seeds: LlmSeeds
     metrics: Metrics
-    maps: SolutionMaps
-    courses: Courses
-    dependences: Latest[list[Dependence]]
-    sparks: Sparks
+    figures: Figures
     drawing: ThreadPoolExecutor
     """Threads of their own: a film takes seconds, and all else must not wait for that."""
-    looking: ThreadPoolExecutor
-    """What people look at waits for a map, but not for films, or the scores of thirty campaigns."""
 
 
 async def context_of(request: Request) -> Context:  # async: another thread would cost more than this does

@@ -8,9 +8,9 @@ from fastapi import Path as PathParameter
 
 from server.api.context import Services
 from server.api.episode_schemas import EpisodeView
+from server.api.episode_views import episode_view
 from server.api.schemas import MAX_NUMBER
 from server.api.traces import NOT_YET, UNREADABLE, Wait, being_made, trace_of
-from server.episodes.columns import episode_view
 from server.errors import Conflict
 from sim.trace import Trace
 

@@ -13,7 +13,7 @@ from server.api.conditional import NOTHING_NEW, is_known, nothing_new, tag_of
 from server.api.context import Services
 from server.api.schemas import MAX_NUMBER, View
 from server.api.solutions import Threshold
-from server.boundary.dependence import Dependence, dependences
+from server.boundary.dependence import Dependence
 from server.boundary.parameters import ParameterColumn, parameter_columns
 from server.campaigns import view_store
 from server.campaigns.archives import ReadArchive
@@ -89,7 +89,7 @@ async def get_map(
     column = None
     if parameter:
         column = await asyncio.get_running_loop().run_in_executor(None, _column, found, parameter)
-    drawn = await services.maps.get(campaign.id, found, ended=campaign.status in ENDED)
+    drawn = await services.figures.maps.get(campaign.id, found, ended=campaign.status in ENDED)
     first = min(after, len(drawn.rows)) if version == drawn.version else 0
 
     series = await read(services.engines, lambda c: view_store.list_generations(c, campaign.id, 0))
@@ -183,7 +183,7 @@ async def get_course(
     etag = _tag(campaign, found.generation, t_b, d_th)
     if is_known(request, etag):
         return nothing_new(etag)  # type: ignore[no-any-return]
-    points = await services.courses.get(campaign.id, found, t_b, d_th)
+    points = await services.figures.courses.get(campaign.id, found, t_b, d_th)
     response.headers["ETag"] = etag
     return CourseView(
         t_b=t_b, d_th=d_th,
@@ -244,9 +244,7 @@ async def get_dependence(
     etag = _tag(campaign, found.generation)
     if is_known(request, etag):
         return nothing_new(etag)  # type: ignore[no-any-return]
-    known = await services.dependences.get(
-        campaign.id, found.generation, lambda: dependences(found.plan.problem.space, found.archive)
-    )
+    known = await services.figures.dependences(campaign.id, found)
     response.headers["ETag"] = etag
     return Dependences(
         generation=found.generation, evaluated=len(found.archive), unsafe=int(np.count_nonzero(found.archive.unsafe)),

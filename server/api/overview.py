@@ -113,7 +113,7 @@ def _overview(
 ) -> Overview:
     standings = [read_standing(connection, one) if one.finished_at is None else None for one in outlines]
     both = list(zip(outlines, standings, strict=True))
-    sparks = services.sparks.of(connection, outlines)
+    sparks = services.figures.sparks.of(connection, outlines)
     trouble = services.queue.writer.trouble
     last = outlines[-1] if len(outlines) == limit else None
     columns = {

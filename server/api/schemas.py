@@ -341,6 +341,9 @@ class ProblemView(View):
         list[str],
         Field(description="What a campaign on it tells besides a boundary: violations, combinations."),
     ]
+    algorithm_defaults: Annotated[
+        dict[str, Any], Field(description="Defaults of algorithms' parameters on it, in place of their own.")
+    ]
 
 
 class AlgorithmView(View):

@@ -3,7 +3,7 @@
 import asyncio
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Query, Response
 from fastapi import Path as PathParameter
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -66,12 +66,17 @@ class NameBody(BaseModel):
 
 
 @router.get("")
-async def get_violations(campaign_id: str, services: Services) -> Violations:
+async def get_violations(
+    campaign_id: str,
+    services: Services,
+    types_only: Annotated[bool, Query(description="Leave out the violations themselves.")] = False,
+) -> Violations:
     """Return all violations of a campaign, and their types."""
     campaign = await services.campaigns.get(campaign_id)
     found = await _found(services, campaign)
     types = await asyncio.get_running_loop().run_in_executor(None, _types, found)
-    return Violations(rules_version=RULES_VERSION, types=types, violations=[_view(one) for one in found])
+    violations = [] if types_only else [_view(one) for one in found]
+    return Violations(rules_version=RULES_VERSION, types=types, violations=violations)
 
 
 @router.put("/{number}/{requirement}/name", status_code=204)

@@ -25,13 +25,15 @@ class Courses:
 
     Attributes:
         threads: Where they are counted.
+        most_waiting: How many may be under way.
     """
 
     threads: InitVar[Executor]
+    most_waiting: InitVar[int]
     _latest: Latest[Sequence[BudgetPoint]] = field(init=False)
 
-    def __post_init__(self, threads: Executor) -> None:
-        self._latest = Latest(KEPT, threads)
+    def __post_init__(self, threads: Executor, most_waiting: int) -> None:
+        self._latest = Latest(KEPT, threads, most_waiting)
 
     async def get(self, campaign: str, read: ReadArchive, t_b: float, d_th: float) -> Sequence[BudgetPoint]:
         """Return DBS at shares of what was simulated so far; nothing of an archive that is empty or too large."""

@@ -128,14 +128,16 @@ class SolutionMaps:
 
     Attributes:
         threads: Where they are made.
+        most_waiting: How many may be under way.
     """
 
     threads: InitVar[Executor]
+    most_waiting: InitVar[int]
     _latest: Latest[SolutionMap] = field(init=False)
     _before: OrderedDict[str, SolutionMap] = field(default_factory=OrderedDict)
 
-    def __post_init__(self, threads: Executor) -> None:
-        self._latest = Latest(KEPT, threads)
+    def __post_init__(self, threads: Executor, most_waiting: int) -> None:
+        self._latest = Latest(KEPT, threads, most_waiting)
 
     async def get(self, campaign: str, read: ReadArchive, *, ended: bool) -> SolutionMap:
         """Return the map of a campaign's archive."""

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import httpx
 import pytest
-from playwright.sync_api import Page
+from playwright.sync_api import Page, Route
 from playwright.sync_api import expect as shown
 from support.api import FakeWorker, ball
 from support.processes import TOY, Site
 from support.processes import site as processes
 
 from browser.console import Console
-from browser.served import Served
+from browser.served import Served, unsafe_one
 from browser.visits import Visits
 
 HIDE = """hidden => {
@@ -60,6 +60,47 @@ def test_what_did_not_change_is_answered_without_a_body(site: Served, visit: Vis
         with page.expect_response("**/progress*") as coming:
             page.clock.run_for(IDLE_MS)
         statuses.append(coming.value.status)
+
+
+def test_what_takes_a_while_is_not_asked_for_while_nobody_looks(site: Served, visit: Visits) -> None:
+    solution = f"#/campaigns/{site.urban}/solutions/{unsafe_one(site)['number']}"
+    page = visit(site.url, solution, stopped=True)
+    asked: list[str] = []
+
+    def still_made(route: Route) -> None:
+        asked.append(route.request.url)
+        route.fulfill(status=202, json={"detail": "the trace is being made"})
+
+    page.route("**/episode?*", still_made)
+    page.reload()
+    shown(page.get_by_text("a worker simulates the episode again")).to_be_visible()
+    with page.expect_response("**/episode?*"):
+        page.clock.run_for(5_000)
+    page.evaluate(HIDE, True)
+    page.clock.run_for(IDLE_MS)
+    asked.clear()
+    page.clock.run_for(60 * IDLE_MS)
+    page.evaluate("() => fetch('dashboard/icon.svg')")
+    assert asked == []
+    page.unroute("**/episode?*")
+    page.evaluate(HIDE, False)
+    shown(page.get_by_role("button", name="Play", exact=True)).to_be_visible(timeout=60_000)
+
+
+def test_a_client_that_asked_too_much_is_told_so_and_waits(
+    site: Served, visit: Visits, console: Console
+) -> None:
+    page = visit(site.url, stopped=True)
+    shown(page.get_by_role("link", name="night rain", exact=True)).to_be_visible()
+    console.expect_status(429)
+    page.route("**/overview*", lambda route: route.fulfill(status=429, json={"detail": "too many requests"}))
+    page.clock.run_for(IDLE_MS)
+    notice = page.get_by_text("asked more than this client may ask")
+    shown(notice).to_be_visible()
+    shown(page.get_by_role("link", name="night rain", exact=True)).to_be_visible()
+    page.unroute("**/overview*")
+    page.clock.run_for(IDLE_MS)
+    shown(notice).to_be_hidden()
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import Locator, Page
 from playwright.sync_api import expect as shown
 from sqlalchemy import update
-from support.api import FakeWorker, ball, completes, expect, submit
+from support.api import FakeWorker, ball, completes, expect, progress, submit
 from support.traces import make_trace
 
 from browser.canvas import becomes, changes, picture
@@ -120,6 +120,19 @@ def test_an_episode_that_nobody_can_make_is_made_once_somebody_can(
     another.report(another.lease(wait_s=20))
     shown(page.get_by_role("button", name="Play", exact=True)).to_be_visible()
     shown(page.locator("output.clock")).to_have_text("0.0 / 19.9 s")
+
+
+def test_a_solution_can_be_simulated_again_as_soon_as_its_campaign_has_ended(
+    own: httpx.Client, visit: Visits
+) -> None:
+    campaign, worker = submit(own, ball()), FakeWorker(own, judge=with_trace)
+    while not progress(own, campaign)["generations"]:
+        worker.report(worker.lease(4))
+    page = visit(origin(own), f"#/campaigns/{campaign}/solutions/0")
+    again = page.get_by_role("region", name="With other seeds")
+    shown(again).to_contain_text("it is running now")
+    worker.work(campaign)
+    shown(again.get_by_role("button", name="Simulate")).to_be_visible()
 
 
 def with_trace(job: LeasedJob) -> Completed | JobFailed:

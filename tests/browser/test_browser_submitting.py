@@ -125,6 +125,36 @@ def test_what_was_written_goes_along_between_form_and_file(site: Served, visit: 
     shown(page.get_by_label("Name", exact=True)).to_have_value("to and fro")
 
 
+def test_a_file_that_is_wrong_is_left_for_the_form_and_kept(
+    site: Served, visit: Visits, console: Console
+) -> None:
+    page = visit(site.url, "#/new")
+    fill(page, "before the file", 33)
+    page.get_by_role("button", name="Campaign file").click()
+    text = page.get_by_label("Campaign file")
+    text.fill(FILE.replace("random@1", "randm@1"))
+    console.expect_status(422)
+    page.get_by_role("button", name="Form", exact=True).click()
+    said = page.get_by_role("alert").filter(has_text="the form is as it was before")
+    shown(said).to_contain_text("Did you mean random@1?")
+    shown(page.get_by_label("Name", exact=True)).to_have_value("before the file")
+    page.get_by_role("button", name="Campaign file").click()
+    shown(text).to_have_value(re.compile("randm@1"))
+
+
+def test_a_problem_with_defaults_of_its_own_says_them_in_the_form(site: Served, visit: Visits) -> None:
+    page = visit(site.url, "#/new")
+    problem, radius = page.get_by_label("Problem", exact=True), page.get_by_label("Radius", exact=True)
+    shown(radius).to_have_attribute("placeholder", "0.3")
+    problem.select_option("ball@1")
+    shown(radius).to_have_attribute("placeholder", "0.2")
+    page.get_by_text("Parameters of the algorithm").click()
+    radius.fill("0.25")
+    problem.select_option("urban-injected@1")
+    shown(radius).to_have_attribute("placeholder", "0.3")
+    shown(radius).to_have_value("0.25")
+
+
 def test_a_clone_is_the_same_campaign_with_the_next_seed(site: Served, visit: Visits) -> None:
     page = visit(site.url)
     page.get_by_role("button", name="Clone night rain").click()

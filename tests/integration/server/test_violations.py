@@ -51,6 +51,8 @@ def test_every_unsafe_solution_has_a_violation_with_a_type(client: httpx.Client,
         assert kind["first"] == min(kind["numbers"])
         assert 1 <= kind["instances"] <= kind["solutions"] == len(kind["numbers"])
     assert [kind["first"] for kind in found["types"]] == sorted(kind["first"] for kind in found["types"])
+    types_only = expect(client.get(f"{path}/violations", params={"types_only": True}))
+    assert types_only == {**found, "violations": []}
 
 
 def test_a_name_makes_a_type_and_can_be_taken_back(client: httpx.Client, campaign: str) -> None:

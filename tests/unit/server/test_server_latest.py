@@ -5,6 +5,7 @@ import threading
 
 import pytest
 
+from server.errors import Unavailable
 from server.latest import Latest
 
 
@@ -67,5 +68,20 @@ def test_what_nobody_asked_for_longest_goes_first() -> None:
         latest, compute = Latest[int](most=2), Counted()
         found = [await latest.get(name, 0, compute) for name in "abacab"]
         assert found == [1, 2, 1, 3, 1, 4]
+
+    asyncio.run(work())
+
+
+def test_who_asks_for_one_too_many_is_sent_away_until_one_is_done() -> None:
+    async def work() -> None:
+        latest, compute = Latest[int](most=4, most_waiting=2), Counted()
+        compute.go.clear()
+        asked = [latest.soon(name, 0, compute) for name in "ab"]
+        with pytest.raises(Unavailable, match="2 others are being computed"):
+            await latest.get("c", 0, compute)
+        assert latest.soon("a", 0, compute) is asked[0], "what is under way already may be waited for"
+        compute.go.set()
+        await asyncio.gather(*asked)
+        assert await latest.get("c", 0, compute) == 3
 
     asyncio.run(work())

@@ -70,10 +70,10 @@ export async function request(method, path, { json, text, etag, signal, headers:
   throw await refusal(answer);
 }
 
-/** Return what an answer says; a connection that is lost within it is one that was never there. */
-async function read(answer) {
+/** Return what an answer holds, as JSON or a blob; a connection that is lost within it is one that was never there. */
+export async function read(answer, as = "json") {
   try {
-    return await answer.json();
+    return await answer[as]();
   } catch (error) {
     if (error.name === "AbortError") throw error;
     throw new ApiError(0, "the coordinator does not answer");
@@ -125,8 +125,7 @@ export class Conditional {
 
 /** Save what a path holds as a file. */
 export async function download(path, name) {
-  const answer = await request("GET", path);
-  saveBlob(await answer.blob(), name);
+  saveBlob(await read(await request("GET", path), "blob"), name);
 }
 
 /** Save data as a file. */

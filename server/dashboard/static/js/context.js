@@ -6,19 +6,24 @@ import { poll } from "./poll.js";
 
 /** One view's services. */
 export class Context {
+  #end = new AbortController();
+  /** Aborted when the view is left, or an error has taken its place. */
+  signal = this.#end.signal;
+
   /**
    * @param {object} given
    * @param {AbortSignal} given.signal Aborted when the view is left.
    * @param {{steer: boolean, remove: boolean}} given.may What the token's scope allows.
    * @param {Element} given.main Where the view is.
-   * @param {(away: boolean) => void} given.away Told when the coordinator is away, and when it is back.
+   * @param {(error: ApiError|null) => void} given.away Told what keeps answers away, and null once there is one.
    * @param {() => void} given.signIn Asks for a token.
    */
   constructor({ signal, may, main, away, signIn }) {
-    this.signal = signal;
+    signal.addEventListener("abort", () => this.#end.abort(), { signal: this.signal });
+    /** What `patiently` and `whenMade` need. */
+    this.patience = { signal: this.signal, away };
     this.may = may;
     this.main = main;
-    this.away = away;
     this.signIn = signIn;
   }
 
@@ -30,7 +35,7 @@ export class Context {
   /** Poll a path while the view is there; see `poll`. A refusal takes the view's place unless `refuse` is given. */
   watch(path, take, { busy, refuse = (error) => this.fail(error) } = {}) {
     const heard = (error) => (error.status === 401 ? this.signIn() : refuse(error));
-    return poll(path, take, { signal: this.signal, busy, refuse: heard, away: this.away });
+    return poll(path, take, { ...this.patience, busy, refuse: heard });
   }
 
   /** Return what a path holds. */
@@ -78,6 +83,7 @@ export class Context {
   fail(error) {
     if (this.signal.aborted) return;
     const heading = error.status === 404 ? "Not here" : "This cannot be shown";
+    this.#end.abort(); // nothing else of the view goes on
     replace(this.main, h("div.empty", null, h("h1", null, heading), h("p", null, error.message),
       h("p", null, h("a", { href: "#/" }, "All campaigns"))));
   }

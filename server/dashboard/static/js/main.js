@@ -15,6 +15,8 @@ const NAV = [
   ["#/jobs", "Jobs", ["jobs"]],
 ];
 
+const AWAY = { 0: "The coordinator does not answer.", 429: "The coordinator was asked more than this client may ask in a while." };
+
 const main = document.getElementById("main");
 const notice = document.getElementById("notice");
 let shown = null; // ends the view that is shown
@@ -61,18 +63,19 @@ async function show({ focus = true } = {}) {
     await view.show(main, context, where);
     if (focus && !mine.signal.aborted) main.focus({ preventScroll: true });
   } catch (error) {
-    if (mine.signal.aborted) return;
+    if (context.signal.aborted) return;
     const told = error instanceof ApiError;
     if (told && error.status === 401) signIn("This token is no longer taken.");
     else if (told && !error.passes) context.fail(error);
-    else if (told || error instanceof TypeError) tryAgain(); // of the latter kind is a module that cannot be fetched
+    else if (told) tryAgain(error);
+    else if (error instanceof TypeError) tryAgain(new ApiError(0, "")); // a module that cannot be fetched
     else throw error;
   }
 }
 
 /** The coordinator is away: say so, and come back to where one is. */
-function tryAgain() {
-  sayAway(true);
+function tryAgain(error) {
+  sayAway(error);
   clearTimeout(retrying);
   retrying = setTimeout(show, 3_000);
 }
@@ -81,7 +84,7 @@ function tryAgain() {
 async function identify(signal) {
   try {
     access = await get("access", { signal });
-    sayAway(false);
+    sayAway(null);
   } catch (error) {
     if (signal.aborted) return false;
     if (!(error instanceof ApiError)) throw error;
@@ -90,7 +93,7 @@ async function identify(signal) {
     } else if (error.status === 403 && currentToken()) {
       await signIn("This token is a worker's: it may lease jobs and see nothing. Take one of scope read, user or admin.");
     } else if (error.passes) {
-      tryAgain();
+      tryAgain(error);
     } else {
       const context = new Context({ signal: shown.signal, may: rights(""), main, away: sayAway, signIn: () => signIn("") });
       context.title("No access");
@@ -128,10 +131,12 @@ function drawTools() {
   replace(document.getElementById("tools"), scope, h("a.quiet", { href: "docs" }, "API"), theme, out);
 }
 
-function sayAway(away) {
-  if (away === !notice.hidden && notice.childElementCount > 0) return;
-  notice.hidden = !away;
-  replace(notice, away && h("p.away", null, "The coordinator does not answer. This page tries again; nothing that it holds is lost."));
+/** Say what keeps answers away, until one comes. */
+function sayAway(error) {
+  const words = error && `${AWAY[error.status] ?? error.message} This page tries again; nothing that it holds is lost.`;
+  if (notice.textContent === (words ?? "")) return;
+  notice.hidden = !words;
+  replace(notice, words && h("p.away", null, words));
 }
 
 replace(document.getElementById("nav"), NAV.map(([href, words]) => h("a", { href }, words)));

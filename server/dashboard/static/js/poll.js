@@ -15,7 +15,7 @@ const AWAY_MS = 3_000;
  * @param {AbortSignal} options.signal Ends it.
  * @param {(read: *) => boolean} [options.busy] Whether to look often, by the last answer.
  * @param {(error: ApiError) => void} options.refuse Called with an error that will not pass.
- * @param {(away: boolean) => void} options.away Called when the coordinator is away, and when it is back.
+ * @param {(error: ApiError|null) => void} options.away Called with an error that will pass, and with null at each answer.
  * @returns {{now: (options?: {afresh: boolean}) => void}} Something that looks at once; ``afresh``, even if nothing is new.
  */
 export function poll(path, take, { signal, busy = () => false, refuse, away }) {
@@ -42,7 +42,7 @@ export function poll(path, take, { signal, busy = () => false, refuse, away }) {
     try {
       const read = await conditional.get(typeof path === "function" ? path() : path, { signal });
       if (signal.aborted) return;
-      away(false);
+      away(null);
       if (read !== UNCHANGED) {
         last = read;
         take(read);
@@ -55,7 +55,7 @@ export function poll(path, take, { signal, busy = () => false, refuse, away }) {
         refuse(error);
         return;
       }
-      away(true);
+      away(error);
       wait = AWAY_MS;
     } finally {
       under_way = false;

@@ -1,6 +1,7 @@
 /** Loading what takes a while: only when there is news, and never so often that it is all that is done. */
 
 import { ApiError } from "./api.js";
+import { seen } from "./seen.js";
 
 /**
  * Return a function to be told of news; it loads as soon as it may.
@@ -20,8 +21,12 @@ export function sparing(load, { signal, refuse, leastMs = 1_000, share = 0.1 }) 
     clearTimeout(timer);
     if (signal.aborted || under_way || wanted === known) return;
     const now = performance.now();
-    if (now < notBefore || document.hidden) {
-      timer = setTimeout(run, Math.max(250, notBefore - now));
+    if (document.hidden) {
+      seen(signal).then(run);
+      return;
+    }
+    if (now < notBefore) {
+      timer = setTimeout(run, notBefore - now);
       return;
     }
     under_way = true;

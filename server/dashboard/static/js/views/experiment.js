@@ -1,6 +1,6 @@
 /** One experiment: where it stands, what can be done with it, what it found, its campaigns. */
 
-import { ApiError, request } from "../api.js";
+import { ApiError } from "../api.js";
 import { h, keyed, replace, text } from "../dom.js";
 import { count, percent, plural, rate, span, when } from "../format.js";
 import { badge } from "../parts/badge.js";
@@ -9,10 +9,10 @@ import { sure } from "../parts/confirm.js";
 import { facts } from "../parts/facts.js";
 import { meter } from "../parts/meter.js";
 import { go, link } from "../router.js";
+import { whenMade } from "../patience.js";
 import { resultsSection } from "./experiment/results.js";
 
 const OPEN = new Set(["running", "paused"]);
-const LOOK_AGAIN_MS = 2_000;
 
 export async function show(main, context, { parts: [, id], query }) {
   context.title("Experiment");
@@ -119,35 +119,30 @@ function steering(read, context, path, look) {
 function resultsOf(path, context, scoring, take) {
   let wanted = 0;
   let taken = 0;
-  let timer = null;
   let under_way = false;
-  context.signal.addEventListener("abort", () => clearTimeout(timer), { once: true });
 
   async function look() {
-    clearTimeout(timer);
     if (under_way || wanted === taken) return;
     under_way = true;
     const asked = wanted;
     try {
-      const answer = await request("GET", `${path}/results?wait_s=2`, { signal: context.signal });
-      const read = await answer.json();
-      if (answer.status === 202) {
-        text(scoring, `${read.detail[0].toUpperCase()}${read.detail.slice(1)}; the tables come when all are.`);
-      } else {
-        text(scoring, "");
-        taken = asked;
-        take(read);
-      }
+      const read = await whenMade(`${path}/results`, { ...context.patience, making });
+      text(scoring, "");
+      take(read);
     } catch (error) {
       if (context.signal.aborted) return;
       if (!(error instanceof ApiError)) throw error;
       if (error.status === 401) return void context.signIn();
-      if (!error.passes) taken = asked;
-      text(scoring, error.passes ? "" : `Its results cannot be shown: ${error.message}`);
+      text(scoring, `Its results cannot be shown: ${error.message}`);
     } finally {
       under_way = false;
     }
-    if (!context.signal.aborted && wanted !== taken) timer = setTimeout(look, LOOK_AGAIN_MS);
+    taken = asked;
+    look();
+  }
+
+  function making({ detail }) {
+    text(scoring, `${detail[0].toUpperCase()}${detail.slice(1)}; the tables come when all are.`);
   }
 
   return { want: (finished) => { wanted = finished; look(); } };

@@ -58,32 +58,34 @@ export async function show(main, context, { query }) {
   /** Change over, and take along what was written. */
   async function turn(name) {
     if (name === mode) return;
-    if (name === "file") fileFromForm();
-    else if (!await attempt(async () => form.fill(await document()))) return;
+    const taken = name === "file" ? fileFromForm() : await attempt(async () => form.fill(await written()));
     mode = name;
     for (const [each, pane] of Object.entries(panes)) pane.hidden = each !== mode;
     for (const each of modes) each.setAttribute("aria-pressed", String(each.dataset.mode === mode));
-    replace(trouble);
+    if (taken) replace(trouble);
+    else trouble.prepend(callout("warn", "What the file says could not be taken along: the form is as it was before. The file is kept."));
   }
 
   /** Write the form as a file, unless nothing was written there: then an example, or what was pasted before, says more. */
   function fileFromForm() {
-    const written = JSON.stringify(form.read(), null, 2);
-    if (written !== untouched) file.value = `# JSON is YAML, too.\n${written}\n`;
-    untouched = written;
+    const now = JSON.stringify(form.read(), null, 2);
+    if (now !== untouched) file.value = `# JSON is YAML, too.\n${now}\n`;
+    untouched = now;
+    return true;
   }
 
-  async function document() {
+  /** The campaign as it is written now. */
+  async function written() {
     return mode === "form" ? form.read() : send("POST", "campaigns/check", { text: file.value, headers: YAML });
   }
 
   async function submitted() {
-    const made = await send("POST", "campaigns", { json: await document(), headers: { "Idempotency-Key": key() } });
+    const made = await send("POST", "campaigns", { json: await written(), headers: { "Idempotency-Key": key() } });
     go("campaigns", made.id);
   }
 
   async function checked() {
-    const body = await send("POST", "campaigns/check", { text: JSON.stringify(await document()), headers: YAML });
+    const body = await send("POST", "campaigns/check", { text: JSON.stringify(await written()), headers: YAML });
     replace(trouble, callout("", `${body.name} could be submitted: ${body.problem.id}, ${body.algorithm.id}, ${body.budget.simulations} simulations.`));
   }
 
@@ -139,8 +141,8 @@ function formOf({ problems, algorithms, description }) {
     field("repeats", campaign.repeats, "/repeats"),
   ];
   const execution = Object.entries(description.Execution.properties).map(([name, schema]) => field(name, schema, `/execution/${name}`));
-  const problem = plugin("problem", "Problem", problems, FIRST.problem);
   const algorithm = plugin("algorithm", "Algorithm", algorithms, FIRST.algorithm);
+  const problem = plugin("problem", "Problem", problems, FIRST.problem, (chosen) => algorithm.suggest(chosen?.algorithm_defaults ?? {}));
   const every = () => [...own, ...execution, ...problem.fields(), ...algorithm.fields()];
   let kept = {}; // what the form has no field for
 
@@ -194,8 +196,8 @@ function formOf({ problems, algorithms, description }) {
   return { node, read, fill, complain };
 }
 
-/** Return the part of the form that chooses a plug-in and its parameters. */
-function plugin(part, title, known, first) {
+/** Return the part of the form that chooses a plug-in and its parameters; ``told`` hears which, or null if it is not known here. */
+function plugin(part, title, known, first, told = () => {}) {
   const select = h("select", { id: `choose-${part}`, onchange: () => choose(select.value) }, known.map((one) => h("option", { value: one.id }, plainId(one.id))));
   const summary = h("p.help", { id: `about-${part}` });
   select.setAttribute("aria-describedby", `about-${part}`);
@@ -205,6 +207,7 @@ function plugin(part, title, known, first) {
   const node = h("fieldset.card", null, h("legend", null, title), h("div.field", null, h("label", { for: `choose-${part}` }, title), select, summary, wrong), more);
   let fields = [];
   let unknown = {}; // parameters of a plug-in that is not installed here
+  let suggested = {}; // defaults that are not the schema's
 
   function choose(id) {
     unknown = {};
@@ -213,24 +216,34 @@ function plugin(part, title, known, first) {
     select.value = id;
     text(summary, chosen.id === id ? chosen.summary : "");
     const properties = chosen.id === id ? chosen.params.properties ?? {} : {};
-    fields = Object.entries(properties).map(([name, schema]) => field(name, schema, `/${part}/params/${name}`));
+    fields = Object.entries(properties).map(([name, schema]) => field(name, name in suggested ? { ...schema, default: suggested[name] } : schema, `/${part}/params/${name}`));
     replace(place, fields.map((one) => one.node));
     more.hidden = fields.length === 0;
+    told(chosen.id === id ? chosen : null);
+  }
+
+  function fill(given) {
+    choose(given?.id ?? first);
+    if (!known.some((one) => one.id === given?.id)) unknown = given?.params ?? {};
+    for (const one of fields) one.fill(given?.params?.[one.pointer.split("/").at(-1)]);
+    if (fields.some((one) => one.read() !== undefined)) more.open = true;
+  }
+
+  function read() {
+    const params = Object.fromEntries(fields.map((one) => [one.pointer.split("/").at(-1), one.read()]).filter(([, value]) => value !== undefined));
+    return { id: select.value, params: { ...unknown, ...params } };
+  }
+
+  /** Show other defaults than the schema's; what is filled in stays. */
+  function suggest(defaults) {
+    suggested = defaults;
+    fill(read());
   }
 
   choose(known.some((one) => one.id === first) ? first : known[0].id);
   return {
     node,
     fields: () => [...fields, { pointer: `/${part}/id`, node: select, focus: () => select.focus(), complain: (message) => { text(wrong, message); wrong.hidden = !message; } }],
-    read: () => {
-      const params = Object.fromEntries(fields.map((one) => [one.pointer.split("/").at(-1), one.read()]).filter(([, value]) => value !== undefined));
-      return { id: select.value, params: { ...unknown, ...params } };
-    },
-    fill: (given) => {
-      choose(given?.id ?? first);
-      if (!known.some((one) => one.id === given?.id)) unknown = given?.params ?? {};
-      for (const one of fields) one.fill(given?.params?.[one.pointer.split("/").at(-1)]);
-      if (fields.some((one) => one.read() !== undefined)) more.open = true;
-    },
+    read, fill, suggest,
   };
 }

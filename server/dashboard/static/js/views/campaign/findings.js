@@ -25,7 +25,7 @@ export function findings(context, id, tells) {
   let later = null;
 
   const load = sparing(async () => {
-    const [broken, chains, again] = await Promise.all([optional("violations"), optional("combinations"), context.get(`campaigns/${id}/repeats`)]);
+    const [broken, chains, again] = await Promise.all([optional("violations", "?types_only=true"), optional("combinations"), context.get(`campaigns/${id}/repeats`)]);
     if (broken) showViolations(broken);
     if (chains) showCombinations(chains);
     showRepeats(again);
@@ -35,8 +35,8 @@ export function findings(context, id, tells) {
     node.hidden = [...node.children].every((card) => card.hidden);
   }, { signal: context.signal, refuse: context.complain, leastMs: 10_000, share: 0.05 });
 
-  async function optional(part) {
-    return tells.includes(part) ? context.get(`campaigns/${id}/${part}`) : null;
+  async function optional(part, query = "") {
+    return tells.includes(part) ? context.get(`campaigns/${id}/${part}${query}`) : null;
   }
 
   function showViolations(read) {

@@ -44,6 +44,7 @@ export function mapCard(context, id, query) {
         button("All", "Show all solutions", () => canvas.whole()))),
     h("div.map-body", null, h("div", null, frame, legend, about), panel));
 
+  let offered = null;
   offer([]);
   explain();
 
@@ -56,7 +57,11 @@ export function mapCard(context, id, query) {
     return !OWN.some(([own]) => own === name);
   }
 
+  /** Offer colours; a list that somebody may have open is not made anew only because the order has changed. */
   function offer(parameters) {
+    const names = parameters.map((one) => `${one.component}.${one.parameter}`).sort().join();
+    if (names === offered) return;
+    offered = names;
     const groups = Map.groupBy?.(parameters, (one) => one.component) ?? new Map([["parameters", parameters]]);
     replace(colours, OWN.map(([value, words]) => h("option", { value }, words)),
       [...groups].map(([component, some]) => h("optgroup", { label: spaced(component) },

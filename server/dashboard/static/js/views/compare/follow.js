@@ -1,10 +1,10 @@
 /** What is known of a campaign that is compared: itself, its course so far, and its scores once it has ended. */
 
-import { ApiError, get, request } from "../../api.js";
+import { ApiError, get } from "../../api.js";
 import { poll } from "../../poll.js";
+import { patiently, whenMade } from "../../patience.js";
 
 const OPEN = new Set(["running", "paused"]);
-const LOOK_AGAIN_MS = 2_000;
 
 /**
  * Follow a campaign until it is let go.
@@ -20,6 +20,7 @@ export function follow(id, context, changed) {
   context.signal.addEventListener("abort", () => own.abort(), { signal: own.signal });
   const followed = { id, campaign: null, progress: null, generations: [], scores: null, scoring: "", trouble: "", leave: () => own.abort() };
   const path = `campaigns/${encodeURIComponent(id)}`;
+  const patience = { ...context.patience, signal: own.signal };
 
   function refuse(error) {
     if (own.signal.aborted) return;
@@ -34,41 +35,28 @@ export function follow(id, context, changed) {
     const [first] = read.generations;
     const known = first === undefined ? followed.generations : followed.generations.filter((one) => one.number < first.number);
     followed.generations = [...known, ...read.generations];
-    if (!OPEN.has(read.status) && !followed.scores && !followed.scoring) score(followed, path, own.signal, changed, refuse);
+    if (!OPEN.has(read.status) && !followed.scores && !followed.scoring) score();
     changed();
   }
 
-  get(path, { signal: own.signal }).then((campaign) => {
+  async function score() {
+    followed.scoring = "being scored";
+    try {
+      Object.assign(followed, { scores: await whenMade(`${path}/scores`, patience), scoring: "" });
+    } catch (error) {
+      if (!own.signal.aborted) followed.scoring = "cannot be scored";
+      refuse(error);
+      return;
+    }
+    changed();
+  }
+
+  patiently(() => get(path, patience), patience).then((campaign) => {
     followed.campaign = campaign;
     const since = () => (followed.generations.at(-1)?.number ?? -1) + 1;
     poll(() => `${path}/progress?since=${since()}`, take,
-      { signal: own.signal, busy: (read) => read.status === "running", refuse, away: context.away });
+      { ...patience, busy: (read) => read.status === "running", refuse });
     changed();
   }).catch(refuse);
   return followed;
-}
-
-async function score(followed, path, signal, changed, refuse) {
-  followed.scoring = "being scored";
-  while (!signal.aborted) {
-    try {
-      const answer = await request("GET", `${path}/scores?wait_s=5`, { signal });
-      const read = await answer.json();
-      if (answer.status !== 202) {
-        Object.assign(followed, { scores: read, scoring: "" });
-        changed();
-        return;
-      }
-    } catch (error) {
-      if (signal.aborted) return;
-      if (!(error instanceof ApiError) || error.status === 401) return void refuse(error);
-      if (!error.passes) {
-        followed.scoring = "cannot be scored";
-        followed.trouble = error.message;
-        changed();
-        return;
-      }
-    }
-    await new Promise((resolve) => setTimeout(resolve, LOOK_AGAIN_MS));
-  }
 }

@@ -7,6 +7,7 @@ import { link } from "../../router.js";
 
 const USUAL = 20;
 const MOST = 10_000;
+const NO_GENERATION = 1_000_000_000;
 const ENDED = ["finished", "cancelled", "failed"];
 
 /** Return the card that asks for repeats of a solution, and shows what came of them. */
@@ -20,11 +21,10 @@ export function again(context, campaign, number) {
   const wanted = h("input", { id: "again", type: "number", min: 2, max: MOST, step: 1, value: USUAL, required: true });
   const go = h("button.primary", { type: "submit" }, "Simulate");
   const form = h("form.inline", { onsubmit: ask }, h("label", { for: "again" }, "Simulate it again with other seeds,"), wanted, h("span", null, "times"), go);
+  const place = h("div");
   const card = h("section.card", { "aria-label": "With other seeds" }, h("h2", null, "With other seeds"),
     h("p", null, "This solution was simulated once. How likely it is unsafe itself is known only by simulating it again: other pedestrians, other noise."),
-    !context.may.steer ? null : ENDED.includes(campaign.status) ? form
-      : h("p.hint", null, `It can be simulated again once its campaign has ended; it is ${campaign.status} now.`),
-    said, table);
+    place, said, table);
 
   async function ask(event) {
     event.preventDefault();
@@ -48,6 +48,15 @@ export function again(context, campaign, number) {
     text(said, latest ? sentence(latest) : "");
   }
 
+  function offer(status) {
+    if (!context.may.steer || place.firstChild === form) return;
+    replace(place, ENDED.includes(status) ? form : h("p.hint", null, `It can be simulated again once its campaign has ended; it is ${status} now.`));
+  }
+
+  offer(campaign.status);
+  if (context.may.steer && !ENDED.includes(campaign.status)) {
+    context.watch(`campaigns/${campaign.id}/progress?since=${NO_GENERATION}`, (read) => offer(read.status), { refuse: () => {} });
+  }
   const polling = context.watch(`campaigns/${campaign.id}/repeats`, take, {
     busy: (read) => read.some((one) => one.status === "running"), refuse: () => {},
   });

@@ -1,10 +1,9 @@
 /** What can be saved of an episode: a film, a picture, its specification. */
 
-import { ApiError, request, saveBlob } from "../../api.js";
-import { toast } from "../../context.js";
+import { saveBlob } from "../../api.js";
 import { h, text } from "../../dom.js";
-
-const ASKED = 30;
+import { whenMade } from "../../patience.js";
+import { comesBack } from "./made.js";
 
 /** Return the buttons that save a solution's episode. */
 export function downloads(context, path, name, spec) {
@@ -20,27 +19,13 @@ function drawn(context, path, file, words) {
     button.disabled = true;
     text(button, "Drawing …");
     try {
-      const answer = await whenMade(context, path);
-      if (answer) saveBlob(await answer.blob(), file);
-      else toast("The episode is not simulated yet; try again later.", { bad: true });
-    } catch (error) {
-      if (context.signal.aborted) return;
-      if (!(error instanceof ApiError)) throw error;
-      if (error.status === 401) context.signIn();
-      else toast(error.message, { bad: true });
+      await context.tell(async () => {
+        saveBlob(await whenMade(path, { ...context.patience, as: "blob", passes: comesBack }), file);
+      });
     } finally {
       button.disabled = false;
       text(button, words);
     }
   } }, words);
   return button;
-}
-
-/** Ask until it is there: 202 means that a worker makes the trace. */
-async function whenMade(context, path) {
-  for (let asked = 0; asked < ASKED; asked += 1) {
-    const answer = await request("GET", `${path}?wait_s=20`, { signal: context.signal });
-    if (answer.status === 200) return answer;
-  }
-  return null;
 }

@@ -1,12 +1,9 @@
 /** Gets an episode: waits while a worker makes it, says when nobody can, and asks again. */
 
-import { ApiError, request } from "../../api.js";
+import { ApiError } from "../../api.js";
 import { h, replace } from "../../dom.js";
 import { callout, workerCommand } from "../../parts/callout.js";
-
-const WAIT_S = 20;
-const AGAIN_MS = 2_000;
-const AWAY_MS = 3_000;
+import { whenMade } from "../../patience.js";
 
 /**
  * Return a place that says how far an episode is, and hands it on once it is there.
@@ -19,34 +16,23 @@ export function made(context, path, take) {
   const words = h("div", { role: "status" });
   const node = h("section.card", { "aria-label": "Replay" }, h("h2", null, "Replay"), words);
   const say = (...what) => replace(words, what);
-  const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
   async function ask() {
-    let wait_s = 0;
     say(h("p", null, "Asking for the episode …"));
-    while (!context.signal.aborted) {
-      try {
-        const answer = await request("GET", `${path}/episode?wait_s=${wait_s}`, { signal: context.signal });
-        if (answer.status === 200) {
-          const told = await answer.json();
-          node.remove();
-          take(told);
-          return;
-        }
-        say(h("p", null, "Its trace was not kept: a worker simulates the episode again, exactly as it was. This takes a few seconds once a worker is free."));
-        if (wait_s) await pause(AGAIN_MS);
-        wait_s = WAIT_S;
-      } catch (error) {
-        if (context.signal.aborted) return;
-        if (!(error instanceof ApiError)) throw error;
-        if (error.status === 401) context.signIn();
-        else if (error.status !== 0 && error.status !== 429) {
-          refused(error);
-          return;
-        }
-        await pause(AWAY_MS);
-      }
+    try {
+      const told = await whenMade(`${path}/episode`, { ...context.patience, making, passes: comesBack });
+      node.remove();
+      take(told);
+    } catch (error) {
+      if (context.signal.aborted) return;
+      if (!(error instanceof ApiError)) throw error;
+      if (error.status === 401) context.signIn();
+      else refused(error);
     }
+  }
+
+  function making() {
+    say(h("p", null, "Its trace was not kept: a worker simulates the episode again, exactly as it was. This takes a few seconds once a worker is free."));
   }
 
   function refused(error) {
@@ -61,6 +47,11 @@ export function made(context, path, take) {
 
   ask();
   return node;
+}
+
+/** Whether an error passes by itself: 503 says that there is no worker, who must be started first. */
+export function comesBack(error) {
+  return error.passes && error.status !== 503;
 }
 
 function capital(words) {

@@ -1,0 +1,61 @@
+/** Asking until there is an answer: a coordinator may be away for a while, and some answers take time to make. */
+
+import { ApiError, read, request } from "./api.js";
+import { pause, seen } from "./seen.js";
+
+const WAIT_S = 20;
+const AGAIN_MS = 1_000;
+const AWAY_MS = 3_000;
+
+/**
+ * @typedef {object} Patience
+ * @property {AbortSignal} signal Ends it.
+ * @property {(error: ApiError|null) => void} away Hears of each error that will pass, and null once there is an answer.
+ * @property {(error: ApiError) => boolean} [passes] Whether to ask again after an error.
+ */
+
+/**
+ * Return what is answered, asking again after errors that will pass; nothing is asked while nobody looks.
+ *
+ * @param {() => Promise<*>} ask
+ * @param {Patience} patience
+ * @throws {ApiError} If it is refused; whatever aborting throws, once the signal is.
+ */
+export async function patiently(ask, { signal, away, passes = (error) => error.passes }) {
+  while (true) {
+    await seen(signal);
+    signal.throwIfAborted();
+    try {
+      const answer = await ask();
+      away(null);
+      return answer;
+    } catch (error) {
+      if (!(error instanceof ApiError) || !passes(error)) throw error;
+      away(error);
+    }
+    await pause(AWAY_MS);
+  }
+}
+
+/**
+ * Return what a path holds once it is made: until then it is answered with 202.
+ *
+ * @param {string} path
+ * @param {Patience & {making?: (told: object) => void, as?: "json" | "blob"}} options ``making`` hears each time that it
+ *   is not made yet.
+ * @throws {ApiError} If it is refused; whatever aborting throws, once the signal is.
+ */
+export async function whenMade(path, { making = () => {}, as = "json", ...patience }) {
+  let wait_s = 0; // the first answer says at once how it stands
+  async function ask() {
+    const answer = await request("GET", `${path}?wait_s=${wait_s}`, patience);
+    return answer.status === 202 ? { told: await read(answer) } : { made: await read(answer, as) };
+  }
+  while (true) {
+    const { told, made } = await patiently(ask, patience);
+    if (made !== undefined) return made;
+    making(told);
+    if (wait_s) await pause(AGAIN_MS);
+    wait_s = WAIT_S;
+  }
+}
