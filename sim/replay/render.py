@@ -1,17 +1,14 @@
 """The one door to replays: a trace becomes a picture or a film, by the extension of the file."""
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final, TypeAlias
+from typing import Final
 
 from sim.replay.errors import ReplayError
 from sim.replay.layout import DEFAULT_SIZE, Size
+from sim.replay.progress import Progress
 from sim.trace import Trace
-
-Progress: TypeAlias = Callable[[int, int], None]
-"""Called with the number of frames done and the number of all."""
 
 DEFAULT_SIZES: Final[dict[str, Size]] = {".png": (1280, 720), ".gif": (800, 450), ".mp4": DEFAULT_SIZE}
 """Size of the frames of each kind of file; a PNG has more below its frame."""

@@ -10,7 +10,7 @@ import av
 import numpy as np
 from PIL import Image
 
-from sim.replay.render import Progress
+from sim.replay.progress import Progress
 from sim.replay.top_down import FramePainter
 
 FRAMES_PER_S: Final = 10

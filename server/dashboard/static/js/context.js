@@ -45,16 +45,11 @@ export class Context {
 
   /** Do something, say so, and return what was answered; undefined if it was refused, which is said too. */
   async act(method, path, said, options = {}) {
-    try {
+    return this.tell(async () => {
       const answer = await send(method, path, options);
       if (said) toast(said);
       return answer;
-    } catch (error) {
-      if (!(error instanceof ApiError)) throw error;
-      if (error.status === 401) this.signIn();
-      else toast(error.message, { bad: true });
-      return undefined;
-    }
+    });
   }
 
   /** Do something small of the view; its error is said, and the view stays. */
@@ -62,8 +57,10 @@ export class Context {
     try {
       return await doing();
     } catch (error) {
-      if (this.signal.aborted) return undefined;
-      if (!(error instanceof ApiError)) throw error;
+      if (!(error instanceof ApiError)) {
+        if (this.signal.aborted) return undefined;
+        throw error;
+      }
       if (error.status === 401) this.signIn();
       else toast(error.message, { bad: true });
       return undefined;
@@ -86,19 +83,6 @@ export class Context {
     this.#end.abort(); // nothing else of the view goes on
     replace(this.main, h("div.empty", null, h("h1", null, heading), h("p", null, error.message),
       h("p", null, h("a", { href: "#/" }, "All campaigns"))));
-  }
-
-  /** Run something asynchronous of the view; its error is shown, unless the view was left meanwhile. */
-  async attempt(doing) {
-    try {
-      return await doing();
-    } catch (error) {
-      if (this.signal.aborted) return undefined;
-      if (!(error instanceof ApiError)) throw error;
-      if (error.status === 401) this.signIn();
-      else this.fail(error);
-      return undefined;
-    }
   }
 }
 
