@@ -4,7 +4,8 @@ ServerError
 ├── InvalidInput      422  input does not say something that can be done; carries a pointer to each field
 ├── NotFound          404  no such resource
 ├── Conflict          409  the resource is in a state that does not allow this
-├── Unavailable       503  try again later: the database is away, the coordinator is stopping, no worker can
+├── Unavailable       503  try again later: the database is away, the coordinator is stopping
+│   └── NoWorker           no live worker can do it
 └── DatabaseError     1    command line only: the database cannot be used as it is
     └── Damaged            of one campaign, which ends with it
 """
@@ -68,6 +69,10 @@ class Unavailable(ServerError):
     def __init__(self, message: str, *, retry_after_s: int = 1) -> None:
         self.retry_after_s = retry_after_s
         super().__init__(message)
+
+
+class NoWorker(Unavailable):
+    """No live worker can do it: somebody has to start one."""
 
 
 class DatabaseError(ServerError):

@@ -1,5 +1,6 @@
 """Routes of experiments: submit, list, look, control, progress, results."""
 
+import asyncio
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Query, Request, Response
@@ -137,4 +138,4 @@ async def get_results(
     if missing:
         view = BeingMade(detail=f"scored {len(repeats)} of {len(repeats) + missing} finished campaigns")
         return JSONResponse(view.model_dump(), status_code=202, headers={"Retry-After": "2"})  # type: ignore[return-value]
-    return results_view(experiment, repeats)
+    return await asyncio.get_running_loop().run_in_executor(None, results_view, experiment, repeats)

@@ -13,10 +13,14 @@ from starlette.exceptions import HTTPException
 
 from server.campaigns.body import field_errors
 from server.db.writer import passes
-from server.errors import Conflict, FieldError, InvalidInput, NotFound, Unavailable
+from server.errors import Conflict, FieldError, InvalidInput, NotFound, NoWorker, Unavailable
 
 MEDIA_TYPE = "application/problem+json"
 log = logging.getLogger(__name__)
+
+
+NO_WORKER = "No worker"
+"""What is in the way: a page then says how to start one."""
 
 
 def problem(
@@ -57,7 +61,8 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(Unavailable)
     async def unavailable(_: Request, error: Unavailable) -> JSONResponse:
-        return problem(503, "Unavailable", str(error), headers={"Retry-After": str(error.retry_after_s)})
+        title = NO_WORKER if isinstance(error, NoWorker) else "Unavailable"
+        return problem(503, title, str(error), headers={"Retry-After": str(error.retry_after_s)})
 
     @app.exception_handler(DBAPIError)
     async def database_away(request: Request, error: DBAPIError) -> JSONResponse:

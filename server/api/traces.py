@@ -17,7 +17,7 @@ from server.campaigns.service import read
 from server.campaigns.traces import find_trace, simulator_of, trace_job
 from server.campaigns.values import Campaign
 from server.db.models import JobStatus
-from server.errors import Conflict, NotFound, Unavailable
+from server.errors import Conflict, NotFound, NoWorker
 from server.queue.workers import can_run
 from sim.errors import SimulatorError
 
@@ -67,7 +67,7 @@ async def trace_of(
     Raises:
         NotFound: There is no such solution, or it was not simulated.
         Conflict: Its simulator records none, or the trace cannot be made.
-        Unavailable: No live worker can make it.
+        NoWorker: No live worker can make it.
     """
     deadline = asyncio.get_running_loop().time() + wait_s
 
@@ -87,7 +87,7 @@ async def trace_of(
             if seen.needs is None:
                 raise NotFound(f"campaign {campaign.id} has no simulated solution {number}")
             if seen.away:
-                raise Unavailable(
+                raise NoWorker(
                     f"solution {number}: no live worker can run {seen.needs} to make the trace; start one, "
                     "and ask again",
                     retry_after_s=NO_WORKER_RETRY_S,

@@ -84,18 +84,26 @@ def test_what_takes_a_while_is_not_asked_for_while_nobody_looks(site: Served, vi
     assert asked == []
     page.unroute("**/episode?*")
     page.evaluate(HIDE, False)
+    page.clock.resume()
     shown(page.get_by_role("button", name="Play", exact=True)).to_be_visible(timeout=60_000)
 
 
-def test_a_client_that_asked_too_much_is_told_so_and_waits(
-    site: Served, visit: Visits, console: Console
+@pytest.mark.parametrize(
+    ("status", "detail", "words"),
+    [
+        (429, "too many requests", "The coordinator was asked more than this client may ask in a while."),
+        (503, "the database did not answer", "The database did not answer."),
+    ],
+)
+def test_what_keeps_answers_away_is_said_until_they_come(
+    site: Served, visit: Visits, console: Console, status: int, detail: str, words: str
 ) -> None:
     page = visit(site.url, stopped=True)
     shown(page.get_by_role("link", name="night rain", exact=True)).to_be_visible()
-    console.expect_status(429)
-    page.route("**/overview*", lambda route: route.fulfill(status=429, json={"detail": "too many requests"}))
+    console.expect_status(status)
+    page.route("**/overview*", lambda route: route.fulfill(status=status, json={"detail": detail}))
     page.clock.run_for(IDLE_MS)
-    notice = page.get_by_text("asked more than this client may ask")
+    notice = page.get_by_text(f"{words} This page tries again; nothing that it holds is lost.")
     shown(notice).to_be_visible()
     shown(page.get_by_role("link", name="night rain", exact=True)).to_be_visible()
     page.unroute("**/overview*")

@@ -137,9 +137,14 @@ def test_a_file_that_is_wrong_is_left_for_the_form_and_kept(
     page.get_by_role("button", name="Form", exact=True).click()
     said = page.get_by_role("alert").filter(has_text="the form is as it was before")
     shown(said).to_contain_text("Did you mean random@1?")
-    shown(page.get_by_label("Name", exact=True)).to_have_value("before the file")
+    name = page.get_by_label("Name", exact=True)
+    shown(name).to_have_value("before the file")
+    name.fill("changed meanwhile")
     page.get_by_role("button", name="Campaign file").click()
     shown(text).to_have_value(re.compile("randm@1"))
+    text.fill(FILE)
+    page.get_by_role("button", name="Form", exact=True).click()
+    shown(name).to_have_value("from a file")
 
 
 def test_a_problem_with_defaults_of_its_own_says_them_in_the_form(site: Served, visit: Visits) -> None:

@@ -24,4 +24,11 @@ def roomy(folder: Path) -> bool:
     """Return whether there is a lot of room in a folder, and programs can be run from there."""
     if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
         return False
-    return shutil.disk_usage(folder).free > ENOUGH_BYTES and not os.statvfs(folder).f_flag & os.ST_NOEXEC
+    return (
+        min(shutil.disk_usage(folder).free, _memory_bytes() // 3) > ENOUGH_BYTES
+        and not os.statvfs(folder).f_flag & os.ST_NOEXEC
+    )
+
+
+def _memory_bytes() -> int:
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")

@@ -13,12 +13,19 @@ export class ApiError extends Error {
    * @param {number} status Of HTTP; 0 if the coordinator did not answer.
    * @param {string} detail What is wrong.
    * @param {{pointer: string, message: string, nearest: string|null}[]} errors One a wrong field.
+   * @param {string} title The kind of error, such as ``No worker``.
    */
-  constructor(status, detail, errors = []) {
+  constructor(status, detail, errors = [], title = "") {
     super(detail);
     this.name = "ApiError";
     this.status = status;
+    this.title = title;
     this.errors = errors;
+  }
+
+  /** Whether somebody has to start a worker first. */
+  get noWorker() {
+    return this.title === "No worker";
   }
 
   /** Whether trying again later may help. */
@@ -70,13 +77,21 @@ export async function request(method, path, { json, text, etag, signal, headers:
   throw await refusal(answer);
 }
 
-/** Return what an answer holds, as JSON or a blob; a connection that is lost within it is one that was never there. */
+/** Return what an answer holds, as JSON, text or a blob; a connection that is lost within it is one that was never there. */
 export async function read(answer, as = "json") {
   try {
     return await answer[as]();
   } catch (error) {
     if (error.name === "AbortError") throw error;
     throw new ApiError(0, "the coordinator does not answer");
+  }
+}
+
+function parsed(written) {
+  try {
+    return JSON.parse(written);
+  } catch {
+    throw new ApiError(0, "what came is not from the coordinator"); // a proxy's
   }
 }
 
@@ -87,7 +102,7 @@ async function refusal(answer) {
   } catch {
     // not ours: a proxy's
   }
-  return new ApiError(answer.status, told?.detail ?? `${answer.status} ${answer.statusText}`, told?.errors ?? []);
+  return new ApiError(answer.status, told?.detail ?? `${answer.status} ${answer.statusText}`, told?.errors ?? [], told?.title);
 }
 
 /** Return what a path holds. */
@@ -101,19 +116,23 @@ export async function send(method, path, options = {}) {
   return answer.status === 204 ? null : read(answer);
 }
 
-/** Remembers one path's tag, so that what did not change is not sent again. */
+/** Remembers one path's tag, so that what did not change is not sent again; or, if it has none, the answer itself. */
 export class Conditional {
   #path = null;
   #etag = null;
+  #text = null;
 
   /** Return what a path holds, or UNCHANGED since the last call for the same path. */
   async get(path, { signal } = {}) {
     const etag = path === this.#path ? this.#etag : null;
     const answer = await request("GET", path, { etag, signal });
     if (answer.status === 304) return UNCHANGED;
-    const told = await read(answer);
+    const written = await read(answer, "text");
+    if (path === this.#path && written === this.#text) return UNCHANGED;
+    const told = parsed(written);
     this.#path = path;
     this.#etag = answer.headers.get("etag");
+    this.#text = this.#etag ? null : written;
     return told;
   }
 

@@ -33,20 +33,24 @@ export class Context {
   }
 
   /** Poll a path while the view is there; see `poll`. A refusal takes the view's place unless `refuse` is given. */
-  watch(path, take, { busy, refuse = (error) => this.fail(error) } = {}) {
+  watch(path, take, { busy, until, refuse = (error) => this.fail(error) } = {}) {
     const heard = (error) => (error.status === 401 ? this.signIn() : refuse(error));
-    return poll(path, take, { ...this.patience, busy, refuse: heard });
+    const signal = until ? AbortSignal.any([this.signal, until]) : this.signal;
+    return poll(path, take, { ...this.patience, signal, busy, refuse: heard });
   }
 
   /** Return what a path holds. */
-  get(path) {
-    return get(path, { signal: this.signal });
+  async get(path) {
+    const told = await get(path, { signal: this.signal });
+    this.patience.away(null);
+    return told;
   }
 
   /** Do something, say so, and return what was answered; undefined if it was refused, which is said too. */
   async act(method, path, said, options = {}) {
     return this.tell(async () => {
       const answer = await send(method, path, options);
+      this.patience.away(null);
       if (said) toast(said);
       return answer;
     });

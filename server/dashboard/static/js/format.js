@@ -8,6 +8,16 @@ export function count(value) {
   return value === null || value === undefined ? "–" : whole.format(value);
 }
 
+/** The same with a capital. */
+export function capital(words) {
+  return words.charAt(0).toUpperCase() + words.slice(1);
+}
+
+/** A sentence of its own. */
+export function sentence(words) {
+  return /[.!?]$/.test(words) ? capital(words) : `${capital(words)}.`;
+}
+
 /** A figure with so many significant digits: ``0.0123``. */
 export function figure(value, digits = 3) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";

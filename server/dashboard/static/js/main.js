@@ -3,7 +3,9 @@
 import { ApiError, get } from "./api.js";
 import { Context } from "./context.js";
 import { attribute, h, replace, text } from "./dom.js";
+import { sentence } from "./format.js";
 import { place } from "./router.js";
+import { seen } from "./seen.js";
 import { currentToken, dropToken, rights } from "./session.js";
 import { chosen, turn } from "./theme.js";
 
@@ -15,6 +17,7 @@ const NAV = [
   ["#/jobs", "Jobs", ["jobs"]],
 ];
 
+const AWAY_MS = 3_000;
 const AWAY = { 0: "The coordinator does not answer.", 429: "The coordinator was asked more than this client may ask in a while." };
 
 const main = document.getElementById("main");
@@ -77,7 +80,8 @@ async function show({ focus = true } = {}) {
 function tryAgain(error) {
   sayAway(error);
   clearTimeout(retrying);
-  retrying = setTimeout(show, 3_000);
+  const { signal } = shown;
+  retrying = setTimeout(() => seen(signal).then(() => signal.aborted || show()), AWAY_MS);
 }
 
 /** Ask who looks; without a token that is taken, ask for one. Returns whether the view may be shown. */
@@ -133,7 +137,7 @@ function drawTools() {
 
 /** Say what keeps answers away, until one comes. */
 function sayAway(error) {
-  const words = error && `${AWAY[error.status] ?? error.message} This page tries again; nothing that it holds is lost.`;
+  const words = error && `${AWAY[error.status] ?? sentence(error.message)} This page tries again; nothing that it holds is lost.`;
   if (notice.textContent === (words ?? "")) return;
   notice.hidden = !words;
   replace(notice, words && h("p.away", null, words));

@@ -2,7 +2,7 @@
 
 import { ApiError } from "../api.js";
 import { h, keyed, replace, text } from "../dom.js";
-import { count, percent, plural, rate, span, when } from "../format.js";
+import { capital, count, percent, plural, rate, span, when } from "../format.js";
 import { badge } from "../parts/badge.js";
 import { callout } from "../parts/callout.js";
 import { sure } from "../parts/confirm.js";
@@ -126,7 +126,7 @@ function resultsOf(path, context, scoring, take) {
     under_way = true;
     const asked = wanted;
     try {
-      const read = await whenMade(`${path}/results`, { ...context.patience, making });
+      const read = await whenMade(`${path}/results`, { ...context.patience, making, firstS: 2, waitS: 2 });
       text(scoring, "");
       take(read);
     } catch (error) {
@@ -142,7 +142,7 @@ function resultsOf(path, context, scoring, take) {
   }
 
   function making({ detail }) {
-    text(scoring, `${detail[0].toUpperCase()}${detail.slice(1)}; the tables come when all are.`);
+    text(scoring, `${capital(detail)}; the tables come when all are.`);
   }
 
   return { want: (finished) => { wanted = finished; look(); } };

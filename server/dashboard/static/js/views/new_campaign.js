@@ -43,6 +43,7 @@ export async function show(main, context, { query }) {
       h("p.hint", { id: "yaml-help" }, "YAML or JSON with the same fields as the form, and llm for a language model.")),
   };
   let mode = "form";
+  let left = false; // whether a file was left that the form could not take: it is not written over
   let untouched = JSON.stringify(form.read(), null, 2);
   const modes = Object.entries({ form: "Form", file: "Campaign file" }).map(([name, words]) => h("button",
     { type: "button", "aria-pressed": String(name === mode), data: { mode: name }, onclick: () => turn(name) }, words));
@@ -59,6 +60,7 @@ export async function show(main, context, { query }) {
   async function turn(name) {
     if (name === mode) return;
     const taken = name === "file" ? fileFromForm() : await attempt(async () => form.fill(await written()));
+    left = name === "form" && !taken;
     mode = name;
     for (const [each, pane] of Object.entries(panes)) pane.hidden = each !== mode;
     for (const each of modes) each.setAttribute("aria-pressed", String(each.dataset.mode === mode));
@@ -69,7 +71,7 @@ export async function show(main, context, { query }) {
   /** Write the form as a file, unless nothing was written there: then an example, or what was pasted before, says more. */
   function fileFromForm() {
     const now = JSON.stringify(form.read(), null, 2);
-    if (now !== untouched) file.value = `# JSON is YAML, too.\n${now}\n`;
+    if (now !== untouched && !left) file.value = `# JSON is YAML, too.\n${now}\n`;
     untouched = now;
     return true;
   }
@@ -216,7 +218,8 @@ function plugin(part, title, known, first, told = () => {}) {
     select.value = id;
     text(summary, chosen.id === id ? chosen.summary : "");
     const properties = chosen.id === id ? chosen.params.properties ?? {} : {};
-    fields = Object.entries(properties).map(([name, schema]) => field(name, name in suggested ? { ...schema, default: suggested[name] } : schema, `/${part}/params/${name}`));
+    fields = Object.entries(properties).map(([name, schema]) => field(name, schema, `/${part}/params/${name}`));
+    if (fields.length) suggest(suggested);
     replace(place, fields.map((one) => one.node));
     more.hidden = fields.length === 0;
     told(chosen.id === id ? chosen : null);
@@ -234,10 +237,10 @@ function plugin(part, title, known, first, told = () => {}) {
     return { id: select.value, params: { ...unknown, ...params } };
   }
 
-  /** Show other defaults than the schema's; what is filled in stays. */
+  /** Show other defaults than the schema's. */
   function suggest(defaults) {
     suggested = defaults;
-    fill(read());
+    for (const one of fields) one.suggest(suggested[one.pointer.split("/").at(-1)]);
   }
 
   choose(known.some((one) => one.id === first) ? first : known[0].id);

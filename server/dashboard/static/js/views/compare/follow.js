@@ -42,7 +42,7 @@ export function follow(id, context, changed) {
   async function score() {
     followed.scoring = "being scored";
     try {
-      Object.assign(followed, { scores: await whenMade(`${path}/scores`, patience), scoring: "" });
+      Object.assign(followed, { scores: await whenMade(`${path}/scores`, { ...patience, firstS: 3, waitS: 3 }), scoring: "" });
     } catch (error) {
       if (!own.signal.aborted) followed.scoring = "cannot be scored";
       refuse(error);

@@ -55,7 +55,11 @@ export function again(context, campaign, number) {
 
   offer(campaign.status);
   if (context.may.steer && !ENDED.includes(campaign.status)) {
-    context.watch(`campaigns/${campaign.id}/progress?since=${NO_GENERATION}`, (read) => offer(read.status), { refuse: () => {} });
+    const ended = new AbortController();
+    context.watch(`campaigns/${campaign.id}/progress?since=${NO_GENERATION}`, (read) => {
+      offer(read.status);
+      if (ENDED.includes(read.status)) ended.abort();
+    }, { refuse: () => {}, until: ended.signal });
   }
   const polling = context.watch(`campaigns/${campaign.id}/repeats`, take, {
     busy: (read) => read.some((one) => one.status === "running"), refuse: () => {},

@@ -2,6 +2,7 @@
 
 import { ApiError } from "../../api.js";
 import { h, replace } from "../../dom.js";
+import { sentence } from "../../format.js";
 import { callout, workerCommand } from "../../parts/callout.js";
 import { whenMade } from "../../patience.js";
 
@@ -20,7 +21,7 @@ export function made(context, path, take) {
   async function ask() {
     say(h("p", null, "Asking for the episode …"));
     try {
-      const told = await whenMade(`${path}/episode`, { ...context.patience, making, passes: comesBack });
+      const told = await whenMade(`${path}/episode`, { ...context.patience, making });
       node.remove();
       take(told);
     } catch (error) {
@@ -37,23 +38,14 @@ export function made(context, path, take) {
 
   function refused(error) {
     const retry = h("button", { type: "button", onclick: ask }, "Try again");
-    if (error.status === 503) {
-      say(callout("warn", h("p", null, `To be shown, the episode must be simulated again. ${capital(error.message)}.`),
+    if (error.noWorker) {
+      say(callout("warn", h("p", null, `To be shown, the episode must be simulated again. ${sentence(error.message)}`),
         h("p", null, "Start a worker: ", workerCommand())), retry);
     } else {
-      say(callout("", `There is no replay: ${error.message}.`), error.status === 409 && retry);
+      say(callout("", `There is no replay. ${sentence(error.message)}`), error.status === 409 && retry);
     }
   }
 
   ask();
   return node;
-}
-
-/** Whether an error passes by itself: 503 says that there is no worker, who must be started first. */
-export function comesBack(error) {
-  return error.passes && error.status !== 503;
-}
-
-function capital(words) {
-  return words.charAt(0).toUpperCase() + words.slice(1);
 }

@@ -1,7 +1,7 @@
 /** The parameters of a solution: a table a component; names with a common beginning become columns. */
 
 import { h } from "../../dom.js";
-import { spaced, value } from "../../format.js";
+import { capital, spaced, value } from "../../format.js";
 
 /** Return the cards of a solution's components. */
 export function parameters(given) {
@@ -50,8 +50,4 @@ function grouped(values) {
 function getOr(mapping, key, make) {
   if (!mapping.has(key)) mapping.set(key, make());
   return mapping.get(key);
-}
-
-function capital(words) {
-  return words.charAt(0).toUpperCase() + words.slice(1);
 }
