@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, func, select
+from sqlalchemy import Connection, Row, Select, bindparam, func, select
 
 from server.campaigns.step_store import MAX_NAMED
 from server.campaigns.values import GenerationSummary
@@ -19,6 +19,15 @@ from server.db.models import (
 
 _NOT_DONE = tuple(status for status in JobStatus if status is not JobStatus.DONE)
 
+# Every page that is open asks for these every few seconds: to build a statement anew takes longer than to run it.
+_PULSE = select(CampaignRow.sequence, CampaignRow.finished_at).where(CampaignRow.id == bindparam("campaign"))
+_OPEN_JOBS = (
+    select(JobRow.status, func.count())
+    .where(JobRow.campaign_id == bindparam("campaign"), EVALUATES)
+    .where(JobRow.status.in_(_NOT_DONE))  # not "other than done", which would look at all jobs
+    .group_by(JobRow.status)
+)
+
 
 def read_pulse(connection: Connection, campaign_id: str) -> tuple[object, ...] | None:
     """Return what is another one whenever something of a campaign has changed, quickly; None if there is none.
@@ -27,9 +36,7 @@ def read_pulse(connection: Connection, campaign_id: str) -> tuple[object, ...] |
         connection: Sees one snapshot.
         campaign_id: Its whole id.
     """
-    row = connection.execute(
-        select(CampaignRow.sequence, CampaignRow.finished_at).where(CampaignRow.id == campaign_id)
-    ).one_or_none()
+    row = connection.execute(_PULSE, {"campaign": campaign_id}).one_or_none()
     if row is None:
         return None
     if row.finished_at is not None:  # the jobs of what has ended stay as they are
@@ -56,13 +63,7 @@ def list_generations(connection: Connection, campaign_id: str, since: int) -> li
 
 def count_open_jobs(connection: Connection, campaign_id: str) -> dict[str, int]:
     """Return how many of a campaign's jobs are in each state that is not done, and done in this generation."""
-    query = (
-        select(JobRow.status, func.count())
-        .where(JobRow.campaign_id == campaign_id, EVALUATES)
-        .where(JobRow.status.in_(_NOT_DONE))  # not "other than done", which would look at all jobs
-        .group_by(JobRow.status)
-    )
-    return {str(row[0]): int(row[1]) for row in connection.execute(query)}
+    return {str(row[0]): int(row[1]) for row in connection.execute(_OPEN_JOBS, {"campaign": campaign_id})}
 
 
 def count_origins(connection: Connection, campaign_id: str) -> dict[str, int]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
 
-from sqlalchemy import Connection, delete, exists, func, insert, select, update
+from sqlalchemy import Connection, bindparam, delete, exists, func, insert, select, update
 
 from server.db.clock import database_now
 from server.db.locking import locked
@@ -14,6 +14,11 @@ from server.db.many import among
 from server.db.models import IS_LEASED, JobRow, WorkerRow
 from worker.machine import machine_name
 from worker.wire import HeldLease, WorkerIdentity
+
+_LIVE = select(WorkerRow.id, WorkerRow.machine, WorkerRow.pid, WorkerRow.capabilities).where(
+    WorkerRow.last_seen_at >= bindparam("horizon")
+)
+"""Made once: every page that is open asks for it every few seconds."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,12 +98,9 @@ def list_seen(connection: Connection, *, within_s: float | None = None) -> list[
 def capabilities_of_live(connection: Connection, within_s: float) -> dict[str, tuple[str, ...]]:
     """Return what each worker can run that any coordinator heard of lately, but for those known to be dead."""
     horizon = database_now(connection) - timedelta(seconds=within_s)
-    query = select(WorkerRow.id, WorkerRow.machine, WorkerRow.pid, WorkerRow.capabilities).where(
-        WorkerRow.last_seen_at >= horizon
-    )
     return {
         row.id: tuple(row.capabilities)
-        for row in connection.execute(query)
+        for row in connection.execute(_LIVE, {"horizon": horizon})
         if not process_is_gone(row.machine, row.pid)
     }
 
