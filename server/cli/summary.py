@@ -86,6 +86,7 @@ def _print_next(
 ) -> None:
     campaign = summary["campaign"]
     hints = [hint for one in findings for hint in one.hints(campaign, database)]
+    hints.append((f"serve{database}", "look at it in a browser, with replays"))
     if any("replay-" in path for path in summary["files"]):
         best = boundary["solutions"][0]["number"]
         hints.append((f"replay {campaign} {best} --out replay.mp4{database}", "watch the best one"))

@@ -61,7 +61,7 @@ async function show({ focus = true } = {}) {
   try {
     const view = await loading;
     if (mine.signal.aborted) return;
-    replace(main);
+    replace(main, h("p.loading", { role: "status" }, "Loading …")); // the view takes its place
     window.scrollTo(0, 0);
     await view.show(main, context, where);
     if (focus && !mine.signal.aborted) main.focus({ preventScroll: true });
