@@ -72,23 +72,22 @@ _HOLDINGS_SQLITE = text(  # which, without statistics, would look through all le
     "SELECT lease_worker, attempt FROM jobs INDEXED BY ix_jobs_lease_worker "
     f"WHERE status = '{JobStatus.LEASED}' AND lease_worker IN (SELECT value FROM json_each(:workers))"
 )
-# Those that nobody can run now must not cost everybody a look for each worker.
-_TRIED = (
-    select(JobRow.id, JobRow.campaign_id, JobRow.kind)
-    .where(_IS_QUEUED, _WAS_TRIED, _DUE, among(JobRow.needs, "capabilities"))
-    .offset(0)  # by themselves: Postgres would look for them among all that is queued of each campaign
-    .subquery()
-)
+# Those that nobody can run now must not cost everybody a look for each worker. The order is that of the index of
+# retries, which Postgres takes then if it is asked for the first few: else, as most jobs were tried once, it may look
+# through all jobs, or through all that is queued of each campaign.
 _DUE_RETRY = (
-    select(_TRIED.c.id)
-    .join(CampaignRow, CampaignRow.id == _TRIED.c.campaign_id)
+    select(JobRow.id)
     .where(
+        _IS_QUEUED, _WAS_TRIED, _DUE, among(JobRow.needs, "capabilities"),
         or_(
-            _TRIED.c.kind == literal(JobKind.TRACE, literal_execute=True),
-            CampaignRow.status == CampaignStatus.RUNNING,
-        )
+            _IS_TRACE,
+            JobRow.campaign_id.in_(
+                select(CampaignRow.id).where(CampaignRow.status == CampaignStatus.RUNNING)
+            ),
+        ),
     )
-)
+    .order_by(JobRow.not_before)
+)  # fmt: skip
 _WORK = (
     select(JobRow.id)
     .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
@@ -105,7 +104,7 @@ _OTHERS = (
     exists(select(JobRow.id).where(_IS_QUEUED, _IS_TRACE, among(JobRow.needs, "capabilities"))).label(
         "traces"
     ),
-    exists(_DUE_RETRY).label("retries"),
+    _DUE_RETRY.limit(literal(1, literal_execute=True)).scalar_subquery().is_not(None).label("retries"),
 )
 _WAITING = select(_counted(_WORK), *_OTHERS)
 _WAITING_OR_TRIED = select(
@@ -120,7 +119,9 @@ _WAITING_OR_TRIED = select(
         )
     ).label("tried"),
 )
-_DUE_RETRIES = select(func.count()).select_from(_DUE_RETRY.subquery())
+_DUE_RETRIES = select(func.count()).select_from(_DUE_RETRY.limit(bindparam("most")).subquery())
+MOST_WOKEN = 10_000
+"""More workers would hardly wait at one coordinator."""
 _FRESH = select(*_GRANTED).where(*_ELIGIBLE, JobRow.attempt == 0)
 _FRESH_TRACES = _FRESH.where(_IS_TRACE).order_by(JobRow.id).limit(bindparam("most"))
 _FRESH_WORK = (
@@ -199,8 +200,11 @@ class _Line:
 
 
 def due_retries(connection: Connection, capabilities: Iterable[str]) -> int:
-    """Return how many jobs whose backoff is over wait to be tried again, of those that workers like this can run."""
-    known = {"now": database_now(connection), "capabilities": sorted(capabilities)}
+    """Return how many jobs whose backoff is over wait to be tried again, of those that workers like this can run.
+
+    Above `MOST_WOKEN` they are not counted.
+    """
+    known = {"now": database_now(connection), "capabilities": sorted(capabilities), "most": MOST_WOKEN}
     return connection.execute(_DUE_RETRIES, known).scalar_one()
 
 
