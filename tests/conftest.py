@@ -7,20 +7,18 @@ from pathlib import Path
 import httpx
 import pytest
 from hypothesis import settings
+from support import problems
 from support.api import coordinator
 from support.databases import BACKENDS, Databases, sqlite_template
 from support.llm_endpoint import Endpoint, serving
 from support.postgres import PostgresDatabases, running_postgres
-from support.problems import PLUGINS
 from support.queue import Queue
 from support.scheduling import ByFolder
 from support.scratch import use_memory
 from xdist.remote import Producer
 
 from server.bench.temporary.postgres import NoPostgres
-from server.catalogue import PROBLEMS
 from server.db.engine import Engines, open_engines
-from sim import catalogue
 
 # A check that everybody must pass tries the same examples each time; people's own runs go on looking for new ones.
 settings.register_profile("ci", derandomize=True, deadline=None)
@@ -54,12 +52,23 @@ def sqlite_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return sqlite_template(tmp_path_factory.mktemp("sqlite"))
 
 
-@pytest.fixture(params=BACKENDS)
-def databases(request: pytest.FixtureRequest, sqlite_file: Path, tmp_path: Path) -> Databases:
-    """Databases of one kind: a test that uses them runs on SQLite and on Postgres."""
+def databases_in(folder: Path, request: pytest.FixtureRequest) -> Databases:
     backend: str = request.param
     postgres = request.getfixturevalue("postgres_databases") if backend == "postgres" else None
-    return Databases(backend=backend, template=sqlite_file, folder=tmp_path, postgres=postgres)
+    template = request.getfixturevalue("sqlite_file")
+    return Databases(backend=backend, template=template, folder=folder, postgres=postgres)
+
+
+@pytest.fixture(params=BACKENDS)
+def databases(request: pytest.FixtureRequest, tmp_path: Path) -> Databases:
+    """Databases of one kind: a test that uses them runs on SQLite and on Postgres."""
+    return databases_in(tmp_path, request)
+
+
+@pytest.fixture(scope="module", params=BACKENDS)
+def databases_of_file(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Databases:
+    """Databases of one kind for all tests of a file, which then runs on SQLite and on Postgres."""
+    return databases_in(tmp_path_factory.mktemp("databases"), request)
 
 
 @pytest.fixture
@@ -78,9 +87,10 @@ def engines(database_url: str) -> Iterator[Engines]:
 
 
 @pytest.fixture
-def small_problems(monkeypatch: pytest.MonkeyPatch) -> None:
+def small_problems() -> Iterator[None]:
     """Register ``ball@1`` and ``line@1`` for the length of a test."""
-    monkeypatch.setitem(catalogue._registered, PROBLEMS, dict(PLUGINS))
+    with problems.small_problems():
+        yield
 
 
 @pytest.fixture

@@ -9,10 +9,11 @@ import pytest
 from playwright.sync_api import Browser
 from playwright.sync_api import expect as shown
 from support.api import ball, coordinator, submit
+from support.problems import small_problems
 
 import server.access.gate
 from browser.console import Console, silence
-from browser.served import LOOSELY, NOBODYS, SECRET, Served, served, small_problems, unsafe_one
+from browser.served import LOOSELY, NOBODYS, SECRET, Served, served, unsafe_one
 from browser.views import View, views_of
 from browser.visits import PATIENCE_MS, Visits, visiting
 from server.bench.temporary.chromium import NoChromium, chromium, executable

@@ -13,7 +13,7 @@ from playwright.sync_api import ConsoleMessage, Error, Page
 _REFUSED = r"Failed to load resource: the server responded with a status of {status} "
 _LOST = (
     r"Failed to load resource: net::ERR_"
-    r"(CONNECTION_\w+|EMPTY_RESPONSE|SOCKET_NOT_CONNECTED|CONTENT_LENGTH_MISMATCH|INCOMPLETE_\w+)"
+    r"(CONNECTION_\w+|EMPTY_RESPONSE|SOCKET_NOT_CONNECTED|CONTENT_LENGTH_MISMATCH|INCOMPLETE_CHUNKED_ENCODING)"
 )
 
 

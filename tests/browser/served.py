@@ -12,13 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import httpx
-import pytest
 from support.api import ball, coordinator, eventually, expect, progress, submit
-from support.problems import PLUGINS
+from support.problems import small_problems
 from support.processes import Program
-
-from server.catalogue import PROBLEMS
-from sim import catalogue
 
 API = "/api/v1"
 PATIENCE_S = 90.0
@@ -80,14 +76,6 @@ class Served:
 def origin(client: httpx.Client) -> str:
     """Return the URL of a client's coordinator."""
     return str(client.base_url).rstrip("/")
-
-
-@contextmanager
-def small_problems() -> Iterator[None]:
-    """Have this process know the ball until the end of the block."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(catalogue._registered, PROBLEMS, dict(PLUGINS))
-        yield
 
 
 @contextmanager

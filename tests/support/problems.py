@@ -1,9 +1,12 @@
 """Small problems for tests: a ball in the plane, simulated by ``faulty@1``, and a line with one component."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, ClassVar
+
+import pytest
 
 from search.algorithm import Evaluation, Measured, Scored
 from search.settings import check_settings, setting
@@ -11,6 +14,7 @@ from search.space import Component, Real, SearchSpace
 from search.testing import example_spaces
 from server.catalogue import PROBLEMS
 from server.problems.base import NoParams, Vectors
+from sim import catalogue
 from sim.catalogue import register
 from sim.episode import EpisodeSpec, Json
 from worker.wire import Completed, WireVerdict
@@ -165,3 +169,11 @@ def register_all() -> None:
     """Register the problems, for processes that import this through ``BRINK_PLUGINS``."""
     for plugin_id, plugin in PLUGINS.items():
         register(PROBLEMS, plugin_id, plugin)
+
+
+@contextmanager
+def small_problems() -> Iterator[None]:
+    """Have this process know the ball and the line until the end of the block."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(catalogue._registered, PROBLEMS, dict(PLUGINS))
+        yield

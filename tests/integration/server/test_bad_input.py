@@ -2,31 +2,21 @@
 
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 from support.api import ball, coordinator, row_counts
-from support.databases import BACKENDS, Databases
-from support.problems import PLUGINS
+from support.databases import Databases
+from support.problems import small_problems
 
-from server.catalogue import PROBLEMS
 from server.db.engine import Engines, open_engines
-from sim import catalogue
 
 
-@pytest.fixture(scope="module", params=BACKENDS)
-def database_url(
-    request: pytest.FixtureRequest, sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[str]:
+@pytest.fixture(scope="module")
+def database_url(databases_of_file: Databases) -> Iterator[str]:
     """The URL of a database for the whole file: nothing that is refused is stored."""
-    backend: str = request.param
-    databases = Databases(
-        backend=backend, template=sqlite_file, folder=tmp_path_factory.mktemp("bad-input"),
-        postgres=request.getfixturevalue("postgres_databases") if backend == "postgres" else None,
-    )  # fmt: skip
-    with databases.database() as url:
+    with databases_of_file.database() as url:
         yield url
 
 
@@ -41,10 +31,8 @@ def engines(database_url: str) -> Iterator[Engines]:
 @pytest.fixture(scope="module")
 def client(database_url: str) -> Iterator[httpx.Client]:
     """A client of a coordinator on it."""
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setitem(catalogue._registered, PROBLEMS, dict(PLUGINS))
-        with coordinator(database_url) as opened:
-            yield opened
+    with small_problems(), coordinator(database_url) as opened:
+        yield opened
 
 
 def changed(path: str, value: object) -> dict[str, Any]:

@@ -11,11 +11,8 @@ import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from support.api import FakeWorker, ball, coordinator, expect, progress, submit
-from support.databases import BACKENDS, Databases
-from support.problems import PLUGINS
-
-from server.catalogue import PROBLEMS
-from sim import catalogue
+from support.databases import Databases
+from support.problems import small_problems
 
 OPENAPI_PATHS = ("/api/v1/campaigns", "/api/v1/jobs/lease", "/api/v1/jobs/heartbeat", "/api/v1/jobs/results")
 
@@ -32,22 +29,12 @@ class Finished:
         return expect(self.client.get(f"/api/v1/campaigns/{self.id}{path}", params=params))
 
 
-@pytest.fixture(scope="module", params=BACKENDS)
-def finished(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Finished]:
-    postgres = request.getfixturevalue("postgres_databases") if request.param == "postgres" else None
-    databases = Databases(
-        backend=request.param, template=request.getfixturevalue("sqlite_file"),
-        folder=tmp_path_factory.mktemp("finished"), postgres=postgres,
-    )  # fmt: skip
-    with (
-        pytest.MonkeyPatch.context() as monkeypatch,
-        databases.database() as url,
-    ):
-        monkeypatch.setitem(catalogue._registered, PROBLEMS, dict(PLUGINS))
-        with coordinator(url) as client:
-            campaign = submit(client, ball(simulations=200))
-            assert FakeWorker(client).work(campaign)["status"] == "finished"
-            yield Finished(client=client, id=campaign)
+@pytest.fixture(scope="module")
+def finished(databases_of_file: Databases) -> Iterator[Finished]:
+    with small_problems(), databases_of_file.database() as url, coordinator(url) as client:
+        campaign = submit(client, ball(simulations=200))
+        assert FakeWorker(client).work(campaign)["status"] == "finished"
+        yield Finished(client=client, id=campaign)
 
 
 def test_a_finished_campaign_tells_its_counts_and_its_digest(finished: Finished) -> None:

@@ -15,16 +15,14 @@ import pytest
 from support.api import FakeWorker, ball, coordinator, expect, progress, submit
 from support.attacks import ATTACKS
 from support.attacks.bodies import MOST_BYTES
-from support.databases import BACKENDS, Databases
+from support.databases import Databases
 from support.hostile import Attack, Target, everything, outcome_of, prepare, results
-from support.problems import PLUGINS
+from support.problems import small_problems
 
 import server.access.gate
 from server.access.store import create_token
 from server.access.tokens import Scope, id_within
-from server.catalogue import PROBLEMS
 from server.db.engine import Engines, open_engines
-from sim import catalogue
 
 SECURITY = Path(__file__).parents[3] / "docs" / "security.md"
 INSIDES = ("Traceback", "site-packages", "sqlalchemy", "psycopg", "[SQL", "postgresql://", "sqlite:///")
@@ -40,18 +38,10 @@ def named(name: str, *gets: int) -> Callable[[Callable[..., None]], Callable[...
     return lambda test: test
 
 
-@pytest.fixture(scope="module", params=BACKENDS)
-def target(
-    request: pytest.FixtureRequest, sqlite_file: Path, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[Target]:
+@pytest.fixture(scope="module")
+def target(databases_of_file: Databases) -> Iterator[Target]:
     """A coordinator with tokens and campaigns, for the whole list."""
-    backend: str = request.param
-    databases = Databases(
-        backend=backend, template=sqlite_file, folder=tmp_path_factory.mktemp("hostile"),
-        postgres=request.getfixturevalue("postgres_databases") if backend == "postgres" else None,
-    )  # fmt: skip
-    with pytest.MonkeyPatch.context() as patched, databases.database() as url:
-        patched.setitem(catalogue._registered, PROBLEMS, dict(PLUGINS))
+    with pytest.MonkeyPatch.context() as patched, small_problems(), databases_of_file.database() as url:
         patched.setattr(server.access.gate, "REMEMBERED_S", 0.0)
         patched.setattr(server.access.gate, "STRANGERS_PER_S", 1e6)
         engines = open_engines(url)

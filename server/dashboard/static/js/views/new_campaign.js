@@ -213,16 +213,16 @@ function plugin(part, title, known, first, told = () => {}) {
 
   function choose(id) {
     unknown = {};
-    const chosen = known.find((one) => one.id === id) ?? known[0];
+    const chosen = known.find((one) => one.id === id) ?? null;
     if (![...select.options].some((one) => one.value === id)) select.append(h("option", { value: id }, id)); // the server says what it thinks of it
     select.value = id;
-    text(summary, chosen.id === id ? chosen.summary : "");
-    const properties = chosen.id === id ? chosen.params.properties ?? {} : {};
+    text(summary, chosen?.summary ?? "");
+    const properties = chosen?.params.properties ?? {};
     fields = Object.entries(properties).map(([name, schema]) => field(name, schema, `/${part}/params/${name}`));
-    if (fields.length) suggest(suggested);
+    suggest(suggested);
     replace(place, fields.map((one) => one.node));
     more.hidden = fields.length === 0;
-    told(chosen.id === id ? chosen : null);
+    told(chosen);
   }
 
   function fill(given) {
