@@ -9,8 +9,8 @@ import { sure } from "../parts/confirm.js";
 import { meter } from "../parts/meter.js";
 import { sparkline } from "../parts/sparkline.js";
 import { go, link, place, rewrite } from "../router.js";
+import { STATUSES } from "../status.js";
 
-const STATUSES = ["running", "paused", "finished", "cancelled", "failed"];
 const PAGE = 50;
 
 export async function show(main, context, { query }) {

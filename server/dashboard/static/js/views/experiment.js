@@ -10,9 +10,8 @@ import { facts } from "../parts/facts.js";
 import { meter } from "../parts/meter.js";
 import { go, link } from "../router.js";
 import { whenMade } from "../patience.js";
+import { isOpen } from "../status.js";
 import { resultsSection } from "./experiment/results.js";
-
-const OPEN = new Set(["running", "paused"]);
 
 export async function show(main, context, { parts: [, id], query }) {
   context.title("Experiment");
@@ -42,7 +41,7 @@ export async function show(main, context, { parts: [, id], query }) {
   let drawn = null;
   const progressing = context.watch(`${path}/progress`, (read) => {
     state.update(read.status);
-    done.update(read.budget ? read.simulations / read.budget : 0, !OPEN.has(read.status));
+    done.update(read.budget ? read.simulations / read.budget : 0, !isOpen(read.status));
     told.update(figuresOf(read));
     warn(notes, read);
     const may = JSON.stringify([read.status, read.paused.length > 0]);
@@ -58,7 +57,7 @@ export async function show(main, context, { parts: [, id], query }) {
 }
 
 function figuresOf(read) {
-  const open = OPEN.has(read.status);
+  const open = isOpen(read.status);
   return {
     "Campaigns finished": `${count(read.finished)} of ${count(read.campaigns)}`,
     Simulations: `${count(read.simulations)} of ${count(read.budget)}`,
@@ -100,7 +99,7 @@ function steering(read, context, path, look) {
     return answer;
   };
   const button = (words, doing, kind) => h(kind ? `button.${kind}` : "button", { type: "button", onclick: doing }, words);
-  const open = OPEN.has(read.status);
+  const open = isOpen(read.status);
   return [
     context.may.steer && read.status === "running" && button("Pause", () => act("POST", "/pause", "The experiment is paused; what runs is still taken in.")),
     context.may.steer && read.paused.length > 0 && button("Resume", () => act("POST", "/resume", "The experiment goes on.")),

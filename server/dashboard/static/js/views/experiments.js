@@ -5,6 +5,7 @@ import { count, when } from "../format.js";
 import { badge } from "../parts/badge.js";
 import { meter } from "../parts/meter.js";
 import { link } from "../router.js";
+import { isOpen } from "../status.js";
 
 const PAGE = 20;
 
@@ -44,7 +45,7 @@ function experimentRow(first) {
   node.update = (one) => {
     state.update(one.status);
     text(finished, `${count(one.finished)} of ${count(one.campaigns)}${one.deleted ? `, ${count(one.deleted)} deleted` : ""}`);
-    done.update(one.budget ? one.simulations / one.budget : 0, !["running", "paused"].includes(one.status));
+    done.update(one.budget ? one.simulations / one.budget : 0, !isOpen(one.status));
     text(numbers, `${count(one.simulations)} of ${count(one.budget)}`);
     text(failed, count(one.failed));
   };

@@ -5,6 +5,7 @@ import { count, figure, plainId, spaced } from "../format.js";
 import { badge } from "../parts/badge.js";
 import { facts } from "../parts/facts.js";
 import { link } from "../router.js";
+import { isOpen } from "../status.js";
 import { again } from "./solution/again.js";
 import { downloads } from "./solution/downloads.js";
 import { made } from "./solution/made.js";
@@ -12,8 +13,6 @@ import { neighbourhood } from "./solution/neighbourhood.js";
 import { parameters } from "./solution/parameters.js";
 import { replay } from "./solution/replay.js";
 import { judgedBy, verdicts, withUnit } from "./solution/verdicts.js";
-
-const ENDED = ["finished", "cancelled", "failed"];
 
 export async function show(main, context, { parts }) {
   const number = Number(parts[3]);
@@ -68,7 +67,7 @@ export async function show(main, context, { parts }) {
     });
   }
 
-  const news = ENDED.includes(campaign.status) ? null : context.watch(path, fill);
+  const news = isOpen(campaign.status) ? context.watch(path, fill) : null;
   if (evaluated) look();
 
   async function look() {

@@ -2,9 +2,8 @@
 
 import { ApiError, get } from "../../api.js";
 import { poll } from "../../poll.js";
+import { isOpen } from "../../status.js";
 import { patiently, whenMade } from "../../patience.js";
-
-const OPEN = new Set(["running", "paused"]);
 
 /**
  * Follow a campaign until it is let go.
@@ -35,7 +34,7 @@ export function follow(id, context, changed) {
     const [first] = read.generations;
     const known = first === undefined ? followed.generations : followed.generations.filter((one) => one.number < first.number);
     followed.generations = [...known, ...read.generations];
-    if (!OPEN.has(read.status) && !followed.scores && !followed.scoring) score();
+    if (!isOpen(read.status) && !followed.scores && !followed.scoring) score();
     changed();
   }
 

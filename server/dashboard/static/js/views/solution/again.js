@@ -4,11 +4,11 @@ import { h, replace, text } from "../../dom.js";
 import { count, percent, plural } from "../../format.js";
 import { badge } from "../../parts/badge.js";
 import { link } from "../../router.js";
+import { isOpen } from "../../status.js";
 
 const USUAL = 20;
 const MOST = 10_000;
 const NO_GENERATION = 1_000_000_000;
-const ENDED = ["finished", "cancelled", "failed"];
 
 /** Return the card that asks for repeats of a solution, and shows what came of them. */
 export function again(context, campaign, number) {
@@ -50,15 +50,15 @@ export function again(context, campaign, number) {
 
   function offer(status) {
     if (!context.may.steer || place.firstChild === form) return;
-    replace(place, ENDED.includes(status) ? form : h("p.hint", null, `It can be simulated again once its campaign has ended; it is ${status} now.`));
+    replace(place, isOpen(status) ? h("p.hint", null, `It can be simulated again once its campaign has ended; it is ${status} now.`) : form);
   }
 
   offer(campaign.status);
-  if (context.may.steer && !ENDED.includes(campaign.status)) {
+  if (context.may.steer && isOpen(campaign.status)) {
     const ended = new AbortController();
     context.watch(`campaigns/${campaign.id}/progress?since=${NO_GENERATION}`, (read) => {
       offer(read.status);
-      if (ENDED.includes(read.status)) ended.abort();
+      if (!isOpen(read.status)) ended.abort();
     }, { refuse: () => {}, until: ended.signal });
   }
   const polling = context.watch(`campaigns/${campaign.id}/repeats`, take, {
