@@ -10,19 +10,19 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from search.algorithm import Evaluation
-from search.boundary import PAPER_T_BS, dbs_grid
-from search.component import FloatArray
-from search.control import ScenarioRisk, blind_archive
-from search.streams import episode_seed
-from server.campaigns.body import parse_body
-from server.campaigns.plan import make_plan
-from server.problems.base import SimulatedProblem
-from sim.catalogue import make_simulator
-from sim.episode import EpisodeSpec
-from sim.urban.draws import draw
-from worker.outcome_document import completed
-from worker.wire import Completed
+from brink.search.algorithm import Evaluation
+from brink.search.boundary import PAPER_T_BS, dbs_grid
+from brink.search.component import FloatArray
+from brink.search.control import ScenarioRisk, blind_archive
+from brink.search.streams import episode_seed
+from brink.server.campaigns.body import parse_body
+from brink.server.campaigns.plan import make_plan
+from brink.server.problems.base import SimulatedProblem
+from brink.sim.catalogue import make_simulator
+from brink.sim.episode import EpisodeSpec
+from brink.sim.urban.draws import draw
+from brink.worker.outcome_document import completed
+from brink.worker.wire import Completed
 
 ALGORITHMS = ("mlcshe@1", "ga@1", "random@1")
 D_TH = 0.2

@@ -6,9 +6,9 @@ import time
 
 import numpy as np
 
-from search.benchmark import mixed_space
-from search.monitor import Monitor
-from search.streams import Stream, generator
+from brink.search.benchmark import mixed_space
+from brink.search.monitor import Monitor
+from brink.search.streams import Stream, generator
 
 SIZES = (300, 1_300, 5_000, 20_000)
 TARGET_MS = {1_300: 1.0}

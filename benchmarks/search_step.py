@@ -2,7 +2,7 @@
 
 import argparse
 
-from search.benchmark import SIZES, measure
+from brink.search.benchmark import SIZES, measure
 
 
 def main() -> None:

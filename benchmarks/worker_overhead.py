@@ -1,8 +1,8 @@
 """What a worker costs: the gap between two episodes, and the processor time of the worker itself.
 
-Runs ``python -m worker`` against the tests' small coordinator, with episodes that compute for a set time, and prints
-one line a setting. The gap is measured inside the simulation process, from the end of one run to the beginning of
-the next; the processor time is that of the worker alone, without its simulation process, per job.
+Runs ``python -m brink.worker`` against the tests' small coordinator, with episodes that compute for a set time, and
+prints one line a setting. The gap is measured inside the simulation process, from the end of one run to the beginning
+of the next; the processor time is that of the worker alone, without its simulation process, per job.
 
     .venv/bin/python benchmarks/worker_overhead.py --jobs 200 --episode-ms 70
 """
@@ -23,13 +23,21 @@ sys.path[:0] = [str(ROOT / "tests" / "integration" / "worker"), str(ROOT)]
 
 from fake_coordinator import FakeCoordinator  # noqa: E402
 
-from worker.wire import Completed, ResultsRequest  # noqa: E402
+from brink.worker.wire import Completed, ResultsRequest  # noqa: E402
 
 
 def measure(jobs: int, episode_s: float, *, max_jobs: int, prefetch_s: float) -> dict[str, float]:
     """Return the measurements of one run of a worker."""
     with FakeCoordinator() as coordinator:
-        command = [sys.executable, "-m", "worker", "--server", coordinator.url, "--log-level", "warning"]
+        command = [
+            sys.executable,
+            "-m",
+            "brink.worker",
+            "--server",
+            coordinator.url,
+            "--log-level",
+            "warning",
+        ]
         command += ["--max-jobs", str(max_jobs), "--prefetch", str(prefetch_s)]
         environment = {
             **os.environ,

@@ -1,11 +1,11 @@
-"""Runs migrations on the connection that `server.db.upgrade` opened and locked, in its transaction."""
+"""Runs migrations on the connection that `brink.server.db.upgrade` opened and locked, in its transaction."""
 
 from alembic import context
 from sqlalchemy import Connection
 
-from server.db.engine import open_engines
-from server.db.models import Base
-from server.settings import Settings
+from brink.server.db.engine import open_engines
+from brink.server.db.models import Base
+from brink.server.settings import Settings
 
 
 def _migrate(connection: Connection) -> None:

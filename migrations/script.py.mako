@@ -6,7 +6,7 @@ Revises: ${down_revision | comma,n}
 
 from alembic import op
 import sqlalchemy as sa
-import server.db.types
+import brink.server.db.types
 ${imports if imports else ""}
 
 revision = ${repr(up_revision)}

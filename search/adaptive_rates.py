@@ -17,7 +17,7 @@ from typing import assert_never
 
 import numpy as np
 
-from search.component import FloatArray
+from brink.search.component import FloatArray
 
 
 class Crossover(StrEnum):

@@ -1,7 +1,7 @@
 """The contract of a search algorithm: pure functions over a frozen state.
 
 `start` makes a state, `ask` proposes a generation, `tell` takes its evaluations. Nothing is changed in place,
-nothing is global, every random draw comes from a generator addressed by position (`search.streams`), so equal
+nothing is global, every random draw comes from a generator addressed by position (`brink.search.streams`), so equal
 calls give equal states, bit for bit. The coordinator stores a state between `tell` and the next `ask` as a
 `Document`; evaluated complete solutions are stored apart, as an `Archive`.
 """
@@ -14,9 +14,9 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from search.archive import Archive
-from search.document import Document
-from search.space import SearchSpace
+from brink.search.archive import Archive
+from brink.search.document import Document
+from brink.search.space import SearchSpace
 
 FloatArray: TypeAlias = NDArray[np.float64]
 
@@ -115,7 +115,7 @@ class Algorithm(Protocol):
     Attributes:
         id: Versioned plug-in id, such as ``mlcshe@1``.
         summary: One line for catalogues.
-        config_type: Frozen dataclass whose fields come from `search.settings.setting`.
+        config_type: Frozen dataclass whose fields come from `brink.search.settings.setting`.
     """
 
     id: str

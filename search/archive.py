@@ -14,10 +14,10 @@ from typing import Any, Protocol, Self, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from search.component import BoolArray, FloatArray, frozen_array
-from search.fitness import Z_95, IntArray, fitness_of_interval, wilson_interval
-from search.metric import Metric, Points
-from search.space import SearchSpace
+from brink.search.component import BoolArray, FloatArray, frozen_array
+from brink.search.fitness import Z_95, IntArray, fitness_of_interval, wilson_interval
+from brink.search.metric import Metric, Points
+from brink.search.space import SearchSpace
 
 Float32Array: TypeAlias = NDArray[np.float32]
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from search.archive import Archive, Neighbourhood
-from search.space import Categorical, Component, Dormant, Duration, Extent, Integer, Real, SearchSpace
-from search.streams import Stream, generator
+from brink.search.archive import Archive, Neighbourhood
+from brink.search.space import Categorical, Component, Dormant, Duration, Extent, Integer, Real, SearchSpace
+from brink.search.streams import Stream, generator
 
 SIZES = (200, 1_300, 5_000, 20_000)
 NEW_SOLUTIONS = 60

@@ -17,9 +17,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from search.archive import Archive
-from search.component import BoolArray, FloatArray
-from search.metric import Points
+from brink.search.archive import Archive
+from brink.search.component import BoolArray, FloatArray
+from brink.search.metric import Points
 
 IndexArray: TypeAlias = NDArray[np.intp]
 CountArray: TypeAlias = NDArray[np.int64]

@@ -1,6 +1,6 @@
 """Ordered chains of techniques at levels as genes: drawing, varying and crossing them, and taking them apart.
 
-Pure: nothing is changed in place. `search.levels` says what slots are. Source: Ferreira et al., PRDC 2022.
+Pure: nothing is changed in place. `brink.search.levels` says what slots are. Source: Ferreira et al., PRDC 2022.
 """
 
 import itertools
@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 
-from search.component import Component, FloatArray, frozen_array
-from search.levels import Slots, slots_of
-from search.space import SearchSpace
+from brink.search.component import Component, FloatArray, frozen_array
+from brink.search.levels import Slots, slots_of
+from brink.search.space import SearchSpace
 
 _TRIES: Final = 100
 """Mutations without a valid one, as only a tiny catalogue has, after which an individual is drawn afresh."""

@@ -1,8 +1,8 @@
 """Which combinations of techniques are hazardous, and whether their parts or another order are too.
 
-Works on archives of spaces with ordered slots (`search.levels`). A *chain* is what the slots of a solution hold, in
-order, empty ones left out; a *place* is everything else in the solution. Chains compare where they were simulated in
-the same places.
+Works on archives of spaces with ordered slots (`brink.search.levels`). A *chain* is what the slots of a solution
+hold, in order, empty ones left out; a *place* is everything else in the solution. Chains compare where they were
+simulated in the same places.
 
 Source: Ferreira et al. 2022, combinations that are hazardous while each part alone is safe (Fig. 6), or in one order
 alone (Fig. 7), each judged by four of five seeds.
@@ -15,9 +15,9 @@ from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from search.archive import Archive
-from search.levels import slots_of
-from search.space import SearchSpace
+from brink.search.archive import Archive
+from brink.search.levels import slots_of
+from brink.search.space import SearchSpace
 
 HAZARDOUS: Final = 0.8
 """Share of places from which on a chain counts as hazardous: four of five."""

@@ -12,9 +12,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from search.constraints import Constraint, Dormant, Values
-from search.errors import SpaceError
-from search.parameters import Categorical, Integer, Number, Parameter, Real, Value, check_name, nearest
+from brink.search.constraints import Constraint, Dormant, Values
+from brink.search.errors import SpaceError
+from brink.search.parameters import Categorical, Integer, Number, Parameter, Real, Value, check_name, nearest
 
 FloatArray: TypeAlias = NDArray[np.float64]
 BoolArray: TypeAlias = NDArray[np.bool_]

@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from search.errors import SpaceError
-from search.parameters import Categorical, Integer, Number, Parameter, Real, nearest
+from brink.search.errors import SpaceError
+from brink.search.parameters import Categorical, Integer, Number, Parameter, Real, nearest
 
 Values = dict[str, float]
 

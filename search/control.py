@@ -20,12 +20,12 @@ from typing import Self
 
 import numpy as np
 
-from search.archive import Archive
-from search.component import FloatArray, frozen_array
-from search.fitness import IntArray
-from search.metric import Metric
-from search.space import SearchSpace
-from search.streams import Stream, generator
+from brink.search.archive import Archive
+from brink.search.component import FloatArray, frozen_array
+from brink.search.fitness import IntArray
+from brink.search.metric import Metric
+from brink.search.space import SearchSpace
+from brink.search.streams import Stream, generator
 
 SHRINKAGE = 4.0
 """Evaluations that the estimate from similar scenarios weighs as much as."""

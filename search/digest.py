@@ -4,7 +4,7 @@ import hashlib
 
 import numpy as np
 
-from search.archive import Archive
+from brink.search.archive import Archive
 
 
 def archive_digest(archive: Archive) -> str:

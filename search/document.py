@@ -15,7 +15,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from search.errors import DocumentError
+from brink.search.errors import DocumentError
 
 _MAGIC = b"brink-document-1\n"
 _HEADER = "header"

@@ -13,9 +13,9 @@ from typing import Self
 import numpy as np
 import scipy.linalg
 
-from search.archive import Archive
-from search.component import FloatArray
-from search.metric import Metric
+from brink.search.archive import Archive
+from brink.search.component import FloatArray
+from brink.search.metric import Metric
 
 EXACT_POINTS = 2_000
 LANDMARKS = 1_000

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from search.component import BoolArray, FloatArray
-from search.fitness import wilson_interval
-from search.statistics import a12
+from brink.search.component import BoolArray, FloatArray
+from brink.search.fitness import wilson_interval
+from brink.search.statistics import a12
 
 BINS = 10
 

@@ -11,10 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from search.constraints import Values
-from search.errors import SpaceError, UnsupportedSpace
-from search.parameters import Categorical, Parameter, Real
-from search.space import SearchSpace
+from brink.search.constraints import Values
+from brink.search.errors import SpaceError, UnsupportedSpace
+from brink.search.parameters import Categorical, Parameter, Real
+from brink.search.space import SearchSpace
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import cdist
 
-from search.component import BoolArray, FloatArray, frozen_array
-from search.errors import SpaceError
-from search.space import SearchSpace
+from brink.search.component import BoolArray, FloatArray, frozen_array
+from brink.search.errors import SpaceError
+from brink.search.space import SearchSpace
 
 METRIC_VERSION = 1
 """Version of the distance; stored beside every block of distances, to be raised with any change of a bit."""

@@ -27,12 +27,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import cdist
 
-from search.component import BoolArray, Component, FloatArray, frozen_array
-from search.errors import DocumentError, SpaceError
-from search.fitness import Z_95
-from search.parameters import Categorical, Integer, Parameter, Real
-from search.space import SearchSpace
-from search.streams import Stream, generator
+from brink.search.component import BoolArray, Component, FloatArray, frozen_array
+from brink.search.errors import DocumentError, SpaceError
+from brink.search.fitness import Z_95
+from brink.search.parameters import Categorical, Integer, Parameter, Real
+from brink.search.space import SearchSpace
+from brink.search.streams import Stream, generator
 
 FORMAT: Final = "brink-monitor"
 VERSION: Final = 2

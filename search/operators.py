@@ -9,8 +9,8 @@ Source: Sharifi et al. 2023, breeding of populations.
 
 import numpy as np
 
-from search.component import Component, FloatArray
-from search.parameters import Categorical
+from brink.search.component import Component, FloatArray
+from brink.search.parameters import Categorical
 
 
 def tournament(fitness: FloatArray, size: int, rng: np.random.Generator) -> int:

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from search.errors import SpaceError
+from brink.search.errors import SpaceError
 
 Value: TypeAlias = float | int | str
 

@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from search.component import BoolArray, FloatArray
+from brink.search.component import BoolArray, FloatArray
 
 IntArray: TypeAlias = NDArray[np.int64]
 

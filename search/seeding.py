@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Protocol, runtime_checkable
 
-from search.actions.variation import Solution
+from brink.search.actions.variation import Solution
 
 
 class Origin(StrEnum):

@@ -11,8 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from search.archive import Archive
-from search.boundary import dbs, strict_dbs
+from brink.search.archive import Archive
+from brink.search.boundary import dbs, strict_dbs
 
 RADII: Final = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5)
 P_THS: Final = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)

@@ -8,7 +8,7 @@ import dataclasses
 import sys
 from typing import Any, TypeVar, cast, get_type_hints
 
-from search.errors import ConfigError
+from brink.search.errors import ConfigError
 
 T = TypeVar("T")
 

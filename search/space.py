@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from search.component import BoolArray, Component, FloatArray, frozen_array
-from search.constraints import Constraint, Dormant, Duration, Extent
-from search.errors import SpaceError
-from search.parameters import Categorical, Integer, Parameter, Real, Value, nearest
+from brink.search.component import BoolArray, Component, FloatArray, frozen_array
+from brink.search.constraints import Constraint, Dormant, Duration, Extent
+from brink.search.errors import SpaceError
+from brink.search.parameters import Categorical, Integer, Parameter, Real, Value, nearest
 
 __all__ = [
     "Categorical",

@@ -10,16 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from search.actions.road import RoadLimits
-from search.actions.rule import participants_component
-from search.algorithm import Algorithm, Candidate, Evaluation, Failed, Measured, Question, Scored
-from search.archive import Archive
-from search.digest import archive_digest
-from search.document import Document
-from search.errors import OrderError, SearchError
-from search.levels import Slots
-from search.space import Categorical, Component, Dormant, Duration, Extent, Integer, Real, SearchSpace
-from search.streams import Stream, generator
+from brink.search.actions.road import RoadLimits
+from brink.search.actions.rule import participants_component
+from brink.search.algorithm import Algorithm, Candidate, Evaluation, Failed, Measured, Question, Scored
+from brink.search.archive import Archive
+from brink.search.digest import archive_digest
+from brink.search.document import Document
+from brink.search.errors import OrderError, SearchError
+from brink.search.levels import Slots
+from brink.search.space import Categorical, Component, Dormant, Duration, Extent, Integer, Real, SearchSpace
+from brink.search.streams import Stream, generator
 
 Evaluate = Callable[[Candidate], Evaluation]
 

@@ -6,12 +6,12 @@ from collections.abc import AsyncIterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
 from functools import partial
-from importlib.metadata import version
 
 from fastapi import APIRouter, FastAPI
 
-from server.access.gate import Gate
-from server.api import (
+from brink import __version__
+from brink.server.access.gate import Gate
+from brink.server.api import (
     access,
     campaigns,
     catalogue,
@@ -29,30 +29,30 @@ from server.api import (
     solutions,
     violations,
 )
-from server.api.context import Context
-from server.api.docs_page import add_docs
-from server.api.guards import Guards
-from server.api.measured import Measured
-from server.api.problem_details import describe, install
-from server.api.schemas import ProblemDetail
-from server.campaigns import store
-from server.campaigns.advance import Stepper
-from server.campaigns.archives import Archives
-from server.campaigns.films import Films
-from server.campaigns.service import SLOW_AT_ONCE, CampaignService, read
-from server.dashboard.figures import Figures
-from server.dashboard.page import add_dashboard
-from server.db.engine import Engines, open_engines
-from server.db.news import listen
-from server.db.writer import Writer
-from server.errors import Unavailable
-from server.experiments.scorebook import Scorebook
-from server.experiments.service import ExperimentService
-from server.llm.seeds import LlmSeeds
-from server.metrics import Metrics
-from server.monitors.kept import Monitors
-from server.queue.service import QueueService
-from server.settings import LOOPBACK, Settings
+from brink.server.api.context import Context
+from brink.server.api.docs_page import add_docs
+from brink.server.api.guards import Guards
+from brink.server.api.measured import Measured
+from brink.server.api.problem_details import describe, install
+from brink.server.api.schemas import ProblemDetail
+from brink.server.campaigns import store
+from brink.server.campaigns.advance import Stepper
+from brink.server.campaigns.archives import Archives
+from brink.server.campaigns.films import Films
+from brink.server.campaigns.service import SLOW_AT_ONCE, CampaignService, read
+from brink.server.dashboard.figures import Figures
+from brink.server.dashboard.page import add_dashboard
+from brink.server.db.engine import Engines, open_engines
+from brink.server.db.news import listen
+from brink.server.db.writer import Writer
+from brink.server.errors import Unavailable
+from brink.server.experiments.scorebook import Scorebook
+from brink.server.experiments.service import ExperimentService
+from brink.server.llm.seeds import LlmSeeds
+from brink.server.metrics import Metrics
+from brink.server.monitors.kept import Monitors
+from brink.server.queue.service import QueueService
+from brink.server.settings import LOOPBACK, Settings
 
 log = logging.getLogger(__name__)
 
@@ -108,7 +108,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
 
     app = FastAPI(
         docs_url=None, redoc_url=None, title="Brink", description=DESCRIPTION,
-        version=version("brink"), lifespan=lifespan, redirect_slashes=False,
+        version=__version__, lifespan=lifespan, redirect_slashes=False,
         responses={
             "4XX": {"model": ProblemDetail, "description": "What is wrong with the request."},
             "5XX": {"model": ProblemDetail, "description": "What keeps the coordinator from answering; try again."},

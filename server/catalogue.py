@@ -1,6 +1,6 @@
 """Which problems and algorithms there are, and the JSON schemas of their parameters.
 
-Parameters are plain dataclasses whose fields carry their bounds (`search.settings.setting`); here they become
+Parameters are plain dataclasses whose fields carry their bounds (`brink.search.settings.setting`); here they become
 pydantic models, so that input is checked and described in one way.
 """
 
@@ -11,13 +11,13 @@ from typing import Any, Literal, cast, get_type_hints
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
 from pydantic import Field as PydanticField
 
-from search.algorithm import Algorithm
-from search.errors import ConfigError, UnsupportedSpace
-from search.levels import slots_of
-from server.campaigns.body import invalid_input
-from server.errors import FieldError, InvalidInput, nearest
-from server.problems.base import InProcessProblem, Problem, SimulatedProblem, TellsViolations
-from sim.catalogue import load_plugin, plugin_ids
+from brink.search.algorithm import Algorithm
+from brink.search.errors import ConfigError, UnsupportedSpace
+from brink.search.levels import slots_of
+from brink.server.campaigns.body import invalid_input
+from brink.server.errors import FieldError, InvalidInput, nearest
+from brink.server.problems.base import InProcessProblem, Problem, SimulatedProblem, TellsViolations
+from brink.sim.catalogue import load_plugin, plugin_ids
 
 PROBLEMS = "brink.problems"
 ALGORITHMS = "brink.algorithms"

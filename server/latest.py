@@ -7,7 +7,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
-from server.errors import Unavailable
+from brink.server.errors import Unavailable
 
 V = TypeVar("V")
 

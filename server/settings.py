@@ -6,7 +6,7 @@ from typing import Annotated
 from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from worker.log import LogFormat, LogLevel
+from brink.worker.log import LogFormat, LogLevel
 
 DEFAULT_DATABASE = "sqlite:///brink.db"
 LOOPBACK = ("127.0.0.1", "::1", "localhost")

@@ -10,8 +10,8 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Protocol, cast
 
-from sim.episode import EpisodeResult, EpisodeSpec
-from sim.errors import InvalidEpisode, PluginMissing
+from brink.sim.episode import EpisodeResult, EpisodeSpec
+from brink.sim.errors import InvalidEpisode, PluginMissing
 
 SIMULATORS = "brink.simulators"
 REQUIREMENTS = "brink.requirements"

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Self, TypeAlias
 
-from sim.errors import InvalidEpisode
+from brink.sim.errors import InvalidEpisode
 
 Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
 JsonObject: TypeAlias = "dict[str, Json]"
@@ -149,7 +149,7 @@ class EpisodeResult:
         objectives: Measures to search on, all minimised, by name.
         features: Further facts of the episode, by name.
         provenance: Versions, instruction-set fingerprint, CPU time, simulated time.
-        trace: The compact trace (`sim.trace.Trace.to_bytes`), only when it was asked for.
+        trace: The compact trace (`brink.sim.trace.Trace.to_bytes`), only when it was asked for.
     """
 
     verdicts: Mapping[str, Verdict]

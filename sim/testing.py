@@ -5,8 +5,8 @@ import math
 import random
 from collections.abc import Callable, Iterator
 
-from sim.driving.interface import LightState
-from sim.requirements.requirement import Collision, CollisionKind, Requirement, WorldSample
+from brink.sim.driving.interface import LightState
+from brink.sim.requirements.requirement import Collision, CollisionKind, Requirement, WorldSample
 
 _UNITS = ("m", "s", "m/s", "m/s^2", "rad", "1")
 _STEPS = 200

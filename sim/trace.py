@@ -13,9 +13,9 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.episode import Json
-from sim.errors import InvalidEpisode
-from sim.trace_arrays import unpacked
+from brink.sim.episode import Json
+from brink.sim.errors import InvalidEpisode
+from brink.sim.trace_arrays import unpacked
 
 FloatArray: TypeAlias = NDArray[np.float32]
 IntArray: TypeAlias = NDArray[np.int32]
@@ -101,7 +101,7 @@ FOUND_COLUMNS = (*BOX_COLUMNS, "score")
 """Columns of all that a detector found, however unsure."""
 
 PERCEIVED_COLUMNS = ("track", "label", "x_m", "y_m", "vx_mps", "vy_mps", "length_m", "width_m")
-"""Columns of perceived obstacles, as `sim.driving.interface.PerceivedObstacle`."""
+"""Columns of perceived obstacles, as `brink.sim.driving.interface.PerceivedObstacle`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.errors import InvalidEpisode
+from brink.sim.errors import InvalidEpisode
 
 MOST_BYTES: Final = 256 * 1024**2
 """Of all arrays together, unpacked: a trace of six megabytes can claim gigabytes."""

@@ -14,8 +14,8 @@ from functools import cache
 from pathlib import Path
 from typing import TypeAlias
 
-from sim.catalogue import Simulator, make_simulator
-from sim.episode import EpisodeSpec, Json
+from brink.sim.catalogue import Simulator, make_simulator
+from brink.sim.episode import EpisodeSpec, Json
 
 Progress: TypeAlias = Callable[[int, int], None]
 """Called with the number done and the number of all."""

@@ -17,8 +17,8 @@ from support.scheduling import ByFolder
 from support.scratch import use_memory
 from xdist.remote import Producer
 
-from server.bench.temporary.postgres import NoPostgres
-from server.db.engine import Engines, open_engines
+from brink.server.bench.temporary.postgres import NoPostgres
+from brink.server.db.engine import Engines, open_engines
 
 # A check that everybody must pass tries the same examples each time; people's own runs go on looking for new ones.
 settings.register_profile("ci", derandomize=True, deadline=None)

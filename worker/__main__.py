@@ -1,8 +1,8 @@
-"""``python -m worker``."""
+"""``python -m brink.worker``."""
 
 import sys
 
-from worker.run import main
+from brink.worker.run import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -1,8 +1,8 @@
 """The simulation process: runs episodes one after the other, so that a crash of the physics kills only itself.
 
-Run as ``python -m worker.child`` with three pipes: requests in, replies out, and a lifeline that ends this process
-with its parent. Standard output and error belong to the simulators; nothing here is spoken over them. The messages
-are those of `worker.child_wire`.
+Run as ``python -m brink.worker.child`` with three pipes: requests in, replies out, and a lifeline that ends this
+process with its parent. Standard output and error belong to the simulators; nothing here is spoken over them. The
+messages are those of `brink.worker.child_wire`.
 """
 
 import argparse
@@ -16,20 +16,20 @@ import traceback
 from collections.abc import Sequence
 from typing import Any
 
-from sim.catalogue import SIMULATORS, Simulator, load_plugin, make_simulator, simulator_ids
-from sim.episode import EpisodeSpec, Json, JsonObject
-from sim.errors import InvalidEpisode, SimulationCrashed
-from worker.child_guards import die_with_parent, leave_signals_to_the_parent, limit_memory
-from worker.errors import BrokenFrame, UnsendableResult
-from worker.frames import encode_document, read_frame, write_all
-from worker.outcome_document import completed, failed
+from brink.sim.catalogue import SIMULATORS, Simulator, load_plugin, make_simulator, simulator_ids
+from brink.sim.episode import EpisodeSpec, Json, JsonObject
+from brink.sim.errors import InvalidEpisode, SimulationCrashed
+from brink.worker.child_guards import die_with_parent, leave_signals_to_the_parent, limit_memory
+from brink.worker.errors import BrokenFrame, UnsendableResult
+from brink.worker.frames import encode_document, read_frame, write_all
+from brink.worker.outcome_document import completed, failed
 
 log = logging.getLogger(__name__)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Serve episodes until the parent closes the request pipe."""
-    parser = argparse.ArgumentParser(prog="python -m worker.child", description="Started by a worker.")
+    parser = argparse.ArgumentParser(prog="python -m brink.worker.child", description="Started by a worker.")
     parser.add_argument("--requests", type=int, required=True, help="file descriptor to read")
     parser.add_argument("--replies", type=int, required=True, help="file descriptor to write")
     parser.add_argument("--lifeline", type=int, required=True, help="file descriptor that the parent holds")

@@ -11,11 +11,11 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from worker.child_wire import Hello, RunEpisode
-from worker.errors import BrokenFrame
-from worker.frames import FrameBuffer, encode_frame
-from worker.settings import TOKEN_VARIABLE
-from worker.stderr_tail import StderrTail
+from brink.worker.child_wire import Hello, RunEpisode
+from brink.worker.errors import BrokenFrame
+from brink.worker.frames import FrameBuffer, encode_frame
+from brink.worker.settings import TOKEN_VARIABLE
+from brink.worker.stderr_tail import StderrTail
 
 log = logging.getLogger(__name__)
 
@@ -47,7 +47,7 @@ class ChildHandle:
         lifeline_in, self._lifeline = os.pipe()
         errors, errors_out = os.pipe()
         passed = (requests_in, replies_out, lifeline_in)
-        command = [sys.executable, "-m", "worker.child"]
+        command = [sys.executable, "-m", "brink.worker.child"]
         for name, fd in zip(("--requests", "--replies", "--lifeline"), passed, strict=True):
             command += [name, str(fd)]
         command += ["--memory-mib", str(memory_mib)]

@@ -1,12 +1,13 @@
 """The messages between a worker and its simulation process, as the worker's side sees them.
 
 The process sends one `Hello`; then the worker sends any number of `RunEpisode` ahead, and the process answers
-each with one `EpisodeReply`, in the same order. The process itself reads and writes plain JSON (`worker.child`).
+each with one `EpisodeReply`, in the same order. The process itself reads and writes plain JSON
+(`brink.worker.child`).
 """
 
 from typing import Any
 
-from worker.wire import Message
+from brink.worker.wire import Message
 
 
 class Hello(Message):
@@ -41,7 +42,7 @@ class EpisodeReply(Message):
     Attributes:
         ticket: Of the request.
         wall_s: Wall-clock time that the episode took.
-        outcome: A `Completed` or a `JobFailed`, read by `worker.codec.outcome_from`.
+        outcome: A `Completed` or a `JobFailed`, read by `brink.worker.codec.outcome_from`.
     """
 
     ticket: int

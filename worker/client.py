@@ -15,9 +15,9 @@ from typing import Final, Self, TypeVar
 import httpx
 from pydantic import ValidationError
 
-from worker.backoff import Backoff
-from worker.errors import CoordinatorAway, RequestRefused, UnexpectedReply
-from worker.wire import (
+from brink.worker.backoff import Backoff
+from brink.worker.errors import CoordinatorAway, RequestRefused, UnexpectedReply
+from brink.worker.wire import (
     HeartbeatReply,
     HeartbeatRequest,
     LeaseReply,

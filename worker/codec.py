@@ -5,10 +5,10 @@ import binascii
 
 from pydantic import TypeAdapter, ValidationError
 
-from sim.episode import EpisodeResult, JsonObject, Verdict
-from worker.errors import UnexpectedReply
-from worker.outcome_document import failure_text
-from worker.wire import Completed, JobFailed, Outcome
+from brink.sim.episode import EpisodeResult, JsonObject, Verdict
+from brink.worker.errors import UnexpectedReply
+from brink.worker.outcome_document import failure_text
+from brink.worker.wire import Completed, JobFailed, Outcome
 
 _OUTCOME: TypeAdapter[Completed | JobFailed] = TypeAdapter(Outcome)
 

@@ -5,7 +5,7 @@ import os
 import struct
 from typing import Any
 
-from worker.errors import BrokenFrame
+from brink.worker.errors import BrokenFrame
 
 _LENGTH = struct.Struct(">I")
 MAX_FRAME_BYTES = 64 * 1024 * 1024

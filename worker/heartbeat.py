@@ -5,10 +5,10 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from worker.client import CoordinatorClient
-from worker.errors import CoordinatorAway
-from worker.holdings import Holdings
-from worker.wire import HeartbeatRequest, LeasedJob, WorkerIdentity
+from brink.worker.client import CoordinatorClient
+from brink.worker.errors import CoordinatorAway
+from brink.worker.holdings import Holdings
+from brink.worker.wire import HeartbeatRequest, LeasedJob, WorkerIdentity
 
 log = logging.getLogger(__name__)
 

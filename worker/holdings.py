@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from worker.pace import Pace
-from worker.wire import Completed, HeldLease, JobFailed, JobResult, LeasedJob, LeaseReply, ResultStatus
+from brink.worker.pace import Pace
+from brink.worker.wire import Completed, HeldLease, JobFailed, JobResult, LeasedJob, LeaseReply, ResultStatus
 
 log = logging.getLogger(__name__)
 

@@ -18,11 +18,11 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Final, TypeVar, assert_never
 
-from worker.errors import SettingsError
+from brink.worker.errors import SettingsError
 
 FORMAT_VARIABLE: Final = "BRINK_LOG_FORMAT"
 LEVEL_VARIABLE: Final = "BRINK_LOG_LEVEL"
-OURS: Final = ("server", "worker", "search", "sim", "uvicorn", "__main__")
+OURS: Final = ("brink", "uvicorn", "__main__")
 """Packages that may say everything. Libraries say no more than INFO: what they tell of at DEBUG is not ours to vouch
 for, headers with tokens included."""
 _TALKATIVE: Final = ("httpx", "alembic")

@@ -10,21 +10,21 @@ import socket
 import threading
 import time
 from collections.abc import Callable
-from importlib.metadata import PackageNotFoundError, version
 from random import Random
 from typing import Final
 
-from worker.client import CoordinatorClient
-from worker.errors import ChildFailedToStart, EpisodeAbandoned, WorkerError
-from worker.heartbeat import Heartbeat
-from worker.holdings import Holdings
-from worker.machine import machine_name
-from worker.pace import Pace
-from worker.process import EpisodeProcess
-from worker.reporter import Reporter
-from worker.runner import Runner
-from worker.settings import WorkerSettings
-from worker.wire import LeasedJob, WorkerIdentity
+from brink import __version__
+from brink.worker.client import CoordinatorClient
+from brink.worker.errors import ChildFailedToStart, EpisodeAbandoned, WorkerError
+from brink.worker.heartbeat import Heartbeat
+from brink.worker.holdings import Holdings
+from brink.worker.machine import machine_name
+from brink.worker.pace import Pace
+from brink.worker.process import EpisodeProcess
+from brink.worker.reporter import Reporter
+from brink.worker.runner import Runner
+from brink.worker.settings import WorkerSettings
+from brink.worker.wire import LeasedJob, WorkerIdentity
 
 log = logging.getLogger(__name__)
 
@@ -227,10 +227,6 @@ class Worker:
 
 
 def _identity(worker_id: str) -> WorkerIdentity:
-    try:
-        installed = version("brink")
-    except PackageNotFoundError:
-        installed = ""
     return WorkerIdentity(
-        id=worker_id, host=socket.gethostname()[:255], pid=os.getpid(), version=installed, machine=machine_name()
+        id=worker_id, host=socket.gethostname()[:255], pid=os.getpid(), version=__version__, machine=machine_name()
     )  # fmt: skip

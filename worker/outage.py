@@ -6,8 +6,8 @@ from collections.abc import Callable
 from random import Random
 from typing import Final
 
-from worker.backoff import Backoff
-from worker.errors import CoordinatorAway
+from brink.worker.backoff import Backoff
+from brink.worker.errors import CoordinatorAway
 
 log = logging.getLogger(__name__)
 

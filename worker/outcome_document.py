@@ -1,7 +1,7 @@
 """What came of an episode, as the JSON object that goes on the wire.
 
 Made in the simulation process, next to the simulator that is to blame for what JSON cannot carry. The models of
-`worker.wire` are left to the parent: importing them would cost every simulation process 11 MB.
+`brink.worker.wire` are left to the parent: importing them would cost every simulation process 11 MB.
 """
 
 import base64
@@ -9,15 +9,15 @@ import json
 import math
 from collections.abc import Mapping
 
-from sim.episode import EpisodeResult, Json, JsonObject
-from worker.errors import UnsendableResult
+from brink.sim.episode import EpisodeResult, Json, JsonObject
+from brink.worker.errors import UnsendableResult
 
 MESSAGE_LENGTH = 4000
 """Longest message of a failed job on the wire, in characters."""
 
 
 def completed(result: EpisodeResult) -> JsonObject:
-    """Return the `worker.wire.Completed` that carries a result, as JSON.
+    """Return the `brink.worker.wire.Completed` that carries a result, as JSON.
 
     Raises:
         UnsendableResult: A number is not finite, or a value is no JSON.
@@ -42,7 +42,7 @@ def completed(result: EpisodeResult) -> JsonObject:
 
 
 def failed(reason: str, message: str, context: str = "") -> JsonObject:
-    """Return a `worker.wire.JobFailed` as JSON, its text cut to what the wire carries."""
+    """Return a `brink.worker.wire.JobFailed` as JSON, its text cut to what the wire carries."""
     return {"kind": "failed", "reason": reason, "message": failure_text(message, context)}
 
 

@@ -14,12 +14,12 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from worker.child_handle import ChildHandle
-from worker.child_wire import EpisodeReply, Hello, RunEpisode
-from worker.codec import outcome_from
-from worker.errors import BrokenFrame, ChildFailedToStart, EpisodeAbandoned
-from worker.outcome_document import failure_text
-from worker.wire import Completed, JobFailed
+from brink.worker.child_handle import ChildHandle
+from brink.worker.child_wire import EpisodeReply, Hello, RunEpisode
+from brink.worker.codec import outcome_from
+from brink.worker.errors import BrokenFrame, ChildFailedToStart, EpisodeAbandoned
+from brink.worker.outcome_document import failure_text
+from brink.worker.wire import Completed, JobFailed
 
 log = logging.getLogger(__name__)
 

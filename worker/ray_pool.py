@@ -1,4 +1,4 @@
-"""Workers on a Ray cluster: actors of one CPU each, all running the loop of `worker.loop`.
+"""Workers on a Ray cluster: actors of one CPU each, all running the loop of `brink.worker.loop`.
 
 A pool starts them, replaces those that die, and has them finish and leave when it is told to stop. They are the same
 workers as everywhere: each asks the coordinator for jobs over HTTP, so a dead one costs what it was simulating, and
@@ -21,13 +21,13 @@ from typing import Any, Final
 import ray
 from ray.exceptions import RayError
 
-from worker.backoff import Backoff
-from worker.client import CoordinatorClient
-from worker.errors import NoCluster
-from worker.log import LogFormat, LogLevel, configure_logging
-from worker.loop import LAST_REPORT_S, Worker
-from worker.run import stopped_by_signals
-from worker.settings import WorkerSettings, new_worker_id
+from brink.worker.backoff import Backoff
+from brink.worker.client import CoordinatorClient
+from brink.worker.errors import NoCluster
+from brink.worker.log import LogFormat, LogLevel, configure_logging
+from brink.worker.loop import LAST_REPORT_S, Worker
+from brink.worker.run import stopped_by_signals
+from brink.worker.settings import WorkerSettings, new_worker_id
 
 LOCAL: Final = "local"
 """In place of an address: start a Ray of our own on this machine."""

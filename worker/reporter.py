@@ -6,12 +6,12 @@ from collections.abc import Callable
 from random import Random
 from typing import Final
 
-from worker.backoff import Backoff
-from worker.client import CoordinatorClient
-from worker.errors import CoordinatorAway, RequestRefused
-from worker.holdings import Holdings, Poll, Report
-from worker.outage import Outage
-from worker.wire import LeaseReply, LeaseRequest, ResultsRequest, WorkerIdentity
+from brink.worker.backoff import Backoff
+from brink.worker.client import CoordinatorClient
+from brink.worker.errors import CoordinatorAway, RequestRefused
+from brink.worker.holdings import Holdings, Poll, Report
+from brink.worker.outage import Outage
+from brink.worker.wire import LeaseReply, LeaseRequest, ResultsRequest, WorkerIdentity
 
 log = logging.getLogger(__name__)
 

@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
 
-from worker.client import CoordinatorClient
-from worker.errors import SettingsError
-from worker.log import (
+from brink.worker.client import CoordinatorClient
+from brink.worker.errors import SettingsError
+from brink.worker.log import (
     FORMAT_VARIABLE,
     LEVEL_VARIABLE,
     LogFormat,
@@ -21,8 +21,8 @@ from worker.log import (
     environment_format,
     environment_level,
 )
-from worker.loop import Worker
-from worker.settings import TOKEN_VARIABLE, WorkerSettings, new_worker_id
+from brink.worker.loop import Worker
+from brink.worker.settings import TOKEN_VARIABLE, WorkerSettings, new_worker_id
 
 log = logging.getLogger(__name__)
 
@@ -41,7 +41,7 @@ def run_worker(settings: WorkerSettings) -> int:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run ``python -m worker``."""
+    """Run ``python -m brink.worker``."""
     options = _parser().parse_args(arguments)
     try:
         settings = WorkerSettings(
@@ -102,10 +102,10 @@ def _stop_at_end_of_stdin(worker: Worker) -> None:
 def _parser() -> argparse.ArgumentParser:
     defaults = WorkerSettings(server="http://127.0.0.1:8700", worker_id="default")
     parser = argparse.ArgumentParser(
-        prog="python -m worker",
+        prog="python -m brink.worker",
         description="Leases jobs from a coordinator, simulates them, reports. The environment variable "
         f"{TOKEN_VARIABLE} holds the bearer token where one is needed.",
-        epilog="example: python -m worker --server http://127.0.0.1:8700",
+        epilog="example: python -m brink.worker --server http://127.0.0.1:8700",
     )
     add = parser.add_argument
     add("--server", required=True, metavar="URL", help="base URL of the coordinator")

@@ -4,11 +4,11 @@ import logging
 from random import Random
 from typing import Final
 
-from worker.backoff import Backoff
-from worker.errors import ChildFailedToStart, EpisodeAbandoned
-from worker.holdings import Holdings
-from worker.process import Episode, EpisodeProcess, Finished
-from worker.wire import JobFailed, LeasedJob
+from brink.worker.backoff import Backoff
+from brink.worker.errors import ChildFailedToStart, EpisodeAbandoned
+from brink.worker.holdings import Holdings
+from brink.worker.process import Episode, EpisodeProcess, Finished
+from brink.worker.wire import JobFailed, LeasedJob
 
 log = logging.getLogger(__name__)
 

@@ -7,7 +7,7 @@ import socket
 from dataclasses import dataclass, field
 from urllib.parse import urlsplit
 
-from worker.errors import SettingsError
+from brink.worker.errors import SettingsError
 
 TOKEN_VARIABLE = "BRINK_TOKEN"
 MAX_JOBS = 128

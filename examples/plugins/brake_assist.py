@@ -5,12 +5,12 @@ cd examples/plugins && brink --plugin brake_assist run brake_assist.yaml
 
 import numpy as np
 
-from search.algorithm import Scored
-from search.space import Categorical, Component, Real, SearchSpace
-from server.catalogue import PROBLEMS
-from server.problems.base import NoParams
-from sim.catalogue import SIMULATORS, register
-from sim.episode import EpisodeResult, EpisodeSpec, Verdict
+from brink.search.algorithm import Scored
+from brink.search.space import Categorical, Component, Real, SearchSpace
+from brink.server.catalogue import PROBLEMS
+from brink.server.problems.base import NoParams
+from brink.sim.catalogue import SIMULATORS, register
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Verdict
 
 GRIP = {"dry": 0.9, "wet": 0.6, "icy": 0.2}
 SPACE = SearchSpace(

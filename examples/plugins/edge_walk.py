@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from search.algorithms.ledger import BoundaryConfig, Ledger, check_budget
-from search.operators import mutated
-from search.settings import setting
-from search.streams import Stream, generator
-from server.catalogue import ALGORITHMS
-from sim.catalogue import register
+from brink.search.algorithms.ledger import BoundaryConfig, Ledger, check_budget
+from brink.search.operators import mutated
+from brink.search.settings import setting
+from brink.search.streams import Stream, generator
+from brink.server.catalogue import ALGORITHMS
+from brink.sim.catalogue import register
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,8 +3,8 @@
 cd examples/plugins && brink --plugin gentle run gentle.yaml
 """
 
-from sim.catalogue import REQUIREMENTS, register
-from sim.requirements.margin import Margin
+from brink.sim.catalogue import REQUIREMENTS, register
+from brink.sim.requirements.margin import Margin
 
 COMFORTABLE_MPS2 = 3.0
 

@@ -7,7 +7,7 @@ Revises:
 import sqlalchemy as sa
 from alembic import op
 
-import server.db.types
+import brink.server.db.types
 
 revision = "0001"
 down_revision = None
@@ -35,8 +35,8 @@ def upgrade() -> None:
         sa.Column("failed", sa.BigInteger(), nullable=False),
         sa.Column("failures_accepted", sa.BigInteger(), nullable=False),
         sa.Column("turn", sa.BigInteger(), nullable=False),
-        sa.Column("created_at", server.db.types.UtcDateTime(timezone=True), nullable=False),
-        sa.Column("finished_at", server.db.types.UtcDateTime(timezone=True), nullable=True),
+        sa.Column("created_at", brink.server.db.types.UtcDateTime(timezone=True), nullable=False),
+        sa.Column("finished_at", brink.server.db.types.UtcDateTime(timezone=True), nullable=True),
         sa.CheckConstraint(
             "status IN ('running', 'paused', 'finished', 'cancelled', 'failed')",
             name=op.f("ck_campaigns_status_known"),
@@ -63,7 +63,7 @@ def upgrade() -> None:
         "traces",
         sa.Column("spec_hash", sa.String(length=64), nullable=False),
         sa.Column("data", sa.LargeBinary(), nullable=False),
-        sa.Column("created_at", server.db.types.UtcDateTime(timezone=True), nullable=False),
+        sa.Column("created_at", brink.server.db.types.UtcDateTime(timezone=True), nullable=False),
         sa.PrimaryKeyConstraint("spec_hash", name=op.f("pk_traces")),
     )
     op.create_table(
@@ -73,8 +73,8 @@ def upgrade() -> None:
         sa.Column("pid", sa.BigInteger(), nullable=False),
         sa.Column("version", sa.String(length=64), nullable=False),
         sa.Column("capabilities", sa.JSON(), nullable=False),
-        sa.Column("first_seen_at", server.db.types.UtcDateTime(timezone=True), nullable=False),
-        sa.Column("last_seen_at", server.db.types.UtcDateTime(timezone=True), nullable=False),
+        sa.Column("first_seen_at", brink.server.db.types.UtcDateTime(timezone=True), nullable=False),
+        sa.Column("last_seen_at", brink.server.db.types.UtcDateTime(timezone=True), nullable=False),
         sa.Column("jobs_done", sa.BigInteger(), nullable=False),
         sa.Column("jobs_failed", sa.BigInteger(), nullable=False),
         sa.PrimaryKeyConstraint("id", name=op.f("pk_workers")),
@@ -125,7 +125,7 @@ def upgrade() -> None:
         sa.Column("dbs", sa.Integer(), nullable=False),
         sa.Column("strict_dbs", sa.Integer(), nullable=False),
         sa.Column("step_s", sa.Double(), nullable=False),
-        sa.Column("told_at", server.db.types.UtcDateTime(timezone=True), nullable=False),
+        sa.Column("told_at", brink.server.db.types.UtcDateTime(timezone=True), nullable=False),
         sa.ForeignKeyConstraint(
             ["campaign_id"],
             ["campaigns.id"],
@@ -150,14 +150,14 @@ def upgrade() -> None:
         sa.Column("status", sa.String(length=12), nullable=False),
         sa.Column("attempt", sa.Integer(), nullable=False),
         sa.Column("max_attempts", sa.Integer(), nullable=False),
-        sa.Column("not_before", server.db.types.UtcDateTime(timezone=True), nullable=True),
+        sa.Column("not_before", brink.server.db.types.UtcDateTime(timezone=True), nullable=True),
         sa.Column("lease_token", sa.String(length=64), nullable=True),
         sa.Column("lease_worker", sa.String(length=64), nullable=True),
-        sa.Column("lease_expires_at", server.db.types.UtcDateTime(timezone=True), nullable=True),
+        sa.Column("lease_expires_at", brink.server.db.types.UtcDateTime(timezone=True), nullable=True),
         sa.Column("result", sa.Text(), nullable=True),
         sa.Column("last_error", sa.Text(), nullable=True),
-        sa.Column("created_at", server.db.types.UtcDateTime(timezone=True), nullable=False),
-        sa.Column("finished_at", server.db.types.UtcDateTime(timezone=True), nullable=True),
+        sa.Column("created_at", brink.server.db.types.UtcDateTime(timezone=True), nullable=False),
+        sa.Column("finished_at", brink.server.db.types.UtcDateTime(timezone=True), nullable=True),
         sa.CheckConstraint(
             "(status = 'leased') = (lease_expires_at IS NOT NULL)",
             name=op.f("ck_jobs_only_leased_jobs_expire"),

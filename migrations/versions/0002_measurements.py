@@ -10,7 +10,7 @@ Revises: 0001
 import sqlalchemy as sa
 from alembic import op
 
-import server.db.types
+import brink.server.db.types
 
 revision = "0002"
 down_revision = "0001"
@@ -111,15 +111,15 @@ def _jobs(kinds: tuple[str, ...], kind_length: int) -> list[sa.schema.SchemaItem
         sa.Column("status", sa.String(length=12), nullable=False),
         sa.Column("attempt", sa.Integer(), nullable=False),
         sa.Column("max_attempts", sa.Integer(), nullable=False),
-        sa.Column("not_before", server.db.types.UtcDateTime(timezone=True), nullable=True),
+        sa.Column("not_before", brink.server.db.types.UtcDateTime(timezone=True), nullable=True),
         sa.Column("lease_token", sa.String(length=64), nullable=True),
         sa.Column("lease_worker", sa.String(length=64), nullable=True),
-        sa.Column("lease_expires_at", server.db.types.UtcDateTime(timezone=True), nullable=True),
+        sa.Column("lease_expires_at", brink.server.db.types.UtcDateTime(timezone=True), nullable=True),
         sa.Column("failed_worker", sa.String(length=64), nullable=True),
         sa.Column("result", sa.Text(), nullable=True),
         sa.Column("last_error", sa.Text(), nullable=True),
-        sa.Column("created_at", server.db.types.UtcDateTime(timezone=True), nullable=False),
-        sa.Column("finished_at", server.db.types.UtcDateTime(timezone=True), nullable=True),
+        sa.Column("created_at", brink.server.db.types.UtcDateTime(timezone=True), nullable=False),
+        sa.Column("finished_at", brink.server.db.types.UtcDateTime(timezone=True), nullable=True),
         sa.CheckConstraint(
             "(status = 'leased') = (lease_expires_at IS NOT NULL)",
             name=op.f("ck_jobs_only_leased_jobs_expire"),

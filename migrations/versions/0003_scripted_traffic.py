@@ -7,7 +7,7 @@ Revises: 0002
 import sqlalchemy as sa
 from alembic import op
 
-import server.db.types
+import brink.server.db.types
 
 revision = "0003"
 down_revision = "0002"
@@ -23,7 +23,7 @@ def upgrade() -> None:
         sa.Column("number", sa.BigInteger(), nullable=False),
         sa.Column("requirement", sa.String(length=64), nullable=False),
         sa.Column("name", sa.String(length=200), nullable=False),
-        sa.Column("named_at", server.db.types.UtcDateTime(timezone=True), nullable=False),
+        sa.Column("named_at", brink.server.db.types.UtcDateTime(timezone=True), nullable=False),
         sa.ForeignKeyConstraint(
             ["campaign_id"],
             ["campaigns.id"],
@@ -48,7 +48,7 @@ def upgrade() -> None:
         sa.Column("cost", sa.Double(), nullable=True),
         sa.Column("latency_s", sa.Double(), nullable=False),
         sa.Column("error", sa.Text(), nullable=True),
-        sa.Column("called_at", server.db.types.UtcDateTime(timezone=True), nullable=False),
+        sa.Column("called_at", brink.server.db.types.UtcDateTime(timezone=True), nullable=False),
         sa.ForeignKeyConstraint(
             ["campaign_id"],
             ["campaigns.id"],
@@ -61,7 +61,7 @@ def upgrade() -> None:
         "seed_claims",
         sa.Column("campaign_id", sa.String(length=16), nullable=False),
         sa.Column("owner", sa.String(length=32), nullable=False),
-        sa.Column("expires_at", server.db.types.UtcDateTime(timezone=True), nullable=False),
+        sa.Column("expires_at", brink.server.db.types.UtcDateTime(timezone=True), nullable=False),
         sa.ForeignKeyConstraint(
             ["campaign_id"],
             ["campaigns.id"],

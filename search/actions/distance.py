@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from search.component import FloatArray
+from brink.search.component import FloatArray
 
 UNMATCHED_M: Final = 25.0
 """Distance of a participant that the other solution has no counterpart for: half the radius in which they start."""

@@ -6,14 +6,14 @@ from typing import Final
 
 import numpy as np
 
-from search.actions.distance import RolledOut
-from search.actions.road import RoadLimits
-from search.actions.rollout import padded_waypoints
-from search.actions.rule import Participants, participants_of
-from search.actions.variation import Solution
-from search.component import FloatArray
-from search.operators import mutated
-from search.space import SearchSpace
+from brink.search.actions.distance import RolledOut
+from brink.search.actions.road import RoadLimits
+from brink.search.actions.rollout import padded_waypoints
+from brink.search.actions.rule import Participants, participants_of
+from brink.search.actions.variation import Solution
+from brink.search.component import FloatArray
+from brink.search.operators import mutated
+from brink.search.space import SearchSpace
 
 _OTHERS_MUTATE: Final = 0.05
 """Probability that a parameter of another component mutates in a child."""

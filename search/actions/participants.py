@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
 
-from search.actions.road import REACH_M
-from search.parameters import Categorical, Parameter, Real
+from brink.search.actions.road import REACH_M
+from brink.search.parameters import Categorical, Parameter, Real
 
 MOST_PARTICIPANTS: Final = 6
 LEAST_ACTIONS: Final = 2

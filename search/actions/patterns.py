@@ -13,9 +13,17 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from search.actions.participants import LONGEST_S, SHORTEST_S, Action, Gene, Kind, Participant, magnitude_of
-from search.actions.road import RoadLimits
-from search.actions.variation import Solution
+from brink.search.actions.participants import (
+    LONGEST_S,
+    SHORTEST_S,
+    Action,
+    Gene,
+    Kind,
+    Participant,
+    magnitude_of,
+)
+from brink.search.actions.road import RoadLimits
+from brink.search.actions.variation import Solution
 
 Pattern: TypeAlias = Callable[[RoadLimits, np.random.Generator], Solution]
 

@@ -4,8 +4,8 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from search.actions.participants import SIZES_M, Kind
-from search.actions.road import REACH_M, RoadLimits
+from brink.search.actions.participants import SIZES_M, Kind
+from brink.search.actions.road import REACH_M, RoadLimits
 
 ALONG_M = 1.0
 ACROSS_M = 0.3

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
-from search.errors import SpaceError
+from brink.search.errors import SpaceError
 
 REACH_M = 55.0
 """Participants start within this distance of the ego, along and across the road: as far as the nearest crossroads."""

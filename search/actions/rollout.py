@@ -11,10 +11,18 @@ from typing import Final
 
 import numpy as np
 
-from search.actions.participants import FASTEST_MPS, MOST_ACTIONS, SIZES_M, Action, Gene, Kind, Participant
-from search.actions.placing import KERB_ROOM_M
-from search.actions.road import RoadLimits
-from search.component import FloatArray
+from brink.search.actions.participants import (
+    FASTEST_MPS,
+    MOST_ACTIONS,
+    SIZES_M,
+    Action,
+    Gene,
+    Kind,
+    Participant,
+)
+from brink.search.actions.placing import KERB_ROOM_M
+from brink.search.actions.road import RoadLimits
+from brink.search.component import FloatArray
 
 _INSTANT_S: Final = 1e-9
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from search.actions.participants import (
+from brink.search.actions.participants import (
     ACTION_CHOICES,
     FASTEST_MPS,
     KIND_CHOICES,
@@ -30,13 +30,13 @@ from search.actions.participants import (
     read,
     written,
 )
-from search.actions.placing import Box, Start, ego_box, freed, placed
-from search.actions.road import RoadLimits
-from search.component import Component, FloatArray, frozen_array
-from search.constraints import Values
-from search.errors import SpaceError, UnsupportedSpace
-from search.parameters import Parameter
-from search.space import SearchSpace
+from brink.search.actions.placing import Box, Start, ego_box, freed, placed
+from brink.search.actions.road import RoadLimits
+from brink.search.component import Component, FloatArray, frozen_array
+from brink.search.constraints import Values
+from brink.search.errors import SpaceError, UnsupportedSpace
+from brink.search.parameters import Parameter
+from brink.search.space import SearchSpace
 
 _NOBODY = 0
 _NO_ACTION = 0

@@ -8,7 +8,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from search.actions.participants import (
+from brink.search.actions.participants import (
     FASTEST_MPS,
     LEAST_ACTIONS,
     LONGEST_S,
@@ -21,7 +21,7 @@ from search.actions.participants import (
     Participant,
     magnitude_of,
 )
-from search.actions.road import REACH_M
+from brink.search.actions.road import REACH_M
 
 Solution: TypeAlias = tuple[Participant, ...]
 

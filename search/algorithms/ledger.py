@@ -12,13 +12,13 @@ from typing import Any, Self
 
 import numpy as np
 
-from search.algorithm import Candidate, Evaluation, Failed, Measured, Question, Scored
-from search.archive import Archive, Neighbourhood
-from search.component import FloatArray, frozen_array
-from search.document import Document
-from search.errors import ConfigError, DocumentError, OrderError
-from search.settings import check_settings, setting
-from search.space import SearchSpace
+from brink.search.algorithm import Candidate, Evaluation, Failed, Measured, Question, Scored
+from brink.search.archive import Archive, Neighbourhood
+from brink.search.component import FloatArray, frozen_array
+from brink.search.document import Document
+from brink.search.errors import ConfigError, DocumentError, OrderError
+from brink.search.settings import check_settings, setting
+from brink.search.space import SearchSpace
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,17 +12,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from search.algorithm import Candidate, Evaluation
-from search.algorithms.ledger import BoundaryConfig, Ledger, LedgerState, check_budget, stored_rows
-from search.archive import Archive
-from search.component import FloatArray, frozen_array
-from search.document import Document
-from search.errors import ConfigError, DocumentError, UnsupportedSpace
-from search.metric import Metric
-from search.operators import offspring, tournament
-from search.settings import setting
-from search.space import SearchSpace
-from search.streams import Stream, generator
+from brink.search.algorithm import Candidate, Evaluation
+from brink.search.algorithms.ledger import BoundaryConfig, Ledger, LedgerState, check_budget, stored_rows
+from brink.search.archive import Archive
+from brink.search.component import FloatArray, frozen_array
+from brink.search.document import Document
+from brink.search.errors import ConfigError, DocumentError, UnsupportedSpace
+from brink.search.metric import Metric
+from brink.search.operators import offspring, tournament
+from brink.search.settings import setting
+from brink.search.space import SearchSpace
+from brink.search.streams import Stream, generator
 
 _VERSION = 1
 _BREEDINGS = 10

@@ -13,20 +13,20 @@ from typing import Final, Self, TypeAlias, TypeVar
 
 import numpy as np
 
-from search.actions.distance import encounter_distances
-from search.actions.genome import Genome
-from search.actions.variation import Solution
-from search.algorithm import Candidate, Evaluation, Scored
-from search.algorithms.ledger import BoundaryConfig, Ledger, LedgerState, stored_rows
-from search.archive import Archive
-from search.component import BoolArray, FloatArray, frozen_array
-from search.document import Document
-from search.errors import DocumentError
-from search.pareto import ranks_and_crowding, survivors
-from search.seeding import Origin
-from search.settings import setting
-from search.space import SearchSpace
-from search.streams import Stream, generator
+from brink.search.actions.distance import encounter_distances
+from brink.search.actions.genome import Genome
+from brink.search.actions.variation import Solution
+from brink.search.algorithm import Candidate, Evaluation, Scored
+from brink.search.algorithms.ledger import BoundaryConfig, Ledger, LedgerState, stored_rows
+from brink.search.archive import Archive
+from brink.search.component import BoolArray, FloatArray, frozen_array
+from brink.search.document import Document
+from brink.search.errors import DocumentError
+from brink.search.pareto import ranks_and_crowding, survivors
+from brink.search.seeding import Origin
+from brink.search.settings import setting
+from brink.search.space import SearchSpace
+from brink.search.streams import Stream, generator
 
 CRITICALITY: Final = "criticality_m"
 """Objective that a problem must measure: the smallest distance to a violation, negative if violated."""

@@ -6,7 +6,7 @@ each participant is. Once no new kind of violation was found for some generation
 front was the same), differential seeds are wanted: solutions that expose violations and differ from those known.
 Those that do not differ enough go back, a few times; what is then missing is made by major mutation.
 
-Where the seeds come from a model, the search does not ask it itself: it says what it wants (`search.seeding`).
+Where the seeds come from a model, the search does not ask it itself: it says what it wants (`brink.search.seeding`).
 
 Source: Tian et al., "An LLM-Empowered Adaptive Evolutionary Algorithm for Multi-Component Deep Learning Systems".
 """
@@ -18,11 +18,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from search.actions.distance import matched_distances, participant_distances
-from search.actions.genome import Genome
-from search.actions.patterns import hostile_solution
-from search.actions.variation import Solution, crossed_genes, major_change, prolonged, small_change
-from search.adaptive_rates import (
+from brink.search.actions.distance import matched_distances, participant_distances
+from brink.search.actions.genome import Genome
+from brink.search.actions.patterns import hostile_solution
+from brink.search.actions.variation import Solution, crossed_genes, major_change, prolonged, small_change
+from brink.search.adaptive_rates import (
     Crossover,
     Population,
     crossover_probability,
@@ -30,9 +30,9 @@ from search.adaptive_rates import (
     scalar_fitness,
     scaled,
 )
-from search.algorithm import Candidate, Evaluation, Scored
-from search.algorithms.ledger import check_budget, stored_rows
-from search.algorithms.multi_objective import (
+from brink.search.algorithm import Candidate, Evaluation, Scored
+from brink.search.algorithms.ledger import check_budget, stored_rows
+from brink.search.algorithms.multi_objective import (
     Child,
     MultiObjectiveConfig,
     MultiObjectiveState,
@@ -45,14 +45,14 @@ from search.algorithms.multi_objective import (
     random_children,
     survived,
 )
-from search.archive import Archive
-from search.component import FloatArray
-from search.document import Document
-from search.errors import ConfigError, DocumentError, OrderError
-from search.seeding import Origin, Proposal, SeedRequest
-from search.settings import setting
-from search.space import SearchSpace
-from search.streams import Stream, generator
+from brink.search.archive import Archive
+from brink.search.component import FloatArray
+from brink.search.document import Document
+from brink.search.errors import ConfigError, DocumentError, OrderError
+from brink.search.seeding import Origin, Proposal, SeedRequest
+from brink.search.settings import setting
+from brink.search.space import SearchSpace
+from brink.search.streams import Stream, generator
 
 _VERSION: Final = 2
 _BEST_SHARE: Final = 0.25

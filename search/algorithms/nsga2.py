@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from search.actions.genome import Genome
-from search.actions.patterns import motif
-from search.actions.variation import crossed_uniformly, mutated_randomly
-from search.algorithm import Candidate, Evaluation
-from search.algorithms.ledger import check_budget
-from search.algorithms.multi_objective import (
+from brink.search.actions.genome import Genome
+from brink.search.actions.patterns import motif
+from brink.search.actions.variation import crossed_uniformly, mutated_randomly
+from brink.search.algorithm import Candidate, Evaluation
+from brink.search.algorithms.ledger import check_budget
+from brink.search.algorithms.multi_objective import (
     Child,
     MultiObjectiveConfig,
     MultiObjectiveState,
@@ -30,13 +30,13 @@ from search.algorithms.multi_objective import (
     random_children,
     survived,
 )
-from search.archive import Archive
-from search.document import Document
-from search.pareto import ranks_and_crowding
-from search.seeding import Origin
-from search.settings import setting
-from search.space import SearchSpace
-from search.streams import Stream, generator
+from brink.search.archive import Archive
+from brink.search.document import Document
+from brink.search.pareto import ranks_and_crowding
+from brink.search.seeding import Origin
+from brink.search.settings import setting
+from brink.search.space import SearchSpace
+from brink.search.streams import Stream, generator
 
 _VERSION = 1
 

@@ -6,14 +6,14 @@ It takes any space. Source: Sharifi et al. 2023, baseline RS.
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from search.algorithm import Candidate, Evaluation
-from search.algorithms.ledger import BoundaryConfig, Ledger, LedgerState, check_budget
-from search.archive import Archive
-from search.component import FloatArray
-from search.document import Document
-from search.settings import setting
-from search.space import SearchSpace
-from search.streams import Stream, generator
+from brink.search.algorithm import Candidate, Evaluation
+from brink.search.algorithms.ledger import BoundaryConfig, Ledger, LedgerState, check_budget
+from brink.search.archive import Archive
+from brink.search.component import FloatArray
+from brink.search.document import Document
+from brink.search.settings import setting
+from brink.search.space import SearchSpace
+from brink.search.streams import Stream, generator
 
 _VERSION = 1
 _DRAWS_A_CANDIDATE = 200

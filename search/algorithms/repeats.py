@@ -14,15 +14,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from search.algorithm import Candidate, Evaluation
-from search.algorithms.ledger import BoundaryConfig, Ledger, LedgerState, check_budget
-from search.archive import Archive
-from search.component import BoolArray, FloatArray
-from search.document import Document
-from search.errors import ConfigError, SpaceError
-from search.fitness import Z_95, wilson_interval
-from search.settings import setting
-from search.space import SearchSpace
+from brink.search.algorithm import Candidate, Evaluation
+from brink.search.algorithms.ledger import BoundaryConfig, Ledger, LedgerState, check_budget
+from brink.search.archive import Archive
+from brink.search.component import BoolArray, FloatArray
+from brink.search.document import Document
+from brink.search.errors import ConfigError, SpaceError
+from brink.search.fitness import Z_95, wilson_interval
+from brink.search.settings import setting
+from brink.search.space import SearchSpace
 
 _VERSION = 1
 

@@ -1,11 +1,11 @@
 """SiMOOD: a genetic algorithm for the weakest combinations of perturbations that most harm a component.
 
-Individuals are ordered slots of distinct techniques, each at a level (`search.levels.Slots`). Most evaluations ask
-how the component fares on a data set (`Question.DATASET`), which is cheap. The finalists, the best individual of
-each order of techniques, are then simulated, all in the same few scenarios with the same seeds. Those with a hazard
-are explained: what they consist of is simulated in the same places, and what becomes of them in another order. Only
-what was simulated ends in the archive. For comparison the same search can ask the simulator every time, or draw
-individuals at random.
+Individuals are ordered slots of distinct techniques, each at a level (`brink.search.levels.Slots`). Most
+evaluations ask how the component fares on a data set (`Question.DATASET`), which is cheap. The finalists, the best
+individual of each order of techniques, are then simulated, all in the same few scenarios with the same seeds. Those
+with a hazard are explained: what they consist of is simulated in the same places, and what becomes of them in another
+order. Only what was simulated ends in the archive. For comparison the same search can ask the simulator every time,
+or draw individuals at random.
 
 Fitness, minimised: f = alpha + omega eta, or |omega eta - alpha| where alpha counts errors. alpha is the objective
 that the problem measures, eta the mean intensity. No individual is evaluated twice.
@@ -21,16 +21,23 @@ from typing import Final
 
 import numpy as np
 
-from search.algorithm import Candidate, Evaluation, Failed, Question
-from search.algorithms.ledger import BoundaryConfig, Ledger, LedgerState, check_budget, row_keys, stored_rows
-from search.archive import Archive
-from search.chains import ChainGenome
-from search.component import FloatArray, frozen_array
-from search.document import Document
-from search.errors import ConfigError, DocumentError
-from search.settings import setting
-from search.space import SearchSpace
-from search.streams import Stream, generator
+from brink.search.algorithm import Candidate, Evaluation, Failed, Question
+from brink.search.algorithms.ledger import (
+    BoundaryConfig,
+    Ledger,
+    LedgerState,
+    check_budget,
+    row_keys,
+    stored_rows,
+)
+from brink.search.archive import Archive
+from brink.search.chains import ChainGenome
+from brink.search.component import FloatArray, frozen_array
+from brink.search.document import Document
+from brink.search.errors import ConfigError, DocumentError
+from brink.search.settings import setting
+from brink.search.space import SearchSpace
+from brink.search.streams import Stream, generator
 
 _VERSION: Final = 2
 ALPHA: Final = "alpha"

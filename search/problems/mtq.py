@@ -10,9 +10,9 @@ Source: Sharifi et al. 2023, benchmark problems; the function is that of Popovic
 import math
 from collections.abc import Sequence
 
-from search.algorithm import Scored
-from search.component import FloatArray
-from search.space import Component, Real, SearchSpace
+from brink.search.algorithm import Scored
+from brink.search.component import FloatArray
+from brink.search.space import Component, Real, SearchSpace
 
 SPACE = SearchSpace((Component("x", (Real("x", 0.0, 1.0),)), Component("y", (Real("y", 0.0, 1.0),))))
 

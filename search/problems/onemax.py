@@ -5,9 +5,9 @@ Source: Sharifi et al. 2023, benchmark problems.
 
 from collections.abc import Sequence
 
-from search.algorithm import Scored
-from search.component import FloatArray
-from search.space import Categorical, Component, SearchSpace
+from brink.search.algorithm import Scored
+from brink.search.component import FloatArray
+from brink.search.space import Categorical, Component, SearchSpace
 
 BITS = 10
 """Bits in each of the two components."""

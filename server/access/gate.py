@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Final
 
-from server.access.store import list_tokens
-from server.access.tokens import Scope, StoredToken, digest_of, id_within
-from server.db.engine import Engines
+from brink.server.access.store import list_tokens
+from brink.server.access.tokens import Scope, StoredToken, digest_of, id_within
+from brink.server.db.engine import Engines
 
 REMEMBERED_S: Final = 5.0
 STRANGERS_PER_S: Final = 20.0

@@ -4,10 +4,10 @@ from datetime import timedelta
 
 from sqlalchemy import Connection, insert, or_, select, update
 
-from server.access.tokens import Scope, StoredToken, digest_of, new_token
-from server.db.clock import database_now
-from server.db.models import TokenRow
-from server.errors import NotFound
+from brink.server.access.tokens import Scope, StoredToken, digest_of, new_token
+from brink.server.db.clock import database_now
+from brink.server.db.models import TokenRow
+from brink.server.errors import NotFound
 
 
 def create_token(connection: Connection, scope: Scope, name: str, expires_in: timedelta | None = None) -> str:

@@ -6,20 +6,20 @@ from typing import Annotated
 from fastapi import APIRouter, Body, Header, Query, Request, Response
 from sqlalchemy import Connection
 
-from server.api.conditional import NOTHING_NEW, is_known, nothing_new, tag_of
-from server.api.context import Context, Services
-from server.api.cursor import cursor_of, read_cursor
-from server.api.schemas import MAX_NUMBER, CampaignList, CampaignView, Progress
-from server.api.views import campaign_view, read_progress
-from server.campaigns import view_store
-from server.campaigns.archives import ReadArchive
-from server.campaigns.body import MAX_FILE_BYTES, CampaignBody, parse_body, yaml_document
-from server.campaigns.service import read
-from server.campaigns.store import ENDED
-from server.campaigns.values import Campaign
-from server.db.models import CampaignStatus
-from server.errors import InvalidInput
-from server.queue.workers import capabilities_of_live
+from brink.server.api.conditional import NOTHING_NEW, is_known, nothing_new, tag_of
+from brink.server.api.context import Context, Services
+from brink.server.api.cursor import cursor_of, read_cursor
+from brink.server.api.schemas import MAX_NUMBER, CampaignList, CampaignView, Progress
+from brink.server.api.views import campaign_view, read_progress
+from brink.server.campaigns import view_store
+from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.body import MAX_FILE_BYTES, CampaignBody, parse_body, yaml_document
+from brink.server.campaigns.service import read
+from brink.server.campaigns.store import ENDED
+from brink.server.campaigns.values import Campaign
+from brink.server.db.models import CampaignStatus
+from brink.server.errors import InvalidInput
+from brink.server.queue.workers import capabilities_of_live
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"])
 

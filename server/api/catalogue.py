@@ -2,8 +2,8 @@
 
 from fastapi import APIRouter
 
-from server.api.schemas import AlgorithmView, ProblemView
-from server.catalogue import describe_algorithms, describe_problems
+from brink.server.api.schemas import AlgorithmView, ProblemView
+from brink.server.catalogue import describe_algorithms, describe_problems
 
 router = APIRouter(tags=["catalogue"])
 

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 
-from search.archive import Archive
-from search.combinations import (
+from brink.search.archive import Archive
+from brink.search.combinations import (
     Chain,
     Combination,
     Step,
@@ -13,10 +13,17 @@ from search.combinations import (
     tally_by_step,
     verdicts_by_chain,
 )
-from search.levels import slots_of
-from search.parameters import Categorical
-from search.space import SearchSpace
-from server.api.schemas import ChainTally, Combinations, CombinationView, StepTally, TechniqueLevel, Variant
+from brink.search.levels import slots_of
+from brink.search.parameters import Categorical
+from brink.search.space import SearchSpace
+from brink.server.api.schemas import (
+    ChainTally,
+    Combinations,
+    CombinationView,
+    StepTally,
+    TechniqueLevel,
+    Variant,
+)
 
 
 class Names:

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from fastapi import Request, Response
 
-from server.api.schemas import View
+from brink.server.api.schemas import View
 
 NOTHING_NEW: Final[dict[int | str, dict[str, Any]]] = {304: {"description": "Nothing new since that ETag."}}
 """For the ``responses`` of a route."""

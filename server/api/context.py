@@ -9,18 +9,18 @@ from typing import Annotated, cast
 
 from fastapi import Depends, Request
 
-from server.campaigns.archives import Archives
-from server.campaigns.films import Films
-from server.campaigns.service import CampaignService
-from server.dashboard.figures import Figures
-from server.db.engine import Engines
-from server.experiments.scorebook import Scorebook
-from server.experiments.service import ExperimentService
-from server.llm.seeds import LlmSeeds
-from server.metrics import Metrics
-from server.monitors.kept import Monitors
-from server.queue.service import QueueService
-from server.settings import Settings
+from brink.server.campaigns.archives import Archives
+from brink.server.campaigns.films import Films
+from brink.server.campaigns.service import CampaignService
+from brink.server.dashboard.figures import Figures
+from brink.server.db.engine import Engines
+from brink.server.experiments.scorebook import Scorebook
+from brink.server.experiments.service import ExperimentService
+from brink.server.llm.seeds import LlmSeeds
+from brink.server.metrics import Metrics
+from brink.server.monitors.kept import Monitors
+from brink.server.queue.service import QueueService
+from brink.server.settings import Settings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

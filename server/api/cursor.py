@@ -4,7 +4,7 @@ import base64
 import re
 from datetime import UTC, datetime
 
-from server.errors import FieldError, InvalidInput
+from brink.server.errors import FieldError, InvalidInput
 
 LATEST_S = 4e9
 """Later than anything that was made, and a time that every platform can name."""

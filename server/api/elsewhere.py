@@ -10,8 +10,8 @@ from starlette.datastructures import Headers
 from starlette.responses import Response
 from starlette.types import Scope
 
-from server.api.problem_details import problem
-from server.settings import LOOPBACK
+from brink.server.api.problem_details import problem
+from brink.server.settings import LOOPBACK
 
 _READS: Final = frozenset({"GET", "HEAD"})
 _OWN_SITE: Final = frozenset({"same-origin", "none"})

@@ -8,7 +8,7 @@ from typing import Annotated, TypeAlias
 
 from pydantic import Field
 
-from server.api.schemas import View
+from brink.server.api.schemas import View
 
 Column: TypeAlias = list[float | None]
 Point: TypeAlias = tuple[float, float]

@@ -6,7 +6,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from server.api.episode_schemas import (
+from brink.server.api.episode_schemas import (
     ActorView,
     Column,
     EgoView,
@@ -20,19 +20,19 @@ from server.api.episode_schemas import (
     StoryView,
     SurfaceView,
 )
-from sim.driving.camera import Camera
-from sim.errors import InvalidEpisode
-from sim.replay.captions import (
+from brink.sim.driving.camera import Camera
+from brink.sim.errors import InvalidEpisode
+from brink.sim.replay.captions import (
     REQUIREMENT_UNITS,
     perturbation_words,
     plain_name,
     report_word,
     scenario_words,
 )
-from sim.replay.errors import ReplayError
-from sim.replay.moments import tell
-from sim.replay.picture_view import threshold_of
-from sim.trace import (
+from brink.sim.replay.errors import ReplayError
+from brink.sim.replay.moments import tell
+from brink.sim.replay.picture_view import threshold_of
+from brink.sim.trace import (
     BOX_COLUMNS,
     FOUND_COLUMNS,
     JUDGED_COLUMNS,

@@ -6,13 +6,13 @@ from typing import Annotated
 from fastapi import APIRouter, Request, Response
 from fastapi import Path as PathParameter
 
-from server.api.context import Services
-from server.api.episode_schemas import EpisodeView
-from server.api.episode_views import episode_view
-from server.api.schemas import MAX_NUMBER
-from server.api.traces import NOT_YET, UNREADABLE, Wait, being_made, trace_of
-from server.errors import Conflict
-from sim.trace import Trace
+from brink.server.api.context import Services
+from brink.server.api.episode_schemas import EpisodeView
+from brink.server.api.episode_views import episode_view
+from brink.server.api.schemas import MAX_NUMBER
+from brink.server.api.traces import NOT_YET, UNREADABLE, Wait, being_made, trace_of
+from brink.server.errors import Conflict
+from brink.sim.trace import Trace
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/solutions/{number}", tags=["solutions"])
 

@@ -6,8 +6,8 @@ from typing import Any
 
 from sqlalchemy import Connection
 
-from search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
-from server.api.experiment_schemas import (
+from brink.search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
+from brink.server.api.experiment_schemas import (
     ControlView,
     DuelView,
     ExperimentProgress,
@@ -18,15 +18,15 @@ from server.api.experiment_schemas import (
     Results,
     StandingView,
 )
-from server.campaigns.store import ENDED
-from server.db.models import CampaignStatus, JobStatus
-from server.db.writer import Trouble
-from server.experiments import store
-from server.experiments.conclusions import LEVEL, conclusion, with_low_controls
-from server.experiments.scores import Control
-from server.experiments.tables import Duel, Repeat, duels, standings
-from server.experiments.values import Experiment
-from server.queue.workers import capabilities_of_live
+from brink.server.campaigns.store import ENDED
+from brink.server.db.models import CampaignStatus, JobStatus
+from brink.server.db.writer import Trouble
+from brink.server.experiments import store
+from brink.server.experiments.conclusions import LEVEL, conclusion, with_low_controls
+from brink.server.experiments.scores import Control
+from brink.server.experiments.tables import Duel, Repeat, duels, standings
+from brink.server.experiments.values import Experiment
+from brink.server.queue.workers import capabilities_of_live
 
 RATE_S = 60.0
 """Time over which the rate is taken."""

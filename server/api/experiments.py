@@ -6,20 +6,20 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import JSONResponse
 
-from server.api.conditional import NOTHING_NEW, tag
-from server.api.context import Services
-from server.api.cursor import cursor_of, read_cursor
-from server.api.experiment_schemas import (
+from brink.server.api.conditional import NOTHING_NEW, tag
+from brink.server.api.context import Services
+from brink.server.api.cursor import cursor_of, read_cursor
+from brink.server.api.experiment_schemas import (
     ExperimentList,
     ExperimentProgress,
     ExperimentSummary,
     ExperimentView,
     Results,
 )
-from server.api.experiment_views import experiment_view, read_progress, results_view, summary_view
-from server.api.schemas import BeingMade
-from server.campaigns.service import read
-from server.experiments.body import ExperimentBody
+from brink.server.api.experiment_views import experiment_view, read_progress, results_view, summary_view
+from brink.server.api.schemas import BeingMade
+from brink.server.campaigns.service import read
+from brink.server.experiments.body import ExperimentBody
 
 router = APIRouter(prefix="/experiments", tags=["experiments"])
 

@@ -12,11 +12,11 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from server.access.gate import Caller, Gate
-from server.api import docs_page
-from server.api.elsewhere import from_elsewhere
-from server.api.problem_details import problem
-from server.dashboard import page
+from brink.server.access.gate import Caller, Gate
+from brink.server.api import docs_page
+from brink.server.api.elsewhere import from_elsewhere
+from brink.server.api.problem_details import problem
+from brink.server.dashboard import page
 
 OPEN_PATHS = ("/", "/healthz", "/readyz", "/docs", "/openapi.json")
 """What says nothing of any campaign: whether the coordinator lives, what its API is, a page that asks for a token."""

@@ -8,15 +8,15 @@ from fastapi.responses import PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Gauge, generate_latest
 from sqlalchemy import Connection, func, select, text
 
-from server.api.context import Services
-from server.api.problem_details import problem
-from server.campaigns.service import read
-from server.db.clock import database_now
-from server.db.models import IS_LEASED, CampaignRow, JobRow, JobStatus
-from server.db.upgrade import current_revision, head_revision
-from server.errors import DatabaseError
-from server.queue.census import count_jobs
-from server.queue.workers import capabilities_of_live
+from brink.server.api.context import Services
+from brink.server.api.problem_details import problem
+from brink.server.campaigns.service import read
+from brink.server.db.clock import database_now
+from brink.server.db.models import IS_LEASED, CampaignRow, JobRow, JobStatus
+from brink.server.db.upgrade import current_revision, head_revision
+from brink.server.errors import DatabaseError
+from brink.server.queue.census import count_jobs
+from brink.server.queue.workers import capabilities_of_live
 
 log = logging.getLogger(__name__)
 router = APIRouter(tags=["operations"])

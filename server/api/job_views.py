@@ -4,11 +4,11 @@ from collections import Counter
 
 from sqlalchemy import Connection
 
-from server.api.schemas import JobCounts
-from server.campaigns.store import ENDED
-from server.db.models import JobKind, JobStatus
-from server.queue.census import count_jobs
-from server.queue.workers import capabilities_of_live
+from brink.server.api.schemas import JobCounts
+from brink.server.campaigns.store import ENDED
+from brink.server.db.models import JobKind, JobStatus
+from brink.server.queue.census import count_jobs
+from brink.server.queue.workers import capabilities_of_live
 
 
 def job_counts(connection: Connection, worker_seen_s: float) -> JobCounts:

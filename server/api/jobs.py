@@ -4,16 +4,16 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Request, Response
 
-from server.api.conditional import NOTHING_NEW, tag
-from server.api.context import Services, client_gone
-from server.api.job_views import job_counts
-from server.api.schemas import MAX_NUMBER, JobCounts, JobList, JobViewModel, WorkerView
-from server.api.wire_route import WireRoute
-from server.campaigns.jobs import list_jobs
-from server.campaigns.service import read
-from server.db.models import JobStatus
-from server.queue.workers import list_seen
-from worker.wire import (
+from brink.server.api.conditional import NOTHING_NEW, tag
+from brink.server.api.context import Services, client_gone
+from brink.server.api.job_views import job_counts
+from brink.server.api.schemas import MAX_NUMBER, JobCounts, JobList, JobViewModel, WorkerView
+from brink.server.api.wire_route import WireRoute
+from brink.server.campaigns.jobs import list_jobs
+from brink.server.campaigns.service import read
+from brink.server.db.models import JobStatus
+from brink.server.queue.workers import list_seen
+from brink.worker.wire import (
     HeartbeatReply,
     HeartbeatRequest,
     LeaseReply,

@@ -4,11 +4,11 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from server.api.context import Services
-from server.api.schemas import LlmCall, LlmCalls
-from server.campaigns.service import read
-from server.llm.calls import StoredCall, spent_on
-from server.llm.store import list_calls
+from brink.server.api.context import Services
+from brink.server.api.schemas import LlmCall, LlmCalls
+from brink.server.campaigns.service import read
+from brink.server.llm.calls import StoredCall, spent_on
+from brink.server.llm.store import list_calls
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/llm-calls", tags=["language models"])
 

@@ -7,12 +7,12 @@ import numpy as np
 from fastapi import APIRouter
 from pydantic import Field
 
-from search.errors import SpaceError
-from search.monitor import Answer
-from server.api.context import Services
-from server.api.schemas import View
-from server.campaigns.body import Body
-from server.errors import FieldError, InvalidInput
+from brink.search.errors import SpaceError
+from brink.search.monitor import Answer
+from brink.server.api.context import Services
+from brink.server.api.schemas import View
+from brink.server.campaigns.body import Body
+from brink.server.errors import FieldError, InvalidInput
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["monitors"])
 

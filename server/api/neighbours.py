@@ -8,12 +8,12 @@ from fastapi import APIRouter, Query
 from fastapi import Path as PathParameter
 from pydantic import Field
 
-from server.api.context import Services
-from server.api.schemas import MAX_NUMBER, View
-from server.boundary.nearest import Nearest, nearest
-from server.campaigns.archives import ReadArchive
-from server.campaigns.plan import looks_for_boundary
-from server.errors import NotFound
+from brink.server.api.context import Services
+from brink.server.api.schemas import MAX_NUMBER, View
+from brink.server.boundary.nearest import Nearest, nearest
+from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.plan import looks_for_boundary
+from brink.server.errors import NotFound
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/solutions/{number}", tags=["solutions"])
 

@@ -7,17 +7,17 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 from sqlalchemy import Connection
 
-from server.api.conditional import NOTHING_NEW, is_known, nothing_new, tag_of
-from server.api.context import Services
-from server.api.cursor import cursor_of, read_cursor
-from server.api.schemas import View
-from server.campaigns import view_store
-from server.campaigns.plan import looks_for_boundary
-from server.campaigns.service import read
-from server.campaigns.standing import read_standing
-from server.dashboard.overview import Outline, list_outlines
-from server.db.models import CampaignStatus
-from server.queue.workers import capabilities_of_live
+from brink.server.api.conditional import NOTHING_NEW, is_known, nothing_new, tag_of
+from brink.server.api.context import Services
+from brink.server.api.cursor import cursor_of, read_cursor
+from brink.server.api.schemas import View
+from brink.server.campaigns import view_store
+from brink.server.campaigns.plan import looks_for_boundary
+from brink.server.campaigns.service import read
+from brink.server.campaigns.standing import read_standing
+from brink.server.dashboard.overview import Outline, list_outlines
+from brink.server.db.models import CampaignStatus
+from brink.server.queue.workers import capabilities_of_live
 
 router = APIRouter(tags=["campaigns"])
 

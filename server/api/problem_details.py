@@ -11,9 +11,9 @@ from pydantic import BaseModel
 from sqlalchemy.exc import DBAPIError
 from starlette.exceptions import HTTPException
 
-from server.campaigns.body import field_errors
-from server.db.writer import passes
-from server.errors import Conflict, FieldError, InvalidInput, NotFound, NoWorker, Unavailable
+from brink.server.campaigns.body import field_errors
+from brink.server.db.writer import passes
+from brink.server.errors import Conflict, FieldError, InvalidInput, NotFound, NoWorker, Unavailable
 
 MEDIA_TYPE = "application/problem+json"
 log = logging.getLogger(__name__)

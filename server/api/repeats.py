@@ -6,14 +6,14 @@ from typing import Annotated, Self
 from fastapi import APIRouter, Response
 from pydantic import Field, model_validator
 
-from server.api.context import Services
-from server.api.schemas import MAX_NUMBER, View
-from server.campaigns.archives import ReadArchive
-from server.campaigns.body import Body
-from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
-from server.campaigns.repeats import MOST, StoredRepeats, read_repeats
-from server.campaigns.service import read
-from server.db.models import CampaignStatus
+from brink.server.api.context import Services
+from brink.server.api.schemas import MAX_NUMBER, View
+from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.body import Body
+from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.repeats import MOST, StoredRepeats, read_repeats
+from brink.server.campaigns.service import read
+from brink.server.db.models import CampaignStatus
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["repeats"])
 

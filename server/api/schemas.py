@@ -5,8 +5,8 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from server.campaigns.body import CampaignBody
-from server.db.models import CampaignStatus, JobStatus, SolutionVerdict
+from brink.server.campaigns.body import CampaignBody
+from brink.server.db.models import CampaignStatus, JobStatus, SolutionVerdict
 
 MAX_NUMBER = 2**53
 """Largest number of a job or a solution that is looked up: JSON readers keep it exactly."""

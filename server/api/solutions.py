@@ -10,12 +10,12 @@ from fastapi import APIRouter, Query, Request, Response
 from fastapi import Path as PathParameter
 from starlette.responses import Response as PlainResponse
 
-from search.errors import UnsupportedSpace
-from search.parameters import Categorical
-from search.space import SearchSpace
-from server.api.combination_views import combinations_view, variants_view
-from server.api.context import Services
-from server.api.schemas import (
+from brink.search.errors import UnsupportedSpace
+from brink.search.parameters import Categorical
+from brink.search.space import SearchSpace
+from brink.server.api.combination_views import combinations_view, variants_view
+from brink.server.api.context import Services
+from brink.server.api.schemas import (
     MAX_NUMBER,
     Boundary,
     Combinations,
@@ -24,15 +24,15 @@ from server.api.schemas import (
     SolutionView,
     Variant,
 )
-from server.api.traces import NOT_YET, UNREADABLE, Wait, being_made, trace_of
-from server.api.views import boundary_view, solution_views
-from server.boundary.table import boundary_rows, table_bytes
-from server.campaigns import view_store
-from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
-from server.campaigns.service import read
-from server.errors import Conflict, FieldError, InvalidInput, NotFound
-from sim.replay import render_bytes
-from sim.trace import Trace
+from brink.server.api.traces import NOT_YET, UNREADABLE, Wait, being_made, trace_of
+from brink.server.api.views import boundary_view, solution_views
+from brink.server.boundary.table import boundary_rows, table_bytes
+from brink.server.campaigns import view_store
+from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.service import read
+from brink.server.errors import Conflict, FieldError, InvalidInput, NotFound
+from brink.sim.replay import render_bytes
+from brink.sim.trace import Trace
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
 

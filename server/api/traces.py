@@ -11,15 +11,15 @@ from fastapi import Query, Request
 from fastapi.responses import JSONResponse
 from sqlalchemy import Connection, Row
 
-from server.api.context import Context, client_gone
-from server.api.schemas import BeingMade, ProblemDetail
-from server.campaigns.service import read
-from server.campaigns.traces import find_trace, simulator_of, trace_job
-from server.campaigns.values import Campaign
-from server.db.models import JobStatus
-from server.errors import Conflict, NotFound, NoWorker
-from server.queue.workers import can_run
-from sim.errors import SimulatorError
+from brink.server.api.context import Context, client_gone
+from brink.server.api.schemas import BeingMade, ProblemDetail
+from brink.server.campaigns.service import read
+from brink.server.campaigns.traces import find_trace, simulator_of, trace_job
+from brink.server.campaigns.values import Campaign
+from brink.server.db.models import JobStatus
+from brink.server.errors import Conflict, NotFound, NoWorker
+from brink.server.queue.workers import can_run
+from brink.sim.errors import SimulatorError
 
 LOOK_AGAIN_S = 0.25
 NO_WORKER_RETRY_S = 5

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, Row
 
-from search.archive import Archive
-from search.boundary import distinct_boundary
-from server.api.schemas import (
+from brink.search.archive import Archive
+from brink.search.boundary import distinct_boundary
+from brink.server.api.schemas import (
     Boundary,
     CampaignView,
     DbsCell,
@@ -17,15 +17,15 @@ from server.api.schemas import (
     Progress,
     SolutionView,
 )
-from server.campaigns import store, view_store
-from server.campaigns.archives import ReadArchive
-from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B, looks_for_boundary
-from server.campaigns.standing import read_standing
-from server.campaigns.values import Campaign
-from server.db.writer import Trouble
-from server.errors import NotFound
-from server.problems.base import Problem, words_of
-from server.queue.workers import capabilities_of_live
+from brink.server.campaigns import store, view_store
+from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B, looks_for_boundary
+from brink.server.campaigns.standing import read_standing
+from brink.server.campaigns.values import Campaign
+from brink.server.db.writer import Trouble
+from brink.server.errors import NotFound
+from brink.server.problems.base import Problem, words_of
+from brink.server.queue.workers import capabilities_of_live
 
 
 def campaign_view(campaign: Campaign) -> CampaignView:

@@ -7,15 +7,15 @@ from fastapi import APIRouter, Query, Response
 from fastapi import Path as PathParameter
 from pydantic import BaseModel, ConfigDict, Field
 
-from server.api.context import Context, Services
-from server.api.schemas import MAX_NUMBER, View
-from server.campaigns.service import read
-from server.campaigns.values import Campaign
-from server.errors import NotFound
-from server.problems.base import TellsViolations
-from server.violations import store
-from server.violations.found import FoundViolation, ViolationType, by_type, found_violations
-from server.violations.rules import RULES_VERSION
+from brink.server.api.context import Context, Services
+from brink.server.api.schemas import MAX_NUMBER, View
+from brink.server.campaigns.service import read
+from brink.server.campaigns.values import Campaign
+from brink.server.errors import NotFound
+from brink.server.problems.base import TellsViolations
+from brink.server.violations import store
+from brink.server.violations.found import FoundViolation, ViolationType, by_type, found_violations
+from brink.server.violations.rules import RULES_VERSION
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/violations", tags=["violations"])
 

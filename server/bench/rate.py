@@ -20,13 +20,13 @@ from typing import Any
 
 import httpx
 
-from server.bench.processes import children_of, cpu_of
-from server.campaigns.body import CampaignBody, parse_body
-from server.cli.api import TIMEOUT, Api
-from server.cli.coordinator import EmbeddedCoordinator, WorkerProcesses, prepare_database
-from server.settings import Settings
-from sim.catalogue import make_simulator
-from sim.episode import EpisodeSpec
+from brink.server.bench.processes import children_of, cpu_of
+from brink.server.campaigns.body import CampaignBody, parse_body
+from brink.server.cli.api import TIMEOUT, Api
+from brink.server.cli.coordinator import EmbeddedCoordinator, WorkerProcesses, prepare_database
+from brink.server.settings import Settings
+from brink.sim.catalogue import make_simulator
+from brink.sim.episode import EpisodeSpec
 
 READY_S = 60.0
 LOOK_EVERY_S = 0.5

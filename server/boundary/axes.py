@@ -5,9 +5,9 @@ from typing import Final
 
 import numpy as np
 
-from search.component import FloatArray
-from search.space import Categorical, SearchSpace
-from server.boundary.parameters import ParameterColumn, parameter_columns
+from brink.search.component import FloatArray
+from brink.search.space import Categorical, SearchSpace
+from brink.server.boundary.parameters import ParameterColumn, parameter_columns
 
 TELLING: Final = 0.25
 """Least share of the variance along an axis that a parameter must explain to be named."""

@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.perception.boxes import overlaps
-from sim.trace import Trace
+from brink.sim.perception.boxes import overlaps
+from brink.sim.trace import Trace
 
 LABELS: Final = {0: "vehicle", 1: "person"}
 SAME: Final = 0.5

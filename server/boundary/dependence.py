@@ -10,11 +10,11 @@ import numpy as np
 import scipy  # its statistics take half a second to load: at the first use
 from numpy.typing import NDArray
 
-from search.archive import Archive
-from search.component import BoolArray, FloatArray
-from search.fitness import IntArray
-from search.space import Categorical, Integer, SearchSpace
-from server.boundary.parameters import ParameterColumn, parameter_columns
+from brink.search.archive import Archive
+from brink.search.component import BoolArray, FloatArray
+from brink.search.fitness import IntArray
+from brink.search.space import Categorical, Integer, SearchSpace
+from brink.server.boundary.parameters import ParameterColumn, parameter_columns
 
 FEWEST_IN_BIN: Final = 15
 MOST_BINS: Final = 8

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from search.archive import Archive
-from search.component import FloatArray
+from brink.search.archive import Archive
+from brink.search.component import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

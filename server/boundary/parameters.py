@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from search.component import BoolArray, FloatArray
-from search.space import Categorical, Component, Dormant, Parameter, SearchSpace
+from brink.search.component import BoolArray, FloatArray
+from brink.search.space import Categorical, Component, Dormant, Parameter, SearchSpace
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -16,12 +16,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from search.archive import Archive
-from search.component import BoolArray, FloatArray
-from search.fitness import wilson_interval
-from search.parameters import Categorical, Integer, Parameter
-from search.space import SearchSpace
-from server.errors import FieldError, InvalidInput, install
+from brink.search.archive import Archive
+from brink.search.component import BoolArray, FloatArray
+from brink.search.fitness import wilson_interval
+from brink.search.parameters import Categorical, Integer, Parameter
+from brink.search.space import SearchSpace
+from brink.server.errors import FieldError, InvalidInput, install
 
 DEPTH: Final = 4
 FOLDS: Final = 5

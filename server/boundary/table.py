@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from typing import Any, Final, TypeAlias
 
-from server.api.schemas import Boundary
-from server.campaigns.body import CampaignBody
-from server.errors import FieldError, InvalidInput, install
+from brink.server.api.schemas import Boundary
+from brink.server.campaigns.body import CampaignBody
+from brink.server.errors import FieldError, InvalidInput, install
 
 Cell: TypeAlias = str | int | float | bool | None
 Row: TypeAlias = dict[str, Cell]

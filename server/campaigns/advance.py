@@ -17,14 +17,14 @@ from sqlalchemy import Connection, Row
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 
-from search.algorithm import Candidate, Evaluation, Failed, Measured, Question, Scored
-from search.archive import Archive
-from search.boundary import distinct_boundary
-from search.document import Document
-from search.metric import METRIC_VERSION
-from search.seeding import Seeded
-from server.campaigns import step_store, store
-from server.campaigns.plan import (
+from brink.search.algorithm import Candidate, Evaluation, Failed, Measured, Question, Scored
+from brink.search.archive import Archive
+from brink.search.boundary import distinct_boundary
+from brink.search.document import Document
+from brink.search.metric import METRIC_VERSION
+from brink.search.seeding import Seeded
+from brink.server.campaigns import step_store, store
+from brink.server.campaigns.plan import (
     DEFAULT_D_TH,
     DEFAULT_T_B,
     Live,
@@ -37,9 +37,9 @@ from server.campaigns.plan import (
     vector_bytes,
     wanted_seeds,
 )
-from server.campaigns.repeats import PlannedRepeats, plan_repeats, store_repeats
-from server.campaigns.seeding import SeedSource
-from server.campaigns.values import (
+from brink.server.campaigns.repeats import PlannedRepeats, plan_repeats, store_repeats
+from brink.server.campaigns.seeding import SeedSource
+from brink.server.campaigns.values import (
     Block,
     Campaign,
     Checkpoint,
@@ -48,13 +48,13 @@ from server.campaigns.values import (
     NewSolution,
     Step,
 )
-from server.db.engine import Engines
-from server.db.models import CampaignStatus, JobStatus, SolutionVerdict
-from server.db.writer import Writer, passes
-from server.errors import Damaged, FieldError, InvalidInput, Unavailable
-from server.metrics import Metrics
-from server.problems.base import InProcessProblem, MeasuresOnData, Problem, SimulatedProblem
-from worker.wire import Completed
+from brink.server.db.engine import Engines
+from brink.server.db.models import CampaignStatus, JobStatus, SolutionVerdict
+from brink.server.db.writer import Writer, passes
+from brink.server.errors import Damaged, FieldError, InvalidInput, Unavailable
+from brink.server.metrics import Metrics
+from brink.server.problems.base import InProcessProblem, MeasuresOnData, Problem, SimulatedProblem
+from brink.worker.wire import Completed
 
 FEW_FAILURES = 3
 """A campaign is not paused for this many failures or fewer."""

@@ -7,16 +7,16 @@ from functools import cached_property
 
 from sqlalchemy import Connection
 
-from search.archive import Archive
-from search.boundary import PAPER_D_THS, PAPER_T_BS, DbsGrid, dbs_grid
-from search.component import FloatArray
-from search.digest import archive_digest
-from server.campaigns import step_store
-from server.campaigns.advance import Stepper
-from server.campaigns.plan import Plan, make_plan, restored_archive
-from server.campaigns.values import Campaign, StoredArchive
-from server.db.engine import Engines
-from server.latest import Latest
+from brink.search.archive import Archive
+from brink.search.boundary import PAPER_D_THS, PAPER_T_BS, DbsGrid, dbs_grid
+from brink.search.component import FloatArray
+from brink.search.digest import archive_digest
+from brink.server.campaigns import step_store
+from brink.server.campaigns.advance import Stepper
+from brink.server.campaigns.plan import Plan, make_plan, restored_archive
+from brink.server.campaigns.values import Campaign, StoredArchive
+from brink.server.db.engine import Engines
+from brink.server.latest import Latest
 
 KEPT = 8
 

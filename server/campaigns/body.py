@@ -12,9 +12,9 @@ from typing import Annotated, Any, TypeVar, get_args
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from server.errors import FieldError, InvalidInput, nearest
-from server.llm.settings import LlmSettings
-from worker.wire import JsonValues
+from brink.server.errors import FieldError, InvalidInput, nearest
+from brink.server.llm.settings import LlmSettings
+from brink.worker.wire import JsonValues
 
 MAX_FILE_BYTES = 1024 * 1024
 

@@ -4,14 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
-from server.campaigns.service import read
-from server.campaigns.traces import find_trace, trace_key
-from server.campaigns.values import Campaign
-from server.db.engine import Engines
-from server.errors import NotFound
-from server.latest import Latest
-from sim.errors import SimulatorError
-from sim.trace import Trace
+from brink.server.campaigns.service import read
+from brink.server.campaigns.traces import find_trace, trace_key
+from brink.server.campaigns.values import Campaign
+from brink.server.db.engine import Engines
+from brink.server.errors import NotFound
+from brink.server.latest import Latest
+from brink.sim.errors import SimulatorError
+from brink.sim.trace import Trace
 
 KEPT: Final = 4
 MOST_BYTES: Final = 32 * 1024**2

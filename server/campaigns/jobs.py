@@ -7,14 +7,14 @@ from datetime import datetime
 
 from sqlalchemy import Connection, select, text, update
 
-from server.campaigns.store import ENDED, find_campaign, note_change
-from server.campaigns.values import Campaign
-from server.db.models import JobKind, JobRow, JobStatus, SolutionRow, SolutionVerdict
-from server.db.news import announce
-from server.errors import Conflict, NotFound
+from brink.server.campaigns.store import ENDED, find_campaign, note_change
+from brink.server.campaigns.values import Campaign
+from brink.server.db.models import JobKind, JobRow, JobStatus, SolutionRow, SolutionVerdict
+from brink.server.db.news import announce
+from brink.server.errors import Conflict, NotFound
 
 OPEN = frozenset({JobStatus.QUEUED, JobStatus.LEASED, JobStatus.QUARANTINED})
-# One look a campaign, as `server.queue.census` has it, and for the same reason.
+# One look a campaign, as `brink.server.queue.census` has it, and for the same reason.
 _IDS = {
     "sqlite": """SELECT jobs.id FROM campaigns CROSS JOIN jobs
 WHERE jobs.campaign_id = campaigns.id AND jobs.status = '{status}' AND jobs.id > :after {whose}

@@ -6,18 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from search.algorithm import Algorithm, Candidate, Question
-from search.algorithms.multi_objective import MultiObjectiveConfig
-from search.algorithms.repeats import RepeatsConfig
-from search.archive import Archive, Neighbourhood
-from search.seeding import Seeded, SeedRequest
-from search.streams import episode_seed
-from server.campaigns.body import CampaignBody, PluginChoice
-from server.campaigns.values import NewJob, NewSolution, StoredArchive
-from server.catalogue import make_algorithm, make_params, make_problem, read_problem_params
-from server.db.models import JobKind
-from server.errors import FieldError, InvalidInput
-from server.problems.base import InProcessProblem, MeasuresOnData, Problem, SimulatedProblem
+from brink.search.algorithm import Algorithm, Candidate, Question
+from brink.search.algorithms.multi_objective import MultiObjectiveConfig
+from brink.search.algorithms.repeats import RepeatsConfig
+from brink.search.archive import Archive, Neighbourhood
+from brink.search.seeding import Seeded, SeedRequest
+from brink.search.streams import episode_seed
+from brink.server.campaigns.body import CampaignBody, PluginChoice
+from brink.server.campaigns.values import NewJob, NewSolution, StoredArchive
+from brink.server.catalogue import make_algorithm, make_params, make_problem, read_problem_params
+from brink.server.db.models import JobKind
+from brink.server.errors import FieldError, InvalidInput
+from brink.server.problems.base import InProcessProblem, MeasuresOnData, Problem, SimulatedProblem
 
 DEFAULT_T_B = 0.10
 """Fitness up to which a solution counts as boundary, where nobody says otherwise."""

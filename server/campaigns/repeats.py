@@ -1,7 +1,7 @@
 """Repeats: solutions of a campaign simulated again with other seeds, in a campaign of their own.
 
 So they need nothing that campaigns do not have: workers, progress, resuming, no result lost. Its algorithm is
-`search.algorithms.repeats`.
+`brink.search.algorithms.repeats`.
 
 They are the distinct boundary at two thresholds, or solutions that somebody named. Named ones are stored with the
 thresholds that leave nothing out, `EVERY_T_B` and `EVERY_D_TH`: with these it is their numbers alone that say which
@@ -15,17 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Connection, insert, select
 
-from search.algorithms.repeats import Repeats, Tallies, tallied
-from search.archive import Archive
-from search.boundary import distinct_boundary
-from search.streams import Stream, generator
-from server.campaigns import store
-from server.campaigns.body import Budget, CampaignBody, PluginChoice
-from server.campaigns.plan import Plan
-from server.campaigns.submission import Prepared, prepared, store_prepared
-from server.campaigns.values import Campaign
-from server.db.models import CampaignRow, CampaignStatus, RepeatsRow, SolutionRow, SolutionVerdict
-from server.errors import Conflict, FieldError, InvalidInput
+from brink.search.algorithms.repeats import Repeats, Tallies, tallied
+from brink.search.archive import Archive
+from brink.search.boundary import distinct_boundary
+from brink.search.streams import Stream, generator
+from brink.server.campaigns import store
+from brink.server.campaigns.body import Budget, CampaignBody, PluginChoice
+from brink.server.campaigns.plan import Plan
+from brink.server.campaigns.submission import Prepared, prepared, store_prepared
+from brink.server.campaigns.values import Campaign
+from brink.server.db.models import CampaignRow, CampaignStatus, RepeatsRow, SolutionRow, SolutionVerdict
+from brink.server.errors import Conflict, FieldError, InvalidInput
 
 MOST = 1_000
 """Solutions that are repeated, the best ones: they stand in the settings of a campaign."""

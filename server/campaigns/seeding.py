@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Protocol
 
-from search.seeding import Proposal, SeedRequest
-from server.campaigns.values import Campaign
-from server.problems.base import Problem
+from brink.search.seeding import Proposal, SeedRequest
+from brink.server.campaigns.values import Campaign
+from brink.server.problems.base import Problem
 
 
 class SeedSource(Protocol):

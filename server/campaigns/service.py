@@ -10,28 +10,28 @@ from typing import TypeVar
 
 from sqlalchemy import Connection
 
-from search.archive import Archive
-from server.campaigns import jobs as job_store
-from server.campaigns import store, traces
-from server.campaigns.advance import Stepper
-from server.campaigns.body import CampaignBody
-from server.campaigns.plan import Plan
-from server.campaigns.repeats import (
+from brink.search.archive import Archive
+from brink.server.campaigns import jobs as job_store
+from brink.server.campaigns import store, traces
+from brink.server.campaigns.advance import Stepper
+from brink.server.campaigns.body import CampaignBody
+from brink.server.campaigns.plan import Plan
+from brink.server.campaigns.repeats import (
     PlannedRepeats,
     check_no_open_repeats,
     plan_named,
     plan_repeats,
     store_repeats,
 )
-from server.campaigns.store import ENDED
-from server.campaigns.submission import Prepared, check_repeatable, prepared, store_prepared
-from server.campaigns.values import Campaign
-from server.db.engine import Engines
-from server.db.models import CampaignStatus
-from server.db.writer import Writer
-from server.errors import Conflict, NotFound
-from server.queue.report_store import idle_campaigns
-from server.queue.service import QueueService
+from brink.server.campaigns.store import ENDED
+from brink.server.campaigns.submission import Prepared, check_repeatable, prepared, store_prepared
+from brink.server.campaigns.values import Campaign
+from brink.server.db.engine import Engines
+from brink.server.db.models import CampaignStatus
+from brink.server.db.writer import Writer
+from brink.server.errors import Conflict, NotFound
+from brink.server.queue.report_store import idle_campaigns
+from brink.server.queue.service import QueueService
 
 log = logging.getLogger(__name__)
 

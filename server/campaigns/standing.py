@@ -7,9 +7,9 @@ from typing import Final, Protocol
 
 from sqlalchemy import Connection
 
-from server.campaigns import view_store
-from server.campaigns.values import GenerationSummary
-from server.db.models import CampaignStatus, JobStatus
+from brink.server.campaigns import view_store
+from brink.server.campaigns.values import GenerationSummary
+from brink.server.db.models import CampaignStatus, JobStatus
 
 RATE_WINDOW: Final = 5
 """Generations over which the rate is taken."""

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, Row, bindparam, delete, insert, select, update
 
-from search.component import FloatArray
-from search.metric import METRIC_VERSION
-from server.campaigns.store import find_campaign, note_change, set_status
-from server.campaigns.values import Campaign, Checkpoint, NewJob, NewSolution, Step, StoredArchive
-from server.db.clock import database_now
-from server.db.models import (
+from brink.search.component import FloatArray
+from brink.search.metric import METRIC_VERSION
+from brink.server.campaigns.store import find_campaign, note_change, set_status
+from brink.server.campaigns.values import Campaign, Checkpoint, NewJob, NewSolution, Step, StoredArchive
+from brink.server.db.clock import database_now
+from brink.server.db.models import (
     EVALUATES,
     LAST_TURN,
     NEXT_SEQUENCE,
@@ -29,8 +29,8 @@ from server.db.models import (
     SolutionVerdict,
     has_open_jobs,
 )
-from server.db.news import announce
-from server.errors import Damaged
+from brink.server.db.news import announce
+from brink.server.errors import Damaged
 
 log = logging.getLogger(__name__)
 

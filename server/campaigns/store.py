@@ -1,7 +1,7 @@
 """The SQL of campaigns: rows in, plain values out.
 
-Functions that write are units for `server.db.writer.Writer`; functions that read take a connection of the reader,
-which sees one snapshot.
+Functions that write are units for `brink.server.db.writer.Writer`; functions that read take a connection of
+the reader, which sees one snapshot.
 """
 
 from collections.abc import Sequence
@@ -10,11 +10,11 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, delete, func, insert, select, update
 
-from server.campaigns.body import CampaignBody
-from server.campaigns.values import Campaign
-from server.db.clock import database_now
-from server.db.listing import named_row, newest_first
-from server.db.models import (
+from brink.server.campaigns.body import CampaignBody
+from brink.server.campaigns.values import Campaign
+from brink.server.db.clock import database_now
+from brink.server.db.listing import named_row, newest_first
+from brink.server.db.models import (
     EVALUATES,
     NEXT_SEQUENCE,
     CampaignRow,
@@ -25,7 +25,7 @@ from server.db.models import (
     TraceRow,
     has_open_jobs,
 )
-from server.db.news import announce
+from brink.server.db.news import announce
 
 ENDED = (CampaignStatus.FINISHED, CampaignStatus.CANCELLED, CampaignStatus.FAILED)
 

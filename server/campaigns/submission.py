@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 from sqlalchemy import Connection
 
-from search.errors import ConfigError, UnsupportedSpace
-from server.campaigns import step_store, store
-from server.campaigns.body import CampaignBody
-from server.campaigns.plan import Live, Plan, first_generation, make_plan
-from server.campaigns.values import Campaign, NewSolution
-from server.catalogue import config_field_error
-from server.errors import FieldError, InvalidInput
-from server.llm.settings import LlmSettings
-from server.problems.base import ChecksInputs, Describes, InProcessProblem
+from brink.search.errors import ConfigError, UnsupportedSpace
+from brink.server.campaigns import step_store, store
+from brink.server.campaigns.body import CampaignBody
+from brink.server.campaigns.plan import Live, Plan, first_generation, make_plan
+from brink.server.campaigns.values import Campaign, NewSolution
+from brink.server.catalogue import config_field_error
+from brink.server.errors import FieldError, InvalidInput
+from brink.server.llm.settings import LlmSettings
+from brink.server.problems.base import ChecksInputs, Describes, InProcessProblem
 
 LLM = "llm"
 """What an algorithm's setting `seeder` is that wants seeds from a language model."""

@@ -4,9 +4,9 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, select
 
-from server.campaigns.step_store import enqueue_traces
-from server.campaigns.values import Campaign
-from server.db.models import JobKind, JobRow, SolutionRow, TraceRow
+from brink.server.campaigns.step_store import enqueue_traces
+from brink.server.campaigns.values import Campaign
+from brink.server.db.models import JobKind, JobRow, SolutionRow, TraceRow
 
 
 def find_trace(connection: Connection, campaign_id: str, number: int) -> bytes | None:

@@ -8,8 +8,8 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from server.campaigns.body import CampaignBody
-from server.db.models import CampaignStatus, JobKind, SolutionVerdict
+from brink.server.campaigns.body import CampaignBody
+from brink.server.db.models import CampaignStatus, JobKind, SolutionVerdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,9 +5,9 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, Select, bindparam, func, select
 
-from server.campaigns.step_store import MAX_NAMED
-from server.campaigns.values import GenerationSummary
-from server.db.models import (
+from brink.server.campaigns.step_store import MAX_NAMED
+from brink.server.campaigns.values import GenerationSummary
+from brink.server.db.models import (
     EVALUATES,
     CampaignRow,
     GenerationRow,

@@ -9,11 +9,11 @@ from typing import Any
 
 import httpx
 
-from server.app import create_app
-from server.db.engine import open_engines
-from server.db.upgrade import check_known, current_revision, head_revision
-from server.errors import DatabaseError, FieldError, InvalidInput, ServerError
-from server.settings import Settings
+from brink.server.app import create_app
+from brink.server.db.engine import open_engines
+from brink.server.db.upgrade import check_known, current_revision, head_revision
+from brink.server.errors import DatabaseError, FieldError, InvalidInput, ServerError
+from brink.server.settings import Settings
 
 TIMEOUT = httpx.Timeout(90.0, connect=5.0)
 

@@ -3,27 +3,27 @@
 import logging
 import os
 import sys
-from importlib.metadata import version
 from typing import Annotated
 
 import typer
 
-from server.cli import inspect, llm, operate, perturbations, steer
-from server.cli.benchmarks import methods, service
-from server.cli.benchmarks.figures import bench
-from server.cli.compare import compare
-from server.cli.evidence import evidence
-from server.cli.experiments.commands import experiment
-from server.cli.findings.combinations import combinations
-from server.cli.findings.violations import violations
-from server.cli.monitor import monitor
-from server.cli.operations import doctor, export, import_, prune_
-from server.cli.repeats import repeats
-from server.cli.run import run
-from server.cli.sensitivity import sensitivity
-from server.cli.tokens import token
-from sim.catalogue import PLUGINS_VARIABLE
-from worker.log import LogLevel, configure_logging, environment_format
+from brink import __version__
+from brink.server.cli import inspect, llm, operate, perturbations, steer
+from brink.server.cli.benchmarks import methods, service
+from brink.server.cli.benchmarks.figures import bench
+from brink.server.cli.compare import compare
+from brink.server.cli.evidence import evidence
+from brink.server.cli.experiments.commands import experiment
+from brink.server.cli.findings.combinations import combinations
+from brink.server.cli.findings.violations import violations
+from brink.server.cli.monitor import monitor
+from brink.server.cli.operations import doctor, export, import_, prune_
+from brink.server.cli.repeats import repeats
+from brink.server.cli.run import run
+from brink.server.cli.sensitivity import sensitivity
+from brink.server.cli.tokens import token
+from brink.sim.catalogue import PLUGINS_VARIABLE
+from brink.worker.log import LogLevel, configure_logging, environment_format
 
 app = typer.Typer(
     name="brink",
@@ -66,7 +66,7 @@ app.add_typer(llm.llm, name="llm")
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"brink {version('brink')}")
+        typer.echo(f"brink {__version__}")
         raise typer.Exit
 
 

@@ -7,14 +7,14 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from search.boundary import PAPER_D_THS, PAPER_T_BS
-from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
-from server.cli.api import Api
-from server.cli.options import AsJson, Database, Server, console, print_json, with_api
-from server.cli.pictures import FetchedArchive, fetch_archive
-from server.experiments.comparison import ComparedCampaign, Row, in_words
-from server.experiments.comparison import compare as compare_campaigns
-from server.experiments.scores import DRAWS
+from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
+from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.cli.api import Api
+from brink.server.cli.options import AsJson, Database, Server, console, print_json, with_api
+from brink.server.cli.pictures import FetchedArchive, fetch_archive
+from brink.server.experiments.comparison import ComparedCampaign, Row, in_words
+from brink.server.experiments.comparison import compare as compare_campaigns
+from brink.server.experiments.scores import DRAWS
 
 
 def compare(

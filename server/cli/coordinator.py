@@ -14,16 +14,16 @@ from pathlib import Path
 import uvicorn
 from sqlalchemy import inspect
 
-from server.access.store import any_token
-from server.app import create_app
-from server.cli.impatient import impatient
-from server.db.engine import open_engines, parse_url
-from server.db.models import TokenRow
-from server.db.upgrade import upgrade
-from server.errors import ServerError
-from server.queue.holding_store import release
-from server.queue.workers import leases_of, process_is_gone
-from server.settings import LOOPBACK, Settings
+from brink.server.access.store import any_token
+from brink.server.app import create_app
+from brink.server.cli.impatient import impatient
+from brink.server.db.engine import open_engines, parse_url
+from brink.server.db.models import TokenRow
+from brink.server.db.upgrade import upgrade
+from brink.server.errors import ServerError
+from brink.server.queue.holding_store import release
+from brink.server.queue.workers import leases_of, process_is_gone
+from brink.server.settings import LOOPBACK, Settings
 
 START_S = 15.0
 
@@ -198,7 +198,7 @@ class WorkerProcesses:
             for _ in range(count):
                 self._running.append(
                     subprocess.Popen(
-                        [sys.executable, "-m", "worker", "--server", self.url, "--exit-with-parent"],
+                        [sys.executable, "-m", "brink.worker", "--server", self.url, "--exit-with-parent"],
                         stdin=subprocess.PIPE,
                         stdout=log,
                         stderr=log,

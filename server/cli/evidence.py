@@ -4,7 +4,6 @@ import asyncio
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,20 +11,21 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from server.api.schemas import Boundary
-from server.boundary.component import seen_and_said, write_boxes
-from server.boundary.rules import Rules, region_rules, rules_markdown
-from server.boundary.table import FORMATS, MEANINGS, Row, boundary_rows, has_parquet, table_bytes
-from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
-from server.cli.api import Api, CoordinatorSaid
-from server.cli.options import AsJson, CampaignId, Database, Server, console, print_json, with_api
-from server.cli.pictures import FetchedArchive, fetch_archive
-from server.cli.replays import NoTrace, fetch_trace, requirement_of, run_again
-from server.errors import FieldError, InvalidInput, ServerError, install
-from sim.errors import SimulatorError
-from sim.replay import render
-from sim.trace import Trace
-from worker.errors import WorkerError
+from brink import __version__
+from brink.server.api.schemas import Boundary
+from brink.server.boundary.component import seen_and_said, write_boxes
+from brink.server.boundary.rules import Rules, region_rules, rules_markdown
+from brink.server.boundary.table import FORMATS, MEANINGS, Row, boundary_rows, has_parquet, table_bytes
+from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.cli.api import Api, CoordinatorSaid
+from brink.server.cli.options import AsJson, CampaignId, Database, Server, console, print_json, with_api
+from brink.server.cli.pictures import FetchedArchive, fetch_archive
+from brink.server.cli.replays import NoTrace, fetch_trace, requirement_of, run_again
+from brink.server.errors import FieldError, InvalidInput, ServerError, install
+from brink.sim.errors import SimulatorError
+from brink.sim.replay import render
+from brink.sim.trace import Trace
+from brink.worker.errors import WorkerError
 
 PATIENCE_S = 120.0
 UNDRAWABLE = (
@@ -196,7 +196,7 @@ def _readme(
         f"# Boundary of {body.name}",
         f"Campaign {fetched.id}: {body.algorithm.id} on {body.problem.id}, seed {body.seed}, "
         f"{len(fetched.archive):,} evaluated solutions, {int(fetched.archive.unsafe.sum()):,} of them unsafe. "
-        f"Brink {version('brink')}.",
+        f"Brink {__version__}.",
         f"{boundary.dbs} distinct boundary solutions, {boundary.strict_dbs} of them strict: fitness at most "
         f"{wanted.t_b:g}, at least {wanted.d_th:g} apart, around the region that is unsafe with probability "
         f"{near.p_th:g}; neighbours within {near.radius:g}, intervals with z = {near.z:g}. {boundary.note}",

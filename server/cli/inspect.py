@@ -9,11 +9,11 @@ import typer
 from rich.progress import Progress
 from rich.table import Table
 
-from server.boundary.table import FORMATS
-from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
-from server.cli.api import Api
-from server.cli.live import spark
-from server.cli.options import (
+from brink.server.boundary.table import FORMATS
+from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.cli.api import Api
+from brink.server.cli.live import spark
+from brink.server.cli.options import (
     AsJson,
     CampaignId,
     Database,
@@ -24,11 +24,11 @@ from server.cli.options import (
     print_json,
     with_api,
 )
-from server.cli.pictures import draw_figures, fetch_archive
-from server.cli.replays import fetch_trace, requirement_of, run_again
-from server.cli.summary import grid_table, solution_table
-from server.errors import FieldError, InvalidInput
-from sim.replay import render
+from brink.server.cli.pictures import draw_figures, fetch_archive
+from brink.server.cli.replays import fetch_trace, requirement_of, run_again
+from brink.server.cli.summary import grid_table, solution_table
+from brink.server.errors import FieldError, InvalidInput
+from brink.sim.replay import render
 
 PATIENCE_S = 120.0
 ERRORS_SHOWN = 5

@@ -8,11 +8,11 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from search.seeding import SeedRequest
-from server.campaigns.body import CampaignBody, read_campaign_file
-from server.campaigns.submission import checked_plan
-from server.cli.api import Api
-from server.cli.options import (
+from brink.search.seeding import SeedRequest
+from brink.server.campaigns.body import CampaignBody, read_campaign_file
+from brink.server.campaigns.submission import checked_plan
+from brink.server.cli.api import Api
+from brink.server.cli.options import (
     AsJson,
     CampaignFile,
     CampaignId,
@@ -22,12 +22,12 @@ from server.cli.options import (
     print_json,
     with_api,
 )
-from server.errors import FieldError, InvalidInput
-from server.llm.check import EndpointReport, check_endpoint
-from server.llm.estimate import estimate
-from server.llm.prompts import example, question
-from server.llm.settings import LlmSettings
-from server.problems.base import Describes
+from brink.server.errors import FieldError, InvalidInput
+from brink.server.llm.check import EndpointReport, check_endpoint
+from brink.server.llm.estimate import estimate
+from brink.server.llm.prompts import example, question
+from brink.server.llm.settings import LlmSettings
+from brink.server.problems.base import Describes
 
 llm = typer.Typer(help="Language models that seed searches.", no_args_is_help=True)
 

@@ -14,18 +14,18 @@ import httpx
 from pydantic import SecretStr
 from rich.console import Console
 
-from server.cli.api import TIMEOUT, Api
-from server.cli.coordinator import (
+from brink.server.cli.api import TIMEOUT, Api
+from brink.server.cli.coordinator import (
     EmbeddedCoordinator,
     WorkerProcesses,
     has_tokens,
     prepare_database,
     release_leases_of_the_dead,
 )
-from server.cli.live import CampaignDisplay
-from server.errors import FieldError, InvalidInput, Unavailable, install
-from server.problems.base import NeedsExtra, Problem
-from server.settings import Settings
+from brink.server.cli.live import CampaignDisplay
+from brink.server.errors import FieldError, InvalidInput, Unavailable, install
+from brink.server.problems.base import NeedsExtra, Problem
+from brink.server.settings import Settings
 
 RESULTS = Path("brink-results")
 """Where commands that run something write what was found."""

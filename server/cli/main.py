@@ -18,10 +18,10 @@ def _run() -> int:
     # The commands load numpy, scipy and a web server, which takes a second: Ctrl-C may come meanwhile.
     from sqlalchemy.exc import DBAPIError
 
-    from server.cli.commands import app
-    from server.errors import InvalidInput, ServerError
-    from sim.errors import SimulatorError
-    from worker.errors import WorkerError
+    from brink.server.cli.commands import app
+    from brink.server.errors import InvalidInput, ServerError
+    from brink.sim.errors import SimulatorError
+    from brink.worker.errors import WorkerError
 
     try:
         app()

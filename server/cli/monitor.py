@@ -3,7 +3,6 @@
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,16 +10,17 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from search.archive import Archive
-from search.errors import DocumentError, SpaceError
-from search.judging import false_alarms_at
-from search.monitor import Answer, Monitor
-from server.campaigns.body import read_yaml
-from server.cli.api import Api
-from server.cli.options import AsJson, Database, Server, check_picture, console, print_json, with_api
-from server.cli.pictures import FetchedArchive, fetch_archive
-from server.errors import Conflict, FieldError, InvalidInput
-from server.monitors.trial import Trial, try_monitor
+from brink import __version__
+from brink.search.archive import Archive
+from brink.search.errors import DocumentError, SpaceError
+from brink.search.judging import false_alarms_at
+from brink.search.monitor import Answer, Monitor
+from brink.server.campaigns.body import read_yaml
+from brink.server.cli.api import Api
+from brink.server.cli.options import AsJson, Database, Server, check_picture, console, print_json, with_api
+from brink.server.cli.pictures import FetchedArchive, fetch_archive
+from brink.server.errors import Conflict, FieldError, InvalidInput
+from brink.server.monitors.trial import Trial, try_monitor
 
 MISSED = (0.01, 0.05, 0.1)
 """Shares of missed hazards at which false alarms are shown."""
@@ -71,7 +71,7 @@ def fit(
     about = {
         "campaigns": [one.id for one in fetched],
         "problem": fetched[0].body.problem.model_dump(mode="json"),
-        "brink": version("brink"),
+        "brink": __version__,
     }
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(made.to_json(about) + "\n", encoding="utf-8")
@@ -153,7 +153,7 @@ def judge(
         raise Conflict(str(error)) from None
     if picture is not None:
         # matplotlib takes half a second to load: only those who draw wait for it.
-        from server.plots.monitor import figure_monitor
+        from brink.server.plots.monitor import figure_monitor
 
         picture.parent.mkdir(parents=True, exist_ok=True)
         figure_monitor(trial, f"Monitor of {trial.learned:,} simulations").savefig(picture)

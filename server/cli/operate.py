@@ -12,11 +12,11 @@ from typing import Annotated
 
 import typer
 
-from server.campaigns.body import read_campaign_file
-from server.cli.api import Api
-from server.cli.coordinator import CoordinatorServer, listen, prepare_database, shown_url, url_of
-from server.cli.live import CampaignDisplay
-from server.cli.options import (
+from brink.server.campaigns.body import read_campaign_file
+from brink.server.cli.api import Api
+from brink.server.cli.coordinator import CoordinatorServer, listen, prepare_database, shown_url, url_of
+from brink.server.cli.live import CampaignDisplay
+from brink.server.cli.options import (
     AsJson,
     CampaignFile,
     Database,
@@ -28,15 +28,15 @@ from server.cli.options import (
     settings_with,
     with_api,
 )
-from server.db.engine import open_engines
-from server.db.upgrade import current_revision, head_revision
-from server.errors import install
-from server.open_files import allow_many_open_files
-from server.settings import Settings
-from sim.catalogue import PLUGINS_VARIABLE
-from worker.log import LogFormat, configure_logging
-from worker.run import run_worker
-from worker.settings import WorkerSettings
+from brink.server.db.engine import open_engines
+from brink.server.db.upgrade import current_revision, head_revision
+from brink.server.errors import install
+from brink.server.open_files import allow_many_open_files
+from brink.server.settings import Settings
+from brink.sim.catalogue import PLUGINS_VARIABLE
+from brink.worker.log import LogFormat, configure_logging
+from brink.worker.run import run_worker
+from brink.worker.settings import WorkerSettings
 
 WATCH_S = 0.5
 
@@ -152,7 +152,7 @@ def _run_on_ray(address: str, settings: WorkerSettings, workers: int | None, com
     if find_spec("ray") is None:
         message = f"needs the ray extra, which is not installed here: {install('ray')}"
         raise typer.BadParameter(message, param_hint="--ray")
-    from worker.ray_pool import PoolSettings, run_pool
+    from brink.worker.ray_pool import PoolSettings, run_pool
 
     configure_logging(common.log_level, common.log_format)
     return run_pool(

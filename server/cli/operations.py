@@ -10,10 +10,10 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from server.campaigns.store import named_campaign
-from server.cli.api import check_database, check_there
-from server.cli.coordinator import prepare_database
-from server.cli.options import (
+from brink.server.campaigns.store import named_campaign
+from brink.server.cli.api import check_database, check_there
+from brink.server.cli.coordinator import prepare_database
+from brink.server.cli.options import (
     AsJson,
     Database,
     brink,
@@ -23,12 +23,12 @@ from server.cli.options import (
     print_json,
     settings_with,
 )
-from server.db.engine import open_engines
-from server.db.models import CampaignStatus
-from server.errors import DatabaseError, FieldError, InvalidInput
-from server.operations.doctor import State, examine
-from server.operations.prune import prune
-from server.operations.transfer import export_campaign, import_campaign
+from brink.server.db.engine import open_engines
+from brink.server.db.models import CampaignStatus
+from brink.server.errors import DatabaseError, FieldError, InvalidInput
+from brink.server.operations.doctor import State, examine
+from brink.server.operations.prune import prune
+from brink.server.operations.transfer import export_campaign, import_campaign
 
 _COLOURS = {State.FINE: "green", State.LOOK: "yellow", State.WRONG: "red"}
 

@@ -13,12 +13,12 @@ import typer
 from pydantic import ValidationError
 from rich.console import Console
 
-from server.cli.api import Api, open_api
-from server.cli.coordinator import shown_url
-from server.errors import FieldError, InvalidInput
-from server.settings import Settings
-from sim.catalogue import PLUGINS_VARIABLE
-from worker.log import LogFormat, LogLevel
+from brink.server.cli.api import Api, open_api
+from brink.server.cli.coordinator import shown_url
+from brink.server.errors import FieldError, InvalidInput
+from brink.server.settings import Settings
+from brink.sim.catalogue import PLUGINS_VARIABLE
+from brink.worker.log import LogFormat, LogLevel
 
 T = TypeVar("T")
 PLAIN_WIDTH = 140

@@ -7,11 +7,11 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from server.cli.options import AsJson, console, print_json
-from server.errors import FieldError, InvalidInput, nearest
-from sim.perturbations.catalogue import CATALOGUE
-from sim.perturbations.errors import VisionMissing
-from sim.perturbations.gene import Gene
+from brink.server.cli.options import AsJson, console, print_json
+from brink.server.errors import FieldError, InvalidInput, nearest
+from brink.sim.perturbations.catalogue import CATALOGUE
+from brink.sim.perturbations.errors import VisionMissing
+from brink.sim.perturbations.gene import Gene
 
 perturbations = typer.Typer(help="List image perturbations, and show what they do.", no_args_is_help=True)
 
@@ -86,9 +86,9 @@ def show(
             ".venv/bin/pip install -c constraints.txt -e '.[vision]'"
         )
     # Imported here: they load OpenCV, which a coordinator need not have.
-    from sim.perturbations.files import read_picture, write_picture
-    from sim.perturbations.sheet import contact_sheet
-    from sim.perturbations.street import draw_street
+    from brink.sim.perturbations.files import read_picture, write_picture
+    from brink.sim.perturbations.sheet import contact_sheet
+    from brink.sim.perturbations.street import draw_street
 
     picture = draw_street() if image is None else read_picture(image)
     write_picture(contact_sheet(picture, genes, seed=seed, tile_width=tile_width), out)

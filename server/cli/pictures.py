@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from search.archive import Archive
-from server.campaigns.body import CampaignBody
-from server.campaigns.plan import Plan, make_plan
-from server.cli.api import Api
+from brink.search.archive import Archive
+from brink.server.campaigns.body import CampaignBody
+from brink.server.campaigns.plan import Plan, make_plan
+from brink.server.cli.api import Api
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +57,7 @@ def draw_figures(
 ) -> list[Path]:
     """Write all figures of a campaign; return their files."""
     # matplotlib takes half a second to load: only those who draw wait for it.
-    from server.plots import CampaignFigures, write_campaign_figures
+    from brink.server.plots import CampaignFigures, write_campaign_figures
 
     figures = CampaignFigures(
         archive=fetched.archive,

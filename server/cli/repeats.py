@@ -10,13 +10,13 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from server.api.repeats import DEFAULT_REPEATS
-from server.campaigns.body import CampaignBody
-from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B, make_plan
-from server.cli.api import Api, CoordinatorSaid
-from server.cli.coordinator import WorkerProcesses
-from server.cli.local import RESULTS, check_extra, local_service, stopping, watch_campaign
-from server.cli.options import (
+from brink.server.api.repeats import DEFAULT_REPEATS
+from brink.server.campaigns.body import CampaignBody
+from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B, make_plan
+from brink.server.cli.api import Api, CoordinatorSaid
+from brink.server.cli.coordinator import WorkerProcesses
+from brink.server.cli.local import RESULTS, check_extra, local_service, stopping, watch_campaign
+from brink.server.cli.options import (
     AsJson,
     CampaignId,
     Database,
@@ -30,7 +30,7 @@ from server.cli.options import (
     settings_with,
     with_api,
 )
-from server.settings import Settings
+from brink.server.settings import Settings
 
 SHOWN = 20
 
@@ -228,7 +228,7 @@ def write_repeats(view: dict[str, Any], folder: Path, *, picture: bool) -> list[
 def draw_repeats(view: dict[str, Any], file: Path) -> None:
     """Draw every solution's interval."""
     # matplotlib takes half a second to load: only those who draw wait for it.
-    from server.plots.repeats import RepeatedPoint, figure_repeats
+    from brink.server.plots.repeats import RepeatedPoint, figure_repeats
 
     points = [
         RepeatedPoint(

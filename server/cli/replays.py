@@ -5,13 +5,13 @@ import contextlib
 from pathlib import Path
 from typing import Any
 
-from server.cli.api import Api, CoordinatorSaid
-from server.errors import ServerError
-from sim.replay import render
-from sim.trace import Trace
-from worker.codec import from_wire
-from worker.process import EpisodeProcess
-from worker.wire import JobFailed
+from brink.server.cli.api import Api, CoordinatorSaid
+from brink.server.errors import ServerError
+from brink.sim.replay import render
+from brink.sim.trace import Trace
+from brink.worker.codec import from_wire
+from brink.worker.process import EpisodeProcess
+from brink.worker.wire import JobFailed
 
 ASK_AGAIN_S = 0.5
 EPISODE_S = 120.0

@@ -12,15 +12,15 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from server.campaigns.body import CampaignBody, read_campaign_file
-from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
-from server.campaigns.submission import check_submission
-from server.cli.api import Api, CoordinatorSaid
-from server.cli.compare import compared_archives
-from server.cli.findings.drawing import Drawing
-from server.cli.findings.finding import Findings, fetch_findings
-from server.cli.local import RESULTS, Local, check_extra, local_service, stopping, watch_campaign
-from server.cli.options import (
+from brink.server.campaigns.body import CampaignBody, read_campaign_file
+from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.submission import check_submission
+from brink.server.cli.api import Api, CoordinatorSaid
+from brink.server.cli.compare import compared_archives
+from brink.server.cli.findings.drawing import Drawing
+from brink.server.cli.findings.finding import Findings, fetch_findings
+from brink.server.cli.local import RESULTS, Local, check_extra, local_service, stopping, watch_campaign
+from brink.server.cli.options import (
     CampaignFile,
     Database,
     New,
@@ -34,13 +34,13 @@ from server.cli.options import (
     print_json,
     settings_with,
 )
-from server.cli.pictures import draw_figures, fetch_archive, write_results
-from server.cli.repeats import finished_repeats, sentence, write_repeats
-from server.cli.replays import write_replays
-from server.cli.summary import print_summary
-from server.errors import Conflict
-from server.experiments.comparison import in_words
-from server.settings import Settings
+from brink.server.cli.pictures import draw_figures, fetch_archive, write_results
+from brink.server.cli.repeats import finished_repeats, sentence, write_repeats
+from brink.server.cli.replays import write_replays
+from brink.server.cli.summary import print_summary
+from brink.server.errors import Conflict
+from brink.server.experiments.comparison import in_words
+from brink.server.settings import Settings
 
 TRACES_S = 30.0
 UNFINISHED = ("running", "paused")

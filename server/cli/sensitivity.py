@@ -9,14 +9,14 @@ import typer
 import yaml
 from rich.table import Table
 
-from search.boundary import PAPER_D_THS, PAPER_T_BS
-from search.sensitivity import P_THS, RADII, Rescored, by_p_th, by_radius
-from server.campaigns.body import CampaignBody, read_campaign_file
-from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
-from server.cli.experiments.results import repeats_of
-from server.cli.experiments.running import run_experiment
-from server.cli.local import RESULTS
-from server.cli.options import (
+from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
+from brink.search.sensitivity import P_THS, RADII, Rescored, by_p_th, by_radius
+from brink.server.campaigns.body import CampaignBody, read_campaign_file
+from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.cli.experiments.results import repeats_of
+from brink.server.cli.experiments.running import run_experiment
+from brink.server.cli.local import RESULTS
+from brink.server.cli.options import (
     AsJson,
     CampaignFile,
     CampaignId,
@@ -31,10 +31,10 @@ from server.cli.options import (
     print_json,
     with_api,
 )
-from server.cli.pictures import fetch_archive
-from server.errors import Conflict, FieldError, InvalidInput
-from server.experiments.body import ExperimentBody, parse_experiment
-from server.experiments.tables import Measure, lines_of
+from brink.server.cli.pictures import fetch_archive
+from brink.server.errors import Conflict, FieldError, InvalidInput
+from brink.server.experiments.body import ExperimentBody, parse_experiment
+from brink.server.experiments.tables import Measure, lines_of
 
 _USUAL_RADII = ",".join(map(str, RADII))
 _USUAL_P_THS = ",".join(map(str, P_THS))
@@ -79,7 +79,7 @@ def rescore(
     found_p_ths = by_p_th(fetched.archive, sorted({*wanted_p_ths, near.p_th}), t_b=t_b, d_th=d_th)
     if picture is not None:
         # matplotlib takes half a second to load: only those who draw wait for it.
-        from server.plots.sensitivity import figure_rescored
+        from brink.server.plots.sensitivity import figure_rescored
 
         picture.parent.mkdir(parents=True, exist_ok=True)
         figure_rescored(
@@ -145,7 +145,7 @@ def rerun(
                 str(measure): [float(measure.of(one)[-1, i, j]) for _, one in figures] for measure in Measure
             }
     # matplotlib takes half a second to load: only those who draw wait for it.
-    from server.plots.sensitivity import figure_rerun
+    from brink.server.plots.sensitivity import figure_rerun
 
     picture = ran.folder / "sensitivity.png"
     title = f"How much the boundary depends on {parameter}: {body.name}"

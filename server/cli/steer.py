@@ -1,7 +1,7 @@
 """Commands that steer campaigns: pause, resume, cancel, delete, retry."""
 
-from server.cli.api import Api, CoordinatorSaid
-from server.cli.options import (
+from brink.server.cli.api import Api, CoordinatorSaid
+from brink.server.cli.options import (
     CampaignId,
     Database,
     Server,

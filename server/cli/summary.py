@@ -7,8 +7,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from server.campaigns.body import CampaignBody
-from server.cli.findings.finding import Findings
+from brink.server.campaigns.body import CampaignBody
+from brink.server.cli.findings.finding import Findings
 
 SHOWN = 5
 PAPER_BUDGET = 1300

@@ -10,13 +10,13 @@ from rich.markup import escape
 from rich.table import Table
 from sqlalchemy import Connection
 
-from server.access.gate import REMEMBERED_S
-from server.access.store import create_token, list_tokens, revoke_token
-from server.access.tokens import Scope
-from server.cli.api import check_database
-from server.cli.coordinator import prepare_database, shown_url
-from server.cli.options import AsJson, Database, console, print_json, settings_with
-from server.db.engine import open_engines
+from brink.server.access.gate import REMEMBERED_S
+from brink.server.access.store import create_token, list_tokens, revoke_token
+from brink.server.access.tokens import Scope
+from brink.server.cli.api import check_database
+from brink.server.cli.coordinator import prepare_database, shown_url
+from brink.server.cli.options import AsJson, Database, console, print_json, settings_with
+from brink.server.db.engine import open_engines
 
 token = typer.Typer(
     help="Tokens, without which a coordinator answers nobody once there is one.", no_args_is_help=True

@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from search.boundary import BudgetPoint, dbs_by_budget
-from server.campaigns.archives import ReadArchive
-from server.latest import Latest
+from brink.search.boundary import BudgetPoint, dbs_by_budget
+from brink.server.campaigns.archives import ReadArchive
+from brink.server.latest import Latest
 
 POINTS: Final = 24
 MOST: Final = 10_000

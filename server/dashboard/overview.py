@@ -9,8 +9,8 @@ from typing import Final
 
 from sqlalchemy import Connection, func, select
 
-from server.db.listing import newest_first
-from server.db.models import (
+from brink.server.db.listing import newest_first
+from brink.server.db.models import (
     CampaignRow,
     CampaignStatus,
     ExperimentCampaignRow,

@@ -10,7 +10,7 @@ from starlette.responses import FileResponse, Response
 from starlette.types import Scope
 
 FOLDER: Final = "/dashboard"
-STATIC: Final = Path(str(files("server.dashboard"))) / "static"
+STATIC: Final = Path(str(files("brink.server.dashboard"))) / "static"
 REVALIDATED: Final = {"Cache-Control": "no-cache"}
 """Browsers ask each time whether a file is still the same: a new version is never mixed with an old one."""
 

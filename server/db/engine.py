@@ -15,7 +15,7 @@ from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError
 from sqlalchemy.pool import ConnectionPoolEntry
 
-from server.errors import DatabaseError
+from brink.server.errors import DatabaseError
 
 SQLITE_BUSY_S = 30.0
 MAX_OVERFLOW = 32

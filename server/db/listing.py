@@ -5,7 +5,7 @@ from typing import Any
 
 from sqlalchemy import Connection, FromClause, Row, Select, select
 
-from server.errors import NotFound
+from brink.server.errors import NotFound
 
 MAX_ID = 16
 

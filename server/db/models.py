@@ -2,8 +2,8 @@
 
 A campaign asks for generations of solutions; each solution that needs a simulation has a job; a job keeps the
 outcome of its simulation, which other jobs with the same hash of the specification take over. Rows never leave the
-modules whose SQL reads them (`lease_store`, `report_store` and `workers` of `server.queue`; `store`, `step_store` and
-`view_store` of `server.campaigns`).
+modules whose SQL reads them (`lease_store`, `report_store` and `workers` of `brink.server.queue`; `store`,
+`step_store` and `view_store` of `brink.server.campaigns`).
 """
 
 from datetime import datetime
@@ -32,8 +32,8 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import DeclarativeBase, InstrumentedAttribute, Mapped, mapped_column
 
-from server.access.tokens import Scope
-from server.db.types import UtcDateTime
+from brink.server.access.tokens import Scope
+from brink.server.db.types import UtcDateTime
 
 JobId = BigInteger().with_variant(Integer(), "sqlite")
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
+from importlib.resources import files
 
 from alembic import command
 from alembic.config import Config
@@ -11,9 +11,8 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, text
 from sqlalchemy.exc import DBAPIError
 
-import migrations
-from server.db.engine import Engines
-from server.errors import DatabaseError
+from brink.server.db.engine import Engines
+from brink.server.errors import DatabaseError
 
 UPGRADE_LOCK = 0x6272696E6B  # "brink", the key of the advisory lock on Postgres
 
@@ -21,7 +20,7 @@ UPGRADE_LOCK = 0x6272696E6B  # "brink", the key of the advisory lock on Postgres
 def alembic_config() -> Config:
     """Return the configuration of the migrations that belong to this version."""
     config = Config()
-    config.set_main_option("script_location", str(Path(migrations.__file__).parent))
+    config.set_main_option("script_location", str(files("brink.migrations")))
     return config
 
 

@@ -20,7 +20,7 @@ from typing import Any, Generic, TypeVar
 from sqlalchemy import Connection, Engine
 from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError, SQLAlchemyError
 
-from server.errors import Unavailable
+from brink.server.errors import Unavailable
 
 T = TypeVar("T")
 A = TypeVar("A")

@@ -8,7 +8,7 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
-from server.campaigns.body import (
+from brink.server.campaigns.body import (
     Body,
     Budget,
     CampaignBody,
@@ -19,8 +19,8 @@ from server.campaigns.body import (
     read_yaml,
     without_controls,
 )
-from server.errors import FieldError, InvalidInput
-from server.llm.settings import LlmSettings
+from brink.server.errors import FieldError, InvalidInput
+from brink.server.llm.settings import LlmSettings
 
 MAX_CAMPAIGNS = 500
 """Of one experiment: all are checked and stored at once."""

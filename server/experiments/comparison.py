@@ -1,6 +1,7 @@
 """DBS and strict DBS of campaigns side by side, each with its control.
 
-A control has verdicts that ignore behaviour (`search.control`), so what it reaches is owed to scenarios and chance.
+A control has verdicts that ignore behaviour (`brink.search.control`), so what it reaches is owed to scenarios
+and chance.
 """
 
 import itertools
@@ -10,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from search.archive import Archive
-from search.boundary import PAPER_D_THS, PAPER_T_BS
-from server.campaigns.body import CampaignBody
-from server.campaigns.plan import Plan
-from server.experiments.scores import ENOUGH_REPEATS, Scores, scored
+from brink.search.archive import Archive
+from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
+from brink.server.campaigns.body import CampaignBody
+from brink.server.campaigns.plan import Plan
+from brink.server.experiments.scores import ENOUGH_REPEATS, Scores, scored
 
 SPREADS = 2.0
 """Standard deviations of its draws by which a campaign must exceed its control, to owe anything to behaviour."""

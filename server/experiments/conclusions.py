@@ -6,7 +6,7 @@ difference.
 
 from collections.abc import Collection, Sequence
 
-from server.experiments.tables import Duel, Repeat
+from brink.server.experiments.tables import Duel, Repeat
 
 LEVEL = 0.05
 """Of an adjusted p-value at which a difference is called one."""

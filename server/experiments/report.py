@@ -7,18 +7,18 @@ import base64
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from datetime import datetime
 from html import escape
-from importlib.metadata import version
 from pathlib import Path
 
 from markdown_it import MarkdownIt
 
-from search.boundary import PAPER_D_THS, PAPER_T_BS
-from search.statistics import MeanInterval
-from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
-from server.experiments.body import ExperimentBody
-from server.experiments.conclusions import LEVEL, conclusion, with_low_controls
-from server.experiments.scores import DRAWS, ENOUGH_REPEATS
-from server.experiments.tables import Duel, Line, Measure, Repeat, Standing, duels, standings
+from brink import __version__
+from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
+from brink.search.statistics import MeanInterval
+from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.experiments.body import ExperimentBody
+from brink.server.experiments.conclusions import LEVEL, conclusion, with_low_controls
+from brink.server.experiments.scores import DRAWS, ENOUGH_REPEATS
+from brink.server.experiments.tables import Duel, Line, Measure, Repeat, Standing, duels, standings
 
 NAMES = {Measure.DBS: "DBS", Measure.STRICT: "strict DBS"}
 STYLE = """
@@ -136,7 +136,7 @@ def _facts(
         f"- Problems: {', '.join(f'{one.label} (`{one.id}`)' for one in body.problems)}.",
         f"- {len(body.seeds)} seeds ({_seeds(body.seeds)}), {body.budget.simulations:,} simulations each: "
         f"{total * body.budget.simulations:,} in all.",
-        f"- Brink {version('brink')}.",
+        f"- Brink {__version__}.",
     ]
     return "\n".join(rows)
 

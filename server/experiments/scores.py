@@ -1,6 +1,6 @@
 """What one campaign reached: DBS and strict DBS at shares of its budget, beside those of its control.
 
-A control has verdicts that ignore behaviour (`search.control`); its figures are means of some draws. What an
+A control has verdicts that ignore behaviour (`brink.search.control`); its figures are means of some draws. What an
 algorithm simulated beyond its budget, to end a generation, is not counted.
 """
 
@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from search.archive import Archive
-from search.boundary import PAPER_FRACTIONS, dbs_by_budget
-from search.control import ScenarioRisk, blind_archive
-from search.space import SearchSpace
+from brink.search.archive import Archive
+from brink.search.boundary import PAPER_FRACTIONS, dbs_by_budget
+from brink.search.control import ScenarioRisk, blind_archive
+from brink.search.space import SearchSpace
 
 SCENARIO = "scenario"
 """Name of the component whose effect a control keeps."""

@@ -10,17 +10,17 @@ from typing import TypeVar
 
 from sqlalchemy import Connection
 
-from server.campaigns.repeats import check_no_open_repeats
-from server.campaigns.service import CampaignService, read
-from server.campaigns.store import ENDED
-from server.campaigns.submission import Prepared, prepared, store_prepared
-from server.campaigns.values import Campaign
-from server.db.models import CampaignStatus
-from server.errors import Conflict, InvalidInput
-from server.experiments import store
-from server.experiments.body import Cell, ExperimentBody
-from server.experiments.values import Experiment
-from server.queue.report_store import idle_campaigns
+from brink.server.campaigns.repeats import check_no_open_repeats
+from brink.server.campaigns.service import CampaignService, read
+from brink.server.campaigns.store import ENDED
+from brink.server.campaigns.submission import Prepared, prepared, store_prepared
+from brink.server.campaigns.values import Campaign
+from brink.server.db.models import CampaignStatus
+from brink.server.errors import Conflict, InvalidInput
+from brink.server.experiments import store
+from brink.server.experiments.body import Cell, ExperimentBody
+from brink.server.experiments.values import Experiment
+from brink.server.queue.report_store import idle_campaigns
 
 log = logging.getLogger(__name__)
 

@@ -5,10 +5,10 @@ from datetime import datetime
 
 from sqlalchemy import Connection, Row, delete, func, insert, select
 
-from server.campaigns import store as campaign_store
-from server.db.clock import database_now
-from server.db.listing import named_row, newest_first
-from server.db.models import (
+from brink.server.campaigns import store as campaign_store
+from brink.server.db.clock import database_now
+from brink.server.db.listing import named_row, newest_first
+from brink.server.db.models import (
     EVALUATES,
     CampaignRow,
     ExperimentCampaignRow,
@@ -18,8 +18,8 @@ from server.db.models import (
     JobStatus,
     SolutionRow,
 )
-from server.experiments.body import Cell, ExperimentBody
-from server.experiments.values import Experiment, Member
+from brink.server.experiments.body import Cell, ExperimentBody
+from brink.server.experiments.values import Experiment, Member
 
 
 def insert_experiment(

@@ -12,9 +12,9 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from search.boundary import PAPER_D_THS, PAPER_T_BS
-from search.statistics import Comparison, MeanInterval, compared, effect_size, holm, mean_interval
-from server.experiments.scores import Figures, Scores
+from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
+from brink.search.statistics import Comparison, MeanInterval, compared, effect_size, holm, mean_interval
+from brink.server.experiments.scores import Figures, Scores
 
 
 class Measure(StrEnum):

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from datetime import datetime
 
-from server.campaigns.values import Campaign
-from server.db.models import CampaignStatus
-from server.experiments.body import ExperimentBody
+from brink.server.campaigns.values import Campaign
+from brink.server.db.models import CampaignStatus
+from brink.server.experiments.body import ExperimentBody
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,9 +8,9 @@ import math
 from dataclasses import dataclass, replace
 from typing import Final
 
-from server.llm.errors import OverBudget
-from server.llm.settings import LlmSettings
-from server.llm.wire import Messages, Usage, canonical
+from brink.server.llm.errors import OverBudget
+from brink.server.llm.settings import LlmSettings
+from brink.server.llm.wire import Messages, Usage, canonical
 
 CHARS_PER_TOKEN: Final = 3.5
 """Of JSON and English, on the low side for the tokenizers in use."""

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Protocol
 
-from server.llm.budget import Budget
-from server.llm.wire import Mode, Usage
+from brink.server.llm.budget import Budget
+from brink.server.llm.wire import Mode, Usage
 
 
 class Outcome(StrEnum):

@@ -5,16 +5,16 @@ from dataclasses import dataclass
 
 import httpx
 
-from search.actions.road import RoadLimits
-from search.seeding import SeedRequest
-from server.llm.client import LlmClient
-from server.llm.drivable import Drivable
-from server.llm.errors import AccessRefused, EndpointAway, KeyMissing, LlmError
-from server.llm.form import SCHEMA
-from server.llm.prompts import question
-from server.llm.replies import parse
-from server.llm.settings import LlmSettings
-from server.llm.wire import Messages, Mode
+from brink.search.actions.road import RoadLimits
+from brink.search.seeding import SeedRequest
+from brink.server.llm.client import LlmClient
+from brink.server.llm.drivable import Drivable
+from brink.server.llm.errors import AccessRefused, EndpointAway, KeyMissing, LlmError
+from brink.server.llm.form import SCHEMA
+from brink.server.llm.prompts import question
+from brink.server.llm.replies import parse
+from brink.server.llm.settings import LlmSettings
+from brink.server.llm.wire import Messages, Mode
 
 _MOST = 2
 _SYSTEM = "an automated car on a road in a town"

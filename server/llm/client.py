@@ -19,10 +19,10 @@ from typing import Final, Self
 
 import httpx
 
-from server.llm.errors import Effort, EndpointAway, LlmError, UnusableReply
-from server.llm.faults import fault, refuses_form, status_within
-from server.llm.settings import LlmSettings, api_key
-from server.llm.wire import (
+from brink.server.llm.errors import Effort, EndpointAway, LlmError, UnusableReply
+from brink.server.llm.faults import fault, refuses_form, status_within
+from brink.server.llm.settings import LlmSettings, api_key
+from brink.server.llm.wire import (
     JsonObject,
     Messages,
     Mode,
@@ -33,7 +33,7 @@ from server.llm.wire import (
     read_reply,
     request_body,
 )
-from worker.backoff import Backoff
+from brink.worker.backoff import Backoff
 
 MOST_REPLY_BYTES: Final = 4 * 1024 * 1024
 CONNECT_TIMEOUT_S: Final = 10.0

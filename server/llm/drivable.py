@@ -10,13 +10,13 @@ from typing import Final
 
 import numpy as np
 
-from search.actions.participants import SIZES_M, Kind, Participant
-from search.actions.placing import ALONG_M
-from search.actions.road import RoadLimits
-from search.actions.rule import Participants, participants_component
-from search.actions.variation import Solution
-from server.errors import FieldError
-from server.llm.form import Heading, heading_of
+from brink.search.actions.participants import SIZES_M, Kind, Participant
+from brink.search.actions.placing import ALONG_M
+from brink.search.actions.road import RoadLimits
+from brink.search.actions.rule import Participants, participants_component
+from brink.search.actions.variation import Solution
+from brink.server.errors import FieldError
+from brink.server.llm.form import Heading, heading_of
 
 TOLERANCE_M: Final = 3.0
 """A start may be moved so far."""

@@ -19,7 +19,7 @@ None of them carries the key: what an endpoint says is cleared of it before it i
 from dataclasses import dataclass
 from typing import Final
 
-from server.errors import ServerError
+from brink.server.errors import ServerError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,13 +3,13 @@
 from dataclasses import dataclass, replace
 from typing import Final
 
-from search.actions.road import RoadLimits
-from search.seeding import SeedRequest
-from server.llm.budget import cost_of, times, together, tokens_of, worst_usage
-from server.llm.form import as_text
-from server.llm.prompts import example, question
-from server.llm.settings import LlmSettings
-from server.llm.wire import Usage
+from brink.search.actions.road import RoadLimits
+from brink.search.seeding import SeedRequest
+from brink.server.llm.budget import cost_of, times, together, tokens_of, worst_usage
+from brink.server.llm.form import as_text
+from brink.server.llm.prompts import example, question
+from brink.server.llm.settings import LlmSettings
+from brink.server.llm.wire import Usage
 
 _SHOWN: Final = 3
 """Known solutions of either kind that a differential request is assumed to show."""

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
 from typing import Final
 
-from server.llm.errors import (
+from brink.server.llm.errors import (
     AccessRefused,
     EndpointAway,
     LlmError,
@@ -15,9 +15,9 @@ from server.llm.errors import (
     Refused,
     RequestRefused,
 )
-from server.llm.settings import LlmSettings
-from server.llm.untrusted_json import BadJson, decoded
-from server.llm.wire import said
+from brink.server.llm.settings import LlmSettings
+from brink.server.llm.untrusted_json import BadJson, decoded
+from brink.server.llm.wire import said
 
 _RETRYABLE: Final = frozenset({408, 409, 425, 429})
 _NOT_IMPLEMENTED: Final = 501

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from search.actions.participants import (
+from brink.search.actions.participants import (
     FASTEST_MPS,
     LEAST_ACTIONS,
     LONGEST_S,
@@ -26,9 +26,9 @@ from search.actions.participants import (
     Kind,
     Participant,
 )
-from search.actions.road import REACH_M
-from search.actions.variation import Solution
-from server.errors import FieldError
+from brink.search.actions.road import REACH_M
+from brink.search.actions.variation import Solution
+from brink.server.errors import FieldError
 
 ERRORS_AN_ITEM: Final = 4
 """More errors of one item are not listed."""

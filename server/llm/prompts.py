@@ -11,7 +11,7 @@ import json
 from collections.abc import Sequence
 from typing import Final
 
-from search.actions.participants import (
+from brink.search.actions.participants import (
     FASTEST_MPS,
     LEAST_ACTIONS,
     LONGEST_S,
@@ -26,14 +26,14 @@ from search.actions.participants import (
     Kind,
     Participant,
 )
-from search.actions.placing import KERB_ROOM_M, WAITS_M
-from search.actions.road import REACH_M, RoadLimits
-from search.actions.variation import Solution
-from search.seeding import SeedRequest
-from server.errors import FieldError
-from server.llm.drivable import apart_m, kept_clear_m
-from server.llm.form import SCHEMA, as_text
-from server.llm.wire import Message, Messages
+from brink.search.actions.placing import KERB_ROOM_M, WAITS_M
+from brink.search.actions.road import REACH_M, RoadLimits
+from brink.search.actions.variation import Solution
+from brink.search.seeding import SeedRequest
+from brink.server.errors import FieldError
+from brink.server.llm.drivable import apart_m, kept_clear_m
+from brink.server.llm.form import SCHEMA, as_text
+from brink.server.llm.wire import Message, Messages
 
 MOST_SHOWN: Final = 10
 """Known solutions of a kind that a prompt shows at most."""

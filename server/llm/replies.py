@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from search.actions.variation import Solution
-from server.errors import FieldError
-from server.llm.drivable import Drivable
-from server.llm.form import read
-from server.llm.untrusted_json import BadJson, decoded_at
+from brink.search.actions.variation import Solution
+from brink.server.errors import FieldError
+from brink.server.llm.drivable import Drivable
+from brink.server.llm.form import read
+from brink.server.llm.untrusted_json import BadJson, decoded_at
 
 MOST_CHARS: Final = 1_000_000
 """Text after so much is not looked at."""

@@ -8,19 +8,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from search.actions.road import RoadLimits
-from search.actions.variation import Solution
-from search.seeding import Origin, Proposal, SeedRequest
-from server.errors import FieldError
-from server.llm.budget import cost_of, times, together, worst_usage
-from server.llm.calls import CallKey, CallLog, Outcome, StoredCall
-from server.llm.client import LlmClient
-from server.llm.drivable import Drivable
-from server.llm.errors import CallLogMismatch, EndpointAway, LlmError, OverBudget, UnusableReply
-from server.llm.form import SCHEMA
-from server.llm.prompts import question, repair
-from server.llm.replies import Parsed, parse
-from server.llm.wire import Messages, prompt_hash, read_reply
+from brink.search.actions.road import RoadLimits
+from brink.search.actions.variation import Solution
+from brink.search.seeding import Origin, Proposal, SeedRequest
+from brink.server.errors import FieldError
+from brink.server.llm.budget import cost_of, times, together, worst_usage
+from brink.server.llm.calls import CallKey, CallLog, Outcome, StoredCall
+from brink.server.llm.client import LlmClient
+from brink.server.llm.drivable import Drivable
+from brink.server.llm.errors import CallLogMismatch, EndpointAway, LlmError, OverBudget, UnusableReply
+from brink.server.llm.form import SCHEMA
+from brink.server.llm.prompts import question, repair
+from brink.server.llm.replies import Parsed, parse
+from brink.server.llm.wire import Messages, prompt_hash, read_reply
 
 _WORDS_CHARS: Final = 500
 _ERRORS_NAMED: Final = 3

@@ -18,18 +18,18 @@ from typing import Final
 
 from sqlalchemy.exc import DBAPIError
 
-from search.seeding import Proposal, SeedRequest
-from server.campaigns.values import Campaign
-from server.db.engine import Engines
-from server.db.writer import Writer
-from server.errors import Unavailable
-from server.llm.client import LlmClient
-from server.llm.errors import CallLogMismatch
-from server.llm.seeder import ask
-from server.llm.settings import LlmSettings
-from server.llm.store import CampaignCalls, claim, release
-from server.llm.wire import Mode
-from server.problems.base import Describes, Problem
+from brink.search.seeding import Proposal, SeedRequest
+from brink.server.campaigns.values import Campaign
+from brink.server.db.engine import Engines
+from brink.server.db.writer import Writer
+from brink.server.errors import Unavailable
+from brink.server.llm.client import LlmClient
+from brink.server.llm.errors import CallLogMismatch
+from brink.server.llm.seeder import ask
+from brink.server.llm.settings import LlmSettings
+from brink.server.llm.store import CampaignCalls, claim, release
+from brink.server.llm.wire import Mode
+from brink.server.problems.base import Describes, Problem
 
 HOLD_S: Final = 60.0
 """How long a coordinator that has died keeps others from asking in its place."""

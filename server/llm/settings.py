@@ -21,8 +21,8 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from server.llm.errors import KeyMissing
-from server.settings import LOOPBACK
+from brink.server.llm.errors import KeyMissing
+from brink.server.settings import LOOPBACK
 
 HIDDEN: Final = "[not shown]"
 _PATH: Final = "/chat/completions"

@@ -8,15 +8,15 @@ from typing import Final
 
 from sqlalchemy import Connection, delete, insert, select
 
-from server.campaigns.store import find_campaign
-from server.db.clock import database_now
-from server.db.engine import Engines
-from server.db.models import LlmCallRow, SeedClaimRow
-from server.db.writer import Writer
-from server.errors import Unavailable
-from server.llm.budget import Budget
-from server.llm.calls import CallKey, Outcome, StoredCall, spent_on
-from server.llm.wire import Mode, Usage
+from brink.server.campaigns.store import find_campaign
+from brink.server.db.clock import database_now
+from brink.server.db.engine import Engines
+from brink.server.db.models import LlmCallRow, SeedClaimRow
+from brink.server.db.writer import Writer
+from brink.server.errors import Unavailable
+from brink.server.llm.budget import Budget
+from brink.server.llm.calls import CallKey, Outcome, StoredCall, spent_on
+from brink.server.llm.wire import Mode, Usage
 
 STORES_AGAIN_S: Final = 2.0
 GIVES_UP_S: Final = 600.0
@@ -101,7 +101,7 @@ def release(connection: Connection, owner: str, campaign_id: str | None = None) 
 
 
 class CampaignCalls:
-    """The calls of one campaign in the database; implements `server.llm.calls.CallLog`.
+    """The calls of one campaign in the database; implements `brink.server.llm.calls.CallLog`.
 
     Args:
         engines: To read with.

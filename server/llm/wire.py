@@ -11,9 +11,9 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any, Final, Literal, TypeAlias
 
-from server.llm.errors import UnusableReply
-from server.llm.settings import LlmSettings
-from server.llm.untrusted_json import BadJson, decoded
+from brink.server.llm.errors import UnusableReply
+from brink.server.llm.settings import LlmSettings
+from brink.server.llm.untrusted_json import BadJson, decoded
 
 JsonObject: TypeAlias = Mapping[str, Any]
 

@@ -3,11 +3,11 @@
 from concurrent.futures import Executor
 from dataclasses import InitVar, dataclass, field
 
-from search.monitor import Monitor
-from server.campaigns.archives import Archives
-from server.campaigns.values import Campaign
-from server.errors import Conflict
-from server.latest import Latest
+from brink.search.monitor import Monitor
+from brink.server.campaigns.archives import Archives
+from brink.server.campaigns.values import Campaign
+from brink.server.errors import Conflict
+from brink.server.latest import Latest
 
 KEPT = 8
 MOST = 20_000

@@ -10,10 +10,10 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from search.component import BoolArray, FloatArray
-from search.judging import Alarm, Judgement, alarms, judge
-from search.monitor import Answer, Monitor
-from server.errors import install
+from brink.search.component import BoolArray, FloatArray
+from brink.search.judging import Alarm, Judgement, alarms, judge
+from brink.search.monitor import Answer, Monitor
+from brink.server.errors import install
 
 MONITOR, MAJORITY, TREES = "monitor", "majority", "gradient-boosted trees"
 ALARM_STEPS = tuple(np.round(np.arange(0.0, 1.0001, 0.01), 2).tolist())

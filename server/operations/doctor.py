@@ -12,16 +12,16 @@ import numpy as np
 from sqlalchemy import Connection, func, select, text
 from sqlalchemy.exc import DBAPIError
 
-from search.errors import SearchError
-from server.campaigns import step_store, store
-from server.campaigns.plan import make_plan, restored_archive
-from server.db.clock import database_now
-from server.db.engine import Engines
-from server.db.models import CampaignRow, CampaignStatus, DistanceBlockRow, JobRow, JobStatus
-from server.db.upgrade import current_revision, head_revision
-from server.errors import ServerError
-from server.queue.workers import list_seen
-from server.settings import Settings
+from brink.search.errors import SearchError
+from brink.server.campaigns import step_store, store
+from brink.server.campaigns.plan import make_plan, restored_archive
+from brink.server.db.clock import database_now
+from brink.server.db.engine import Engines
+from brink.server.db.models import CampaignRow, CampaignStatus, DistanceBlockRow, JobRow, JobStatus
+from brink.server.db.upgrade import current_revision, head_revision
+from brink.server.errors import ServerError
+from brink.server.queue.workers import list_seen
+from brink.server.settings import Settings
 
 SKEW_S: Final = 2.0
 """A database's clock may be off by so much from this machine's."""

@@ -6,9 +6,9 @@ from datetime import datetime, timedelta
 from sqlalchemy import ColumnElement, Connection, delete, func, select
 from sqlalchemy.orm import aliased
 
-from server.campaigns.store import ENDED, delete_campaign
-from server.db.clock import database_now
-from server.db.models import CampaignRow, JobKind, JobRow, JobStatus, RepeatsRow, SolutionRow, TraceRow
+from brink.server.campaigns.store import ENDED, delete_campaign
+from brink.server.db.clock import database_now
+from brink.server.db.models import CampaignRow, JobKind, JobRow, JobStatus, RepeatsRow, SolutionRow, TraceRow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,7 +15,6 @@ import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -25,11 +24,12 @@ from pydantic import ValidationError
 from sqlalchemy import JSON, Connection, Table, insert, select
 from sqlalchemy.exc import DataError, IntegrityError
 
-from server.campaigns import store
-from server.campaigns.body import CampaignBody
-from server.campaigns.plan import make_plan
-from server.db.clock import database_now
-from server.db.models import (
+from brink import __version__
+from brink.server.campaigns import store
+from brink.server.campaigns.body import CampaignBody
+from brink.server.campaigns.plan import make_plan
+from brink.server.db.clock import database_now
+from brink.server.db.models import (
     Base,
     CampaignRow,
     CampaignStatus,
@@ -43,10 +43,10 @@ from server.db.models import (
     TraceRow,
     ViolationNameRow,
 )
-from server.db.types import UtcDateTime
-from server.errors import Conflict, NotFound, ServerError
-from sim.episode import EpisodeSpec
-from sim.errors import SimulatorError
+from brink.server.db.types import UtcDateTime
+from brink.server.errors import Conflict, NotFound, ServerError
+from brink.sim.episode import EpisodeSpec
+from brink.sim.errors import SimulatorError
 
 FORMAT: Final = "brink-campaign"
 VERSION: Final = 1
@@ -99,7 +99,7 @@ def export_campaign(connection: Connection, campaign_id: str, file: Path) -> dic
                 counts[name] = _write_table(connection, archive, sums, name, model.__table__, campaign_id)
             counts["traces"] = _write_traces(connection, archive, sums, campaign_id)
             manifest = {
-                "format": FORMAT, "version": VERSION, "brink": version("brink"), "campaign": campaign_id,
+                "format": FORMAT, "version": VERSION, "brink": __version__, "campaign": campaign_id,
                 "rows": counts, "sha256": sums,
             }  # fmt: skip
             archive.writestr(_MANIFEST, json.dumps(manifest, indent=1))

@@ -1,11 +1,11 @@
 """Figures of campaigns."""
 
-from server.plots.dbs import figure_dbs
-from server.plots.embedding import figure_embedding
-from server.plots.fitness import figure_fitness
-from server.plots.inputs import CampaignFigures
-from server.plots.parameters import figure_parameters
-from server.plots.write import FIGURES, write_campaign_figures
+from brink.server.plots.dbs import figure_dbs
+from brink.server.plots.embedding import figure_embedding
+from brink.server.plots.fitness import figure_fitness
+from brink.server.plots.inputs import CampaignFigures
+from brink.server.plots.parameters import figure_parameters
+from brink.server.plots.write import FIGURES, write_campaign_figures
 
 __all__ = [
     "FIGURES",

@@ -9,12 +9,12 @@ from matplotlib.colors import LinearSegmentedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from search.boundary import IndexArray, distinct_boundary
-from search.component import FloatArray
-from search.embedding import embedded
-from server.boundary.axes import AxisMeaning, axis_meanings
-from server.plots.inputs import CampaignFigures
-from server.plots.style import (
+from brink.search.boundary import IndexArray, distinct_boundary
+from brink.search.component import FloatArray
+from brink.search.embedding import embedded
+from brink.server.boundary.axes import AxisMeaning, axis_meanings
+from brink.server.plots.inputs import CampaignFigures
+from brink.server.plots.style import (
     HAIRLINE,
     INK,
     LABEL_PT,

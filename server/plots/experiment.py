@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, MaxNLocator, PercentFormatter
 
-from search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
-from search.statistics import mean_interval
-from server.experiments.scores import Figures
-from server.experiments.tables import Line, Measure, Repeat, lines_of
-from server.plots.style import INK, LABEL_PT, WIDTH_PX, frame, new_figure, say
+from brink.search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
+from brink.search.statistics import mean_interval
+from brink.server.experiments.scores import Figures
+from brink.server.experiments.tables import Line, Measure, Repeat, lines_of
+from brink.server.plots.style import INK, LABEL_PT, WIDTH_PX, frame, new_figure, say
 
 HUES: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#68727b")
 """Of methods, in their order; the eighth begins again."""

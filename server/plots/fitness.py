@@ -7,9 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from search.fitness import IntArray
-from server.plots.inputs import CampaignFigures, by_generation
-from server.plots.style import (
+from brink.search.fitness import IntArray
+from brink.server.plots.inputs import CampaignFigures, by_generation
+from brink.server.plots.style import (
     INK,
     MUTED,
     SAFE,

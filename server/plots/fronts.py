@@ -6,12 +6,12 @@ from typing import Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from search.actions.genome import Genome
-from search.algorithms.multi_objective import Book, MultiObjectiveConfig, diversities
-from search.component import FloatArray
-from search.pareto import first_front
-from search.space import SearchSpace
-from server.plots.style import MUTED, UNSAFE, WIDTH_PX, frame, new_figure, say
+from brink.search.actions.genome import Genome
+from brink.search.algorithms.multi_objective import Book, MultiObjectiveConfig, diversities
+from brink.search.component import FloatArray
+from brink.search.pareto import first_front
+from brink.search.space import SearchSpace
+from brink.server.plots.style import MUTED, UNSAFE, WIDTH_PX, frame, new_figure, say
 
 HEIGHT_PX: Final = 760
 SHOWN: Final = 5

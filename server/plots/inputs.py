@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from search.archive import Archive
-from search.space import SearchSpace
+from brink.search.archive import Archive
+from brink.search.space import SearchSpace
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

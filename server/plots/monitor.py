@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 
-from server.monitors.trial import MAJORITY, MONITOR, Trial, Witness
-from server.plots.style import HAIRLINE, INK, LABEL_PT, MUTED, SAFE, UNSAFE, WIDTH_PX, frame, new_figure
+from brink.server.monitors.trial import MAJORITY, MONITOR, Trial, Witness
+from brink.server.plots.style import HAIRLINE, INK, LABEL_PT, MUTED, SAFE, UNSAFE, WIDTH_PX, frame, new_figure
 
 HEIGHT_PX: Final = 760
 _HUES: Final = {MONITOR: SAFE, MAJORITY: MUTED}

@@ -11,12 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator, PercentFormatter
 
-from search.fitness import wilson_interval
-from search.space import Categorical
-from server.boundary.dependence import FEWEST_IN_BIN, Dependence, dependences
-from server.boundary.parameters import ParameterColumn
-from server.plots.inputs import CampaignFigures
-from server.plots.style import (
+from brink.search.fitness import wilson_interval
+from brink.search.space import Categorical
+from brink.server.boundary.dependence import FEWEST_IN_BIN, Dependence, dependences
+from brink.server.boundary.parameters import ParameterColumn
+from brink.server.plots.inputs import CampaignFigures
+from brink.server.plots.style import (
     INK,
     MUTED,
     SMALL_PT,

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 
-from server.plots.style import (
+from brink.server.plots.style import (
     HAIRLINE,
     INK,
     LABEL_PT,

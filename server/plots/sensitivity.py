@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from search.sensitivity import Rescored
-from search.statistics import mean_interval
-from server.plots.style import INK, LABEL_PT, MUTED, SAFE, UNSAFE, WIDTH_PX, frame, new_figure
+from brink.search.sensitivity import Rescored
+from brink.search.statistics import mean_interval
+from brink.server.plots.style import INK, LABEL_PT, MUTED, SAFE, UNSAFE, WIDTH_PX, frame, new_figure
 
 HEIGHT_PX: Final = 640
 _TOP_PX: Final = 176

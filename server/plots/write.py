@@ -6,12 +6,12 @@ from typing import Any, Final
 
 from matplotlib.figure import Figure
 
-from server.plots.dbs import figure_dbs
-from server.plots.embedding import figure_embedding
-from server.plots.fitness import figure_fitness
-from server.plots.inputs import CampaignFigures
-from server.plots.parameters import figure_parameters
-from server.plots.style import DPI
+from brink.server.plots.dbs import figure_dbs
+from brink.server.plots.embedding import figure_embedding
+from brink.server.plots.fitness import figure_fitness
+from brink.server.plots.inputs import CampaignFigures
+from brink.server.plots.parameters import figure_parameters
+from brink.server.plots.style import DPI
 
 FIGURES: Final[Mapping[str, Callable[[CampaignFigures], Figure]]] = {
     "map": figure_embedding,

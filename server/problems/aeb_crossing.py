@@ -9,22 +9,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from search.algorithm import Evaluation, Measured, Scored
-from search.errors import ConfigError
-from search.levels import Slots
-from search.settings import check_settings, setting
-from search.space import Categorical, Component, Real, SearchSpace
-from server.errors import nearest
-from server.problems.base import Vectors
-from server.problems.detectors import wrong_detector
-from sim.aeb.scenario import ARRIVAL_S, CROSSING_M, ONCOMING_M, TIMES, WEATHERS, Obstacle, Occluder
-from sim.aeb.words import words_of_perturbations, words_of_street
-from sim.episode import EpisodeSpec, Json
-from sim.perception.coco import read_coco
-from sim.perception.errors import DatasetError
-from sim.perception.weights_file import weights_digest
-from sim.perturbations import CATALOGUE
-from worker.wire import Completed
+from brink.search.algorithm import Evaluation, Measured, Scored
+from brink.search.errors import ConfigError
+from brink.search.levels import Slots
+from brink.search.settings import check_settings, setting
+from brink.search.space import Categorical, Component, Real, SearchSpace
+from brink.server.errors import nearest
+from brink.server.problems.base import Vectors
+from brink.server.problems.detectors import wrong_detector
+from brink.sim.aeb.scenario import ARRIVAL_S, CROSSING_M, ONCOMING_M, TIMES, WEATHERS, Obstacle, Occluder
+from brink.sim.aeb.words import words_of_perturbations, words_of_street
+from brink.sim.episode import EpisodeSpec, Json
+from brink.sim.perception.coco import read_coco
+from brink.sim.perception.errors import DatasetError
+from brink.sim.perception.weights_file import weights_digest
+from brink.sim.perturbations import CATALOGUE
+from brink.worker.wire import Completed
 
 SIMULATOR = "brink-aeb@1"
 EVALUATOR = "brink-dataset@1"

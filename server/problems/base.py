@@ -12,11 +12,11 @@ from typing import Any, ClassVar, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from search.actions.road import RoadLimits
-from search.algorithm import Evaluation, Measured
-from search.space import SearchSpace
-from sim.episode import EpisodeSpec
-from worker.wire import Completed
+from brink.search.actions.road import RoadLimits
+from brink.search.algorithm import Evaluation, Measured
+from brink.search.space import SearchSpace
+from brink.sim.episode import EpisodeSpec
+from brink.worker.wire import Completed
 
 Vectors: TypeAlias = Sequence[NDArray[np.float64]]
 
@@ -32,7 +32,7 @@ class _Problem(Protocol):
     Attributes:
         id: Versioned plug-in id.
         summary: One line for catalogues.
-        params_type: Frozen dataclass of its parameters, with fields from `search.settings.setting`.
+        params_type: Frozen dataclass of its parameters, with fields from `brink.search.settings.setting`.
         space: Where to search.
         algorithm_defaults: Settings of algorithms that this problem suggests, such as the radius.
     """

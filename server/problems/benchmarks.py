@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-import search.problems.mtq as mtq
-import search.problems.onemax as onemax
-from search.algorithm import Evaluation
-from server.problems.base import NoParams, Vectors
+import brink.search.problems.mtq as mtq
+import brink.search.problems.onemax as onemax
+from brink.search.algorithm import Evaluation
+from brink.server.problems.base import NoParams, Vectors
 
 
 class Mtq:

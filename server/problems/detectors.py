@@ -2,9 +2,9 @@
 
 from typing import Final
 
-from sim.catalogue import plugin_ids
-from sim.perception.errors import DetectorError
-from sim.perception.weights_file import KINDS, check_loads
+from brink.sim.catalogue import plugin_ids
+from brink.sim.perception.errors import DetectorError
+from brink.sim.perception.weights_file import KINDS, check_loads
 
 DETECTORS: Final = "brink.detectors"
 

@@ -8,25 +8,25 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Final
 
-from search.actions.participants import MOST_PARTICIPANTS, Participant
-from search.actions.road import RoadLimits
-from search.actions.rollout import rolled_out, waypoints
-from search.actions.rule import participants_component, participants_of
-from search.algorithm import Evaluation, Scored
-from search.errors import ConfigError
-from search.settings import check_settings, setting
-from search.space import SearchSpace
-from server.problems.base import Vectors
-from server.problems.detectors import wrong_detector
-from server.violations.rules import kinds_of
-from sim.encounter.lanes import lanes_of
-from sim.encounter.scenario import PLACE_FIELDS
-from sim.encounter.script import stretch_json
-from sim.encounter.words import words_of_script
-from sim.episode import EpisodeSpec, Json, JsonObject
-from sim.perception.weights_file import weights_digest
-from sim.urban.scenario import SCENARIO_CHOICES, UrbanScenario
-from worker.wire import Completed
+from brink.search.actions.participants import MOST_PARTICIPANTS, Participant
+from brink.search.actions.road import RoadLimits
+from brink.search.actions.rollout import rolled_out, waypoints
+from brink.search.actions.rule import participants_component, participants_of
+from brink.search.algorithm import Evaluation, Scored
+from brink.search.errors import ConfigError
+from brink.search.settings import check_settings, setting
+from brink.search.space import SearchSpace
+from brink.server.problems.base import Vectors
+from brink.server.problems.detectors import wrong_detector
+from brink.server.violations.rules import kinds_of
+from brink.sim.encounter.lanes import lanes_of
+from brink.sim.encounter.scenario import PLACE_FIELDS
+from brink.sim.encounter.script import stretch_json
+from brink.sim.encounter.words import words_of_script
+from brink.sim.episode import EpisodeSpec, Json, JsonObject
+from brink.sim.perception.weights_file import weights_digest
+from brink.sim.urban.scenario import SCENARIO_CHOICES, UrbanScenario
+from brink.worker.wire import Completed
 
 SIMULATORS: Final = {"oracle": "brink-encounter@1", "detector": "brink-encounter-camera@1"}
 """By how the driving system sees."""

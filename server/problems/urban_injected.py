@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from search.algorithm import Evaluation, Scored
-from search.errors import ConfigError
-from search.settings import check_settings, setting
-from search.space import (
+from brink.search.algorithm import Evaluation, Scored
+from brink.search.errors import ConfigError
+from brink.search.settings import check_settings, setting
+from brink.search.space import (
     Categorical,
     Component,
     Constraint,
@@ -25,15 +25,15 @@ from search.space import (
     Real,
     SearchSpace,
 )
-from server.errors import nearest
-from server.problems.base import Vectors
-from sim.catalogue import REQUIREMENTS as REQUIREMENT_PLUGINS
-from sim.catalogue import plugin_ids
-from sim.episode import EpisodeSpec, Json
-from sim.urban import behaviour as b
-from sim.urban.scenario import PEDESTRIAN_COUNTS, ROAD_IDS, ROAD_LENGTHS, SCENARIO_CHOICES
-from sim.urban.words import words_of_behaviour, words_of_scenario
-from worker.wire import Completed
+from brink.server.errors import nearest
+from brink.server.problems.base import Vectors
+from brink.sim.catalogue import REQUIREMENTS as REQUIREMENT_PLUGINS
+from brink.sim.catalogue import plugin_ids
+from brink.sim.episode import EpisodeSpec, Json
+from brink.sim.urban import behaviour as b
+from brink.sim.urban.scenario import PEDESTRIAN_COUNTS, ROAD_IDS, ROAD_LENGTHS, SCENARIO_CHOICES
+from brink.sim.urban.words import words_of_behaviour, words_of_scenario
+from brink.worker.wire import Completed
 
 SIMULATOR = "brink-drive@1"
 REQUIREMENTS = (

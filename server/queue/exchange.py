@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 
 from sqlalchemy import Connection
 
-from server.queue import holding_store, lease_store, report_store
-from server.queue.values import LeaseTerms, LeaseWanted, Outcome, Report
-from worker.wire import HeldLease, LeasedJob
+from brink.server.queue import holding_store, lease_store, report_store
+from brink.server.queue.values import LeaseTerms, LeaseWanted, Outcome, Report
+from brink.worker.wire import HeldLease, LeasedJob
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,6 +1,6 @@
 """The SQL of leases that are held: renewed, given back, let go.
 
-Each public function is a unit for `server.db.writer.Writer`. Whoever does not name the token of the row changes
+Each public function is a unit for `brink.server.db.writer.Writer`. Whoever does not name the token of the row changes
 nothing.
 """
 
@@ -10,10 +10,10 @@ from datetime import timedelta
 
 from sqlalchemy import Connection, select, update
 
-from server.db.clock import database_now
-from server.db.locking import locked
-from server.db.models import JobRow, JobStatus
-from worker.wire import HeldLease
+from brink.server.db.clock import database_now
+from brink.server.db.locking import locked
+from brink.server.db.models import JobRow, JobStatus
+from brink.worker.wire import HeldLease
 
 
 def renew(connection: Connection, leases: Iterable[HeldLease], lease_s: float) -> list[int]:

@@ -1,8 +1,8 @@
 """The SQL of leases: who gets which jobs, and for how long.
 
-`lease` and `lease_together` are units for `server.db.writer.Writer`: they take a connection in a write transaction.
-Many workers ask at once: then fresh jobs are read once and dealt out in memory, exactly as if one worker had come
-after the other. The database's clock decides when a lease ends.
+`lease` and `lease_together` are units for `brink.server.db.writer.Writer`: they take a connection in a write
+transaction. Many workers ask at once: then fresh jobs are read once and dealt out in memory, exactly as if one worker
+had come after the other. The database's clock decides when a lease ends.
 """
 
 import json
@@ -14,10 +14,10 @@ from typing import Any
 
 from sqlalchemy import Connection, Label, Select, bindparam, exists, func, literal, or_, select, text, update
 
-from server.db.clock import database_now
-from server.db.locking import locked
-from server.db.many import UpdateEach, among
-from server.db.models import (
+from brink.server.db.clock import database_now
+from brink.server.db.locking import locked
+from brink.server.db.many import UpdateEach, among
+from brink.server.db.models import (
     EVALUATES,
     IS_LEASED,
     LAST_TURN,
@@ -27,8 +27,8 @@ from server.db.models import (
     JobRow,
     JobStatus,
 )
-from server.queue.values import Grants, JobRecord, LeaseTerms, LeaseWanted
-from worker.wire import LeasedJob
+from brink.server.queue.values import Grants, JobRecord, LeaseTerms, LeaseWanted
+from brink.worker.wire import LeasedJob
 
 # Spelled out in the SQL: Postgres' plans for prepared statements do not know the values of parameters, and could not
 # use the indexes that hold queued or leased jobs alone.

@@ -1,6 +1,6 @@
 """The SQL of outcomes: results stored, jobs finished, retried, or put into quarantine.
 
-Each public function is a unit for `server.db.writer.Writer`. An outcome is stored and its job finished in one
+Each public function is a unit for `brink.server.db.writer.Writer`. An outcome is stored and its job finished in one
 transaction, only if the lease token that it names still holds the job.
 """
 
@@ -11,10 +11,10 @@ from datetime import datetime, timedelta
 
 from sqlalchemy import Connection, bindparam, func, insert, select, update
 
-from server.db.clock import database_now
-from server.db.locking import locked
-from server.db.many import UpdateEach, among
-from server.db.models import (
+from brink.server.db.clock import database_now
+from brink.server.db.locking import locked
+from brink.server.db.many import UpdateEach, among
+from brink.server.db.models import (
     IS_LEASED,
     CampaignRow,
     CampaignStatus,
@@ -23,8 +23,8 @@ from server.db.models import (
     TraceRow,
     has_open_jobs,
 )
-from server.db.types import UtcDateTime
-from server.queue.values import JobRecord, LeaseTerms, Loss, Outcome, Report
+from brink.server.db.types import UtcDateTime
+from brink.server.queue.values import JobRecord, LeaseTerms, Loss, Outcome, Report
 
 MAX_ERROR_CHARACTERS = 4000
 MAX_BACKOFF_S = 300.0

@@ -16,17 +16,17 @@ from dataclasses import dataclass, field
 
 from sqlalchemy import Connection
 
-from server.campaigns import store
-from server.campaigns.advance import Stepper
-from server.db.writer import Joint, Writer
-from server.errors import FieldError, InvalidInput
-from server.metrics import Metrics
-from server.queue import holding_store, lease_store, report_store, workers
-from server.queue.exchange import Exchange, Exchanged, exchange
-from server.queue.values import LeaseTerms, LeaseWanted, Loss, Outcome, Report
-from server.queue.wakeups import Wakeups
-from server.settings import Settings
-from worker.wire import (
+from brink.server.campaigns import store
+from brink.server.campaigns.advance import Stepper
+from brink.server.db.writer import Joint, Writer
+from brink.server.errors import FieldError, InvalidInput
+from brink.server.metrics import Metrics
+from brink.server.queue import holding_store, lease_store, report_store, workers
+from brink.server.queue.exchange import Exchange, Exchanged, exchange
+from brink.server.queue.values import LeaseTerms, LeaseWanted, Loss, Outcome, Report
+from brink.server.queue.wakeups import Wakeups
+from brink.server.settings import Settings
+from brink.worker.wire import (
     Completed,
     HeartbeatReply,
     HeartbeatRequest,

@@ -6,7 +6,7 @@ from typing import Any, TypeAlias
 
 from sqlalchemy import Row
 
-from worker.wire import LeasedJob
+from brink.worker.wire import LeasedJob
 
 JobRecord: TypeAlias = Row[*tuple[Any, ...]]
 """Some columns of a job."""

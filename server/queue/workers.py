@@ -8,12 +8,12 @@ from typing import Any
 
 from sqlalchemy import Connection, bindparam, delete, exists, func, insert, select, update
 
-from server.db.clock import database_now
-from server.db.locking import locked
-from server.db.many import among
-from server.db.models import IS_LEASED, JobRow, WorkerRow
-from worker.machine import machine_name
-from worker.wire import HeldLease, WorkerIdentity
+from brink.server.db.clock import database_now
+from brink.server.db.locking import locked
+from brink.server.db.many import among
+from brink.server.db.models import IS_LEASED, JobRow, WorkerRow
+from brink.worker.machine import machine_name
+from brink.worker.wire import HeldLease, WorkerIdentity
 
 _LIVE = select(WorkerRow.id, WorkerRow.machine, WorkerRow.pid, WorkerRow.capabilities).where(
     WorkerRow.last_seen_at >= bindparam("horizon")

@@ -7,10 +7,10 @@ from typing import Any
 
 from sqlalchemy import Row
 
-from server.problems.base import TellsViolations
-from server.violations.instances import instances, scaled_circumstances
-from server.violations.rules import Signature, signature_of
-from worker.wire import Completed
+from brink.server.problems.base import TellsViolations
+from brink.server.violations.instances import instances, scaled_circumstances
+from brink.server.violations.rules import Signature, signature_of
+from brink.worker.wire import Completed
 
 log = logging.getLogger(__name__)
 

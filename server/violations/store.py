@@ -5,9 +5,9 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, delete, insert, select
 
-from server.campaigns.store import note_change
-from server.db.clock import database_now
-from server.db.models import EVALUATES, JobRow, SolutionRow, SolutionVerdict, ViolationNameRow
+from brink.server.campaigns.store import note_change
+from brink.server.db.clock import database_now
+from brink.server.db.models import EVALUATES, JobRow, SolutionRow, SolutionVerdict, ViolationNameRow
 
 
 def unsafe_results(connection: Connection, campaign_id: str) -> list[Row[*tuple[Any, ...]]]:

@@ -6,17 +6,17 @@ from typing import Final
 import cv2
 import numpy as np
 
-from sim.aeb.braking import PERSON, VEHICLE, Detection, EmergencyBrake
-from sim.aeb.scores import Scores, scored
-from sim.aeb.sight import MIN_HEIGHT_SHARE, Look, Shot
-from sim.aeb.street import Street
-from sim.perception.detector import LABELS, Detector
-from sim.perception.quality import Found, Truth
-from sim.perturbations import Mode, Perturbation, Pipeline
-from sim.rendering.renderer import Renderer
-from sim.rendering.scene import BodyKind, Frame, Light, PictureCamera, Viewpoint
-from sim.rendering.visible import visible_bodies
-from sim.world.ego import EgoCar
+from brink.sim.aeb.braking import PERSON, VEHICLE, Detection, EmergencyBrake
+from brink.sim.aeb.scores import Scores, scored
+from brink.sim.aeb.sight import MIN_HEIGHT_SHARE, Look, Shot
+from brink.sim.aeb.street import Street
+from brink.sim.perception.detector import LABELS, Detector
+from brink.sim.perception.quality import Found, Truth
+from brink.sim.perturbations import Mode, Perturbation, Pipeline
+from brink.sim.rendering.renderer import Renderer
+from brink.sim.rendering.scene import BodyKind, Frame, Light, PictureCamera, Viewpoint
+from brink.sim.rendering.visible import visible_bodies
+from brink.sim.world.ego import EgoCar
 
 MIN_VISIBLE: Final = 0.25
 

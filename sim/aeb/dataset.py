@@ -14,17 +14,17 @@ from typing import Final, NamedTuple
 import cv2
 import numpy as np
 
-from sim.aeb.behaviour import Behaviour, SightMode, check_weights
-from sim.aeb.pictures import Split, labelled_frames
-from sim.episode import EpisodeResult, EpisodeSpec, Json
-from sim.errors import InvalidEpisode, SimulationCrashed
-from sim.perception.coco import CocoPicture, read_coco
-from sim.perception.detector import Picture
-from sim.perception.errors import DatasetError
-from sim.perception.quality import Truth, curves
-from sim.perception.registry import find_detector
-from sim.perturbations import Pipeline
-from sim.urban.simulator import instruction_set, versions
+from brink.sim.aeb.behaviour import Behaviour, SightMode, check_weights
+from brink.sim.aeb.pictures import Split, labelled_frames
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
+from brink.sim.errors import InvalidEpisode, SimulationCrashed
+from brink.sim.perception.coco import CocoPicture, read_coco
+from brink.sim.perception.detector import Picture
+from brink.sim.perception.errors import DatasetError
+from brink.sim.perception.quality import Truth, curves
+from brink.sim.perception.registry import find_detector
+from brink.sim.perturbations import Pipeline
+from brink.sim.urban.simulator import instruction_set, versions
 
 EVALUATOR_ID: Final = "brink-dataset@1"
 SIMULATOR_DATA: Final = "simulator"

@@ -4,14 +4,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from sim.aeb.braking import PERSON, EmergencyBrake
-from sim.aeb.facts import Facts
-from sim.aeb.recorder import AebRecorder
-from sim.aeb.sight import Look, Sight
-from sim.aeb.street import CRUISE_MPS, Street
-from sim.requirements.requirement import Collision, Requirement, WorldSample
-from sim.world.ego import STEP_S as PHYSICS_STEP_S
-from sim.world.ego import EgoCar
+from brink.sim.aeb.braking import PERSON, EmergencyBrake
+from brink.sim.aeb.facts import Facts
+from brink.sim.aeb.recorder import AebRecorder
+from brink.sim.aeb.sight import Look, Sight
+from brink.sim.aeb.street import CRUISE_MPS, Street
+from brink.sim.requirements.requirement import Collision, Requirement, WorldSample
+from brink.sim.world.ego import STEP_S as PHYSICS_STEP_S
+from brink.sim.world.ego import EgoCar
 
 FRAME_S: Final = 0.05
 PHYSICS_STEPS: Final = round(FRAME_S / PHYSICS_STEP_S)

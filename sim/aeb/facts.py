@@ -6,11 +6,11 @@ Contacts are looked for at 100 Hz, apart from the camera's clock and from the de
 import math
 from typing import Final
 
-from sim.aeb.street import CRUISE_MPS, END_M, LANE_M, LANE_Y_M, Actor, Street
-from sim.bullet.engine import BodyId, Box, Engine
-from sim.rendering.scene import Body, BodyKind
-from sim.requirements.requirement import Collision, CollisionKind, WorldSample
-from sim.world.ego import EgoCar
+from brink.sim.aeb.street import CRUISE_MPS, END_M, LANE_M, LANE_Y_M, Actor, Street
+from brink.sim.bullet.engine import BodyId, Box, Engine
+from brink.sim.rendering.scene import Body, BodyKind
+from brink.sim.requirements.requirement import Collision, CollisionKind, WorldSample
+from brink.sim.world.ego import EgoCar
 
 NEAR_M: Final = 8.0
 CREEPING_MPS: Final = 0.05

@@ -1,4 +1,4 @@
-"""Records an emergency-braking episode as a `sim.trace.Trace`, so that every replay can draw it.
+"""Records an emergency-braking episode as a `brink.sim.trace.Trace`, so that every replay can draw it.
 
 Boxes are in the coordinates of the trace's 800 x 600 picture: cameras with the same horizontal field of view see the
 same there, however many pixels they have.
@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from sim.aeb.braking import Detection, EmergencyBrake
-from sim.aeb.sight import Look, Picture, Shot, boxes_of
-from sim.aeb.street import CRUISE_MPS, END_M, LANE_Y_M, Street
-from sim.episode import Json
-from sim.rendering.scene import BodyKind, Material
-from sim.trace import (
+from brink.sim.aeb.braking import Detection, EmergencyBrake
+from brink.sim.aeb.sight import Look, Picture, Shot, boxes_of
+from brink.sim.aeb.street import CRUISE_MPS, END_M, LANE_Y_M, Street
+from brink.sim.episode import Json
+from brink.sim.rendering.scene import BodyKind, Material
+from brink.sim.trace import (
     BOX_COLUMNS,
     FOUND_COLUMNS,
     JUDGED_COLUMNS,
@@ -30,7 +30,7 @@ from sim.trace import (
     Surface,
     Trace,
 )
-from sim.world.ego import EgoCar
+from brink.sim.world.ego import EgoCar
 
 TRACE_PX: Final = (800.0, 600.0)
 PICTURE_EVERY: Final = 2

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.aeb.braking import EmergencyBrake, Region
-from sim.perception.quality import Found, Truth, mean_average_precision, precision_and_recall
-from sim.trace import Film
+from brink.sim.aeb.braking import EmergencyBrake, Region
+from brink.sim.perception.quality import Found, Truth, mean_average_precision, precision_and_recall
+from brink.sim.trace import Film
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,15 +6,15 @@ from typing import Final, NamedTuple, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.aeb.braking import PERSON, VEHICLE, Detection
-from sim.aeb.street import Street
-from sim.driving.camera import Body as Prism
-from sim.driving.camera import Camera
-from sim.driving.interface import Box, ObstacleLabel
-from sim.perception.quality import Found, Truth
-from sim.rendering.scene import Body, BodyKind
-from sim.urban.behaviour import IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX, PERCEPTION_STEP_S, InjectedTrajectory
-from sim.world.ego import EgoCar
+from brink.sim.aeb.braking import PERSON, VEHICLE, Detection
+from brink.sim.aeb.street import Street
+from brink.sim.driving.camera import Body as Prism
+from brink.sim.driving.camera import Camera
+from brink.sim.driving.interface import Box, ObstacleLabel
+from brink.sim.perception.quality import Found, Truth
+from brink.sim.rendering.scene import Body, BodyKind
+from brink.sim.urban.behaviour import IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX, PERCEPTION_STEP_S, InjectedTrajectory
+from brink.sim.world.ego import EgoCar
 
 Picture: TypeAlias = NDArray[np.uint8]
 

@@ -6,25 +6,25 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict
 
-from sim.aeb.behaviour import Behaviour, Options, SightMode, check_weights
-from sim.aeb.braking import EmergencyBrake
-from sim.aeb.camera_sight import CameraSight
-from sim.aeb.episode import Episode, Outcome
-from sim.aeb.facts import Facts
-from sim.aeb.recorder import AebRecorder
-from sim.aeb.scenario import AebScenario
-from sim.aeb.sight import GroundTruth, Injected, Sight
-from sim.aeb.street import CRUISE_MPS, LANE_Y_M, Street, make_street
-from sim.bullet.engine import EngineError, discard_engine, process_engine
-from sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
-from sim.errors import SimulationCrashed
-from sim.perception.registry import find_detector
-from sim.rendering.scene import Light
-from sim.requirements.registry import features_of, make_requirements, verdicts_of
-from sim.requirements.requirement import Requirement
-from sim.urban.simulator import instruction_set, versions
-from sim.world.ego import EgoCar
-from sim.world.weather import conditions
+from brink.sim.aeb.behaviour import Behaviour, Options, SightMode, check_weights
+from brink.sim.aeb.braking import EmergencyBrake
+from brink.sim.aeb.camera_sight import CameraSight
+from brink.sim.aeb.episode import Episode, Outcome
+from brink.sim.aeb.facts import Facts
+from brink.sim.aeb.recorder import AebRecorder
+from brink.sim.aeb.scenario import AebScenario
+from brink.sim.aeb.sight import GroundTruth, Injected, Sight
+from brink.sim.aeb.street import CRUISE_MPS, LANE_Y_M, Street, make_street
+from brink.sim.bullet.engine import EngineError, discard_engine, process_engine
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
+from brink.sim.errors import SimulationCrashed
+from brink.sim.perception.registry import find_detector
+from brink.sim.rendering.scene import Light
+from brink.sim.requirements.registry import features_of, make_requirements, verdicts_of
+from brink.sim.requirements.requirement import Requirement
+from brink.sim.urban.simulator import instruction_set, versions
+from brink.sim.world.ego import EgoCar
+from brink.sim.world.weather import conditions
 
 SIMULATOR_ID = "brink-aeb@1"
 MAX_DURATION_S = 60.0

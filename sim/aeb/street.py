@@ -11,9 +11,9 @@ from typing import Final
 
 import numpy as np
 
-from sim.aeb.scenario import AebScenario, Obstacle, Occluder
-from sim.rendering.scene import Body, BodyKind, Building, Ground, Lamp, Material, StreetScene, Tree
-from sim.world.streams import Stream, generator
+from brink.sim.aeb.scenario import AebScenario, Obstacle, Occluder
+from brink.sim.rendering.scene import Body, BodyKind, Building, Ground, Lamp, Material, StreetScene, Tree
+from brink.sim.world.streams import Stream, generator
 
 LANE_M: Final = 3.5
 LANE_Y_M: Final = -0.5 * LANE_M

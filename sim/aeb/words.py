@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from sim.episode import Json
-from sim.perturbations import CATALOGUE
+from brink.sim.episode import Json
+from brink.sim.perturbations import CATALOGUE
 
 _OBSTACLES: Final = {"novelty": "a fallen tree", "anomaly": "an overturned vehicle"}
 

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pybullet
 
-from sim.bullet.engine import Engine
-from sim.world.ego import EGO_CAR, GRAVITY_MPS2, STEP_S, CarModel
+from brink.sim.bullet.engine import Engine
+from brink.sim.world.ego import EGO_CAR, GRAVITY_MPS2, STEP_S, CarModel
 
 WHEEL_RADIUS_M = 0.32
 WHEEL_KG = 25.0
@@ -33,7 +33,7 @@ _FRONT, _REAR = ("front_left", "front_right"), ("rear_left", "rear_right")
 
 
 class WheeledCar:
-    """The ego on wheels; a stand-in for `sim.world.ego.EgoCar`. Made anew for every episode.
+    """The ego on wheels; a stand-in for `brink.sim.world.ego.EgoCar`. Made anew for every episode.
 
     Args:
         engine: Already emptied; gets the ground and the car.

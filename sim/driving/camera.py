@@ -16,7 +16,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from sim.driving.interface import Box, ObstacleLabel
+from brink.sim.driving.interface import Box, ObstacleLabel
 
 
 class Body(NamedTuple):

@@ -3,9 +3,9 @@
 import math
 from typing import Protocol
 
-from sim.driving.interface import Command, EgoState, Route
-from sim.driving.planning import Plan
-from sim.driving.settings import ControlSettings, VehicleShape
+from brink.sim.driving.interface import Command, EgoState, Route
+from brink.sim.driving.planning import Plan
+from brink.sim.driving.settings import ControlSettings, VehicleShape
 
 
 class Controller(Protocol):

@@ -7,7 +7,7 @@ proportion. It brakes comfortably from far away, which a wet road allows; a late
 
 import math
 
-from sim.driving.settings import FollowSettings
+from brink.sim.driving.settings import FollowSettings
 
 NO_LIMIT_MPS2 = 100.0
 """What a law answers that asks for nothing."""

@@ -8,9 +8,9 @@ the track has died and a short hold, that lets the ego go on.
 
 from collections.abc import Sequence
 
-from sim.driving.interface import ObstacleLabel
-from sim.driving.prediction import RoadObstacle
-from sim.driving.settings import YieldSettings
+from brink.sim.driving.interface import ObstacleLabel
+from brink.sim.driving.prediction import RoadObstacle
+from brink.sim.driving.settings import YieldSettings
 
 _LEAST_SPEED_MPS = 2.0
 

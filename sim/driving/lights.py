@@ -6,9 +6,9 @@ or mistake one: a light that is no longer reported is believed for a while, and 
 `confirm_s`.
 """
 
-from sim.driving.gap import NO_LIMIT_MPS2, stop_accel
-from sim.driving.interface import LightReading, LightState
-from sim.driving.settings import LightSettings
+from brink.sim.driving.gap import NO_LIMIT_MPS2, stop_accel
+from brink.sim.driving.interface import LightReading, LightState
+from brink.sim.driving.settings import LightSettings
 
 
 class LightKeeper:

@@ -18,9 +18,9 @@ A box that the image's border cuts on one side says nothing on that side: it is 
 import math
 from typing import NamedTuple, Protocol
 
-from sim.driving.camera import Camera
-from sim.driving.interface import Box, EgoState, ObstacleLabel, Route
-from sim.driving.settings import LocalisationSettings
+from brink.sim.driving.camera import Camera
+from brink.sim.driving.interface import Box, EgoState, ObstacleLabel, Route
+from brink.sim.driving.settings import LocalisationSettings
 
 
 class Place(NamedTuple):

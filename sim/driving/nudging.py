@@ -8,9 +8,9 @@ and an offset is kept until what caused it is passed, or for a moment after it h
 
 from collections.abc import Sequence
 
-from sim.driving.interface import ObstacleLabel
-from sim.driving.prediction import RoadObstacle
-from sim.driving.settings import NudgeSettings
+from brink.sim.driving.interface import ObstacleLabel
+from brink.sim.driving.prediction import RoadObstacle
+from brink.sim.driving.settings import NudgeSettings
 
 _FLOWS_ABOVE_MPS = 1.0
 _CROSSES_ABOVE_MPS = 0.3

@@ -9,9 +9,9 @@ obstacle moves off before the ego is beside it, and simply returns if the obstac
 
 from collections.abc import Sequence
 
-from sim.driving.interface import ObstacleLabel, Route
-from sim.driving.prediction import RoadObstacle
-from sim.driving.settings import OvertakeSettings
+from brink.sim.driving.interface import ObstacleLabel, Route
+from brink.sim.driving.prediction import RoadObstacle
+from brink.sim.driving.settings import OvertakeSettings
 
 _OBSTACLE_MOVES_ABOVE_MPS = 1.5
 _BESIDE_M = 1.0

@@ -14,15 +14,15 @@ road free after the track has died.
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
-from sim.driving.gap import NO_LIMIT_MPS2, follow_accel, stop_accel
-from sim.driving.giving_way import GiveWay
-from sim.driving.interface import EgoState, LightReading, ObstacleLabel, PlanMode, Route
-from sim.driving.lights import LightKeeper
-from sim.driving.nudging import Nudging
-from sim.driving.overtaking import Overtaking
-from sim.driving.prediction import RoadObstacle
-from sim.driving.settings import PlanningSettings, VehicleShape
-from sim.driving.speed_profile import SpeedProfile
+from brink.sim.driving.gap import NO_LIMIT_MPS2, follow_accel, stop_accel
+from brink.sim.driving.giving_way import GiveWay
+from brink.sim.driving.interface import EgoState, LightReading, ObstacleLabel, PlanMode, Route
+from brink.sim.driving.lights import LightKeeper
+from brink.sim.driving.nudging import Nudging
+from brink.sim.driving.overtaking import Overtaking
+from brink.sim.driving.prediction import RoadObstacle
+from brink.sim.driving.settings import PlanningSettings, VehicleShape
+from brink.sim.driving.speed_profile import SpeedProfile
 
 _TURNS_WHEELS_BELOW_MPS = 0.3
 _BLOCKS_WITHIN_M = 0.1

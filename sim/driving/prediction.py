@@ -8,9 +8,9 @@ import math
 from collections.abc import Sequence
 from typing import Protocol
 
-from sim.driving.interface import EgoState, ObstacleLabel, Route
-from sim.driving.settings import PredictionSettings
-from sim.driving.tracking import Track
+from brink.sim.driving.interface import EgoState, ObstacleLabel, Route
+from brink.sim.driving.settings import PredictionSettings
+from brink.sim.driving.tracking import Track
 
 
 class RoadObstacle:

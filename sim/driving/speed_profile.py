@@ -2,8 +2,8 @@
 
 import math
 
-from sim.driving.interface import Route
-from sim.driving.settings import SpeedSettings
+from brink.sim.driving.interface import Route
+from brink.sim.driving.settings import SpeedSettings
 
 _BEYOND_M = 20.0
 

@@ -5,21 +5,21 @@
 The obstacle detector comes before it, outside: it is the component under test, and its boxes are given.
 """
 
-from sim.driving.camera import Camera
-from sim.driving.control import Controller, PursuitController
-from sim.driving.interface import Command, Observation, PerceivedObstacle, PlanMode, PlanState, Route
-from sim.driving.localisation import GroundPlaneLocaliser, Localiser
-from sim.driving.planning import Plan, Planner, RoutePlanner
-from sim.driving.prediction import ConstantVelocityPredictor, Predictor
-from sim.driving.settings import DrivingSettings
-from sim.driving.tracking import AlphaBetaTracker, Track, Tracker
+from brink.sim.driving.camera import Camera
+from brink.sim.driving.control import Controller, PursuitController
+from brink.sim.driving.interface import Command, Observation, PerceivedObstacle, PlanMode, PlanState, Route
+from brink.sim.driving.localisation import GroundPlaneLocaliser, Localiser
+from brink.sim.driving.planning import Plan, Planner, RoutePlanner
+from brink.sim.driving.prediction import ConstantVelocityPredictor, Predictor
+from brink.sim.driving.settings import DrivingSettings
+from brink.sim.driving.tracking import AlphaBetaTracker, Track, Tracker
 
 _DEFAULT_CAMERA = Camera()
 _DEFAULT_SETTINGS = DrivingSettings()
 
 
 class ModularDriving:
-    """Implements `sim.driving.interface.DrivingSystem`. Made anew for every episode.
+    """Implements `brink.sim.driving.interface.DrivingSystem`. Made anew for every episode.
 
     Args:
         route: What to follow.

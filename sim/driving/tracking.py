@@ -16,9 +16,9 @@ from collections.abc import Sequence
 from operator import itemgetter
 from typing import Protocol
 
-from sim.driving.interface import Box, ObstacleLabel
-from sim.driving.localisation import Place
-from sim.driving.settings import TrackingSettings
+from brink.sim.driving.interface import Box, ObstacleLabel
+from brink.sim.driving.localisation import Place
+from brink.sim.driving.settings import TrackingSettings
 
 
 class Track:

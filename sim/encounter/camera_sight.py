@@ -6,14 +6,14 @@ from typing import Final
 import cv2
 import numpy as np
 
-from sim.driving.camera import Camera
-from sim.driving.interface import Box, ObstacleLabel
-from sim.encounter.road_users import ScriptedUser
-from sim.encounter.script import Kind
-from sim.encounter.world import EncounterWorld
-from sim.perception.detector import LABELS, Detector
-from sim.rendering.renderer import Renderer
-from sim.rendering.scene import (
+from brink.sim.driving.camera import Camera
+from brink.sim.driving.interface import Box, ObstacleLabel
+from brink.sim.encounter.road_users import ScriptedUser
+from brink.sim.encounter.script import Kind
+from brink.sim.encounter.world import EncounterWorld
+from brink.sim.perception.detector import LABELS, Detector
+from brink.sim.rendering.renderer import Renderer
+from brink.sim.rendering.scene import (
     Body,
     BodyKind,
     Building,
@@ -26,11 +26,11 @@ from sim.rendering.scene import (
     Tree,
     Viewpoint,
 )
-from sim.trace import Surface
-from sim.urban.scenario import UrbanScenario
-from sim.world.road import Road
-from sim.world.roadside import fixtures
-from sim.world.scene import scene_surfaces
+from brink.sim.trace import Surface
+from brink.sim.urban.scenario import UrbanScenario
+from brink.sim.world.road import Road
+from brink.sim.world.roadside import fixtures
+from brink.sim.world.scene import scene_surfaces
 
 SIZE_PX: Final = (640, 360)
 CROWN_M: Final = 3.0

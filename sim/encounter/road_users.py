@@ -8,12 +8,12 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from sim.encounter.script import Kind, Script, Stretch
-from sim.world.line import ReferenceLine
-from sim.world.vehicle import CAR, VAN, VehicleSize
-from sim.world.walker import LENGTH_M as PERSON_LENGTH_M
-from sim.world.walker import WIDTH_M as PERSON_WIDTH_M
-from sim.world.world import RoadUser
+from brink.sim.encounter.script import Kind, Script, Stretch
+from brink.sim.world.line import ReferenceLine
+from brink.sim.world.vehicle import CAR, VAN, VehicleSize
+from brink.sim.world.walker import LENGTH_M as PERSON_LENGTH_M
+from brink.sim.world.walker import WIDTH_M as PERSON_WIDTH_M
+from brink.sim.world.world import RoadUser
 
 SIZES: Final = {
     Kind.CAR: CAR,

@@ -1,6 +1,7 @@
 """Owns the simulator `brink-encounter@1`: a specification in, a result out; bit for bit the same each time.
 
-Its driving system is told the ground truth. `sim.encounter.camera_simulator` puts a camera and a detector there.
+Its driving system is told the ground truth. `brink.sim.encounter.camera_simulator` puts a camera and a
+detector there.
 """
 
 import json
@@ -9,22 +10,22 @@ import time
 from collections.abc import Mapping
 from typing import ClassVar, Final
 
-from sim.bullet.engine import EngineError, discard_engine, process_engine
-from sim.driving.camera import Camera
-from sim.driving.system import ModularDriving
-from sim.encounter.scenario import EncounterScenario
-from sim.encounter.witness import EncounterWitness
-from sim.encounter.world import EncounterWorld, make_encounter
-from sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
-from sim.errors import InvalidEpisode, SimulationCrashed
-from sim.requirements.registry import features_of, make_requirements, verdicts_of
-from sim.requirements.requirement import Requirement
-from sim.urban.behaviour import BehaviourMode, DetectorBehaviour
-from sim.urban.episode_loop import Outcome, run_loop
-from sim.urban.recorder import Recorder
-from sim.urban.scenario import check_fields
-from sim.urban.sensing import Detects
-from sim.urban.simulator import instruction_set, versions
+from brink.sim.bullet.engine import EngineError, discard_engine, process_engine
+from brink.sim.driving.camera import Camera
+from brink.sim.driving.system import ModularDriving
+from brink.sim.encounter.scenario import EncounterScenario
+from brink.sim.encounter.witness import EncounterWitness
+from brink.sim.encounter.world import EncounterWorld, make_encounter
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
+from brink.sim.errors import InvalidEpisode, SimulationCrashed
+from brink.sim.requirements.registry import features_of, make_requirements, verdicts_of
+from brink.sim.requirements.requirement import Requirement
+from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour
+from brink.sim.urban.episode_loop import Outcome, run_loop
+from brink.sim.urban.recorder import Recorder
+from brink.sim.urban.scenario import check_fields
+from brink.sim.urban.sensing import Detects
+from brink.sim.urban.simulator import instruction_set, versions
 
 MAX_DURATION_S: Final = 120.0
 FARTHEST_GAP_M: Final = 200.0

@@ -8,15 +8,15 @@ import math
 from collections import deque
 from typing import Final
 
-from sim.driving.interface import DrivingSystem
-from sim.encounter.rectangles import Rectangle, bearing_rad, signed_gap_m
-from sim.encounter.road_users import ScriptedUser
-from sim.encounter.world import EncounterWorld
-from sim.episode import JsonObject
-from sim.requirements.requirement import WorldSample
-from sim.trace import ACTION
-from sim.urban.recorder import Recorder
-from sim.world.world import STEP_S
+from brink.sim.driving.interface import DrivingSystem
+from brink.sim.encounter.rectangles import Rectangle, bearing_rad, signed_gap_m
+from brink.sim.encounter.road_users import ScriptedUser
+from brink.sim.encounter.world import EncounterWorld
+from brink.sim.episode import JsonObject
+from brink.sim.requirements.requirement import WorldSample
+from brink.sim.trace import ACTION
+from brink.sim.urban.recorder import Recorder
+from brink.sim.world.world import STEP_S
 
 NEARBY_M: Final = 15.0
 """A violation that is no collision has the nearest road user as its counterpart if it is within this."""

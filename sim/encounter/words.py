@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Final
 
-from sim.episode import Json
+from brink.sim.episode import Json
 
 _ACTIONS: Final = {
     "keep": "goes on",

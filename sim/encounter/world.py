@@ -3,18 +3,18 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sim.encounter.road_users import ScriptedUser
-from sim.encounter.scenario import EncounterScenario
-from sim.encounter.script import Kind
-from sim.urban.scenario import DrivingTask
-from sim.world.ego import EgoCar, EgoMotion
-from sim.world.lights import SignalPlan
-from sim.world.road import Road, build_road
-from sim.world.route import LaneRoute
-from sim.world.streams import Stream, generator
-from sim.world.task import ego_route
-from sim.world.weather import Conditions, conditions
-from sim.world.world import START_SPEED_MPS, STEP_S, leaves_road_m, signal_plan
+from brink.sim.encounter.road_users import ScriptedUser
+from brink.sim.encounter.scenario import EncounterScenario
+from brink.sim.encounter.script import Kind
+from brink.sim.urban.scenario import DrivingTask
+from brink.sim.world.ego import EgoCar, EgoMotion
+from brink.sim.world.lights import SignalPlan
+from brink.sim.world.road import Road, build_road
+from brink.sim.world.route import LaneRoute
+from brink.sim.world.streams import Stream, generator
+from brink.sim.world.task import ego_route
+from brink.sim.world.weather import Conditions, conditions
+from brink.sim.world.world import START_SPEED_MPS, STEP_S, leaves_road_m, signal_plan
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -27,9 +27,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.perception.boxes import FloatArray, suppressed
-from sim.perception.coco import LABELS
-from sim.perception.detector import (
+from brink.sim.perception.boxes import FloatArray, suppressed
+from brink.sim.perception.coco import LABELS
+from brink.sim.perception.detector import (
     DOUBLE_OVERLAP,
     MOST,
     SCORE_FLOOR,
@@ -38,9 +38,9 @@ from sim.perception.detector import (
     check_picture,
     onnx_session,
 )
-from sim.perception.errors import DetectorError
-from sim.perception.quality import Found
-from sim.perception.weights_file import KINDS, file_of
+from brink.sim.perception.errors import DetectorError
+from brink.sim.perception.quality import Found
+from brink.sim.perception.weights_file import KINDS, file_of
 
 INPUT_PX: Final = (640, 384)
 """What a network is given whose input may have any size: width and height."""

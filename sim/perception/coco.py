@@ -16,9 +16,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from sim.perception.errors import DatasetError
-from sim.perception.plain_files import not_plain
-from sim.perception.quality import Truth
+from brink.sim.perception.errors import DatasetError
+from brink.sim.perception.plain_files import not_plain
+from brink.sim.perception.quality import Truth
 
 LABELS: Final[Mapping[str, int]] = {
     "vehicle": 0, "car": 0, "truck": 0, "bus": 0, "van": 0, "motorcycle": 0, "train": 0,

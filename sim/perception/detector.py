@@ -14,9 +14,9 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from sim.perception.boxes import FloatArray, suppressed
-from sim.perception.errors import DetectorError
-from sim.perception.quality import Found
+from brink.sim.perception.boxes import FloatArray, suppressed
+from brink.sim.perception.errors import DetectorError
+from brink.sim.perception.quality import Found
 
 Picture: TypeAlias = NDArray[np.uint8]
 
@@ -108,7 +108,7 @@ class NetworkDetector:
 
     Args:
         weights: An ONNX file with one input of shape ``(1, 3, 192, 320)`` and the outputs that
-            `sim.perception.network` describes.
+            `brink.sim.perception.network` describes.
 
     Raises:
         DetectorError: The file does not load, or is not such a network.
@@ -147,10 +147,10 @@ def own_detector() -> NetworkDetector:
     Raises:
         DetectorError: They are not there.
     """
-    weights = Path(str(files("sim.perception").joinpath(WEIGHTS)))
+    weights = Path(str(files("brink.sim.perception").joinpath(WEIGHTS)))
     if not weights.is_file():
         raise DetectorError(
-            f"brink-det@1 has no weights here: train them with `python -m sim.perception.train --out "
+            f"brink-det@1 has no weights here: train them with `python -m brink.sim.perception.train --out "
             f"{weights.parent}`, which takes half an hour"
         )
     return NetworkDetector(weights)

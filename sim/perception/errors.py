@@ -1,6 +1,6 @@
 """Errors of learned components."""
 
-from sim.errors import SimulatorError
+from brink.sim.errors import SimulatorError
 
 
 class DetectorError(SimulatorError):

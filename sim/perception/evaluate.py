@@ -1,6 +1,6 @@
 """Evaluates a detector on the test pictures, which no training has seen: figures, curves, a table by distance.
 
-    python -m sim.perception.evaluate --out FOLDER
+    python -m brink.sim.perception.evaluate --out FOLDER
 
 Writes `evaluation.json` and `evaluation.png` (precision over recall, calibration). Test pictures come from seeds and
 looks of their own.
@@ -17,10 +17,10 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from sim.aeb.pictures import LabelledFrame, Split, labelled_frames
-from sim.perception.detector import LABELS, Detector
-from sim.perception.quality import Curve, Found, Truth, calibration, curves, mean_average_precision
-from sim.perception.registry import find_detector
+from brink.sim.aeb.pictures import LabelledFrame, Split, labelled_frames
+from brink.sim.perception.detector import LABELS, Detector
+from brink.sim.perception.quality import Curve, Found, Truth, calibration, curves, mean_average_precision
+from brink.sim.perception.registry import find_detector
 
 FRAMES: Final = 600
 DEPTHS_M: Final = ((0.0, 5.0), (5.0, 10.0), (10.0, 20.0), (20.0, 40.0), (40.0, 80.0))
@@ -122,7 +122,7 @@ def drawn(figures: dict[str, Any], by_class: Sequence[Curve]) -> Figure:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Evaluate, print and write."""
-    parser = argparse.ArgumentParser(prog="python -m sim.perception.evaluate", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m brink.sim.perception.evaluate", description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder for figures and plots")
     parser.add_argument("--detector", default="brink-det@1", help="id of the detector (%(default)s)")
     parser.add_argument("--frames", type=int, default=FRAMES, help="test pictures (%(default)s)")

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.perception.boxes import BoolArray, FloatArray, overlaps
+from brink.sim.perception.boxes import BoolArray, FloatArray, overlaps
 
 MATCH_OVERLAP: Final = 0.5
 RECALLS: Final = np.linspace(0.0, 1.0, 101)

@@ -3,13 +3,13 @@
 from collections.abc import Callable
 from typing import Final, cast
 
-from sim.catalogue import load_plugin, plugin_ids
-from sim.errors import InvalidEpisode
-from sim.perception.adapters import file_detector
-from sim.perception.detector import Detector
-from sim.perception.errors import DetectorError
-from sim.perception.weights_file import KINDS
-from sim.urban.scenario import nearest
+from brink.sim.catalogue import load_plugin, plugin_ids
+from brink.sim.errors import InvalidEpisode
+from brink.sim.perception.adapters import file_detector
+from brink.sim.perception.detector import Detector
+from brink.sim.perception.errors import DetectorError
+from brink.sim.perception.weights_file import KINDS
+from brink.sim.urban.scenario import nearest
 
 DETECTORS: Final = "brink.detectors"
 

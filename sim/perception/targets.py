@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sim.perception.detector import INPUT_PX, LABELS, STRIDE
-from sim.perception.quality import Truth
+from brink.sim.perception.detector import INPUT_PX, LABELS, STRIDE
+from brink.sim.perception.quality import Truth
 
 ACROSS: Final = INPUT_PX[0] // STRIDE
 DOWN: Final = INPUT_PX[1] // STRIDE

@@ -1,6 +1,6 @@
 """Trains `brink-det@1` on pictures that the simulator makes, and writes weights, figures and a record of both.
 
-    python -m sim.perception.train --out FOLDER
+    python -m brink.sim.perception.train --out FOLDER
 
 Pictures, start and order come from seeds and everything runs on one thread, so that a second run on the same kind of
 processor gives the same weights.
@@ -20,11 +20,11 @@ import cv2
 import numpy as np
 import torch
 
-from sim.aeb.pictures import LabelledFrame, Split, labelled_frames
-from sim.perception.detector import INPUT_PX, Picture, decoded, fitted
-from sim.perception.network import Network
-from sim.perception.quality import Found, Truth, curves, mean_average_precision
-from sim.perception.targets import loss_of, target_of
+from brink.sim.aeb.pictures import LabelledFrame, Split, labelled_frames
+from brink.sim.perception.detector import INPUT_PX, Picture, decoded, fitted
+from brink.sim.perception.network import Network
+from brink.sim.perception.quality import Found, Truth, curves, mean_average_precision
+from brink.sim.perception.targets import loss_of, target_of
 
 FRAMES: Final = 10_000
 VALIDATION_FRAMES: Final = 600
@@ -180,7 +180,7 @@ def export(network: Network, file: Path) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train, judge on the test pictures, and write everything."""
-    parser = argparse.ArgumentParser(prog="python -m sim.perception.train", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m brink.sim.perception.train", description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder for weights and figures")
     parser.add_argument("--frames", type=int, default=FRAMES, help="training pictures (%(default)s)")
     parser.add_argument("--epochs", type=int, default=EPOCHS, help="epochs (%(default)s)")

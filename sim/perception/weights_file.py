@@ -8,8 +8,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-from sim.perception.errors import DetectorError
-from sim.perception.plain_files import not_plain
+from brink.sim.perception.errors import DetectorError
+from brink.sim.perception.plain_files import not_plain
 
 LOADING_S: Final = 120.0
 KINDS: Final = ("onnx", "torchscript", "ultralytics")
@@ -64,7 +64,7 @@ def check_loads(detector_id: str) -> None:
 
 @lru_cache(maxsize=8)
 def _check_loads(detector_id: str, _content: str) -> None:
-    command = [sys.executable, "-m", "sim.perception.adapters", detector_id]
+    command = [sys.executable, "-m", "brink.sim.perception.adapters", detector_id]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=LOADING_S)
     except subprocess.TimeoutExpired:

@@ -1,16 +1,16 @@
 """Image perturbations: 15 genes in 175 levels, applied to camera frames."""
 
-from sim.perturbations.catalogue import CATALOGUE, find_gene, register
-from sim.perturbations.errors import (
+from brink.sim.perturbations.catalogue import CATALOGUE, find_gene, register
+from brink.sim.perturbations.errors import (
     InvalidFrame,
     InvalidPerturbation,
     PerturbationError,
     PerturbationFailed,
     VisionMissing,
 )
-from sim.perturbations.gene import Frame, Gene, Transform
-from sim.perturbations.perturbation import Perturbation, mean_intensity, parse_perturbations
-from sim.perturbations.pipeline import Mode, Pipeline, apply, generator
+from brink.sim.perturbations.gene import Frame, Gene, Transform
+from brink.sim.perturbations.perturbation import Perturbation, mean_intensity, parse_perturbations
+from brink.sim.perturbations.pipeline import Mode, Pipeline, apply, generator
 
 __all__ = [
     "CATALOGUE",

@@ -7,8 +7,8 @@ scales lightness by 1, and blur 1, a kernel of one pixel. Pixel sizes are for fr
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from sim.perturbations.errors import InvalidPerturbation
-from sim.perturbations.gene import Gene, Transform
+from brink.sim.perturbations.errors import InvalidPerturbation
+from brink.sim.perturbations.gene import Gene, Transform
 
 
 def _evenly(first: float, last: float, count: int, digits: int = 4) -> tuple[float, ...]:

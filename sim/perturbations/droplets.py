@@ -6,8 +6,16 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from sim.perturbations.gene import Frame
-from sim.perturbations.layers import REFERENCE_HEIGHT_PX, Layer, clouds, lay_over, pixels, scale_of, to_layer
+from brink.sim.perturbations.gene import Frame
+from brink.sim.perturbations.layers import (
+    REFERENCE_HEIGHT_PX,
+    Layer,
+    clouds,
+    lay_over,
+    pixels,
+    scale_of,
+    to_layer,
+)
 
 FILM_GREY = 205
 FILM_CELL_PX = 220

@@ -6,8 +6,8 @@ from typing import cast
 import cv2
 import numpy as np
 
-from sim.perturbations.gene import Frame
-from sim.perturbations.layers import REFERENCE_HEIGHT_PX, pixels, scale_of
+from brink.sim.perturbations.gene import Frame
+from brink.sim.perturbations.layers import REFERENCE_HEIGHT_PX, pixels, scale_of
 
 GRID_PX = 10.0
 MORE_SQUARES = 5

@@ -8,7 +8,7 @@ SimulatorError
     └── VisionMissing        OpenCV is not installed here
 """
 
-from sim.errors import InvalidEpisode, SimulatorError
+from brink.sim.errors import InvalidEpisode, SimulatorError
 
 
 class PerturbationError(SimulatorError):

@@ -6,9 +6,9 @@ from typing import cast
 import cv2
 import numpy as np
 
-from sim.perturbations.errors import InvalidFrame
-from sim.perturbations.gene import Frame
-from sim.perturbations.pipeline import check_frame
+from brink.sim.perturbations.errors import InvalidFrame
+from brink.sim.perturbations.gene import Frame
+from brink.sim.perturbations.pipeline import check_frame
 
 
 def read_picture(path: Path) -> Frame:

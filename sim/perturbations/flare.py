@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from sim.perturbations.gene import Frame
-from sim.perturbations.layers import Layer, lay_white_over, pixels, scale_of
+from brink.sim.perturbations.gene import Frame
+from brink.sim.perturbations.layers import Layer, lay_white_over, pixels, scale_of
 
 RING_PX = 10
 GHOST_TINTS = ((255, 190, 120), (150, 255, 180), (130, 180, 255), (255, 140, 200), (255, 245, 170))

@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from sim.perturbations.errors import InvalidPerturbation
+from brink.sim.perturbations.errors import InvalidPerturbation
 
 Frame: TypeAlias = npt.NDArray[np.uint8]
 """A picture: RGB, uint8, shape ``(height, width, 3)``."""

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from sim.perturbations.gene import Frame
+from brink.sim.perturbations.gene import Frame
 
 Layer: TypeAlias = npt.NDArray[np.uint8]
 """One number a pixel, uint8, shape ``(height, width)``."""

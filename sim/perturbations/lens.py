@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from sim.perturbations.gene import Frame
-from sim.perturbations.layers import Layer, clouds, lay_over, lay_white_over, pixels, scale_of, to_layer
+from brink.sim.perturbations.gene import Frame
+from brink.sim.perturbations.layers import Layer, clouds, lay_over, lay_white_over, pixels, scale_of, to_layer
 
 Points: TypeAlias = npt.NDArray[np.float64]
 

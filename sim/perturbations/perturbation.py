@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from numbers import Integral
 from typing import Self
 
-from sim.episode import Json, JsonObject
-from sim.perturbations.catalogue import find_gene
-from sim.perturbations.errors import InvalidPerturbation
+from brink.sim.episode import Json, JsonObject
+from brink.sim.perturbations.catalogue import find_gene
+from brink.sim.perturbations.errors import InvalidPerturbation
 
 
 @dataclass(frozen=True, slots=True)

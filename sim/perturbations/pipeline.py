@@ -11,10 +11,15 @@ from enum import StrEnum
 
 import numpy as np
 
-from sim.perturbations.catalogue import registered_transform
-from sim.perturbations.errors import InvalidFrame, InvalidPerturbation, PerturbationFailed, VisionMissing
-from sim.perturbations.gene import Frame, Transform
-from sim.perturbations.perturbation import Perturbation
+from brink.sim.perturbations.catalogue import registered_transform
+from brink.sim.perturbations.errors import (
+    InvalidFrame,
+    InvalidPerturbation,
+    PerturbationFailed,
+    VisionMissing,
+)
+from brink.sim.perturbations.gene import Frame, Transform
+from brink.sim.perturbations.perturbation import Perturbation
 
 MIN_SIDE_PX = 16
 STREAM = 100
@@ -126,7 +131,7 @@ def _transform(name: str) -> Transform:
     if own is not None:
         return own
     try:
-        from sim.perturbations.transforms import TRANSFORMS  # loads OpenCV
+        from brink.sim.perturbations.transforms import TRANSFORMS  # loads OpenCV
     except ModuleNotFoundError as error:
         if error.name != "cv2":
             raise

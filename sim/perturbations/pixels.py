@@ -6,8 +6,8 @@ from typing import cast
 import cv2
 import numpy as np
 
-from sim.perturbations.gene import Frame
-from sim.perturbations.layers import Layer, pixels, scale_of
+from brink.sim.perturbations.gene import Frame
+from brink.sim.perturbations.layers import Layer, pixels, scale_of
 
 SHIFT_PX = 3.0
 NOISE_SEED = 20220928

@@ -6,9 +6,9 @@ from typing import cast
 import cv2
 import numpy as np
 
-from sim.perturbations.gene import Frame, Gene
-from sim.perturbations.perturbation import Perturbation
-from sim.perturbations.pipeline import apply, generator
+from brink.sim.perturbations.gene import Frame, Gene
+from brink.sim.perturbations.perturbation import Perturbation
+from brink.sim.perturbations.pipeline import apply, generator
 
 CAPTION_PX = 26
 MARGIN_PX = 6

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from sim.perturbations.gene import Frame
-from sim.perturbations.layers import Field, enlarge, lay_white_over, scale_of, to_layer
+from brink.sim.perturbations.gene import Frame
+from brink.sim.perturbations.layers import Field, enlarge, lay_white_over, scale_of, to_layer
 
 DISCS = 110
 SMALLEST, LARGEST = 0.05, 0.22

@@ -6,7 +6,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from sim.perturbations.gene import Frame
+from brink.sim.perturbations.gene import Frame
 
 WIDTH_PX, HEIGHT_PX = 1280, 720
 HORIZON_PX = 340

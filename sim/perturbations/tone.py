@@ -5,7 +5,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from sim.perturbations.gene import Frame
+from brink.sim.perturbations.gene import Frame
 
 
 def brightness(frame: Frame, value: float, rng: np.random.Generator) -> Frame:

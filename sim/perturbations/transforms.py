@@ -3,15 +3,15 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from sim.perturbations.droplets import condensation
-from sim.perturbations.dropout import channel_dropout, coarse_dropout, grid_dropout
-from sim.perturbations.flare import sun_flare
-from sim.perturbations.gene import Transform
-from sim.perturbations.lens import broken_lens, dirty
-from sim.perturbations.pixels import gaussian_blur, gaussian_noise, shifted_pixels
-from sim.perturbations.smoke import smoke
-from sim.perturbations.tone import brightness, contrast
-from sim.perturbations.weather import rain, snow
+from brink.sim.perturbations.droplets import condensation
+from brink.sim.perturbations.dropout import channel_dropout, coarse_dropout, grid_dropout
+from brink.sim.perturbations.flare import sun_flare
+from brink.sim.perturbations.gene import Transform
+from brink.sim.perturbations.lens import broken_lens, dirty
+from brink.sim.perturbations.pixels import gaussian_blur, gaussian_noise, shifted_pixels
+from brink.sim.perturbations.smoke import smoke
+from brink.sim.perturbations.tone import brightness, contrast
+from brink.sim.perturbations.weather import rain, snow
 
 TRANSFORMS: Mapping[str, Transform] = MappingProxyType(
     {

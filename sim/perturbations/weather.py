@@ -6,9 +6,9 @@ from typing import cast
 import cv2
 import numpy as np
 
-from sim.perturbations.droplets import wet_lens
-from sim.perturbations.gene import Frame
-from sim.perturbations.layers import Layer, pixels, scale_lightness, scale_of
+from brink.sim.perturbations.droplets import wet_lens
+from brink.sim.perturbations.gene import Frame
+from brink.sim.perturbations.layers import Layer, pixels, scale_lightness, scale_of
 
 SNOW_THRESHOLD = 85.0
 SNOW_THRESHOLD_MORE = 127.5

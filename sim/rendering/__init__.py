@@ -1,8 +1,8 @@
 """Pictures of the driving world: what a camera sees, and which pixel belongs to what."""
 
-from sim.rendering.errors import InvalidCamera, InvalidScene, RenderingError
-from sim.rendering.renderer import Renderer
-from sim.rendering.scene import (
+from brink.sim.rendering.errors import InvalidCamera, InvalidScene, RenderingError
+from brink.sim.rendering.renderer import Renderer
+from brink.sim.rendering.scene import (
     Body,
     BodyKind,
     Building,
@@ -16,7 +16,7 @@ from sim.rendering.scene import (
     Tree,
     Viewpoint,
 )
-from sim.rendering.visible import PixelBox, VisibleBody, visible_bodies
+from brink.sim.rendering.visible import PixelBox, VisibleBody, visible_bodies
 
 __all__ = [
     "Body",

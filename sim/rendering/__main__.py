@@ -1,4 +1,4 @@
-"""Draw a contact sheet: ``python -m sim.rendering --out FOLDER``."""
+"""Draw a contact sheet: ``python -m brink.sim.rendering --out FOLDER``."""
 
 import argparse
 import math
@@ -8,12 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sim.rendering.renderer import Renderer
-from sim.rendering.sample import EGO, fallen_tree, person, sample_street, sample_traffic, vehicle
-from sim.rendering.scene import Body, BodyKind, Light, Picture, PictureCamera, StreetScene
-from sim.rendering.street import street_of
-from sim.urban.scenario import RoadCurve, TimeOfDay, Weather
-from sim.world.road import build_road
+from brink.sim.rendering.renderer import Renderer
+from brink.sim.rendering.sample import EGO, fallen_tree, person, sample_street, sample_traffic, vehicle
+from brink.sim.rendering.scene import Body, BodyKind, Light, Picture, PictureCamera, StreetScene
+from brink.sim.rendering.street import street_of
+from brink.sim.urban.scenario import RoadCurve, TimeOfDay, Weather
+from brink.sim.world.road import build_road
 
 _CAMERA = PictureCamera(width_px=640, height_px=360)
 _COLUMNS = 3
@@ -21,7 +21,7 @@ _COLUMNS = 3
 
 def main() -> None:
     """Write every picture and the sheets that show them side by side."""
-    parser = argparse.ArgumentParser(prog="python -m sim.rendering", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m brink.sim.rendering", description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder for the pictures; made if missing")
     parser.add_argument("--seed", type=int, default=3, help="of textures, clouds and the place of the sun")
     arguments = parser.parse_args()

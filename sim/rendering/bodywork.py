@@ -3,8 +3,8 @@
 import math
 from typing import Final
 
-from sim.rendering.meshes import Face, Finish, Group, normal_of
-from sim.rendering.vehicle_looks import VAN_FROM_M, Rgb, paint_of, shape_of
+from brink.sim.rendering.meshes import Face, Finish, Group, normal_of
+from brink.sim.rendering.vehicle_looks import VAN_FROM_M, Rgb, paint_of, shape_of
 
 Point = tuple[float, float, float]
 

@@ -12,11 +12,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.rendering.canvas import Canvas, Rgb
-from sim.rendering.facades import facade, mean_colour, shrunk
-from sim.rendering.light import Lighting
-from sim.rendering.scene import Building, FloatArray, Picture
-from sim.rendering.view import NEAR_M, SHIFT, IntArray, View, beyond_near, fixed_point
+from brink.sim.rendering.canvas import Canvas, Rgb
+from brink.sim.rendering.facades import facade, mean_colour, shrunk
+from brink.sim.rendering.light import Lighting
+from brink.sim.rendering.scene import Building, FloatArray, Picture
+from brink.sim.rendering.view import NEAR_M, SHIFT, IntArray, View, beyond_near, fixed_point
 
 _MAX_HALVINGS: Final = 5
 _COARSE_FROM: Final = 2.6

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.rendering.scene import BodyKind, IdMask, Picture
-from sim.rendering.view import SHIFT, IntArray
+from brink.sim.rendering.scene import BodyKind, IdMask, Picture
+from brink.sim.rendering.view import SHIFT, IntArray
 
 Rgb: TypeAlias = tuple[float, float, float]
 Coverage: TypeAlias = NDArray[np.uint8]

@@ -7,11 +7,11 @@ from typing import Final, TypeAlias
 import cv2
 import numpy as np
 
-from sim.rendering.buildings import footprint
-from sim.rendering.canvas import Rgb
-from sim.rendering.light import Lighting
-from sim.rendering.scene import Body, BodyKind, FloatArray, Lamp, Tree
-from sim.rendering.view import SHIFT, IntArray, View, beyond_near, fixed_point
+from brink.sim.rendering.buildings import footprint
+from brink.sim.rendering.canvas import Rgb
+from brink.sim.rendering.light import Lighting
+from brink.sim.rendering.scene import Body, BodyKind, FloatArray, Lamp, Tree
+from brink.sim.rendering.view import SHIFT, IntArray, View, beyond_near, fixed_point
 
 _GROUND_NEAR_M: Final = 0.4
 _LONGEST: Final = 3.2

@@ -6,7 +6,7 @@ SimulatorError
     └── InvalidCamera       final: no picture of this size or with this view can be made
 """
 
-from sim.errors import SimulatorError
+from brink.sim.errors import SimulatorError
 
 
 class RenderingError(SimulatorError):

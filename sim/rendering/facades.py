@@ -10,9 +10,9 @@ from typing import Final
 import cv2
 import numpy as np
 
-from sim.rendering.looks import choice
-from sim.rendering.scene import Picture
-from sim.rendering.textures import Noise, smooth_noise
+from brink.sim.rendering.looks import choice
+from brink.sim.rendering.scene import Picture
+from brink.sim.rendering.textures import Noise, smooth_noise
 
 PX_PER_M: Final = 22.0
 _MAX_SIDE_PX: Final = 1400

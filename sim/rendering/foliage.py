@@ -8,13 +8,13 @@ from typing import Final
 import cv2
 import numpy as np
 
-from sim.rendering.canvas import Coverage, Mark, Rgb, Stamp
-from sim.rendering.light import Lighting
-from sim.rendering.looks import choice
-from sim.rendering.rounded import limb_marks
-from sim.rendering.scene import Body, FloatArray, Picture, Tree
-from sim.rendering.textures import leaves
-from sim.rendering.view import View
+from brink.sim.rendering.canvas import Coverage, Mark, Rgb, Stamp
+from brink.sim.rendering.light import Lighting
+from brink.sim.rendering.looks import choice
+from brink.sim.rendering.rounded import limb_marks
+from brink.sim.rendering.scene import Body, FloatArray, Picture, Tree
+from brink.sim.rendering.textures import leaves
+from brink.sim.rendering.view import View
 
 TRUNK_SHARE: Final = 0.42
 """Share of a tree's height at which its crown begins."""

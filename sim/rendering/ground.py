@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.rendering.canvas import Rgb
-from sim.rendering.light import Lighting
-from sim.rendering.scene import FloatArray, Ground, Material, Picture, PictureCamera
-from sim.rendering.textures import TILE_M, TILE_PX_PER_M, ground_tiles
-from sim.rendering.view import SHIFT, IntArray, View, beyond_near, fixed_point
+from brink.sim.rendering.canvas import Rgb
+from brink.sim.rendering.light import Lighting
+from brink.sim.rendering.scene import FloatArray, Ground, Material, Picture, PictureCamera
+from brink.sim.rendering.textures import TILE_M, TILE_PX_PER_M, ground_tiles
+from brink.sim.rendering.view import SHIFT, IntArray, View, beyond_near, fixed_point
 
 _NEAR_M: Final = 0.4
 _FAR_M: Final = 220.0

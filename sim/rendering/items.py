@@ -7,11 +7,11 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.rendering.buildings import footprint
-from sim.rendering.foliage import TRUNK_SHARE
-from sim.rendering.order import paint_order
-from sim.rendering.scene import Body, Building, FloatArray, Lamp, StreetScene, Tree
-from sim.rendering.view import NEAR_M, View
+from brink.sim.rendering.buildings import footprint
+from brink.sim.rendering.foliage import TRUNK_SHARE
+from brink.sim.rendering.order import paint_order
+from brink.sim.rendering.scene import Body, Building, FloatArray, Lamp, StreetScene, Tree
+from brink.sim.rendering.view import NEAR_M, View
 
 _BODY_FAR_M: Final = 140.0
 _HOUSE_FAR_M: Final = 260.0

@@ -7,13 +7,13 @@ from typing import Final
 import cv2
 import numpy as np
 
-from sim.rendering.canvas import Canvas, Mark, Rgb, Stroke
-from sim.rendering.cover import lamp_head, light_places
-from sim.rendering.foliage import Foliage
-from sim.rendering.items import Thing
-from sim.rendering.rounded import limb_marks
-from sim.rendering.scene import Body, BodyKind, FloatArray, Lamp, Picture
-from sim.rendering.view import NEAR_M, View, fixed_point
+from brink.sim.rendering.canvas import Canvas, Mark, Rgb, Stroke
+from brink.sim.rendering.cover import lamp_head, light_places
+from brink.sim.rendering.foliage import Foliage
+from brink.sim.rendering.items import Thing
+from brink.sim.rendering.rounded import limb_marks
+from brink.sim.rendering.scene import Body, BodyKind, FloatArray, Lamp, Picture
+from brink.sim.rendering.view import NEAR_M, View, fixed_point
 
 _POST: Final = (92.0, 96.0, 98.0)
 _LAMP_LIGHT: Final = (230.0, 190.0, 120.0)

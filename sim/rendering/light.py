@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from sim.rendering.scene import FloatArray, Light
-from sim.urban.scenario import TimeOfDay, Weather
+from brink.sim.rendering.scene import FloatArray, Light
+from brink.sim.urban.scenario import TimeOfDay, Weather
 
 _SUN_STREAM: Final = 71
 

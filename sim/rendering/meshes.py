@@ -13,10 +13,10 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.rendering.canvas import Mark, Stroke
-from sim.rendering.light import Lighting
-from sim.rendering.scene import FloatArray
-from sim.rendering.view import NEAR_M, View, fixed_point
+from brink.sim.rendering.canvas import Mark, Stroke
+from brink.sim.rendering.light import Lighting
+from brink.sim.rendering.scene import FloatArray
+from brink.sim.rendering.view import NEAR_M, View, fixed_point
 
 Plane: TypeAlias = tuple[tuple[float, float, float], float]
 """Normal and offset of a plane in a model's axes."""

@@ -11,7 +11,7 @@ import heapq
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.rendering.scene import FloatArray
+from brink.sim.rendering.scene import FloatArray
 
 _SLACK_M = 0.03
 

@@ -9,12 +9,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from sim.rendering.canvas import Mark, Stroke
-from sim.rendering.light import Lighting
-from sim.rendering.looks import choice, share
-from sim.rendering.rounded import cut_at_near, radius_px, rounded
-from sim.rendering.scene import Body, FloatArray
-from sim.rendering.view import View
+from brink.sim.rendering.canvas import Mark, Stroke
+from brink.sim.rendering.light import Lighting
+from brink.sim.rendering.looks import choice, share
+from brink.sim.rendering.rounded import cut_at_near, radius_px, rounded
+from brink.sim.rendering.scene import Body, FloatArray
+from brink.sim.rendering.view import View
 
 _SKINS: Final = ((236, 196, 168), (214, 164, 128), (172, 120, 84), (116, 76, 52), (224, 180, 150))
 _HAIRS: Final = ((34, 26, 22), (78, 54, 36), (150, 112, 62), (120, 116, 112), (52, 38, 30))

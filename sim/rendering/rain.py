@@ -5,8 +5,8 @@ from typing import Final
 import cv2
 import numpy as np
 
-from sim.rendering.light import Lighting
-from sim.rendering.scene import Picture, PictureCamera
+from brink.sim.rendering.light import Lighting
+from brink.sim.rendering.scene import Picture, PictureCamera
 
 _SHEETS: Final = 3
 _AIR_STREAM: Final = 77

@@ -10,9 +10,9 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from sim.rendering.buildings import Facades, SeenWalls
-from sim.rendering.canvas import Canvas, Mark, Outline, Rgb
-from sim.rendering.cover import (
+from brink.sim.rendering.buildings import Facades, SeenWalls
+from brink.sim.rendering.canvas import Canvas, Mark, Outline, Rgb
+from brink.sim.rendering.cover import (
     Caster,
     Shadow,
     half_size,
@@ -21,15 +21,15 @@ from sim.rendering.cover import (
     mirrored_bodies,
     on_half_sheet,
 )
-from sim.rendering.foliage import Foliage
-from sim.rendering.ground import GroundCover, GroundPainter, headlight_share
-from sim.rendering.items import Crown, House, Items, SeenItems, Thing, body_items, in_order, items_of
-from sim.rendering.lamps import Halos, lamp_marks
-from sim.rendering.light import lighting_of
-from sim.rendering.meshes import Placed, mesh_marks
-from sim.rendering.people import person_marks
-from sim.rendering.rain import Air
-from sim.rendering.scene import (
+from brink.sim.rendering.foliage import Foliage
+from brink.sim.rendering.ground import GroundCover, GroundPainter, headlight_share
+from brink.sim.rendering.items import Crown, House, Items, SeenItems, Thing, body_items, in_order, items_of
+from brink.sim.rendering.lamps import Halos, lamp_marks
+from brink.sim.rendering.light import lighting_of
+from brink.sim.rendering.meshes import Placed, mesh_marks
+from brink.sim.rendering.people import person_marks
+from brink.sim.rendering.rain import Air
+from brink.sim.rendering.scene import (
     Body,
     BodyKind,
     FloatArray,
@@ -42,10 +42,10 @@ from sim.rendering.scene import (
     Viewpoint,
     check_unique,
 )
-from sim.rendering.sky import Sky
-from sim.rendering.vehicle_looks import paint_of
-from sim.rendering.vehicles import overturned_mesh, vehicle_mesh
-from sim.rendering.view import IntArray, View, view_from
+from brink.sim.rendering.sky import Sky
+from brink.sim.rendering.vehicle_looks import paint_of
+from brink.sim.rendering.vehicles import overturned_mesh, vehicle_mesh
+from brink.sim.rendering.view import IntArray, View, view_from
 
 _SHADOW_FAR_M: Final = 60.0
 _OTHERS_RGB: Final = (70.0, 68.0, 62.0)

@@ -5,9 +5,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.rendering.canvas import Mark, Rgb, Stroke
-from sim.rendering.scene import FloatArray
-from sim.rendering.view import NEAR_M, View, fixed_point
+from brink.sim.rendering.canvas import Mark, Rgb, Stroke
+from brink.sim.rendering.scene import FloatArray
+from brink.sim.rendering.view import NEAR_M, View, fixed_point
 
 _CAP_POINTS: Final = 5
 _SHADED_FROM_PX: Final = 2.0

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from sim.rendering.scene import (
+from brink.sim.rendering.scene import (
     Body,
     BodyKind,
     Building,

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.rendering.errors import InvalidCamera, InvalidScene
-from sim.urban.scenario import TimeOfDay, Weather
+from brink.sim.rendering.errors import InvalidCamera, InvalidScene
+from brink.sim.urban.scenario import TimeOfDay, Weather
 
 if TYPE_CHECKING:
-    from sim.rendering.canvas import Outline
+    from brink.sim.rendering.canvas import Outline
 
 FloatArray: TypeAlias = NDArray[np.float64]
 Picture: TypeAlias = NDArray[np.uint8]

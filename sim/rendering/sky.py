@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.rendering.light import Lighting
-from sim.rendering.scene import FloatArray, Picture, PictureCamera
-from sim.rendering.textures import smooth_noise
-from sim.rendering.view import View
+from brink.sim.rendering.light import Lighting
+from brink.sim.rendering.scene import FloatArray, Picture, PictureCamera
+from brink.sim.rendering.textures import smooth_noise
+from brink.sim.rendering.view import View
 
 _WIDTH_PX: Final = 2048
 _LOW: Final = math.radians(-3.0)

@@ -5,8 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from sim.rendering.looks import choice, share
-from sim.rendering.scene import (
+from brink.sim.rendering.looks import choice, share
+from brink.sim.rendering.scene import (
     Body,
     BodyKind,
     Building,
@@ -17,11 +17,11 @@ from sim.rendering.scene import (
     StreetScene,
     Tree,
 )
-from sim.trace import Surface
-from sim.world.line import Piece, ReferenceLine
-from sim.world.road import Road
-from sim.world.roadside import Fixture, fixtures
-from sim.world.scene import BEFORE_M, BEYOND_M, scene_surfaces
+from brink.sim.trace import Surface
+from brink.sim.world.line import Piece, ReferenceLine
+from brink.sim.world.road import Road
+from brink.sim.world.roadside import Fixture, fixtures
+from brink.sim.world.scene import BEFORE_M, BEYOND_M, scene_surfaces
 
 FIRST_PARKED_ID: Final = 1_000_001
 """Parked vehicles are numbered from here, in the order of the road's fixtures."""

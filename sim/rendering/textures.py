@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.rendering.canvas import Coverage
-from sim.rendering.scene import Picture
+from brink.sim.rendering.canvas import Coverage
+from brink.sim.rendering.scene import Picture
 
 TILE_PX: Final = 512
 TILE_PX_PER_M: Final = 32.0

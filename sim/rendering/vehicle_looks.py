@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Final
 
-from sim.rendering.looks import choice, share
+from brink.sim.rendering.looks import choice, share
 
 Rgb = tuple[float, float, float]
 

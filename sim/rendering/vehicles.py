@@ -7,9 +7,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from sim.rendering.bodywork import Bodywork
-from sim.rendering.looks import choice
-from sim.rendering.meshes import Mesh, mesh_of
+from brink.sim.rendering.bodywork import Bodywork
+from brink.sim.rendering.looks import choice
+from brink.sim.rendering.meshes import Mesh, mesh_of
 
 
 @lru_cache(maxsize=512)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.rendering.scene import FloatArray, PictureCamera, Viewpoint
+from brink.sim.rendering.scene import FloatArray, PictureCamera, Viewpoint
 
 NEAR_M = 0.12
 SHIFT = 4

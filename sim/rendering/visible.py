@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.rendering.canvas import Coverage, silhouette
-from sim.rendering.scene import BodyKind, Frame
+from brink.sim.rendering.canvas import Coverage, silhouette
+from brink.sim.rendering.scene import BodyKind, Frame
 
 
 class PixelBox(NamedTuple):

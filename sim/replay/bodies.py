@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.replay.viewport import Viewport
-from sim.trace import FloatArray
+from brink.sim.replay.viewport import Viewport
+from brink.sim.trace import FloatArray
 
 CAR: Final = np.array(
     [

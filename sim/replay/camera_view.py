@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from sim.driving.camera import Camera
-from sim.replay.geometry import Points, dashes
-from sim.replay.palette import (
+from brink.sim.driving.camera import Camera
+from brink.sim.replay.geometry import Points, dashes
+from brink.sim.replay.palette import (
     BLURRED_PEDESTRIAN,
     BLURRED_VEHICLE,
     GHOST,
@@ -23,8 +23,8 @@ from sim.replay.palette import (
     UNKNOWN_SURFACE,
     typeface,
 )
-from sim.replay.scene import SUPERSAMPLING
-from sim.trace import Trace
+from brink.sim.replay.scene import SUPERSAMPLING
+from brink.sim.trace import Trace
 
 DRAWN_FROM_M: Final = 0.4
 DRAWN_TO_M: Final = 90.0

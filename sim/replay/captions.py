@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from typing import Final
 
-from sim.aeb.words import words_of_perturbations, words_of_street
-from sim.episode import Json
-from sim.trace import Trace
-from sim.urban.words import words_of_scenario
+from brink.sim.aeb.words import words_of_perturbations, words_of_street
+from brink.sim.episode import Json
+from brink.sim.trace import Trace
+from brink.sim.urban.words import words_of_scenario
 
 UNITS: Final = {"m": " m", "s": " s", "m/s": " m/s"}
 REQUIREMENT_UNITS: Final = {

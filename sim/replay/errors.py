@@ -4,7 +4,7 @@ SimulatorError
 └── ReplayError         the picture or film that was asked for cannot be made; the message says what can
 """
 
-from sim.errors import SimulatorError
+from brink.sim.errors import SimulatorError
 
 
 class ReplayError(SimulatorError, ValueError):

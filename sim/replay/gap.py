@@ -5,10 +5,10 @@ from typing import Final
 
 import numpy as np
 
-from sim.replay.captions import plain_name
-from sim.replay.geometry import Points, closest_points, outline
-from sim.requirements.front_gap import REQUIRED_GAP_M
-from sim.trace import ActorTrack, Trace
+from brink.sim.replay.captions import plain_name
+from brink.sim.replay.geometry import Points, closest_points, outline
+from brink.sim.requirements.front_gap import REQUIRED_GAP_M
+from brink.sim.trace import ActorTrack, Trace
 
 FRONT_GAP: Final = "front-gap"
 NO_COLLISION: Final = "no-collision"

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Final, Self, TypeAlias
 
-from sim.replay.errors import ReplayError
+from brink.sim.replay.errors import ReplayError
 
 Size: TypeAlias = tuple[int, int]
 Rectangle: TypeAlias = tuple[int, int, int, int]

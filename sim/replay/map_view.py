@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from sim.replay import bodies
-from sim.replay.gap import FrontGap, front_gap
-from sim.replay.geometry import Points, dashes, outline
-from sim.replay.moments import Story
-from sim.replay.palette import (
+from brink.sim.replay import bodies
+from brink.sim.replay.gap import FrontGap, front_gap
+from brink.sim.replay.geometry import Points, dashes, outline
+from brink.sim.replay.moments import Story
+from brink.sim.replay.palette import (
     BRAKE,
     EGO,
     EGO_TRAIL,
@@ -24,10 +24,10 @@ from sim.replay.palette import (
     Rgb,
     typeface,
 )
-from sim.replay.scene import SUPERSAMPLING, paint_scene
-from sim.replay.viewport import Viewport
-from sim.requirements.front_gap import REQUIRED_GAP_M
-from sim.trace import Trace
+from brink.sim.replay.scene import SUPERSAMPLING, paint_scene
+from brink.sim.replay.viewport import Viewport
+from brink.sim.requirements.front_gap import REQUIRED_GAP_M
+from brink.sim.trace import Trace
 
 SMOOTHING_S: Final = 2.0
 BRAKING_MPS2: Final = -1.0

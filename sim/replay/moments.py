@@ -5,9 +5,9 @@ from typing import Final
 
 import numpy as np
 
-from sim.replay.captions import plain_name, report_word
-from sim.replay.errors import ReplayError
-from sim.trace import ACTION, Event, Trace
+from brink.sim.replay.captions import plain_name, report_word
+from brink.sim.replay.errors import ReplayError
+from brink.sim.trace import ACTION, Event, Trace
 
 FIRST_TOLD: Final = ("front-gap", "no-collision")
 """Requirements that a replay is about when none is named, in order of preference."""

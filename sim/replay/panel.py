@@ -6,11 +6,11 @@ from typing import Final
 import numpy as np
 from PIL import Image, ImageDraw
 
-from sim.replay.captions import with_unit
-from sim.replay.geometry import dashes
-from sim.replay.layout import Layout
-from sim.replay.moments import Story
-from sim.replay.palette import (
+from brink.sim.replay.captions import with_unit
+from brink.sim.replay.geometry import dashes
+from brink.sim.replay.layout import Layout
+from brink.sim.replay.moments import Story
+from brink.sim.replay.palette import (
     EGO,
     EGO_TRAIL,
     GHOST,
@@ -32,7 +32,7 @@ from sim.replay.palette import (
     readable_on,
     typeface,
 )
-from sim.trace import Trace
+from brink.sim.trace import Trace
 
 SPEED_BAR_TO_MPS: Final = 14.0
 LAMPS: Final = ("red", "amber", "green")

@@ -10,9 +10,17 @@ from typing import Final
 import numpy as np
 from PIL import Image, ImageDraw
 
-from sim.replay.geometry import dashes
-from sim.replay.palette import FOUND_ON_PICTURE, INK, PAPER, REGION_ON_PICTURE, SEEN_ON_PICTURE, Rgb, typeface
-from sim.trace import Film, FloatArray, Trace
+from brink.sim.replay.geometry import dashes
+from brink.sim.replay.palette import (
+    FOUND_ON_PICTURE,
+    INK,
+    PAPER,
+    REGION_ON_PICTURE,
+    SEEN_ON_PICTURE,
+    Rgb,
+    typeface,
+)
+from brink.sim.trace import Film, FloatArray, Trace
 
 LABELS: Final = ("vehicle", "person")
 PERSON: Final = 1

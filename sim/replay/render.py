@@ -5,10 +5,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from sim.replay.errors import ReplayError
-from sim.replay.layout import DEFAULT_SIZE, Size
-from sim.replay.progress import Progress
-from sim.trace import Trace
+from brink.sim.replay.errors import ReplayError
+from brink.sim.replay.layout import DEFAULT_SIZE, Size
+from brink.sim.replay.progress import Progress
+from brink.sim.trace import Trace
 
 DEFAULT_SIZES: Final[dict[str, Size]] = {".png": (1280, 720), ".gif": (800, 450), ".mp4": DEFAULT_SIZE}
 """Size of the frames of each kind of file; a PNG has more below its frame."""
@@ -41,9 +41,9 @@ def render(
         OSError: The file cannot be written.
     """
     # Figures and films take a second to load: only those who draw wait for it.
-    from sim.replay.still import still
-    from sim.replay.top_down import FramePainter
-    from sim.replay.video import write_gif, write_mp4
+    from brink.sim.replay.still import still
+    from brink.sim.replay.top_down import FramePainter
+    from brink.sim.replay.video import write_gif, write_mp4
 
     target = Path(path)
     kind = _kind(target.suffix)

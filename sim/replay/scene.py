@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 from PIL import Image, ImageDraw
 
-from sim.replay.palette import GROUND, ROUTE, SURFACES, UNKNOWN_SURFACE, Rgb
-from sim.replay.viewport import Viewport
-from sim.trace import Surface, Trace
+from brink.sim.replay.palette import GROUND, ROUTE, SURFACES, UNKNOWN_SURFACE, Rgb
+from brink.sim.replay.viewport import Viewport
+from brink.sim.trace import Surface, Trace
 
 SUPERSAMPLING: Final = 2
 ROUTE_WIDTH_M: Final = 0.3

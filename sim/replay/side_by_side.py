@@ -10,11 +10,11 @@ from typing import Final
 import numpy as np
 from PIL import Image, ImageDraw
 
-from sim.replay.errors import ReplayError
-from sim.replay.moments import tell
-from sim.replay.palette import HAIRLINE, INK, MUTED, PAPER, SEEN, VIOLATION, typeface
-from sim.replay.picture_view import PictureView, draw_key, threshold_of
-from sim.trace import Trace
+from brink.sim.replay.errors import ReplayError
+from brink.sim.replay.moments import tell
+from brink.sim.replay.palette import HAIRLINE, INK, MUTED, PAPER, SEEN, VIOLATION, typeface
+from brink.sim.replay.picture_view import PictureView, draw_key, threshold_of
+from brink.sim.trace import Trace
 
 MOMENTS_S: Final = (-1.5, -0.75, 0.0)
 """Columns: before and at the decisive moment of the last episode."""

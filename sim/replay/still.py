@@ -4,13 +4,13 @@ from typing import Final
 
 from PIL import Image, ImageDraw
 
-from sim.replay.layout import Size, check_size
-from sim.replay.map_view import MapView
-from sim.replay.moments import Moment
-from sim.replay.palette import HAIRLINE, INK, MUTED, PAPER, VIOLATION, typeface
-from sim.replay.timeline import timeline_image
-from sim.replay.top_down import FramePainter, draw_banner
-from sim.trace import Trace
+from brink.sim.replay.layout import Size, check_size
+from brink.sim.replay.map_view import MapView
+from brink.sim.replay.moments import Moment
+from brink.sim.replay.palette import HAIRLINE, INK, MUTED, PAPER, VIOLATION, typeface
+from brink.sim.replay.timeline import timeline_image
+from brink.sim.replay.top_down import FramePainter, draw_banner
+from brink.sim.trace import Trace
 
 GAP: Final = 12
 CLOSE_UP_M: Final = 30.0

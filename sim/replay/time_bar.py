@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from sim.replay.captions import report_word
-from sim.replay.layout import Layout
-from sim.replay.moments import Story
-from sim.replay.palette import (
+from brink.sim.replay.captions import report_word
+from brink.sim.replay.layout import Layout
+from brink.sim.replay.moments import Story
+from brink.sim.replay.palette import (
     GHOST,
     HAIRLINE,
     INK,
@@ -21,7 +21,7 @@ from sim.replay.palette import (
     readable_on,
     typeface,
 )
-from sim.trace import Trace
+from brink.sim.trace import Trace
 
 Value = TypeVar("Value")
 PERSON = 1

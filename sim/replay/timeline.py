@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from sim.replay.captions import REQUIREMENT_UNITS, UNITS, report_word
-from sim.replay.moments import Story, tell, told_events
-from sim.replay.palette import (
+from brink.sim.replay.captions import REQUIREMENT_UNITS, UNITS, report_word
+from brink.sim.replay.moments import Story, tell, told_events
+from brink.sim.replay.palette import (
     EGO,
     GHOST,
     HAIRLINE,
@@ -26,8 +26,8 @@ from sim.replay.palette import (
     hexadecimal,
     readable_on,
 )
-from sim.replay.time_bar import runs
-from sim.trace import ACTION, Trace
+from brink.sim.replay.time_bar import runs
+from brink.sim.trace import ACTION, Trace
 
 DPI: Final = 100
 TOLD_ROBUSTNESS: Final = 12.0

@@ -5,17 +5,17 @@ from typing import Final
 import numpy as np
 from PIL import Image, ImageDraw
 
-from sim.replay.camera_view import CameraView
-from sim.replay.captions import perturbation_words, scenario_words, with_unit
-from sim.replay.errors import ReplayError
-from sim.replay.layout import DEFAULT_SIZE, Layout, Rectangle, Size, extent
-from sim.replay.map_view import MapView
-from sim.replay.moments import Story, tell
-from sim.replay.palette import HAIRLINE, INK, PAPER, VIOLATION, Rgb, typeface
-from sim.replay.panel import Panel, paint_grounds
-from sim.replay.picture_view import PictureView, draw_key, threshold_of
-from sim.replay.time_bar import TimeBar
-from sim.trace import Trace
+from brink.sim.replay.camera_view import CameraView
+from brink.sim.replay.captions import perturbation_words, scenario_words, with_unit
+from brink.sim.replay.errors import ReplayError
+from brink.sim.replay.layout import DEFAULT_SIZE, Layout, Rectangle, Size, extent
+from brink.sim.replay.map_view import MapView
+from brink.sim.replay.moments import Story, tell
+from brink.sim.replay.palette import HAIRLINE, INK, PAPER, VIOLATION, Rgb, typeface
+from brink.sim.replay.panel import Panel, paint_grounds
+from brink.sim.replay.picture_view import PictureView, draw_key, threshold_of
+from brink.sim.replay.time_bar import TimeBar
+from brink.sim.trace import Trace
 
 MAP_WIDTH_M: Final = 62.0
 SMALL_MAP_WIDTH_M: Final = 40.0

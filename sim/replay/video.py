@@ -10,8 +10,8 @@ import av
 import numpy as np
 from PIL import Image
 
-from sim.replay.progress import Progress
-from sim.replay.top_down import FramePainter
+from brink.sim.replay.progress import Progress
+from brink.sim.replay.top_down import FramePainter
 
 FRAMES_PER_S: Final = 10
 HOLD_S: Final = 1.0

@@ -5,8 +5,8 @@ from typing import Self
 
 import numpy as np
 
-from sim.replay.geometry import Points
-from sim.trace import FloatArray
+from brink.sim.replay.geometry import Points
+from brink.sim.trace import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

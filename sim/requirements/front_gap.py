@@ -5,9 +5,9 @@ Source: the requirement of the case study of Sharifi et al. 2023, section V; her
 
 from collections.abc import Mapping
 
-from sim.episode import Json
-from sim.requirements.margin import Margin
-from sim.requirements.requirement import WorldSample
+from brink.sim.episode import Json
+from brink.sim.requirements.margin import Margin
+from brink.sim.requirements.requirement import WorldSample
 
 REQUIRED_GAP_M = 1.5
 

@@ -2,8 +2,8 @@
 
 import math
 
-from sim.requirements.margin import Margin
-from sim.requirements.requirement import WorldSample
+from brink.sim.requirements.margin import Margin
+from brink.sim.requirements.requirement import WorldSample
 
 TOLERANCE_M = 0.2
 

@@ -4,8 +4,8 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 
-from sim.episode import Json, Verdict
-from sim.requirements.requirement import WorldSample
+from brink.sim.episode import Json, Verdict
+from brink.sim.requirements.requirement import WorldSample
 
 
 class Margin(ABC):

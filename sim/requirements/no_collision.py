@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 
-from sim.episode import Json
-from sim.requirements.margin import Margin
-from sim.requirements.requirement import Collision, WorldSample
+from brink.sim.episode import Json
+from brink.sim.requirements.margin import Margin
+from brink.sim.requirements.requirement import Collision, WorldSample
 
 _CONTACT_M = 0.01
 """A collision violates by at least this, or a touch at walking pace would count as satisfied."""

@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 
-from sim.episode import Json
-from sim.requirements.margin import Margin
-from sim.requirements.requirement import WorldSample
+from brink.sim.episode import Json
+from brink.sim.requirements.margin import Margin
+from brink.sim.requirements.requirement import WorldSample
 
 STANDS_BELOW_MPS = 0.5
 

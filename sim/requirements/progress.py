@@ -6,9 +6,9 @@ without one is allowed for ten seconds in its lane, and for four in the oncoming
 
 from collections.abc import Mapping
 
-from sim.episode import Json
-from sim.requirements.margin import Margin
-from sim.requirements.requirement import WorldSample
+from brink.sim.episode import Json
+from brink.sim.requirements.margin import Margin
+from brink.sim.requirements.requirement import WorldSample
 
 STUCK_S = 10.0
 DANGEROUS_S = 4.0

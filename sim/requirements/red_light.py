@@ -3,9 +3,9 @@
 Passing at amber is allowed, and so is going on at red what was entered before.
 """
 
-from sim.driving.interface import LightState
-from sim.requirements.margin import Margin
-from sim.requirements.requirement import WorldSample
+from brink.sim.driving.interface import LightState
+from brink.sim.requirements.margin import Margin
+from brink.sim.requirements.requirement import WorldSample
 
 _LEAST_M = 1e-6
 

@@ -5,10 +5,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import cast
 
-from sim.catalogue import REQUIREMENTS, load_plugin, plugin_ids
-from sim.episode import Json, Verdict
-from sim.errors import InvalidEpisode, SimulationCrashed
-from sim.requirements.requirement import Requirement
+from brink.sim.catalogue import REQUIREMENTS, load_plugin, plugin_ids
+from brink.sim.episode import Json, Verdict
+from brink.sim.errors import InvalidEpisode, SimulationCrashed
+from brink.sim.requirements.requirement import Requirement
 
 
 def requirement_ids() -> tuple[str, ...]:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
 
-from sim.driving.interface import LightState
-from sim.episode import Json, Verdict
+from brink.sim.driving.interface import LightState
+from brink.sim.episode import Json, Verdict
 
 
 class CollisionKind(StrEnum):

@@ -1,7 +1,7 @@
 """`speed-limit`: the ego is not faster than allowed, but for the tolerance of its speedometer."""
 
-from sim.requirements.margin import Margin
-from sim.requirements.requirement import WorldSample
+from brink.sim.requirements.margin import Margin
+from brink.sim.requirements.requirement import WorldSample
 
 TOLERANCE_MPS = 0.5
 

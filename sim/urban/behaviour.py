@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Self
 
-from sim.driving.interface import Box, ObstacleLabel
-from sim.episode import Json, JsonObject
-from sim.errors import InvalidEpisode
-from sim.urban.scenario import check_fields, nearest
+from brink.sim.driving.interface import Box, ObstacleLabel
+from brink.sim.episode import Json, JsonObject
+from brink.sim.errors import InvalidEpisode
+from brink.sim.urban.scenario import check_fields, nearest
 
 IMAGE_WIDTH_PX = 800
 IMAGE_HEIGHT_PX = 600

@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.driving.camera import Camera
-from sim.driving.interface import ObstacleLabel
-from sim.driving.system import ModularDriving
-from sim.requirements.registry import make_requirements
-from sim.trials import run_trial, single_threaded
-from sim.urban.behaviour import BehaviourMode, DetectorBehaviour, InjectedTrajectory
-from sim.urban.draws import draw
-from sim.urban.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
-from sim.world.world import make_world
+from brink.sim.driving.camera import Camera
+from brink.sim.driving.interface import ObstacleLabel
+from brink.sim.driving.system import ModularDriving
+from brink.sim.requirements.registry import make_requirements
+from brink.sim.trials import run_trial, single_threaded
+from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour, InjectedTrajectory
+from brink.sim.urban.draws import draw
+from brink.sim.urban.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
+from brink.sim.world.world import make_world
 
 DURATION_S = 30.0
 FRONT_GAP = "front-gap@1"
@@ -100,8 +100,8 @@ def _episode_cost(
 
 def episode_cpu_s(scenario: UrbanScenario, behaviour: DetectorBehaviour) -> float:
     """Return the processor time of one whole 30 s episode: it goes on at the goal and after collisions."""
-    from sim.bullet.engine import process_engine
-    from sim.urban.episode_loop import run_loop
+    from brink.sim.bullet.engine import process_engine
+    from brink.sim.urban.episode_loop import run_loop
 
     engine = process_engine()
     camera = Camera()
@@ -131,7 +131,7 @@ def process_memory_mb(episodes: int, settle: int = 20) -> tuple[float, float]:
         settle: How many before the first figure.
     """
     # A process of its own, not a spawned one: that would import whatever this one was started with.
-    command = [sys.executable, "-m", "sim.urban.benchmark", str(episodes), str(settle)]
+    command = [sys.executable, "-m", "brink.sim.urban.benchmark", str(episodes), str(settle)]
     with single_threaded():
         answer = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     first_mb, last_mb = json.loads(answer.splitlines()[-1])

@@ -11,10 +11,10 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.episode import EpisodeSpec
-from sim.figures import Row
-from sim.trials import Trial, run_trials
-from sim.urban.draws import (
+from brink.sim.episode import EpisodeSpec
+from brink.sim.figures import Row
+from brink.sim.trials import Trial, run_trials
+from brink.sim.urban.draws import (
     CATEGORICAL,
     PARAMETERS,
     Draw,
@@ -25,7 +25,7 @@ from sim.urban.draws import (
     with_behaviour,
     without_ghosts,
 )
-from sim.urban.scenario import RoadCurve
+from brink.sim.urban.scenario import RoadCurve
 
 FloatArray: TypeAlias = NDArray[np.float64]
 Progress: TypeAlias = Callable[[str, int, int], None]

@@ -10,8 +10,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from sim.episode import EpisodeSpec, Json, JsonObject
-from sim.urban.behaviour import (
+from brink.sim.episode import EpisodeSpec, Json, JsonObject
+from brink.sim.urban.behaviour import (
     BOX_FIELDS,
     DEFAULT_DURATION_S,
     IMAGE_HEIGHT_PX,
@@ -25,7 +25,7 @@ from sim.urban.behaviour import (
     last_perception_step,
     trajectory_ranges,
 )
-from sim.urban.scenario import SCENARIO_CHOICES
+from brink.sim.urban.scenario import SCENARIO_CHOICES
 
 Value: TypeAlias = "str | int | float"
 SIMULATOR_ID = "brink-drive@1"

@@ -4,15 +4,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from sim.bullet.engine import Engine
-from sim.driving.camera import Camera
-from sim.driving.interface import Command, DrivingSystem, LightReading, Observation
-from sim.requirements.requirement import Requirement, WorldSample
-from sim.urban.behaviour import PERCEPTION_STEP_S, DetectorBehaviour, last_perception_step
-from sim.urban.facts import Facts
-from sim.urban.recorder import Recorder
-from sim.urban.sensing import Detects, Sensing
-from sim.world.world import EGO_STEPS, STEP_S, World
+from brink.sim.bullet.engine import Engine
+from brink.sim.driving.camera import Camera
+from brink.sim.driving.interface import Command, DrivingSystem, LightReading, Observation
+from brink.sim.requirements.requirement import Requirement, WorldSample
+from brink.sim.urban.behaviour import PERCEPTION_STEP_S, DetectorBehaviour, last_perception_step
+from brink.sim.urban.facts import Facts
+from brink.sim.urban.recorder import Recorder
+from brink.sim.urban.sensing import Detects, Sensing
+from brink.sim.world.world import EGO_STEPS, STEP_S, World
 
 CONTROL_PER_PERCEPTION = round(PERCEPTION_STEP_S / STEP_S)
 STANDS_BELOW_MPS = 0.1

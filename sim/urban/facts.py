@@ -7,12 +7,12 @@ in its place in the engine right before it is asked for, so far-away bodies cost
 import math
 from dataclasses import dataclass
 
-from sim.bullet.engine import BodyId, Box, Closest, Engine
-from sim.driving.interface import LightState
-from sim.requirements.requirement import Collision, CollisionKind, WorldSample
-from sim.world.roadside import fixtures
-from sim.world.walker import HEIGHT_M as WALKER_HEIGHT_M
-from sim.world.world import RoadUser, World
+from brink.sim.bullet.engine import BodyId, Box, Closest, Engine
+from brink.sim.driving.interface import LightState
+from brink.sim.requirements.requirement import Collision, CollisionKind, WorldSample
+from brink.sim.world.roadside import fixtures
+from brink.sim.world.walker import HEIGHT_M as WALKER_HEIGHT_M
+from brink.sim.world.world import RoadUser, World
 
 FRONT_RANGE_M = 50.0
 NEAR_M = 8.0

@@ -5,12 +5,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from sim.driving.interface import Box, DrivingSystem, ObstacleLabel, PlanMode
-from sim.episode import Json
-from sim.requirements.requirement import WorldSample
-from sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, ActorTrack, Event, Ragged, Trace
-from sim.world.scene import scene_surfaces
-from sim.world.world import RoadUser, World
+from brink.sim.driving.interface import Box, DrivingSystem, ObstacleLabel, PlanMode
+from brink.sim.episode import Json
+from brink.sim.requirements.requirement import WorldSample
+from brink.sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, ActorTrack, Event, Ragged, Trace
+from brink.sim.world.scene import scene_surfaces
+from brink.sim.world.world import RoadUser, World
 
 ROUTE_EVERY_M = 1.0
 ROUTE_BEYOND_M = 15.0

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Self, TypeVar
 
-from sim.episode import Json, JsonObject
-from sim.errors import InvalidEpisode
+from brink.sim.episode import Json, JsonObject
+from brink.sim.errors import InvalidEpisode
 
 
 class TimeOfDay(StrEnum):

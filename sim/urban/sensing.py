@@ -8,12 +8,12 @@ import math
 from collections.abc import Callable
 from typing import TypeAlias
 
-from sim.driving.camera import Body, Camera
-from sim.driving.interface import Box, EgoState, LightReading, LightState, ObstacleLabel
-from sim.urban.behaviour import BehaviourMode, DetectorBehaviour
-from sim.world.streams import Stream, generator
-from sim.world.walker import HEIGHT_M as WALKER_HEIGHT_M
-from sim.world.world import World
+from brink.sim.driving.camera import Body, Camera
+from brink.sim.driving.interface import Box, EgoState, LightReading, LightState, ObstacleLabel
+from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour
+from brink.sim.world.streams import Stream, generator
+from brink.sim.world.walker import HEIGHT_M as WALKER_HEIGHT_M
+from brink.sim.world.world import World
 
 Detects: TypeAlias = Callable[[float], tuple[Box, ...]]
 """Says what an obstacle detector finds at a simulated time."""

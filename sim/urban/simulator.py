@@ -13,20 +13,21 @@ from collections.abc import Mapping
 from functools import cache, partial
 from importlib.metadata import version
 
-from sim.bullet.engine import Engine, EngineError, discard_engine, engine_version, process_engine
-from sim.bullet.wheels import WheeledCar
-from sim.driving.camera import Camera
-from sim.driving.system import ModularDriving
-from sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
-from sim.errors import InvalidEpisode, SimulationCrashed
-from sim.requirements.registry import features_of, make_requirements, verdicts_of
-from sim.requirements.requirement import Requirement
-from sim.urban.behaviour import DetectorBehaviour
-from sim.urban.episode_loop import Outcome, run_loop
-from sim.urban.recorder import Recorder
-from sim.urban.scenario import UrbanScenario, nearest
-from sim.world.ego import EgoCar, MakeEgo
-from sim.world.world import make_world
+from brink import __version__
+from brink.sim.bullet.engine import Engine, EngineError, discard_engine, engine_version, process_engine
+from brink.sim.bullet.wheels import WheeledCar
+from brink.sim.driving.camera import Camera
+from brink.sim.driving.system import ModularDriving
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
+from brink.sim.errors import InvalidEpisode, SimulationCrashed
+from brink.sim.requirements.registry import features_of, make_requirements, verdicts_of
+from brink.sim.requirements.requirement import Requirement
+from brink.sim.urban.behaviour import DetectorBehaviour
+from brink.sim.urban.episode_loop import Outcome, run_loop
+from brink.sim.urban.recorder import Recorder
+from brink.sim.urban.scenario import UrbanScenario, nearest
+from brink.sim.world.ego import EgoCar, MakeEgo
+from brink.sim.world.world import make_world
 
 SIMULATOR_ID = "brink-drive@1"
 MAX_DURATION_S = 600.0
@@ -149,7 +150,7 @@ def _features(outcome: Outcome, requirements: Mapping[str, Requirement]) -> dict
 def versions() -> Mapping[str, str]:
     """Return the versions of everything that decides an episode."""
     return {
-        "brink": version("brink"),
+        "brink": __version__,
         "python": platform.python_version(),
         "numpy": version("numpy"),
         "pybullet": version("pybullet"),

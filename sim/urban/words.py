@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from typing import Final
 
-from sim.episode import Json
-from sim.urban.behaviour import PERCEPTION_STEP_S
+from brink.sim.episode import Json
+from brink.sim.urban.behaviour import PERCEPTION_STEP_S
 
 _LENGTHS: Final = {0: "short", 1: "medium", 2: "long"}
 _ROADS: Final = {

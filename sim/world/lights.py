@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from sim.driving.interface import LightState
+from brink.sim.driving.interface import LightState
 
 MAIN_GREEN_S = 12.0
 SIDE_GREEN_S = 7.0

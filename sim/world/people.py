@@ -2,12 +2,12 @@
 
 import math
 
-from sim.urban.scenario import DrivingTask
-from sim.world.lights import SignalPlan
-from sim.world.road import Road
-from sim.world.streams import Stream, generator
-from sim.world.walker import GoAhead, Walker
-from sim.world.weather import Conditions
+from brink.sim.urban.scenario import DrivingTask
+from brink.sim.world.lights import SignalPlan
+from brink.sim.world.road import Road
+from brink.sim.world.streams import Stream, generator
+from brink.sim.world.walker import GoAhead, Walker
+from brink.sim.world.weather import Conditions
 
 ZEBRA_SHARE = 1.0 / 3.0
 ELSEWHERE_SHARE = 1.0 / 6.0

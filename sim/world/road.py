@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
-from sim.urban.scenario import RoadCurve
-from sim.world.line import Piece, ReferenceLine
+from brink.sim.urban.scenario import RoadCurve
+from brink.sim.world.line import Piece, ReferenceLine
 
 LENGTHS_M = (90.0, 140.0, 200.0)
 SPEED_LIMIT_MPS = 30.0 / 3.6

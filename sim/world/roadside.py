@@ -7,8 +7,8 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 
-from sim.world.road import PARKING_STRIP_M, Road
-from sim.world.vehicle import CAR
+from brink.sim.world.road import PARKING_STRIP_M, Road
+from brink.sim.world.vehicle import CAR
 
 BUILDING_EVERY_M = 17.0
 PARKED_EVERY_M = 6.6

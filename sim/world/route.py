@@ -1,11 +1,11 @@
 """Owns the ego's route: its lane centre line, with what the map knows of it.
 
-Implements `sim.driving.interface.Route`.
+Implements `brink.sim.driving.interface.Route`.
 """
 
 from dataclasses import dataclass, field
 
-from sim.world.line import ReferenceLine
+from brink.sim.world.line import ReferenceLine
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,15 +4,15 @@ import math
 
 import numpy as np
 
-from sim.trace import FloatArray, Surface
-from sim.world.line import Piece, ReferenceLine
-from sim.world.road import (
+from brink.sim.trace import FloatArray, Surface
+from brink.sim.world.line import Piece, ReferenceLine
+from brink.sim.world.road import (
     CROSSING_WIDTH_M,
     STOP_LINE_BEFORE_CROSSING_M,
     Junction,
     Road,
 )
-from sim.world.roadside import Fixture, fixtures
+from brink.sim.world.roadside import Fixture, fixtures
 
 BEFORE_M = 25.0
 BEYOND_M = 45.0

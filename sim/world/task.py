@@ -1,9 +1,9 @@
 """Owns where a driving task leads: the ego's route on a road, and the lanes that other drivers take."""
 
-from sim.urban.scenario import DrivingTask
-from sim.world.line import Piece, ReferenceLine
-from sim.world.road import SPEED_LIMIT_MPS, Junction, Road, turn_begins_m, turn_piece
-from sim.world.route import LaneRoute
+from brink.sim.urban.scenario import DrivingTask
+from brink.sim.world.line import Piece, ReferenceLine
+from brink.sim.world.road import SPEED_LIMIT_MPS, Junction, Road, turn_begins_m, turn_piece
+from brink.sim.world.route import LaneRoute
 
 MIN_EXIT_STREET_M = 30.0
 

@@ -8,10 +8,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sim.driving.interface import LightState
-from sim.world.lights import SignalPlan
-from sim.world.line import Piece, ReferenceLine
-from sim.world.road import (
+from brink.sim.driving.interface import LightState
+from brink.sim.world.lights import SignalPlan
+from brink.sim.world.line import Piece, ReferenceLine
+from brink.sim.world.road import (
     CROSSING_WIDTH_M,
     PARKING_STRIP_M,
     SIDE_STREET_M,
@@ -24,11 +24,11 @@ from sim.world.road import (
     turn_begins_m,
     turn_piece,
 )
-from sim.world.streams import Stream, generator
-from sim.world.task import exit_junction, stream_lane
-from sim.world.vehicle import CAR, VAN, Manner, Mover, MustStop, PullOut, StopPoint, Vehicle
-from sim.world.walker import Walker
-from sim.world.weather import Conditions
+from brink.sim.world.streams import Stream, generator
+from brink.sim.world.task import exit_junction, stream_lane
+from brink.sim.world.vehicle import CAR, VAN, Manner, Mover, MustStop, PullOut, StopPoint, Vehicle
+from brink.sim.world.walker import Walker
+from brink.sim.world.weather import Conditions
 
 JOINING_GAP_S = 4.5
 """Nobody joins a lane, or crosses one, if somebody on it would be there sooner than this."""

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
-from sim.world.line import ReferenceLine
+from brink.sim.world.line import ReferenceLine
 
 LOOK_EVERY_STEPS = 4
 LOOK_AHEAD_M = 45.0

@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from enum import IntEnum
 from typing import TypeAlias
 
-from sim.world.line import ReferenceLine
-from sim.world.vehicle import Mover
+from brink.sim.world.line import ReferenceLine
+from brink.sim.world.vehicle import Mover
 
 LENGTH_M = 0.45
 WIDTH_M = 0.55

@@ -6,7 +6,7 @@ Friction follows common figures for asphalt; the rest are modelling choices, kep
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from sim.urban.scenario import TimeOfDay, Weather
+from brink.sim.urban.scenario import TimeOfDay, Weather
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

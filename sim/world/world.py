@@ -5,18 +5,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from sim.urban.scenario import DrivingTask, UrbanScenario
-from sim.world.ego import EgoCar, EgoMotion, MakeEgo
-from sim.world.lights import CYCLE_S, SignalPlan
-from sim.world.people import make_people
-from sim.world.road import Road, build_road, turn_begins_m
-from sim.world.route import LaneRoute
-from sim.world.streams import Stream, generator
-from sim.world.task import ego_route, exit_junction
-from sim.world.traffic import Surroundings, make_traffic
-from sim.world.vehicle import Mover, Vehicle, VehicleSize
-from sim.world.walker import Phase, Walker
-from sim.world.weather import Conditions, conditions
+from brink.sim.urban.scenario import DrivingTask, UrbanScenario
+from brink.sim.world.ego import EgoCar, EgoMotion, MakeEgo
+from brink.sim.world.lights import CYCLE_S, SignalPlan
+from brink.sim.world.people import make_people
+from brink.sim.world.road import Road, build_road, turn_begins_m
+from brink.sim.world.route import LaneRoute
+from brink.sim.world.streams import Stream, generator
+from brink.sim.world.task import ego_route, exit_junction
+from brink.sim.world.traffic import Surroundings, make_traffic
+from brink.sim.world.vehicle import Mover, Vehicle, VehicleSize
+from brink.sim.world.walker import Phase, Walker
+from brink.sim.world.weather import Conditions, conditions
 
 STEP_S = 0.05
 START_SPEED_MPS = 6.0

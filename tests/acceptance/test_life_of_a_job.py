@@ -8,7 +8,7 @@ import httpx
 from support.databases import Databases
 from support.processes import brink, site
 
-from worker.wire import WIRE_VERSION
+from brink.worker.wire import WIRE_VERSION
 
 CAMPAIGN = {
     "name": "life of a job",

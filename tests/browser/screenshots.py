@@ -21,11 +21,11 @@ from playwright.sync_api import expect as shown
 from support.api import coordinator, eventually, expect, progress, submit
 from support.databases import sqlite_template
 
+from brink.server.bench.temporary.chromium import chromium
 from browser.console import Console, silence
 from browser.served import API, SECRET, origin, worker
 from browser.views import View, open_view, views_of
 from browser.visits import Theme, visiting
-from server.bench.temporary.chromium import chromium
 
 FOLDER: Final = Path(__file__).resolve().parents[2] / "docs" / "images" / "dashboard"
 SIZES: Final = {"wide": (1280, 900), "narrow": (390, 844)}
@@ -148,7 +148,7 @@ def _port() -> int:
 
 def main() -> None:
     """Take all pictures."""
-    logging.getLogger("server").setLevel(
+    logging.getLogger("brink.server").setLevel(
         logging.ERROR
     )  # workers that are killed at the end leave leases behind
     FOLDER.mkdir(parents=True, exist_ok=True)

@@ -81,7 +81,7 @@ def origin(client: httpx.Client) -> str:
 @contextmanager
 def worker(url: str, folder: Path, *options: str) -> Iterator[Program]:
     """Run a worker process until the end of the block."""
-    command = [sys.executable, "-m", "worker", "--server", url, "--memory", "512", *options]
+    command = [sys.executable, "-m", "brink.worker", "--server", url, "--memory", "512", *options]
     with Program(command, cwd=folder) as program:
         yield program
 

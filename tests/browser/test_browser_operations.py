@@ -5,9 +5,9 @@ import pytest
 from playwright.sync_api import expect as shown
 from support.api import FakeWorker, ball, expect, progress, submit
 
+from brink.worker.wire import Completed, JobFailed, LeasedJob
 from browser.served import API, Served, origin
 from browser.visits import Visits
-from worker.wire import Completed, JobFailed, LeasedJob
 
 
 def gives_up(job: LeasedJob) -> Completed | JobFailed:

@@ -14,13 +14,13 @@ from sqlalchemy import update
 from support.api import FakeWorker, ball, completes, expect, progress, submit
 from support.traces import make_trace
 
+from brink.server.db.engine import open_engines
+from brink.server.db.models import WorkerRow
+from brink.worker.wire import Completed, JobFailed, LeasedJob
 from browser.canvas import becomes, changes, picture
 from browser.console import Console
 from browser.served import API, Served, loose, origin, unsafe_one
 from browser.visits import Visits
-from server.db.engine import open_engines
-from server.db.models import WorkerRow
-from worker.wire import Completed, JobFailed, LeasedJob
 
 TRACE = base64.b64encode(make_trace().to_bytes()).decode()
 

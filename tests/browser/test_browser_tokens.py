@@ -4,12 +4,12 @@ import httpx
 from playwright.sync_api import Page
 from playwright.sync_api import expect as shown
 
+from brink.server.access.store import create_token
+from brink.server.access.tokens import Scope
+from brink.server.db.engine import open_engines
 from browser.console import Console
 from browser.served import SECRET, origin
 from browser.visits import Visits
-from server.access.store import create_token
-from server.access.tokens import Scope
-from server.db.engine import open_engines
 
 
 def token_of(database: str, scope: str) -> str:

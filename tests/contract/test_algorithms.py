@@ -6,16 +6,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from search.actions.rule import Participants
-from search.algorithm import Algorithm, Candidate, Evaluation, Failed, Scored
-from search.algorithms.random_search import RandomSearch, RandomSearchConfig, RandomSearchState
-from search.document import Document
-from search.errors import DocumentError, UnsupportedSpace
-from search.levels import Slots
-from search.problems import mtq, onemax
-from search.space import SearchSpace
-from search.testing import ContractBroken, check_algorithm, example_spaces
-from sim.catalogue import load_plugin, plugin_ids
+from brink.search.actions.rule import Participants
+from brink.search.algorithm import Algorithm, Candidate, Evaluation, Failed, Scored
+from brink.search.algorithms.random_search import RandomSearch, RandomSearchConfig, RandomSearchState
+from brink.search.document import Document
+from brink.search.errors import DocumentError, UnsupportedSpace
+from brink.search.levels import Slots
+from brink.search.problems import mtq, onemax
+from brink.search.space import SearchSpace
+from brink.search.testing import ContractBroken, check_algorithm, example_spaces
+from brink.sim.catalogue import load_plugin, plugin_ids
 
 GROUP = "brink.algorithms"
 SIMOOD = "simood-ga@1"

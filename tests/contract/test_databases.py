@@ -6,6 +6,7 @@ import sys
 import textwrap
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta, timezone
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -18,13 +19,12 @@ from sqlalchemy.exc import IntegrityError
 from support.databases import Databases
 from support.queue import Queue
 
-import migrations
-from server.db import upgrade as upgrading
-from server.db.clock import database_now
-from server.db.engine import Engines, open_engines
-from server.db.models import Base, CampaignRow, JobRow, SolutionRow, TraceRow
-from server.db.upgrade import alembic_config, current_revision, head_revision, upgrade
-from server.errors import DatabaseError
+from brink.server.db import upgrade as upgrading
+from brink.server.db.clock import database_now
+from brink.server.db.engine import Engines, open_engines
+from brink.server.db.models import Base, CampaignRow, JobRow, SolutionRow, TraceRow
+from brink.server.db.upgrade import alembic_config, current_revision, head_revision, upgrade
+from brink.server.errors import DatabaseError
 
 
 @pytest.fixture
@@ -115,7 +115,7 @@ def test_an_empty_database_has_no_revision(empty: Engines) -> None:
 
 def failing_migrations(folder: Path) -> Config:
     """Return migrations whose second step fails after its first statement."""
-    shutil.copytree(Path(migrations.__file__).parent, folder, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(str(files("brink.migrations")), folder, ignore=shutil.ignore_patterns("__pycache__"))
     (folder / "versions" / "9999_fails.py").write_text(
         textwrap.dedent(
             f"""
@@ -159,8 +159,8 @@ def test_two_processes_that_race_to_upgrade_both_succeed(empty_url: str) -> None
     program = textwrap.dedent(
         """
         import sys
-        from server.db.engine import open_engines
-        from server.db.upgrade import upgrade
+        from brink.server.db.engine import open_engines
+        from brink.server.db.upgrade import upgrade
         engines = open_engines(sys.argv[1])
         print("ready", flush=True)
         sys.stdin.readline()

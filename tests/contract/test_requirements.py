@@ -6,13 +6,13 @@ from typing import cast
 
 import pytest
 
-from sim.catalogue import REQUIREMENTS, load_plugin, register
-from sim.episode import Json, Verdict
-from sim.errors import InvalidEpisode
-from sim.requirements.front_gap import FrontGap
-from sim.requirements.registry import make_requirement, make_requirements, requirement_ids
-from sim.requirements.requirement import Requirement, WorldSample
-from sim.testing import ContractBroken, check_requirement
+from brink.sim.catalogue import REQUIREMENTS, load_plugin, register
+from brink.sim.episode import Json, Verdict
+from brink.sim.errors import InvalidEpisode
+from brink.sim.requirements.front_gap import FrontGap
+from brink.sim.requirements.registry import make_requirement, make_requirements, requirement_ids
+from brink.sim.requirements.requirement import Requirement, WorldSample
+from brink.sim.testing import ContractBroken, check_requirement
 
 SHIPPED = {
     "front-gap@1",

@@ -5,11 +5,11 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from search.component import FloatArray
-from search.metric import Metric
-from server.catalogue import make_problem
-from server.problems.base import SimulatedProblem
-from sim.urban.draws import CATEGORICAL, PARAMETERS, Draw, distance, draw, neighbour, redraw
+from brink.search.component import FloatArray
+from brink.search.metric import Metric
+from brink.server.catalogue import make_problem
+from brink.server.problems.base import SimulatedProblem
+from brink.sim.urban.draws import CATEGORICAL, PARAMETERS, Draw, distance, draw, neighbour, redraw
 
 PROBLEM = make_problem("urban-injected@1", {})
 SPACE = PROBLEM.space

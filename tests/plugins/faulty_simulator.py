@@ -28,7 +28,7 @@ Scenario fields that are read, all optional; none of the numbers among them ente
     slow_s          for ``slow`` and ``wait``, default 0.1
     limit           radius of the unsafe ball, default 1.0
 
-With ``record`` the result carries a small trace (not one that `sim.trace` can read).
+With ``record`` the result carries a small trace (not one that `brink.sim.trace` can read).
 """
 
 import ctypes
@@ -39,9 +39,9 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from sim.catalogue import SIMULATORS, register
-from sim.episode import EpisodeResult, EpisodeSpec, Json, Verdict
-from sim.errors import InvalidEpisode, SimulationCrashed
+from brink.sim.catalogue import SIMULATORS, register
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, Verdict
+from brink.sim.errors import InvalidEpisode, SimulationCrashed
 
 SIMULATOR_ID = "faulty@1"
 _SETTINGS = ("fault", "once", "slow_s", "limit")

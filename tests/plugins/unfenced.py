@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from server.queue import report_store
+from brink.server.queue import report_store
 
 
 def judge(row: Any, *_: Any) -> str:

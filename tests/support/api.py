@@ -9,12 +9,12 @@ from typing import Any
 import httpx
 from sqlalchemy import func, select
 
-from server.cli.coordinator import EmbeddedCoordinator
-from server.db.engine import Engines
-from server.db.models import Base
-from server.settings import Settings
+from brink.server.cli.coordinator import EmbeddedCoordinator
+from brink.server.db.engine import Engines
+from brink.server.db.models import Base
+from brink.server.settings import Settings
+from brink.worker.wire import Completed, JobFailed, LeasedJob, LeaseReply
 from support.problems import SIMULATOR, simulated
-from worker.wire import Completed, JobFailed, LeasedJob, LeaseReply
 
 PATIENCE_S = 30.0
 Judge = Callable[[LeasedJob], Completed | JobFailed]

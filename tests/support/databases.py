@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from server.db.engine import open_engines
-from server.db.upgrade import upgrade
+from brink.server.db.engine import open_engines
+from brink.server.db.upgrade import upgrade
 from support.postgres import PostgresDatabases
 
 BACKENDS = ("sqlite", "postgres")

@@ -6,14 +6,14 @@ from typing import Any
 
 import httpx
 
-from sim.encounter.simulator import BrinkEncounter
-from sim.episode import EpisodeSpec
-from sim.trace import Trace
+from brink.sim.encounter.simulator import BrinkEncounter
+from brink.sim.episode import EpisodeSpec
+from brink.sim.trace import Trace
+from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 from support.api import FakeWorker, ball, expect, submit
 from support.problems import REQUIREMENT, SIMULATOR
 from support.traces import filmed
 from support.traffic import traffic_worker
-from worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
 SPARES = 16
 TRAFFIC: dict[str, Any] = {

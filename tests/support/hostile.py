@@ -10,12 +10,12 @@ from typing import Any
 import httpx
 from sqlalchemy import select, update
 
-from server.access.store import create_token, revoke_token
-from server.access.tokens import Scope, id_within
-from server.db.engine import Engines
-from server.db.models import Base, JobRow, TokenRow, WorkerRow
+from brink.server.access.store import create_token, revoke_token
+from brink.server.access.tokens import Scope, id_within
+from brink.server.db.engine import Engines
+from brink.server.db.models import Base, JobRow, TokenRow, WorkerRow
+from brink.worker.wire import LeasedJob
 from support.api import FakeWorker, ball, completes, eventually, expect, submit
-from worker.wire import LeasedJob
 
 SILENCE_S = 20.0
 KEY = "the key of the campaign that has ended"

@@ -20,7 +20,7 @@ import uvicorn
 from fastapi import FastAPI, Request
 from fastapi.responses import JSONResponse, Response, StreamingResponse
 
-from server.llm.settings import LlmSettings
+from brink.server.llm.settings import LlmSettings
 
 MODEL = "test-model"
 USAGE = {"prompt_tokens": 900, "completion_tokens": 100, "total_tokens": 1000}

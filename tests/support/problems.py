@@ -8,16 +8,16 @@ from typing import Any, ClassVar
 
 import pytest
 
-from search.algorithm import Evaluation, Measured, Scored
-from search.settings import check_settings, setting
-from search.space import Component, Real, SearchSpace
-from search.testing import example_spaces
-from server.catalogue import PROBLEMS
-from server.problems.base import NoParams, Vectors
-from sim import catalogue
-from sim.catalogue import register
-from sim.episode import EpisodeSpec, Json
-from worker.wire import Completed, WireVerdict
+from brink.search.algorithm import Evaluation, Measured, Scored
+from brink.search.settings import check_settings, setting
+from brink.search.space import Component, Real, SearchSpace
+from brink.search.testing import example_spaces
+from brink.server.catalogue import PROBLEMS
+from brink.server.problems.base import NoParams, Vectors
+from brink.sim import catalogue
+from brink.sim.catalogue import register
+from brink.sim.episode import EpisodeSpec, Json
+from brink.worker.wire import Completed, WireVerdict
 
 SIMULATOR = "faulty@1"
 REQUIREMENT = "distance@1"

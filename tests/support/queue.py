@@ -10,16 +10,16 @@ from typing import Any, TypeVar
 
 from sqlalchemy import Connection, Row, select, update
 
-from server.campaigns import jobs, step_store, store
-from server.campaigns.body import Budget, CampaignBody, Execution, PluginChoice
-from server.campaigns.values import NewJob, NewSolution
-from server.db.clock import database_now
-from server.db.engine import Engines
-from server.db.models import CampaignStatus, JobRow
-from server.queue import holding_store, lease_store, report_store
-from server.queue.values import LeaseTerms, LeaseWanted, Outcome, Report
+from brink.server.campaigns import jobs, step_store, store
+from brink.server.campaigns.body import Budget, CampaignBody, Execution, PluginChoice
+from brink.server.campaigns.values import NewJob, NewSolution
+from brink.server.db.clock import database_now
+from brink.server.db.engine import Engines
+from brink.server.db.models import CampaignStatus, JobRow
+from brink.server.queue import holding_store, lease_store, report_store
+from brink.server.queue.values import LeaseTerms, LeaseWanted, Outcome, Report
+from brink.worker.wire import HeldLease, LeasedJob
 from support.problems import SIMULATOR
-from worker.wire import HeldLease, LeasedJob
 
 T = TypeVar("T")
 RESULT = '{"kind":"completed","verdicts":{},"objectives":{},"features":{},"provenance":{}}'

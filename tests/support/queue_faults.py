@@ -8,8 +8,8 @@ from types import ModuleType
 from typing import Any
 
 import support.queue
-from server.campaigns import jobs, store
-from server.queue import holding_store, lease_store, report_store
+from brink.server.campaigns import jobs, store
+from brink.server.queue import holding_store, lease_store, report_store
 
 
 @dataclass(frozen=True)

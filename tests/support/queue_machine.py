@@ -21,11 +21,11 @@ from hypothesis.stateful import (
 )
 from sqlalchemy import text
 
-from server.db.engine import Engines, open_engines
-from server.db.models import CampaignStatus
-from server.errors import Conflict, NotFound
+from brink.server.db.engine import Engines, open_engines
+from brink.server.db.models import CampaignStatus
+from brink.server.errors import Conflict, NotFound
+from brink.worker.wire import LeasedJob
 from support.queue import Queue
-from worker.wire import LeasedJob
 
 WORKERS = ("w1", "w2", "w3")
 NEEDS = ("faulty@1", "other@1")

@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from search.digest import archive_digest
-from server.campaigns.body import parse_body
-from server.campaigns.plan import make_plan, new_solutions
+from brink.search.digest import archive_digest
+from brink.server.campaigns.body import parse_body
+from brink.server.campaigns.plan import make_plan, new_solutions
 from support.problems import Ball, simulated
 
 

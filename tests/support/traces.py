@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 from PIL import Image
 
-from sim.driving.camera import Body, Camera
-from sim.driving.interface import ObstacleLabel
-from sim.trace import (
+from brink.sim.driving.camera import Body, Camera
+from brink.sim.driving.interface import ObstacleLabel
+from brink.sim.trace import (
     BOX_COLUMNS,
     FOUND_COLUMNS,
     JUDGED_COLUMNS,

@@ -6,11 +6,11 @@ from typing import Any
 import httpx
 from fastapi.responses import JSONResponse, Response
 
-from sim.encounter.simulator import BrinkEncounter
-from sim.episode import EpisodeSpec
+from brink.sim.encounter.simulator import BrinkEncounter
+from brink.sim.episode import EpisodeSpec
+from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 from support.api import FakeWorker, expect
 from support.llm_endpoint import MODEL, Asked, Endpoint, action, completion, item, reply_text
-from worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
 POPULATION = 8
 

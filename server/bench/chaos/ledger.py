@@ -8,8 +8,8 @@ from typing import Any
 
 from sqlalchemy import Connection, func, select
 
-from server.db.models import CampaignRow, JobKind, JobRow, JobStatus, SolutionRow, SolutionVerdict
-from worker.wire import Completed
+from brink.server.db.models import CampaignRow, JobKind, JobRow, JobStatus, SolutionRow, SolutionVerdict
+from brink.worker.wire import Completed
 
 
 @dataclass(slots=True)

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from server.bench.chaos.ledger import Ledger
+from brink.server.bench.chaos.ledger import Ledger
 
 KINDS = (
     "request lost", "reply lost", "reply cut short", "request repeated", "request repeated late",

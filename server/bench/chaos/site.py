@@ -13,9 +13,9 @@ from pathlib import Path
 import psycopg
 from sqlalchemy.engine import make_url
 
-from server.bench.processes import children_of
-from server.bench.temporary.coordinator import CoordinatorProcess, Process
-from server.bench.temporary.postgres import TemporaryPostgres
+from brink.server.bench.processes import children_of
+from brink.server.bench.temporary.coordinator import CoordinatorProcess, Process
+from brink.server.bench.temporary.postgres import TemporaryPostgres
 
 COORDINATORS = 2
 WORKERS = 4
@@ -79,8 +79,8 @@ class Site:
             ahead_s, rate = CLOCKS[index]
             options = ("--server", proxy_url, "--wait", "5", "--grace", "3", "--memory", "0")
             wrong = (ahead_s, rate) != (0.0, 1.0)
-            launcher = ["server.bench.chaos.wrong_clock", str(ahead_s), str(rate)] if wrong else ["worker"]
-            command = [sys.executable, "-m", *launcher, *options]
+            clock = ["brink.server.bench.chaos.wrong_clock", str(ahead_s), str(rate)]
+            command = [sys.executable, "-m", *(clock if wrong else ["brink.worker"]), *options]
             self.workers.append(Process(command, self.folder / f"worker-{index}.log", self._env))
         for process in (*self.coordinators, *self.workers):
             process.start()

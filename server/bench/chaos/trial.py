@@ -12,15 +12,15 @@ from typing import Any
 
 import httpx
 
-from server.bench.chaos.ledger import Findings, Ledger, audit
-from server.bench.chaos.proxy import FaultyProxy
-from server.bench.chaos.site import Site
-from server.bench.load.problem import LOAD, MODULE
-from server.bench.telling import Told
-from server.bench.temporary.coordinator import CoordinatorProcess, DidNotStart, Process, worker_command
-from server.bench.temporary.postgres import temporary_postgres
-from server.db.engine import open_engines
-from sim.catalogue import PLUGINS_VARIABLE
+from brink.server.bench.chaos.ledger import Findings, Ledger, audit
+from brink.server.bench.chaos.proxy import FaultyProxy
+from brink.server.bench.chaos.site import Site
+from brink.server.bench.load.problem import LOAD, MODULE
+from brink.server.bench.telling import Told
+from brink.server.bench.temporary.coordinator import CoordinatorProcess, DidNotStart, Process, worker_command
+from brink.server.bench.temporary.postgres import temporary_postgres
+from brink.server.db.engine import open_engines
+from brink.sim.catalogue import PLUGINS_VARIABLE
 
 ENVIRONMENT = {
     "BRINK_LEASE_S": "3", "BRINK_SWEEP_S": "0.5", "BRINK_RETRY_BACKOFF_S": "0.2", "BRINK_WORKER_SEEN_S": "10",

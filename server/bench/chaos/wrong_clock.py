@@ -1,4 +1,4 @@
-"""A worker whose clock is wrong: ``python -m server.bench.chaos.wrong_clock AHEAD_S RATE WORKER_OPTIONS…``.
+"""A worker whose clock is wrong: ``python -m brink.server.bench.chaos.wrong_clock AHEAD_S RATE WORKER_OPTIONS…``.
 
 The time of day is ahead by `AHEAD_S`, and the monotonic clock, by which the worker renews its leases, goes at `RATE`.
 """
@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Sequence
 
-from worker.run import main as run_worker
+from brink.worker.run import main as run_worker
 
 
 def mistake_time(ahead_s: float, rate: float) -> None:

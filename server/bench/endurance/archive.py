@@ -10,13 +10,13 @@ from typing import Any
 
 import httpx
 
-from server.bench.load.campaign import load_campaign
-from server.bench.load.client import LoadClient
-from server.bench.load.problem import MODULE
-from server.bench.queue.figures import percentile
-from server.bench.telling import Told
-from server.bench.temporary.coordinator import CoordinatorProcess, DidNotStart
-from sim.catalogue import PLUGINS_VARIABLE
+from brink.server.bench.load.campaign import load_campaign
+from brink.server.bench.load.client import LoadClient
+from brink.server.bench.load.problem import MODULE
+from brink.server.bench.queue.figures import percentile
+from brink.server.bench.telling import Told
+from brink.server.bench.temporary.coordinator import CoordinatorProcess, DidNotStart
+from brink.sim.catalogue import PLUGINS_VARIABLE
 
 GENERATION = 1000
 RADIUS = 0.01

@@ -12,9 +12,9 @@ from typing import Any
 import httpx
 import numpy as np
 
-from server.bench.processes import children_of, memory_of
-from server.bench.telling import Told
-from server.bench.temporary.coordinator import CoordinatorProcess, DidNotStart, Process, worker_command
+from brink.server.bench.processes import children_of, memory_of
+from brink.server.bench.telling import Told
+from brink.server.bench.temporary.coordinator import CoordinatorProcess, DidNotStart, Process, worker_command
 
 EVERY_S = 10.0
 WARM_S = 300.0

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from server.bench.load.problem import LOAD
+from brink.server.bench.load.problem import LOAD
 
 
 def load_campaign(

@@ -11,8 +11,8 @@ from types import TracebackType
 from typing import Any, Self
 from urllib.parse import urlsplit
 
-from server.bench.load.problem import LOAD, REQUIREMENT
-from worker.machine import machine_name
+from brink.server.bench.load.problem import LOAD, REQUIREMENT
+from brink.worker.machine import machine_name
 
 OUTCOME = {
     "kind": "completed",

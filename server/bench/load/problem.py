@@ -13,15 +13,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from search.algorithm import Evaluation, Scored
-from search.settings import check_settings, setting
-from search.space import Component, Real, SearchSpace
-from server.catalogue import PROBLEMS
-from server.problems.base import Vectors
-from sim.catalogue import SIMULATORS, register
-from sim.episode import EpisodeResult, EpisodeSpec, Verdict
-from sim.errors import InvalidEpisode
-from worker.wire import Completed
+from brink.search.algorithm import Evaluation, Scored
+from brink.search.settings import check_settings, setting
+from brink.search.space import Component, Real, SearchSpace
+from brink.server.catalogue import PROBLEMS
+from brink.server.problems.base import Vectors
+from brink.sim.catalogue import SIMULATORS, register
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Verdict
+from brink.sim.errors import InvalidEpisode
+from brink.worker.wire import Completed
 
 LOAD = "load@1"
 MODULE = __name__

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from search.actions.distance import RolledOut, encounter_distances
-from search.actions.participants import MOST_ACTIONS, MOST_PARTICIPANTS
-from server.bench.mumoea.runs import Found, SearchRun
+from brink.search.actions.distance import RolledOut, encounter_distances
+from brink.search.actions.participants import MOST_ACTIONS, MOST_PARTICIPANTS
+from brink.server.bench.mumoea.runs import Found, SearchRun
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,17 +9,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from search.actions.genome import Genome
-from search.algorithm import Algorithm, Candidate, Evaluation, Failed, Scored
-from search.algorithms.multi_objective import Child
-from search.algorithms.mumoea import Mumoea, MumoeaConfig
-from search.algorithms.nsga2 import Mosat, Nsga2
-from search.algorithms.random_search import RandomSearch
-from search.streams import episode_seed
-from server.problems.npc_actions import NpcActions, NpcActionsParams
-from server.violations.rules import kinds_of
-from sim.errors import SimulatorError
-from sim.trials import run_record
+from brink.search.actions.genome import Genome
+from brink.search.algorithm import Algorithm, Candidate, Evaluation, Failed, Scored
+from brink.search.algorithms.multi_objective import Child
+from brink.search.algorithms.mumoea import Mumoea, MumoeaConfig
+from brink.search.algorithms.nsga2 import Mosat, Nsga2
+from brink.search.algorithms.random_search import RandomSearch
+from brink.search.streams import episode_seed
+from brink.server.problems.npc_actions import NpcActions, NpcActionsParams
+from brink.server.violations.rules import kinds_of
+from brink.sim.errors import SimulatorError
+from brink.sim.trials import run_record
 
 ADAPTIVE: Final = "muMOEA"
 ALWAYS: Final = "differential seeds always"

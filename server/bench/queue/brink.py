@@ -10,14 +10,14 @@ from typing import Any
 import httpx
 from sqlalchemy import func, select
 
-from server.bench.load.campaign import load_campaign
-from server.bench.load.client import LoadClient
-from server.bench.load.problem import MODULE
-from server.bench.queue.figures import Pickup, Throughput, percentile
-from server.bench.temporary.coordinator import CoordinatorProcess, DidNotStart, Process, worker_command
-from server.db.engine import open_engines
-from server.db.models import JobRow, JobStatus
-from sim.catalogue import PLUGINS_VARIABLE
+from brink.server.bench.load.campaign import load_campaign
+from brink.server.bench.load.client import LoadClient
+from brink.server.bench.load.problem import MODULE
+from brink.server.bench.queue.figures import Pickup, Throughput, percentile
+from brink.server.bench.temporary.coordinator import CoordinatorProcess, DidNotStart, Process, worker_command
+from brink.server.db.engine import open_engines
+from brink.server.db.models import JobRow, JobStatus
+from brink.sim.catalogue import PLUGINS_VARIABLE
 
 CAMPAIGN_JOBS = 5000
 """Jobs a campaign: its last step, which is not measured here, grows with the square."""

@@ -1,4 +1,4 @@
-"""What Celery's workers run: ``celery -A server.bench.queue.celery_app worker``, told by its environment."""
+"""What Celery's workers run: ``celery -A brink.server.bench.queue.celery_app worker``, told by its environment."""
 
 import os
 import time

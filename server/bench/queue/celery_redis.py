@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from server.bench.queue.figures import Pickup, Throughput
-from server.bench.temporary.coordinator import DidNotStart, Process
+from brink.server.bench.queue.figures import Pickup, Throughput
+from brink.server.bench.temporary.coordinator import DidNotStart, Process
 
 NAME = "Celery, Redis"
 SETTINGS = (
@@ -19,7 +19,7 @@ SETTINGS = (
 PREFETCH = 8
 SAMPLES = 200
 _PATIENCE_S = 120.0
-_APP = "server.bench.queue.celery_app"
+_APP = "brink.server.bench.queue.celery_app"
 
 
 class CeleryQueue:
@@ -32,7 +32,7 @@ class CeleryQueue:
         self._environment = {"BENCH_REDIS_URL": url}
 
         os.environ.update(self._environment)
-        from server.bench.queue.celery_app import app, nothing
+        from brink.server.bench.queue.celery_app import app, nothing
 
         self._app: Any = app
         self._nothing: Any = nothing

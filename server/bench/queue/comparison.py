@@ -8,11 +8,11 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Protocol, TypeAlias
 
-from server.bench.queue.brink import BrinkQueue
-from server.bench.queue.figures import BATCHES, WORKERS, Pickup, Throughput, medians, together
-from server.bench.telling import Told
-from server.bench.temporary.postgres import DURABLE, temporary_postgres
-from server.bench.temporary.redis import NoRedis, find_redis, temporary_redis
+from brink.server.bench.queue.brink import BrinkQueue
+from brink.server.bench.queue.figures import BATCHES, WORKERS, Pickup, Throughput, medians, together
+from brink.server.bench.telling import Told
+from brink.server.bench.temporary.postgres import DURABLE, temporary_postgres
+from brink.server.bench.temporary.redis import NoRedis, find_redis, temporary_redis
 
 SQLITE, POSTGRES = "Brink, SQLite", "Brink, Postgres"
 PROCRASTINATE, CELERY = "procrastinate, Postgres", "Celery, Redis"
@@ -100,7 +100,7 @@ def compare_queues(told: Told, *, jobs: int = 4_000, rounds: int = 3, quick: boo
             lambda turn: _of_brink(POSTGRES, server.database(f"brink_{turn}"), folder, plan),
         ]
         if PROCRASTINATE not in left_out:
-            from server.bench.queue import procrastinate_postgres
+            from brink.server.bench.queue import procrastinate_postgres
 
             settings[PROCRASTINATE] = procrastinate_postgres.SETTINGS
             procrastinate = procrastinate_postgres.ProcrastinateQueue(
@@ -108,7 +108,7 @@ def compare_queues(told: Told, *, jobs: int = 4_000, rounds: int = 3, quick: boo
             )
             measures.append(lambda _: _of_other(procrastinate, plan))
         if CELERY not in left_out:
-            from server.bench.queue import celery_redis
+            from brink.server.bench.queue import celery_redis
 
             settings[CELERY] = celery_redis.SETTINGS
             celery = celery_redis.CeleryQueue(stack.enter_context(temporary_redis()), folder)

@@ -11,14 +11,14 @@ from typing import Any
 
 import psycopg
 
-from server.bench.queue.figures import Pickup, Throughput
-from server.bench.temporary.coordinator import DidNotStart, Process
+from brink.server.bench.queue.figures import Pickup, Throughput
+from brink.server.bench.temporary.coordinator import DidNotStart, Process
 
 NAME = "procrastinate, Postgres"
 SETTINGS = "fsync, synchronous_commit and full_page_writes on; one worker process with that many coroutines"
 SAMPLES = 200
 _PATIENCE_S = 180.0
-_APP = "server.bench.queue.procrastinate_app.app"
+_APP = "brink.server.bench.queue.procrastinate_app.app"
 _TIMES = """
     SELECT min(at) FILTER (WHERE type = 'started'), max(at) FILTER (WHERE type = 'succeeded'),
            count(*) FILTER (WHERE type = 'succeeded')
@@ -37,7 +37,7 @@ class ProcrastinateQueue:
         self._folder = folder
         self._environment = {"BENCH_POSTGRES_URL": url}
         os.environ.update(self._environment)
-        from server.bench.queue.procrastinate_app import app, nothing
+        from brink.server.bench.queue.procrastinate_app import app, nothing
 
         self._app: Any = app
         self._nothing: Any = nothing

@@ -14,14 +14,14 @@ from typing import Any
 
 import httpx
 
-from server.bench.load.campaign import load_campaign
-from server.bench.load.client import LoadClient
-from server.bench.load.problem import MODULE
-from server.bench.processes import cpu_of
-from server.bench.telling import Told
-from server.bench.temporary.coordinator import CoordinatorProcess
-from server.open_files import allow_many_open_files
-from sim.catalogue import PLUGINS_VARIABLE
+from brink.server.bench.load.campaign import load_campaign
+from brink.server.bench.load.client import LoadClient
+from brink.server.bench.load.problem import MODULE
+from brink.server.bench.processes import cpu_of
+from brink.server.bench.telling import Told
+from brink.server.bench.temporary.coordinator import CoordinatorProcess
+from brink.server.open_files import allow_many_open_files
+from brink.sim.catalogue import PLUGINS_VARIABLE
 
 WORKERS = (1, 4, 16, 64)
 MEAN_S = 5.0

@@ -5,7 +5,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from server.bench.simood.places import (
+from brink.server.bench.simood.places import (
     ACCIDENT,
     DANGEROUS_STOP,
     Chain,
@@ -15,12 +15,12 @@ from server.bench.simood.places import (
     singles,
     words,
 )
-from server.bench.telling import Told
-from server.problems.aeb_crossing import AebCrossingParams
-from sim.episode import EpisodeSpec
-from sim.figures import Row
-from sim.perturbations import CATALOGUE
-from sim.trials import Record, Records
+from brink.server.bench.telling import Told
+from brink.server.problems.aeb_crossing import AebCrossingParams
+from brink.sim.episode import EpisodeSpec
+from brink.sim.figures import Row
+from brink.sim.perturbations import CATALOGUE
+from brink.sim.trials import Record, Records
 
 """Called with what is being measured, how much of it is done, and how much there is."""
 

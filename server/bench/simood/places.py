@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final, TypeAlias
 
-from search.streams import Stream, generator
-from server.problems.aeb_crossing import AebCrossing, AebCrossingParams
-from sim.episode import EpisodeSpec, Json
-from sim.perturbations import CATALOGUE
+from brink.search.streams import Stream, generator
+from brink.server.problems.aeb_crossing import AebCrossing, AebCrossingParams
+from brink.sim.episode import EpisodeSpec, Json
+from brink.sim.perturbations import CATALOGUE
 
 Chain: TypeAlias = tuple[tuple[str, int], ...]
 """Genes at levels, in the order in which they are applied."""

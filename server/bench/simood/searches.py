@@ -9,14 +9,14 @@ from typing import Any, Final
 import numpy as np
 from scipy import stats
 
-from search.algorithm import Evaluation, Measured
-from search.algorithms.simood import Simood, SimoodConfig, SimoodState, Stage, finalists_of
-from search.statistics import compared
-from server.bench.simood.places import Chain, Places
-from server.bench.telling import Told
-from sim.figures import Row
-from sim.perturbations import CATALOGUE
-from sim.trials import Records
+from brink.search.algorithm import Evaluation, Measured
+from brink.search.algorithms.simood import Simood, SimoodConfig, SimoodState, Stage, finalists_of
+from brink.search.statistics import compared
+from brink.server.bench.simood.places import Chain, Places
+from brink.server.bench.telling import Told
+from brink.sim.figures import Row
+from brink.sim.perturbations import CATALOGUE
+from brink.sim.trials import Records
 
 SEEDS: Final = range(10)
 REPEATS: Final = range(3)

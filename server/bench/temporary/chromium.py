@@ -11,7 +11,7 @@ from typing import Final
 
 from playwright.sync_api import Browser, sync_playwright
 
-from server.errors import ServerError
+from brink.server.errors import ServerError
 
 VARIABLE: Final = "TEST_CHROMIUM"
 NAMES: Final = ("chromium", "chromium-browser", "google-chrome")

@@ -12,10 +12,10 @@ from pathlib import Path
 import httpx
 from prometheus_client.parser import text_string_to_metric_families
 
-from server.errors import ServerError
+from brink.server.errors import ServerError
 
 START_S = 60.0
-_BRINK = (sys.executable, "-c", "from server.cli.main import main; main()")
+_BRINK = (sys.executable, "-c", "from brink.server.cli.main import main; main()")
 _LOOPBACK = "127.0.0.1"
 
 
@@ -145,7 +145,7 @@ class CoordinatorProcess(Process):
 
 def worker_command(server: str, *options: str) -> list[str]:
     """Return the command line of a worker."""
-    return [sys.executable, "-m", "worker", "--server", server, *options]
+    return [sys.executable, "-m", "brink.worker", "--server", server, *options]
 
 
 def free_port() -> int:

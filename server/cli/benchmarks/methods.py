@@ -9,16 +9,16 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from server.bench.rate import TARGET_SHARE, ServiceRate, measure_service
-from server.campaigns.body import CampaignBody, read_campaign_file
-from server.cli.api import TIMEOUT, Api
-from server.cli.benchmarks.figures import bars, figure_table, print_figures, said, teller
-from server.cli.compare import compared, print_rows, rows_json
-from server.cli.coordinator import EmbeddedCoordinator, WorkerProcesses, prepare_database
-from server.cli.operate import follow
-from server.cli.options import AsJson, console, print_json
-from server.errors import FieldError, InvalidInput
-from server.settings import Settings
+from brink.server.bench.rate import TARGET_SHARE, ServiceRate, measure_service
+from brink.server.campaigns.body import CampaignBody, read_campaign_file
+from brink.server.cli.api import TIMEOUT, Api
+from brink.server.cli.benchmarks.figures import bars, figure_table, print_figures, said, teller
+from brink.server.cli.compare import compared, print_rows, rows_json
+from brink.server.cli.coordinator import EmbeddedCoordinator, WorkerProcesses, prepare_database
+from brink.server.cli.operate import follow
+from brink.server.cli.options import AsJson, console, print_json
+from brink.server.errors import FieldError, InvalidInput
+from brink.server.settings import Settings
 
 PAPER_FILES = tuple(Path("examples") / f"paper-{name}.yaml" for name in ("mlcshe", "ga", "random"))
 PAPER_TARGET_S = 180.0
@@ -40,7 +40,7 @@ def difficulty(
     Example: brink bench difficulty --candidates 2000
     """
     # Imported here: measuring runs episodes, which a coordinator never does.
-    from sim.urban.difficulty import Sizes, measure
+    from brink.sim.urban.difficulty import Sizes, measure
 
     full = Sizes()
     sizes = Sizes(
@@ -71,7 +71,7 @@ def simood(
     Example: brink bench simood A0 A2 --processes 2
     """
     # Imported here: measuring runs episodes, which a coordinator never does.
-    from server.bench.simood.criteria import CRITERIA, measure_simood
+    from brink.server.bench.simood.criteria import CRITERIA, measure_simood
 
     wanted = [name.upper() for name in criteria or CRITERIA]
     for name in wanted:
@@ -102,9 +102,9 @@ def mumoea(
     Example: brink bench mumoea --seeds 5 --simulations 2000
     """
     # Imported here: measuring runs episodes, which a coordinator never does.
-    from server.bench.mumoea.comparison import Comparison
-    from server.catalogue import make_params
-    from server.problems.npc_actions import NpcActionsParams
+    from brink.server.bench.mumoea.comparison import Comparison
+    from brink.server.catalogue import make_params
+    from brink.server.problems.npc_actions import NpcActionsParams
 
     params = make_params(NpcActionsParams, {"road_curve": road}, "/problem/params")
     out.mkdir(parents=True, exist_ok=True)
@@ -121,7 +121,7 @@ def search(as_json: AsJson = False) -> None:
 
     Example: brink bench search
     """
-    from search.benchmark import measure
+    from brink.search.benchmark import measure
 
     rows = measure()
     if as_json:
@@ -150,7 +150,7 @@ def sim(
 
     Example: brink bench sim
     """
-    from sim.urban.benchmark import measure_costs
+    from brink.sim.urban.benchmark import measure_costs
 
     rates = []
     with Console(stderr=True).status("CPU time and memory of episodes; takes some minutes") as status:

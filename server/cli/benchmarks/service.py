@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from server.cli.benchmarks.figures import bars, figure_table, print_figures, said, teller
-from server.cli.options import AsJson, console, print_json
+from brink.server.cli.benchmarks.figures import bars, figure_table, print_figures, said, teller
+from brink.server.cli.options import AsJson, console, print_json
 
 
 def queue(
@@ -27,8 +27,8 @@ def queue(
     Example: brink bench queue
     """
     # Imported here, and below: not everybody has what measurements need.
-    from server.bench.load import problem  # noqa: F401  (registers it, to read campaigns of it)
-    from server.bench.queue.comparison import TARGET_PICKUP_MS, TARGET_TIMES, compare_queues
+    from brink.server.bench.load import problem  # noqa: F401  (registers it, to read campaigns of it)
+    from brink.server.bench.queue.comparison import TARGET_PICKUP_MS, TARGET_TIMES, compare_queues
 
     with bars(Console(stderr=True)) as progress:
         found = compare_queues(teller(progress), jobs=jobs, rounds=rounds, quick=quick)
@@ -104,7 +104,7 @@ def chaos(
 
     Example: brink bench chaos --minutes 10
     """
-    from server.bench.chaos.trial import ChaosPlan, run_trial
+    from brink.server.bench.chaos.trial import ChaosPlan, run_trial
 
     plan = ChaosPlan(minutes=minutes, faults=faults, simulations=simulations, drives=not idle, seed=seed)
     with bars(Console(stderr=True)) as progress:
@@ -169,7 +169,7 @@ def scale(
 
     Example: brink bench scale --workers 1000 --scale 1
     """
-    from server.bench.scale.utilisation import TARGET, measure_utilisation
+    from brink.server.bench.scale.utilisation import TARGET, measure_utilisation
 
     with bars(Console(stderr=True)) as progress:
         found = measure_utilisation(teller(progress), workers=workers, seconds=seconds, scale=shrunk)
@@ -208,7 +208,7 @@ def archive(
 
     Example: brink bench archive --solutions 20000
     """
-    from server.bench.endurance.archive import GENERATION, TARGET_MS, measure_archive
+    from brink.server.bench.endurance.archive import GENERATION, TARGET_MS, measure_archive
 
     with bars(Console(stderr=True)) as progress:
         found = measure_archive(teller(progress), solutions=solutions, samples=samples)
@@ -244,7 +244,7 @@ def soak(
 
     Example: brink bench soak --minutes 60
     """
-    from server.bench.endurance.soak import TARGET_MIB_AN_HOUR, soak
+    from brink.server.bench.endurance.soak import TARGET_MIB_AN_HOUR, soak
 
     with bars(Console(stderr=True)) as progress:
         found = soak(teller(progress), minutes=minutes)
@@ -284,7 +284,7 @@ def dashboard(
 
     Example: brink bench dashboard --polls 500
     """
-    from server.bench.dashboard.trial import measure_dashboard
+    from brink.server.bench.dashboard.trial import measure_dashboard
 
     with bars(Console(stderr=True)) as progress:
         rows = measure_dashboard(teller(progress), solutions=solutions, polls=polls)

@@ -6,12 +6,12 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from server.cli.api import Api
-from server.cli.experiments.results import fetch_results, print_results, write_report
-from server.cli.experiments.running import ExperimentFile, run
-from server.cli.live import duration, rate_of
-from server.cli.local import RESULTS
-from server.cli.options import (
+from brink.server.cli.api import Api
+from brink.server.cli.experiments.results import fetch_results, print_results, write_report
+from brink.server.cli.experiments.running import ExperimentFile, run
+from brink.server.cli.live import duration, rate_of
+from brink.server.cli.local import RESULTS
+from brink.server.cli.options import (
     AsJson,
     Database,
     Server,
@@ -25,8 +25,8 @@ from server.cli.options import (
     say,
     with_api,
 )
-from server.errors import Conflict
-from server.experiments.body import ExperimentBody, read_experiment_file
+from brink.server.errors import Conflict
+from brink.server.experiments.body import ExperimentBody, read_experiment_file
 
 ExperimentId = Annotated[
     str, typer.Argument(metavar="ID", help="Experiment id, or the beginning of one.", show_default=False)

@@ -8,7 +8,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from server.cli.live import SERIES_WIDTH, LiveDisplay, duration, rate_of
+from brink.server.cli.live import SERIES_WIDTH, LiveDisplay, duration, rate_of
 
 
 class ExperimentDisplay(LiveDisplay):

@@ -8,13 +8,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from server.api.experiment_schemas import ControlView, RepeatView, Results
-from server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
-from server.cli.api import Api
-from server.experiments.body import ExperimentBody
-from server.experiments.report import html_report, markdown_report, sentences
-from server.experiments.scores import Control, Figures, Scores
-from server.experiments.tables import Measure, Repeat, duels, standings
+from brink.server.api.experiment_schemas import ControlView, RepeatView, Results
+from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.cli.api import Api
+from brink.server.experiments.body import ExperimentBody
+from brink.server.experiments.report import html_report, markdown_report, sentences
+from brink.server.experiments.scores import Control, Figures, Scores
+from brink.server.experiments.tables import Measure, Repeat, duels, standings
 
 LOOK_EVERY_S = 1.0
 
@@ -112,8 +112,8 @@ def write_report(
         The files, the page first.
     """
     # matplotlib takes half a second to load: only those who draw wait for it.
-    from server.plots.experiment import EXPERIMENT_FIGURES
-    from server.plots.style import DPI
+    from brink.server.plots.experiment import EXPERIMENT_FIGURES
+    from brink.server.plots.style import DPI
 
     repeats = repeats_of(results)
     (folder / "figures").mkdir(parents=True, exist_ok=True)

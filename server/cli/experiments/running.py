@@ -9,14 +9,14 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from server.api.experiment_schemas import Results
-from server.campaigns.submission import checked_plan
-from server.cli.api import Api, CoordinatorSaid
-from server.cli.coordinator import WorkerProcesses
-from server.cli.experiments.display import ExperimentDisplay
-from server.cli.experiments.results import fetch_results, print_results, write_report
-from server.cli.local import RESULTS, Local, check_extra, local_service, stopping, watched
-from server.cli.options import (
+from brink.server.api.experiment_schemas import Results
+from brink.server.campaigns.submission import checked_plan
+from brink.server.cli.api import Api, CoordinatorSaid
+from brink.server.cli.coordinator import WorkerProcesses
+from brink.server.cli.experiments.display import ExperimentDisplay
+from brink.server.cli.experiments.results import fetch_results, print_results, write_report
+from brink.server.cli.local import RESULTS, Local, check_extra, local_service, stopping, watched
+from brink.server.cli.options import (
     Database,
     New,
     Port,
@@ -29,9 +29,9 @@ from server.cli.options import (
     print_json,
     settings_with,
 )
-from server.errors import Conflict, InvalidInput
-from server.experiments.body import ExperimentBody, read_experiment_file
-from server.settings import Settings
+from brink.server.errors import Conflict, InvalidInput
+from brink.server.experiments.body import ExperimentBody, read_experiment_file
+from brink.server.settings import Settings
 
 ExperimentFile = Annotated[
     Path, typer.Argument(metavar="FILE", help="Experiment file (YAML or JSON).", show_default=False)

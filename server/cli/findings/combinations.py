@@ -11,14 +11,14 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from search.errors import UnsupportedSpace
-from search.levels import slots_of
-from server.cli.api import Api, CoordinatorSaid
-from server.cli.findings.drawing import Drawing
-from server.cli.options import AsJson, CampaignId, Database, Server, console, print_json, with_api
-from server.cli.pictures import FetchedArchive
-from server.cli.replays import NoTrace, fetch_trace
-from sim.replay.side_by_side import Row, side_by_side
+from brink.search.errors import UnsupportedSpace
+from brink.search.levels import slots_of
+from brink.server.cli.api import Api, CoordinatorSaid
+from brink.server.cli.findings.drawing import Drawing
+from brink.server.cli.options import AsJson, CampaignId, Database, Server, console, print_json, with_api
+from brink.server.cli.pictures import FetchedArchive
+from brink.server.cli.replays import NoTrace, fetch_trace
+from brink.sim.replay.side_by_side import Row, side_by_side
 
 SHOWN = 10
 PICTURES = 3

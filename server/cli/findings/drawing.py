@@ -4,7 +4,7 @@ import asyncio
 from dataclasses import dataclass
 from pathlib import Path
 
-from server.cli.api import Api
+from brink.server.cli.api import Api
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,11 +6,11 @@ from typing import Protocol
 
 from rich.console import Console
 
-from server.cli.api import Api
-from server.cli.findings.combinations import fetch_combinations
-from server.cli.findings.drawing import Drawing
-from server.cli.findings.violations import fetch_violations
-from server.cli.pictures import FetchedArchive
+from brink.server.cli.api import Api
+from brink.server.cli.findings.combinations import fetch_combinations
+from brink.server.cli.findings.drawing import Drawing
+from brink.server.cli.findings.violations import fetch_violations
+from brink.server.cli.pictures import FetchedArchive
 
 
 class Findings(Protocol):

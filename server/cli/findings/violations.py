@@ -13,16 +13,16 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from search.algorithms.multi_objective import CRITICALITY, MultiObjectiveConfig
-from search.component import FloatArray
-from server.cli.api import Api, CoordinatorSaid
-from server.cli.findings.drawing import Drawing
-from server.cli.options import AsJson, CampaignId, Database, Server, console, print_json, with_api
-from server.cli.pictures import FetchedArchive
-from server.cli.replays import NoTrace, fetch_trace
-from server.errors import FieldError, InvalidInput
-from server.problems.base import TellsViolations
-from sim.replay import render
+from brink.search.algorithms.multi_objective import CRITICALITY, MultiObjectiveConfig
+from brink.search.component import FloatArray
+from brink.server.cli.api import Api, CoordinatorSaid
+from brink.server.cli.findings.drawing import Drawing
+from brink.server.cli.options import AsJson, CampaignId, Database, Server, console, print_json, with_api
+from brink.server.cli.pictures import FetchedArchive
+from brink.server.cli.replays import NoTrace, fetch_trace
+from brink.server.errors import FieldError, InvalidInput
+from brink.server.problems.base import TellsViolations
+from brink.sim.replay import render
 
 SHOWN: Final = 12
 PICTURES: Final = 12
@@ -244,7 +244,7 @@ async def _criticality(api: Api, fetched: FetchedArchive) -> FloatArray:
 def draw_fronts(fetched: FetchedArchive, criticality: FloatArray, folder: Path) -> Path:
     """Draw how the Pareto front moved."""
     # matplotlib takes half a second to load: only those who draw wait for it.
-    from server.plots.fronts import figure_fronts
+    from brink.server.plots.fronts import figure_fronts
 
     figure = figure_fronts(
         fetched.body.name, fetched.plan.problem.space, fetched.archive.vectors, fetched.generations,

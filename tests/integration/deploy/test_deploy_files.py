@@ -12,13 +12,13 @@ import yaml
 from prometheus_client.parser import text_string_to_metric_families
 from support.api import ball, submit
 
-from server.cli.commands import app
-from server.db.models import JobKind, JobStatus
-from server.settings import Settings
-from sim.catalogue import PLUGINS_VARIABLE
-from worker.log import FORMAT_VARIABLE, LEVEL_VARIABLE
-from worker.loop import LAST_REPORT_S
-from worker.settings import TOKEN_VARIABLE
+from brink.server.cli.commands import app
+from brink.server.db.models import JobKind, JobStatus
+from brink.server.settings import Settings
+from brink.sim.catalogue import PLUGINS_VARIABLE
+from brink.worker.log import FORMAT_VARIABLE, LEVEL_VARIABLE
+from brink.worker.loop import LAST_REPORT_S
+from brink.worker.settings import TOKEN_VARIABLE
 
 ROOT = Path(__file__).resolve().parents[3]
 KUBERNETES = ROOT / "deploy" / "kubernetes"

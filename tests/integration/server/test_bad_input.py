@@ -10,7 +10,7 @@ from support.api import ball, coordinator, row_counts
 from support.databases import Databases
 from support.problems import small_problems
 
-from server.db.engine import Engines, open_engines
+from brink.server.db.engine import Engines, open_engines
 
 
 @pytest.fixture(scope="module")

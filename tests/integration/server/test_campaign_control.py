@@ -23,16 +23,16 @@ from support.api import (
     submit,
 )
 
-from search.algorithms.ga import GeneticAlgorithmConfig
-from search.metric import Metric
-from server.api import campaigns as campaign_routes
-from server.api import views
-from server.api.schemas import Progress
-from server.catalogue import make_problem
-from server.db.engine import Engines
-from server.db.models import DistanceBlockRow
-from sim import catalogue
-from worker.wire import Completed, JobFailed, LeasedJob
+from brink.search.algorithms.ga import GeneticAlgorithmConfig
+from brink.search.metric import Metric
+from brink.server.api import campaigns as campaign_routes
+from brink.server.api import views
+from brink.server.api.schemas import Progress
+from brink.server.catalogue import make_problem
+from brink.server.db.engine import Engines
+from brink.server.db.models import DistanceBlockRow
+from brink.sim import catalogue
+from brink.worker.wire import Completed, JobFailed, LeasedJob
 
 
 def post(client: httpx.Client, campaign: str, verb: str, status: int = 200) -> dict[str, object]:

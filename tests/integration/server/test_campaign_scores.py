@@ -7,8 +7,8 @@ import pytest
 from support.api import FakeWorker, ball, expect, progress, submit
 from support.problems import REQUIREMENT
 
-from search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
-from worker.wire import Completed, LeasedJob, WireVerdict
+from brink.search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
+from brink.worker.wire import Completed, LeasedJob, WireVerdict
 
 SLOTS: dict[str, Any] = {
     "name": "slots", "problem": {"id": "slotted-blind@1"},

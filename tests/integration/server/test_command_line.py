@@ -17,15 +17,15 @@ from support.api import FakeWorker, ball, coordinator, submit
 from support.databases import Databases
 from typer.testing import CliRunner
 
-from server.cli import commands, steer
-from server.cli.commands import app
-from server.cli.main import main
-from server.cli.options import database_option
-from server.db import engine
-from server.db.engine import Engines, open_engines
-from server.db.upgrade import upgrade
-from server.settings import Settings
-from worker.wire import JobFailed
+from brink.server.cli import commands, steer
+from brink.server.cli.commands import app
+from brink.server.cli.main import main
+from brink.server.cli.options import database_option
+from brink.server.db import engine
+from brink.server.db.engine import Engines, open_engines
+from brink.server.db.upgrade import upgrade
+from brink.server.settings import Settings
+from brink.worker.wire import JobFailed
 
 MTQ = {
     "name": "mtq", "problem": {"id": "mtq@1"}, "algorithm": {"id": "mlcshe@1"}, "budget": {"simulations": 150},

@@ -12,12 +12,12 @@ from support.api import FakeWorker, ball, coordinator, submit
 from support.queue import Queue
 from typer.testing import CliRunner
 
-from server.cli.commands import app
-from server.db.clock import database_now
-from server.db.engine import Engines
-from server.db.models import CampaignRow, CheckpointRow, DistanceBlockRow, JobRow
-from server.operations.doctor import State, examine
-from server.settings import Settings
+from brink.server.cli.commands import app
+from brink.server.db.clock import database_now
+from brink.server.db.engine import Engines
+from brink.server.db.models import CampaignRow, CheckpointRow, DistanceBlockRow, JobRow
+from brink.server.operations.doctor import State, examine
+from brink.server.settings import Settings
 
 
 def found(database_url: str, engines: Engines) -> Mapping[str, tuple[State, str]]:

@@ -12,11 +12,11 @@ import pytest
 from support.api import FakeWorker, ball, completes, expect, row_counts, submit
 from support.traces import filmed, grey_jpeg, make_trace
 
-from server.db.engine import Engines
-from server.operations.prune import prune
-from sim.episode import Json
-from sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, Ragged, Trace
-from worker.wire import Completed, JobFailed, LeasedJob
+from brink.server.db.engine import Engines
+from brink.server.operations.prune import prune
+from brink.sim.episode import Json
+from brink.sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, Ragged, Trace
+from brink.worker.wire import Completed, JobFailed, LeasedJob
 
 NUMBER = 3
 

@@ -10,9 +10,9 @@ import yaml
 from support.api import FakeWorker, ball, coordinator, eventually, expect, row_counts
 from typer.testing import CliRunner
 
-from search.boundary import PAPER_FRACTIONS
-from server.cli.commands import app
-from server.db.engine import Engines
+from brink.search.boundary import PAPER_FRACTIONS
+from brink.server.cli.commands import app
+from brink.server.db.engine import Engines
 
 API = "/api/v1/experiments"
 

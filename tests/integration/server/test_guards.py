@@ -9,11 +9,11 @@ import pytest
 from pydantic import SecretStr, ValidationError
 from support.api import ball, coordinator, expect
 
-from server.cli import impatient
-from server.cli.coordinator import CannotListen, listen
-from server.db.engine import parse_url
-from server.errors import DatabaseError
-from server.settings import Settings
+from brink.server.cli import impatient
+from brink.server.cli.coordinator import CannotListen, listen
+from brink.server.db.engine import parse_url
+from brink.server.errors import DatabaseError
+from brink.server.settings import Settings
 
 SECRET = "correct-horse"
 

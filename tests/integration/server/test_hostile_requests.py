@@ -19,10 +19,10 @@ from support.databases import Databases
 from support.hostile import Attack, Target, everything, outcome_of, prepare, results
 from support.problems import small_problems
 
-import server.access.gate
-from server.access.store import create_token
-from server.access.tokens import Scope, id_within
-from server.db.engine import Engines, open_engines
+import brink.server.access.gate
+from brink.server.access.store import create_token
+from brink.server.access.tokens import Scope, id_within
+from brink.server.db.engine import Engines, open_engines
 
 SECURITY = Path(__file__).parents[3] / "docs" / "security.md"
 INSIDES = ("Traceback", "site-packages", "sqlalchemy", "psycopg", "[SQL", "postgresql://", "sqlite:///")
@@ -42,8 +42,8 @@ def named(name: str, *gets: int) -> Callable[[Callable[..., None]], Callable[...
 def target(databases_of_file: Databases) -> Iterator[Target]:
     """A coordinator with tokens and campaigns, for the whole list."""
     with pytest.MonkeyPatch.context() as patched, small_problems(), databases_of_file.database() as url:
-        patched.setattr(server.access.gate, "REMEMBERED_S", 0.0)
-        patched.setattr(server.access.gate, "STRANGERS_PER_S", 1e6)
+        patched.setattr(brink.server.access.gate, "REMEMBERED_S", 0.0)
+        patched.setattr(brink.server.access.gate, "STRANGERS_PER_S", 1e6)
         engines = open_engines(url)
         try:
             with coordinator(
@@ -122,7 +122,7 @@ def test_a_flood_is_told_to_come_again_later(guarded: tuple[httpx.Client, str]) 
 def test_guesses_are_told_to_come_again_later(
     guarded: tuple[httpx.Client, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server.access.gate, "STRANGERS_PER_S", 20.0)
+    monkeypatch.setattr(brink.server.access.gate, "STRANGERS_PER_S", 20.0)
     client, token = guarded
     guesses = [f"brink_admin_{id_within(token)}_{number:048x}" for number in range(100)]
     answers = [client.get("/api/v1/jobs", headers={"Authorization": f"Bearer {guess}"}) for guess in guesses]

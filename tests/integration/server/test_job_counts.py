@@ -6,7 +6,7 @@ import httpx
 from support.api import FakeWorker, ball, expect, submit
 from support.problems import SIMULATOR
 
-from worker.wire import JobFailed, LeasedJob
+from brink.worker.wire import JobFailed, LeasedJob
 
 NOBODY: dict[str, Any] = {"problem": {"id": "ball@1", "params": {"needs": "nobody-has-it@1"}}}
 

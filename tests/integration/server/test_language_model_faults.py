@@ -26,8 +26,8 @@ from support.llm_endpoint import (
 )
 from support.traffic import POPULATION, calls, in_words, origins, others, seeded, traffic_worker
 
-from server.llm.client import MOST_REPLY_BYTES
-from server.llm.wire import Mode
+from brink.server.llm.client import MOST_REPLY_BYTES
+from brink.server.llm.wire import Mode
 
 pytestmark = pytest.mark.timeout(180)
 

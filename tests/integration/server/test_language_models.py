@@ -28,19 +28,19 @@ from support.llm_endpoint import (
 from support.traffic import POPULATION, calls, origins, others, seeded, traffic_worker
 from typer.testing import CliRunner
 
-import server.llm.seeds
-from search.seeding import SeedRequest
-from server.campaigns.body import CampaignBody
-from server.cli.commands import app
-from server.db.engine import Engines
-from server.db.models import SeedClaimRow
-from server.db.writer import Writer
-from server.errors import InvalidInput, Unavailable
-from server.llm.calls import CallKey, Outcome, StoredCall
-from server.llm.seeds import LlmSeeds
-from server.llm.store import CampaignCalls
-from server.llm.wire import Mode
-from server.problems.npc_actions import NpcActions, NpcActionsParams
+import brink.server.llm.seeds
+from brink.search.seeding import SeedRequest
+from brink.server.campaigns.body import CampaignBody
+from brink.server.cli.commands import app
+from brink.server.db.engine import Engines
+from brink.server.db.models import SeedClaimRow
+from brink.server.db.writer import Writer
+from brink.server.errors import InvalidInput, Unavailable
+from brink.server.llm.calls import CallKey, Outcome, StoredCall
+from brink.server.llm.seeds import LlmSeeds
+from brink.server.llm.store import CampaignCalls
+from brink.server.llm.wire import Mode
+from brink.server.problems.npc_actions import NpcActions, NpcActionsParams
 
 pytestmark = pytest.mark.timeout(120)
 
@@ -152,7 +152,7 @@ def _reached(wanted: int, stands: dict[str, Any]) -> bool:
 def test_who_stops_before_an_answer_has_sent_the_request_all_the_same(
     database_url: str, endpoint: Endpoint, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server.llm.seeds, "LAST_ANSWERS_S", 0.1)
+    monkeypatch.setattr(brink.server.llm.seeds, "LAST_ANSWERS_S", 0.1)
     endpoint.then(*[endpoint.stalls()] * 3)
     asks = seeded(endpoint, {"max_calls": 2}, differential="never")
     campaign = ""
@@ -173,7 +173,7 @@ def test_who_stops_before_an_answer_has_sent_the_request_all_the_same(
 def test_a_campaign_that_is_paused_meanwhile_is_asked_for_once(
     database_url: str, endpoint: Endpoint, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server.llm.seeds, "HOLD_S", 0.6)
+    monkeypatch.setattr(brink.server.llm.seeds, "HOLD_S", 0.6)
     endpoint.then(endpoint.stalls(), *[many] * 3)
     with coordinator(database_url) as first, coordinator(database_url) as second:
         campaign = submit(first, seeded(endpoint, differential="never"))
@@ -277,7 +277,7 @@ def test_whoever_stops_leaves_no_claim_behind(
     writer = Writer(engines.writer)
     seeds = LlmSeeds(engines, writer, lambda campaign_id: None)
     stopper = threading.Thread(target=seeds.close)
-    original: Any = getattr(server.llm.seeds, when.removesuffix("s"))
+    original: Any = getattr(brink.server.llm.seeds, when.removesuffix("s"))
 
     remembered = []
 
@@ -289,7 +289,7 @@ def test_whoever_stops_leaves_no_claim_behind(
         eventually(lambda: seeds._stopping.is_set(), "it is stopping")
         return original(*given)
 
-    monkeypatch.setattr(server.llm.seeds, when.removesuffix("s"), meanwhile)
+    monkeypatch.setattr(brink.server.llm.seeds, when.removesuffix("s"), meanwhile)
     assert seeds.proposals(campaign, NpcActions(NpcActionsParams()), SeedRequest(number=0, count=8)) is None
     eventually(lambda: bool(stopper.ident), "it was stopped")
     stopper.join()

@@ -16,13 +16,13 @@ from sqlalchemy import update
 from support.api import FakeWorker, ball, coordinator, eventually, expect, progress, settings_for, submit
 from support.queue import Queue
 
-from server.api.context import Context
-from server.app import create_app
-from server.db.clock import database_now
-from server.db.engine import Engines
-from server.db.models import JobRow
-from server.queue import holding_store, service
-from worker.wire import HeldLease, LeaseRequest, ResultsRequest, WorkerIdentity
+from brink.server.api.context import Context
+from brink.server.app import create_app
+from brink.server.db.clock import database_now
+from brink.server.db.engine import Engines
+from brink.server.db.models import JobRow
+from brink.server.queue import holding_store, service
+from brink.worker.wire import HeldLease, LeaseRequest, ResultsRequest, WorkerIdentity
 
 PATIENCE_S = 30.0
 NEWS_S = 10.0

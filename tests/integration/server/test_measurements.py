@@ -10,11 +10,11 @@ import pytest
 from support.api import FakeWorker, coordinator, expect, progress, submit
 from support.problems import Slotted
 
-from search.algorithm import Candidate, Evaluation, Question
-from search.digest import archive_digest
-from server.campaigns.body import parse_body
-from server.campaigns.plan import make_plan
-from worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
+from brink.search.algorithm import Candidate, Evaluation, Question
+from brink.search.digest import archive_digest
+from brink.server.campaigns.body import parse_body
+from brink.server.campaigns.plan import make_plan
+from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
 SIMOOD = {
     "name": "slots", "problem": {"id": "slotted@1"},

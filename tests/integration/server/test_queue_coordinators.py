@@ -11,13 +11,13 @@ from sqlalchemy import Connection, event
 from support.postgres import PostgresDatabases
 from support.queue import RESULT, TERMS, Queue
 
-from server.campaigns import store
-from server.db.engine import Engines, open_engines
-from server.db.models import CampaignStatus
-from server.db.writer import Unit, Writer
-from server.queue import lease_store, report_store
-from server.queue.values import Outcome, Report
-from worker.wire import LeasedJob
+from brink.server.campaigns import store
+from brink.server.db.engine import Engines, open_engines
+from brink.server.db.models import CampaignStatus
+from brink.server.db.writer import Unit, Writer
+from brink.server.queue import lease_store, report_store
+from brink.server.queue.values import Outcome, Report
+from brink.worker.wire import LeasedJob
 
 WAIT_S = 30.0
 NAMES = ("a", "b", "c", "d", "e", "f")

@@ -7,12 +7,12 @@ import pytest
 from support.problems import SIMULATOR
 from support.queue import Queue
 
-from server.campaigns import store
-from server.campaigns.traces import request_trace
-from server.db.clock import database_now
-from server.db.models import CampaignStatus
-from server.queue import lease_store
-from worker.wire import LeasedJob
+from brink.server.campaigns import store
+from brink.server.campaigns.traces import request_trace
+from brink.server.db.clock import database_now
+from brink.server.db.models import CampaignStatus
+from brink.server.queue import lease_store
+from brink.worker.wire import LeasedJob
 
 
 def campaigns_of(queue: Queue, jobs: list[LeasedJob]) -> list[str]:

@@ -8,7 +8,7 @@ from support.databases import Databases
 from support.queue_faults import FAULTS, Fault, made
 from support.queue_machine import on_postgres, on_sqlite, run_machine
 
-from server.db.engine import open_engines
+from brink.server.db.engine import open_engines
 
 pytestmark = pytest.mark.timeout(300)
 

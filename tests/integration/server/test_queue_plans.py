@@ -20,18 +20,18 @@ from support.databases import Databases
 from support.problems import SIMULATOR
 from support.queue import RESULT, TERMS, Queue, held
 
-from server.campaigns import jobs as job_store
-from server.campaigns import store
-from server.campaigns.advance import Stepper
-from server.db.engine import open_engines
-from server.db.models import JobStatus
-from server.db.writer import Writer
-from server.queue import census, holding_store, workers
-from server.queue.exchange import Exchange, exchange
-from server.queue.service import QueueService
-from server.queue.values import LeaseWanted, Outcome
-from worker.machine import machine_name
-from worker.wire import WorkerIdentity
+from brink.server.campaigns import jobs as job_store
+from brink.server.campaigns import store
+from brink.server.campaigns.advance import Stepper
+from brink.server.db.engine import open_engines
+from brink.server.db.models import JobStatus
+from brink.server.db.writer import Writer
+from brink.server.queue import census, holding_store, workers
+from brink.server.queue.exchange import Exchange, exchange
+from brink.server.queue.service import QueueService
+from brink.server.queue.values import LeaseWanted, Outcome
+from brink.worker.machine import machine_name
+from brink.worker.wire import WorkerIdentity
 
 DONE = 3000
 NO_PROCESS = 2**22 + 1

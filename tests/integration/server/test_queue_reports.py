@@ -3,14 +3,14 @@
 import pytest
 from support.queue import RESULT, Queue
 
-from server.campaigns import store
-from server.campaigns.jobs import retry
-from server.campaigns.traces import request_trace
-from server.db.models import CampaignStatus, TraceRow
-from server.errors import Conflict, NotFound
-from server.queue import report_store
-from server.queue.values import Outcome
-from worker.wire import LeasedJob
+from brink.server.campaigns import store
+from brink.server.campaigns.jobs import retry
+from brink.server.campaigns.traces import request_trace
+from brink.server.db.models import CampaignStatus, TraceRow
+from brink.server.errors import Conflict, NotFound
+from brink.server.queue import report_store
+from brink.server.queue.values import Outcome
+from brink.worker.wire import LeasedJob
 
 A, B = "a" * 64, "b" * 64
 

@@ -13,14 +13,14 @@ from support.api import ball, settings_for
 from support.postgres import PostgresDatabases
 from support.queue import Queue
 
-from server.app import create_app
-from server.campaigns.body import parse_body
-from server.db.clock import database_now
-from server.db.models import WorkerRow
-from server.queue import holding_store, workers
-from server.queue.service import QueueService
-from worker.machine import machine_name
-from worker.wire import JobFailed, JobResult, LeaseRequest, ResultsRequest, WorkerIdentity
+from brink.server.app import create_app
+from brink.server.campaigns.body import parse_body
+from brink.server.db.clock import database_now
+from brink.server.db.models import WorkerRow
+from brink.server.queue import holding_store, workers
+from brink.server.queue.service import QueueService
+from brink.worker.machine import machine_name
+from brink.worker.wire import JobFailed, JobResult, LeaseRequest, ResultsRequest, WorkerIdentity
 
 PATIENCE_S = 30.0
 

@@ -16,11 +16,11 @@ from support.api import FakeWorker, ball, coordinator, expect, progress, row_cou
 from support.problems import REQUIREMENT
 from typer.testing import CliRunner
 
-from search.fitness import wilson_interval
-from server.cli.commands import app
-from server.db.engine import Engines
-from server.db.models import CampaignRow
-from worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
+from brink.search.fitness import wilson_interval
+from brink.server.cli.commands import app
+from brink.server.db.engine import Engines
+from brink.server.db.models import CampaignRow
+from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
 API = "/api/v1/campaigns"
 WIDE: dict[str, float] = {"t_b": 0.5, "d_th": 0.05}

@@ -17,22 +17,22 @@ from support.queue import Queue
 from support.reference import undisturbed_digest
 from support.traffic import driven, seeded
 
-from search.digest import archive_digest
-from search.seeding import Proposal, SeedRequest
-from server.campaigns import advance, jobs, step_store, store
-from server.campaigns.advance import Stepper
-from server.campaigns.body import parse_body
-from server.campaigns.plan import first_generation, make_plan, restored_archive
-from server.campaigns.values import Campaign
-from server.db.engine import Engines
-from server.db.models import CampaignStatus, CheckpointRow, GenerationRow, SolutionRow
-from server.db.writer import Writer
-from server.errors import Damaged, Unavailable
-from server.llm.store import claim
-from server.problems.base import Problem
-from server.queue.values import Outcome
-from sim import catalogue
-from worker.wire import Completed, LeasedJob
+from brink.search.digest import archive_digest
+from brink.search.seeding import Proposal, SeedRequest
+from brink.server.campaigns import advance, jobs, step_store, store
+from brink.server.campaigns.advance import Stepper
+from brink.server.campaigns.body import parse_body
+from brink.server.campaigns.plan import first_generation, make_plan, restored_archive
+from brink.server.campaigns.values import Campaign
+from brink.server.db.engine import Engines
+from brink.server.db.models import CampaignStatus, CheckpointRow, GenerationRow, SolutionRow
+from brink.server.db.writer import Writer
+from brink.server.errors import Damaged, Unavailable
+from brink.server.llm.store import claim
+from brink.server.problems.base import Problem
+from brink.server.queue.values import Outcome
+from brink.sim import catalogue
+from brink.worker.wire import Completed, LeasedJob
 
 
 class NoSeeds:

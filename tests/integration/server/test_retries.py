@@ -4,7 +4,7 @@ import httpx
 import pytest
 from support.api import FakeWorker, ball, coordinator, eventually, submit
 
-from worker.wire import JobFailed, LeasedJob
+from brink.worker.wire import JobFailed, LeasedJob
 
 pytestmark = pytest.mark.usefixtures("small_problems")
 

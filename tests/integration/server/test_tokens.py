@@ -14,15 +14,15 @@ from support.api import FakeWorker, ball, coordinator, eventually, expect, submi
 from support.databases import Databases
 from typer.testing import CliRunner
 
-import server.access.gate
-from server.access.gate import Caller, Gate
-from server.access.store import any_token, create_token
-from server.access.tokens import Scope, digest_of, id_within
-from server.cli.commands import app
-from server.cli.coordinator import CannotListen, check_exposed
-from server.db.engine import Engines, open_engines
-from server.db.upgrade import current_revision
-from server.settings import Settings
+import brink.server.access.gate
+from brink.server.access.gate import Caller, Gate
+from brink.server.access.store import any_token, create_token
+from brink.server.access.tokens import Scope, digest_of, id_within
+from brink.server.cli.commands import app
+from brink.server.cli.coordinator import CannotListen, check_exposed
+from brink.server.db.engine import Engines, open_engines
+from brink.server.db.upgrade import current_revision
+from brink.server.settings import Settings
 
 BRINK = Path(sys.executable).with_name("brink")
 SMALL = {
@@ -59,7 +59,7 @@ ALLOWED = {
 
 @pytest.fixture(autouse=True)
 def _at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server.access.gate, "REMEMBERED_S", 0.0)
+    monkeypatch.setattr(brink.server.access.gate, "REMEMBERED_S", 0.0)
 
 
 def made(engines: Engines, scope: str, name: str = "somebody") -> str:

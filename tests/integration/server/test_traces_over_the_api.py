@@ -23,14 +23,14 @@ from support.api import (
 )
 from typer.testing import CliRunner
 
-from server.cli.api import CoordinatorSaid
-from server.cli.commands import app
-from server.db.engine import Engines
-from server.db.models import WorkerRow
-from server.operations.prune import prune
-from server.queue import service
-from server.queue.wakeups import Wakeups
-from worker.wire import Completed, JobFailed, LeasedJob
+from brink.server.cli.api import CoordinatorSaid
+from brink.server.cli.commands import app
+from brink.server.db.engine import Engines
+from brink.server.db.models import WorkerRow
+from brink.server.operations.prune import prune
+from brink.server.queue import service
+from brink.server.queue.wakeups import Wakeups
+from brink.worker.wire import Completed, JobFailed, LeasedJob
 
 
 def finished(client: httpx.Client, worker: FakeWorker) -> str:

@@ -16,11 +16,11 @@ from support.databases import Databases
 from support.queue import Queue
 from typer.testing import CliRunner
 
-from server.cli.commands import app
-from server.db.engine import open_engines
-from server.db.models import CampaignRow, JobRow, SolutionRow
-from server.errors import Conflict, NotFound, ServerError
-from server.operations.transfer import BadFile, export_campaign
+from brink.server.cli.commands import app
+from brink.server.db.engine import open_engines
+from brink.server.db.models import CampaignRow, JobRow, SolutionRow
+from brink.server.errors import Conflict, NotFound, ServerError
+from brink.server.operations.transfer import BadFile, export_campaign
 
 pytestmark = pytest.mark.usefixtures("small_problems")
 

@@ -9,11 +9,11 @@ import pytest
 from sqlalchemy import Connection, event, insert, select, text
 from sqlalchemy.exc import DBAPIError, IntegrityError, OperationalError
 
-from server.db.clock import database_now
-from server.db.engine import Engines, open_engines
-from server.db.models import TraceRow
-from server.db.writer import TRIES, Writer
-from server.errors import Unavailable
+from brink.server.db.clock import database_now
+from brink.server.db.engine import Engines, open_engines
+from brink.server.db.models import TraceRow
+from brink.server.db.writer import TRIES, Writer
+from brink.server.errors import Unavailable
 
 WAIT_S = 30.0
 

@@ -19,7 +19,7 @@ from typing import Any, Self
 
 from pydantic import ValidationError
 
-from worker.wire import (
+from brink.worker.wire import (
     Completed,
     HeartbeatReply,
     HeartbeatRequest,

@@ -9,7 +9,7 @@ from pathlib import Path
 from fake_coordinator import FakeCoordinator, Fault
 from working import ROOT
 
-from worker.wire import (
+from brink.worker.wire import (
     Completed,
     HeartbeatReply,
     HeartbeatRequest,

@@ -10,8 +10,8 @@ import pytest
 from fake_coordinator import FakeCoordinator, Fault
 from working import use_faulty_simulator, working
 
-from worker.machine import machine_name
-from worker.wire import Completed, HeartbeatRequest, JobFailed, LeaseRequest, ResultsRequest
+from brink.worker.machine import machine_name
+from brink.worker.wire import Completed, HeartbeatRequest, JobFailed, LeaseRequest, ResultsRequest
 
 
 @pytest.fixture(autouse=True)

@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 from working import ROOT, use_faulty_simulator
 
-from worker.child_handle import ONE_THREAD
-from worker.errors import ChildFailedToStart, EpisodeAbandoned
-from worker.process import Episode, EpisodeProcess
-from worker.wire import Completed, JobFailed
+from brink.worker.child_handle import ONE_THREAD
+from brink.worker.errors import ChildFailedToStart, EpisodeAbandoned
+from brink.worker.process import Episode, EpisodeProcess
+from brink.worker.wire import Completed, JobFailed
 
 
 @pytest.fixture(autouse=True)
@@ -212,8 +212,8 @@ def test_the_process_computes_on_one_thread_and_does_not_see_the_token(
 ) -> None:
     (tmp_path / "environment_teller.py").write_text(
         "import os\n"
-        "from sim.catalogue import register\n"
-        "from sim.episode import EpisodeResult\n"
+        "from brink.sim.catalogue import register\n"
+        "from brink.sim.episode import EpisodeResult\n"
         "class Teller:\n"
         "    def run(self, spec, *, record=False):\n"
         "        return EpisodeResult(verdicts={}, objectives={}, provenance={}, features=dict(os.environ))\n"

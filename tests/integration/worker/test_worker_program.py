@@ -11,7 +11,7 @@ import pytest
 from fake_coordinator import FakeCoordinator
 from working import ROOT, use_faulty_simulator, worker_program
 
-from worker.wire import LeaseRequest
+from brink.worker.wire import LeaseRequest
 
 PATIENCE_S = 30.0
 
@@ -104,7 +104,7 @@ def test_the_program_runs_what_there_is_and_leaves(coordinator: FakeCoordinator)
 
 def test_a_bad_setting_is_a_usage_error() -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "worker", "--server", "localhost:8700"],
+        [sys.executable, "-m", "brink.worker", "--server", "localhost:8700"],
         capture_output=True,
         text=True,
         cwd=ROOT,

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from worker.client import CoordinatorClient
-from worker.loop import Worker
-from worker.settings import WorkerSettings
+from brink.worker.client import CoordinatorClient
+from brink.worker.loop import Worker
+from brink.worker.settings import WorkerSettings
 
 ROOT = Path(__file__).resolve().parents[3]
 PLUGINS = ROOT / "tests" / "plugins"
@@ -62,8 +62,19 @@ def working(url: str, *, token: str | None = None, **settings: Any) -> Iterator[
 
 @contextmanager
 def worker_program(url: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """Run ``python -m worker``; its log can be read from ``stderr`` after its end."""
-    command = [sys.executable, "-m", "worker", "--server", url, "--wait", "5", "--memory", "512", *arguments]
+    """Run ``python -m brink.worker``; its log can be read from ``stderr`` after its end."""
+    command = [
+        sys.executable,
+        "-m",
+        "brink.worker",
+        "--server",
+        url,
+        "--wait",
+        "5",
+        "--memory",
+        "512",
+        *arguments,
+    ]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT
     ) as program:

@@ -10,12 +10,12 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from synthetic_campaign import MIXED, campaign, mixed_campaign, mtq_campaign
 
-from search.boundary import PAPER_D_THS, PAPER_T_BS, dbs, dbs_grid, distinct_boundary, strict_dbs
-from search.embedding import embedded
-from search.fitness import wilson_interval
-from search.problems.mtq import SPACE
-from server.boundary.dependence import dependences
-from server.plots import (
+from brink.search.boundary import PAPER_D_THS, PAPER_T_BS, dbs, dbs_grid, distinct_boundary, strict_dbs
+from brink.search.embedding import embedded
+from brink.search.fitness import wilson_interval
+from brink.search.problems.mtq import SPACE
+from brink.server.boundary.dependence import dependences
+from brink.server.plots import (
     FIGURES,
     CampaignFigures,
     figure_dbs,
@@ -23,7 +23,7 @@ from server.plots import (
     figure_fitness,
     figure_parameters,
 )
-from server.plots.style import WIDTH_PX
+from brink.server.plots.style import WIDTH_PX
 
 MakeFigure = Callable[[CampaignFigures], Figure]
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from search.adaptive_rates import (
+from brink.search.adaptive_rates import (
     Crossover,
     Population,
     crossover_probability,

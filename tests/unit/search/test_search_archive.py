@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from search.archive import Archive, Neighbourhood
-from search.metric import Metric
-from search.testing import example_spaces, stored_and_restored
+from brink.search.archive import Archive, Neighbourhood
+from brink.search.metric import Metric
+from brink.search.testing import example_spaces, stored_and_restored
 
 ORACLE = json.loads((Path(__file__).parents[2] / "data" / "mlcshe_oracle.json").read_text())["archive_of_60"]
 SPACE = example_spaces()["mixed"]

@@ -3,13 +3,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from search.algorithm import Scored
-from search.algorithms.ga import GeneticAlgorithm, GeneticAlgorithmConfig
-from search.algorithms.random_search import RandomSearch, RandomSearchConfig
-from search.errors import ConfigError
-from search.problems import onemax
-from search.space import Categorical, Component, Real, SearchSpace
-from search.testing import example_spaces, made_up_verdicts, play
+from brink.search.algorithm import Scored
+from brink.search.algorithms.ga import GeneticAlgorithm, GeneticAlgorithmConfig
+from brink.search.algorithms.random_search import RandomSearch, RandomSearchConfig
+from brink.search.errors import ConfigError
+from brink.search.problems import onemax
+from brink.search.space import Categorical, Component, Real, SearchSpace
+from brink.search.testing import example_spaces, made_up_verdicts, play
 
 SPACE = example_spaces()["mixed"]
 TINY = SearchSpace((Component("a", (Categorical("x", ("0", "1", "2")), Categorical("y", ("0", "1")))),))

@@ -3,12 +3,12 @@ import math
 import numpy as np
 import pytest
 
-from search.algorithms.mlcshe import Mlcshe
-from search.algorithms.random_search import RandomSearch
-from search.archive import Archive
-from search.boundary import dbs_grid, distinct_boundary
-from search.problems import mtq, onemax
-from search.testing import play
+from brink.search.algorithms.mlcshe import Mlcshe
+from brink.search.algorithms.random_search import RandomSearch
+from brink.search.archive import Archive
+from brink.search.boundary import dbs_grid, distinct_boundary
+from brink.search.problems import mtq, onemax
+from brink.search.testing import play
 
 
 def test_mtq_known_values() -> None:

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from search.archive import Archive, Neighbourhood
-from search.boundary import (
+from brink.search.archive import Archive, Neighbourhood
+from brink.search.boundary import (
     PAPER_D_THS,
     PAPER_FRACTIONS,
     PAPER_T_BS,
@@ -17,8 +17,8 @@ from search.boundary import (
     has_evidence,
     strict_dbs,
 )
-from search.metric import Metric
-from search.testing import example_spaces
+from brink.search.metric import Metric
+from brink.search.testing import example_spaces
 
 ORACLE = json.loads((Path(__file__).parents[2] / "data" / "mlcshe_oracle.json").read_text())["archive_of_60"]
 SPACE = example_spaces()["mixed"]

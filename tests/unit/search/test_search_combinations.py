@@ -5,11 +5,18 @@ import itertools
 import numpy as np
 import pytest
 
-from search.archive import Archive, Neighbourhood
-from search.combinations import Combination, Step, beside, combinations, tally_by_step, verdicts_by_chain
-from search.errors import UnsupportedSpace
-from search.levels import slots_of
-from search.testing import example_spaces
+from brink.search.archive import Archive, Neighbourhood
+from brink.search.combinations import (
+    Combination,
+    Step,
+    beside,
+    combinations,
+    tally_by_step,
+    verdicts_by_chain,
+)
+from brink.search.errors import UnsupportedSpace
+from brink.search.levels import slots_of
+from brink.search.testing import example_spaces
 
 SPACE = example_spaces()["slots"]
 NOISE, BLUR = Step(0, 4), Step(1, 12)

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from search.archive import Archive, Neighbourhood
-from search.control import ScenarioRisk, blind_archive
-from search.space import Categorical, Component, Real, SearchSpace
+from brink.search.archive import Archive, Neighbourhood
+from brink.search.control import ScenarioRisk, blind_archive
+from brink.search.space import Categorical, Component, Real, SearchSpace
 
 SPACE = SearchSpace(
     (

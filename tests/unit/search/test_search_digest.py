@@ -2,9 +2,9 @@ import hashlib
 
 import numpy as np
 
-from search.archive import Archive, Neighbourhood
-from search.digest import archive_digest
-from search.metric import Metric
+from brink.search.archive import Archive, Neighbourhood
+from brink.search.digest import archive_digest
+from brink.search.metric import Metric
 
 
 def archive_of(rows: list[float], unsafe: list[bool], radius: float = 0.3) -> Archive:

@@ -4,8 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from search.document import Document
-from search.errors import DocumentError
+from brink.search.document import Document
+from brink.search.errors import DocumentError
 
 JSON_VALUES = st.recursive(
     st.none()

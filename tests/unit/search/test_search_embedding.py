@@ -3,10 +3,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
-from search.archive import Archive, Neighbourhood
-from search.embedding import embedded
-from search.metric import Metric
-from search.testing import example_spaces
+from brink.search.archive import Archive, Neighbourhood
+from brink.search.embedding import embedded
+from brink.search.metric import Metric
+from brink.search.testing import example_spaces
 
 NEAR = Neighbourhood(radius=0.3, p_th=0.1)
 MIXED = example_spaces()["mixed"]

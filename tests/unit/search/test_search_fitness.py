@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from search.fitness import boundary_fitness, wilson_interval
+from brink.search.fitness import boundary_fitness, wilson_interval
 
 ORACLE = json.loads((Path(__file__).parents[2] / "data" / "mlcshe_oracle.json").read_text())
 

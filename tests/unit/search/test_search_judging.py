@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from search.judging import alarms, false_alarms_at, judge
+from brink.search.judging import alarms, false_alarms_at, judge
 
 
 def test_known_answers() -> None:

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from search.errors import SpaceError
-from search.levels import Slots
-from search.space import Categorical, Component, Integer, Real
+from brink.search.errors import SpaceError
+from brink.search.levels import Slots
+from brink.search.space import Categorical, Component, Integer, Real
 
 CHOICES = ("noise", "blur", "rain")
 SLOTS = Slots((("gene_1", "intensity_1"), ("gene_2", "intensity_2")), (3, 6, 11))

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from search.errors import SpaceError
-from search.metric import BLOCK_COLUMNS, BLOCK_ROWS, Metric
-from search.space import Categorical, Component, Integer, Real, SearchSpace
+from brink.search.errors import SpaceError
+from brink.search.metric import BLOCK_COLUMNS, BLOCK_ROWS, Metric
+from brink.search.space import Categorical, Component, Integer, Real, SearchSpace
 
 ORACLE = json.loads((Path(__file__).parents[2] / "data" / "mlcshe_oracle.json").read_text())
 RANGES = np.array(ORACLE["distance_config"]["numeric_ranges"], np.float64)

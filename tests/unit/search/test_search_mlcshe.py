@@ -3,12 +3,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from search.algorithm import Candidate, Evaluation, Failed, Scored
-from search.algorithms.mlcshe import Mlcshe, MlcsheConfig, MlcsheState
-from search.errors import ConfigError, DocumentError, OrderError, UnsupportedSpace
-from search.metric import Metric
-from search.space import Categorical, Component, Real, SearchSpace
-from search.testing import example_spaces, made_up_verdicts
+from brink.search.algorithm import Candidate, Evaluation, Failed, Scored
+from brink.search.algorithms.mlcshe import Mlcshe, MlcsheConfig, MlcsheState
+from brink.search.errors import ConfigError, DocumentError, OrderError, UnsupportedSpace
+from brink.search.metric import Metric
+from brink.search.space import Categorical, Component, Real, SearchSpace
+from brink.search.testing import example_spaces, made_up_verdicts
 
 SPACE = example_spaces()["mixed"]
 MLCSHE = Mlcshe()

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import search.monitor
-from search.errors import DocumentError, SpaceError
-from search.fitness import wilson_interval
-from search.monitor import Answer, Monitor
-from search.space import Component, Real, SearchSpace
-from search.statistics import a12
-from search.testing import example_spaces
+import brink.search.monitor
+from brink.search.errors import DocumentError, SpaceError
+from brink.search.fitness import wilson_interval
+from brink.search.monitor import Answer, Monitor
+from brink.search.space import Component, Real, SearchSpace
+from brink.search.statistics import a12
+from brink.search.testing import example_spaces
 
 MIXED = example_spaces()["mixed"]
 PLANE = SearchSpace((Component("scenario", (Real("x", 0, 1),)), Component("behaviour", (Real("y", 0, 1),))))
@@ -59,7 +59,7 @@ def test_many_questions_are_answered_as_each_by_itself(monkeypatch: pytest.Monke
     monitor = Monitor.of(PLANE, (8, 2), rows, unsafe, threshold=0.5)
     asked, _ = plane(70, seed=9)
     at_once = monitor.score(asked)
-    monkeypatch.setattr(search.monitor, "BLOCK", 700)
+    monkeypatch.setattr(brink.search.monitor, "BLOCK", 700)
     in_blocks = monitor.score(asked)
     assert in_blocks.probability == pytest.approx(at_once.probability)
     assert in_blocks.neighbours == pytest.approx(at_once.neighbours)
@@ -117,8 +117,8 @@ def test_weights_are_the_same_each_time_and_chosen_by_the_seed_where_there_are_m
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     rows, unsafe = plane(400)
-    monkeypatch.setattr(search.monitor, "LEARNED", 150)
-    monkeypatch.setattr(search.monitor, "FORETOLD", 100)
+    monkeypatch.setattr(brink.search.monitor, "LEARNED", 150)
+    monkeypatch.setattr(brink.search.monitor, "FORETOLD", 100)
     first, again = (Monitor.fitted(PLANE, rows, unsafe, threshold=0.5, seed=3) for _ in range(2))
     assert (first.weights == again.weights).all()
     assert len(first) == 400, "all that was simulated counts, whatever weights were chosen with"

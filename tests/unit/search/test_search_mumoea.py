@@ -9,24 +9,30 @@ from typing import Any
 import numpy as np
 import pytest
 
-from search.actions.distance import matched_distances
-from search.actions.genome import Genome
-from search.actions.participants import MOST_ACTIONS
-from search.actions.patterns import MOTIFS, PATTERNS, hostile_solution
-from search.actions.road import RoadLimits
-from search.actions.rollout import rolled_out
-from search.actions.rule import participants_component
-from search.actions.variation import crossed_genes, crossed_uniformly, major_change, prolonged, small_change
-from search.algorithm import Candidate, Evaluation, Failed, Scored
-from search.algorithms.multi_objective import CRITICALITY, MultiObjectiveState, diversities, gap_of
-from search.algorithms.mumoea import Mumoea, MumoeaConfig, MumoeaState, different_enough
-from search.algorithms.nsga2 import Mosat, Nsga2, Nsga2Config
-from search.document import Document
-from search.errors import ConfigError, OrderError
-from search.pareto import dominates
-from search.seeding import Origin, Proposal
-from search.space import Categorical, Component, SearchSpace
-from search.testing import check_algorithm
+from brink.search.actions.distance import matched_distances
+from brink.search.actions.genome import Genome
+from brink.search.actions.participants import MOST_ACTIONS
+from brink.search.actions.patterns import MOTIFS, PATTERNS, hostile_solution
+from brink.search.actions.road import RoadLimits
+from brink.search.actions.rollout import rolled_out
+from brink.search.actions.rule import participants_component
+from brink.search.actions.variation import (
+    crossed_genes,
+    crossed_uniformly,
+    major_change,
+    prolonged,
+    small_change,
+)
+from brink.search.algorithm import Candidate, Evaluation, Failed, Scored
+from brink.search.algorithms.multi_objective import CRITICALITY, MultiObjectiveState, diversities, gap_of
+from brink.search.algorithms.mumoea import Mumoea, MumoeaConfig, MumoeaState, different_enough
+from brink.search.algorithms.nsga2 import Mosat, Nsga2, Nsga2Config
+from brink.search.document import Document
+from brink.search.errors import ConfigError, OrderError
+from brink.search.pareto import dominates
+from brink.search.seeding import Origin, Proposal
+from brink.search.space import Categorical, Component, SearchSpace
+from brink.search.testing import check_algorithm
 
 ROAD = RoadLimits(streets_m=(30.0,))
 SPACE = SearchSpace(

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from search.operators import crossed, mutated, offspring, tournament
-from search.space import Categorical, Component, Dormant, Integer, Real
-from search.testing import example_spaces
+from brink.search.operators import crossed, mutated, offspring, tournament
+from brink.search.space import Categorical, Component, Dormant, Integer, Real
+from brink.search.testing import example_spaces
 
 BEHAVIOUR = example_spaces()["mixed"].components[1]
 

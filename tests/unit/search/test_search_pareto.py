@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pymoo.operators.survival.rank_and_crowding.metrics import calc_crowding_distance
 from pymoo.util.nds.non_dominated_sorting import NonDominatedSorting
 
-from search.pareto import crowding, dominates, first_front, ranks, ranks_and_crowding, survivors
+from brink.search.pareto import crowding, dominates, first_front, ranks, ranks_and_crowding, survivors
 
 Rows = NDArray[np.float64]
 

@@ -3,12 +3,12 @@ import math
 import numpy as np
 import pytest
 
-from search.algorithm import Candidate
-from search.algorithms.repeats import Repeats, RepeatsConfig, tallied
-from search.document import Document
-from search.errors import ConfigError
-from search.fitness import wilson_interval
-from search.testing import example_spaces, made_up_verdicts, play
+from brink.search.algorithm import Candidate
+from brink.search.algorithms.repeats import Repeats, RepeatsConfig, tallied
+from brink.search.document import Document
+from brink.search.errors import ConfigError
+from brink.search.fitness import wilson_interval
+from brink.search.testing import example_spaces, made_up_verdicts, play
 
 SPACE = example_spaces()["mixed"]
 GIVEN = [SPACE.join(SPACE.sample(np.random.default_rng(seed))).tolist() for seed in range(7)]

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from search.archive import Archive, Neighbourhood
-from search.boundary import dbs, strict_dbs
-from search.sensitivity import by_p_th, by_radius, rescored
-from search.testing import example_spaces
+from brink.search.archive import Archive, Neighbourhood
+from brink.search.boundary import dbs, strict_dbs
+from brink.search.sensitivity import by_p_th, by_radius, rescored
+from brink.search.testing import example_spaces
 
 SPACE = example_spaces()["mixed"]
 

@@ -3,8 +3,8 @@ import math
 
 import pytest
 
-from search.errors import ConfigError
-from search.settings import check_settings, setting
+from brink.search.errors import ConfigError
+from brink.search.settings import check_settings, setting
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from search.algorithm import Candidate, Evaluation, Failed, Measured, Question, Scored
-from search.algorithms.simood import Simood, SimoodConfig, SimoodState, Stage, finalists_of
-from search.errors import ConfigError
-from search.testing import check_algorithm, example_spaces, play
+from brink.search.algorithm import Candidate, Evaluation, Failed, Measured, Question, Scored
+from brink.search.algorithms.simood import Simood, SimoodConfig, SimoodState, Stage, finalists_of
+from brink.search.errors import ConfigError
+from brink.search.testing import check_algorithm, example_spaces, play
 
 SPACE = example_spaces()["slots"]
 SIMOOD = Simood()

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from search.errors import SpaceError
-from search.space import (
+from brink.search.errors import SpaceError
+from brink.search.space import (
     Categorical,
     Component,
     Constraint,
@@ -21,7 +21,7 @@ from search.space import (
     Real,
     SearchSpace,
 )
-from search.testing import example_spaces
+from brink.search.testing import example_spaces
 
 ORACLE = json.loads((Path(__file__).parents[2] / "data" / "mlcshe_oracle.json").read_text())
 SPACE = example_spaces()["mixed"]

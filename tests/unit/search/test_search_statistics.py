@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from search.statistics import a12, compared, effect_size, holm, mean_interval
+from brink.search.statistics import a12, compared, effect_size, holm, mean_interval
 
 
 def test_mean_interval_is_students() -> None:

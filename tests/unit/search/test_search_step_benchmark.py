@@ -1,6 +1,6 @@
 import numpy as np
 
-from search.benchmark import TARGETS_MS, measure, mixed_space
+from brink.search.benchmark import TARGETS_MS, measure, mixed_space
 
 
 def test_space_has_the_shape_of_the_case_study() -> None:

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from search.streams import Stream, episode_seed, generator
+from brink.search.streams import Stream, episode_seed, generator
 
 PINNED_DRAWS = [610, 30, 691, 773]
 PINNED_SEEDS = [3247884046075857, 5214422823215758, 7562003829803771]

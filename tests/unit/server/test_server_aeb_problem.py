@@ -8,17 +8,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from search.algorithm import Measured, Scored
-from search.errors import ConfigError
-from server.campaigns.body import parse_body
-from server.campaigns.submission import check_submission
-from server.errors import InvalidInput
-from server.problems.aeb_crossing import ACCIDENT, DANGEROUS_STOP, AebCrossing, AebCrossingParams
-from server.problems.base import MeasuresOnData, SimulatedProblem
-from sim.aeb.behaviour import Behaviour, Options
-from sim.aeb.scenario import AebScenario
-from sim.perturbations import CATALOGUE
-from worker.wire import Completed, WireVerdict
+from brink.search.algorithm import Measured, Scored
+from brink.search.errors import ConfigError
+from brink.server.campaigns.body import parse_body
+from brink.server.campaigns.submission import check_submission
+from brink.server.errors import InvalidInput
+from brink.server.problems.aeb_crossing import ACCIDENT, DANGEROUS_STOP, AebCrossing, AebCrossingParams
+from brink.server.problems.base import MeasuresOnData, SimulatedProblem
+from brink.sim.aeb.behaviour import Behaviour, Options
+from brink.sim.aeb.scenario import AebScenario
+from brink.sim.perturbations import CATALOGUE
+from brink.worker.wire import Completed, WireVerdict
 
 PROBLEM = AebCrossing(AebCrossingParams())
 

@@ -4,8 +4,8 @@ import gc
 import weakref
 from pathlib import Path
 
-from server.app import create_app
-from server.settings import Settings
+from brink.server.app import create_app
+from brink.server.settings import Settings
 
 
 def test_nothing_keeps_an_app_that_nobody_needs(tmp_path: Path) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from support.traces import make_trace
 
-from server.boundary.component import COLUMNS, box_rows, seen_and_said, write_boxes
-from sim.trace import BOX_COLUMNS, Ragged, Trace
+from brink.server.boundary.component import COLUMNS, box_rows, seen_and_said, write_boxes
+from brink.sim.trace import BOX_COLUMNS, Ragged, Trace
 
 Box = tuple[float, float, float, float, float]
 CAR: Box = (0.0, 100.0, 200.0, 300.0, 400.0)

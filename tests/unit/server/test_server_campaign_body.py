@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from server.campaigns.body import parse_body
+from brink.server.campaigns.body import parse_body
 
 PLAIN: dict[str, Any] = {
     "name": "night-rain",

@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from server.errors import InvalidInput
-from server.experiments.body import MAX_CAMPAIGNS, parse_experiment, read_experiment_file
+from brink.server.errors import InvalidInput
+from brink.server.experiments.body import MAX_CAMPAIGNS, parse_experiment, read_experiment_file
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 

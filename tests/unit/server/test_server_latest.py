@@ -5,8 +5,8 @@ import threading
 
 import pytest
 
-from server.errors import Unavailable
-from server.latest import Latest
+from brink.server.errors import Unavailable
+from brink.server.latest import Latest
 
 
 class Counted:

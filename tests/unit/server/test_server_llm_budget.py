@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from search.actions.road import RoadLimits
-from server.llm.budget import Budget, cost_of, times, together, tokens_of, worst_usage
-from server.llm.errors import OverBudget
-from server.llm.estimate import Estimate, estimate
-from server.llm.settings import LlmSettings
-from server.llm.wire import Message, Usage, canonical
+from brink.search.actions.road import RoadLimits
+from brink.server.llm.budget import Budget, cost_of, times, together, tokens_of, worst_usage
+from brink.server.llm.errors import OverBudget
+from brink.server.llm.estimate import Estimate, estimate
+from brink.server.llm.settings import LlmSettings
+from brink.server.llm.wire import Message, Usage, canonical
 
 ASKED = (Message("user", "x" * 700),)
 PRICES = {"input_price": 2.0, "output_price": 10.0}

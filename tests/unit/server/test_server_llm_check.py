@@ -16,8 +16,8 @@ from support.llm_endpoint import (
     says,
 )
 
-from server.llm.check import EndpointReport, check_endpoint
-from server.llm.wire import Mode
+from brink.server.llm.check import EndpointReport, check_endpoint
+from brink.server.llm.wire import Mode
 
 pytestmark = pytest.mark.timeout(30)
 

@@ -24,8 +24,8 @@ from support.llm_endpoint import (
     unencrypted,
 )
 
-from server.llm.client import MOST_REPLY_BYTES, Completion, LlmClient
-from server.llm.errors import (
+from brink.server.llm.client import MOST_REPLY_BYTES, Completion, LlmClient
+from brink.server.llm.errors import (
     AccessRefused,
     EndpointAway,
     KeyMissing,
@@ -36,10 +36,10 @@ from server.llm.errors import (
     RequestRefused,
     UnusableReply,
 )
-from server.llm.form import SCHEMA
-from server.llm.settings import LlmSettings
-from server.llm.wire import Message, Mode
-from worker.backoff import Backoff
+from brink.server.llm.form import SCHEMA
+from brink.server.llm.settings import LlmSettings
+from brink.server.llm.wire import Message, Mode
+from brink.worker.backoff import Backoff
 
 pytestmark = pytest.mark.timeout(30)
 

@@ -8,15 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from search.actions.participants import MAGNITUDES, MOST_PARTICIPANTS, Action, Kind
-from search.actions.road import RoadLimits
-from search.seeding import SeedRequest
-from server.errors import FieldError
-from server.llm.drivable import Drivable
-from server.llm.form import SCHEMA, as_text
-from server.llm.prompts import MOST_ERRORS, example, question, repair
-from server.llm.replies import parse
-from server.llm.wire import Messages, prompt_hash
+from brink.search.actions.participants import MAGNITUDES, MOST_PARTICIPANTS, Action, Kind
+from brink.search.actions.road import RoadLimits
+from brink.search.seeding import SeedRequest
+from brink.server.errors import FieldError
+from brink.server.llm.drivable import Drivable
+from brink.server.llm.form import SCHEMA, as_text
+from brink.server.llm.prompts import MOST_ERRORS, example, question, repair
+from brink.server.llm.replies import parse
+from brink.server.llm.wire import Messages, prompt_hash
 
 ROAD = RoadLimits(streets_m=(-60.0, 30.0))
 SYSTEM = "a car that keeps its lane with a camera"

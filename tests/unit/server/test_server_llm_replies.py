@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.llm_endpoint import action, item, items, participant, reply_text
 
-from search.actions.participants import MAGNITUDES, OF_PEDESTRIANS, OF_VEHICLES, Action, Kind
-from search.actions.road import RoadLimits
-from server.llm.drivable import Drivable
-from server.llm.form import SCHEMA
-from server.llm.replies import MOST_CHARS, MOST_ERRORS, Parsed, parse
+from brink.search.actions.participants import MAGNITUDES, OF_PEDESTRIANS, OF_VEHICLES, Action, Kind
+from brink.search.actions.road import RoadLimits
+from brink.server.llm.drivable import Drivable
+from brink.server.llm.form import SCHEMA
+from brink.server.llm.replies import MOST_CHARS, MOST_ERRORS, Parsed, parse
 
 pytestmark = pytest.mark.timeout(60)
 

@@ -25,17 +25,17 @@ from support.llm_endpoint import (
     unencrypted,
 )
 
-from search.actions.road import RoadLimits
-from search.seeding import Origin, SeedRequest
-from server.llm.budget import Budget, times, together, worst_usage
-from server.llm.calls import CallKey, Outcome, StoredCall, spent_on
-from server.llm.client import MOST_REPLY_BYTES, LlmClient
-from server.llm.drivable import Drivable
-from server.llm.errors import CallLogMismatch
-from server.llm.prompts import example, question
-from server.llm.seeder import Answer, ask
-from server.llm.settings import LlmSettings
-from server.llm.wire import Mode, Usage
+from brink.search.actions.road import RoadLimits
+from brink.search.seeding import Origin, SeedRequest
+from brink.server.llm.budget import Budget, times, together, worst_usage
+from brink.server.llm.calls import CallKey, Outcome, StoredCall, spent_on
+from brink.server.llm.client import MOST_REPLY_BYTES, LlmClient
+from brink.server.llm.drivable import Drivable
+from brink.server.llm.errors import CallLogMismatch
+from brink.server.llm.prompts import example, question
+from brink.server.llm.seeder import Answer, ask
+from brink.server.llm.settings import LlmSettings
+from brink.server.llm.wire import Mode, Usage
 
 pytestmark = pytest.mark.timeout(30)
 

@@ -5,9 +5,9 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from server.campaigns.body import invalid_input
-from server.llm.errors import KeyMissing
-from server.llm.settings import LlmSettings, api_key
+from brink.server.campaigns.body import invalid_input
+from brink.server.llm.errors import KeyMissing
+from brink.server.llm.settings import LlmSettings, api_key
 
 SECRET = "sk-proj-0123456789abcdef"
 

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.llm_endpoint import ErrorForm, Server, completion, error_body
 
-from server.llm.errors import UnusableReply
-from server.llm.faults import retry_after_s, status_within
-from server.llm.wire import Mode, Reply, Usage, clean, listed_models, read_reply, said
+from brink.server.llm.errors import UnusableReply
+from brink.server.llm.faults import retry_after_s, status_within
+from brink.server.llm.wire import Mode, Reply, Usage, clean, listed_models, read_reply, said
 
 NOW = datetime(2026, 3, 1, 12, 0, 0, tzinfo=UTC)
 KEY = "sk-secret/0123456789"

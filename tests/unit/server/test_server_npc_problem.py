@@ -6,13 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.circumstances import violation
 
-from search.algorithm import Scored
-from search.errors import ConfigError
-from server.problems.base import Describes, SimulatedProblem, TellsViolations
-from server.problems.npc_actions import ORACLES, NpcActions, NpcActionsParams
-from server.violations.rules import signature_of
-from sim.encounter.scenario import EncounterScenario
-from worker.wire import Completed, WireVerdict
+from brink.search.algorithm import Scored
+from brink.search.errors import ConfigError
+from brink.server.problems.base import Describes, SimulatedProblem, TellsViolations
+from brink.server.problems.npc_actions import ORACLES, NpcActions, NpcActionsParams
+from brink.server.violations.rules import signature_of
+from brink.sim.encounter.scenario import EncounterScenario
+from brink.worker.wire import Completed, WireVerdict
 
 PROBLEM = NpcActions(NpcActionsParams())
 

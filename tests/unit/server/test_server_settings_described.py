@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from server.settings import Settings
+from brink.server.settings import Settings
 
 OPERATIONS = Path(__file__).parents[3] / "docs" / "operations.md"
 

@@ -5,10 +5,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from search.archive import Archive, Neighbourhood
-from search.testing import example_spaces
-from server.dashboard import solution_map
-from server.dashboard.solution_map import drawn_rows, evenly, made_for, mapped
+from brink.search.archive import Archive, Neighbourhood
+from brink.search.testing import example_spaces
+from brink.server.dashboard import solution_map
+from brink.server.dashboard.solution_map import drawn_rows, evenly, made_for, mapped
 
 SPACE = example_spaces()["mixed"]
 

@@ -11,8 +11,8 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 from support.circumstances import violation
 
-from server.violations.instances import dbscan, instances
-from server.violations.rules import SECTORS, kinds_of, sector_of, signature_of
+from brink.server.violations.instances import dbscan, instances
+from brink.server.violations.rules import SECTORS, kinds_of, sector_of, signature_of
 
 
 def test_a_type_has_seven_words() -> None:

@@ -5,7 +5,7 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
-from server.queue.wakeups import Wakeups
+from brink.server.queue.wakeups import Wakeups
 
 LONG_S = 30.0
 

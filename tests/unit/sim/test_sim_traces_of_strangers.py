@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.errors import InvalidEpisode
-from sim.trace import TRACE_VERSION, Trace
-from sim.trace_arrays import MOST_BYTES
+from brink.sim.errors import InvalidEpisode
+from brink.sim.trace import TRACE_VERSION, Trace
+from brink.sim.trace_arrays import MOST_BYTES
 
 
 def npz(**arrays: Any) -> bytes:

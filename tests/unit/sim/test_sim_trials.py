@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from sim import trials
-from sim.episode import EpisodeSpec
-from sim.trials import Record, Records, code_fingerprint, run_record
+from brink.sim import trials
+from brink.sim.episode import EpisodeSpec
+from brink.sim.trials import Record, Records, code_fingerprint, run_record
 
 SPEC = EpisodeSpec(
     simulator="brink-aeb@1",

@@ -7,10 +7,10 @@ from random import Random
 import httpx
 import pytest
 
-from worker.backoff import Backoff
-from worker.client import CoordinatorClient
-from worker.errors import CoordinatorAway, RequestRefused, UnexpectedReply
-from worker.wire import (
+from brink.worker.backoff import Backoff
+from brink.worker.client import CoordinatorClient
+from brink.worker.errors import CoordinatorAway, RequestRefused, UnexpectedReply
+from brink.worker.wire import (
     HeartbeatRequest,
     JobFailed,
     JobResult,

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.episode import EpisodeResult, Verdict
-from worker.codec import from_wire, outcome_from
-from worker.errors import UnexpectedReply, UnsendableResult
-from worker.outcome_document import MESSAGE_LENGTH, completed, failure_text
-from worker.wire import Completed, JobFailed
+from brink.sim.episode import EpisodeResult, Verdict
+from brink.worker.codec import from_wire, outcome_from
+from brink.worker.errors import UnexpectedReply, UnsendableResult
+from brink.worker.outcome_document import MESSAGE_LENGTH, completed, failure_text
+from brink.worker.wire import Completed, JobFailed
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 NAMES = st.text("abc@1-", min_size=1, max_size=8)

@@ -7,9 +7,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from worker.holdings import MAX_BATCH_BYTES, Holdings, Poll, Report
-from worker.pace import Pace
-from worker.wire import Completed, HeldLease, JobFailed, LeasedJob, LeaseReply, ResultStatus
+from brink.worker.holdings import MAX_BATCH_BYTES, Holdings, Poll, Report
+from brink.worker.pace import Pace
+from brink.worker.wire import Completed, HeldLease, JobFailed, LeasedJob, LeaseReply, ResultStatus
 
 DONE = Completed(verdicts={})
 FAILED = JobFailed(reason="crashed", message="bang")

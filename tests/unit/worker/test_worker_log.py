@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from worker.errors import SettingsError
-from worker.log import (
+from brink.worker.errors import SettingsError
+from brink.worker.log import (
     FORMAT_VARIABLE,
     JsonFormatter,
     LineFormatter,
@@ -20,7 +20,12 @@ from worker.log import (
 
 
 def record(**fields: Any) -> logging.LogRecord:
-    known = {"name": "server.queue", "levelname": "INFO", "msg": "lease ran out", "created": 1_700_000_000.25}
+    known = {
+        "name": "brink.server.queue",
+        "levelname": "INFO",
+        "msg": "lease ran out",
+        "created": 1_700_000_000.25,
+    }
     return logging.makeLogRecord({**known, **fields})
 
 
@@ -35,7 +40,7 @@ def test_a_json_line_has_time_level_logger_and_message_and_a_field_for_each_thin
     assert parsed(record(campaign="c0ffee", job=7, attempt=2), worker="w-1") == {
         "time": "2023-11-14T22:13:20.250Z",
         "level": "info",
-        "logger": "server.queue",
+        "logger": "brink.server.queue",
         "message": "lease ran out",
         "worker": "w-1",
         "campaign": "c0ffee",
@@ -71,7 +76,7 @@ def test_no_field_takes_the_place_of_the_lines_own() -> None:
 def test_what_a_block_is_about_stands_on_its_lines_alone() -> None:
     with about(request="r-1"), about(campaign="c0ffee"):
         inside = LineFormatter().format(record())
-    assert inside.endswith("server.queue: lease ran out request=r-1 campaign=c0ffee")
+    assert inside.endswith("brink.server.queue: lease ran out request=r-1 campaign=c0ffee")
     assert "request" not in parsed(record())
 
 
@@ -90,7 +95,7 @@ def test_libraries_tell_no_details_however_much_is_asked_for() -> None:
 import logging
 from worker.log import LogFormat, LogLevel, configure_logging
 configure_logging(LogLevel.DEBUG, LogFormat.TEXT)
-for name in ("worker.loop", "httpcore.http11", "h11"):
+for name in ("brink.worker.loop", "httpcore.http11", "h11"):
     logging.getLogger(name).debug("a detail of %s", name)
     logging.getLogger(name).info("news of %s", name)
 logging.getLogger("httpx").info("a request")
@@ -98,5 +103,5 @@ logging.getLogger("httpx").info("a request")
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     said = [line.partition(": ")[2] for line in done.stderr.splitlines()]
     assert said == [
-        "a detail of worker.loop", "news of worker.loop", "news of httpcore.http11", "news of h11",
+        "a detail of brink.worker.loop", "news of brink.worker.loop", "news of httpcore.http11", "news of h11",
     ]  # fmt: skip

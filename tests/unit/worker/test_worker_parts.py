@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from worker.backoff import Backoff
-from worker.errors import BrokenFrame, CoordinatorAway, SettingsError
-from worker.frames import FrameBuffer, encode_frame, read_frame, write_all
-from worker.log import LineFormatter
-from worker.outage import Outage
-from worker.pace import Pace
-from worker.settings import WorkerSettings, new_worker_id
+from brink.worker.backoff import Backoff
+from brink.worker.errors import BrokenFrame, CoordinatorAway, SettingsError
+from brink.worker.frames import FrameBuffer, encode_frame, read_frame, write_all
+from brink.worker.log import LineFormatter
+from brink.worker.outage import Outage
+from brink.worker.pace import Pace
+from brink.worker.settings import WorkerSettings, new_worker_id
 
 BODIES = st.lists(st.binary(max_size=200), max_size=8)
 SECONDS = st.floats(0.0, 1e4, allow_nan=False)
@@ -152,10 +152,16 @@ def test_worker_ids_are_unique_and_short_enough_for_the_wire() -> None:
 
 def test_a_log_line_is_one_line_with_its_fields() -> None:
     record = logging.makeLogRecord(
-        {"name": "worker.runner", "levelname": "WARNING", "msg": "two\nlines", "job": 7, "reason": "no luck"}
+        {
+            "name": "brink.worker.runner",
+            "levelname": "WARNING",
+            "msg": "two\nlines",
+            "job": 7,
+            "reason": "no luck",
+        }
     )
     line = LineFormatter(worker="w-1").format(record)
-    assert line.endswith('WARNING worker.runner: two lines worker=w-1 job=7 reason="no luck"')
+    assert line.endswith('WARNING brink.worker.runner: two lines worker=w-1 job=7 reason="no luck"')
 
 
 def test_a_log_line_keeps_its_stack() -> None:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from search.actions.distance import (
+from brink.search.actions.distance import (
     UNMATCHED_M,
     RolledOut,
     encounter_distances,

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from search.actions.participants import FASTEST_MPS, Action, Gene, Kind, Participant
-from search.actions.road import RoadLimits
-from search.actions.rollout import padded_waypoints, rolled_out, waypoints
-from search.actions.rule import participants_component, participants_of
-from search.space import SearchSpace
+from brink.search.actions.participants import FASTEST_MPS, Action, Gene, Kind, Participant
+from brink.search.actions.road import RoadLimits
+from brink.search.actions.rollout import padded_waypoints, rolled_out, waypoints
+from brink.search.actions.rule import participants_component, participants_of
+from brink.search.space import SearchSpace
 
 ROAD = RoadLimits()
 CROSSROAD = RoadLimits(streets_m=(30.0,))

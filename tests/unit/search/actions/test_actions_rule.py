@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from search.actions.participants import (
+from brink.search.actions.participants import (
     LEAST_ACTIONS,
     LONGEST_S,
     OF_PEDESTRIANS,
@@ -22,11 +22,11 @@ from search.actions.participants import (
     magnitude_of,
     share_of,
 )
-from search.actions.placing import Box, Start, ego_box
-from search.actions.road import RoadLimits
-from search.actions.rule import Participants, participants_component, participants_of
-from search.errors import SpaceError, UnsupportedSpace
-from search.space import Component, Real, SearchSpace
+from brink.search.actions.placing import Box, Start, ego_box
+from brink.search.actions.road import RoadLimits
+from brink.search.actions.rule import Participants, participants_component, participants_of
+from brink.search.errors import SpaceError, UnsupportedSpace
+from brink.search.space import Component, Real, SearchSpace
 
 ROADS = (
     RoadLimits(),

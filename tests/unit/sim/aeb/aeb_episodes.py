@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from sim.aeb.scenario import ARRIVAL_S, CROSSING_M, ONCOMING_M, TIMES, WEATHERS, Occluder
-from sim.episode import EpisodeSpec
+from brink.sim.aeb.scenario import ARRIVAL_S, CROSSING_M, ONCOMING_M, TIMES, WEATHERS, Occluder
+from brink.sim.episode import EpisodeSpec
 
 REQUIREMENTS = ("no-collision@1", "no-dangerous-stop@1")
 

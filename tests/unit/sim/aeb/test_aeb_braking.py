@@ -2,7 +2,7 @@
 
 import pytest
 
-from sim.aeb.braking import Detection, EmergencyBrake, Region
+from brink.sim.aeb.braking import Detection, EmergencyBrake, Region
 
 WARNING = Region.scaled(730.0, 230.0, 1280, 720)
 

@@ -11,17 +11,17 @@ import pytest
 from aeb_episodes import spec
 from numpy.typing import NDArray
 
-from sim import catalogue
-from sim.aeb.dataset import DatasetEvaluator
-from sim.aeb.pictures import LabelledFrame, Split, labelled_frames
-from sim.aeb.simulator import BrinkAeb
-from sim.episode import EpisodeSpec, Json
-from sim.errors import InvalidEpisode
-from sim.perception.coco import read_coco
-from sim.perception.quality import Found
-from sim.perception.registry import DETECTORS
-from sim.perturbations import Pipeline, parse_perturbations
-from sim.trace import Trace
+from brink.sim import catalogue
+from brink.sim.aeb.dataset import DatasetEvaluator
+from brink.sim.aeb.pictures import LabelledFrame, Split, labelled_frames
+from brink.sim.aeb.simulator import BrinkAeb
+from brink.sim.episode import EpisodeSpec, Json
+from brink.sim.errors import InvalidEpisode
+from brink.sim.perception.coco import read_coco
+from brink.sim.perception.quality import Found
+from brink.sim.perception.registry import DETECTORS
+from brink.sim.perturbations import Pipeline, parse_perturbations
+from brink.sim.trace import Trace
 
 SIMULATOR, EVALUATOR = BrinkAeb(), DatasetEvaluator()
 NOTHING = Found(

@@ -9,20 +9,20 @@ from typing import Any
 import pytest
 from aeb_episodes import spec
 
-from sim.aeb.braking import Detection, EmergencyBrake
-from sim.aeb.episode import Episode
-from sim.aeb.facts import Facts
-from sim.aeb.scenario import AebScenario
-from sim.aeb.sight import GroundTruth, Look
-from sim.aeb.simulator import BrinkAeb
-from sim.aeb.street import CRUISE_MPS, LANE_Y_M, Street, make_street
-from sim.bullet.engine import process_engine
-from sim.episode import EpisodeResult, Json
-from sim.errors import InvalidEpisode
-from sim.replay import render_bytes
-from sim.requirements.registry import make_requirements
-from sim.trace import Trace
-from sim.world.ego import EgoCar
+from brink.sim.aeb.braking import Detection, EmergencyBrake
+from brink.sim.aeb.episode import Episode
+from brink.sim.aeb.facts import Facts
+from brink.sim.aeb.scenario import AebScenario
+from brink.sim.aeb.sight import GroundTruth, Look
+from brink.sim.aeb.simulator import BrinkAeb
+from brink.sim.aeb.street import CRUISE_MPS, LANE_Y_M, Street, make_street
+from brink.sim.bullet.engine import process_engine
+from brink.sim.episode import EpisodeResult, Json
+from brink.sim.errors import InvalidEpisode
+from brink.sim.replay import render_bytes
+from brink.sim.requirements.registry import make_requirements
+from brink.sim.trace import Trace
+from brink.sim.world.ego import EgoCar
 
 SEEDS = range(20)
 SIMULATOR = BrinkAeb()
@@ -119,7 +119,7 @@ def test_the_same_specification_gives_the_same_trace_in_any_process() -> None:
     assert first.verdicts == again.verdicts
     script = (
         "import sys, hashlib; sys.path.insert(0, 'tests/unit/sim/aeb'); from aeb_episodes import spec;"
-        "from sim.aeb.simulator import BrinkAeb;"
+        "from brink.sim.aeb.simulator import BrinkAeb;"
         "sys.stderr.write(hashlib.sha256(BrinkAeb().run(spec(4), record=True).trace).hexdigest())"
     )
 

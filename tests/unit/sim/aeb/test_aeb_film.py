@@ -11,19 +11,19 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
 
-from sim import catalogue
-from sim.aeb.braking import PERSON, Detection, EmergencyBrake
-from sim.aeb.scores import rescored
-from sim.aeb.simulator import BrinkAeb
-from sim.episode import Json
-from sim.perception.quality import Found
-from sim.perception.registry import DETECTORS
-from sim.replay import render
-from sim.replay.errors import ReplayError
-from sim.replay.palette import FOUND_ON_PICTURE, SEEN_ON_PICTURE
-from sim.replay.side_by_side import HEADER_PX, MARGIN, TILE_PX, Row, side_by_side
-from sim.replay.top_down import FramePainter
-from sim.trace import Film, Trace
+from brink.sim import catalogue
+from brink.sim.aeb.braking import PERSON, Detection, EmergencyBrake
+from brink.sim.aeb.scores import rescored
+from brink.sim.aeb.simulator import BrinkAeb
+from brink.sim.episode import Json
+from brink.sim.perception.quality import Found
+from brink.sim.perception.registry import DETECTORS
+from brink.sim.replay import render
+from brink.sim.replay.errors import ReplayError
+from brink.sim.replay.palette import FOUND_ON_PICTURE, SEEN_ON_PICTURE
+from brink.sim.replay.side_by_side import HEADER_PX, MARGIN, TILE_PX, Row, side_by_side
+from brink.sim.replay.top_down import FramePainter
+from brink.sim.trace import Film, Trace
 
 COLUMN, ROW = st.floats(-50, 700, width=32), st.floats(-50, 360, width=32)
 WARNING = EmergencyBrake.for_picture(640, 360).warning

@@ -4,8 +4,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from sim.driving.camera import Body, Camera
-from sim.driving.interface import (
+from brink.sim.driving.camera import Body, Camera
+from brink.sim.driving.interface import (
     Box,
     EgoState,
     LightReading,
@@ -14,11 +14,11 @@ from sim.driving.interface import (
     ObstacleLabel,
     PlanMode,
 )
-from sim.driving.settings import DrivingSettings
-from sim.driving.system import ModularDriving
-from sim.world.ego import EgoCar
-from sim.world.line import Piece, ReferenceLine
-from sim.world.route import LaneRoute
+from brink.sim.driving.settings import DrivingSettings
+from brink.sim.driving.system import ModularDriving
+from brink.sim.world.ego import EgoCar
+from brink.sim.world.line import Piece, ReferenceLine
+from brink.sim.world.route import LaneRoute
 
 CONTROL_S = 0.05
 

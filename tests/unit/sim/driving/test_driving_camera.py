@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.driving.camera import Body, Camera
-from sim.driving.interface import ObstacleLabel
+from brink.sim.driving.camera import Body, Camera
+from brink.sim.driving.interface import ObstacleLabel
 
 CAMERA = Camera()
 

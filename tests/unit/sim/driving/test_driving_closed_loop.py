@@ -7,10 +7,10 @@ from driving_loop import Actor, Drive, drive, person, road, vehicle
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.driving.camera import Body, Camera
-from sim.driving.interface import Box, EgoState, LightState, Observation, ObstacleLabel, PlanMode
-from sim.driving.system import ModularDriving
-from sim.world.line import Piece
+from brink.sim.driving.camera import Body, Camera
+from brink.sim.driving.interface import Box, EgoState, LightState, Observation, ObstacleLabel, PlanMode
+from brink.sim.driving.system import ModularDriving
+from brink.sim.world.line import Piece
 
 STOPS_BETWEEN_M = (3.5, 5.2)
 DRY, WET = 0.9, 0.4

@@ -5,12 +5,12 @@ from driving_loop import road
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.driving.gap import NO_LIMIT_MPS2, follow_accel, stop_accel
-from sim.driving.interface import LightReading, LightState
-from sim.driving.lights import LightKeeper
-from sim.driving.settings import FollowSettings, LightSettings, SpeedSettings
-from sim.driving.speed_profile import SpeedProfile
-from sim.world.line import Piece
+from brink.sim.driving.gap import NO_LIMIT_MPS2, follow_accel, stop_accel
+from brink.sim.driving.interface import LightReading, LightState
+from brink.sim.driving.lights import LightKeeper
+from brink.sim.driving.settings import FollowSettings, LightSettings, SpeedSettings
+from brink.sim.driving.speed_profile import SpeedProfile
+from brink.sim.world.line import Piece
 
 FOLLOW = FollowSettings()
 RED, GREEN = LightState.RED, LightState.GREEN

@@ -5,11 +5,11 @@ from driving_loop import road
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.driving.camera import Body, Camera
-from sim.driving.interface import Box, EgoState, ObstacleLabel
-from sim.driving.localisation import GroundPlaneLocaliser, Place
-from sim.driving.settings import LocalisationSettings
-from sim.world.line import Piece
+from brink.sim.driving.camera import Body, Camera
+from brink.sim.driving.interface import Box, EgoState, ObstacleLabel
+from brink.sim.driving.localisation import GroundPlaneLocaliser, Place
+from brink.sim.driving.settings import LocalisationSettings
+from brink.sim.world.line import Piece
 
 CAMERA = Camera()
 LOCALISER = GroundPlaneLocaliser(road(), CAMERA, LocalisationSettings())

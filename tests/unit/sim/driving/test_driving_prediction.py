@@ -5,12 +5,12 @@ from driving_loop import road
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.driving.interface import Box, EgoState, ObstacleLabel
-from sim.driving.localisation import Place
-from sim.driving.prediction import ConstantVelocityPredictor, RoadObstacle
-from sim.driving.settings import PredictionSettings
-from sim.driving.tracking import Track
-from sim.world.line import Piece
+from brink.sim.driving.interface import Box, EgoState, ObstacleLabel
+from brink.sim.driving.localisation import Place
+from brink.sim.driving.prediction import ConstantVelocityPredictor, RoadObstacle
+from brink.sim.driving.settings import PredictionSettings
+from brink.sim.driving.tracking import Track
+from brink.sim.world.line import Piece
 
 BOX = Box(label=ObstacleLabel.VEHICLE, x_min_px=0.0, x_max_px=1.0, y_min_px=0.0, y_max_px=1.0)
 

@@ -2,10 +2,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.driving.interface import Box, ObstacleLabel
-from sim.driving.localisation import Place
-from sim.driving.settings import TrackingSettings
-from sim.driving.tracking import AlphaBetaTracker, Track
+from brink.sim.driving.interface import Box, ObstacleLabel
+from brink.sim.driving.localisation import Place
+from brink.sim.driving.settings import TrackingSettings
+from brink.sim.driving.tracking import AlphaBetaTracker, Track
 
 SETTINGS = TrackingSettings()
 

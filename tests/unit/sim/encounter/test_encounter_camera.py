@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 from test_encounter_simulator import BRAKES, KEEPS, spec, user
 
-from server.problems.npc_actions import NpcActionsParams
-from sim.driving.camera import Camera
-from sim.encounter.camera_sight import EncounterCamera, street_scene
-from sim.encounter.camera_simulator import BrinkEncounterCamera
-from sim.encounter.scenario import EncounterScenario
-from sim.encounter.simulator import BrinkEncounter
-from sim.encounter.world import make_encounter
-from sim.episode import EpisodeSpec, Json, JsonObject
-from sim.errors import InvalidEpisode
-from sim.perception.registry import find_detector
-from sim.trace import Trace
-from sim.urban.scenario import RoadCurve
-from sim.world.road import build_road
+from brink.server.problems.npc_actions import NpcActionsParams
+from brink.sim.driving.camera import Camera
+from brink.sim.encounter.camera_sight import EncounterCamera, street_scene
+from brink.sim.encounter.camera_simulator import BrinkEncounterCamera
+from brink.sim.encounter.scenario import EncounterScenario
+from brink.sim.encounter.simulator import BrinkEncounter
+from brink.sim.encounter.world import make_encounter
+from brink.sim.episode import EpisodeSpec, Json, JsonObject
+from brink.sim.errors import InvalidEpisode
+from brink.sim.perception.registry import find_detector
+from brink.sim.trace import Trace
+from brink.sim.urban.scenario import RoadCurve
+from brink.sim.world.road import build_road
 
 DETECTOR: JsonObject = {"mode": "detector", "detector": "brink-det@1", "threshold": 0.5}
 

@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.encounter.rectangles import Rectangle, bearing_rad, signed_gap_m
-from sim.encounter.simulator import BrinkEncounter
-from sim.encounter.words import words_of_script
-from sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
-from sim.errors import InvalidEpisode
-from sim.trace import Trace
+from brink.sim.encounter.rectangles import Rectangle, bearing_rad, signed_gap_m
+from brink.sim.encounter.simulator import BrinkEncounter
+from brink.sim.encounter.words import words_of_script
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
+from brink.sim.errors import InvalidEpisode
+from brink.sim.trace import Trace
 
 PLACE: JsonObject = {
     "time_of_day": "noon",
@@ -189,8 +189,8 @@ def test_the_same_specification_gives_the_same_bits_after_others_and_elsewhere(
     text = spec(BRAKES, FROM_BEHIND).canonical_json()
     code = (
         "import json, sys, hashlib\n"
-        "from sim.encounter.simulator import BrinkEncounter\n"
-        "from sim.episode import EpisodeSpec\n"
+        "from brink.sim.encounter.simulator import BrinkEncounter\n"
+        "from brink.sim.episode import EpisodeSpec\n"
         "r = BrinkEncounter().run(EpisodeSpec.from_json(json.loads(sys.argv[1])), record=True)\n"
         "f = sorted((n, repr(v)) for n, v in r.features.items())\n"
         "print(hashlib.sha256(repr(f).encode() + r.trace).hexdigest())\n"

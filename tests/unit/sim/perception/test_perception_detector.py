@@ -8,14 +8,14 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from sim.errors import InvalidEpisode
-from sim.perception.detector import INPUT_PX, NetworkDetector, decoded, fitted
-from sim.perception.errors import DetectorError
-from sim.perception.network import Network
-from sim.perception.quality import Truth, mean_average_precision
-from sim.perception.registry import find_detector
-from sim.perception.targets import loss_of, target_of
-from sim.perception.train import answers, export, tensor_of
+from brink.sim.errors import InvalidEpisode
+from brink.sim.perception.detector import INPUT_PX, NetworkDetector, decoded, fitted
+from brink.sim.perception.errors import DetectorError
+from brink.sim.perception.network import Network
+from brink.sim.perception.quality import Truth, mean_average_precision
+from brink.sim.perception.registry import find_detector
+from brink.sim.perception.targets import loss_of, target_of
+from brink.sim.perception.train import answers, export, tensor_of
 
 
 @pytest.fixture(scope="module")

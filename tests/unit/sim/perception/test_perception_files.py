@@ -10,12 +10,12 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from sim.errors import InvalidEpisode
-from sim.perception.adapters import file_detector
-from sim.perception.coco import read_coco
-from sim.perception.errors import DatasetError, DetectorError
-from sim.perception.registry import find_detector
-from sim.perception.weights_file import check_loads, file_of, weights_digest
+from brink.sim.errors import InvalidEpisode
+from brink.sim.perception.adapters import file_detector
+from brink.sim.perception.coco import read_coco
+from brink.sim.perception.errors import DatasetError, DetectorError
+from brink.sim.perception.registry import find_detector
+from brink.sim.perception.weights_file import check_loads, file_of, weights_digest
 
 BRIGHT = np.zeros((180, 320, 3), np.uint8)
 BRIGHT[40:120, 100:140] = 255

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from sim.perception.boxes import overlaps, suppressed
-from sim.perception.quality import Found, Truth, calibration, curves, mean_average_precision
+from brink.sim.perception.boxes import overlaps, suppressed
+from brink.sim.perception.quality import Found, Truth, calibration, curves, mean_average_precision
 
 PERSON, VEHICLE = 1, 0
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from sim.perturbations import CATALOGUE, Frame, Perturbation, apply, generator
-from sim.perturbations.street import draw_street
+from brink.sim.perturbations import CATALOGUE, Frame, Perturbation, apply, generator
+from brink.sim.perturbations.street import draw_street
 
 EFFECTIVE = [Perturbation(gene.name, level) for gene in CATALOGUE.values() for level in range(1, gene.levels)]
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.errors import InvalidEpisode
-from sim.perturbations import (
+from brink.sim.errors import InvalidEpisode
+from brink.sim.perturbations import (
     CATALOGUE,
     Frame,
     Gene,
@@ -25,7 +25,7 @@ from sim.perturbations import (
     parse_perturbations,
     register,
 )
-from sim.perturbations.transforms import TRANSFORMS
+from brink.sim.perturbations.transforms import TRANSFORMS
 
 # Ferreira et al. 2022, table I: level 0 included.
 PUBLISHED = {
@@ -150,7 +150,7 @@ def test_the_catalogue_is_read_without_opencv() -> None:
     code = (
         "import sys; sys.modules['cv2'] = None\n"
         "import numpy as np\n"
-        "from sim.perturbations import CATALOGUE, VisionMissing, Perturbation, apply, generator\n"
+        "from brink.sim.perturbations import CATALOGUE, VisionMissing, Perturbation, apply, generator\n"
         "assert len(CATALOGUE) == 15\n"
         "try: apply(np.zeros((20, 20, 3), np.uint8), Perturbation('rain', 1), generator(0, 0, 0))\n"
         "except VisionMissing as error: print(error)\n"

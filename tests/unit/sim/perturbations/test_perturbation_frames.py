@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from perturbed_pictures import perturb, street
 
-from sim.perturbations import (
+from brink.sim.perturbations import (
     CATALOGUE,
     Frame,
     Gene,

@@ -6,11 +6,11 @@ import pytest
 from perturbed_pictures import blocks, grey, night, perturb, street
 from scipy.stats import norm
 
-from sim.perturbations import CATALOGUE, Frame
-from sim.perturbations.flare import sun_flare, transmission
-from sim.perturbations.layers import lay_white_over, to_layer
-from sim.perturbations.lens import broken_lens
-from sim.perturbations.smoke import count_discs, draw_discs
+from brink.sim.perturbations import CATALOGUE, Frame
+from brink.sim.perturbations.flare import sun_flare, transmission
+from brink.sim.perturbations.layers import lay_white_over, to_layer
+from brink.sim.perturbations.lens import broken_lens
+from brink.sim.perturbations.smoke import count_discs, draw_discs
 
 
 @pytest.mark.parametrize(("level", "height"), [(1, 720), (6, 720), (10, 720), (10, 360), (1, 90)])

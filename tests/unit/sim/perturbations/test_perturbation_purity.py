@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from perturbed_pictures import EFFECTIVE, blocks, night, perturb, street
 
-from sim.perturbations import CATALOGUE, Frame, Mode, Perturbation, Pipeline, apply, generator
+from brink.sim.perturbations import CATALOGUE, Frame, Mode, Perturbation, Pipeline, apply, generator
 
 GENES = list(CATALOGUE)
 DETERMINISTIC = {"gaussian_blur", "grid_dropout", "brightness", "contrast"}

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from perturbed_pictures import blocks
 
-from sim.perturbations import CATALOGUE, InvalidFrame
-from sim.perturbations.files import read_picture, write_picture
-from sim.perturbations.sheet import contact_sheet
-from sim.perturbations.street import draw_street
+from brink.sim.perturbations import CATALOGUE, InvalidFrame
+from brink.sim.perturbations.files import read_picture, write_picture
+from brink.sim.perturbations.sheet import contact_sheet
+from brink.sim.perturbations.street import draw_street
 
 
 def test_the_street_is_the_same_at_every_call_and_comes_in_any_size() -> None:

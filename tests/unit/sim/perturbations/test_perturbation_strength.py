@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from perturbed_pictures import blocks, night, perturb, street
 
-from sim.perturbations import CATALOGUE, Frame
+from brink.sim.perturbations import CATALOGUE, Frame
 
 BY_DIFFERENCE = [name for name in CATALOGUE if name not in ("grid_dropout", "rain")]
 DRAWS = 6

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.rendering import (
+from brink.sim.rendering import (
     Body,
     BodyKind,
     Ground,
@@ -21,8 +21,8 @@ from sim.rendering import (
     Tree,
     Viewpoint,
 )
-from sim.rendering.sample import EGO, fallen_tree, sample_street, sample_traffic, vehicle
-from sim.urban.scenario import TimeOfDay, Weather
+from brink.sim.rendering.sample import EGO, fallen_tree, sample_street, sample_traffic, vehicle
+from brink.sim.urban.scenario import TimeOfDay, Weather
 
 CAMERA = PictureCamera(width_px=320, height_px=192)
 STREET = sample_street()

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.rendering import (
+from brink.sim.rendering import (
     Body,
     BodyKind,
     Building,
@@ -17,9 +17,9 @@ from sim.rendering import (
     VisibleBody,
     visible_bodies,
 )
-from sim.rendering.buildings import footprint
-from sim.rendering.view import beyond_near, view_from
-from sim.urban.scenario import TimeOfDay, Weather
+from brink.sim.rendering.buildings import footprint
+from brink.sim.rendering.view import beyond_near, view_from
+from brink.sim.urban.scenario import TimeOfDay, Weather
 
 CAMERA = PictureCamera(width_px=640, height_px=360)
 ORIGIN = Viewpoint(x_m=0.0, y_m=0.0, yaw_rad=0.0)

@@ -5,8 +5,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.rendering.buildings import footprint
-from sim.rendering.order import paint_order
+from brink.sim.rendering.buildings import footprint
+from brink.sim.rendering.order import paint_order
 
 EVERYWHERE = (0.0, 640.0)
 Rectangle: TypeAlias = tuple[float, float, float, float, float]

@@ -3,11 +3,11 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from sim.rendering import Light, Material, PictureCamera, Renderer, Viewpoint, visible_bodies
-from sim.rendering.street import FIRST_PARKED_ID, street_of
-from sim.urban.scenario import RoadCurve, TimeOfDay, Weather
-from sim.world.road import Road, build_road
-from sim.world.roadside import fixtures
+from brink.sim.rendering import Light, Material, PictureCamera, Renderer, Viewpoint, visible_bodies
+from brink.sim.rendering.street import FIRST_PARKED_ID, street_of
+from brink.sim.urban.scenario import RoadCurve, TimeOfDay, Weather
+from brink.sim.world.road import Road, build_road
+from brink.sim.world.roadside import fixtures
 
 
 def roads() -> Iterator[Road]:

@@ -10,10 +10,10 @@ import pytest
 from PIL import Image, ImageSequence
 from support.traces import make_trace
 
-from sim.replay import ReplayError, render, render_bytes, render_png_bytes
-from sim.replay.top_down import FramePainter
-from sim.replay.video import HOLD_S, film_samples
-from sim.trace import Trace
+from brink.sim.replay import ReplayError, render, render_bytes, render_png_bytes
+from brink.sim.replay.top_down import FramePainter
+from brink.sim.replay.video import HOLD_S, film_samples
+from brink.sim.trace import Trace
 
 SMALL = (640, 360)
 HELD = round(HOLD_S * 10)

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from PIL import Image
 from support.traces import make_trace
 
-from sim.replay.errors import ReplayError
-from sim.replay.layout import DEFAULT_SIZE, Layout
-from sim.replay.palette import EGO, GHOST, PLAN_MODES, SEEN, VIOLATION, Rgb
-from sim.replay.timeline import timeline_figure, timeline_image
-from sim.replay.top_down import FramePainter
-from sim.replay.viewport import Viewport
-from sim.trace import Trace
+from brink.sim.replay.errors import ReplayError
+from brink.sim.replay.layout import DEFAULT_SIZE, Layout
+from brink.sim.replay.palette import EGO, GHOST, PLAN_MODES, SEEN, VIOLATION, Rgb
+from brink.sim.replay.timeline import timeline_figure, timeline_image
+from brink.sim.replay.top_down import FramePainter
+from brink.sim.replay.viewport import Viewport
+from brink.sim.trace import Trace
 
 
 def count(image: Image.Image, colour: Rgb, box: Iterable[int] | None = None) -> int:

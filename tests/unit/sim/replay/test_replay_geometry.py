@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.replay.geometry import closest_points, dashes, outline
+from brink.sim.replay.geometry import closest_points, dashes, outline
 
 metres = st.floats(-50, 50)
 sides = st.floats(0.5, 10)

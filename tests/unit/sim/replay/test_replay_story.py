@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from support.traces import make_trace
 
-from sim.replay.captions import scenario_words, with_unit
-from sim.replay.errors import ReplayError
-from sim.replay.gap import front_gap
-from sim.replay.moments import tell
-from sim.replay.still import still
-from sim.replay.top_down import FramePainter
+from brink.sim.replay.captions import scenario_words, with_unit
+from brink.sim.replay.errors import ReplayError
+from brink.sim.replay.gap import front_gap
+from brink.sim.replay.moments import tell
+from brink.sim.replay.still import still
+from brink.sim.replay.top_down import FramePainter
 
 
 def test_first_violation_decides() -> None:

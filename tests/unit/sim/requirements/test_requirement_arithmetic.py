@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.driving.interface import LightState
-from sim.requirements.front_gap import FrontGap
-from sim.requirements.lane_keeping import LaneKeeping
-from sim.requirements.no_collision import NoCollision
-from sim.requirements.progress import Progress
-from sim.requirements.red_light import RedLight
-from sim.requirements.requirement import Collision, CollisionKind, Requirement, WorldSample
-from sim.requirements.speed_limit import SpeedLimit
+from brink.sim.driving.interface import LightState
+from brink.sim.requirements.front_gap import FrontGap
+from brink.sim.requirements.lane_keeping import LaneKeeping
+from brink.sim.requirements.no_collision import NoCollision
+from brink.sim.requirements.progress import Progress
+from brink.sim.requirements.red_light import RedLight
+from brink.sim.requirements.requirement import Collision, CollisionKind, Requirement, WorldSample
+from brink.sim.requirements.speed_limit import SpeedLimit
 
 CALM = WorldSample(
     time_s=0.0,

@@ -3,14 +3,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.episode import EpisodeSpec
-from sim.figures import Row
-from sim.trials import Trial, run_trials
-from sim.urban import difficulty
-from sim.urban.behaviour import BOX_FIELDS, DetectorBehaviour, trajectory_ranges
-from sim.urban.difficulty import Sizes, consistent_effect_p, measure
-from sim.urban.draws import CATEGORICAL, PARAMETERS, Draw, distance, draw, neighbour, redraw, without_ghosts
-from sim.urban.scenario import UrbanScenario
+from brink.sim.episode import EpisodeSpec
+from brink.sim.figures import Row
+from brink.sim.trials import Trial, run_trials
+from brink.sim.urban import difficulty
+from brink.sim.urban.behaviour import BOX_FIELDS, DetectorBehaviour, trajectory_ranges
+from brink.sim.urban.difficulty import Sizes, consistent_effect_p, measure
+from brink.sim.urban.draws import (
+    CATEGORICAL,
+    PARAMETERS,
+    Draw,
+    distance,
+    draw,
+    neighbour,
+    redraw,
+    without_ghosts,
+)
+from brink.sim.urban.scenario import UrbanScenario
 
 seeds = st.integers(0, 2**32)
 

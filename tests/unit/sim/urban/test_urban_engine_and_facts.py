@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.bullet.engine import Box, Engine, process_engine
-from sim.requirements.requirement import CollisionKind
-from sim.urban.facts import Facts
-from sim.urban.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
-from sim.world.walker import Phase
-from sim.world.world import UrbanWorld, make_world
+from brink.sim.bullet.engine import Box, Engine, process_engine
+from brink.sim.requirements.requirement import CollisionKind
+from brink.sim.urban.facts import Facts
+from brink.sim.urban.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
+from brink.sim.world.walker import Phase
+from brink.sim.world.world import UrbanWorld, make_world
 
 SCENARIO = UrbanScenario(
     time_of_day=TimeOfDay.NOON,

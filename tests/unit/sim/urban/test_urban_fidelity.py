@@ -6,12 +6,12 @@ from xml.etree import ElementTree
 
 import pytest
 
-from sim.bullet.engine import process_engine
-from sim.bullet.wheels import WheeledCar, car_urdf
-from sim.episode import EpisodeSpec
-from sim.trace import Trace
-from sim.urban.simulator import BrinkDrive
-from sim.world.ego import EGO_CAR, GRAVITY_MPS2, EgoCar, EgoMotion
+from brink.sim.bullet.engine import process_engine
+from brink.sim.bullet.wheels import WheeledCar, car_urdf
+from brink.sim.episode import EpisodeSpec
+from brink.sim.trace import Trace
+from brink.sim.urban.simulator import BrinkDrive
+from brink.sim.world.ego import EGO_CAR, GRAVITY_MPS2, EgoCar, EgoMotion
 
 FIDELITIES = ("bicycle", "wheels")
 SPEC = EpisodeSpec(

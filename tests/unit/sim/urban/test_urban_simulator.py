@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.bullet.engine import process_engine
-from sim.catalogue import make_simulator
-from sim.episode import EpisodeResult, EpisodeSpec, JsonObject
-from sim.errors import InvalidEpisode, SimulationCrashed
-from sim.requirements.registry import requirement_ids
-from sim.trace import Trace
-from sim.urban.draws import draw
-from sim.urban.simulator import BrinkDrive
+from brink.sim.bullet.engine import process_engine
+from brink.sim.catalogue import make_simulator
+from brink.sim.episode import EpisodeResult, EpisodeSpec, JsonObject
+from brink.sim.errors import InvalidEpisode, SimulationCrashed
+from brink.sim.requirements.registry import requirement_ids
+from brink.sim.trace import Trace
+from brink.sim.urban.draws import draw
+from brink.sim.urban.simulator import BrinkDrive
 
 SCENARIO: JsonObject = {
     "time_of_day": "night",
@@ -76,8 +76,8 @@ def test_an_episode_repeats_bit_for_bit_in_another_process(simulator: BrinkDrive
         "import json, sys\n"
         "sys.path.insert(0, sys.argv[1])\n"
         "from test_urban_simulator import fingerprint\n"
-        "from sim.episode import EpisodeSpec\n"
-        "from sim.urban.simulator import BrinkDrive\n"
+        "from brink.sim.episode import EpisodeSpec\n"
+        "from brink.sim.urban.simulator import BrinkDrive\n"
         "spec = EpisodeSpec.from_json(json.loads(sys.argv[2]))\n"
         "print('fingerprint', fingerprint(BrinkDrive().run(spec, record=True)))\n"
     )

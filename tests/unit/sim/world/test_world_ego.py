@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim.world.ego import EGO_CAR, GRAVITY_MPS2, EgoCar
+from brink.sim.world.ego import EGO_CAR, GRAVITY_MPS2, EgoCar
 
 FULL_BRAKES = -EGO_CAR.brake_mps2
 

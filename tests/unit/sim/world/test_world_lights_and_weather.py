@@ -4,11 +4,11 @@ from dataclasses import astuple
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.driving.interface import LightState
-from sim.urban.scenario import TimeOfDay, Weather
-from sim.world.lights import CYCLE_S, SignalPlan
-from sim.world.streams import Stream, generator
-from sim.world.weather import conditions
+from brink.sim.driving.interface import LightState
+from brink.sim.urban.scenario import TimeOfDay, Weather
+from brink.sim.world.lights import CYCLE_S, SignalPlan
+from brink.sim.world.streams import Stream, generator
+from brink.sim.world.weather import conditions
 
 
 @given(st.floats(0, CYCLE_S), st.floats(0, 200))

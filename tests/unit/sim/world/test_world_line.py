@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.world.line import Piece, ReferenceLine
+from brink.sim.world.line import Piece, ReferenceLine
 
 curvatures = st.one_of(st.just(0.0), st.floats(1 / 60, 1 / 8), st.floats(-1 / 8, -1 / 60))
 pieces = st.lists(

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from sim.driving.interface import LightState
-from sim.urban.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
-from sim.world.traffic import lane_is_free
-from sim.world.vehicle import CAR, Manner, Vehicle
-from sim.world.walker import Phase
-from sim.world.world import STEP_S, UrbanWorld, make_world
+from brink.sim.driving.interface import LightState
+from brink.sim.urban.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
+from brink.sim.world.traffic import lane_is_free
+from brink.sim.world.vehicle import CAR, Manner, Vehicle
+from brink.sim.world.walker import Phase
+from brink.sim.world.world import STEP_S, UrbanWorld, make_world
 
 SCENARIO = UrbanScenario(
     time_of_day=TimeOfDay.NOON,

@@ -3,11 +3,11 @@ import math
 
 import pytest
 
-from sim.urban.scenario import DrivingTask, RoadCurve
-from sim.world.road import LENGTHS_M, Road, build_road
-from sim.world.roadside import fixtures
-from sim.world.scene import scene_surfaces
-from sim.world.task import ego_route, stream_lane
+from brink.sim.urban.scenario import DrivingTask, RoadCurve
+from brink.sim.world.road import LENGTHS_M, Road, build_road
+from brink.sim.world.roadside import fixtures
+from brink.sim.world.scene import scene_surfaces
+from brink.sim.world.task import ego_route, stream_lane
 
 ROADS = [
     build_road(curve, road_id, length)

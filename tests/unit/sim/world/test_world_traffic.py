@@ -2,11 +2,11 @@ import itertools
 
 import pytest
 
-from sim.urban.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
-from sim.world.line import Piece, ReferenceLine
-from sim.world.vehicle import CAR, Manner, Mover, StopPoint, Vehicle
-from sim.world.walker import Phase, Walker
-from sim.world.world import STEP_S, make_world
+from brink.sim.urban.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
+from brink.sim.world.line import Piece, ReferenceLine
+from brink.sim.world.vehicle import CAR, Manner, Mover, StopPoint, Vehicle
+from brink.sim.world.walker import Phase, Walker
+from brink.sim.world.world import STEP_S, make_world
 
 ROAD = ReferenceLine(0.0, 0.0, 0.0, [Piece(300.0)])
 MANNER = Manner(speed_mps=8.0, headway_s=1.2, firmness_mps2=2.8, friction=0.9)
