@@ -167,7 +167,7 @@ class Stepper:
         request = wanted_seeds(plan, live.state)
         assert isinstance(algorithm, Seeded)
         assert request is not None
-        proposals = self._seeds.proposals(campaign, plan.problem, request)
+        proposals = self._seeds.proposals(campaign.id, campaign.body.llm, plan.problem, request)
         if proposals is None:
             return False
         seeded = algorithm.seeded(live.state, proposals)

@@ -24,6 +24,7 @@ from brink.server.campaigns.body import Budget, CampaignBody, PluginChoice
 from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.submission import Prepared, prepared, store_prepared
 from brink.server.campaigns.values import Campaign
+from brink.server.db.locking import note_change
 from brink.server.db.models import CampaignRow, CampaignStatus, RepeatsRow, SolutionRow, SolutionVerdict
 from brink.server.errors import Conflict, FieldError, InvalidInput
 
@@ -215,7 +216,7 @@ def store_repeats(connection: Connection, planned: PlannedRepeats) -> tuple[Camp
             repeats=planned.repeats, numbers=list(planned.numbers),
         )
     )  # fmt: skip
-    store.note_change(connection, planned.of)
+    note_change(connection, planned.of)
     return campaign, True
 
 

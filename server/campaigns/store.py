@@ -175,13 +175,6 @@ def set_status(
         )
 
 
-def note_change(connection: Connection, campaign_id: str) -> None:
-    """Have everybody see that something of a campaign changed."""
-    connection.execute(
-        update(CampaignRow).where(CampaignRow.id == campaign_id).values(sequence=NEXT_SEQUENCE)
-    )
-
-
 def count_quarantined(connection: Connection, campaign_id: str) -> int:
     """Return how many of a campaign's episodes are in quarantine."""
     return connection.execute(

@@ -32,8 +32,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import DeclarativeBase, InstrumentedAttribute, Mapped, mapped_column
 
-from brink.server.access.tokens import Scope
-from brink.server.db.types import UtcDateTime
+from brink.server.db.types import Scope, UtcDateTime
 
 JobId = BigInteger().with_variant(Integer(), "sqlite")
 

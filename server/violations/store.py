@@ -5,8 +5,8 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, delete, insert, select
 
-from brink.server.campaigns.store import note_change
 from brink.server.db.clock import database_now
+from brink.server.db.locking import note_change
 from brink.server.db.models import EVALUATES, JobRow, SolutionRow, SolutionVerdict, ViolationNameRow
 
 

@@ -12,7 +12,7 @@ import yaml
 from prometheus_client.parser import text_string_to_metric_families
 from support.api import ball, submit
 
-from brink.server.cli.commands import app
+from brink.cli.commands import app
 from brink.server.db.models import JobKind, JobStatus
 from brink.server.settings import Settings
 from brink.sim.catalogue import PLUGINS_VARIABLE

@@ -8,8 +8,8 @@ from sqlalchemy import update
 from support.processes import environment
 from support.queue import RESULT, Queue
 
-from brink.server.bench.chaos.ledger import Ledger, audit
-from brink.server.bench.chaos.trial import ChaosPlan, run_trial
+from brink.bench.chaos.ledger import Ledger, audit
+from brink.bench.chaos.trial import ChaosPlan, run_trial
 from brink.server.db.engine import Engines
 from brink.server.db.models import CampaignRow, CampaignStatus, SolutionRow, SolutionVerdict
 from brink.worker.wire import LeasedJob

@@ -28,6 +28,7 @@ from brink.server.db.engine import Engines
 from brink.server.db.models import CampaignStatus, CheckpointRow, GenerationRow, SolutionRow
 from brink.server.db.writer import Writer
 from brink.server.errors import Damaged, Unavailable
+from brink.server.llm.settings import LlmSettings
 from brink.server.llm.store import claim
 from brink.server.problems.base import Problem
 from brink.server.queue.values import Outcome
@@ -42,7 +43,7 @@ class NoSeeds:
         self.says: Sequence[Proposal] | None = ()
 
     def proposals(
-        self, campaign: Campaign, problem: Problem, request: SeedRequest
+        self, campaign_id: str, settings: LlmSettings | None, problem: Problem, request: SeedRequest
     ) -> Sequence[Proposal] | None:
         return self.says
 
