@@ -23,12 +23,12 @@ from brink.cli.options import (
 )
 from brink.server.campaigns.store import named_campaign
 from brink.server.db.engine import open_engines
-from brink.server.db.models import CampaignStatus
 from brink.server.errors import DatabaseError, FieldError, InvalidInput
 from brink.server.operations.doctor import State, examine
 from brink.server.operations.prune import prune
 from brink.server.operations.transfer import export_campaign, import_campaign
 from brink.server.runtime.coordinator import prepare_database
+from brink.server.states import CampaignStatus
 
 _COLOURS = {State.FINE: "green", State.LOOK: "yellow", State.WRONG: "red"}
 

@@ -15,8 +15,8 @@ from brink.cli.options import AsJson, Database, console, print_json, settings_wi
 from brink.server.access.gate import REMEMBERED_S
 from brink.server.access.store import create_token, list_tokens, revoke_token
 from brink.server.db.engine import open_engines
-from brink.server.db.types import Scope
 from brink.server.runtime.coordinator import prepare_database, shown_url
+from brink.server.states import Scope
 
 token = typer.Typer(
     help="Tokens, without which a coordinator answers nobody once there is one.", no_args_is_help=True

@@ -16,7 +16,7 @@ from typing import Final
 from brink.server.access.store import list_tokens
 from brink.server.access.tokens import StoredToken, digest_of, id_within
 from brink.server.db.engine import Engines
-from brink.server.db.types import Scope
+from brink.server.states import Scope
 
 REMEMBERED_S: Final = 5.0
 STRANGERS_PER_S: Final = 20.0

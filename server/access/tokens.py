@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Final
 
-from brink.server.db.types import Scope
+from brink.server.states import Scope
 
 ID_BYTES: Final = 4
 SECRET_BYTES: Final = 24

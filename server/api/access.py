@@ -7,7 +7,7 @@ from pydantic import Field
 
 from brink.server.api.guards import caller_of
 from brink.server.api.schemas import View
-from brink.server.db.types import Scope
+from brink.server.states import Scope
 
 router = APIRouter(tags=["access"])
 

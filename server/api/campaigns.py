@@ -17,10 +17,10 @@ from brink.server.campaigns.body import CampaignBody, parse_body
 from brink.server.campaigns.store import ENDED
 from brink.server.campaigns.values import Campaign
 from brink.server.db.engine import read
-from brink.server.db.models import CampaignStatus
 from brink.server.documents import MAX_FILE_BYTES, yaml_document
 from brink.server.errors import InvalidInput
 from brink.server.queue.workers import capabilities_of_live
+from brink.server.states import CampaignStatus
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"])
 

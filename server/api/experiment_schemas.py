@@ -7,8 +7,8 @@ from pydantic import Field
 
 from brink.search.analysis.experiment_tables import Measure
 from brink.server.api.schemas import View
-from brink.server.db.models import CampaignStatus
 from brink.server.experiments.body import ExperimentBody
+from brink.server.states import CampaignStatus
 
 
 class MemberView(View):

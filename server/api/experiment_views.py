@@ -22,11 +22,11 @@ from brink.server.api.experiment_schemas import (
     StandingView,
 )
 from brink.server.campaigns.store import ENDED
-from brink.server.db.models import CampaignStatus, JobStatus
 from brink.server.db.writer import Trouble
 from brink.server.experiments import store
 from brink.server.experiments.values import Experiment
 from brink.server.queue.workers import capabilities_of_live
+from brink.server.states import CampaignStatus, JobStatus
 
 RATE_S = 60.0
 """Time over which the rate is taken."""

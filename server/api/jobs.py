@@ -11,8 +11,8 @@ from brink.server.api.schemas import MAX_NUMBER, JobCounts, JobList, JobViewMode
 from brink.server.api.wire_route import WireRoute
 from brink.server.campaigns.jobs import list_jobs
 from brink.server.db.engine import read
-from brink.server.db.models import JobStatus
 from brink.server.queue.workers import list_seen
+from brink.server.states import JobStatus
 from brink.worker.wire import (
     HeartbeatReply,
     HeartbeatRequest,

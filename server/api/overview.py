@@ -16,8 +16,8 @@ from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.campaigns.standing import read_standing
 from brink.server.dashboard.overview import Outline, list_outlines
 from brink.server.db.engine import read
-from brink.server.db.models import CampaignStatus
 from brink.server.queue.workers import capabilities_of_live
+from brink.server.states import CampaignStatus
 
 router = APIRouter(tags=["campaigns"])
 

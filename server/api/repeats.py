@@ -12,8 +12,8 @@ from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.repeats import MOST, StoredRepeats, read_repeats
 from brink.server.db.engine import read
-from brink.server.db.models import CampaignStatus
 from brink.server.documents import Body
+from brink.server.states import CampaignStatus
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["repeats"])
 

@@ -15,8 +15,8 @@ from brink.server.api.experiment_views import control_view
 from brink.server.api.schemas import BeingMade, View
 from brink.server.campaigns.store import ENDED
 from brink.server.campaigns.values import Campaign
-from brink.server.db.models import CampaignStatus
 from brink.server.errors import Conflict
+from brink.server.states import CampaignStatus
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["campaigns"])
 

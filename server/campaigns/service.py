@@ -27,11 +27,11 @@ from brink.server.campaigns.store import ENDED
 from brink.server.campaigns.submission import Prepared, check_repeatable, prepared, store_prepared
 from brink.server.campaigns.values import Campaign
 from brink.server.db.engine import Engines, read
-from brink.server.db.models import CampaignStatus
 from brink.server.db.writer import Writer
 from brink.server.errors import Conflict, NotFound
 from brink.server.queue.report_store import idle_campaigns
 from brink.server.queue.wakeups import Wakeups
+from brink.server.states import CampaignStatus
 
 log = logging.getLogger(__name__)
 

@@ -19,19 +19,16 @@ from brink.server.db.models import (
     LAST_TURN,
     NEXT_SEQUENCE,
     CampaignRow,
-    CampaignStatus,
     CheckpointRow,
     DistanceBlockRow,
     GenerationRow,
-    JobKind,
     JobRow,
-    JobStatus,
     SolutionRow,
-    SolutionVerdict,
     has_open_jobs,
 )
 from brink.server.db.news import announce
 from brink.server.errors import Damaged
+from brink.server.states import CampaignStatus, JobKind, JobStatus, SolutionVerdict
 
 log = logging.getLogger(__name__)
 

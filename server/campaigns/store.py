@@ -18,14 +18,13 @@ from brink.server.db.models import (
     EVALUATES,
     NEXT_SEQUENCE,
     CampaignRow,
-    CampaignStatus,
     JobRow,
-    JobStatus,
     RepeatsRow,
     TraceRow,
     has_open_jobs,
 )
 from brink.server.db.news import announce
+from brink.server.states import CampaignStatus, JobStatus
 
 ENDED = (CampaignStatus.FINISHED, CampaignStatus.CANCELLED, CampaignStatus.FAILED)
 

@@ -1,7 +1,6 @@
-"""Column types that behave the same on SQLite and Postgres, and the values of columns that other packages share."""
+"""Column types that behave the same on SQLite and Postgres."""
 
 from datetime import UTC, datetime
-from enum import StrEnum
 
 from sqlalchemy import DateTime, Dialect
 from sqlalchemy.types import TypeDecorator
@@ -27,19 +26,3 @@ class UtcDateTime(TypeDecorator[datetime]):
         if value is None:
             return None
         return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
-
-
-class Scope(StrEnum):
-    """What a token permits.
-
-    Attributes:
-        READ: Read everything.
-        USER: Read everything, submit and control campaigns.
-        WORKER: Lease and report jobs, and nothing else.
-        ADMIN: Everything, including deletion.
-    """
-
-    READ = "read"
-    USER = "user"
-    WORKER = "worker"
-    ADMIN = "admin"

@@ -8,7 +8,8 @@ from typing import Any
 
 from sqlalchemy import Connection, func, select
 
-from brink.server.db.models import CampaignRow, JobKind, JobRow, JobStatus, SolutionRow, SolutionVerdict
+from brink.server.db.models import CampaignRow, JobRow, SolutionRow
+from brink.server.states import JobKind, JobStatus, SolutionVerdict
 from brink.worker.wire import Completed
 
 

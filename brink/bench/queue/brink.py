@@ -16,7 +16,8 @@ from brink.bench.load.problem import MODULE
 from brink.bench.queue.figures import Pickup, Throughput, percentile
 from brink.bench.temporary.coordinator import CoordinatorProcess, DidNotStart, Process, worker_command
 from brink.server.db.engine import open_engines
-from brink.server.db.models import JobRow, JobStatus
+from brink.server.db.models import JobRow
+from brink.server.states import JobStatus
 from brink.sim.catalogue import PLUGINS_VARIABLE
 
 CAMPAIGN_JOBS = 5000

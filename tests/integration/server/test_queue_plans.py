@@ -23,12 +23,12 @@ from support.queue import RESULT, TERMS, Queue, held
 from brink.server.campaigns import jobs as job_store
 from brink.server.campaigns import store
 from brink.server.db.engine import open_engines
-from brink.server.db.models import JobStatus
 from brink.server.db.writer import Writer
 from brink.server.queue import census, holding_store, workers
 from brink.server.queue.exchange import Exchange, exchange
 from brink.server.queue.service import QueueService
 from brink.server.queue.values import LeaseWanted, Outcome
+from brink.server.states import JobStatus
 from brink.worker.machine import machine_name
 from brink.worker.wire import WorkerIdentity
 

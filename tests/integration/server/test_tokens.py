@@ -20,10 +20,10 @@ from brink.server.access.gate import Caller, Gate
 from brink.server.access.store import any_token, create_token
 from brink.server.access.tokens import digest_of, id_within
 from brink.server.db.engine import Engines, open_engines
-from brink.server.db.types import Scope
 from brink.server.db.upgrade import current_revision
 from brink.server.runtime.coordinator import CannotListen, check_exposed
 from brink.server.settings import Settings
+from brink.server.states import Scope
 
 BRINK = Path(sys.executable).with_name("brink")
 SMALL = {

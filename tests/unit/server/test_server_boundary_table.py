@@ -11,7 +11,7 @@ import pytest
 from brink.server.api.boundary_table import boundary_rows, table_bytes
 from brink.server.api.schemas import Boundary, SolutionView
 from brink.server.campaigns.body import parse_body
-from brink.server.db.models import SolutionVerdict
+from brink.server.states import SolutionVerdict
 
 BODY = parse_body(
     {
