@@ -1,49 +1,75 @@
-"""Fixtures of all tests: a database of one's own on SQLite and on a real Postgres."""
+"""Fixtures of all tests: databases on SQLite and on a real Postgres, coordinators, a language model's endpoint.
+
+``make test`` leaves out the tests that are marked ``long``; ``make test-all`` runs them too.
+"""
 
 import os
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import httpx
 import pytest
 from hypothesis import settings
 from support import problems
-from support.api import coordinator
-from support.databases import BACKENDS, Databases, sqlite_template
+from support.api import coordinator, listening_coordinator
+from support.databases import (
+    SQLITE_THEN_POSTGRES,
+    Databases,
+    PostgresDatabases,
+    databases_for,
+    sqlite_template,
+)
 from support.llm_endpoint import Endpoint, serving
-from support.postgres import PostgresDatabases, running_postgres
 from support.queue import Queue
-from support.scheduling import ByFolder
-from support.scratch import use_memory
+from support.sessions import LongestFirst, SharedPostgres, use_memory
 from xdist.remote import Producer
+from xdist.workermanage import WorkerController
 
-from brink.bench.temporary.postgres import NoPostgres
 from brink.server.db.engine import Engines, open_engines
 
-# A check that everybody must pass tries the same examples each time; people's own runs go on looking for new ones.
+# The checks that everybody must pass try the same examples each time; people's own runs keep looking for new ones.
 settings.register_profile("ci", derandomize=True, deadline=None)
 if os.environ.get("CI"):
     settings.load_profile("ci")
 
 use_memory()
+shared_postgres = SharedPostgres()
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Skip the files that need torch where it is not installed, unless their tests, which are long, are to run."""
+    unwanted = config.option.markexpr == "not long" and find_spec("torch") is None
+    return True if unwanted and collection_path.name.endswith("_torch.py") else None
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> ByFolder | None:
-    """Have `--dist loadfile` distribute tests as `support.scheduling` says."""
-    return ByFolder(config, log) if config.getoption("dist") == "loadfile" else None
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> LongestFirst | None:
+    """Have ``--dist loadfile`` start with the files that take longest."""
+    return LongestFirst(config, log) if config.getoption("dist") == "loadfile" else None
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node: WorkerController) -> None:
+    """Have all processes of a run use one Postgres."""
+    node.workerinput["postgres"] = shared_postgres.address()
+
+
+def pytest_unconfigure() -> None:
+    """Stop the Postgres of this run."""
+    shared_postgres.stop()
 
 
 @pytest.fixture(scope="session")
-def postgres_databases() -> Iterator[PostgresDatabases]:
-    """A Postgres server for the session; where none can be had, the tests that need one fail and say why."""
-    try:
-        with running_postgres() as url:
-            databases = PostgresDatabases(url)
-            yield databases
-            databases.close()
-    except NoPostgres as error:
-        pytest.fail(str(error), pytrace=False)
+def postgres_databases(request: pytest.FixtureRequest) -> Iterator[PostgresDatabases]:
+    """Databases of a Postgres server; where there is no Postgres, the tests that need it fail and say why."""
+    workerinput = getattr(request.config, "workerinput", None)
+    found = workerinput["postgres"] if workerinput else shared_postgres.address()
+    if "missing" in found:
+        pytest.fail(found["missing"], pytrace=False)
+    databases = PostgresDatabases(found["url"])
+    yield databases
+    databases.close()
 
 
 @pytest.fixture(scope="session")
@@ -52,35 +78,28 @@ def sqlite_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return sqlite_template(tmp_path_factory.mktemp("sqlite"))
 
 
-def databases_in(folder: Path, request: pytest.FixtureRequest) -> Databases:
-    backend: str = request.param
-    postgres = request.getfixturevalue("postgres_databases") if backend == "postgres" else None
-    template = request.getfixturevalue("sqlite_file")
-    return Databases(backend=backend, template=template, folder=folder, postgres=postgres)
-
-
-@pytest.fixture(params=BACKENDS)
+@pytest.fixture(params=SQLITE_THEN_POSTGRES)
 def databases(request: pytest.FixtureRequest, tmp_path: Path) -> Databases:
-    """Databases of one kind: a test that uses them runs on SQLite and on Postgres."""
-    return databases_in(tmp_path, request)
+    """Databases of one backend."""
+    return databases_for(request, tmp_path)
 
 
-@pytest.fixture(scope="module", params=BACKENDS)
-def databases_of_file(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Databases:
-    """Databases of one kind for all tests of a file, which then runs on SQLite and on Postgres."""
-    return databases_in(tmp_path_factory.mktemp("databases"), request)
+@pytest.fixture(scope="module", params=SQLITE_THEN_POSTGRES)
+def module_databases(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Databases:
+    """Databases of one backend that all tests of a file share."""
+    return databases_for(request, tmp_path_factory.mktemp("databases"))
 
 
 @pytest.fixture
 def database_url(databases: Databases) -> Iterator[str]:
-    """The URL of a migrated database of the test's own."""
+    """The URL of a migrated database."""
     with databases.database() as url:
         yield url
 
 
 @pytest.fixture
 def engines(database_url: str) -> Iterator[Engines]:
-    """The engines of a migrated database of the test's own."""
+    """The engines of the test's database."""
     opened = open_engines(database_url)
     yield opened
     opened.dispose()
@@ -88,34 +107,41 @@ def engines(database_url: str) -> Iterator[Engines]:
 
 @pytest.fixture
 def small_problems() -> Iterator[None]:
-    """Register ``ball@1`` and ``line@1`` for the length of a test."""
+    """Register the small problems of `support.problems`, such as ``ball@1``, for the length of a test."""
     with problems.small_problems():
         yield
 
 
 @pytest.fixture
 def client(database_url: str, small_problems: None) -> Iterator[httpx.Client]:
-    """A client of a coordinator in this process, on a database of the test's own."""
+    """A client of a coordinator in this process, without a socket, on the test's database."""
     with coordinator(database_url) as opened:
         yield opened
 
 
 @pytest.fixture
+def listening_client(database_url: str, small_problems: None) -> Iterator[httpx.Client]:
+    """A client of a coordinator in this process that listens on a socket, on the test's database."""
+    with listening_coordinator(database_url) as opened:
+        yield opened
+
+
+@pytest.fixture
 def queue(engines: Engines) -> Queue:
-    """The queue of a database of the test's own."""
+    """The queue of the test's database."""
     return Queue(engines=engines)
 
 
 @pytest.fixture(scope="session")
-def served_model() -> Iterator[Endpoint]:
-    """A language model's endpoint for the session."""
+def llm_server() -> Iterator[Endpoint]:
+    """The endpoint of a language model, one for all tests."""
     with serving() as served:
         yield served
 
 
 @pytest.fixture
-def endpoint(served_model: Endpoint) -> Iterator[Endpoint]:
-    """The endpoint of a language model, as new."""
-    served_model.reset()
-    yield served_model
-    served_model.reset()
+def endpoint(llm_server: Endpoint) -> Iterator[Endpoint]:
+    """The endpoint of a language model, without any script or memory of earlier tests."""
+    llm_server.reset()
+    yield llm_server
+    llm_server.reset()

@@ -6,6 +6,7 @@ pydantic models, so that input is checked and described in one way.
 
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, fields
+from functools import cache
 from typing import Any, Literal, cast, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
@@ -25,6 +26,7 @@ ALGORITHMS = "brink.algorithms"
 _BOUNDS = ("ge", "gt", "le", "lt")
 
 
+@cache
 def params_model(params_type: type[Any]) -> type[BaseModel]:
     """Return the pydantic model of a parameter dataclass."""
     hints = get_type_hints(params_type)

@@ -5,10 +5,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-import pytest
 import yaml
 from PIL import Image
-from support.databases import Databases
+from support.databases import Databases, on_sqlite
 from support.processes import brink
 
 # About three drives in ten are unsafe; with neighbourhoods that hold everything all of them lie on that boundary.
@@ -22,7 +21,7 @@ BODY: dict[str, Any] = {
 }
 
 
-@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+@on_sqlite
 def test_a_boundary_is_repeated_and_handed_on(databases: Databases, tmp_path: Path) -> None:
     file = tmp_path / "campaign.yaml"
     file.write_text(yaml.safe_dump(BODY))

@@ -5,10 +5,9 @@ import re
 from pathlib import Path
 from typing import Any
 
-import pytest
 import yaml
 from support.api import ball
-from support.databases import Databases
+from support.databases import Databases, on_sqlite
 from support.processes import BRINK, TOY, Program, brink
 
 EXPERIMENT = {
@@ -63,7 +62,7 @@ def test_an_experiment_that_is_killed_goes_on_to_the_same_report(
     assert found(whole.stdout) == found(resumed.stdout)
 
 
-@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+@on_sqlite
 def test_a_file_that_is_no_experiment_is_refused_before_anything_is_made(
     databases: Databases, tmp_path: Path
 ) -> None:

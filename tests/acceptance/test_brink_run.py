@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from support.api import ball
+from support.api import ball, undisturbed_digest
 from support.databases import Databases
 from support.processes import BRINK, TOY, Program, brink
-from support.reference import undisturbed_digest
 
 BALL = ball(
     seed=3,

@@ -5,10 +5,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from support.api import ball
+from support.api import ball, undisturbed_digest
 from support.databases import Databases
 from support.processes import TOY, Site, site
-from support.reference import undisturbed_digest
 
 URBAN = {
     "name": "determinism",

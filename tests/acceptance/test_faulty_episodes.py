@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import httpx
-from support.api import ball, eventually
+from support.api import ball, eventually, undisturbed_digest
 from support.databases import Databases
 from support.processes import TOY, Program, Site, brink, site
-from support.reference import undisturbed_digest
 
 QUICK = {**TOY, "BRINK_RETRY_BACKOFF_S": "0.05", "BRINK_SWEEP_S": "0.1"}
 WORDS = {

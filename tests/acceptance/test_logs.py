@@ -10,13 +10,13 @@ import httpx
 import pytest
 from sqlalchemy.engine import make_url
 from support.api import ball
-from support.databases import Databases
+from support.databases import Databases, on_postgres
 from support.processes import TOY, Program, Site, site
 
 JSON_LOGS = {**TOY, "BRINK_LOG_FORMAT": "json", "BRINK_LOG_LEVEL": "debug", "BRINK_SWEEP_S": "0.1"}
 TEXT_LOGS = {**TOY, "BRINK_LOG_LEVEL": "debug", "BRINK_SWEEP_S": "0.1"}
 
-pytestmark = pytest.mark.parametrize("databases", ["postgres"], indirect=True)
+pytestmark = on_postgres
 
 
 @pytest.fixture

@@ -11,15 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.api import ball, eventually
-from support.databases import Databases
+from support.api import ball, eventually, undisturbed_digest
+from support.databases import Databases, on_sqlite
 from support.processes import BRINK, TOY, Program, Site, site
-from support.reference import undisturbed_digest
 
 RAY = str(Path(sys.executable).with_name("ray"))
 QUICK = {**TOY, "BRINK_RETRY_BACKOFF_S": "0.05", "BRINK_SWEEP_S": "0.1"}
 
-pytestmark = [pytest.mark.slow, pytest.mark.parametrize("databases", ["sqlite"], indirect=True)]
+pytestmark = [pytest.mark.slow, on_sqlite]
 
 
 @pytest.fixture

@@ -1,7 +1,7 @@
-"""What the fuzzer is told beyond the description of the API: not to wait for work, and what there is to ask for.
+"""Changes to the fuzzer's requests: they do not wait for work, and most of them name campaigns and jobs that exist.
 
-`BRINK_FUZZ_KNOWN` is JSON of what `support.fuzzed.fill` has put there. Most cases get some of it in place of what was
-made up: made-up ids alone would find nothing but "no such campaign".
+`BRINK_FUZZ_KNOWN` holds the ids and leases that `fill` in `test_fuzzing.py` made, as JSON. Made-up ids alone would get no
+answer but "no such campaign".
 """
 
 import json
@@ -13,7 +13,7 @@ import schemathesis
 
 KNOWN: dict[str, list[Any]] = json.loads(os.environ["BRINK_FUZZ_KNOWN"])
 SHARE = 0.7
-"""Of cases that are told what there is."""
+"""Share of the requests that get existing ids."""
 
 _NEED_TRACES = ("/trace", "/episode", "/pictures/{index}.jpg", "/replay.{extension}")
 _rng = random.Random(1)
@@ -28,10 +28,10 @@ def before_call(context: Any, case: Any, **_: Any) -> None:
             place["wait_s"] = 0
     if case.path.endswith(_NEED_TRACES) and _would_wait(case.query):
         case.query["wait_s"] = 0
-    if isinstance(case.path_parameters, dict) and (_rng.random() < SHARE or _would_end_one(case)):
-        _find(case)
+    if isinstance(case.path_parameters, dict) and (_rng.random() < SHARE or _would_end_a_needed_one(case)):
+        _use_existing_ids_in_path(case)
     if isinstance(case.query, dict) and _rng.random() < SHARE:
-        _ask(case.query)
+        _use_existing_ids_in_query(case.query)
     for name in ("results", "leases", "release"):
         items = body.get(name)
         for item in items if isinstance(items, list) else []:
@@ -47,7 +47,7 @@ def before_call(context: Any, case: Any, **_: Any) -> None:
 
 
 def _would_wait(query: Any) -> bool:
-    """Whether a trace that a worker must make would be waited for."""
+    """Return whether a request would wait for a worker to record a trace."""
     if not isinstance(query, dict):
         return False
     try:
@@ -56,22 +56,22 @@ def _would_wait(query: Any) -> bool:
         return False
 
 
-def _ends(case: Any) -> bool:
+def _ends_a_campaign(case: Any) -> bool:
     path: str = case.path
     return case.method.upper() == "DELETE" or path.endswith("/cancel")
 
 
-def _would_end_one(case: Any) -> bool:
-    """Whether a made-up id is the beginning of that of a campaign which the other cases need."""
+def _would_end_a_needed_one(case: Any) -> bool:
+    """Return whether a made-up id is a prefix of an id that other requests need."""
     made_up = str(case.path_parameters.get("campaign_id", case.path_parameters.get("experiment_id", "?")))
     needed = [*KNOWN["campaigns"], *KNOWN["experiments"]]
-    return _ends(case) and any(name.startswith(made_up) for name in needed)
+    return _ends_a_campaign(case) and any(name.startswith(made_up) for name in needed)
 
 
-def _find(case: Any) -> None:
-    """Name what there is in a path; what ends a campaign gets one to spare."""
+def _use_existing_ids_in_path(case: Any) -> None:
+    """Put existing ids into a path; a request that ends a campaign gets a spare one."""
     path = case.path_parameters
-    ends = _ends(case)
+    ends = _ends_a_campaign(case)
     if "requirement" in path:
         path.update(_rng.choice(KNOWN["violations"]))
     elif case.path.endswith(_NEED_TRACES) and _rng.random() < SHARE:
@@ -88,8 +88,8 @@ def _find(case: Any) -> None:
         path["job"] = _rng.choice(KNOWN["jobs"])
 
 
-def _ask(query: dict[str, Any]) -> None:
-    """Name what there is in a query."""
+def _use_existing_ids_in_query(query: dict[str, Any]) -> None:
+    """Put existing ids into a query."""
     if "numbers" in query:
         query["numbers"] = ",".join(str(_rng.choice(KNOWN["numbers"])) for _ in range(3))
     if "campaign" in query:

@@ -1,28 +1,140 @@
-"""Databases for tests: each test gets one of its own, migrated, on SQLite or on Postgres."""
+"""Databases for tests: each test gets one of its own, migrated, on SQLite or on a real Postgres.
 
+``TEST_DATABASE_URL`` names a running Postgres server on which the user may create databases. Without it, one is started
+once a run, as `brink.bench.temporary.postgres` finds it.
+"""
+
+import os
 import shutil
 import sqlite3
+import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import psycopg
+import pytest
+from sqlalchemy import inspect
+from sqlalchemy.engine import make_url
+
+from brink.bench.temporary.postgres import temporary_postgres
 from brink.server.db.engine import open_engines
 from brink.server.db.upgrade import upgrade
-from support.postgres import PostgresDatabases
 
+URL_VARIABLE = "TEST_DATABASE_URL"
 BACKENDS = ("sqlite", "postgres")
+SQLITE_THEN_POSTGRES = ("sqlite", pytest.param("postgres", marks=pytest.mark.long("the other database")))
+"""What the `databases` fixtures run on: on SQLite always, on Postgres with the long tests."""
+
+on_sqlite = pytest.mark.parametrize("databases", BACKENDS[:1], indirect=True)
+on_postgres = pytest.mark.parametrize("databases", BACKENDS[1:], indirect=True)
+
+FAST = {
+    "fsync": "off",
+    "synchronous_commit": "off",
+    "full_page_writes": "off",
+    "autovacuum": "off",
+    "wal_level": "minimal",
+    "max_wal_senders": "0",
+    "shared_buffers": "32MB",
+}
+"""Postgres settings: nothing in a test's database has to survive a power cut."""
+
+
+@contextmanager
+def running_postgres() -> Iterator[str]:
+    """Run a Postgres server until the end of the block, unless the environment names one.
+
+    Yields:
+        The URL of its maintenance database.
+
+    Raises:
+        NoPostgres: There is no Postgres on this machine.
+    """
+    given = os.environ.get(URL_VARIABLE)
+    if given:
+        yield given
+        return
+    with temporary_postgres(FAST) as server:
+        yield server.url
+
+
+class PostgresDatabases:
+    """Makes databases on a server, each a copy of one that was migrated once.
+
+    A copy takes a few hundred milliseconds, emptying a database a few. So a database that is returned is emptied,
+    whoever is still connected is disconnected, and it is handed out again.
+    """
+
+    def __init__(self, url: str) -> None:
+        self._url = make_url(url).set(drivername="postgresql")
+        self._template = f"brink_template_{uuid.uuid4().hex}"
+        self._free: list[str] = []
+        self._made = [self._template]
+        self._execute(f"CREATE DATABASE {self._template}")
+        engines = open_engines(self._named(self._template))
+        try:
+            upgrade(engines)
+            inspector = inspect(engines.reader)
+            tables = [name for name in inspector.get_table_names() if name != "alembic_version"]
+            restarts = [f"ALTER SEQUENCE {name} RESTART" for name in inspector.get_sequence_names()]
+        finally:
+            engines.dispose()
+        # Deleting campaigns also empties the tables that refer to them, so the order of the others does not matter.
+        deletes = [f"DELETE FROM {name}" for name in sorted(tables, key=lambda name: name != "campaigns")]
+        self._empty = "; ".join(deletes + restarts)
+
+    def close(self) -> None:
+        """Drop all databases."""
+        for name in self._made:
+            self._execute(f"DROP DATABASE {name} WITH (FORCE)")
+
+    @contextmanager
+    def database(self, *, migrated: bool = True) -> Iterator[str]:
+        """Hand out a database until the end of the block.
+
+        Args:
+            migrated: Whether it has this version's schema, which must then stay as it is; else it is empty.
+
+        Yields:
+            Its URL.
+        """
+        if not migrated:
+            yield self._named(self._new("template0"))
+            return
+        name = self._free.pop() if self._free else self._new(self._template)
+        yield self._named(name)
+        self._execute(
+            f"SELECT pg_terminate_backend(pid, 5000) FROM pg_stat_activity WHERE datname = '{name}'"
+        )
+        self._execute(self._empty, database=name)
+        self._free.append(name)
+
+    def _new(self, template: str) -> str:
+        name = f"brink_test_{uuid.uuid4().hex}"
+        self._execute(f"CREATE DATABASE {name} TEMPLATE {template}")
+        self._made.append(name)
+        return name
+
+    def _named(self, name: str) -> str:
+        return self._url.set(database=name).render_as_string(hide_password=False)
+
+    def _execute(self, statements: str, database: str | None = None) -> None:
+        url = self._named(database) if database else self._url.render_as_string(hide_password=False)
+        with psycopg.connect(url, autocommit=True) as connection:
+            connection.execute(statements.encode())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Databases:
-    """Gives out databases of one kind.
+    """Hands out databases of one backend.
 
     Attributes:
         backend: ``sqlite`` or ``postgres``.
-        template: A migrated SQLite file, copied for each test.
-        folder: Where SQLite files go.
-        postgres: The server's databases, if that is the kind.
+        template: A migrated SQLite file, copied for each database.
+        folder: Folder of the SQLite files.
+        postgres: Databases of the Postgres server; None on SQLite.
     """
 
     backend: str
@@ -32,7 +144,15 @@ class Databases:
 
     @contextmanager
     def database(self, name: str = "brink", *, migrated: bool = True) -> Iterator[str]:
-        """Give the URL of a database of one's own; an empty one without `migrated`."""
+        """Hand out a database until the end of the block.
+
+        Args:
+            name: Tells the databases of one test apart.
+            migrated: Whether it has this version's schema; else it is empty.
+
+        Yields:
+            Its URL.
+        """
         if self.postgres is not None:
             with self.postgres.database(migrated=migrated) as url:
                 yield url
@@ -43,8 +163,16 @@ class Databases:
         yield f"sqlite:///{file}"
 
 
+def databases_for(request: pytest.FixtureRequest, folder: Path) -> Databases:
+    """Return databases of the backend that a fixture is parametrised with, with SQLite's files in a folder."""
+    backend: str = request.param
+    postgres = request.getfixturevalue("postgres_databases") if backend == "postgres" else None
+    template = request.getfixturevalue("sqlite_file")
+    return Databases(backend=backend, template=template, folder=folder, postgres=postgres)
+
+
 def sqlite_template(folder: Path) -> Path:
-    """Return a migrated SQLite file, all of it in one file."""
+    """Return a migrated SQLite database in a single file."""
     file = folder / "template.db"
     engines = open_engines(f"sqlite:///{file}")
     try:

@@ -1,25 +1,43 @@
-"""Faults made by hand in the queue's SQL: the queue's model must notice each of them."""
+"""Faults put into the queue's SQL on purpose: the queue's model must notice each of them.
+
+``python -m support.queue_faults`` in tests/ searches for a history that reveals each fault, and records it.
+"""
 
 import inspect
+import json
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Final
+
+from sqlalchemy.exc import IntegrityError
 
 import support.queue
 from brink.server.campaigns import jobs, store
+from brink.server.db.engine import Engines, open_engines
 from brink.server.queue import holding_store, lease_store, report_store
+from support.databases import sqlite_template
+from support.queue_machine import QueueMachine, Step, replay, search
+
+RECORDED: Final = Path(__file__).resolve().parents[1] / "data" / "queue_faults.json"
+"""A history for each fault, by its name, that tells the queue with the fault from its model."""
+HISTORIES: Final = 500
+"""Histories that a search tries at most for one fault."""
+NOTICED: Final = (AssertionError, IntegrityError)
+"""What it raises when the model notices a fault; any other error means that the fault does not run."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A piece of a module in another form.
+    """A change to the source of a module.
 
     Attributes:
         module: The module.
-        right: As it stands there, once.
-        wrong: What it becomes.
+        right: A piece of its source that occurs once.
+        wrong: The piece that takes its place.
     """
 
     module: ModuleType
@@ -179,16 +197,16 @@ FAULTS = {
         jobs, "max_attempts=row.attempt + campaign.body.execution.max_attempts", "max_attempts=row.attempt"
     ),
 }  # fmt: skip
-"""What each of them does, and where it is made."""
+"""The faults, by what goes wrong."""
 
 
 @contextmanager
-def made(fault: Fault) -> Iterator[None]:
-    """Let the tests' queue run on a module with a fault."""
+def injected(fault: Fault) -> Iterator[None]:
+    """Have the tests' queue use a module with a fault until the end of the block."""
     source = inspect.getsource(fault.module)
     if source.count(fault.right) != 1:
         raise AssertionError(
-            f"{fault.module.__name__} has this {source.count(fault.right)} times:\n{fault.right}"
+            f"{fault.module.__name__}: expected this once, found it {source.count(fault.right)} times:\n{fault.right}"
         )
     name = fault.module.__name__.rpartition(".")[2]
     faulty: Any = ModuleType(fault.module.__name__)
@@ -199,3 +217,50 @@ def made(fault: Fault) -> Iterator[None]:
         yield
     finally:
         setattr(support.queue, name, right)
+
+
+def recorded() -> dict[str, list[Step]]:
+    """Return the recorded history of each fault."""
+    found: dict[str, list[Step]] = json.loads(RECORDED.read_text(encoding="utf-8"))
+    return found
+
+
+def record() -> None:
+    """Search for a history that reveals each fault, and write the shortest ones down, a fault a line."""
+    lines = []
+    with tempfile.TemporaryDirectory() as folder:
+        engines = open_engines(f"sqlite:///{sqlite_template(Path(folder))}")
+        for name, fault in FAULTS.items():
+            with injected(fault):
+                history = _shortened(engines, _revealing(engines, name))
+            lines.append(f"{json.dumps(name)}: {json.dumps(history)}")
+            print(f"{name}: {len(history)} steps", flush=True)
+        engines.dispose()
+    RECORDED.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+
+
+def _revealing(engines: Engines, name: str) -> list[Step]:
+    """Return a history that reveals the injected fault, a short one if there is any."""
+    for steps in (8, 16, 30, 60):
+        try:
+            search(engines, histories=HISTORIES, steps=steps, shrink=False)
+        except NOTICED:
+            return list(QueueMachine.latest)
+    raise SystemExit(f"{name}: no history reveals it")
+
+
+def _shortened(engines: Engines, history: list[Step]) -> list[Step]:
+    """Return a history without the steps that it does not need to reveal the injected fault."""
+    for place in reversed(range(len(history))):
+        without = history[:place] + history[place + 1 :]
+        try:
+            replay(engines, without)
+        except NOTICED:
+            history = without
+        except (ZeroDivisionError, KeyError):  # a later step has nothing to choose from
+            continue
+    return history
+
+
+if __name__ == "__main__":
+    record()

@@ -1,14 +1,15 @@
-"""A model of the queue in memory, and a machine that drives both and compares them.
+"""A model of the queue in memory, and a state machine that drives the queue and the model and compares them.
 
-The model knows nothing of SQL: it says in plain Python who should get which jobs, and what becomes of them.
+The model knows nothing of SQL: it says in plain Python which worker should get which jobs, and what becomes of them.
+
+A *history* is a list of steps, each the name of a rule with its arguments. Hypothesis searches for histories that tell the
+queue and its model apart; a history that it found can be replayed without a search.
 """
 
-import shutil
-import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import ClassVar
+from functools import wraps
+from typing import Any, ClassVar, TypeVar
 
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
@@ -21,11 +22,13 @@ from hypothesis.stateful import (
 )
 from sqlalchemy import text
 
-from brink.server.db.engine import Engines, open_engines
+from brink.server.db.engine import Engines
 from brink.server.errors import Conflict, NotFound
 from brink.server.states import CampaignStatus
 from brink.worker.wire import LeasedJob
 from support.queue import Queue
+
+T = TypeVar("T")
 
 WORKERS = ("w1", "w2", "w3")
 NEEDS = ("faulty@1", "other@1")
@@ -33,10 +36,14 @@ MAX_ATTEMPTS = 2
 MAX_JOBS = 24
 TURN = 4
 
+Step = tuple[str, dict[str, Any]]
+PICK = st.integers(0, 29)
+"""Chooses among what there is at a step: the item with this number, counted round and round."""
+
 
 @dataclass
 class ModelCampaign:
-    """What the queue should know of a campaign."""
+    """A campaign as the queue should see it."""
 
     id: str
     priority: int
@@ -48,7 +55,7 @@ class ModelCampaign:
 
 @dataclass
 class ModelJob:
-    """What the queue should say of one job."""
+    """The state that a job should be in."""
 
     id: int
     campaign: ModelCampaign
@@ -65,20 +72,20 @@ class ModelJob:
 
 @dataclass
 class Model:
-    """The queue as it should be."""
+    """The state that the queue should be in."""
 
     jobs: dict[int, ModelJob] = field(default_factory=dict)
     campaigns: dict[str, ModelCampaign] = field(default_factory=dict)
 
     def known(self, spec_hash: str) -> bool:
-        """Whether a simulation has a result that others may take over."""
+        """Return whether a simulation has a result that equal simulations may reuse."""
         return any(
             job.spec_hash == spec_hash and job.status == "done" and job.campaign.cache
             for job in self.jobs.values()
         )
 
     def eligible(self, job: ModelJob, capabilities: Sequence[str]) -> bool:
-        """Whether a worker with these capabilities could run a job now."""
+        """Return whether a worker with these capabilities may be granted a job now."""
         runs = any(o.status == "leased" and o.spec_hash == job.spec_hash for o in self.jobs.values())
         return (
             job.status == "queued"
@@ -93,7 +100,7 @@ class Model:
         return [job for job in self.jobs.values() if job.status == "leased" and job.worker == worker]
 
     def retries(self, worker: str, capabilities: Sequence[str], elsewhere: Sequence[str]) -> list[ModelJob]:
-        """Return the jobs tried before that a worker may have, those of the highest priority alone."""
+        """Return the due retries that a worker may be granted: those of the highest priority."""
         found = [
             job
             for job in self.jobs.values()
@@ -105,7 +112,7 @@ class Model:
         return [job for job in found if job.campaign.priority == best]
 
     def in_turn(self, capabilities: Sequence[str]) -> list[ModelCampaign]:
-        """Return the campaigns with fresh jobs for somebody, in the order in which they are served."""
+        """Return the campaigns with first attempts for these capabilities, in the order in which they are served."""
         serves = {
             job.campaign.id: job.campaign
             for job in self.jobs.values()
@@ -116,7 +123,16 @@ class Model:
     def fresh(
         self, capabilities: Sequence[str], max_jobs: int, live_workers: int
     ) -> tuple[list[int], dict[str, tuple[int, int]]]:
-        """Return the fresh jobs that a worker should get, and where their campaigns stand then: turn, jobs served."""
+        """Return the first attempts that a worker should be granted.
+
+        Args:
+            capabilities: Of the worker.
+            max_jobs: The most jobs that it asked for.
+            live_workers: The number of live workers.
+
+        Returns:
+            The jobs, and the turn and the jobs served in it of each campaign whose turn changes.
+        """
         waiting = sum(
             job.status == "queued" and job.campaign.status is CampaignStatus.RUNNING
             for job in self.jobs.values()
@@ -148,19 +164,19 @@ class Model:
         return kept, stands
 
     def grant(self, worker: str, granted: Sequence[LeasedJob]) -> None:
-        """Note what was granted."""
+        """Take in a grant."""
         for lease in granted:
             job = self.jobs[lease.job]
             job.status, job.attempt, job.token, job.worker = "leased", job.attempt + 1, lease.token, worker
 
     def fail(self, job: ModelJob, *, final: bool) -> None:
-        """Note that an attempt failed."""
+        """Take in a failed attempt."""
         over = final or job.attempt >= job.max_attempts
         job.status, job.due = "quarantined" if over else "queued", over
         job.failed_worker, job.worker = job.worker, None
 
     def finish(self, job: ModelJob) -> None:
-        """Note a result: equal simulations that wait take it over."""
+        """Take in a result: queued equal simulations reuse it."""
         job.status = "done"
         for twin in self.jobs.values():
             shares = job.campaign.cache and twin.campaign.cache and twin.spec_hash == job.spec_hash
@@ -168,23 +184,48 @@ class Model:
                 twin.status = "done"
 
 
-class QueueMachine(RuleBasedStateMachine):
-    """Everything that can be asked of the queue, in any order, by workers, sweepers and people."""
+def step(**arguments: st.SearchStrategy[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Make a method a rule of the machine that notes itself in the machine's history."""
 
-    fresh_engines: ClassVar[Callable[[], tuple[Engines, Callable[[], None]]]]
+    def decorate(method: Callable[..., None]) -> Callable[..., None]:
+        @wraps(method)
+        def noted(self: "QueueMachine", **given: Any) -> None:
+            self.history.append((method.__name__, given))
+            method(self, **given)
+
+        return rule(**arguments)(noted)
+
+    return decorate
+
+
+def picked(pick: int, choices: Sequence[T]) -> T:
+    """Return one of some choices."""
+    return choices[pick % len(choices)]
+
+
+class QueueMachine(RuleBasedStateMachine):
+    """Whatever workers, sweepers and people do to a queue, in any order.
+
+    Attributes:
+        engines: Of the database, whose queue is emptied first.
+        history: The steps so far.
+        latest: The history of the machine that was made last.
+    """
+
+    engines: ClassVar[Engines]
+    latest: ClassVar[list[Step]] = []
 
     def __init__(self) -> None:
         super().__init__()
-        engines, self.clean_up = type(self).fresh_engines()
-        self.queue = Queue(engines=engines)
+        empty(self.engines)
+        self.queue = Queue(engines=self.engines)
         self.model = Model()
         self.leases: list[LeasedJob] = []
-
-    def teardown(self) -> None:
-        self.clean_up()
+        self.history: list[Step] = []
+        QueueMachine.latest = self.history
 
     @precondition(lambda self: len(self.model.jobs) < MAX_JOBS)
-    @rule(
+    @step(
         hashes=st.lists(st.sampled_from("abcde"), min_size=1, max_size=5),
         needs=st.sampled_from([NEEDS[0], NEEDS[0], NEEDS[0], NEEDS[1]]),
         priority=st.sampled_from([0, 0, 1]),
@@ -201,7 +242,7 @@ class QueueMachine(RuleBasedStateMachine):
             status = "done" if known[row.spec_hash] else "queued"
             self.model.jobs[row.id] = ModelJob(row.id, campaign, row.spec_hash, needs, status)
 
-    @rule(
+    @step(
         worker=st.sampled_from(WORKERS),
         max_jobs=st.integers(1, 5),
         capabilities=st.sampled_from([NEEDS, NEEDS, NEEDS[:1], NEEDS[1:]]),
@@ -212,9 +253,19 @@ class QueueMachine(RuleBasedStateMachine):
         self,
         worker: str,
         max_jobs: int,
-        capabilities: tuple[str, ...],
+        capabilities: Sequence[str],
         live_workers: int,
-        elsewhere: tuple[str, ...],
+        elsewhere: Sequence[str],
+    ) -> None:
+        self._lease(worker, max_jobs, capabilities, live_workers, elsewhere)
+
+    def _lease(
+        self,
+        worker: str,
+        max_jobs: int,
+        capabilities: Sequence[str],
+        live_workers: int,
+        elsewhere: Sequence[str],
     ) -> None:
         compare = self.expected_grant(
             worker, max_jobs, capabilities, live_workers=live_workers, elsewhere=elsewhere
@@ -223,7 +274,7 @@ class QueueMachine(RuleBasedStateMachine):
             self.queue.lease(worker, max_jobs, capabilities, live_workers=live_workers, elsewhere=elsewhere)
         )
 
-    @rule(
+    @step(
         asks=st.lists(
             st.tuples(
                 st.sampled_from(WORKERS), st.integers(1, 5), st.sampled_from([NEEDS, NEEDS, NEEDS[:1], NEEDS[1:]])
@@ -232,7 +283,7 @@ class QueueMachine(RuleBasedStateMachine):
         ),
         live_workers=st.integers(1, 3),
     )  # fmt: skip
-    def lease_together(self, asks: list[tuple[str, int, tuple[str, ...]]], live_workers: int) -> None:
+    def lease_together(self, asks: Sequence[tuple[str, int, Sequence[str]]], live_workers: int) -> None:
         granted = self.queue.lease_together(asks, live_workers=live_workers)
         assert len(granted) == len(asks)
         for (worker, max_jobs, capabilities), jobs in zip(asks, granted, strict=True):
@@ -242,12 +293,12 @@ class QueueMachine(RuleBasedStateMachine):
         self,
         worker: str,
         max_jobs: int,
-        capabilities: tuple[str, ...],
+        capabilities: Sequence[str],
         *,
         live_workers: int,
-        elsewhere: tuple[str, ...],
+        elsewhere: Sequence[str],
     ) -> Callable[[Sequence[LeasedJob]], None]:
-        """Return what compares a grant with what the model says now, and notes it."""
+        """Return a function that compares a grant with the model as it is now, and takes it in."""
         held = self.model.holdings(worker)
         retries = self.model.retries(worker, capabilities, elsewhere)
         in_turn = self.model.in_turn(capabilities)
@@ -256,10 +307,10 @@ class QueueMachine(RuleBasedStateMachine):
         def compare(granted: Sequence[LeasedJob]) -> None:
             got = [lease.job for lease in granted]
             if any(job.attempt > 1 for job in held):
-                assert got == [], "who holds a job that was tried before gets nothing beside it"
+                assert got == [], "a worker that holds a retry gets nothing else"
             elif retries and (not in_turn or retries[0].campaign.priority >= in_turn[0].priority):
                 if held:
-                    assert got == [], "who could take a retry gets nothing else before it"
+                    assert got == [], "a worker that holds jobs waits for a due retry"
                 else:
                     assert len(got) == 1, "a retry is granted alone"
                     assert got[0] in {job.id for job in retries}
@@ -274,35 +325,35 @@ class QueueMachine(RuleBasedStateMachine):
 
         return compare
 
-    @rule(worker=st.sampled_from(WORKERS), max_jobs=st.integers(1, 3))
-    def lease_whatever(self, worker: str, max_jobs: int) -> None:
-        self.lease(worker, max_jobs, NEEDS, 1, ())
+    @step(worker=st.sampled_from(WORKERS), max_jobs=st.integers(1, 3))
+    def lease_anything(self, worker: str, max_jobs: int) -> None:
+        self._lease(worker, max_jobs, NEEDS, 1, ())
 
     @precondition(lambda self: self.leases)
-    @rule(data=st.data(), failed=st.booleans(), final=st.sampled_from([False, False, False, True]))
-    def report(self, data: st.DataObject, failed: bool, final: bool) -> None:
-        self.report_of(data.draw(st.sampled_from(self.leases[-6:])), failed=failed, final=final)
+    @step(pick=PICK, failed=st.booleans(), final=st.sampled_from([False, False, False, True]))
+    def report(self, pick: int, failed: bool, final: bool) -> None:
+        self.report_of(picked(pick, self.leases[-6:]), failed=failed, final=final)
 
     @precondition(lambda self: self.lost)
-    @rule(data=st.data(), failed=st.booleans())
-    def report_late(self, data: st.DataObject, failed: bool) -> None:
-        self.report_of(data.draw(st.sampled_from(self.lost)), failed=failed, final=False)
+    @step(pick=PICK, failed=st.booleans())
+    def report_late(self, pick: int, failed: bool) -> None:
+        self.report_of(picked(pick, self.lost), failed=failed, final=False)
 
     @precondition(lambda self: self.running)
-    @rule(data=st.data())
-    def fail_and_wait(self, data: st.DataObject) -> None:
-        self.report_of(data.draw(st.sampled_from(self.running)), failed=True, final=False)
-        self.end_backoffs()
+    @step(pick=PICK)
+    def fail_and_wait(self, pick: int) -> None:
+        self.report_of(picked(pick, self.running), failed=True, final=False)
+        self._end_backoffs()
 
     @precondition(lambda self: self.lost)
-    @rule(data=st.data(), renews=st.booleans())
-    def meddle(self, data: st.DataObject, renews: bool) -> None:
-        lease = data.draw(st.sampled_from(self.lost))
+    @step(pick=PICK, renews=st.booleans())
+    def meddle(self, pick: int, renews: bool) -> None:
+        lease = picked(pick, self.lost)
         assert (self.queue.renew(lease) == []) if renews else (self.queue.release(lease) == 0)
 
     @property
     def lost(self) -> list[LeasedJob]:
-        """Leases of jobs that somebody else has now, or nobody; those of jobs that run first."""
+        """Leases that no longer hold, those of running jobs first."""
         jobs = self.model.jobs
         lost = [one for one in self.leases if one.job in jobs and jobs[one.job].token != one.token]
         return sorted(lost, key=lambda one: jobs[one.job].status != "leased")[:4]
@@ -318,7 +369,7 @@ class QueueMachine(RuleBasedStateMachine):
         ]
 
     def report_of(self, lease: LeasedJob, *, failed: bool, final: bool) -> None:
-        """Report a lease to both and compare."""
+        """Report a job to the queue and to the model, and compare the answers."""
         job = self.model.jobs.get(lease.job)
         holds = job is not None and job.token == lease.token
         expected = (
@@ -334,9 +385,9 @@ class QueueMachine(RuleBasedStateMachine):
             self.model.finish(job)
 
     @precondition(lambda self: self.leases)
-    @rule(data=st.data())
-    def release(self, data: st.DataObject) -> None:
-        lease = data.draw(st.sampled_from(self.leases[-6:]))
+    @step(pick=PICK)
+    def release(self, pick: int) -> None:
+        lease = picked(pick, self.leases[-6:])
         job = self.model.jobs.get(lease.job)
         holds = job is not None and job.status == "leased" and job.token == lease.token
         assert self.queue.release(lease) == int(holds)
@@ -344,38 +395,41 @@ class QueueMachine(RuleBasedStateMachine):
             job.status, job.attempt, job.token, job.worker = "queued", job.attempt - 1, None, None
 
     @precondition(lambda self: self.leases)
-    @rule(data=st.data())
-    def renew(self, data: st.DataObject) -> None:
-        lease = data.draw(st.sampled_from(self.leases[-6:]))
+    @step(pick=PICK)
+    def renew(self, pick: int) -> None:
+        lease = picked(pick, self.leases[-6:])
         job = self.model.jobs.get(lease.job)
         holds = job is not None and job.status == "leased" and job.token == lease.token
         assert self.queue.renew(lease) == ([lease.job] if holds else [])
 
     @precondition(lambda self: self.running)
-    @rule(data=st.data(), waits=st.booleans())
-    def run_out(self, data: st.DataObject, waits: bool) -> None:
-        lease = data.draw(st.sampled_from(self.running))
+    @step(pick=PICK, waits=st.booleans())
+    def run_out(self, pick: int, waits: bool) -> None:
+        lease = picked(pick, self.running)
         self.queue.run_out(lease)
         job = self.model.jobs[lease.job]
         self.model.fail(job, final=False)
         job.token = None
         if waits:
-            self.end_backoffs()
+            self._end_backoffs()
 
-    @rule()
+    @step()
     def sweep(self) -> None:
-        assert self.queue.expire()[1] == 0, "no lease that holds is taken back"
+        assert self.queue.expire()[1] == 0, "a lease that holds was taken back"
 
-    @rule()
+    @step()
     def end_backoffs(self) -> None:
+        self._end_backoffs()
+
+    def _end_backoffs(self) -> None:
         self.queue.end_backoffs()
         for job in self.model.jobs.values():
             job.due = True
 
     @precondition(lambda self: self.model.jobs)
-    @rule(data=st.data())
-    def retry_by_hand(self, data: st.DataObject) -> None:
-        job = self.model.jobs[data.draw(st.sampled_from(sorted(self.model.jobs)))]
+    @step(pick=PICK)
+    def retry_by_hand(self, pick: int) -> None:
+        job = self.model.jobs[picked(pick, sorted(self.model.jobs))]
         ended = job.campaign.status is CampaignStatus.CANCELLED
         try:
             self.queue.retry(job.id)
@@ -388,9 +442,9 @@ class QueueMachine(RuleBasedStateMachine):
         job.max_attempts = job.attempt + MAX_ATTEMPTS
 
     @precondition(lambda self: self.model.campaigns)
-    @rule(data=st.data())
-    def pause_or_resume(self, data: st.DataObject) -> None:
-        campaign = self.model.campaigns[data.draw(st.sampled_from(sorted(self.model.campaigns)))]
+    @step(pick=PICK)
+    def pause_or_resume(self, pick: int) -> None:
+        campaign = self.model.campaigns[picked(pick, sorted(self.model.campaigns))]
         if campaign.status is CampaignStatus.CANCELLED:
             return
         runs = campaign.status is CampaignStatus.RUNNING
@@ -398,9 +452,9 @@ class QueueMachine(RuleBasedStateMachine):
         self.queue.set_status(campaign.id, campaign.status)
 
     @precondition(lambda self: len(self.model.campaigns) > 2)
-    @rule(data=st.data())
-    def cancel(self, data: st.DataObject) -> None:
-        campaign = self.model.campaigns[data.draw(st.sampled_from(sorted(self.model.campaigns)))]
+    @step(pick=PICK)
+    def cancel(self, pick: int) -> None:
+        campaign = self.model.campaigns[picked(pick, sorted(self.model.campaigns))]
         self.queue.set_status(campaign.id, CampaignStatus.CANCELLED)
         campaign.status = CampaignStatus.CANCELLED
         for job in self.model.jobs.values():
@@ -408,9 +462,9 @@ class QueueMachine(RuleBasedStateMachine):
                 job.status, job.token, job.worker = "cancelled", None, None
 
     @precondition(lambda self: len(self.model.campaigns) > 3)
-    @rule(data=st.data())
-    def delete(self, data: st.DataObject) -> None:
-        name = data.draw(st.sampled_from(sorted(self.model.campaigns)))
+    @step(pick=PICK)
+    def delete(self, pick: int) -> None:
+        name = picked(pick, sorted(self.model.campaigns))
         campaign = self.model.campaigns.pop(name)
         self.queue.delete(name)
         gone = [job.id for job in self.model.jobs.values() if job.campaign is campaign]
@@ -424,7 +478,7 @@ class QueueMachine(RuleBasedStateMachine):
             raise AssertionError("a job of a deleted campaign is still there")
 
     @invariant()
-    def they_stand_the_same(self) -> None:
+    def jobs_are_in_the_same_states(self) -> None:
         rows = {row.id: (row.status, row.attempt, row.max_attempts) for row in self.queue.jobs()}
         assert rows == {
             number: (job.status, job.attempt, job.max_attempts) for number, job in self.model.jobs.items()
@@ -436,56 +490,45 @@ class QueueMachine(RuleBasedStateMachine):
         assert len(running) == len(set(running))
 
 
-def on_sqlite(template: Path) -> Callable[[], tuple[Engines, Callable[[], None]]]:
-    """Return what gives an empty SQLite database, a copy of a migrated one."""
-
-    def fresh() -> tuple[Engines, Callable[[], None]]:
-        folder = tempfile.TemporaryDirectory()
-        file = Path(folder.name) / "brink.db"
-        shutil.copyfile(template, file)
-        engines = open_engines(f"sqlite:///{file}")
-
-        def clean_up() -> None:
-            engines.dispose()
-            folder.cleanup()
-
-        return engines, clean_up
-
-    return fresh
-
-
-def on_postgres(engines: Engines) -> Callable[[], tuple[Engines, Callable[[], None]]]:
-    """Return what empties a migrated Postgres database."""
-
-    def fresh() -> tuple[Engines, Callable[[], None]]:
-        with engines.writer.begin() as connection:
+def empty(engines: Engines) -> None:
+    """Delete everything in a queue, so that ids start anew."""
+    with engines.writer.begin() as connection:
+        if engines.is_sqlite:
+            for table in ("campaigns", "jobs", "traces"):
+                connection.execute(text(f"DELETE FROM {table}"))
+        else:
             connection.execute(text("TRUNCATE campaigns, jobs, traces RESTART IDENTITY CASCADE"))
-        return engines, lambda: None
-
-    return fresh
 
 
-def run_machine(
-    fresh: Callable[[], tuple[Engines, Callable[[], None]]], *, examples: int, shrinks: bool = True
-) -> None:
-    """Drive the queue and its model; raise as soon as they differ.
+def search(engines: Engines, *, histories: int, steps: int = 60, shrink: bool = True) -> None:
+    """Search for a history that tells the queue and its model apart; raise at the first difference.
 
     Args:
-        fresh: Gives an empty database, and what cleans it up.
-        examples: How many histories.
-        shrinks: Whether a history that fails is made shorter.
+        engines: Of a migrated database.
+        histories: The number of histories to try.
+        steps: The length of a history at most.
+        shrink: Whether to make a history that fails shorter.
     """
-    machine = type("Machine", (QueueMachine,), {"fresh_engines": staticmethod(fresh)})
+    machine = type("Machine", (QueueMachine,), {"engines": engines})
     run_state_machine_as_test(
         machine,
         settings=settings(
-            max_examples=examples,
-            stateful_step_count=60,
+            max_examples=histories,
+            stateful_step_count=steps,
             deadline=None,
             derandomize=True,
             database=None,
-            phases=(Phase.generate, Phase.shrink) if shrinks else (Phase.generate,),
+            phases=(Phase.generate, Phase.shrink) if shrink else (Phase.generate,),
             suppress_health_check=list(HealthCheck),
-            report_multiple_bugs=shrinks,
+            report_multiple_bugs=False,
         ),
     )
+
+
+def replay(engines: Engines, history: Iterable[Step]) -> None:
+    """Replay a history, and compare the queue with its model after each step."""
+    machine = type("Machine", (QueueMachine,), {"engines": engines})()
+    for name, arguments in history:
+        getattr(machine, name)(**arguments)
+        machine.jobs_are_in_the_same_states()
+        machine.no_simulation_runs_twice()

@@ -1,6 +1,7 @@
-"""Traffic campaigns for tests: a worker that really simulates, and campaigns that a language model seeds."""
+"""Traffic campaigns for tests: a worker that simulates them, and campaigns that a language model seeds."""
 
-from functools import lru_cache
+import json
+from functools import cache
 from typing import Any
 
 import httpx
@@ -15,19 +16,24 @@ from support.llm_endpoint import MODEL, Asked, Endpoint, action, completion, ite
 POPULATION = 8
 
 
-@lru_cache
-def _simulator() -> BrinkEncounter:
-    return BrinkEncounter()
-
-
 def simulate(job: LeasedJob) -> Completed | JobFailed:
-    """Return what the simulator makes of a job."""
+    """Simulate a job."""
     return driven(job.spec)
 
 
 def driven(spec: Any) -> Completed:
-    """Return what the simulator makes of an episode."""
-    result = _simulator().run(EpisodeSpec.from_json(spec))
+    """Simulate an episode, unless the same one was simulated before."""
+    return _driven(json.dumps(spec, sort_keys=True))
+
+
+@cache
+def _simulator() -> BrinkEncounter:
+    return BrinkEncounter()
+
+
+@cache
+def _driven(spec: str) -> Completed:
+    result = _simulator().run(EpisodeSpec.from_json(json.loads(spec)))
     return Completed(
         verdicts={
             name: WireVerdict(robustness=v.robustness, unit=v.unit, violated_at_s=v.violated_at_s)
@@ -44,7 +50,13 @@ def traffic_worker(client: httpx.Client) -> FakeWorker:
 
 
 def seeded(endpoint: Endpoint, llm: dict[str, Any] | None = None, **params: Any) -> dict[str, Any]:
-    """Return a small campaign whose seeds come from an endpoint."""
+    """Return the body of a small campaign that a language model seeds.
+
+    Args:
+        endpoint: Of the language model.
+        llm: Changes to the settings of the language model.
+        params: Changes to the parameters of the algorithm.
+    """
     return {
         "name": "seeded",
         "problem": {"id": "npc-actions@1", "params": {"participants": 2, "duration_s": 8.0}},
@@ -59,25 +71,25 @@ def seeded(endpoint: Endpoint, llm: dict[str, Any] | None = None, **params: Any)
 
 
 def origins(client: httpx.Client, campaign: str) -> list[str]:
-    """Return where each solution comes from, by number."""
+    """Return the origin of each solution, by number."""
     found = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions", params={"limit": 100}))
     return [solution["origin"] for solution in found["solutions"]]
 
 
-def in_words(client: httpx.Client, campaign: str) -> list[str]:
-    """Return what each solution is in words, by number."""
+def descriptions(client: httpx.Client, campaign: str) -> list[str]:
+    """Return the description of each solution, by number."""
     found = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions", params={"limit": 100}))
     return [solution["words"] for solution in found["solutions"]]
 
 
 def calls(client: httpx.Client, campaign: str) -> dict[str, Any]:
-    """Return what a campaign asked."""
+    """Return the calls that a campaign made to the language model."""
     found: dict[str, Any] = expect(client.get(f"/api/v1/campaigns/{campaign}/llm-calls"))
     return found
 
 
-def others(asked: Asked) -> Response:
-    """Answer a request for differential seeds, decided by the question."""
+def differential_seeds(asked: Asked) -> Response:
+    """Answer a request for differential seeds; the same request always gets the same answer."""
     salt = sum(asked.prompt.encode()) % 89
     people = {"kind": "pedestrian", "dd_m": -3.0, "heading": "with_ego", "speed_mps": 1.0}
     found = [

@@ -8,10 +8,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.api import ball, eventually
-from support.databases import Databases
+from support.api import ball, eventually, undisturbed_digest
+from support.databases import Databases, on_sqlite
 from support.processes import BRINK, ROOT, TOY, Program, Site, environment, site
-from support.reference import undisturbed_digest
 
 SCRIPT = ROOT / "deploy" / "slurm" / "brink-workers.sbatch"
 TASK = {
@@ -67,7 +66,7 @@ def test_slurm_signals_the_worker_in_time() -> None:
     assert any(option.startswith("--array=") for option in asked)
 
 
-@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+@on_sqlite
 def test_a_task_works_a_campaign_and_leaves_in_good_order(
     running: Site, token_file: Path, small_problems: None
 ) -> None:

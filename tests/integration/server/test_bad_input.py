@@ -1,4 +1,4 @@
-"""Bad input is answered with a pointer, what was expected and the nearest valid name; nothing is stored."""
+"""Bad input: the answer points at the field, says what was expected and names the nearest valid name."""
 
 import json
 from collections.abc import Iterator
@@ -14,15 +14,15 @@ from brink.server.db.engine import Engines, open_engines
 
 
 @pytest.fixture(scope="module")
-def database_url(databases_of_file: Databases) -> Iterator[str]:
-    """The URL of a database for the whole file: nothing that is refused is stored."""
-    with databases_of_file.database() as url:
+def database_url(module_databases: Databases) -> Iterator[str]:
+    """The URL of one database for the whole file, since bad input stores nothing."""
+    with module_databases.database() as url:
         yield url
 
 
 @pytest.fixture(scope="module")
 def engines(database_url: str) -> Iterator[Engines]:
-    """The engines of that database."""
+    """The engines of the shared database."""
     opened = open_engines(database_url)
     yield opened
     opened.dispose()
@@ -30,13 +30,13 @@ def engines(database_url: str) -> Iterator[Engines]:
 
 @pytest.fixture(scope="module")
 def client(database_url: str) -> Iterator[httpx.Client]:
-    """A client of a coordinator on it."""
+    """A client of one coordinator for the whole file."""
     with small_problems(), coordinator(database_url) as opened:
         yield opened
 
 
 def changed(path: str, value: object) -> dict[str, Any]:
-    """Return the ball campaign with one field set."""
+    """Return the body of a campaign on the ball with one field changed."""
     body = json.loads(json.dumps(ball()))
     *parents, last = path.strip("/").split("/")
     place = body
@@ -54,7 +54,7 @@ BAD = [
     pytest.param("/budget/simulation", 1, "/budget/simulation", "unknown field", "simulations", id="nested-field"),
     pytest.param(
         "/llm", {"modell": "x", "model": "x", "endpoint": "http://127.0.0.1:9/v1"}, "/llm/modell", "unknown field",
-        "model", id="field-of-what-may-be-left-out",
+        "model", id="field-of-an-optional-object",
     ),
     pytest.param("/problem/params/limt", 1.0, "/problem/params/limt", "unknown field", "limit", id="parameter"),
     pytest.param(
@@ -84,7 +84,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("path", "value", "pointer", "message", "nearest"), BAD)
-def test_a_wrong_field_is_pointed_at(
+def test_answer_points_at_the_wrong_field(
     client: httpx.Client, engines: Engines, path: str, value: object, pointer: str, message: str,
     nearest: str | None,
 ) -> None:  # fmt: skip
@@ -104,7 +104,7 @@ def test_a_wrong_field_is_pointed_at(
     "params",
     [r'{"fault": "\ud800"}', r'{"\ud800": 1}', '{"limit": NaN}', '{"limit": 1e999}', '{"limit": [[[' * 40],
 )
-def test_parameters_that_no_json_can_hold_are_refused(
+def test_parameters_that_json_cannot_represent_are_rejected(
     client: httpx.Client, engines: Engines, params: str
 ) -> None:
     before = row_counts(engines)
@@ -112,17 +112,19 @@ def test_parameters_that_no_json_can_hold_are_refused(
     answer = client.post("/api/v1/campaigns", content=content, headers={"Content-Type": "application/json"})
     assert answer.status_code == 422, answer.text
     assert row_counts(engines) == before
-    assert client.get("/api/v1/campaigns").status_code == 200, "one of these once broke every list"
+    assert client.get("/api/v1/campaigns").status_code == 200, "such a parameter once broke every list"
 
 
-def test_all_wrong_fields_are_told_at_once(client: httpx.Client) -> None:
+def test_all_wrong_fields_are_reported_together(client: httpx.Client) -> None:
     body = {**ball(), "seed": "one", "extra": 1}
     del body["name"]
     errors = client.post("/api/v1/campaigns", json=body).json()["errors"]
     assert {error["pointer"] for error in errors} == {"/seed", "/extra", "/name"}
 
 
-def test_mlcshe_on_one_component_is_refused_with_what_to_do(client: httpx.Client, engines: Engines) -> None:
+def test_mlcshe_on_one_component_is_rejected_with_an_alternative(
+    client: httpx.Client, engines: Engines
+) -> None:
     body = {**ball(), "problem": {"id": "line@1"}, "algorithm": {"id": "mlcshe@1"}}
     answer = client.post("/api/v1/campaigns", json=body)
     (error,) = answer.json()["errors"]
@@ -132,7 +134,7 @@ def test_mlcshe_on_one_component_is_refused_with_what_to_do(client: httpx.Client
     assert row_counts(engines)["campaigns"] == 0
 
 
-def test_mlcshe_needs_the_budget_of_its_first_generation(client: httpx.Client) -> None:
+def test_budget_below_the_first_generation_of_mlcshe_is_rejected(client: httpx.Client) -> None:
     body = {**ball(), "algorithm": {"id": "mlcshe@1"}, "budget": {"simulations": 99}}
     (error,) = client.post("/api/v1/campaigns", json=body).json()["errors"]
     assert error["pointer"] == "/budget/simulations"
@@ -140,7 +142,7 @@ def test_mlcshe_needs_the_budget_of_its_first_generation(client: httpx.Client) -
 
 
 @pytest.mark.parametrize("content", [b"{", b'{"name": }', b"", b"\xff\xfe", b"[" * 100_000])
-def test_what_is_no_json_is_refused(client: httpx.Client, engines: Engines, content: bytes) -> None:
+def test_invalid_json_is_rejected(client: httpx.Client, engines: Engines, content: bytes) -> None:
     before = row_counts(engines)
     answer = client.post("/api/v1/campaigns", content=content, headers={"Content-Type": "application/json"})
     assert answer.status_code in (400, 422), answer.text
@@ -148,7 +150,7 @@ def test_what_is_no_json_is_refused(client: httpx.Client, engines: Engines, cont
     assert row_counts(engines) == before
 
 
-def test_broken_json_is_located(client: httpx.Client) -> None:
+def test_answer_locates_the_error_in_broken_json(client: httpx.Client) -> None:
     answer = client.post(
         "/api/v1/campaigns", content=b'{"name": }', headers={"Content-Type": "application/json"}
     )
@@ -159,7 +161,7 @@ def test_broken_json_is_located(client: httpx.Client) -> None:
 
 
 @pytest.mark.parametrize("body", [[], "text", 1, None])
-def test_json_that_is_no_object_is_refused(client: httpx.Client, body: object) -> None:
+def test_json_that_is_not_an_object_is_rejected(client: httpx.Client, body: object) -> None:
     answer = client.post("/api/v1/campaigns", json=body)
     assert answer.status_code == 422
     assert [error["pointer"] for error in answer.json()["errors"]] == [""]
@@ -178,13 +180,13 @@ def test_json_that_is_no_object_is_refused(client: httpx.Client, body: object) -
         ("/api/v1/campaigns/x/solutions/99999999999999999999", "/path/number"),
     ],
 )
-def test_a_wrong_query_is_pointed_at(client: httpx.Client, path: str, pointer: str) -> None:
+def test_answer_points_at_the_wrong_query_parameter(client: httpx.Client, path: str, pointer: str) -> None:
     answer = client.get(path)
     assert answer.status_code == 422, answer.text
     assert [error["pointer"] for error in answer.json()["errors"]] == [pointer]
 
 
-def test_a_campaign_id_with_odd_characters_is_not_found(client: httpx.Client) -> None:
+def test_campaign_id_with_unusual_characters_is_not_found(client: httpx.Client) -> None:
     for name in ("%00ab", "%25", "a" * 3000, "..%2F..", "%F0%9F%9A%97"):
         assert client.get(f"/api/v1/campaigns/{name}").status_code == 404, name
 
@@ -223,7 +225,7 @@ HUGE = 10**25
         ),
     ],
 )
-def test_a_wrong_message_of_a_worker_is_pointed_at(
+def test_answer_points_at_the_wrong_field_of_a_worker_message(
     client: httpx.Client, path: str, body: dict[str, Any], pointer: str
 ) -> None:
     answer = client.post(f"/api/v1/jobs/{path}", json=body)
@@ -231,7 +233,7 @@ def test_a_wrong_message_of_a_worker_is_pointed_at(
     assert pointer in [error["pointer"] for error in answer.json()["errors"]]
 
 
-def test_a_worker_may_say_odd_things_about_itself(client: httpx.Client) -> None:
+def test_worker_identity_with_nul_characters_is_rejected(client: httpx.Client) -> None:
     identity = {"id": "w\0", "host": "h\0", "pid": 1, "version": "\0"}
     answer = client.post("/api/v1/jobs/lease", json={"worker": identity, "capabilities": ["\0"], "wait_s": 0})
     assert answer.status_code == 422, answer.text

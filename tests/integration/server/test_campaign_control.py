@@ -1,4 +1,4 @@
-"""Submitting, pausing, resuming, cancelling, deleting, retrying: over the API, on both databases."""
+"""Campaigns over the API: submitting, listing, pausing, resuming, cancelling, deleting, failing, retrying."""
 
 import base64
 import hashlib
@@ -40,17 +40,17 @@ def post(client: httpx.Client, campaign: str, verb: str, status: int = 200) -> d
     return document
 
 
-def test_a_submission_says_where_the_campaign_is(client: httpx.Client) -> None:
+def test_submission_answers_with_the_location_of_the_campaign(client: httpx.Client) -> None:
     answer = client.post("/api/v1/campaigns", json=ball())
     document = expect(answer, 201)
     assert answer.headers["Location"] == f"/api/v1/campaigns/{document['id']}"
     assert document["status"] == "running"
     assert (document["simulations"], document["budget"]) == (0, 60)
-    stands = progress(client, document["id"])
-    assert (stands["queued"], stands["workers"], stands["unrunnable"]) == (20, 0, {"faulty@1": 20})
+    current = progress(client, document["id"])
+    assert (current["queued"], current["workers"], current["unrunnable"]) == (20, 0, {"faulty@1": 20})
 
 
-def test_the_same_key_again_submits_nothing_new(client: httpx.Client, engines: Engines) -> None:
+def test_same_idempotency_key_returns_the_same_campaign(client: httpx.Client, engines: Engines) -> None:
     headers = {"Idempotency-Key": "key-1"}
     described = expect(client.get("/openapi.json"))["paths"]["/api/v1/campaigns"]["post"]["responses"]
     assert {"200", "201"} <= set(described)
@@ -64,7 +64,7 @@ def test_the_same_key_again_submits_nothing_new(client: httpx.Client, engines: E
     assert other["id"] != first["id"]
 
 
-def test_campaigns_are_listed_newest_first_and_page_by_page(client: httpx.Client) -> None:
+def test_campaigns_are_listed_newest_first_and_in_pages(client: httpx.Client) -> None:
     ids = [submit(client, ball(seed=seed)) for seed in range(5)]
     listed: list[str] = []
     cursor: str | None = None
@@ -81,11 +81,11 @@ def test_campaigns_are_listed_newest_first_and_page_by_page(client: httpx.Client
     assert [item["id"] for item in paused["campaigns"]] == [ids[0]]
 
 
-def test_a_paused_campaign_hands_out_nothing_and_goes_on_after_resume(client: httpx.Client) -> None:
+def test_paused_campaign_grants_no_jobs_until_it_is_resumed(client: httpx.Client) -> None:
     worker, campaign = FakeWorker(client), submit(client, ball())
     running = worker.lease(max_jobs=4)
     post(client, campaign, "pause")
-    post(client, campaign, "pause")  # twice is once
+    post(client, campaign, "pause")  # pausing again changes nothing
     assert worker.lease() == []
     assert set(worker.report(running)) == {"accepted"}
     assert progress(client, campaign)["status"] == "paused"
@@ -93,28 +93,28 @@ def test_a_paused_campaign_hands_out_nothing_and_goes_on_after_resume(client: ht
     assert worker.work(campaign)["status"] == "finished"
 
 
-def test_a_generation_that_ends_while_paused_is_told_after_resume(client: httpx.Client) -> None:
+def test_generation_that_ends_during_a_pause_is_evaluated_after_resume(client: httpx.Client) -> None:
     worker, campaign = FakeWorker(client), submit(client, ball())
-    jobs: list[LeasedJob] = []
-    while more := worker.lease():
-        jobs += more
+    jobs = worker.lease_all()
     post(client, campaign, "pause")
     worker.report(jobs)
-    stands = progress(client, campaign)
-    assert (stands["generation"], stands["simulations"], stands["queued"]) == (0, 20, 0)
+    current = progress(client, campaign)
+    assert (current["generation"], current["simulations"], current["queued"]) == (0, 20, 0)
     post(client, campaign, "resume")
-    eventually(lambda: progress(client, campaign)["generation"] == 1, "the step after resume")
+    eventually(
+        lambda: progress(client, campaign)["generation"] == 1, "the generation is evaluated after resume"
+    )
 
 
-def test_a_cancelled_campaign_keeps_what_it_found(client: httpx.Client) -> None:
+def test_cancelled_campaign_keeps_its_results(client: httpx.Client) -> None:
     worker, campaign = FakeWorker(client), submit(client, ball())
-    stands = worker.work(campaign, until=lambda p: p["generation"] >= 1)
+    current = worker.work(campaign, until=lambda p: p["generation"] >= 1)
     late = worker.lease()
     post(client, campaign, "cancel")
     assert set(worker.report(late)) == {"stale"}
     done = progress(client, campaign)
     assert done["status"] == "cancelled"
-    assert done["evaluated"] == stands["evaluated"] == 20
+    assert done["evaluated"] == current["evaluated"] == 20
     assert done["digest"]
     assert (done["queued"], done["leased"], done["remaining_s"]) == (0, 0, None)
     assert worker.lease() == []
@@ -134,7 +134,7 @@ def test_only_an_ended_campaign_can_be_deleted(client: httpx.Client, engines: En
 
 
 def fails_east_of(x: float) -> Judge:
-    """Judge as the simulator would, but for the east."""
+    """Return a judge that fails every job east of a line."""
 
     def judge(job: LeasedJob) -> Completed | JobFailed:
         if job.spec["scenario"]["x"] > x:
@@ -164,7 +164,7 @@ def test_failed_candidates_do_not_count_as_safe(client: httpx.Client) -> None:
     }
 
 
-def test_too_many_failures_pause_a_campaign_which_can_go_on_without_them(client: httpx.Client) -> None:
+def test_too_many_failures_pause_a_campaign_that_can_resume_without_them(client: httpx.Client) -> None:
     worker, campaign = FakeWorker(client, judge=fails_east_of(0.0)), submit(client, ball())
     stopped = worker.work(campaign)
     assert stopped["status"] == "paused"
@@ -176,7 +176,7 @@ def test_too_many_failures_pause_a_campaign_which_can_go_on_without_them(client:
     assert worker.work(campaign)["status"] == "finished"
 
 
-def test_quarantined_jobs_can_be_retried_before_going_on(client: httpx.Client) -> None:
+def test_quarantined_jobs_can_be_retried_before_resuming(client: httpx.Client) -> None:
     worker, campaign = FakeWorker(client, judge=fails_east_of(0.0)), submit(client, ball())
     worker.work(campaign)
     jobs = expect(client.get("/api/v1/jobs", params={"status": "quarantined", "campaign": campaign}))["jobs"]
@@ -190,7 +190,7 @@ def test_quarantined_jobs_can_be_retried_before_going_on(client: httpx.Client) -
     expect(client.post(f"/api/v1/jobs/{jobs[0]['id']}/retry"), 409)
 
 
-def test_a_result_that_the_problem_cannot_read_fails_its_candidate_alone(client: httpx.Client) -> None:
+def test_unreadable_result_fails_only_its_candidate(client: httpx.Client) -> None:
     def judge(job: LeasedJob) -> Completed | JobFailed:
         first = job.spec["scenario"]["x"] < -1.8
         return Completed(verdicts={}) if first else completes(job)
@@ -204,7 +204,7 @@ def test_a_result_that_the_problem_cannot_read_fails_its_candidate_alone(client:
     assert done["failed"] > 0
 
 
-def test_a_campaign_goes_on_without_results_that_cannot_be_read(client: httpx.Client) -> None:
+def test_campaign_continues_without_unreadable_results(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=lambda job: Completed(verdicts={}))
     campaign = submit(client, ball())
     assert worker.work(campaign)["status"] == "paused"
@@ -214,7 +214,7 @@ def test_a_campaign_goes_on_without_results_that_cannot_be_read(client: httpx.Cl
     assert (done["status"], done["failed"]) == ("finished", 20)
 
 
-def test_a_result_that_cannot_be_read_is_not_handed_to_other_campaigns(client: httpx.Client) -> None:
+def test_unreadable_result_is_not_reused_by_other_campaigns(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=lambda job: Completed(verdicts={}))
     campaign = submit(client, ball(execution={"max_failed_share": 1.0}))
     worker.work(campaign, until=lambda now: now["generation"] >= 1)
@@ -225,20 +225,20 @@ def test_a_result_that_cannot_be_read_is_not_handed_to_other_campaigns(client: h
     assert (done["status"], done["failed"]) == ("finished", 0)
 
 
-def test_a_campaign_shows_every_parameter_that_it_runs_with(client: httpx.Client) -> None:
+def test_campaign_shows_every_parameter_that_it_runs_with(client: httpx.Client) -> None:
     body = expect(client.get(f"/api/v1/campaigns/{submit(client, ball())}"))["body"]
     assert body["algorithm"]["params"] == asdict(
         GeneticAlgorithmConfig(radius=0.2, population_size=20, mutation_probability=0.5)
-    )  # the radius is the ball's own default
+    )  # the radius is the default of the ball
 
 
-def test_a_cursor_that_no_page_gave_is_refused(client: httpx.Client) -> None:
+def test_made_up_cursor_is_rejected(client: httpx.Client) -> None:
     for text in ("1.0 \0", "nan x", "1e999 x", "1.0", "", "\ud7ff"):
         cursor = base64.urlsafe_b64encode(text.encode()).decode()
         expect(client.get("/api/v1/campaigns", params={"cursor": cursor}), 422 if cursor else 200)
 
 
-def test_distances_are_those_of_the_metric(client: httpx.Client, engines: Engines) -> None:
+def test_distances_equal_those_of_the_metric(client: httpx.Client, engines: Engines) -> None:
     campaign = submit(client, ball())
     FakeWorker(client).work(campaign)
     solutions = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions", params={"limit": 60}))[
@@ -253,7 +253,7 @@ def test_distances_are_those_of_the_metric(client: httpx.Client, engines: Engine
     answer = expect(client.get(f"/api/v1/campaigns/{campaign}/distances", params=wanted))
     assert answer["numbers"] == numbers
     np.testing.assert_allclose(answer["distances"], expected, atol=1e-6)
-    # They come from the stored matrix; a damaged block is not believed.
+    # They come from the stored matrix, and a damaged block is an error.
     with engines.writer.begin() as connection:
         block = connection.execute(select(DistanceBlockRow.data).limit(1)).scalar_one()
         zeros = bytes(len(block))
@@ -269,7 +269,7 @@ def test_distances_are_those_of_the_metric(client: httpx.Client, engines: Engine
 
 
 @pytest.mark.parametrize("value", ["\ud800", [[[]]] * 2, {"deep": None}])
-def test_values_that_cannot_be_written_again_are_refused_with_their_place(
+def test_values_that_cannot_be_stored_are_rejected_with_their_pointer(
     client: httpx.Client, value: object
 ) -> None:
     for _ in range(40):
@@ -289,7 +289,7 @@ def test_values_that_cannot_be_written_again_are_refused_with_their_place(
     assert progress(client, campaign)["status"] == "running"
 
 
-def test_campaigns_with_equal_simulations_share_them(client: httpx.Client) -> None:
+def test_campaigns_share_equal_simulations(client: httpx.Client) -> None:
     worker = FakeWorker(client)
     first = worker.work(submit(client, ball()))
     second = submit(client, ball(name="again"))
@@ -299,7 +299,7 @@ def test_campaigns_with_equal_simulations_share_them(client: httpx.Client) -> No
     assert progress(client, third)["queued"] == 20
 
 
-def test_a_job_that_nobody_can_run_is_named(client: httpx.Client) -> None:
+def test_progress_counts_jobs_that_no_worker_can_run(client: httpx.Client) -> None:
     body = ball(problem={"id": "ball@1", "params": {"needs": "nobody-has-it@1"}})
     campaign = submit(client, body)
     submit(client, ball())
@@ -307,7 +307,7 @@ def test_a_job_that_nobody_can_run_is_named(client: httpx.Client) -> None:
     assert progress(client, campaign)["unrunnable"] == {"nobody-has-it@1": 20}
 
 
-def test_the_progress_of_a_running_campaign_changes_its_etag(client: httpx.Client) -> None:
+def test_etag_changes_with_the_progress_of_a_running_campaign(client: httpx.Client) -> None:
     worker, campaign = FakeWorker(client), submit(client, ball())
     path = f"/api/v1/campaigns/{campaign}/progress"
     jobs = worker.lease()
@@ -317,7 +317,7 @@ def test_the_progress_of_a_running_campaign_changes_its_etag(client: httpx.Clien
     assert client.get(path, headers={"If-None-Match": etag}).status_code == 200
 
 
-def test_an_in_process_problem_needs_no_worker(client: httpx.Client) -> None:
+def test_in_process_problem_needs_no_worker(client: httpx.Client) -> None:
     body = {
         "name": "mtq", "problem": {"id": "mtq@1"}, "algorithm": {"id": "mlcshe@1"},
         "budget": {"simulations": 300}, "seed": 1,
@@ -332,7 +332,7 @@ def test_an_in_process_problem_needs_no_worker(client: httpx.Client) -> None:
     expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/0/trace"), 404)
 
 
-def test_a_campaign_that_ends_while_it_is_looked_at_has_its_digest(
+def test_progress_of_a_campaign_that_ends_meanwhile_has_its_digest(
     client: httpx.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     worker, campaign = FakeWorker(client), submit(client, ball())
@@ -344,12 +344,11 @@ def test_a_campaign_that_ends_while_it_is_looked_at_has_its_digest(
         return read(*arguments, **options)
 
     monkeypatch.setattr(campaign_routes, "read_progress", end_meanwhile)
-    with httpx.Client(base_url=client.base_url, timeout=60) as other:
-        seen = progress(other, campaign)
+    seen = progress(client, campaign)
     assert (seen["status"], len(seen["digest"] or "")) == ("finished", 64)
 
 
-def test_a_campaign_can_be_looked_at_without_its_plugin(
+def test_campaign_is_readable_without_its_plugin(
     database_url: str, small_problems: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with coordinator(database_url) as client:
@@ -364,5 +363,5 @@ def test_a_campaign_can_be_looked_at_without_its_plugin(
 
 
 @pytest.mark.parametrize("verb", ["pause", "resume", "cancel"])
-def test_an_unknown_campaign_cannot_be_controlled(client: httpx.Client, verb: str) -> None:
+def test_unknown_campaign_cannot_be_controlled(client: httpx.Client, verb: str) -> None:
     post(client, "zzzz", verb, 404)

@@ -1,10 +1,11 @@
-"""The trial by faults in short, and that it would notice if something were lost, doubled or stuck."""
+"""A short fault trial, and its audit: lost, doubled and stuck jobs are noticed."""
 
 import json
 from typing import Any
 
 import pytest
 from sqlalchemy import update
+from support.databases import on_sqlite
 from support.processes import environment
 from support.queue import RESULT, Queue
 
@@ -18,13 +19,13 @@ from brink.worker.wire import LeasedJob
 SHORT = ChaosPlan(minutes=0.25, faults=8, every_s=1.2, share=0.05, simulations=100, drives=False)
 
 
-def told(part: str, done: int, total: int) -> None:
-    """Listen to nothing."""
+def ignore(part: str, done: int, total: int) -> None:
+    """Ignore the trial's progress."""
 
 
-@pytest.mark.slow
-def test_nothing_is_lost_while_everything_breaks() -> None:
-    outcome = run_trial(SHORT, told)
+@pytest.mark.long("a fault trial by wall clock")
+def test_nothing_is_lost_in_a_fault_trial() -> None:
+    outcome = run_trial(SHORT, ignore)
     findings = outcome.findings
     assert (findings.lost, findings.doubled, findings.stuck) == ((), (), ())
     assert outcome.same == len(outcome.digests) >= 2
@@ -32,16 +33,16 @@ def test_nothing_is_lost_while_everything_breaks() -> None:
     assert outcome.messages.total() >= 1
 
 
-@pytest.mark.slow
-def test_a_queue_without_fences_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.long("a fault trial by wall clock")
+def test_trial_reveals_a_queue_that_ignores_lease_tokens(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", environment()["PYTHONPATH"])
     plan = ChaosPlan(
         minutes=0.15, faults=1, every_s=5.0, share=0.4, simulations=100, drives=False, plugins=("unfenced",)
     )
-    assert run_trial(plan, told).findings.doubled
+    assert run_trial(plan, ignore).findings.doubled
 
 
-def said(ledger: Ledger, jobs: list[LeasedJob], status: str = "accepted", result: str = RESULT) -> None:
+def note(ledger: Ledger, jobs: list[LeasedJob], status: str = "accepted", result: str = RESULT) -> None:
     results: list[Any] = [{"job": job.job, "token": job.token, "outcome": json.loads(result)} for job in jobs]
     statuses = [{"job": job.job, "status": status} for job in jobs]
     ledger.note(json.dumps({"results": results}).encode(), json.dumps({"statuses": statuses}).encode())
@@ -54,7 +55,7 @@ def findings_of(engines: Engines, ledger: Ledger, campaigns: dict[str, int]) -> 
 
 
 def judge(queue: Queue, campaign: str, *, counted: int) -> None:
-    """Give all solutions of a campaign a verdict, and have the campaign count so many."""
+    """Give all solutions a verdict, and set the number that their campaign counts."""
     safe = {"verdict": SolutionVerdict.SAFE, "robustness": 1.0}
     queue.run(lambda c: c.execute(update(SolutionRow).values(safe)))
     queue.run(
@@ -62,36 +63,36 @@ def judge(queue: Queue, campaign: str, *, counted: int) -> None:
     )
 
 
-@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+@on_sqlite
 class TestAudit:
-    def test_a_verdict_that_was_taken_but_is_not_stored_is_lost(self, queue: Queue, engines: Engines) -> None:
+    def test_accepted_verdict_that_is_not_stored_is_lost(self, queue: Queue, engines: Engines) -> None:
         campaign, ledger = queue.campaign(2), Ledger()
         jobs = queue.lease()
         queue.complete(jobs[0])
-        said(ledger, jobs)
+        note(ledger, jobs)
         lost, doubled, _ = findings_of(engines, ledger, {campaign: 0})
         assert lost == [f"job {jobs[1].job}: taken, but it is leased"]
         assert doubled == []
 
-    def test_another_verdict_than_the_one_taken_is_a_loss(self, queue: Queue, engines: Engines) -> None:
+    def test_verdict_that_differs_from_the_accepted_one_is_lost(self, queue: Queue, engines: Engines) -> None:
         campaign, ledger = queue.campaign(1), Ledger()
         jobs = queue.lease()
         queue.complete(*jobs)
-        said(ledger, jobs, result=RESULT.replace('"objectives":{}', '"objectives":{"gap":1.0}'))
+        note(ledger, jobs, result=RESULT.replace('"objectives":{}', '"objectives":{"gap":1.0}'))
         lost, _, _ = findings_of(engines, ledger, {campaign: 0})
         assert lost == [f"job {jobs[0].job}: taken, but it is done"]
 
-    def test_a_verdict_taken_twice_is_doubled(self, queue: Queue, engines: Engines) -> None:
+    def test_verdict_accepted_twice_is_doubled(self, queue: Queue, engines: Engines) -> None:
         campaign, ledger = queue.campaign(1), Ledger()
         jobs = queue.lease()
         queue.complete(*jobs)
-        said(ledger, jobs)
-        said(ledger, jobs, status="duplicate")
+        note(ledger, jobs)
+        note(ledger, jobs, status="duplicate")
         assert findings_of(engines, ledger, {campaign: 0})[1] == []
-        said(ledger, jobs)
+        note(ledger, jobs)
         assert findings_of(engines, ledger, {campaign: 0})[1] == [f"job {jobs[0].job}: taken 2 times"]
 
-    def test_open_jobs_and_campaigns_are_stuck_and_missing_verdicts_lost(
+    def test_open_jobs_and_campaigns_are_stuck_and_missing_verdicts_are_lost(
         self, queue: Queue, engines: Engines
     ) -> None:
         campaign = queue.campaign(1)
@@ -99,7 +100,7 @@ class TestAudit:
         assert stuck == ["job 1 is queued", f"campaign {campaign} is running"]
         assert lost == [f"campaign {campaign}: 0 verdicts of 1 simulations"]
 
-    def test_a_job_in_quarantine_is_lost_and_not_stuck(self, queue: Queue, engines: Engines) -> None:
+    def test_quarantined_job_is_lost_but_not_stuck(self, queue: Queue, engines: Engines) -> None:
         campaign = queue.campaign(2)
         jobs = queue.lease_all()
         queue.fail(jobs[0], final=True)
@@ -109,9 +110,7 @@ class TestAudit:
         assert lost == [f"job {jobs[0].job} is quarantined"]
         assert (doubled, stuck) == ([], [])
 
-    def test_solutions_that_are_counted_without_a_verdict_are_doubled(
-        self, queue: Queue, engines: Engines
-    ) -> None:
+    def test_solution_counted_without_a_verdict_is_doubled(self, queue: Queue, engines: Engines) -> None:
         campaign = queue.campaign(2)
         judge(queue, campaign, counted=2)
         assert findings_of(engines, Ledger(), {campaign: 2})[1] == []
@@ -120,6 +119,6 @@ class TestAudit:
             f"campaign {campaign}: counts 3 solutions, 2 have a verdict"
         ]
 
-    def test_a_campaign_that_nobody_submitted_is_doubled(self, queue: Queue, engines: Engines) -> None:
+    def test_campaign_that_nobody_submitted_is_doubled(self, queue: Queue, engines: Engines) -> None:
         campaign = queue.campaign(1)
         assert findings_of(engines, Ledger(), {})[1] == [f"campaign {campaign}: nobody submitted it"]

@@ -1,29 +1,37 @@
-"""The command line: help with examples everywhere, and one clear line for what goes wrong."""
+"""The command line: help with examples for every command, and one clear line for every failure."""
 
 import json
 import socket
 import sqlite3
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 import typer
 import yaml
-from support.api import FakeWorker, ball, coordinator, submit
-from support.databases import Databases
+from PIL import Image
+from sqlalchemy import text, update
+from support.api import FakeWorker, ball, coordinator, expect, listening_coordinator, submit
+from support.databases import Databases, on_sqlite
+from support.queue import Queue
 from typer.testing import CliRunner
 
-from brink.cli import commands, steer
+from brink.cli import commands, perturbations, steer
 from brink.cli.commands import app
 from brink.cli.main import main
 from brink.cli.options import database_option
 from brink.server.db import engine
+from brink.server.db.clock import database_now
 from brink.server.db.engine import Engines, open_engines
+from brink.server.db.models import CampaignRow, CheckpointRow, DistanceBlockRow, JobRow
 from brink.server.db.upgrade import upgrade
+from brink.server.operations.doctor import State, examine
 from brink.server.settings import Settings
 from brink.worker.wire import JobFailed
 
@@ -33,8 +41,8 @@ MTQ = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Said:
-    """What a command said, and how it ended."""
+class Ended:
+    """The output of a command and its exit status."""
 
     status: int
     out: str
@@ -42,25 +50,25 @@ class Said:
 
     @property
     def line(self) -> str:
-        """The one line that a failure says."""
+        """The single line on standard error of a command that failed."""
         assert self.status == 1, self
         (line,) = self.err.strip().splitlines()
         assert line.startswith("brink: ")
         return line
 
 
-Command = Callable[..., Said]
+Command = Callable[..., Ended]
 
 
 @pytest.fixture
 def brink(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Command:
-    """Run the command in this process, in a folder of its own."""
+    """Runs the command in this process, in an empty folder."""
     monkeypatch.chdir(tmp_path)
     for name in ("BRINK_DATABASE", "BRINK_SERVER", "BRINK_TOKEN"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("COLUMNS", "200")
 
-    def run(*arguments: str) -> Said:
+    def run(*arguments: str) -> Ended:
         monkeypatch.setattr(sys, "argv", ["brink", *arguments])
         status = 0
         capsys.readouterr()
@@ -69,7 +77,7 @@ def brink(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], t
         except SystemExit as end:
             status = int(end.code or 0)
         out, err = capsys.readouterr()
-        return Said(status=status, out=out, err=err)
+        return Ended(status=status, out=out, err=err)
 
     return run
 
@@ -98,12 +106,12 @@ def test_every_command_has_help_with_an_example(command: tuple[str, ...]) -> Non
     assert f"Example: brink {' '.join(command)}" in " ".join(answer.output.split())
 
 
-def test_the_commands_of_the_design_are_there() -> None:
+def test_commands_of_the_design_exist() -> None:
     names = {command[0] for command in COMMANDS}
     assert {"run", "serve", "worker", "submit", "status", "results", "plot", "replay", "db"} <= names
 
 
-def test_calling_it_wrongly_exits_2(brink: Command) -> None:
+def test_wrong_usage_exits_with_status_2(brink: Command) -> None:
     for arguments in (
         ["runn"],
         ["run"],
@@ -117,7 +125,9 @@ def test_calling_it_wrongly_exits_2(brink: Command) -> None:
 
 
 @pytest.mark.parametrize("command", [["run"], ["submit"]])
-def test_an_unknown_field_in_a_file_is_one_line(brink: Command, tmp_path: Path, command: list[str]) -> None:
+def test_unknown_field_in_a_campaign_file_is_one_line(
+    brink: Command, tmp_path: Path, command: list[str]
+) -> None:
     said = brink(*command, campaign_file(tmp_path, bugdet={}))
     assert "/bugdet: unknown field" in said.line
     assert "did you mean 'budget'?" in said.line
@@ -133,7 +143,7 @@ def test_an_unknown_field_in_a_file_is_one_line(brink: Command, tmp_path: Path, 
         ("", "name, problem, algorithm and budget"),
     ],
 )
-def test_a_file_that_is_no_campaign_is_one_line(
+def test_file_that_is_not_a_campaign_is_one_line(
     brink: Command, tmp_path: Path, content: str, words: str
 ) -> None:
     file = tmp_path / "broken.yaml"
@@ -152,17 +162,19 @@ def test_a_file_that_is_no_campaign_is_one_line(
         ),
     ],
 )
-def test_what_is_wrong_in_a_file_is_shown(brink: Command, tmp_path: Path, text: str, message: str) -> None:
+def test_message_shows_where_a_campaign_file_is_wrong(
+    brink: Command, tmp_path: Path, text: str, message: str
+) -> None:
     file = tmp_path / "campaign.yaml"
     file.write_text(text)
     assert message in brink("run", str(file)).line
 
 
-def test_a_server_that_is_no_url_is_one_line(brink: Command) -> None:
+def test_server_that_is_not_a_url_is_one_line(brink: Command) -> None:
     assert "expected a URL such as http://" in brink("status", "--server", "localhost:8700").line
 
 
-def test_a_token_that_no_header_can_carry_is_one_line(
+def test_token_outside_ascii_is_one_line_without_the_token(
     brink: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("BRINK_TOKEN", "schlüssel")
@@ -171,12 +183,12 @@ def test_a_token_that_no_header_can_carry_is_one_line(
     assert "schl" not in line
 
 
-def test_a_missing_token_is_named(brink: Command, database_url: str, small_problems: None) -> None:
-    with coordinator(database_url, token="secret") as client:
+def test_missing_token_is_one_line(brink: Command, database_url: str, small_problems: None) -> None:
+    with listening_coordinator(database_url, token="secret") as client:
         assert "BRINK_TOKEN" in brink("status", "--server", str(client.base_url)).line
 
 
-def test_ctrl_c_is_one_line(brink: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupt_is_one_line(brink: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted() -> None:
         raise KeyboardInterrupt
 
@@ -185,18 +197,18 @@ def test_ctrl_c_is_one_line(brink: Command, monkeypatch: pytest.MonkeyPatch) -> 
     assert (said.status, said.err) == (130, "brink: interrupted\n")
 
 
-def test_a_file_that_is_missing_is_one_line(brink: Command) -> None:
+def test_missing_file_is_one_line(brink: Command) -> None:
     assert "nowhere.yaml: No such file" in brink("run", "nowhere.yaml").line
 
 
-def test_a_campaign_that_cannot_run_is_one_line(brink: Command, tmp_path: Path) -> None:
+def test_campaign_that_cannot_run_is_one_line(brink: Command, tmp_path: Path) -> None:
     said = brink("run", campaign_file(tmp_path, problem={"id": "mqt@1"}))
     assert "did you mean 'mtq@1'?" in said.line
     said = brink("run", campaign_file(tmp_path, budget={"simulations": 5}))
     assert "/budget/simulations: expected at least the 100" in said.line
 
 
-def test_a_coordinator_that_is_away_is_one_line(brink: Command, tmp_path: Path) -> None:
+def test_unreachable_coordinator_is_one_line(brink: Command, tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         url = f"http://127.0.0.1:{free.getsockname()[1]}"
     for arguments in (["submit", campaign_file(tmp_path)], ["status"], ["results", "abcd"]):
@@ -205,11 +217,11 @@ def test_a_coordinator_that_is_away_is_one_line(brink: Command, tmp_path: Path) 
         assert "brink serve" in line
 
 
-def test_no_database_is_one_line(brink: Command) -> None:
+def test_missing_database_is_one_line(brink: Command) -> None:
     assert "brink run FILE" in brink("status").line
 
 
-def test_a_database_without_a_schema_says_how_to_get_one(brink: Command, databases: Databases) -> None:
+def test_database_without_a_schema_says_how_to_get_one(brink: Command, databases: Databases) -> None:
     with databases.database("empty", migrated=False) as url:
         if databases.backend == "sqlite":
             Path(url.removeprefix("sqlite:///")).touch()
@@ -220,7 +232,7 @@ def test_a_database_without_a_schema_says_how_to_get_one(brink: Command, databas
         assert "no campaign yet" in brink("status", "--database", url).out
 
 
-def test_a_newer_schema_is_one_line(brink: Command, databases: Databases, tmp_path: Path) -> None:
+def test_newer_schema_is_one_line(brink: Command, databases: Databases, tmp_path: Path) -> None:
     with databases.database("newer", migrated=False) as url:
         newer(url)
         commands = (["status"], ["serve", "--port", "0"], ["run", campaign_file(tmp_path)], ["db", "upgrade"])
@@ -237,7 +249,7 @@ def newer(url: str) -> None:
     engines.dispose()
 
 
-def test_a_port_in_use_is_one_line(brink: Command, databases: Databases, tmp_path: Path) -> None:
+def test_port_in_use_is_one_line(brink: Command, databases: Databases, tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken, databases.database() as url:
         port = str(taken.getsockname()[1])
         for arguments in (["serve"], ["run", campaign_file(tmp_path)]):
@@ -246,15 +258,15 @@ def test_a_port_in_use_is_one_line(brink: Command, databases: Databases, tmp_pat
             assert "--port" in line
 
 
-def test_listening_to_other_machines_without_a_token_is_one_line(brink: Command, tmp_path: Path) -> None:
+def test_listening_beyond_this_machine_without_a_token_is_one_line(brink: Command, tmp_path: Path) -> None:
     assert "BRINK_TOKEN" in brink("serve", "--host", "0.0.0.0", "--port", "0").line
     assert not (tmp_path / "brink.db").exists()
 
 
-def test_commands_say_the_same_from_the_database_and_from_afar(
+def test_commands_read_the_same_from_a_database_and_from_a_server(
     brink: Command, database_url: str, small_problems: None, tmp_path: Path
 ) -> None:
-    with coordinator(database_url) as client:
+    with listening_coordinator(database_url) as client:
         campaign = submit(client, ball())
         done = FakeWorker(client).work(campaign)
         places = (["--database", database_url], ["--server", str(client.base_url)])
@@ -280,11 +292,11 @@ def test_commands_say_the_same_from_the_database_and_from_afar(
         assert ".csv, .jsonl, .parquet or .json" in again.line
 
 
-def test_campaigns_are_steered_by_command(
+def test_campaigns_are_controlled_by_command(
     brink: Command, databases: Databases, small_problems: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(steer, "PAGE", 7)
-    with databases.database("steered") as url, coordinator(url) as client:
+    with databases.database("steered") as url, listening_coordinator(url) as client:
         campaign = submit(client, ball(simulations=100))
         afar, near = ("--server", str(client.base_url)), ("--database", url)
         assert "brink resume" in brink("pause", campaign[:4], *afar).out
@@ -302,7 +314,7 @@ def test_campaigns_are_steered_by_command(
         assert "no such campaign" in brink("delete", campaign, "--yes", *near).line
 
 
-def test_what_only_looks_makes_no_database(brink: Command, tmp_path: Path) -> None:
+def test_commands_that_only_read_create_no_database(brink: Command, tmp_path: Path) -> None:
     for command in (
         ["doctor"],
         ["token", "list"],
@@ -313,11 +325,11 @@ def test_what_only_looks_makes_no_database(brink: Command, tmp_path: Path) -> No
     assert list(tmp_path.glob("*.db*")) == []
 
 
-def test_a_file_that_cannot_be_shrunk_is_one_line_after_what_went(
+def test_database_that_cannot_shrink_is_one_line_after_the_summary(
     brink: Command, database_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*given: Any, **named: Any) -> Any:
-        if named:  # ours have settings
+        if named:  # the connections of Brink have settings
             return connect(*given, **named)
         raise sqlite3.OperationalError("database or disk is full")
 
@@ -330,18 +342,16 @@ def test_a_file_that_cannot_be_shrunk_is_one_line_after_what_went(
     assert "database or disk is full" in said.line
 
 
-def test_hints_keep_the_password_of_the_database(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hints_do_not_show_the_password_of_the_database(monkeypatch: pytest.MonkeyPatch) -> None:
     url = "postgresql://brink:s3cret@db/brink"
     monkeypatch.delenv("BRINK_DATABASE", raising=False)
     assert database_option(Settings(database=url)) == " --database postgresql+psycopg://brink:***@db/brink"
     assert database_option(Settings()) == ""
     monkeypatch.setenv("BRINK_DATABASE", url)
-    assert database_option(Settings()) == "", "the next command has it, too"
+    assert database_option(Settings()) == "", "the next command inherits it"
 
 
-def test_a_database_that_fails_is_one_line(
-    brink: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_database_error_is_one_line(brink: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert brink("db", "upgrade").status == 0
     monkeypatch.setattr(engine, "SQLITE_BUSY_S", 0.05)
     with closing(sqlite3.connect(tmp_path / "brink.db")) as other:
@@ -349,14 +359,241 @@ def test_a_database_that_fails_is_one_line(
         assert brink("token", "revoke", "00000000").line == "brink: database: database is locked"
 
 
-def test_a_submission_with_a_key_is_one_campaign(
+def test_two_submissions_with_one_key_are_one_campaign(
     brink: Command, database_url: str, small_problems: None, tmp_path: Path
 ) -> None:
     file = campaign_file(tmp_path)
-    with coordinator(database_url) as client:
+    with listening_coordinator(database_url) as client:
         url = str(client.base_url)
         watched = brink("submit", file, "--server", url, "--key", "k", "--watch")
         assert watched.status == 0
         assert "is finished" in watched.out
         again = json.loads(brink("submit", file, "--server", url, "--key", "k", "--json").out)
         assert again["id"] in watched.out
+
+
+def test_list_of_perturbations_names_every_gene_and_counts_the_levels(brink: Command) -> None:
+    listed = brink("perturbations", "list")
+    assert listed.status == 0
+    for words in ("15 genes, 175 levels", "shifted_pixels", "0.5, 0.45 … 0.05"):
+        assert words in listed.out
+
+
+def test_list_of_perturbations_as_json_has_all_values(brink: Command) -> None:
+    listed = brink("perturbations", "list", "--json")
+    genes = {item["gene"]: item for item in json.loads(listed.out)}
+    assert listed.status == 0
+    assert sum(item["levels"] for item in genes.values()) == 175
+    assert genes["snow"]["values"] == [None, 1.5, 2, 3, 4, 5]
+    assert all(len(item["values"]) == item["levels"] and item["effect"] for item in genes.values())
+
+
+def test_contact_sheet_of_a_given_picture(brink: Command) -> None:
+    Image.new("RGB", (320, 200), (150, 120, 90)).save("mine.jpg")
+    genes = ("--gene", "smoke", "--gene", "rain")
+    shown = brink(
+        "perturbations", "show", "--image", "mine.jpg", "--out", "sheet.png", "--tile-width", "80", *genes
+    )
+    assert (shown.status, shown.out) == (0, "sheet.png\n")
+    with Image.open("sheet.png") as sheet:
+        assert 240 < sheet.width < 300
+        assert sheet.height > 2 * 50
+
+
+def test_contact_sheet_of_a_street_depends_on_the_seed_alone(brink: Command) -> None:
+    shown = []
+    for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
+        drawn = brink("perturbations", "show", "--out", f"{name}.png", "--gene", "dirty", "--seed", seed)
+        assert drawn.status == 0
+        shown.append(Path(f"{name}.png").read_bytes())
+    assert shown[0] == shown[1] != shown[2]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--out", "sheet.gif"], "--out: sheet.gif: expected a file name that ends in .png or .jpg"),
+        (["--out", "gone/sheet.png"], "--out: gone: no such folder"),
+        (["--out", "s.png", "--image", "gone.png"], "--image: gone.png: no such file"),
+        (["--out", "s.png", "--image", "."], "--image: .: not a file"),
+        (["--out", "s.png", "--image", "text.png"], "text.png: expected a picture (PNG, JPEG"),
+        (["--out", "s.png", "--gene", "smog"], "--gene: unknown perturbation 'smog'; "),
+        (["--out", "s.png", "--gene", "smog"], "did you mean 'smoke'?"),
+    ],
+)
+def test_wrong_option_of_a_contact_sheet_is_one_line_before_any_work(
+    brink: Command, arguments: list[str], words: str
+) -> None:
+    Path("text.png").write_text("no picture")
+    shown = brink("perturbations", "show", *arguments)
+    assert shown.out == ""
+    assert words in shown.line
+    assert not Path("s.png").exists()
+
+
+def test_contact_sheet_without_opencv_says_what_to_install(
+    brink: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(perturbations, "find_spec", lambda name: None)
+    assert brink("perturbations", "show", "--out", "s.png").line == (
+        "brink: drawing pictures needs OpenCV; install it with: "
+        ".venv/bin/pip install -c constraints.txt -e '.[vision]'"
+    )
+    assert brink("perturbations", "list").status == 0
+
+
+SENSITIVITY: dict[str, Any] = {
+    "name": "known", "problem": {"id": "mtq@1"}, "algorithm": {"id": "mlcshe@1", "params": {"archive_size": 3}},
+    "budget": {"simulations": 120}, "seed": 7,
+}  # fmt: skip
+
+
+@on_sqlite
+def test_archive_is_scored_with_other_settings(listening_client: httpx.Client, tmp_path: Path) -> None:
+    client = listening_client
+    campaign = submit(client, ball(simulations=80))
+    assert FakeWorker(client).work(campaign)["status"] == "finished"
+    picture = tmp_path / "sensitivity.png"
+    command = ["sensitivity", "rescore", campaign, "--server", str(client.base_url), "--radius", "0.1,0.3"]
+    said = CliRunner().invoke(app, [*command, "--p-th", "0.5", "--json", "--picture", str(picture)])
+    assert said.exit_code == 0, said.output
+    found = json.loads(said.output)
+    assert [one["radius"] for one in found["by_radius"]] == [0.1, 0.2, 0.3], (
+        "the campaign's own radius is included"
+    )
+    assert [one["p_th"] for one in found["by_p_th"]] == [0.1, 0.5]
+    boundary = expect(client.get(f"/api/v1/campaigns/{campaign}/boundary"))
+    own = found["by_radius"][1]
+    assert (own["dbs"], own["strict_dbs"]) == (boundary["dbs"], boundary["strict_dbs"])
+    assert found["by_p_th"][0] == own
+    with Image.open(picture) as drawn:
+        assert drawn.width == 1600
+    people = CliRunner().invoke(app, command)
+    assert "the campaign's" in people.output
+
+
+@on_sqlite
+def test_searches_with_other_settings_become_an_experiment(databases: Databases, tmp_path: Path) -> None:
+    file = tmp_path / "campaign.yaml"
+    file.write_text(yaml.safe_dump(SENSITIVITY))
+    out = tmp_path / "out"
+    with databases.database() as url:
+        command = ["sensitivity", "rerun", str(file), "--parameter", "population_size", "--values", "5,10"]
+        said = CliRunner().invoke(
+            app, [*command, "--seeds", "2", "--workers", "1", "--database", url, "--out", str(out)]
+        )
+        assert said.exit_code == 0, said.output
+    written = yaml.safe_load((out / "known--population_size.yaml").read_text())
+    assert [one["params"] for one in written["algorithms"]] == [
+        {"archive_size": 3, "population_size": size} for size in (5, 10)
+    ]
+    assert written["seeds"] == [7, 8]
+    [folder] = [path for path in out.iterdir() if path.is_dir()]
+    found = json.loads((folder / "sensitivity.json").read_text())
+    assert list(found) == ["5", "10"]
+    assert all(len(one["dbs"]) == len(one["strict"]) == 2 for one in found.values())
+    assert (folder / "report.html").stat().st_size > 10_000
+    with Image.open(folder / "sensitivity.png") as drawn:
+        assert drawn.width == 1600
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["--parameter", "population_size", "--values", "5,many"], "population_size"),
+        (["--parameter", "popluation_size", "--values", "5"], "popluation_size"),
+        (["--parameter", "population_size", "--values", "5,5"], "more than once"),
+        (["--parameter", "population_size", "--values", "5", "--t-b", "0.12"], "--t-b"),
+    ],
+)
+def test_setting_that_cannot_be_varied_is_named(tmp_path: Path, arguments: list[str], expected: str) -> None:
+    file = tmp_path / "campaign.yaml"
+    file.write_text(yaml.safe_dump(SENSITIVITY))
+    database = ["--database", f"sqlite:///{tmp_path / 'x.db'}", "--out", str(tmp_path / "out")]
+    said = CliRunner().invoke(app, ["sensitivity", "rerun", str(file), *arguments, *database])
+    assert said.exit_code != 0
+    assert expected in str(said.exception)
+
+
+def diagnose(database_url: str, engines: Engines) -> Mapping[str, tuple[State, str]]:
+    checks = examine(Settings(database=database_url), engines, thorough=True)
+    return {one.check: (one.state, one.found) for one in checks}
+
+
+@pytest.fixture
+def finished(database_url: str, small_problems: None) -> str:
+    with coordinator(database_url) as client:
+        campaign = submit(client, ball(simulations=60))
+        FakeWorker(client).work(campaign)
+    return campaign
+
+
+def test_sound_database_passes_every_check(database_url: str, engines: Engines, finished: str) -> None:
+    checks = diagnose(database_url, engines)
+    assert {state for state, _ in checks.values()} == {State.FINE}
+    assert {"database", "schema", "clock", "workers", "leases", "jobs", "campaigns", "stored"} <= set(checks)
+    assert "64 solutions' distances computed again" in checks["stored"][1]
+
+
+def test_doctor_names_stuck_leases_campaigns_and_missing_workers(
+    database_url: str, engines: Engines, finished: str
+) -> None:
+    queue = Queue(engines=engines)
+    queue.campaign(3, needs="rare@1")
+    idle = queue.campaign(0)
+    (job,) = queue.lease(max_jobs=1, capabilities=("rare@1",))
+    with engines.writer.begin() as connection:
+        past = database_now(connection) - timedelta(seconds=100)
+        connection.execute(update(JobRow).where(JobRow.id == job.job).values(lease_expires_at=past))
+        connection.execute(update(CampaignRow).where(CampaignRow.id == idle).values(created_at=past))
+    checks = diagnose(database_url, engines)
+    assert checks["workers"][0] is State.WRONG
+    assert "2 queued jobs need rare@1" in checks["workers"][1]
+    assert checks["leases"] == (State.WRONG, "1 of 1 ran out over 30 s ago, and nobody took them back")
+    assert checks["campaigns"][0] is State.WRONG
+    assert idle in checks["campaigns"][1]
+
+
+def test_doctor_points_at_quarantined_jobs(database_url: str, engines: Engines) -> None:
+    queue = Queue(engines=engines)
+    queue.campaign(1)
+    queue.fail(*queue.lease(), final=True)
+    state, words = diagnose(database_url, engines)["jobs"]
+    assert (state, "1 quarantined" in words) == (State.LOOK, True)
+
+
+@pytest.mark.parametrize("table", [CheckpointRow, DistanceBlockRow])
+def test_doctor_names_damaged_data(
+    database_url: str, engines: Engines, finished: str, table: type[Any]
+) -> None:
+    column = "document" if table is CheckpointRow else "data"
+    with engines.writer.begin() as connection:
+        connection.execute(update(table).values({column: b"damaged"}))
+    state, words = diagnose(database_url, engines)["stored"]
+    assert state is State.WRONG
+    assert finished in words
+    assert "damaged" in words
+
+
+def test_doctor_names_wrong_distances(database_url: str, engines: Engines, finished: str) -> None:
+    with engines.writer.begin() as connection:
+        numbers = text("UPDATE solutions SET vector = :other WHERE number = 0")
+        connection.execute(numbers, {"other": b"\0" * 8 * 2})
+    state, words = diagnose(database_url, engines)["stored"]
+    assert state is State.WRONG
+    assert "differ" in words or "expected" in words, words
+
+
+def test_doctor_names_a_missing_database(tmp_path: Path) -> None:
+    run = CliRunner().invoke(app, ["doctor", "--json", "--database", "postgresql://nobody@127.0.0.1:9/none"])
+    assert run.exit_code == 1
+    (only,) = json.loads(run.stdout)
+    assert (only["check"], only["state"]) == ("database", "wrong")
+    empty = CliRunner().invoke(app, ["doctor", "--database", f"sqlite:///{tmp_path}/none.db"])
+    assert empty.exit_code == 1
+
+
+def test_doctor_prints_a_table(database_url: str, finished: str) -> None:
+    run = CliRunner().invoke(app, ["doctor", "--database", database_url])
+    assert run.exit_code == 0, run.output
+    assert "fine" in run.stdout

@@ -8,6 +8,7 @@ import httpx
 import pytest
 import yaml
 from support.api import FakeWorker, ball, coordinator, eventually, expect, row_counts
+from support.databases import on_sqlite
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
@@ -190,9 +191,9 @@ def test_results_wait_no_longer_than_asked(database_url: str) -> None:
         assert expect(client.get(f"{API}/{name}/results", params={"wait_s": 60}))["scored"] == 4
 
 
-@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
-def test_the_command_line_does_all_of_it(client: httpx.Client, tmp_path: Path) -> None:
-    file, server = tmp_path / "experiment.yaml", ["--server", str(client.base_url)]
+@on_sqlite
+def test_the_command_line_does_all_of_it(listening_client: httpx.Client, tmp_path: Path) -> None:
+    file, server = tmp_path / "experiment.yaml", ["--server", str(listening_client.base_url)]
     file.write_text(yaml.safe_dump(experiment()))
 
     def said(*arguments: str, status: int = 0) -> str:
@@ -206,7 +207,7 @@ def test_the_command_line_does_all_of_it(client: httpx.Client, tmp_path: Path) -
     assert "is running" in said("resume", name)
     assert "no campaign of it has finished yet" in said("report", name, "--out", str(tmp_path), status=1)
     assert "cancel it" in said("delete", name, "--yes", status=1)
-    work_through(client, name)
+    work_through(listening_client, name)
     status = said("status", name)
     assert "finished, 389 of 360 simulations" in status, "generations end whole"
     assert status.count("GA") == 3

@@ -12,10 +12,10 @@ from typing import Any
 
 import httpx
 import pytest
-from support.api import FakeWorker, ball, coordinator, expect, progress, submit
+from support.api import FakeWorker, ball, coordinator, expect, listening_coordinator, progress, submit
 from support.attacks import ATTACKS
 from support.attacks.bodies import MOST_BYTES
-from support.databases import Databases
+from support.databases import Databases, on_sqlite
 from support.hostile import Attack, Target, everything, outcome_of, prepare, results
 from support.problems import small_problems
 
@@ -40,14 +40,14 @@ def named(name: str, *gets: int) -> Callable[[Callable[..., None]], Callable[...
 
 
 @pytest.fixture(scope="module")
-def target(databases_of_file: Databases) -> Iterator[Target]:
+def target(module_databases: Databases) -> Iterator[Target]:
     """A coordinator with tokens and campaigns, for the whole list."""
-    with pytest.MonkeyPatch.context() as patched, small_problems(), databases_of_file.database() as url:
+    with pytest.MonkeyPatch.context() as patched, small_problems(), module_databases.database() as url:
         patched.setattr(brink.server.access.gate, "REMEMBERED_S", 0.0)
         patched.setattr(brink.server.access.gate, "STRANGERS_PER_S", 1e6)
         engines = open_engines(url)
         try:
-            with coordinator(
+            with listening_coordinator(
                 url, lease_s=3600, stall_s=1.0, max_body_bytes=MOST_BYTES, rate_limit=0
             ) as client:
                 yield prepare(client, engines)
@@ -106,7 +106,7 @@ def guarded(database_url: str, engines: Engines, small_problems: None) -> Iterat
 
 
 @named("a flood with a token", 200, 429)
-@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+@on_sqlite
 def test_a_flood_is_told_to_come_again_later(guarded: tuple[httpx.Client, str]) -> None:
     client, token = guarded
     headers = {"Authorization": f"Bearer {token}"}
@@ -119,7 +119,7 @@ def test_a_flood_is_told_to_come_again_later(guarded: tuple[httpx.Client, str]) 
 
 
 @named("a flood of guesses", 401, 429)
-@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+@on_sqlite
 def test_guesses_are_told_to_come_again_later(
     guarded: tuple[httpx.Client, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

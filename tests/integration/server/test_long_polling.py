@@ -1,4 +1,4 @@
-"""Waiting for work: woken by news, and no lease for a client that has gone."""
+"""Long polling for jobs: waking workers, clients that disconnect, retries by other workers."""
 
 import asyncio
 import contextlib
@@ -13,7 +13,18 @@ import httpx
 import psycopg
 import pytest
 from sqlalchemy import update
-from support.api import FakeWorker, ball, coordinator, eventually, expect, progress, settings_for, submit
+from support.api import (
+    FakeWorker,
+    ball,
+    coordinator,
+    eventually,
+    expect,
+    listening_coordinator,
+    progress,
+    settings_for,
+    submit,
+)
+from support.databases import on_postgres
 from support.queue import Queue
 
 from brink.server.api.context import Context
@@ -22,16 +33,16 @@ from brink.server.db.clock import database_now
 from brink.server.db.engine import Engines
 from brink.server.db.models import JobRow
 from brink.server.queue import holding_store, service
-from brink.worker.wire import HeldLease, LeaseRequest, ResultsRequest, WorkerIdentity
+from brink.worker.wire import HeldLease, JobFailed, LeasedJob, LeaseRequest, ResultsRequest, WorkerIdentity
 
 PATIENCE_S = 30.0
 NEWS_S = 10.0
-"""How long news may take: less than who waits for it waits, for that ends with a look."""
+"""Limit for a wake-up, shorter than the wait of a worker, which ends with another look at the queue."""
 
 
 @pytest.fixture
-def nobody_looks_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let who waits have nothing but news."""
+def no_rechecks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have waiting workers rely on wake-ups alone."""
     for pause in ("RECHECK_S", "SHARED_RECHECK_S"):
         monkeypatch.setattr(service, pause, 10 * PATIENCE_S)
 
@@ -43,8 +54,8 @@ def wait_in_thread(worker: FakeWorker, wait_s: float = PATIENCE_S) -> tuple[thre
     return thread, got
 
 
-@pytest.mark.usefixtures("nobody_looks_again")
-def test_a_submission_wakes_a_waiting_worker(client: httpx.Client) -> None:
+@pytest.mark.usefixtures("no_rechecks")
+def test_submission_wakes_a_waiting_worker(client: httpx.Client) -> None:
     worker = FakeWorker(client)
     thread, got = wait_in_thread(worker)
     eventually(lambda: len(expect(client.get("/api/v1/workers"))) == 1, "the worker asked")
@@ -53,18 +64,16 @@ def test_a_submission_wakes_a_waiting_worker(client: httpx.Client) -> None:
     assert len(got) == 8
 
 
-def test_a_wait_ends_without_work(client: httpx.Client) -> None:
+def test_wait_ends_without_jobs(client: httpx.Client) -> None:
     began = time.monotonic()
     assert FakeWorker(client).lease(wait_s=0.3) == []
     assert time.monotonic() - began >= 0.3
 
 
-@pytest.mark.usefixtures("nobody_looks_again")
-def test_the_next_generation_wakes_a_waiting_worker(client: httpx.Client) -> None:
+@pytest.mark.usefixtures("no_rechecks")
+def test_next_generation_wakes_a_waiting_worker(client: httpx.Client) -> None:
     worker, campaign = FakeWorker(client), submit(client, ball())
-    jobs = []
-    while more := worker.lease():
-        jobs += more
+    jobs = worker.lease_all()
     thread, got = wait_in_thread(FakeWorker(client, id="worker-2"))
     eventually(lambda: len(expect(client.get("/api/v1/workers"))) == 2, "the second worker asked")
     worker.report(jobs)
@@ -73,7 +82,7 @@ def test_the_next_generation_wakes_a_waiting_worker(client: httpx.Client) -> Non
     assert progress(client, campaign)["generation"] == 1
 
 
-def test_a_result_can_ask_for_the_next_lease(client: httpx.Client) -> None:
+def test_results_request_can_ask_for_the_next_lease(client: httpx.Client) -> None:
     worker = FakeWorker(client)
     submit(client, ball())
     jobs = worker.lease(max_jobs=2)
@@ -89,13 +98,11 @@ def test_a_result_can_ask_for_the_next_lease(client: httpx.Client) -> None:
     assert len(reply["lease"]["jobs"]) == 3
 
 
-@pytest.mark.usefixtures("nobody_looks_again")
-def test_a_released_job_wakes_a_waiting_worker(client: httpx.Client) -> None:
+@pytest.mark.usefixtures("no_rechecks")
+def test_released_job_wakes_a_waiting_worker(client: httpx.Client) -> None:
     worker = FakeWorker(client)
     submit(client, ball())
-    jobs = []
-    while more := worker.lease():
-        jobs += more
+    jobs = worker.lease_all()
     thread, got = wait_in_thread(FakeWorker(client, id="worker-2"))
     eventually(lambda: len(expect(client.get("/api/v1/workers"))) == 2, "the second worker asked")
     worker.report([], release=[HeldLease(job=jobs[0].job, token=jobs[0].token).model_dump()])
@@ -103,8 +110,8 @@ def test_a_released_job_wakes_a_waiting_worker(client: httpx.Client) -> None:
     assert [(job.job, job.attempt) for job in got] == [(jobs[0].job, 1)]
 
 
-def test_who_lost_a_lease_can_neither_report_nor_renew_it(database_url: str, small_problems: None) -> None:
-    with coordinator(database_url, lease_s=0.2) as client:
+def test_expired_lease_can_be_neither_reported_nor_renewed(database_url: str, small_problems: None) -> None:
+    with coordinator(database_url, lease_s=0.2, sweep_s=0.05) as client:
         worker, campaign = FakeWorker(client), submit(client, ball())
         lost = worker.lease(max_jobs=2)
         eventually(lambda: progress(client, campaign)["leased"] == 0, "the leases run out")
@@ -114,8 +121,8 @@ def test_who_lost_a_lease_can_neither_report_nor_renew_it(database_url: str, sma
         assert expect(client.post("/api/v1/jobs/heartbeat", json=heartbeat))["held"] == []
 
 
-@pytest.mark.usefixtures("small_problems", "nobody_looks_again")
-def test_a_lost_lease_goes_to_a_waiting_worker(database_url: str) -> None:
+@pytest.mark.usefixtures("small_problems", "no_rechecks")
+def test_job_of_an_expired_lease_goes_to_a_waiting_worker(database_url: str) -> None:
     async def body(context: Context, client: httpx.AsyncClient) -> None:
         await client.post("/api/v1/campaigns", json=ball(simulations=20))
         held = []
@@ -135,12 +142,12 @@ def test_a_lost_lease_goes_to_a_waiting_worker(database_url: str) -> None:
 
 
 def test_heartbeats_keep_a_lease(database_url: str, small_problems: None) -> None:
-    with coordinator(database_url, lease_s=1.0) as client:
+    with coordinator(database_url, lease_s=1.0, sweep_s=0.05) as client:
         worker = FakeWorker(client)
         submit(client, ball())
         (job,) = worker.lease(max_jobs=1)
         heartbeat = {"worker": worker.identity, "leases": [{"job": job.job, "token": job.token}]}
-        until = time.monotonic() + 2.0  # twice the lease
+        until = time.monotonic() + 2.0  # twice the length of the lease
         while time.monotonic() < until:
             assert expect(client.post("/api/v1/jobs/heartbeat", json=heartbeat))["held"] == [job.job]
             threading.Event().wait(0.05)
@@ -149,7 +156,7 @@ def test_heartbeats_keep_a_lease(database_url: str, small_problems: None) -> Non
 
 @asynccontextmanager
 async def services(database_url: str) -> AsyncIterator[tuple[Context, httpx.AsyncClient]]:
-    """Give the services of an app in this loop, and a client of it."""
+    """Run an app in this event loop; yield its services and a client."""
     app = create_app(settings_for(database_url, sweep_s=60.0))
     async with (
         app.router.lifespan_context(app),
@@ -181,7 +188,7 @@ async def waiters(context: Context, count: int) -> None:
 
 
 @pytest.mark.usefixtures("small_problems")
-def test_a_client_that_goes_while_it_waits_takes_no_lease(database_url: str) -> None:
+def test_client_that_disconnects_while_waiting_gets_no_lease(database_url: str) -> None:
     async def body(context: Context, client: httpx.AsyncClient) -> None:
         gone = asyncio.Event()
         waiting = asyncio.create_task(context.queue.lease(request("w1"), gone))
@@ -194,8 +201,8 @@ def test_a_client_that_goes_while_it_waits_takes_no_lease(database_url: str) -> 
     on_services(database_url, body)
 
 
-@pytest.mark.usefixtures("small_problems", "nobody_looks_again")
-def test_a_wake_up_of_a_client_that_has_gone_goes_to_the_next(database_url: str) -> None:
+@pytest.mark.usefixtures("small_problems", "no_rechecks")
+def test_wake_up_of_a_disconnected_client_goes_to_the_next(database_url: str) -> None:
     async def body(context: Context, client: httpx.AsyncClient) -> None:
         submitted = (await client.post("/api/v1/campaigns", json=ball(simulations=20))).json()
         held = []
@@ -209,7 +216,7 @@ def test_a_wake_up_of_a_client_that_has_gone_goes_to_the_next(database_url: str)
         release = [HeldLease(job=held[0].job, token=held[0].token)]
         with context.engines.writer.begin() as connection:
             assert holding_store.release(connection, release) == 1
-        context.queue.wakeups.wake(1)  # is the first one's, who goes before it looks
+        context.queue.wakeups.wake(1)  # wakes the first client, which disconnects before it looks
         gone.set()
         async with asyncio.timeout(NEWS_S):
             assert (await first).jobs == []
@@ -221,7 +228,7 @@ def test_a_wake_up_of_a_client_that_has_gone_goes_to_the_next(database_url: str)
 
 @pytest.mark.usefixtures("small_problems")
 @pytest.mark.parametrize("with_results", [False, True])
-def test_a_lease_granted_to_a_client_that_has_gone_is_given_back(
+def test_lease_granted_to_a_disconnected_client_is_released(
     database_url: str, with_results: bool
 ) -> None:
     async def body(context: Context, client: httpx.AsyncClient) -> None:
@@ -235,7 +242,7 @@ def test_a_lease_granted_to_a_client_that_has_gone_is_given_back(
             asking: asyncio.Task[Any] = asyncio.create_task(asked)
         else:
             asking = asyncio.create_task(context.queue.lease(wanted, gone))
-        await asyncio.sleep(0)  # it has asked the writer by now
+        await asyncio.sleep(0)  # the request has reached the writer by now
         gone.set()
         await asking
         assert await leased(client) == []
@@ -245,20 +252,20 @@ def test_a_lease_granted_to_a_client_that_has_gone_is_given_back(
     on_services(database_url, body)
 
 
-def test_a_connection_that_is_closed_while_waiting_takes_no_lease(client: httpx.Client) -> None:
-    url = str(client.base_url)
+def test_connection_closed_while_waiting_gets_no_lease(listening_client: httpx.Client) -> None:
+    url = str(listening_client.base_url)
     with httpx.Client(base_url=url, timeout=0.2) as impatient, pytest.raises(httpx.ReadTimeout):
         FakeWorker(impatient, id="impatient").lease(wait_s=30)
-    submit(client, ball())
-    eventually(lambda: len(FakeWorker(client, id="patient").lease(max_jobs=1)) == 1, "a lease")
-    held = {worker["id"]: worker["jobs_held"] for worker in expect(client.get("/api/v1/workers"))}
+    submit(listening_client, ball())
+    eventually(lambda: len(FakeWorker(listening_client, id="patient").lease(max_jobs=1)) == 1, "a lease")
+    held = {worker["id"]: worker["jobs_held"] for worker in expect(listening_client.get("/api/v1/workers"))}
     assert held["impatient"] == 0
 
 
-@pytest.mark.usefixtures("nobody_looks_again")
-def test_a_coordinator_that_stops_answers_who_waits(database_url: str, small_problems: None) -> None:
+@pytest.mark.usefixtures("no_rechecks")
+def test_stopping_coordinator_answers_waiting_workers(database_url: str, small_problems: None) -> None:
     with contextlib.ExitStack() as stack:
-        with coordinator(database_url) as client:
+        with listening_coordinator(database_url) as client:
             own = stack.enter_context(httpx.Client(base_url=client.base_url, timeout=PATIENCE_S))
             thread, got = wait_in_thread(FakeWorker(own), wait_s=PATIENCE_S)
             eventually(lambda: len(expect(client.get("/api/v1/workers"))) == 1, "the worker asked")
@@ -269,9 +276,9 @@ def test_a_coordinator_that_stops_answers_who_waits(database_url: str, small_pro
     assert time.monotonic() - began < PATIENCE_S / 2
 
 
-@pytest.mark.usefixtures("small_problems", "nobody_looks_again")
-@pytest.mark.parametrize("databases", ["postgres"], indirect=True)
-def test_a_worker_of_another_coordinator_hears_of_new_jobs_at_once(database_url: str) -> None:
+@pytest.mark.usefixtures("small_problems", "no_rechecks")
+@on_postgres
+def test_submission_wakes_workers_of_another_coordinator(database_url: str) -> None:
     with coordinator(database_url) as here, coordinator(database_url) as there:
         thread, got = wait_in_thread(FakeWorker(there))
         eventually(lambda: len(expect(there.get("/api/v1/workers"))) == 1, "the worker asked")
@@ -280,8 +287,8 @@ def test_a_worker_of_another_coordinator_hears_of_new_jobs_at_once(database_url:
     assert len(got) == 8
 
 
-@pytest.mark.parametrize("databases", ["postgres"], indirect=True)
-def test_a_generation_is_announced_once(engines: Engines) -> None:
+@on_postgres
+def test_generation_is_announced_once(engines: Engines) -> None:
     heard = psycopg.connect(
         engines.writer.url.set(drivername="postgresql").render_as_string(hide_password=False)
     )
@@ -291,3 +298,48 @@ def test_a_generation_is_announced_once(engines: Engines) -> None:
     assert len(list(heard.notifies(timeout=5.0, stop_after=1))) == 1
     assert list(heard.notifies(timeout=0.0)) == []
     heard.close()
+
+
+pytestmark = pytest.mark.usefixtures("small_problems")
+
+
+def crashes(job: LeasedJob) -> JobFailed:
+    return JobFailed(reason="crashed", message="killed by SIGSEGV")
+
+
+def fail_one(client: httpx.Client) -> tuple[FakeWorker, LeasedJob]:
+    """Return a worker that failed one job of a campaign and completed the others, and the failed job."""
+    bad = FakeWorker(client, id="bad", judge=crashes)
+    submit(client, ball(simulations=20))
+    job, *others = bad.lease_all()
+    FakeWorker(client, id="bad").report(others)
+    assert bad.report([job]) == ["accepted"]
+    return bad, job
+
+
+def test_failed_job_goes_to_another_live_worker(client: httpx.Client) -> None:
+    good = FakeWorker(client, id="good")
+    assert good.lease() == []
+    bad, job = fail_one(client)
+    assert bad.lease() == []
+    assert [(again.job, again.attempt) for again in good.lease()] == [(job.job, 2)]
+
+
+def test_failed_job_does_not_wait_for_workers_that_cannot_run_it(client: httpx.Client) -> None:
+    assert FakeWorker(client, id="other", capabilities=("other@1",)).lease() == []
+    bad, job = fail_one(client)
+    assert [(again.job, again.attempt) for again in bad.lease()] == [(job.job, 2)]
+
+
+def test_failed_job_does_not_wait_for_a_worker_that_is_gone(database_url: str) -> None:
+    with coordinator(database_url, worker_seen_s=0.5) as client:
+        assert FakeWorker(client, id="silent").lease() == []
+        bad, job = fail_one(client)
+        again: list[LeasedJob] = []
+
+        def granted() -> bool:
+            again.extend(bad.lease())
+            return bool(again)
+
+        eventually(granted, "the other worker counts as gone")
+        assert [(a.job, a.attempt) for a in again] == [(job.job, 2)]

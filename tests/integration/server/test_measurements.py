@@ -1,15 +1,21 @@
-"""Candidates that are measured on a data set: jobs like others, but no verdict and no place in the archive."""
+"""Search on a data set: candidates that are measured rather than simulated, and hazardous chains of perturbations."""
 
 import io
+import json
 import math
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import httpx
 import numpy as np
 import pytest
-from support.api import FakeWorker, coordinator, expect, progress, submit
-from support.problems import Slotted
+from support.api import FakeWorker, coordinator, expect, finish, listening_coordinator, progress, submit
+from support.databases import Databases
+from support.problems import Slotted, small_problems
+from typer.testing import CliRunner
 
+from brink.cli.commands import app
 from brink.search.algorithm import Candidate, Evaluation, Question
 from brink.search.digest import archive_digest
 from brink.server.campaigns.body import parse_body
@@ -41,7 +47,7 @@ def judge(job: LeasedJob) -> Completed | JobFailed:
 
 
 def undisturbed() -> tuple[str, list[Candidate]]:
-    """Return the digest of the search run on its own, and all that it asked."""
+    """Return the archive digest of the search without a coordinator, and all candidates that it asked for."""
     body = parse_body(SIMOOD)
     plan = make_plan(body)
     problem, algorithm, asked = plan.problem, plan.algorithm, list[Candidate]()
@@ -60,51 +66,66 @@ def undisturbed() -> tuple[str, list[Candidate]]:
     return archive_digest(state.archive), asked
 
 
-def test_a_campaign_is_measured_on_data_and_its_finalists_are_simulated(client: httpx.Client) -> None:
-    campaign = submit(client, SIMOOD)
-    done = FakeWorker(client, judge=judge).work(campaign)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finished:
+    """A coordinator with a finished campaign that searched on data."""
+
+    client: httpx.Client
+    id: str
+
+    def get(self, path: str, status: int = 200, **params: Any) -> Any:
+        """Return the answer to a GET below the campaign."""
+        return expect(self.client.get(f"/api/v1/campaigns/{self.id}{path}", params=params), status)
+
+
+@pytest.fixture(scope="module")
+def finished(module_databases: Databases) -> Iterator[Finished]:
+    """One finished campaign for all tests that only look at it."""
+    with small_problems(), module_databases.database() as url, listening_coordinator(url) as client:
+        yield Finished(client=client, id=finish(client, SIMOOD, judge))
+
+
+def test_search_on_data_simulates_its_finalists(finished: Finished) -> None:
+    done = progress(finished.client, finished.id)
     digest, asked = undisturbed()
     measured = sum(candidate.question is Question.DATASET for candidate in asked)
-    assert done["status"] == "finished", done["status_reason"]
     simulated = len(asked) - measured
-    assert simulated > 12, "the hazardous ones of 4 finalists at 3 repeats are explained"
+    assert simulated > 12, "4 finalists with 3 repeats, and the parts of those that are hazardous"
     assert (done["measured"], done["evaluated"], done["failed"]) == (measured, simulated, 0)
     assert done["simulations"] == len(asked)
     assert done["digest"] == digest
     best = [generation["best_fitness"] for generation in done["generations"]]
     assert best == sorted(best, reverse=True)
-    assert [generation["measured"] for generation in done["generations"]][-1] == measured
-    found = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions", params={"limit": 1000}))["solutions"]
+    assert done["generations"][-1]["measured"] == measured
     seeds: dict[str, set[int]] = {}
-    for solution in found:
+    for solution in finished.get("/solutions", limit=1000)["solutions"]:
         if solution["verdict"] in ("safe", "unsafe"):
             seeds.setdefault(str(solution["parameters"]["scenario"]), set()).add(solution["seed"])
     assert len(seeds) == 3
-    assert all(len(of_scenario) == 1 for of_scenario in seeds.values()), (
-        "the same chance in the same scenario"
-    )
+    assert all(len(of_scenario) == 1 for of_scenario in seeds.values()), "one seed for each scenario"
 
 
-def test_what_was_measured_is_told_but_not_archived(client: httpx.Client) -> None:
-    campaign = submit(client, SIMOOD)
-    done = FakeWorker(client, judge=judge).work(campaign)
-    found = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions", params={"limit": 1000}))["solutions"]
-    measured = [solution for solution in found if solution["verdict"] == "measured"]
+def test_measured_solutions_are_listed_but_not_archived(finished: Finished) -> None:
+    done = progress(finished.client, finished.id)
+    solutions = finished.get("/solutions", limit=1000)["solutions"]
+    measured = [solution for solution in solutions if solution["verdict"] == "measured"]
     assert len(measured) == done["measured"]
     for solution in measured:
         assert 0 < solution["objectives"]["alpha"] <= 1
         assert solution["robustness"] is None
         assert solution["fitness"] is None
-    archive = client.get(f"/api/v1/campaigns/{campaign}/archive.npz")
+    archive = finished.client.get(f"/api/v1/campaigns/{finished.id}/archive.npz")
     with np.load(io.BytesIO(archive.content), allow_pickle=False) as npz:
         assert len(npz["numbers"]) == done["evaluated"]
-    jobs = expect(client.get("/api/v1/jobs", params={"campaign": campaign, "limit": 1000}))["jobs"]
+    jobs = expect(finished.client.get("/api/v1/jobs", params={"campaign": finished.id, "limit": 1000}))[
+        "jobs"
+    ]
     assert [job["kind"] for job in jobs].count("dataset-evaluation") == done["measured"]
-    path = f"/api/v1/campaigns/{campaign}/solutions/{measured[0]['number']}/trace"
-    assert "no simulated solution" in expect(client.get(path), 404)["detail"]
+    refused = finished.get(f"/solutions/{measured[0]['number']}/trace", 404)
+    assert "no simulated solution" in refused["detail"]
 
 
-def test_a_measurement_is_made_once(client: httpx.Client) -> None:
+def test_equal_measurements_are_made_once(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=judge)
     first = worker.work(submit(client, SIMOOD))
     ran = len(worker.statuses)
@@ -113,16 +134,16 @@ def test_a_measurement_is_made_once(client: httpx.Client) -> None:
     assert len(worker.statuses) == ran
 
 
-def test_a_search_on_data_goes_on_after_a_restart(database_url: str, small_problems: None) -> None:
+def test_search_on_data_continues_after_a_restart(database_url: str, small_problems: None) -> None:
     with coordinator(database_url) as client:
         campaign = submit(client, SIMOOD)
-        FakeWorker(client, judge=judge).work(campaign, until=lambda stands: stands["generation"] >= 3)
+        FakeWorker(client, judge=judge).work(campaign, until=lambda current: current["generation"] >= 3)
     with coordinator(database_url) as client:
         done = FakeWorker(client, judge=judge).work(campaign)
     assert done["digest"] == undisturbed()[0]
 
 
-def test_a_measurement_that_cannot_be_had_is_a_failure(client: httpx.Client) -> None:
+def test_measurement_without_its_value_is_a_failure(client: httpx.Client) -> None:
     def sometimes(job: LeasedJob) -> Completed | JobFailed:
         if not job.spec["requirements"] and job.spec["behaviour"]["first"] == 2:
             return Completed(verdicts={}, objectives={})
@@ -135,7 +156,7 @@ def test_a_measurement_that_cannot_be_had_is_a_failure(client: httpx.Client) -> 
     assert done["evaluated"] >= 12
 
 
-def test_data_that_a_problem_does_not_have_is_told_at_submission(client: httpx.Client) -> None:
+def test_search_on_data_that_the_problem_does_not_have_is_rejected(client: httpx.Client) -> None:
     body = {**SIMOOD, "problem": {"id": "slotted-blind@1"}}
     (error,) = expect(client.post("/api/v1/campaigns", json=body), 422)["errors"]
     assert error["pointer"] == "/algorithm/id"
@@ -152,7 +173,68 @@ def test_every_algorithm_searches_perturbations(client: httpx.Client, algorithm:
     assert FakeWorker(client, judge=judge).work(done["id"])["evaluated"] >= 200
 
 
-def test_progress_lists_what_was_measured(client: httpx.Client) -> None:
+def test_new_campaign_has_measured_nothing(client: httpx.Client) -> None:
     campaign = submit(client, SIMOOD)
     listed = expect(client.get(f"/api/v1/campaigns/{campaign}"))
     assert listed["measured"] == 0
+
+
+def test_every_simulated_chain_is_listed_with_its_parts(finished: Finished) -> None:
+    found = finished.get("/combinations")
+    chains = found["combinations"]
+    hazardous = [one for one in chains if one["hazardous"]]
+    assert hazardous, "a strong technique in the first place is unsafe"
+    for one in chains:
+        assert 1 <= one["trials"] <= 3
+        assert one["words"] == ", then ".join(
+            f"{step['technique']} {step['level']}/{step['levels']}" for step in one["chain"]
+        )
+    explained = [one for one in hazardous if one["parts"]]
+    assert all({len(part["chain"]) for part in one["parts"]} == {0, 1} for one in explained)
+    alone = {step["words"]: (step["alone_unsafe"], step["alone_trials"]) for step in found["steps"]}
+    singles = [part for one in explained for part in one["parts"] if len(part["chain"]) == 1]
+    assert all(alone[part["words"]] == (part["unsafe"], part["trials"]) for part in singles)
+
+
+def test_variants_of_a_solution_end_with_the_solution(finished: Finished) -> None:
+    combinations = finished.get("/combinations")["combinations"]
+    number = finished.get("/solutions", unsafe=True)["solutions"][0]["number"]
+    variants = finished.get(f"/solutions/{number}/variants")
+    assert variants[-1]["number"] == number
+    assert variants[-1]["unsafe"] is True
+    assert variants[-1]["words"] in {one["words"] for one in combinations}
+    assert variants[0]["chain"] == [], "the first variant has no perturbation"
+    scenarios = {
+        str(finished.get(f"/solutions/{one['number']}")["parameters"]["scenario"]) for one in variants
+    }
+    assert len(scenarios) == 1
+    measured = finished.get("/solutions")["solutions"][0]
+    assert measured["verdict"] == "measured"
+    finished.get(f"/solutions/{measured['number']}/variants", 404)
+
+
+def test_problem_without_ordered_techniques_has_no_combinations(client: httpx.Client) -> None:
+    body = {
+        "name": "m",
+        "problem": {"id": "mtq@1"},
+        "algorithm": {"id": "random@1"},
+        "budget": {"simulations": 60},
+    }
+    campaign = submit(client, body)
+    for path in ("combinations", "solutions/0/variants"):
+        detail = expect(client.get(f"/api/v1/campaigns/{campaign}/{path}"), 404)["detail"]
+        assert "mtq@1 has no ordered techniques" in detail
+
+
+def test_command_prints_combinations_as_a_table_and_a_sentence(
+    finished: Finished, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    command = ["combinations", finished.id, "--server", str(finished.client.base_url)]
+    printed = CliRunner().invoke(app, command)
+    assert printed.exit_code == 0, printed.output
+    found = json.loads(CliRunner().invoke(app, [*command, "--json"]).stdout)
+    assert found == finished.get("/combinations")
+    assert found["combinations"][0]["words"] in printed.stdout
+    assert "chains are hazardous" in printed.stdout
+    assert "3 of 3" in printed.stdout

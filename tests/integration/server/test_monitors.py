@@ -1,4 +1,4 @@
-"""Monitors over the API and at the command line: fitted, asked, judged by what they have not seen."""
+"""Monitors over the API and at the command line: fitting, scoring, and evaluation on fresh solutions."""
 
 import json
 from pathlib import Path
@@ -7,23 +7,11 @@ from typing import Any
 import httpx
 import pytest
 from support.api import FakeWorker, ball, eventually, expect, submit
+from support.databases import on_sqlite
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
 from brink.search.monitor import Monitor
-
-
-def finished(client: httpx.Client, **changes: Any) -> str:
-    campaign = submit(client, ball(**changes))
-    worker = FakeWorker(client)
-
-    def done() -> bool:
-        while jobs := worker.lease():
-            worker.report(jobs)
-        return bool(expect(client.get(f"/api/v1/campaigns/{campaign}"))["status"] == "finished")
-
-    eventually(done, "the campaign ends")
-    return campaign
 
 
 RANDOM = {"id": "random@1", "params": {"generation_size": 100, "radius": 0.2}}
@@ -33,8 +21,8 @@ def at(x: float, y: float) -> dict[str, dict[str, float]]:
     return {"where": {"x": x}, "what": {"y": y}}
 
 
-def test_a_campaign_scores_solutions(client: httpx.Client) -> None:
-    campaign = finished(client, simulations=900, algorithm=RANDOM)
+def test_campaign_scores_solutions(client: httpx.Client) -> None:
+    campaign = finish(client, ball(simulations=900, algorithm=RANDOM))
     path = f"/api/v1/campaigns/{campaign}/monitor/score"
     scored = expect(client.post(path, json={"solutions": [at(0, 0), at(1.5, -1.5)], "threshold": 0.5}))
     assert (scored["campaign"], scored["learned_from"], scored["threshold"]) == (campaign, 900, 0.5)
@@ -44,7 +32,7 @@ def test_a_campaign_scores_solutions(client: httpx.Client) -> None:
     assert expect(client.post(path, json={"solutions": [at(0, 0)]}))["threshold"] == 0.1, "p_th"
 
 
-@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+@on_sqlite
 @pytest.mark.parametrize(
     ("body", "pointer"),
     [
@@ -55,24 +43,24 @@ def test_a_campaign_scores_solutions(client: httpx.Client) -> None:
         ({"solutions": [{"where": {"x": "NaN"}, "what": {"y": 0}}]}, "/solutions/0"),
     ],
 )
-def test_questions_that_make_no_sense_are_pointed_at(client: httpx.Client, body: Any, pointer: str) -> None:
-    campaign = finished(client, simulations=40)
+def test_answer_points_at_the_solution_that_cannot_be_scored(client: httpx.Client, body: Any, pointer: str) -> None:
+    campaign = finish(client, ball(simulations=40))
     document = expect(client.post(f"/api/v1/campaigns/{campaign}/monitor/score", json=body), 422)
     assert [error["pointer"] for error in document["errors"]] == [pointer]
 
 
-@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
-def test_nothing_can_be_said_before_anything_was_simulated(client: httpx.Client) -> None:
+@on_sqlite
+def test_campaign_without_verdicts_cannot_score(client: httpx.Client) -> None:
     campaign = submit(client, ball())
     path = f"/api/v1/campaigns/{campaign}/monitor/score"
     assert "two evaluated" in expect(client.post(path, json={"solutions": [at(0, 0)]}), 409)["detail"]
 
 
-@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
-def test_a_monitor_is_a_file_that_needs_no_server(client: httpx.Client, tmp_path: Path) -> None:
-    learned = finished(client, simulations=400, algorithm=RANDOM)
-    fresh = finished(client, simulations=400, algorithm=RANDOM, seed=9)
-    file, server = tmp_path / "monitor.json", ["--server", str(client.base_url)]
+@on_sqlite
+def test_monitor_file_scores_and_is_evaluated_without_a_server(listening_client: httpx.Client, tmp_path: Path) -> None:
+    learned = finish(listening_client, ball(simulations=400, algorithm=RANDOM))
+    fresh = finish(listening_client, ball(simulations=400, algorithm=RANDOM, seed=9))
+    file, server = tmp_path / "monitor.json", ["--server", str(listening_client.base_url)]
     run = CliRunner().invoke
 
     made = run(app, ["monitor", "fit", learned, "--out", str(file), "--threshold", "0.5", *server])
@@ -88,8 +76,8 @@ def test_a_monitor_is_a_file_that_needs_no_server(client: httpx.Client, tmp_path
     assert asked.exit_code == 0, asked.output
     path = f"/api/v1/campaigns/{learned}/monitor/score"
     body = {"solutions": [at(0, 0), at(1.9, 1.9)], "threshold": 0.5}
-    over_the_api = expect(client.post(path, json=body))["risks"]
-    for here, there in zip(json.loads(asked.stdout), over_the_api, strict=True):
+    from_api = expect(listening_client.post(path, json=body))["risks"]
+    for here, there in zip(json.loads(asked.stdout), from_api, strict=True):
         assert here.pop("answer") == there.pop("answer")
         assert here == pytest.approx(there)
 
@@ -109,4 +97,4 @@ def test_a_monitor_is_a_file_that_needs_no_server(client: httpx.Client, tmp_path
 
     known = run(app, ["monitor", "judge", str(file), learned, *server])
     assert known.exit_code == 1
-    assert "safe and unsafe" in str(known.exception), "what it has seen does not judge it"
+    assert "safe and unsafe" in str(known.exception), "a monitor is not evaluated on its own training data"

@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 from sqlalchemy import update
 from support.api import FakeWorker, ball, coordinator, expect, progress, row_counts, submit
+from support.databases import on_sqlite
 from support.problems import REQUIREMENT
 from typer.testing import CliRunner
 
@@ -147,7 +148,7 @@ def test_the_same_named_solutions_are_not_simulated_twice_and_others_are(client:
     assert len(set(episodes)) == len(episodes), "each with seeds of its own"
 
 
-@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+@on_sqlite
 @pytest.mark.parametrize(
     ("wanted", "pointer", "message"),
     [
@@ -169,21 +170,23 @@ def test_solutions_that_cannot_be_named_are_refused(
     assert row_counts(engines)["repeats"] == 0
 
 
-@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+@on_sqlite
 def test_named_solutions_wait_until_their_campaign_has_ended(client: httpx.Client) -> None:
     campaign = submit(client, ball())
     answer = expect(client.post(f"{API}/{campaign}/repeats", json={"numbers": [1]}), 409)
     assert "is running: wait until it has ended" in answer["detail"]
 
 
-@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
-def test_the_command_shows_the_boundary_and_not_what_was_named(client: httpx.Client) -> None:
-    campaign = finished(client)
-    named = expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 12, "numbers": [5]}), 201)
+@on_sqlite
+def test_the_command_shows_the_boundary_and_not_what_was_named(listening_client: httpx.Client) -> None:
+    campaign = finished(listening_client)
+    named = expect(
+        listening_client.post(f"{API}/{campaign}/repeats", json={"repeats": 12, "numbers": [5]}), 201
+    )
     wanted = ["repeats", campaign, "--repeats", "12", "--t-b", "1", "--d-th", "0"]
-    shown = CliRunner().invoke(app, [*wanted, "--server", str(client.base_url), "--json"])
+    shown = CliRunner().invoke(app, [*wanted, "--server", str(listening_client.base_url), "--json"])
     assert shown.exit_code == 0, shown.output
-    assert len(expect(client.get(f"{API}/{campaign}/repeats"))) == 2
+    assert len(expect(listening_client.get(f"{API}/{campaign}/repeats"))) == 2
     assert f'"campaign": "{named["campaign"]}"' not in shown.stdout
 
 
@@ -239,7 +242,7 @@ def test_a_worker_that_waits_gets_them_at_once(client: httpx.Client) -> None:
     assert time.monotonic() - began < 6, "a look now and then would have found them, too"
 
 
-@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+@on_sqlite
 def test_repeats_go_on_after_the_coordinator_is_gone(database_url: str, small_problems: None) -> None:
     with coordinator(database_url) as client:
         campaign = submit(client, body(600, repeats=30))
@@ -253,20 +256,20 @@ def test_repeats_go_on_after_the_coordinator_is_gone(database_url: str, small_pr
         assert {one["evaluated"] for one in view["solutions"]} == {30}
 
 
-@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
-def test_the_command_asks_then_shows_what_came(client: httpx.Client, tmp_path: Path) -> None:
-    campaign = finished(client)
+@on_sqlite
+def test_the_command_asks_then_shows_what_came(listening_client: httpx.Client, tmp_path: Path) -> None:
+    campaign = finished(listening_client)
     picture = tmp_path / "repeats.png"
     wanted = ["repeats", campaign, "--repeats", "12", "--t-b", "0.5", "--d-th", "0.05"]
-    server = ["--server", str(client.base_url)]
+    server = ["--server", str(listening_client.base_url)]
     asked = CliRunner().invoke(app, [*wanted, *server])
     assert asked.exit_code == 0, asked.output
     assert "the same command shows how far it is" in asked.output
-    [view] = expect(client.get(f"{API}/{campaign}/repeats"))
-    FakeWorker(client, judge=by_chance).work(view["campaign"])
+    [view] = expect(listening_client.get(f"{API}/{campaign}/repeats"))
+    FakeWorker(listening_client, judge=by_chance).work(view["campaign"])
     shown = CliRunner().invoke(app, [*wanted, *server, "--picture", str(picture)])
     assert shown.exit_code == 0, shown.output
-    [view] = expect(client.get(f"{API}/{campaign}/repeats"))
+    [view] = expect(listening_client.get(f"{API}/{campaign}/repeats"))
     count = len(view["solutions"])
     assert f"of {count} distinct boundary solutions" in shown.output
     assert f"{view['holding']} ({view['holding'] / count:.0%}) have an interval" in shown.output
@@ -274,25 +277,25 @@ def test_the_command_asks_then_shows_what_came(client: httpx.Client, tmp_path: P
         assert drawn.width == 1600
 
 
-@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
-def test_unfinished_repeats_are_not_shown_as_a_verdict_nor_resumed(client: httpx.Client) -> None:
-    campaign = finished(client)
+@on_sqlite
+def test_unfinished_repeats_are_not_shown_as_a_verdict_nor_resumed(listening_client: httpx.Client) -> None:
+    campaign = finished(listening_client)
     wanted = ["repeats", campaign, "--repeats", "12", "--t-b", "0.5", "--d-th", "0.05"]
-    command = [*wanted, "--server", str(client.base_url)]
+    command = [*wanted, "--server", str(listening_client.base_url)]
     assert CliRunner().invoke(app, command).exit_code == 0
-    [view] = expect(client.get(f"{API}/{campaign}/repeats"))
+    [view] = expect(listening_client.get(f"{API}/{campaign}/repeats"))
     count = len(view["solutions"])
-    worker = FakeWorker(client, judge=by_chance)
-    while (stands := progress(client, view["campaign"]))["generation"] < 1:
+    worker = FakeWorker(listening_client, judge=by_chance)
+    while (stands := progress(listening_client, view["campaign"]))["generation"] < 1:
         assert stands["status"] == "running"
         worker.report(worker.lease())
-    expect(client.post(f"{API}/{view['campaign']}/pause"))
+    expect(listening_client.post(f"{API}/{view['campaign']}/pause"))
     shown = CliRunner().invoke(app, command)
     assert shown.exit_code == 0, shown.output
     assert f"not yet 12 times: {count} distinct boundary solutions" in shown.output
     assert "paused" in shown.output
     assert "contains p_th" not in shown.output
-    assert progress(client, view["campaign"])["status"] == "paused", "whoever looks does not resume"
+    assert progress(listening_client, view["campaign"])["status"] == "paused", "whoever looks does not resume"
 
 
 def test_retention_keeps_a_campaign_whose_repeats_are_young(
@@ -315,7 +318,7 @@ def test_retention_keeps_a_campaign_whose_repeats_are_young(
     assert row_counts(engines)["campaigns"] == 0
 
 
-@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+@on_sqlite
 def test_an_experiment_is_not_deleted_while_its_boundaries_are_repeated(client: httpx.Client) -> None:
     one = body()
     document = {

@@ -10,7 +10,7 @@ import httpx
 import pytest
 import yaml
 from sqlalchemy import text
-from support.api import FakeWorker, ball, coordinator, eventually, expect, submit
+from support.api import FakeWorker, ball, coordinator, eventually, expect, listening_coordinator, submit
 from support.databases import Databases
 from typer.testing import CliRunner
 
@@ -75,7 +75,7 @@ def tokens(engines: Engines) -> dict[str, str]:
 
 @pytest.fixture
 def url(database_url: str, small_problems: None) -> Iterator[str]:
-    with coordinator(database_url) as client:
+    with listening_coordinator(database_url) as client:
         yield str(client.base_url)
 
 

@@ -1,4 +1,4 @@
-"""What a finished campaign shows over the REST API: read-only looks at one campaign a database."""
+"""A finished campaign over the API: progress, solutions, boundary, archive, neighbours, scores."""
 
 import csv
 import io
@@ -11,33 +11,40 @@ import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from support.api import FakeWorker, ball, coordinator, expect, progress, submit
-from support.databases import Databases
-from support.problems import small_problems
+from support.databases import Databases, on_sqlite
+from support.problems import REQUIREMENT, small_problems
+
+from brink.search.analysis.nearest import nearest
+from brink.search.archive import Archive, Neighbourhood
+from brink.search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
+from brink.search.fitness import wilson_interval
+from brink.search.metric import Metric
+from brink.worker.wire import Completed, LeasedJob, WireVerdict
 
 OPENAPI_PATHS = ("/api/v1/campaigns", "/api/v1/jobs/lease", "/api/v1/jobs/heartbeat", "/api/v1/jobs/results")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finished:
-    """A coordinator with one finished campaign."""
+    """A coordinator with a finished campaign."""
 
     client: httpx.Client
     id: str
 
     def get(self, path: str, **params: Any) -> Any:
-        """Return what a GET below the campaign answers."""
+        """Return the answer to a GET below the campaign."""
         return expect(self.client.get(f"/api/v1/campaigns/{self.id}{path}", params=params))
 
 
 @pytest.fixture(scope="module")
-def finished(databases_of_file: Databases) -> Iterator[Finished]:
-    with small_problems(), databases_of_file.database() as url, coordinator(url) as client:
+def finished(module_databases: Databases) -> Iterator[Finished]:
+    with small_problems(), module_databases.database() as url, coordinator(url) as client:
         campaign = submit(client, ball(simulations=200))
         assert FakeWorker(client).work(campaign)["status"] == "finished"
         yield Finished(client=client, id=campaign)
 
 
-def test_a_finished_campaign_tells_its_counts_and_its_digest(finished: Finished) -> None:
+def test_progress_has_counts_and_digest(finished: Finished) -> None:
     done = progress(finished.client, finished.id)
     assert done["status"] == "finished"
     assert done["simulations"] == done["evaluated"] >= 200
@@ -56,7 +63,7 @@ def test_progress_since_a_generation_returns_the_later_ones(finished: Finished) 
     assert progress(finished.client, finished.id, since=10**6)["generations"] == []
 
 
-def test_a_known_etag_is_answered_without_a_body(finished: Finished) -> None:
+def test_known_etag_gets_no_body(finished: Finished) -> None:
     path = f"/api/v1/campaigns/{finished.id}/progress"
     first = finished.client.get(path)
     again = finished.client.get(path, headers={"If-None-Match": first.headers["ETag"]})
@@ -66,13 +73,13 @@ def test_a_known_etag_is_answered_without_a_body(finished: Finished) -> None:
     assert other.status_code == 200
 
 
-def test_a_campaign_is_found_by_the_beginning_of_its_id(finished: Finished) -> None:
+def test_campaign_is_found_by_a_prefix_of_its_id(finished: Finished) -> None:
     found = expect(finished.client.get(f"/api/v1/campaigns/{finished.id[:4]}"))
     assert found["id"] == finished.id
     assert found["body"]["problem"]["id"] == "ball@1"
 
 
-def test_a_campaign_names_every_parameter_that_it_ran_with(finished: Finished) -> None:
+def test_campaign_lists_every_parameter_that_it_ran_with(finished: Finished) -> None:
     body = expect(finished.client.get(f"/api/v1/campaigns/{finished.id}"))["body"]
     assert body["problem"]["params"]["limit"] == 1.0
     assert body["algorithm"]["params"]
@@ -81,12 +88,12 @@ def test_a_campaign_names_every_parameter_that_it_ran_with(finished: Finished) -
 @pytest.mark.parametrize(
     "path", ["", "/progress", "/solutions", "/boundary", "/archive.npz", "/distances?numbers=0"]
 )
-def test_an_unknown_campaign_is_not_found(finished: Finished, path: str) -> None:
+def test_unknown_campaign_is_not_found(finished: Finished, path: str) -> None:
     document = expect(finished.client.get(f"/api/v1/campaigns/zzzz{path}"), 404)
     assert "zzzz" in document["detail"]
 
 
-def test_solutions_come_page_by_page(finished: Finished) -> None:
+def test_solutions_come_in_pages(finished: Finished) -> None:
     everything = finished.get("/solutions", limit=1000)
     assert everything["next"] is None
     paged: list[Any] = []
@@ -99,7 +106,7 @@ def test_solutions_come_page_by_page(finished: Finished) -> None:
     assert [s["number"] for s in paged] == list(range(len(paged)))
 
 
-def test_a_solution_shows_its_parameters_verdict_and_place(finished: Finished) -> None:
+def test_solution_has_parameters_verdict_and_neighbourhood(finished: Finished) -> None:
     for solution in finished.get("/solutions", limit=20)["solutions"]:
         x, y = solution["parameters"]["where"]["x"], solution["parameters"]["what"]["y"]
         assert solution["robustness"] == pytest.approx(np.hypot(x, y) - 1.0)
@@ -122,7 +129,7 @@ def test_solutions_are_filtered_by_verdict_and_fitness(finished: Finished) -> No
         ]
 
 
-def test_one_solution_shows_its_episode(finished: Finished) -> None:
+def test_single_solution_has_its_episode(finished: Finished) -> None:
     solution = finished.get("/solutions/3")
     assert solution["spec"]["simulator"] == "faulty@1"
     assert solution["spec"]["seed"] == solution["seed"]
@@ -131,7 +138,7 @@ def test_one_solution_shows_its_episode(finished: Finished) -> None:
     expect(finished.client.get(f"/api/v1/campaigns/{finished.id}/solutions/99999"), 404)
 
 
-def test_the_boundary_is_the_same_as_json_and_as_csv(finished: Finished) -> None:
+def test_boundary_is_the_same_as_json_and_as_csv(finished: Finished) -> None:
     boundary = finished.get("/boundary", t_b=0.3, d_th=0.05)
     assert boundary["dbs"] == len(boundary["solutions"]) >= 1
     assert boundary["strict_dbs"] == len(boundary["strict"])
@@ -150,7 +157,7 @@ def test_the_boundary_is_the_same_as_json_and_as_csv(finished: Finished) -> None
     ]
 
 
-def test_boundary_solutions_lie_apart(finished: Finished) -> None:
+def test_boundary_solutions_are_at_least_d_th_apart(finished: Finished) -> None:
     boundary = finished.get("/boundary", t_b=0.5, d_th=0.1)
     numbers = [s["number"] for s in boundary["solutions"]]
     block = finished.get("/distances", numbers=",".join(map(str, numbers)))
@@ -162,12 +169,12 @@ def test_boundary_solutions_lie_apart(finished: Finished) -> None:
 
 
 @pytest.mark.parametrize(("numbers", "status"), [("1,x", 422), ("0,99999", 404), ("", 422)])
-def test_distances_of_nothing_are_refused(finished: Finished, numbers: str, status: int) -> None:
+def test_distances_of_unknown_solutions_are_rejected(finished: Finished, numbers: str, status: int) -> None:
     path = f"/api/v1/campaigns/{finished.id}/distances"
     expect(finished.client.get(path, params={"numbers": numbers}), status)
 
 
-def test_the_archive_holds_all_solutions(finished: Finished) -> None:
+def test_archive_has_all_solutions(finished: Finished) -> None:
     answer = finished.client.get(f"/api/v1/campaigns/{finished.id}/archive.npz")
     with np.load(io.BytesIO(answer.content), allow_pickle=False) as npz:
         arrays = {name: npz[name] for name in npz.files}
@@ -194,7 +201,7 @@ def test_jobs_and_workers_are_listed(finished: Finished) -> None:
     assert worker["jobs_failed"] == 0
 
 
-def test_the_catalogue_describes_parameters_as_json_schemas(finished: Finished) -> None:
+def test_catalogue_describes_parameters_as_json_schemas(finished: Finished) -> None:
     problems = {item["id"]: item for item in expect(finished.client.get("/api/v1/problems"))}
     assert {"ball@1", "line@1", "mtq@1", "onemax@1", "urban-injected@1"} <= set(problems)
     limit = problems["ball@1"]["params"]["properties"]["limit"]
@@ -223,27 +230,157 @@ def test_health_readiness_and_metrics_are_at_the_root(finished: Finished) -> Non
         for family in text_string_to_metric_families(metrics)
         for sample in family.samples
     }
-    stands = finished.get("/progress")
-    # Equal simulations run once; pictures run again.
-    assert samples["brink_results_total", "accepted"] >= stands["simulations"] // 2
-    assert samples[("brink_step_seconds_count",)] == stands["generation"]
-    assert samples[("brink_commit_seconds_count",)] >= stands["generation"]
+    done = finished.get("/progress")
+    # Equal simulations run once; replays run again.
+    assert samples["brink_results_total", "accepted"] >= done["simulations"] // 2
+    assert samples[("brink_step_seconds_count",)] == done["generation"]
+    assert samples[("brink_commit_seconds_count",)] >= done["generation"]
     assert samples["brink_request_seconds_count", "/jobs/results", "2xx", "POST"] >= 1
-    assert finished.id not in metrics, "labels have few values"
+    assert finished.id not in metrics, "a campaign id as a label would have too many values"
 
 
-def test_the_api_describes_itself(finished: Finished) -> None:
+def test_openapi_description_has_the_main_paths(finished: Finished) -> None:
     document = expect(finished.client.get("/openapi.json"))
     assert set(OPENAPI_PATHS) <= set(document["paths"])
 
 
-def test_an_unknown_path_is_answered_in_problem_json(finished: Finished) -> None:
+def test_unknown_path_is_answered_with_problem_json(finished: Finished) -> None:
     answer = finished.client.get("/api/v1/nothing")
     assert answer.status_code == 404
     assert answer.headers["content-type"] == "application/problem+json"
 
 
-def test_an_ended_campaign_cannot_be_controlled(finished: Finished) -> None:
+def test_ended_campaign_cannot_be_controlled(finished: Finished) -> None:
     for verb in ("pause", "resume", "cancel"):
         document = expect(finished.client.post(f"/api/v1/campaigns/{finished.id}/{verb}"), 409)
         assert "finished" in document["detail"]
+
+
+def test_nearest_neighbours_agree_with_the_distance_matrix(finished: Finished) -> None:
+    solutions = finished.get("/solutions", limit=1000)["solutions"]
+    numbers = [solution["number"] for solution in solutions if solution["fitness"] is not None]
+    block = finished.get("/distances", numbers=",".join(map(str, numbers)))
+    by_number = {solution["number"]: solution for solution in solutions}
+    for place in (0, 7, len(numbers) - 1):
+        number = numbers[place]
+        found = finished.get(f"/solutions/{number}/neighbours", most=5)
+        row = block["distances"][place]
+        order = sorted((d, n) for d, n in zip(row, numbers, strict=True) if n != number)[:5]
+        assert [(one["distance"], one["number"]) for one in found["nearest"]] == [
+            (pytest.approx(distance, abs=1e-6), other) for distance, other in order
+        ]
+        for one in found["nearest"]:
+            other = by_number[one["number"]]
+            assert one["unsafe"] == (other["verdict"] == "unsafe")
+            assert (one["robustness"], one["fitness"]) == (other["robustness"], other["fitness"])
+            assert one["within"] == (one["distance"] <= found["radius"])
+        itself = by_number[number]
+        assert (found["neighbours"], found["unsafe_neighbours"]) == (
+            itself["neighbours"], itself["unsafe_neighbours"],
+        )  # fmt: skip
+        low, high = wilson_interval(found["unsafe_neighbours"], found["neighbours"], 1.96)
+        assert found["interval"] == pytest.approx((float(low), float(high)))
+        assert (found["evaluated"], found["p_th"]) == (len(numbers), 0.1)
+        assert found["confidence"] == pytest.approx(0.95, abs=1e-4)
+        assert found["looks_for_boundary"]
+
+
+def test_neighbours_can_be_limited_to_the_radius(finished: Finished) -> None:
+    found = finished.get("/solutions/0/neighbours", most=1000)
+    within = [one for one in found["nearest"] if one["within"]]
+    assert len(within) + 1 == found["neighbours"]
+    assert len(found["nearest"]) == found["evaluated"] - 1
+    assert finished.get("/solutions/0/neighbours", most=0)["nearest"] == []
+
+
+@on_sqlite
+def test_solution_without_a_verdict_has_no_neighbours(client: httpx.Client) -> None:
+    path = f"/api/v1/campaigns/{submit(client, ball())}/solutions/0/neighbours"
+    assert "no evaluated solution 0" in expect(client.get(path), 404)["detail"]
+    expect(client.get(path, params={"most": -1}), 422)
+
+
+def test_equally_near_neighbours_come_by_number() -> None:
+    metric = Metric(np.ones(1), np.zeros(1, bool))
+    rows = np.array([[0.5], [0.75], [0.25], [0.75], [0.25], [0.5]])
+    numbers = np.array([4, 9, 8, 2, 1, 0])
+    archive = Archive.empty(metric, Neighbourhood(radius=0.1, p_th=0.1)).grown(
+        numbers, rows, np.zeros(6, bool), np.ones(6)
+    )
+    found = nearest(archive, 0, 3)
+    assert archive.numbers[found.places].tolist() == [0, 1, 2]
+    assert found.distances == pytest.approx([0.0, 0.25, 0.25])
+    assert archive.numbers[nearest(archive, 0, 10).places].tolist() == [0, 1, 2, 8, 9]
+
+
+SLOTS: dict[str, Any] = {
+    "name": "slots", "problem": {"id": "slotted-blind@1"},
+    "algorithm": {"id": "random@1", "params": {"generation_size": 50}}, "budget": {"simulations": 100}, "seed": 3,
+}  # fmt: skip
+
+
+def strong(job: LeasedJob) -> Completed:
+    """Return an outcome that is unsafe if the first perturbation is strong."""
+    robustness = 0.5 - float(job.spec["behaviour"]["strong"])
+    verdict = WireVerdict(robustness=robustness, unit="m", violated_at_s=None)
+    return Completed(verdicts={REQUIREMENT: verdict}, objectives={"distance": robustness})
+
+
+def scores(client: httpx.Client, campaign: str) -> dict[str, Any]:
+    found: dict[str, Any] = expect(
+        client.get(f"/api/v1/campaigns/{campaign}/scores", params={"wait_s": 60}), 200
+    )
+    return found
+
+
+def test_scores_are_available_once_the_campaign_has_ended(client: httpx.Client) -> None:
+    campaign = submit(client, ball(simulations=60))
+    assert "when it has ended" in expect(client.get(f"/api/v1/campaigns/{campaign}/scores"), 409)["detail"]
+    assert FakeWorker(client).work(campaign)["status"] == "finished"
+    found = scores(client, campaign)
+    assert (found["id"], found["name"], found["status"]) == (campaign, "ball", "finished")
+    assert (found["fractions"], found["t_bs"], found["d_ths"]) == (
+        list(PAPER_FRACTIONS), list(PAPER_T_BS), list(PAPER_D_THS),
+    )  # fmt: skip
+    assert found["evaluated"] == 60
+    assert found["unsafe_share"] == pytest.approx(found["unsafe"] / 60)
+    assert (found["control"], found["says"]) == (None, []), "the ball has no component called scenario"
+    if progress(client, campaign)["simulations"] == 60:
+        grid = expect(client.get(f"/api/v1/campaigns/{campaign}/boundary"))["grid"]
+        assert [cell["dbs"] for cell in grid] == [figure for row in found["dbs"][-1] for figure in row]
+        assert [cell["strict_dbs"] for cell in grid] == [f for row in found["strict"][-1] for f in row]
+    expect(client.get("/api/v1/campaigns/nosuch/scores"), 404)
+
+
+def test_scores_compare_the_campaign_with_its_control(client: httpx.Client) -> None:
+    campaign = submit(client, SLOTS)
+    worker = FakeWorker(client, judge=strong)
+    assert worker.work(campaign)["status"] == "finished"
+    answer = client.get(f"/api/v1/campaigns/{campaign}/scores", params={"wait_s": 0})
+    if answer.status_code == 202:
+        assert answer.headers["Retry-After"]
+    found = scores(client, campaign)
+    assert found["control"]["reads_low"], "random search tries one behaviour for each scenario"
+    assert (len(found["says"]), {len(row) for row in found["says"]}) == (len(PAPER_T_BS), {len(PAPER_D_THS)})
+    assert all("proves nothing" in words for row in found["says"] for words in row)
+
+    experiment = {
+        "name": "one", "problems": [SLOTS["problem"]], "algorithms": [SLOTS["algorithm"]], "seeds": [3],
+        "budget": SLOTS["budget"],
+    }  # fmt: skip
+    stored = expect(client.post("/api/v1/experiments", json=experiment), 201)
+    assert worker.work(stored["members"][0]["campaign"])["status"] == "finished"
+    path = f"/api/v1/experiments/{stored['id']}/results"
+    (repeat,) = expect(client.get(path, params={"wait_s": 60}))["repeats"]
+    for key in ("dbs", "strict", "control", "evaluated", "unsafe"):
+        assert repeat[key] == found[key], f"{key}: the same campaign with the same seed"
+
+
+def test_campaign_cancelled_before_any_simulation_scores_nothing(
+    client: httpx.Client,
+) -> None:
+    campaign = submit(client, ball())
+    expect(client.post(f"/api/v1/campaigns/{campaign}/cancel"))
+    found = scores(client, campaign)
+    assert (found["evaluated"], found["unsafe_share"]) == (0, 0.0)
+    assert {figure for at in found["strict"] for row in at for figure in row} == {0.0}

@@ -16,7 +16,7 @@ import psycopg
 import pytest
 from sqlalchemy import Connection, Engine, event, text
 from support.api import settings_for
-from support.databases import Databases
+from support.databases import Databases, on_postgres
 from support.problems import SIMULATOR
 from support.queue import RESULT, TERMS, Queue, held
 
@@ -228,7 +228,7 @@ READS = 400
 """Rows that a statement may look at while 3,000 jobs wait: it counts no more than 150 of them."""
 
 
-@pytest.mark.parametrize("databases", ["postgres"], indirect=True)
+@on_postgres
 def test_no_hot_question_looks_through_all_that_waits(databases: Databases) -> None:
     with databases.database() as url:
         engines = open_engines(url)
@@ -266,7 +266,7 @@ def test_a_scan_would_be_noticed(stale: Queue) -> None:
         assert reads_all_jobs(looked_at(connection, (query, ())))
 
 
-@pytest.mark.parametrize("databases", ["postgres"], indirect=True)
+@on_postgres
 @pytest.mark.parametrize(
     "condition",
     [

@@ -10,11 +10,11 @@ import pytest
 from sqlalchemy import Connection, func, select, text, update
 from sqlalchemy.exc import DBAPIError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
-from support.api import FakeWorker, ball, coordinator, eventually, progress, submit
+from support.api import FakeWorker, ball, coordinator, eventually, progress, submit, undisturbed_digest
+from support.databases import on_postgres
 from support.llm_endpoint import serving
 from support.problems import SIMULATOR, simulated
 from support.queue import Queue
-from support.reference import undisturbed_digest
 from support.traffic import driven, seeded
 
 from brink.search.digest import archive_digest
@@ -252,7 +252,7 @@ def test_whoever_still_waits_for_seeds_that_another_had_goes_on_with_those(waiti
     assert waiting.campaign.generation == 1
 
 
-@pytest.mark.parametrize("databases", ["postgres"], indirect=True)
+@on_postgres
 def test_one_of_two_may_ask_for_seeds(engines: Engines, waiting: Coordinators) -> None:
     """The other waits until the first has decided, although there is no claim yet that could be locked."""
     claimed: list[bool] = []

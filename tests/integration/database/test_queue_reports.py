@@ -1,6 +1,7 @@
 """What becomes of reported outcomes: on SQLite and on Postgres."""
 
 import pytest
+from support.databases import on_sqlite
 from support.queue import RESULT, Queue
 
 from brink.server.campaigns import store
@@ -185,7 +186,7 @@ def test_a_sweep_takes_back_some_of_many_leases_that_ran_out_the_oldest_first(
     assert queue.expire()[1] == 0
 
 
-@pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
+@on_sqlite
 def test_more_leases_run_out_at_once_than_a_statement_has_parameters(queue: Queue) -> None:
     campaign = queue.campaign(40)
     jobs = queue.lease_all()

@@ -1,0 +1,12 @@
+"""Tests of what depends on the SQL dialect: all of them always run on SQLite and on Postgres."""
+
+from pathlib import Path
+
+import pytest
+from support.databases import BACKENDS, Databases, databases_for
+
+
+@pytest.fixture(params=BACKENDS)
+def databases(request: pytest.FixtureRequest, tmp_path: Path) -> Databases:
+    """Databases of one backend."""
+    return databases_for(request, tmp_path)

@@ -1,0 +1,614 @@
+"""Traces, replays and episodes: recorded by workers on demand, kept, and drawn without blocking other requests."""
+
+import base64
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from sqlalchemy import update
+from support.api import (
+    FakeWorker,
+    ball,
+    completes,
+    coordinator,
+    eventually,
+    expect,
+    row_counts,
+    submit,
+)
+from support.databases import on_sqlite
+from support.traces import filmed, grey_jpeg, make_trace
+from typer.testing import CliRunner
+
+import brink.server.campaigns.submission
+from brink.api.client import CoordinatorSaid
+from brink.cli.commands import app
+from brink.server.campaigns.service import SLOW_AT_ONCE
+from brink.server.db.engine import Engines
+from brink.server.db.models import WorkerRow
+from brink.server.operations.prune import prune
+from brink.server.queue import service
+from brink.server.queue.wakeups import Wakeups
+from brink.sim.episode import Json
+from brink.sim.errors import InvalidEpisode
+from brink.sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, Ragged, Trace
+from brink.worker.wire import Completed, JobFailed, LeasedJob
+
+
+UNTRACED = ball(execution={"keep_traces": 0})
+
+
+def traces(text: bytes | None) -> Callable[[LeasedJob], Completed | JobFailed]:
+    """Return a judge that adds a trace where one is asked for."""
+
+    def judge(job: LeasedJob) -> Completed | JobFailed:
+        outcome = completes(job)
+        if not job.record or text is None:
+            return outcome
+        return outcome.model_copy(update={"trace": base64.b64encode(text).decode()})
+
+    return judge
+
+
+def test_trace_is_recorded_on_demand_and_kept(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=traces(b"the trace"))
+    campaign = finish(client, UNTRACED, worker.judge)
+    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
+    being_made = client.get(path, params={"wait_s": 0})
+    assert being_made.status_code == 202
+    assert being_made.headers["Retry-After"] == "2"
+    assert client.get(path, params={"wait_s": 0}).status_code == 202  # asked for once
+    (job,) = worker.lease()
+    assert job.record
+    assert worker.lease() == []
+    assert worker.report([job]) == ["accepted"]
+    kept = client.get(path, params={"wait_s": 0})
+    assert (kept.status_code, kept.content) == (200, b"the trace")
+
+
+def test_request_for_a_trace_waits_for_the_worker(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=traces(b"the trace"))
+    campaign = finish(client, UNTRACED, worker.judge)
+    answers: list[httpx.Response] = []
+    asking = threading.Thread(
+        target=lambda: answers.append(
+            client.get(f"/api/v1/campaigns/{campaign}/solutions/3/trace", params={"wait_s": 30})
+        )
+    )
+    asking.start()
+    worker.report(worker.lease(wait_s=20))
+    asking.join()
+    assert (answers[0].status_code, answers[0].content) == (200, b"the trace")
+
+
+def test_deleted_trace_can_be_recorded_again(client: httpx.Client, engines: Engines) -> None:
+    worker = FakeWorker(client, judge=traces(b"the trace"))
+    campaign = finish(client, UNTRACED, worker.judge)
+    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
+    assert client.get(path, params={"wait_s": 0}).status_code == 202
+    assert worker.report(worker.lease()) == ["accepted"]
+    with engines.writer.begin() as connection:
+        pruned = prune(connection, ended=None, traces=timedelta(days=-1), really=True)
+    assert pruned.traces == 1
+    assert client.get(path, params={"wait_s": 0}).status_code == 202
+    assert worker.report(worker.lease()) == ["accepted"]
+    assert client.get(path, params={"wait_s": 0}).content == b"the trace"
+
+
+def test_worker_that_can_record_a_trace_is_woken_behind_one_that_cannot(
+    client: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(service, "RECHECK_S", 600.0)
+    monkeypatch.setattr(service, "SHARED_RECHECK_S", 600.0)
+    worker = FakeWorker(client, id="who-can", judge=traces(b"the trace"))
+    campaign = finish(client, UNTRACED, worker.judge)
+    first = FakeWorker(client, id="who-cannot", capabilities=("another-simulator@1",))
+    got: list[LeasedJob] = []
+    waiting = [
+        threading.Thread(target=lambda: first.lease(wait_s=6)),
+        threading.Thread(target=lambda: got.extend(worker.lease(wait_s=20))),
+    ]
+    in_line: list[Wakeups] = []
+    wait = Wakeups.wait
+
+    async def noted(self: Wakeups, *given: Any, **named: Any) -> bool:
+        in_line.append(self)
+        return await wait(self, *given, **named)
+
+    monkeypatch.setattr(Wakeups, "wait", noted)
+    waiting[0].start()
+    eventually(lambda: len(in_line) == 1, "the first worker waits")
+    waiting[1].start()
+    eventually(lambda: len(in_line) == 2, "the second worker waits")
+    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
+    assert client.get(path, params={"wait_s": 0}).status_code == 202
+    waiting[1].join(10)
+    assert [job.record for job in got] == [True]
+    waiting[0].join()
+
+
+@pytest.mark.parametrize("what", ["trace", "replay.png", "replay.mp4"])
+def test_request_for_a_trace_that_no_worker_can_record_does_not_wait(
+    client: httpx.Client, engines: Engines, what: str
+) -> None:
+    campaign = submit(client, ball())
+    FakeWorker(client, capabilities=("another-simulator@1",)).lease()
+    before = row_counts(engines)
+    began = time.monotonic()
+    answer = client.get(f"/api/v1/campaigns/{campaign}/solutions/3/{what}", params={"wait_s": 20})
+    assert time.monotonic() - began < 10, "it waited"
+    assert "no live worker can run faulty@1" in expect(answer, 503)["detail"]
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert answer.headers["Retry-After"] == "5"
+    assert row_counts(engines) == before, "a job was enqueued"
+    worker = FakeWorker(client, id="who-can", judge=traces(b"the trace"))
+    worker.lease(max_jobs=1)
+    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
+    assert client.get(path, params={"wait_s": 0}).status_code == 202
+
+
+@pytest.mark.parametrize("what", ["trace", "replay.{extension}"])
+def test_openapi_describes_pending_and_unavailable_traces(client: httpx.Client, what: str) -> None:
+    paths = expect(client.get("/openapi.json"))["paths"]
+    answers = paths[f"/api/v1/campaigns/{{campaign_id}}/solutions/{{number}}/{what}"]["get"]["responses"]
+    assert set(answers["202"]["content"]) == {"application/json"}
+    assert set(answers["503"]["content"]) == {"application/problem+json"}
+
+
+def test_replay_command_fails_at_once_if_no_worker_can_record_a_trace(
+    listening_client: httpx.Client, tmp_path: Path
+) -> None:
+    campaign = submit(listening_client, ball())
+    given = [
+        "replay",
+        campaign,
+        "3",
+        "--out",
+        str(tmp_path / "x.png"),
+        "--server",
+        str(listening_client.base_url),
+    ]
+    said = CliRunner().invoke(app, given)
+    assert isinstance(said.exception, CoordinatorSaid)
+    assert "no live worker can run faulty@1" in str(said.exception)
+
+
+def test_request_for_a_trace_ends_when_all_workers_have_left(
+    database_url: str, engines: Engines, small_problems: None
+) -> None:
+    with coordinator(database_url) as client:
+        campaign = finish(client, UNTRACED)
+        path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
+        assert client.get(path, params={"wait_s": 0}).status_code == 202
+        long_ago = datetime.now(UTC) - timedelta(hours=1)
+        with engines.writer.begin() as connection:
+            connection.execute(update(WorkerRow).values(last_seen_at=long_ago))
+        expect(client.get(path, params={"wait_s": 20}), 503)
+
+
+def test_worker_with_a_valid_lease_counts_as_able_to_record_a_trace(client: httpx.Client, engines: Engines) -> None:
+    campaign = submit(client, ball())
+    worker = FakeWorker(client)
+    worker.lease(max_jobs=1)
+    long_ago = datetime.now(UTC) - timedelta(hours=1)
+    with engines.writer.begin() as connection:
+        connection.execute(update(WorkerRow).values(last_seen_at=long_ago))
+    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
+    assert client.get(path, params={"wait_s": 0}).status_code == 202
+
+
+def test_trace_is_granted_before_episodes(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=traces(b"the trace"))
+    campaign = finish(client, UNTRACED, worker.judge)
+    submit(client, ball(seed=2, priority=100))
+    client.get(f"/api/v1/campaigns/{campaign}/solutions/3/trace", params={"wait_s": 0})
+    assert worker.lease(max_jobs=1)[0].record
+
+
+def test_failed_trace_gives_its_reason_until_it_is_retried(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=lambda _: JobFailed(reason="invalid", message="no such road"))
+    campaign = finish(client, UNTRACED)
+    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
+    client.get(path, params={"wait_s": 0})
+    worker.report(worker.lease())
+    document = expect(client.get(path, params={"wait_s": 5}), 409)
+    assert "no such road" in document["detail"]
+    (job,) = expect(client.get("/api/v1/jobs", params={"status": "quarantined"}))["jobs"]
+    expect(client.post(f"/api/v1/jobs/{job['id']}/retry"), 204)
+    worker.judge = traces(b"the trace")
+    worker.report(worker.lease())
+    assert client.get(path, params={"wait_s": 5}).content == b"the trace"
+
+
+def test_simulator_without_traces_is_a_conflict(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=traces(None))
+    campaign = finish(client, UNTRACED, worker.judge)
+    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
+    client.get(path, params={"wait_s": 0})
+    worker.report(worker.lease())
+    document = expect(client.get(path, params={"wait_s": 5}), 409)
+    assert "records no trace" in document["detail"]
+
+
+def test_trace_that_cannot_be_drawn_is_a_conflict(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=traces(b"the trace"))
+    campaign = finish(client, UNTRACED, worker.judge)
+    client.get(f"/api/v1/campaigns/{campaign}/solutions/3/trace", params={"wait_s": 0})
+    worker.report(worker.lease())
+    document = expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/3/replay.png"), 409)
+    assert "cannot be drawn" in document["detail"]
+    expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/3/replay.exe"), 422)
+
+
+def test_unknown_solution_has_no_trace(client: httpx.Client) -> None:
+    campaign = finish(client, UNTRACED)
+    expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/9999/trace"), 404)
+
+
+@pytest.mark.parametrize("garbage", ["no base64!", "AAA", "\u00fc"])
+def test_trace_that_is_not_base64_is_rejected(client: httpx.Client, garbage: str) -> None:
+    worker = FakeWorker(client)
+    submit(client, ball())
+    (job,) = worker.lease(max_jobs=1)
+    outcome = {**completes(job).model_dump(), "trace": garbage}
+    body = {"worker": worker.identity, "results": [{"job": job.job, "token": job.token, "outcome": outcome}]}
+    (error,) = expect(client.post("/api/v1/jobs/results", json=body), 422)["errors"]
+    assert error["pointer"] == "/results/0/outcome/trace"
+
+
+def test_traces_of_the_best_boundary_solutions_are_kept_as_evidence(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=traces(b"evidence"))
+    campaign = submit(client, ball(execution={"keep_traces": 2}, simulations=120))
+    done = worker.work(campaign)
+    wanted = min(2, done["generations"][-1]["dbs"])
+    assert wanted > 0
+    eventually(lambda: not worker.report(worker.lease()), "all traces are recorded")
+    boundary = expect(client.get(f"/api/v1/campaigns/{campaign}/boundary"))
+    for solution in boundary["solutions"][:wanted]:
+        path = f"/api/v1/campaigns/{campaign}/solutions/{solution['number']}/trace"
+        assert client.get(path, params={"wait_s": 0}).content == b"evidence"
+
+
+def test_pending_traces_do_not_delay_the_end_of_a_campaign(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=traces(b"the trace"))
+    campaign = submit(client, ball(execution={"keep_traces": 12}, simulations=120))
+    worker.work(campaign, until=lambda now: now["generation"] >= 1)
+    for number in range(20):
+        client.get(f"/api/v1/campaigns/{campaign}/solutions/{number}/trace", params={"wait_s": 0})
+    done = worker.work(campaign)
+    assert (done["status"], done["status_reason"]) == ("finished", "")
+
+
+def test_cancelled_campaign_still_has_traces(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=traces(b"the trace"))
+    campaign = submit(client, ball())
+    FakeWorker(client, id="another").lease(max_jobs=1)
+    path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
+    assert client.get(path, params={"wait_s": 0}).status_code == 202
+    expect(client.post(f"/api/v1/campaigns/{campaign}/cancel"))
+    assert worker.report(worker.lease()) == ["accepted"]
+    assert client.get(path, params={"wait_s": 0}).content == b"the trace"
+    assert worker.lease() == []
+
+
+NUMBER = 3
+
+
+def with_trace(client: httpx.Client, document: bytes | None) -> str:
+    """Store a trace for a solution, and return the path of the solution; None for a simulator without traces."""
+
+    def judge(job: LeasedJob) -> Completed | JobFailed:
+        outcome = completes(job)
+        if not job.record or document is None:
+            return outcome
+        return outcome.model_copy(update={"trace": base64.b64encode(document).decode()})
+
+    worker = FakeWorker(client, judge=judge)
+    campaign = submit(client, ball(simulations=20, execution={"keep_traces": 0}))
+    assert worker.work(campaign)["status"] == "finished"
+    path = f"/api/v1/campaigns/{campaign}/solutions/{NUMBER}"
+    assert client.get(f"{path}/episode", params={"wait_s": 0}).status_code == 202
+    assert worker.report(worker.lease()) == ["accepted"]
+    return path
+
+
+def episode(client: httpx.Client, trace: Trace) -> dict[str, Any]:
+    found: dict[str, Any] = expect(client.get(f"{with_trace(client, trace.to_bytes())}/episode"))
+    return found
+
+
+def numbers(column: list[float | None]) -> np.ndarray:
+    return np.array([np.nan if value is None else value for value in column])
+
+
+def test_episode_has_the_trace_in_columns(client: httpx.Client) -> None:
+    trace = make_trace()
+    shown = episode(client, trace)
+    samples = len(trace.time_s)
+    assert shown["time_s"] == pytest.approx(trace.time_s, abs=5e-4)
+    for place, (name, within) in enumerate(
+        {"x_m": 5e-4, "y_m": 5e-4, "yaw_rad": 5e-5, "speed_mps": 5e-4, "accel_mps2": 5e-4}.items()
+    ):
+        assert shown["ego"][name] == pytest.approx(trace.ego[:, place], abs=within * 1.01)
+    assert (shown["ego"]["length_m"], shown["ego"]["width_m"]) == trace.ego_size_m
+    assert [actor["name"] for actor in shown["actors"]] == [actor.name for actor in trace.actors]
+    for actor, column in zip(trace.actors, shown["actors"], strict=True):
+        np.testing.assert_allclose(numbers(column["x_m"]), actor.motion[:, 0], atol=6e-4)
+        assert (column["kind"], len(column["yaw_rad"])) == (actor.kind, samples)
+    oncoming = next(actor for actor in shown["actors"] if actor["name"] == "oncoming")
+    assert oncoming["x_m"][0] is None, "it has not appeared yet"
+    assert oncoming["x_m"][-1] is not None
+    assert shown["plan_mode"] == list(trace.plan_mode)
+    assert shown["lights"] == list(trace.lights)
+    assert [surface["kind"] for surface in shown["scene"]] == [surface.kind for surface in trace.scene]
+    assert shown["scene"][0]["points"] == trace.scene[0].points.tolist()
+    assert shown["robustness"].keys() == trace.robustness.keys()
+    assert shown["units"] == {"front-gap@1": "m", "progress@1": "s"}
+    assert [event["kind"] for event in shown["events"]] == ["nudge", "violation"]
+    assert shown["film"] is None
+    decisive = int(np.flatnonzero(trace.robustness["front-gap@1"] < 0)[0])
+    assert shown["story"] == {"requirement": "front-gap@1", "violated": True, "decisive": decisive}
+    assert "sunset" in shown["words"]["scenario"]
+    assert shown["words"]["report"] == "injected"
+
+
+def test_boxes_are_grouped_by_sample(client: httpx.Client) -> None:
+    trace = make_trace(samples=80)
+    shown = episode(client, trace)
+    for name, ragged, columns in (
+        ("seen", trace.seen_boxes, BOX_COLUMNS),
+        ("given", trace.given_boxes, BOX_COLUMNS),
+        ("perceived", trace.perceived, PERCEIVED_COLUMNS),
+    ):
+        assert shown[name]["first"] == ragged.first.tolist()
+        assert tuple(shown[name]["columns"]) == columns
+        assert shown[name]["columns"][columns[2]] == pytest.approx(ragged.rows[:, 2], abs=0.051)
+    camera = shown["camera"]
+    assert (camera["width_px"], camera["focal_px"], camera["horizon_px"]) == (800, 400, 300)
+
+
+def test_infinite_values_are_null(client: httpx.Client) -> None:
+    trace = make_trace(samples=40)
+    unbounded = np.full(40, np.inf, np.float32)
+    shown = episode(client, replace(trace, robustness={**trace.robustness, "red-light@1": unbounded}))
+    assert shown["robustness"]["red-light@1"] == [None] * 40
+
+
+def test_film_has_boxes_and_pictures_one_at_a_time(client: httpx.Client) -> None:
+    path = with_trace(client, filmed(make_trace(samples=40)).to_bytes())
+    film = expect(client.get(f"{path}/episode"))["film"]
+    assert (film["size_px"], film["samples"]) == ([320, 240], [0, 2, 4])
+    assert film["judged"]["columns"]["ignored"] == [0] * 40
+    assert film["found"]["columns"]["score"][:2] == [1, 0.975]
+    assert film["found"]["columns"]["score"][-1] == 0.1, "boxes with a lower score are left out"
+    assert film["found"]["first"][-6:] == [35, 36, 37, 37, 37, 37]
+    assert film["regions"]["warning"][0] == [130, 150]
+    for index in range(3):
+        picture = client.get(f"{path}/pictures/{index}.jpg")
+        assert (picture.status_code, picture.headers["content-type"]) == (200, "image/jpeg")
+        assert picture.headers["x-content-type-options"] == "nosniff"
+        assert picture.content == grey_jpeg(64 + 8 * index)
+    assert "has 3 pictures" in expect(client.get(f"{path}/pictures/3.jpg"), 404)["detail"]
+
+
+def test_solution_without_a_film_or_a_trace_has_no_pictures(client: httpx.Client, engines: Engines) -> None:
+    path = with_trace(client, make_trace(samples=40).to_bytes())
+    expect(client.get(f"{path}/pictures/0.jpg"), 404)
+    with engines.writer.begin() as connection:
+        prune(connection, ended=None, traces=timedelta(days=-1), really=True)
+    assert "no trace" in expect(client.get(f"{path}/pictures/0.jpg"), 404)["detail"]
+    expect(client.get(path.replace(f"/{NUMBER}", "/9999") + "/pictures/0.jpg"), 404)
+
+
+def test_picture_that_is_not_a_jpeg_is_not_served(client: httpx.Client) -> None:
+    trace = filmed(make_trace(samples=40))
+    assert trace.film is not None
+    page = replace(trace, film=replace(trace.film, pictures=(b"<html>", *trace.film.pictures[1:])))
+    path = with_trace(client, page.to_bytes())
+    assert "no JPEG" in expect(client.get(f"{path}/pictures/0.jpg"), 404)["detail"]
+    assert client.get(f"{path}/pictures/1.jpg").status_code == 200
+
+
+def _short_ego(trace: Trace) -> Trace:
+    return replace(trace, ego=trace.ego[:-1])
+
+
+def _no_samples(trace: Trace) -> Trace:
+    return replace(trace, time_s=trace.time_s[:0])
+
+
+def _backwards(trace: Trace) -> Trace:
+    return replace(trace, time_s=trace.time_s[::-1])
+
+
+def _rows_past_the_end(trace: Trace) -> Trace:
+    first = trace.given_boxes.first.copy()
+    first[-1] += 7
+    return replace(trace, given_boxes=replace(trace.given_boxes, first=first))
+
+
+def _other_columns(trace: Trace) -> Trace:
+    seen = trace.seen_boxes
+    return replace(trace, seen_boxes=Ragged(columns=("a", "b"), first=seen.first, rows=seen.rows[:, :2]))
+
+
+def _half_a_surrogate_pair(trace: Trace) -> Trace:
+    return replace(trace, plan_mode=("\ud800", *trace.plan_mode[1:]))
+
+
+def _picture_of_no_sample(trace: Trace) -> Trace:
+    film = filmed(trace).film
+    assert film is not None
+    return replace(trace, film=replace(film, samples=film.samples + 10_000))
+
+
+def _unbounded_scene(trace: Trace) -> Trace:
+    surface = replace(trace.scene[0], points=np.full((4, 2), np.nan, np.float32))
+    return replace(trace, scene=(surface,))
+
+
+@on_sqlite
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        _short_ego,
+        _no_samples,
+        _backwards,
+        _rows_past_the_end,
+        _other_columns,
+        _half_a_surrogate_pair,
+        _picture_of_no_sample,
+        _unbounded_scene,
+    ],
+)
+def test_inconsistent_trace_is_a_conflict(
+    client: httpx.Client, spoil: Callable[[Trace], Trace]
+) -> None:
+    path = with_trace(client, spoil(make_trace(samples=40)).to_bytes())
+    assert "cannot be drawn" in expect(client.get(f"{path}/episode"), 409)["detail"]
+
+
+@on_sqlite
+def test_bytes_that_are_not_a_trace_are_a_conflict(client: httpx.Client) -> None:
+    path = with_trace(client, b"the trace")
+    assert "cannot be drawn" in expect(client.get(f"{path}/episode"), 409)["detail"]
+    expect(client.get(f"{path}/pictures/0.jpg"), 404)
+
+
+@on_sqlite
+def test_story_is_about_the_violated_requirement(
+    client: httpx.Client,
+) -> None:
+    far = np.full(40, 9.0, np.float32)
+    fast = np.where(np.arange(40) < 25, 1.0, -0.5).astype(np.float32)
+    shown = episode(
+        client, replace(make_trace(samples=40), robustness={"front-gap@1": far, "speed-limit@1": fast})
+    )
+    assert shown["story"] == {"requirement": "speed-limit@1", "violated": True, "decisive": 25}
+
+
+@on_sqlite
+def test_words_for_unreadable_parts_are_left_out(client: httpx.Client) -> None:
+    behaviour: Json = {"mode": "detector", "perturbations": [{"gene": "snow", "level": {}}]}
+    about: dict[str, Json] = {"spec": {"scenario": {"crossing_m": "far"}, "behaviour": behaviour}}
+    shown = episode(client, replace(make_trace(samples=40), about=about))
+    assert shown["words"]["report"] == "detected"
+    assert shown["words"]["scenario"].startswith("None")
+
+
+def test_request_for_an_episode_that_no_worker_can_record_does_not_wait(client: httpx.Client, engines: Engines) -> None:
+    campaign = submit(client, ball())
+    FakeWorker(client, capabilities=("another-simulator@1",)).lease()
+    before = row_counts(engines)
+    answer = client.get(f"/api/v1/campaigns/{campaign}/solutions/{NUMBER}/episode", params={"wait_s": 20})
+    assert "no live worker can run faulty@1" in expect(answer, 503)["detail"]
+    assert answer.headers["Retry-After"] == "5"
+    assert row_counts(engines) == before, "a job was enqueued"
+
+
+@on_sqlite
+def test_simulator_without_traces_has_no_episodes(client: httpx.Client) -> None:
+    path = with_trace(client, None)
+    assert "records no trace" in expect(client.get(f"{path}/episode"), 409)["detail"]
+
+
+MANY = 40
+"""More requests than the coordinator has threads for other work."""
+
+
+class Blocker:
+    """A callable that blocks until it is released, and then fails.
+
+    Attributes:
+        within: Number of calls so far.
+    """
+
+    def __init__(self) -> None:
+        self._released = threading.Event()
+        self._lock = threading.Lock()
+        self.within = 0
+
+    def __call__(self, *_: Any) -> Any:
+        with self._lock:
+            self.within += 1
+        self._released.wait(60)
+        raise InvalidEpisode("not a trace")
+
+    def release(self) -> None:
+        self._released.set()
+
+
+@contextmanager
+def many_requests(client: httpx.Client, method: str, path: str, **options: Any) -> Iterator[list[int]]:
+    """Send many requests at once; yield the list of statuses, which is complete after the block."""
+    statuses: list[int] = []
+
+    def ask() -> None:
+        statuses.append(client.request(method, path, **options).status_code)
+
+    threads = [threading.Thread(target=ask) for _ in range(MANY)]
+    for thread in threads:
+        thread.start()
+    try:
+        yield statuses
+    finally:
+        for thread in threads:
+            thread.join()
+
+
+def assert_others_are_served(client: httpx.Client) -> None:
+    """Check that other requests are answered in the meantime."""
+    for path in ("/readyz", "/api/v1/campaigns", "/metrics", "/api/v1/jobs"):
+        assert client.get(path).status_code == 200
+    assert FakeWorker(client, capabilities=("nothing",)).lease() == []
+
+
+@on_sqlite
+def test_drawing_does_not_block_other_requests(client: httpx.Client, monkeypatch: pytest.MonkeyPatch) -> None:
+    campaign = finish(client, UNTRACED)
+    path = f"/api/v1/campaigns/{campaign}/solutions/3"
+    client.get(f"{path}/trace", params={"wait_s": 0})
+    worker = FakeWorker(client, judge=traces(b"the trace"))
+    worker.report(worker.lease())
+    blocker = Blocker()
+    monkeypatch.setattr(Trace, "from_bytes", blocker)
+    with many_requests(client, "GET", f"{path}/replay.mp4") as statuses:
+        try:
+            eventually(lambda: blocker.within == SLOW_AT_ONCE, "some replays are being drawn")
+            assert_others_are_served(client)
+            expect(client.post("/api/v1/campaigns", json=ball(seed=2)), 201)
+        finally:
+            blocker.release()
+    assert statuses == [409] * MANY
+
+
+@on_sqlite
+def test_checking_a_submission_does_not_block_other_requests(
+    client: httpx.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    submit(client, ball())
+    blocker = Blocker()
+
+    def checked(*given: Any) -> Any:
+        try:
+            return blocker(*given)
+        except InvalidEpisode:
+            return usual(*given)
+
+    usual = brink.server.campaigns.submission.check_submission
+    monkeypatch.setattr(brink.server.campaigns.submission, "check_submission", checked)
+    with many_requests(client, "POST", "/api/v1/campaigns", json=ball(seed=2, simulations=20)) as statuses:
+        try:
+            eventually(lambda: blocker.within == SLOW_AT_ONCE, "some submissions are being checked")
+            assert_others_are_served(client)
+        finally:
+            blocker.release()
+    assert statuses == [201] * MANY

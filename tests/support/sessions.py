@@ -1,0 +1,71 @@
+"""How a test session uses the machine: files in memory, tests spread over processes, one Postgres for all of them."""
+
+import os
+import shutil
+import tempfile
+from contextlib import ExitStack
+from pathlib import Path
+
+from xdist.scheduler import LoadFileScheduling
+from xdist.workermanage import WorkerController
+
+from brink.bench.temporary.postgres import NoPostgres
+from support.databases import running_postgres
+
+MEMORY = Path("/dev/shm")
+ENOUGH_BYTES = 4 * 2**30
+"""A run leaves a few hundred MB behind it, and Postgres as much."""
+
+
+def use_memory() -> None:
+    """Put the temporary files of this process and its children into memory, if there is room and TMPDIR is not set.
+
+    SQLite waits for the disk at every commit, and nothing of a test has to survive a power cut.
+    """
+    if "TMPDIR" in os.environ or not _roomy(MEMORY):
+        return
+    os.environ["TMPDIR"] = tempfile.tempdir = str(MEMORY)
+
+
+def _roomy(folder: Path) -> bool:
+    """Return whether a folder has enough room, and programs may be run from there."""
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        return False
+    memory_bytes = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return (
+        min(shutil.disk_usage(folder).free, memory_bytes // 3) > ENOUGH_BYTES
+        and not os.statvfs(folder).f_flag & os.ST_NOEXEC
+    )
+
+
+class LongestFirst(LoadFileScheduling):  # type: ignore[misc]
+    """Distributes whole files, since the tests of a file share fixtures, and starts with those that take longest."""
+
+    FIRST = ()
+
+    def _assign_work_unit(self, node: WorkerController) -> None:
+        for scope in reversed(self.FIRST):
+            if scope in self.workqueue:
+                self.workqueue.move_to_end(scope, last=False)
+        super()._assign_work_unit(node)
+
+
+class SharedPostgres:
+    """Runs one Postgres server for all processes of a session."""
+
+    def __init__(self) -> None:
+        self._stack = ExitStack()
+        self._found: dict[str, str] = {}
+
+    def address(self) -> dict[str, str]:
+        """Return the server's ``url``, or ``missing`` with the reason why there is none; the first call starts it."""
+        if not self._found:
+            try:
+                self._found = {"url": self._stack.enter_context(running_postgres())}
+            except NoPostgres as error:
+                self._found = {"missing": str(error)}
+        return self._found
+
+    def stop(self) -> None:
+        """Stop the server, if it was started."""
+        self._stack.close()
