@@ -1,4 +1,4 @@
-"""Repeats over the API: boundary solutions simulated again with other seeds, in a campaign of their own."""
+"""Repeats over the API: a campaign that simulates boundary solutions again with other seeds."""
 
 import json
 import time
@@ -28,13 +28,13 @@ WIDE: dict[str, float] = {"t_b": 0.5, "d_th": 0.05}
 
 
 def by_chance(job: LeasedJob) -> Completed | JobFailed:
-    """Judge by the episode's seed: unsafe in about a third of all cases, wherever it is."""
+    """Return an outcome that depends on the seed alone: a third of all seeds is unsafe."""
     robustness = -1.0 if job.spec["seed"] % 3 == 0 else 1.0
     return Completed(verdicts={REQUIREMENT: WireVerdict(robustness=robustness, unit="m", violated_at_s=None)})
 
 
 def body(simulations: int = 60, *, generation_size: int = 60, **changes: Any) -> dict[str, Any]:
-    """Return a campaign whose solutions lie on its boundary: about a third is sought, and comes."""
+    """Return the body of a campaign whose solutions all lie on its boundary, since p_th is a third."""
     params = {"generation_size": generation_size, "p_th": 0.35, "radius": 1.0}
     return ball(simulations=simulations, algorithm={"id": "random@1", "params": params}, **changes)
 
