@@ -1,6 +1,7 @@
 """Hostile requests: what each gets, that nothing of it is stored, and that nothing secret is told.
 
-The list is in `support.attacks`; those below it need a coordinator of their own. `docs/security.md` names them all.
+The list is in `support.attacks`; those below it need a coordinator of their own.
+`docs/reference/security.md` names them all.
 """
 
 import base64
@@ -24,7 +25,7 @@ from brink.server.access.store import create_token
 from brink.server.access.tokens import Scope, id_within
 from brink.server.db.engine import Engines, open_engines
 
-SECURITY = Path(__file__).parents[3] / "docs" / "security.md"
+SECURITY = Path(__file__).parents[3] / "docs" / "reference" / "security.md"
 INSIDES = ("Traceback", "site-packages", "sqlalchemy", "psycopg", "[SQL", "postgresql://", "sqlite:///")
 NOT_THE_COORDINATORS = ("httpx", "httpcore", "uvicorn.access")
 """Loggers of the client, and one that the coordinator has turned off, whatever pytest hangs on it."""
