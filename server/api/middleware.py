@@ -1,28 +1,31 @@
-"""What stands before every request: who comes, what they may do, how often, and how much they may say."""
+"""Middleware in front of every request: who may do what, how often and how much, and how long it took."""
 
 import asyncio
 import logging
 import math
+import re
+import secrets
 import time
-from typing import cast
+from typing import Final
 
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.requests import Request
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from brink.server.access.gate import Caller, Gate
+from brink.server.access.gate import Gate
 from brink.server.access.tokens import allows
-from brink.server.api import docs_page
-from brink.server.api.elsewhere import from_elsewhere
+from brink.server.api.context import CALLER
 from brink.server.api.problem_details import problem
+from brink.server.api.service import FOLDER as DOCS_FOLDER
 from brink.server.dashboard import page
+from brink.server.metrics import Metrics
+from brink.server.settings import LOOPBACK
+from brink.worker.log import about
 
 OPEN_PATHS = ("/", "/healthz", "/readyz", "/docs", "/openapi.json")
 """What says nothing of any campaign: whether the coordinator lives, what its API is, a page that asks for a token."""
-OPEN_FOLDERS = (f"{docs_page.FOLDER}/", f"{page.FOLDER}/")
-_CALLER = "brink.caller"
+OPEN_FOLDERS = (f"{DOCS_FOLDER}/", f"{page.FOLDER}/")
 SLOWEST_BYTES_PER_S = 10_000.0
 """What a body that takes longer than a stall must come with on the whole."""
 
@@ -42,12 +45,7 @@ _DOCS_POLICY = (
 log = logging.getLogger(__name__)
 
 
-def caller_of(request: Request) -> Caller | None:
-    """Return whose token a request carries; None where no token is asked for."""
-    return cast(Caller | None, request.scope.get(_CALLER))
-
-
-class Guards:
+class AccessMiddleware:
     """Refuses who may not, and bodies past the bound, before anything reads them."""
 
     def __init__(self, app: ASGIApp, gate: Gate | None, max_body_bytes: int, stall_s: float) -> None:
@@ -104,7 +102,7 @@ class Guards:
             )
         if wait_s := self._gate.wait_s(caller):
             return _too_many(wait_s)
-        scope[_CALLER] = caller
+        scope[CALLER] = caller
         if not allows(caller.scope, scope["method"], scope["path"]):
             return problem(
                 403, "Forbidden",
@@ -188,3 +186,102 @@ class _Bounded:
         self._come += len(message.get("body", b""))
         self._ended = not message.get("more_body", False)
         return {"type": "http.disconnect"} if self.exceeded else message
+
+
+_READS: Final = frozenset({"GET", "HEAD"})
+_OWN_SITE: Final = frozenset({"same-origin", "none"})
+
+
+def from_elsewhere(scope: Scope) -> Response | None:
+    """Return the refusal of a request that another site's page had a browser make, or None."""
+    headers = Headers(scope=scope)
+    host = headers.get("host", "").lower()
+    if _name(host) not in LOOPBACK:
+        return problem(
+            421, "Misdirected request",
+            "expected a name of this machine, such as 127.0.0.1 or localhost; a coordinator without tokens serves "
+            "under no other",
+        )  # fmt: skip
+    origin = headers.get("origin")
+    foreign = origin is not None and origin.partition("://")[2].lower() != host
+    fetched = headers.get("sec-fetch-site", "none") not in _OWN_SITE
+    opened = headers.get("sec-fetch-mode") == "navigate"
+    if (foreign and scope["method"] not in _READS) or (fetched and not opened):
+        return problem(
+            403, "Forbidden", "expected no request for a page of another site; make a token for that"
+        )
+    return None
+
+
+def _name(host: str) -> str:
+    if host.startswith("["):
+        return host[1:].partition("]")[0]
+    return host.partition(":")[0]
+
+
+REQUEST_ID: Final = b"x-request-id"
+_METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
+_PLAIN_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
+
+
+class MetricsMiddleware:
+    """Measures what happens within.
+
+    Every request has an id: that of its ``X-Request-ID`` if it looks like one, such as a proxy gives, else one of
+    its own. The answer carries it, and so does whatever is logged meanwhile. Headers, queries and bodies are never
+    logged.
+
+    Args:
+        app: What happens within.
+        metrics: Where times are counted.
+        access_log: Whether requests are logged as what happened (INFO), not as a detail (DEBUG).
+    """
+
+    def __init__(self, app: ASGIApp, metrics: Metrics, *, access_log: bool = False) -> None:
+        self._app = app
+        self._metrics = metrics
+        self._level = logging.INFO if access_log else logging.DEBUG
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        began, status = time.perf_counter(), 0
+        request_id = _request_id(scope)
+
+        async def noted(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                named = (REQUEST_ID, request_id.encode())
+                message = {**message, "headers": [*message.get("headers", ()), named]}
+            await send(message)
+
+        with about(request=request_id):
+            try:
+                await self._app(scope, receive, noted)
+            finally:
+                method = scope["method"] if scope["method"] in _METHODS else "other"
+                # Not the path: it has ids in it, and strangers could make up any number of them.
+                route = getattr(scope.get("route"), "path", "none")
+                taken_s = time.perf_counter() - began
+                self._metrics.requests.labels(method, route, f"{status // 100}xx").observe(taken_s)
+                if log.isEnabledFor(self._level):
+                    fields = {"method": method, "route": route, "status": status, **_ids(scope)}
+                    log.log(self._level, "request", extra={**fields, "duration_ms": round(1000 * taken_s, 1)})
+
+
+def _request_id(scope: Scope) -> str:
+    given: bytes = next((value for name, value in scope["headers"] if name == REQUEST_ID), b"")
+    return given.decode() if _PLAIN_ID.fullmatch(given) else secrets.token_hex(8)
+
+
+def _ids(scope: Scope) -> dict[str, object]:
+    """Return which campaign and job a path names."""
+    named = scope.get("path_params", {})
+    return {
+        field: named[parameter]
+        for parameter, field in (("campaign_id", "campaign"), ("job", "job"))
+        if parameter in named
+    }

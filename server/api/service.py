@@ -1,36 +1,47 @@
-"""Routes at the root: is the process alive, can it serve, what does it measure."""
+"""Routes of the service itself: health, metrics, who is asking, problems and algorithms, the page of the API."""
 
 import asyncio
 import logging
+from importlib.resources import files
+from typing import Annotated, Final
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, FastAPI, Request, Response
+from fastapi.openapi.docs import get_swagger_ui_html
 from fastapi.responses import PlainTextResponse
+from fastapi.staticfiles import StaticFiles
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Gauge, generate_latest
+from pydantic import Field
 from sqlalchemy import Connection, func, select, text
+from starlette.responses import HTMLResponse
 
-from brink.server.api.context import Services
+from brink.server.api.context import Services, caller_of
 from brink.server.api.problem_details import problem
+from brink.server.api.schemas import AlgorithmView, ProblemView, View
 from brink.server.db.clock import database_now
 from brink.server.db.engine import read
 from brink.server.db.models import IS_LEASED, CampaignRow, JobRow
 from brink.server.db.upgrade import current_revision, head_revision
 from brink.server.errors import DatabaseError
+from brink.server.problems.catalogue import describe_algorithms, describe_problems
 from brink.server.queue.census import count_jobs
 from brink.server.queue.workers import capabilities_of_live
-from brink.server.states import JobStatus
+from brink.server.states import JobStatus, Scope
 
 log = logging.getLogger(__name__)
-router = APIRouter(tags=["operations"])
+root = APIRouter(tags=["operations"])
+"""Routes outside /api/v1."""
+router = APIRouter()
 READY_S = 5.0
+FOLDER: Final = "/docs-files"
 
 
-@router.get("/healthz", response_class=PlainTextResponse)
+@root.get("/healthz", response_class=PlainTextResponse)
 async def healthz() -> str:
     """Answer if the process is alive."""
     return "ok\n"
 
 
-@router.get("/readyz", response_class=PlainTextResponse)
+@root.get("/readyz", response_class=PlainTextResponse)
 async def readyz(services: Services) -> Response:
     """Answer 200 if the database answers, takes writes, and has this version's schema; otherwise 503."""
     try:
@@ -51,7 +62,7 @@ async def readyz(services: Services) -> Response:
     return PlainTextResponse("ready\n")
 
 
-@router.get("/metrics", response_class=PlainTextResponse)
+@root.get("/metrics", response_class=PlainTextResponse)
 async def metrics(services: Services) -> Response:
     """Return the state of campaigns, jobs and workers, and what this process measured, for Prometheus."""
     registry = CollectorRegistry()
@@ -96,3 +107,49 @@ async def metrics(services: Services) -> Response:
     await read(services.engines, collect)
     told = generate_latest(registry) + generate_latest(services.metrics.registry)
     return Response(told, media_type=CONTENT_TYPE_LATEST)
+
+
+class AccessView(View):
+    """What the caller may do."""
+
+    tokens: Annotated[bool, Field(description="Whether this coordinator asks for tokens.")]
+    scope: Annotated[Scope, Field(description="Of the token; admin where none is needed.")]
+
+
+@router.get("/access", tags=["access"])
+async def get_access(request: Request) -> AccessView:
+    """Return what the caller may do. Without a token that is taken, it answers 401 as everything else does."""
+    caller = caller_of(request)
+    return AccessView(tokens=caller is not None, scope=Scope.ADMIN if caller is None else caller.scope)
+
+
+@router.get("/problems", tags=["catalogue"])
+def get_problems() -> list[ProblemView]:
+    """List problems with the JSON schemas of their parameters."""
+    return [ProblemView.model_validate(item) for item in describe_problems()]
+
+
+@router.get("/algorithms", tags=["catalogue"])
+def get_algorithms() -> list[AlgorithmView]:
+    """List algorithms with the JSON schemas of their parameters."""
+    return [AlgorithmView.model_validate(item) for item in describe_algorithms()]
+
+
+# No closure over the app: FastAPI remembers the functions of thousands of routes, and with it each app that was made.
+@root.get("/docs", include_in_schema=False)
+async def docs_page(request: Request) -> HTMLResponse:
+    """Return the page, which reads the OpenAPI document."""
+    root = request.scope.get("root_path", "")
+    app = request.app
+    return get_swagger_ui_html(
+        openapi_url=f"{root}{app.openapi_url}",
+        title=app.title,
+        swagger_js_url=f"{root}{FOLDER}/swagger-ui-bundle.js",
+        swagger_css_url=f"{root}{FOLDER}/swagger-ui.css",
+        swagger_favicon_url=f"{root}{FOLDER}/favicon.png",
+    )
+
+
+def add_docs(app: FastAPI) -> None:
+    """Serve the files of the page."""
+    app.mount(FOLDER, StaticFiles(directory=str(files("fastapi_offline") / "static")), name="docs-files")

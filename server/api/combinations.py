@@ -1,6 +1,8 @@
-"""Which chains of techniques a campaign found to be hazardous, with names."""
+"""Routes of combinations of perturbations: which are hazardous, and which only together or in one order."""
 
 from collections.abc import Mapping
+
+from fastapi import APIRouter
 
 from brink.search.archive import Archive
 from brink.search.combinations import (
@@ -13,9 +15,11 @@ from brink.search.combinations import (
     tally_by_step,
     verdicts_by_chain,
 )
+from brink.search.errors import UnsupportedSpace
 from brink.search.levels import slots_of
 from brink.search.parameters import Categorical
 from brink.search.space import SearchSpace
+from brink.server.api.context import Services
 from brink.server.api.schemas import (
     ChainTally,
     Combinations,
@@ -24,6 +28,38 @@ from brink.server.api.schemas import (
     TechniqueLevel,
     Variant,
 )
+from brink.server.api.solutions import Number
+from brink.server.errors import NotFound
+
+router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
+
+
+@router.get("/combinations")
+async def get_combinations(campaign_id: str, services: Services) -> Combinations:
+    """Return which chains of techniques are hazardous, and which only together or in one order."""
+    campaign = await services.campaigns.get(campaign_id)
+    found = await services.archives.get(campaign)
+    try:
+        return combinations_view(found.plan.problem.space, found.archive)
+    except UnsupportedSpace:
+        raise NotFound(
+            f"campaign {campaign.id}: {campaign.body.problem.id} has no ordered techniques"
+        ) from None
+
+
+@router.get("/solutions/{number}/variants")
+async def get_variants(campaign_id: str, number: Number, services: Services) -> list[Variant]:
+    """Return a solution's parts and other orders that were simulated in its place, itself last."""
+    campaign = await services.campaigns.get(campaign_id)
+    found = await services.archives.get(campaign)
+    try:
+        return variants_view(found.plan.problem.space, found.archive, number)
+    except UnsupportedSpace:
+        raise NotFound(
+            f"campaign {campaign.id}: {campaign.body.problem.id} has no ordered techniques"
+        ) from None
+    except KeyError:
+        raise NotFound(f"campaign {campaign.id} has no evaluated solution {number}") from None
 
 
 class Names:
