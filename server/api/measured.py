@@ -9,7 +9,7 @@ from typing import Final
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from brink.server.metrics import Metrics
-from brink.worker.log import about
+from brink.worker.log import log_fields
 
 REQUEST_ID: Final = b"x-request-id"
 _METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
@@ -52,7 +52,7 @@ class Measured:
                 message = {**message, "headers": [*message.get("headers", ()), named]}
             await send(message)
 
-        with about(request=request_id):
+        with log_fields(request=request_id):
             try:
                 await self._app(scope, receive, noted)
             finally:

@@ -19,8 +19,7 @@ from brink.server.db.clock import database_now
 from brink.server.db.models import WorkerRow
 from brink.server.queue import holding_store, workers
 from brink.server.queue.service import QueueService
-from brink.worker.machine import machine_name
-from brink.worker.wire import JobFailed, JobResult, LeaseRequest, ResultsRequest, WorkerIdentity
+from brink.worker.wire import JobFailed, JobResult, LeaseRequest, ResultsRequest, WorkerIdentity, machine_name
 
 PATIENCE_S = 30.0
 
