@@ -107,7 +107,13 @@ class CoordinatorClient:
         return self._post("heartbeat", request, HeartbeatReply)
 
     def report(self, request: ResultsRequest) -> ResultsReply:
-        """Report outcomes, and lease the next jobs if the request asks for them; raises as `lease` does."""
+        """Report outcomes, and lease the next jobs if the request asks for them.
+
+        Raises:
+            CoordinatorUnavailable: As `lease` does.
+            RequestRefused: As `lease` does.
+            UnexpectedReply: As `lease` does, and if the statuses do not match the results.
+        """
         wait_s = 0.0 if request.lease is None else request.lease.wait_s
         reply = self._post("results", request, ResultsReply, wait_s=wait_s)
         if [status.job for status in reply.statuses] != [result.job for result in request.results]:

@@ -22,7 +22,7 @@ from brink.worker.errors import SettingsError
 
 FORMAT_VARIABLE: Final = "BRINK_LOG_FORMAT"
 LEVEL_VARIABLE: Final = "BRINK_LOG_LEVEL"
-OURS: Final = ("brink", "uvicorn", "__main__")
+DEBUG_PACKAGES: Final = ("brink", "uvicorn", "__main__")
 """Packages whose DEBUG records are written. Other libraries are limited to INFO: their DEBUG records may contain
 secrets, such as headers with tokens."""
 _NOISY: Final = ("httpx", "alembic")
@@ -117,7 +117,7 @@ def configure_logging(level: LogLevel, log_format: LogFormat, **always: object) 
     """
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_formatter(log_format, always))
-    handler.addFilter(_ours_or_info)
+    handler.addFilter(_allows)
     logging.basicConfig(level=level.upper(), handlers=[handler], force=True)
     for name in _NOISY:
         logging.getLogger(name).setLevel(logging.WARNING)
@@ -154,8 +154,8 @@ def _from_environment(variable: str, default: Choice) -> Choice:
         raise SettingsError(variable, f"expected one of {choices}, got {named!r}") from None
 
 
-def _ours_or_info(record: logging.LogRecord) -> bool:
-    return record.levelno >= logging.INFO or record.name.partition(".")[0] in OURS
+def _allows(record: logging.LogRecord) -> bool:
+    return record.levelno >= logging.INFO or record.name.partition(".")[0] in DEBUG_PACKAGES
 
 
 def _formatter(log_format: LogFormat, always: Mapping[str, object]) -> logging.Formatter:

@@ -1,4 +1,4 @@
-"""Workers as programs: signals, exit status and processes of Brink's worker, and the example of the worker guide."""
+"""Workers as programs: signals, exit status and processes of Brink's worker; the example of the worker guide."""
 
 import json
 import os
