@@ -19,7 +19,8 @@ from brink.server.api.schemas import (
 )
 from brink.server.campaigns import store, view_store
 from brink.server.campaigns.archives import ReadArchive
-from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B, looks_for_boundary
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.campaigns.standing import read_standing
 from brink.server.campaigns.values import Campaign
 from brink.server.db.writer import Trouble
