@@ -25,7 +25,7 @@ from brink.worker.wire import (
     ResultsRequest,
 )
 
-GUIDE = (ROOT / "docs" / "writing-a-worker.md").read_text(encoding="utf-8")
+GUIDE = (ROOT / "docs" / "how-to" / "write-a-worker.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(autouse=True)
