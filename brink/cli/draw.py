@@ -20,8 +20,7 @@ from brink.server.campaigns.plan import Plan, make_plan
 from brink.server.errors import FieldError, InvalidInput, ServerError
 from brink.sim.replay import render
 from brink.sim.trace import Trace
-from brink.worker.codec import from_wire
-from brink.worker.process import EpisodeProcess
+from brink.worker.process import EpisodeProcess, episode_result
 from brink.worker.wire import JobFailed
 
 
@@ -140,7 +139,7 @@ async def run_again(api: Api, campaign_id: str, number: int) -> Trace:
             outcome = process.run(solution["spec"], record=True, timeout_s=EPISODE_S)
         if isinstance(outcome, JobFailed):
             raise NoTrace(f"the episode of solution {number} failed here: {outcome.message}")
-        trace = from_wire(outcome).trace
+        trace = episode_result(outcome).trace
         if trace is None:
             raise NoTrace(f"the simulator of solution {number} records no trace")
         return Trace.from_bytes(trace)
