@@ -6,7 +6,7 @@ import random
 from collections.abc import Callable, Iterator
 
 from brink.sim.driving.interface import LightState
-from brink.sim.requirements.requirement import Collision, CollisionKind, Requirement, WorldSample
+from brink.sim.requirements import Collision, CollisionKind, Requirement, WorldSample
 
 _UNITS = ("m", "s", "m/s", "m/s^2", "rad", "1")
 _STEPS = 200

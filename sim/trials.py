@@ -102,15 +102,21 @@ def run_record(spec: EpisodeSpec) -> Record:
 
 
 def code_fingerprint(packages: Sequence[str]) -> str:
-    """Return what identifies the code and the weights that decide an episode: 12 hexadecimal digits.
+    """Return a fingerprint of the code and weights that decide an episode: 12 hexadecimal digits.
 
     Args:
-        packages: Folders of the project, such as ``sim/aeb``.
+        packages: Folders or modules of the project, such as ``sim/aeb`` or ``sim/requirements.py``.
+
+    Raises:
+        FileNotFoundError: A folder or module does not exist.
     """
     digest = hashlib.sha256()
     root = Path(__file__).parent.parent
     for package in packages:
-        for file in sorted((root / package).rglob("*")):
+        path = root / package
+        if not path.exists():
+            raise FileNotFoundError(f"expected a folder or module of the project, got {package!r}")
+        for file in sorted(path.rglob("*")) if path.is_dir() else (path,):
             if file.suffix in (".py", ".onnx"):
                 digest.update(str(file.relative_to(root)).encode())
                 digest.update(file.read_bytes())

@@ -4,7 +4,7 @@ cd examples/plugins && brink --plugin gentle run gentle.yaml
 """
 
 from brink.sim.catalogue import REQUIREMENTS, register
-from brink.sim.requirements.margin import Margin
+from brink.sim.requirements import Margin
 
 COMFORTABLE_MPS2 = 3.0
 

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import ObstacleLabel
 from brink.sim.driving.system import ModularDriving
-from brink.sim.requirements.registry import make_requirements
 from brink.sim.trials import run_trial, single_threaded
 from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour, InjectedTrajectory
 from brink.sim.urban.draws import draw

@@ -7,7 +7,7 @@ from typing import Protocol
 from brink.sim.bullet.engine import Engine
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import Command, DrivingSystem, LightReading, Observation
-from brink.sim.requirements.requirement import Requirement, WorldSample
+from brink.sim.requirements import Requirement, WorldSample
 from brink.sim.urban.behaviour import PERCEPTION_STEP_S, DetectorBehaviour, last_perception_step
 from brink.sim.urban.facts import Facts
 from brink.sim.urban.recorder import Recorder

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from brink.sim.bullet.engine import BodyId, Box, Closest, Engine
 from brink.sim.driving.interface import LightState
-from brink.sim.requirements.requirement import Collision, CollisionKind, WorldSample
+from brink.sim.requirements import Collision, CollisionKind, WorldSample
 from brink.sim.world.roadside import fixtures
 from brink.sim.world.walker import HEIGHT_M as WALKER_HEIGHT_M
 from brink.sim.world.world import RoadUser, World

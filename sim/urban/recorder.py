@@ -7,7 +7,7 @@ import numpy as np
 
 from brink.sim.driving.interface import Box, DrivingSystem, ObstacleLabel, PlanMode
 from brink.sim.episode import Json
-from brink.sim.requirements.requirement import WorldSample
+from brink.sim.requirements import WorldSample
 from brink.sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, ActorTrack, Event, Ragged, Trace
 from brink.sim.world.scene import scene_surfaces
 from brink.sim.world.world import RoadUser, World

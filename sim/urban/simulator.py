@@ -16,12 +16,12 @@ from importlib.metadata import version
 from brink import __version__
 from brink.sim.bullet.engine import Engine, EngineError, discard_engine, engine_version, process_engine
 from brink.sim.bullet.wheels import WheeledCar
+from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.system import ModularDriving
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
-from brink.sim.requirements.registry import features_of, make_requirements, verdicts_of
-from brink.sim.requirements.requirement import Requirement
+from brink.sim.requirements import Requirement, features_of, verdicts_of
 from brink.sim.urban.behaviour import DetectorBehaviour
 from brink.sim.urban.episode_loop import Outcome, run_loop
 from brink.sim.urban.recorder import Recorder

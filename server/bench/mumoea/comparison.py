@@ -28,7 +28,7 @@ from brink.sim.trials import code_fingerprint, single_threaded
 
 DECIDING: Final = (
     "search", "server/problems", "server/violations", "sim/bullet", "sim/driving", "sim/encounter",
-    "sim/requirements", "sim/urban", "sim/world",
+    "sim/requirements.py", "sim/urban", "sim/world",
 )  # fmt: skip
 """Parts of the code that decide what a search finds: searches of other code are not taken for this one's."""
 

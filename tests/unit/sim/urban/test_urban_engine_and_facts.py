@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from brink.sim.bullet.engine import Box, Engine, process_engine
-from brink.sim.requirements.requirement import CollisionKind
+from brink.sim.requirements import CollisionKind
 from brink.sim.urban.facts import Facts
 from brink.sim.urban.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
 from brink.sim.world.walker import Phase

@@ -1,4 +1,4 @@
-"""Each requirement on samples made by hand."""
+"""Known robustness values of each requirement on hand-made samples."""
 
 import math
 from dataclasses import replace
@@ -8,13 +8,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from brink.sim.driving.interface import LightState
-from brink.sim.requirements.front_gap import FrontGap
-from brink.sim.requirements.lane_keeping import LaneKeeping
-from brink.sim.requirements.no_collision import NoCollision
-from brink.sim.requirements.progress import Progress
-from brink.sim.requirements.red_light import RedLight
-from brink.sim.requirements.requirement import Collision, CollisionKind, Requirement, WorldSample
-from brink.sim.requirements.speed_limit import SpeedLimit
+from brink.sim.requirements import (
+    Collision,
+    CollisionKind,
+    FrontGap,
+    LaneKeeping,
+    NoCollision,
+    Progress,
+    RedLight,
+    Requirement,
+    SpeedLimit,
+    WorldSample,
+)
 
 CALM = WorldSample(
     time_s=0.0,
@@ -47,7 +52,7 @@ def observe_lights(requirement: Requirement, *steps: tuple[LightState | None, fl
     ]
 
 
-def test_front_gap_is_the_gap_less_one_and_a_half_metres() -> None:
+def test_front_gap_robustness_is_the_gap_minus_one_and_a_half_metres() -> None:
     requirement = FrontGap()
     assert observe_gaps(requirement, None, 10.0, 1.5, 1.0, 0.0, 4.0) == [50.0, 8.5, 0.0, -0.5, -1.5, 2.5]
     verdict = requirement.verdict()
@@ -64,7 +69,7 @@ def test_a_gap_of_exactly_one_and_a_half_metres_satisfies() -> None:
 
 
 @given(gaps_m=st.lists(st.none() | st.floats(0.0, 1e6), min_size=1, max_size=30))
-def test_violated_if_and_only_if_a_robustness_was_negative(gaps_m: list[float | None]) -> None:
+def test_a_verdict_is_violated_if_and_only_if_a_robustness_was_negative(gaps_m: list[float | None]) -> None:
     requirement = FrontGap()
     series = observe_gaps(requirement, *gaps_m)
     verdict = requirement.verdict()
@@ -73,7 +78,7 @@ def test_violated_if_and_only_if_a_robustness_was_negative(gaps_m: list[float | 
     assert all(math.isfinite(value) for value in series)
 
 
-def test_a_collision_is_violated_deeper_by_a_harder_impact() -> None:
+def test_a_harder_impact_is_a_deeper_violation() -> None:
     def robustness(impact_mps: float) -> float:
         requirement = NoCollision()
         hit = Collision(
@@ -93,7 +98,7 @@ def test_a_collision_is_violated_deeper_by_a_harder_impact() -> None:
     assert robustness(6.0) == pytest.approx(-0.61)
 
 
-def test_a_touch_that_is_not_the_egos_collision_satisfies() -> None:
+def test_contact_without_a_collision_of_the_ego_satisfies() -> None:
     requirement = NoCollision()
     assert requirement.observe(replace(CALM, nearest_gap_m=0.0)) == 0.0
     assert not requirement.verdict().violated
@@ -118,33 +123,33 @@ def test_stopping_before_the_line_at_red_satisfies() -> None:
     assert not requirement.verdict().violated
 
 
-def test_driving_through_at_red_is_violated_by_the_overrun() -> None:
+def test_running_a_red_light_is_violated_by_the_overrun() -> None:
     requirement = RedLight()
     series = observe_lights(requirement, (RED, 0.3), (RED, -0.1), (RED, -0.5), (RED, -2.0), (None, None))
     assert series == [0.3, -0.1, -0.5, -2.0, 10.0]
     assert requirement.verdict().violated_at_s == 0.05
 
 
-def test_passing_at_amber_satisfies_even_if_it_turns_red_meanwhile() -> None:
+def test_passing_at_amber_satisfies_even_if_the_light_turns_red_meanwhile() -> None:
     requirement = RedLight()
     observe_lights(requirement, (AMBER, 0.3), (AMBER, -0.1), (RED, -0.5), (RED, -2.0))
     assert not requirement.verdict().violated
 
 
-def test_starting_past_the_line_is_not_running_the_light() -> None:
+def test_starting_past_the_stop_line_does_not_violate() -> None:
     requirement = RedLight()
     observe_lights(requirement, (RED, -1.0), (RED, -2.0))
     assert not requirement.verdict().violated
 
 
-def test_two_lights_are_judged_apart() -> None:
+def test_consecutive_lights_are_evaluated_separately() -> None:
     requirement = RedLight()
     observe_lights(requirement, (GREEN, 0.2), (GREEN, -0.2), (RED, 40.0), (RED, 0.2), (RED, -0.2))
     assert requirement.verdict().robustness == pytest.approx(-0.2)
     assert requirement.verdict().violated_at_s == pytest.approx(0.2)
 
 
-def test_speed_limit_is_in_metres_a_second_with_the_speedometers_tolerance() -> None:
+def test_speed_limit_robustness_includes_the_speedometer_tolerance() -> None:
     requirement = SpeedLimit()
     assert requirement.observe(replace(CALM, speed_mps=8.33)) == pytest.approx(0.5)
     assert requirement.observe(replace(CALM, speed_mps=9.83)) == pytest.approx(-1.0)
@@ -167,7 +172,7 @@ def stand(requirement: Progress, seconds: int, **facts: bool) -> list[float]:
     ]
 
 
-def test_standing_without_a_cause_is_violated_after_ten_seconds() -> None:
+def test_standing_still_without_a_cause_violates_after_ten_seconds() -> None:
     requirement = Progress()
     series = stand(requirement, 12)
     assert series == [10.0 - second for second in range(13)]
@@ -175,7 +180,7 @@ def test_standing_without_a_cause_is_violated_after_ten_seconds() -> None:
     assert requirement.features()["longest_idle_s"] == 12.0
 
 
-def test_standing_where_it_is_dangerous_is_violated_after_four_seconds() -> None:
+def test_standing_still_in_a_conflict_area_violates_after_four_seconds() -> None:
     requirement = Progress()
     stand(requirement, 5, in_conflict_area=True)
     assert requirement.verdict().robustness == -1.0
@@ -183,24 +188,24 @@ def test_standing_where_it_is_dangerous_is_violated_after_four_seconds() -> None
 
 
 @pytest.mark.parametrize("cause", ["may_wait", "goal_reached"])
-def test_standing_with_a_cause_satisfies(cause: str) -> None:
+def test_standing_still_with_a_cause_satisfies(cause: str) -> None:
     requirement = Progress()
     stand(requirement, 25, in_conflict_area=True, **{cause: True})
     assert not requirement.verdict().violated
 
 
-def test_moving_on_gives_the_time_back() -> None:
+def test_moving_again_resets_the_standstill_timer() -> None:
     requirement = Progress()
     stand(requirement, 8)
     assert requirement.observe(replace(CALM, time_s=9.0)) == 10.0
     assert requirement.verdict().robustness == 2.0
 
 
-def test_a_sample_with_a_nan_is_refused() -> None:
+def test_a_sample_with_a_nan_is_rejected() -> None:
     with pytest.raises(ValueError, match="NaN"):
         FrontGap().observe(replace(CALM, front_gap_m=math.nan))
 
 
-def test_robustness_is_cut_at_the_horizon() -> None:
+def test_robustness_is_clipped_to_the_horizon() -> None:
     requirement = SpeedLimit()
     assert requirement.observe(replace(CALM, speed_mps=1e6)) == -requirement.horizon
