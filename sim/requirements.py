@@ -311,8 +311,8 @@ class RedLight(Margin):
 
     Passing at amber is allowed, and so is driving on at red after passing at amber or green. Robustness, in metres:
     before a red light the distance to the line, past a line that was crossed at red minus the overrun, otherwise the
-    horizon. The overrun counts while the light is red, so stopping just past the line is a small violation and driving
-    on a large one.
+    horizon. The overrun counts while the light is red, so stopping just past the line is a small violation and
+    driving on a large one.
     """
 
     unit = "m"

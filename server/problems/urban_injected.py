@@ -31,8 +31,14 @@ from brink.sim.catalogue import REQUIREMENTS as REQUIREMENT_PLUGINS
 from brink.sim.catalogue import plugin_ids
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.urban import behaviour as b
-from brink.sim.urban.scenario import PEDESTRIAN_COUNTS, ROAD_IDS, ROAD_LENGTHS, SCENARIO_CHOICES
-from brink.sim.urban.words import words_of_behaviour, words_of_scenario
+from brink.sim.urban.behaviour import words_of_behaviour
+from brink.sim.world.scenario import (
+    PEDESTRIAN_COUNTS,
+    ROAD_IDS,
+    ROAD_LENGTHS,
+    SCENARIO_CHOICES,
+    words_of_scenario,
+)
 from brink.worker.wire import Completed
 
 SIMULATOR = "brink-drive@1"

@@ -18,7 +18,7 @@ from brink.sim.driving.system import ModularDriving
 from brink.sim.trials import run_trial, single_threaded
 from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour, InjectedTrajectory
 from brink.sim.urban.draws import draw
-from brink.sim.urban.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
+from brink.sim.world.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
 from brink.sim.world.world import make_world
 
 DURATION_S = 30.0

@@ -25,7 +25,7 @@ from brink.sim.urban.draws import (
     with_behaviour,
     without_ghosts,
 )
-from brink.sim.urban.scenario import RoadCurve
+from brink.sim.world.scenario import RoadCurve
 
 FloatArray: TypeAlias = NDArray[np.float64]
 Progress: TypeAlias = Callable[[str, int, int], None]

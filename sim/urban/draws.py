@@ -25,7 +25,7 @@ from brink.sim.urban.behaviour import (
     last_perception_step,
     trajectory_ranges,
 )
-from brink.sim.urban.scenario import SCENARIO_CHOICES
+from brink.sim.world.scenario import SCENARIO_CHOICES
 
 Value: TypeAlias = "str | int | float"
 SIMULATOR_ID = "brink-drive@1"

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from brink.sim.bullet.engine import BodyId, Box, Closest, Engine
 from brink.sim.driving.interface import LightState
 from brink.sim.requirements import Collision, CollisionKind, WorldSample
-from brink.sim.world.roadside import fixtures
-from brink.sim.world.walker import HEIGHT_M as WALKER_HEIGHT_M
+from brink.sim.world.pedestrians import PERSON_HEIGHT_M
+from brink.sim.world.scenery import fixtures
 from brink.sim.world.world import RoadUser, World
 
 FRONT_RANGE_M = 50.0
@@ -86,7 +86,7 @@ class Facts:
             _box(v.length_m, v.width_m, v.size.height_m, v.x_m, v.y_m, v.yaw_rad) for v in world.vehicles
         ]
         boxes += [
-            _box(w.length_m, w.width_m, WALKER_HEIGHT_M, w.x_m, w.y_m, w.yaw_rad) for w in world.walkers
+            _box(w.length_m, w.width_m, PERSON_HEIGHT_M, w.x_m, w.y_m, w.yaw_rad) for w in world.walkers
         ]
         still = fixtures(world.road)
         boxes += [_box(f.length_m, f.width_m, f.height_m, f.x_m, f.y_m, f.yaw_rad) for f in still]
@@ -210,7 +210,7 @@ class Facts:
                 nearest.person_ahead |= abs(dy * cos_yaw - dx * sin_yaw) < WAITING_ASIDE_M
             bound_m = math.sqrt(dx * dx + dy * dy) - radius_m - 0.4
             if bound_m < nearest.pedestrian_m:
-                self._engine.move(body, walker.x_m, walker.y_m, walker.yaw_rad, WALKER_HEIGHT_M)
+                self._engine.move(body, walker.x_m, walker.y_m, walker.yaw_rad, PERSON_HEIGHT_M)
                 limit_m = nearest.pedestrian_m
                 found = self._ask(walker, body, CollisionKind.PEDESTRIAN, limit_m, nearest)
                 if found is not None and found.clearance_m < nearest.pedestrian_m:

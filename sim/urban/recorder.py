@@ -9,7 +9,7 @@ from brink.sim.driving.interface import Box, DrivingSystem, ObstacleLabel, PlanM
 from brink.sim.episode import Json
 from brink.sim.requirements import WorldSample
 from brink.sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, ActorTrack, Event, Ragged, Trace
-from brink.sim.world.scene import scene_surfaces
+from brink.sim.world.scenery import scene_surfaces
 from brink.sim.world.world import RoadUser, World
 
 ROUTE_EVERY_M = 1.0

@@ -11,8 +11,8 @@ from typing import TypeAlias
 from brink.sim.driving.camera import Body, Camera
 from brink.sim.driving.interface import Box, EgoState, LightReading, LightState, ObstacleLabel
 from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour
+from brink.sim.world.pedestrians import PERSON_HEIGHT_M
 from brink.sim.world.streams import Stream, generator
-from brink.sim.world.walker import HEIGHT_M as WALKER_HEIGHT_M
 from brink.sim.world.world import World
 
 Detects: TypeAlias = Callable[[float], tuple[Box, ...]]
@@ -147,7 +147,7 @@ class Sensing:
                 walker.yaw_rad,
                 walker.length_m,
                 walker.width_m,
-                WALKER_HEIGHT_M,
+                PERSON_HEIGHT_M,
             )
             for walker in world.walkers
         ]

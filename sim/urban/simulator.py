@@ -19,14 +19,14 @@ from brink.sim.bullet.wheels import WheeledCar
 from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.system import ModularDriving
-from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject, nearest
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
 from brink.sim.requirements import Requirement, features_of, verdicts_of
 from brink.sim.urban.behaviour import DetectorBehaviour
 from brink.sim.urban.episode_loop import Outcome, run_loop
 from brink.sim.urban.recorder import Recorder
-from brink.sim.urban.scenario import UrbanScenario, nearest
 from brink.sim.world.ego import EgoCar, MakeEgo
+from brink.sim.world.scenario import UrbanScenario
 from brink.sim.world.world import make_world
 
 SIMULATOR_ID = "brink-drive@1"

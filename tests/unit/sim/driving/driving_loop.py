@@ -18,7 +18,7 @@ from brink.sim.driving.settings import DrivingSettings
 from brink.sim.driving.system import ModularDriving
 from brink.sim.world.ego import EgoCar
 from brink.sim.world.line import Piece, ReferenceLine
-from brink.sim.world.route import LaneRoute
+from brink.sim.world.road import LaneRoute
 
 CONTROL_S = 0.05
 

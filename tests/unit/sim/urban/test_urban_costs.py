@@ -3,7 +3,7 @@ import pytest
 from brink.sim.urban import benchmark
 from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour
 from brink.sim.urban.benchmark import Cost, episode_cpu_s, measure_costs, process_memory_mb, resident_mb
-from brink.sim.urban.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
+from brink.sim.world.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
 
 
 def test_a_cost_is_met_up_to_its_bound() -> None:

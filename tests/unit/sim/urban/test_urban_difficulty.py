@@ -19,7 +19,7 @@ from brink.sim.urban.draws import (
     redraw,
     without_ghosts,
 )
-from brink.sim.urban.scenario import UrbanScenario
+from brink.sim.world.scenario import UrbanScenario
 
 seeds = st.integers(0, 2**32)
 

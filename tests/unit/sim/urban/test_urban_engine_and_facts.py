@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from brink.sim.bullet.engine import Box, Engine, process_engine
 from brink.sim.requirements import CollisionKind
 from brink.sim.urban.facts import Facts
-from brink.sim.urban.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
-from brink.sim.world.walker import Phase
+from brink.sim.world.pedestrians import Phase
+from brink.sim.world.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
 from brink.sim.world.world import UrbanWorld, make_world
 
 SCENARIO = UrbanScenario(

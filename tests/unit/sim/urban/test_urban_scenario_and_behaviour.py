@@ -17,7 +17,7 @@ from brink.sim.urban.behaviour import (
     InjectedTrajectory,
     trajectory_ranges,
 )
-from brink.sim.urban.scenario import SCENARIO_CHOICES, UrbanScenario
+from brink.sim.world.scenario import SCENARIO_CHOICES, UrbanScenario
 
 scenarios = st.fixed_dictionaries({name: st.sampled_from(v) for name, v in SCENARIO_CHOICES.items()})
 
@@ -145,7 +145,7 @@ def test_ranges_are_those_of_the_genome() -> None:
 
 def test_reading_parameters_needs_no_physics() -> None:
     code = (
-        "import sys, brink.sim.urban.behaviour, brink.sim.urban.scenario, brink.sim.urban.difficulty;"
+        "import sys, brink.sim.urban.behaviour, brink.sim.world.scenario, brink.sim.urban.difficulty;"
         "sys.exit('pybullet' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

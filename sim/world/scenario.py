@@ -1,20 +1,19 @@
-"""Owns the words of an urban scenario: seven categorical parameters and their JSON.
+"""The urban scenario: seven categorical parameters, their JSON form, and their description in words.
 
-Imports nothing heavy, so that whoever builds a search space can read the parameters from here.
+Imports nothing heavy, so that code that builds a search space can read the parameters from here.
 """
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Self, TypeVar
+from typing import Final, Self, TypeVar
 
-from brink.sim.episode import Json, JsonObject
+from brink.sim.episode import Json, JsonObject, check_fields, nearest
 from brink.sim.errors import InvalidEpisode
 
 
 class TimeOfDay(StrEnum):
-    """When it happens."""
+    """Time of day, which decides the light."""
 
     NOON = "noon"
     SUNSET = "sunset"
@@ -43,7 +42,7 @@ class RoadCurve(StrEnum):
 
 
 class DrivingTask(StrEnum):
-    """Where the ego is to go; at a crossroad: straight on, right, left."""
+    """Where the ego is to go; at a crossroad, the exits lead right and left."""
 
     FOLLOW_ROAD = "follow_road"
     FIRST_EXIT = "first_exit"
@@ -63,21 +62,34 @@ SCENARIO_CHOICES: Mapping[str, tuple[str | int, ...]] = {
     "road_length": ROAD_LENGTHS,
     "driving_task": tuple(item.value for item in DrivingTask),
 }
-"""Every parameter of a scenario with all its values, in the order of the genome."""
+"""All values of each scenario parameter, in the order of the genome."""
+
+_LENGTH_WORDS: Final = {0: "short", 1: "medium", 2: "long"}
+_ROAD_WORDS: Final = {
+    "straight": "straight road",
+    "right": "right bend",
+    "left": "left bend",
+    "crossroad": "crossroad",
+}
+_TASK_WORDS: Final = {
+    "follow_road": "follow the road",
+    "first_exit": "take the first exit",
+    "second_exit": "take the second exit",
+}
 
 _Word = TypeVar("_Word", bound=StrEnum)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UrbanScenario:
-    """What the world is.
+    """The parameters of an urban world.
 
     Attributes:
-        time_of_day: Acts on sight, on lane-position and light detection, and on how others drive.
-        weather: Acts on the same, and on friction.
-        pedestrians: How many are about, 0 or 18.
+        time_of_day: Affects visibility, lane-position and light detection, and how others drive.
+        weather: Affects the same, and friction.
+        pedestrians: Number of pedestrians, 0 or 18.
         road_curve: Shape of the road.
-        road_id: One of three roads of that shape: they differ in radius or slope, lane width and roadside.
+        road_id: One of three roads of that shape, which differ in radius or slope, lane width and roadside.
         road_length: 0 short, 1 medium, 2 long.
         driving_task: Where the ego is to go.
     """
@@ -104,10 +116,10 @@ class UrbanScenario:
 
     @classmethod
     def from_json(cls, document: Mapping[str, Json]) -> Self:
-        """Read a scenario from a JSON object.
+        """Parse a scenario from a JSON object.
 
         Raises:
-            InvalidEpisode: A field is missing, unknown, or has a value that is not among its choices.
+            InvalidEpisode: A field is missing or unknown, or its value is not one of its choices.
         """
         check_fields("scenario", document, tuple(SCENARIO_CHOICES))
         return cls(
@@ -119,28 +131,6 @@ class UrbanScenario:
             road_length=_integer("road_length", document["road_length"], ROAD_LENGTHS),
             driving_task=_word("driving_task", document["driving_task"], DrivingTask),
         )
-
-
-def nearest(word: object, known: tuple[str, ...]) -> str:
-    """Return `` (did you mean '...'?)`` for a word close to a known one, else nothing."""
-    close = difflib.get_close_matches(str(word), known, n=1)
-    return f" (did you mean {close[0]!r}?)" if close else ""
-
-
-def check_fields(where: str, document: Mapping[str, Json], expected: tuple[str, ...]) -> None:
-    """Refuse a JSON object that lacks a field or has one too many.
-
-    Raises:
-        InvalidEpisode: Names the field and what is expected.
-    """
-    for name in document:
-        if name not in expected:
-            raise InvalidEpisode(
-                f"{where}: unknown field {name!r}{nearest(name, expected)}; expected {', '.join(expected)}"
-            )
-    for name in expected:
-        if name not in document:
-            raise InvalidEpisode(f"{where}.{name}: missing; expected {', '.join(expected)}")
 
 
 def _word(name: str, value: Json, words: type[_Word]) -> _Word:
@@ -158,3 +148,44 @@ def _integer(name: str, value: Json, choices: tuple[int, ...]) -> int:
             f"scenario.{name}: expected one of {', '.join(map(str, choices))}; got {value!r}"
         )
     return value
+
+
+def words_of_scenario(scenario: Mapping[str, Json]) -> str:
+    """Return a one-line description of a scenario; fields that a plug-in added appear under their own names."""
+    parts = [*_road_words(scenario), *_condition_words(scenario)]
+    if "driving_task" in scenario:
+        task = str(scenario["driving_task"])
+        parts.append("task: " + _TASK_WORDS.get(task, _plain(task)))
+    parts += [
+        f"{_plain(name)} {_plain(str(value))}"
+        for name, value in scenario.items()
+        if name not in SCENARIO_CHOICES
+        and isinstance(value, str | int | float)
+        and not isinstance(value, bool)
+    ]
+    return ", ".join(parts)
+
+
+def _road_words(scenario: Mapping[str, Json]) -> list[str]:
+    if "road_curve" not in scenario:
+        return []
+    curve = str(scenario["road_curve"])
+    words = _ROAD_WORDS.get(curve, _plain(curve))
+    length = scenario.get("road_length")
+    if isinstance(length, int) and length in _LENGTH_WORDS:
+        words = f"{_LENGTH_WORDS[length]} {words}"
+    if "road_id" in scenario:
+        words += f" (road {scenario['road_id']})"
+    return [words[:1].upper() + words[1:]]
+
+
+def _condition_words(scenario: Mapping[str, Json]) -> list[str]:
+    parts = [_plain(str(scenario[name])) for name in ("time_of_day", "weather") if name in scenario]
+    people = scenario.get("pedestrians")
+    if isinstance(people, int):
+        parts.append(f"{people} pedestrians" if people else "no pedestrians")
+    return parts
+
+
+def _plain(word: str) -> str:
+    return word.replace("_", " ").replace("-", " ")
