@@ -11,7 +11,7 @@ from brink.sim.episode import EpisodeSpec, Json, check_fields
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.registry import find_detector
 from brink.sim.perception.weights_file import weights_digest
-from brink.sim.urban.sensing import Detects
+from brink.sim.urban.episode_loop import Detects
 
 MODE: Final = "detector"
 _FIELDS: Final = ("mode", "detector", "threshold", "weights")

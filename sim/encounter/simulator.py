@@ -21,9 +21,8 @@ from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject, chec
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
 from brink.sim.requirements import Requirement, features_of, verdicts_of
 from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour
-from brink.sim.urban.episode_loop import Outcome, run_loop
+from brink.sim.urban.episode_loop import Detects, Outcome, run_loop
 from brink.sim.urban.recorder import Recorder
-from brink.sim.urban.sensing import Detects
 from brink.sim.urban.simulator import instruction_set, versions
 
 MAX_DURATION_S: Final = 120.0

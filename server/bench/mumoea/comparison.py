@@ -15,14 +15,14 @@ from typing import Final
 
 import numpy as np
 
+from brink.bench.figures import Row
+from brink.bench.trials import code_fingerprint, single_threaded
 from brink.search.seeding import Origin
 from brink.search.statistics import compared
 from brink.server.bench.mumoea.measures import Measures, first_of_each_type, measured, types_over
 from brink.server.bench.mumoea.runs import ADAPTIVE, ALWAYS, METHODS, SearchRun, Task, run_or_read
 from brink.server.bench.telling import Told
 from brink.server.problems.npc_actions import NpcActionsParams
-from brink.sim.figures import Row
-from brink.sim.trials import code_fingerprint, single_threaded
 
 """Called with what is being measured, how much of it is done, and how much there is."""
 

@@ -5,12 +5,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from brink.bench.figures import Row
+from brink.bench.trials import Records, code_fingerprint
 from brink.server.bench.simood.costs import Costs
 from brink.server.bench.simood.hazards import Hazards
 from brink.server.bench.simood.searches import Searches
 from brink.server.bench.telling import Told
-from brink.sim.figures import Row
-from brink.sim.trials import Records, code_fingerprint
 
 CRITERIA: Final = ("A0", "A1", "A2", "A3", "A4", "A5", "A6", "A7", "A8")
 DECIDING: Final = (

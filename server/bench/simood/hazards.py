@@ -5,6 +5,8 @@ import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from brink.bench.figures import Row
+from brink.bench.trials import Record, Records
 from brink.server.bench.simood.places import (
     ACCIDENT,
     DANGEROUS_STOP,
@@ -18,9 +20,7 @@ from brink.server.bench.simood.places import (
 from brink.server.bench.telling import Told
 from brink.server.problems.aeb_crossing import AebCrossingParams
 from brink.sim.episode import EpisodeSpec
-from brink.sim.figures import Row
 from brink.sim.perturbations import CATALOGUE
-from brink.sim.trials import Record, Records
 
 """Called with what is being measured, how much of it is done, and how much there is."""
 

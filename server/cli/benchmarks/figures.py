@@ -7,8 +7,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from brink.bench.figures import Row
 from brink.server.cli.options import console, print_json
-from brink.sim.figures import Row
 
 bench = typer.Typer(help="Measure this installation, each figure with its target.", no_args_is_help=True)
 

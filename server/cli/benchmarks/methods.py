@@ -40,7 +40,7 @@ def difficulty(
     Example: brink bench difficulty --candidates 2000
     """
     # Imported here: measuring runs episodes, which a coordinator never does.
-    from brink.sim.urban.difficulty import Sizes, measure
+    from brink.bench.urban_difficulty import Sizes, measure
 
     full = Sizes()
     sizes = Sizes(
@@ -150,7 +150,7 @@ def sim(
 
     Example: brink bench sim
     """
-    from brink.sim.urban.benchmark import measure_costs
+    from brink.bench.urban_costs import measure_costs
 
     rates = []
     with Console(stderr=True).status("CPU time and memory of episodes; takes some minutes") as status:

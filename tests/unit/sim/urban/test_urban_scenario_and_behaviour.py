@@ -145,7 +145,7 @@ def test_ranges_are_those_of_the_genome() -> None:
 
 def test_reading_parameters_needs_no_physics() -> None:
     code = (
-        "import sys, brink.sim.urban.behaviour, brink.sim.world.scenario, brink.sim.urban.difficulty;"
+        "import sys, brink.sim.urban.behaviour, brink.sim.world.scenario, brink.bench.urban_difficulty;"
         "sys.exit('pybullet' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from brink.bench.urban_candidates import draw_candidate
 from brink.sim.bullet.engine import process_engine
 from brink.sim.catalogue import make_simulator, requirement_ids
 from brink.sim.episode import EpisodeResult, EpisodeSpec, JsonObject
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
 from brink.sim.trace import Trace
-from brink.sim.urban.draws import draw
 from brink.sim.urban.simulator import BrinkDrive
 
 SCENARIO: JsonObject = {
@@ -138,7 +138,7 @@ def test_a_trace_is_complete_and_agrees_with_the_verdicts(simulator: BrinkDrive)
 def test_the_last_picture_of_a_collision_shows_the_contact(simulator: BrinkDrive) -> None:
     collisions = 0
     for seed in range(60):
-        spec = draw(np.random.default_rng(seed)).spec(seed, ("no-collision@1",))
+        spec = draw_candidate(np.random.default_rng(seed)).spec(seed, ("no-collision@1",))
         if simulator.run(spec).features["ended"] != "collision":
             continue
         result = simulator.run(spec, record=True)
@@ -218,7 +218,7 @@ def test_a_broken_engine_is_a_crash_and_the_next_episode_runs(simulator: BrinkDr
 
 def test_random_candidates_all_run(simulator: BrinkDrive) -> None:
     for index in range(12):
-        spec = draw(np.random.default_rng(index)).spec(index, ("front-gap@1",))
+        spec = draw_candidate(np.random.default_rng(index)).spec(index, ("front-gap@1",))
         result = simulator.run(spec)
         assert -1.5 <= result.verdicts["front-gap@1"].robustness <= 50.0
         assert result.features["ended"] in ("goal", "collision", "time")

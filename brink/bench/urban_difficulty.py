@@ -1,7 +1,7 @@
-"""Owns the measurement of how hard the urban problem is, and of what decides its verdicts.
+"""Measures how difficult the urban problem is, and what decides its verdicts.
 
 A simulator in which nothing matters, or only the scenario, or only chance, would make every search look good. Each
-row gives what was measured, its value, the target, and whether it is met.
+row holds a measurement, its value, its target, and whether the target is met.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -11,20 +11,20 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from brink.sim.episode import EpisodeSpec
-from brink.sim.figures import Row
-from brink.sim.trials import Trial, run_trials
-from brink.sim.urban.draws import (
+from brink.bench.figures import Row
+from brink.bench.trials import Trial, run_trials
+from brink.bench.urban_candidates import (
     CATEGORICAL,
     PARAMETERS,
-    Draw,
+    Candidate,
     distance,
-    draw,
+    draw_candidate,
     neighbour,
     redraw,
     with_behaviour,
     without_ghosts,
 )
+from brink.sim.episode import EpisodeSpec
 from brink.sim.world.scenario import RoadCurve
 
 FloatArray: TypeAlias = NDArray[np.float64]
@@ -38,7 +38,7 @@ MOVED_M = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sizes:
-    """How much to run.
+    """Sample sizes.
 
     Attributes:
         candidates: Random candidates.
@@ -46,9 +46,9 @@ class Sizes:
         reruns: Candidates run again with another seed.
         pairs: Pairs of neighbours.
         redraws: Changes of each categorical parameter, each with two seeds.
-        number_redraws: The same for each number; most boxes are out of the ego's way, so it takes more.
+        number_redraws: Changes of each numeric parameter; most boxes are out of the ego's way, so it takes more.
         ends: Scenarios run with the oracle, and without any detection.
-        permutations: Of each test.
+        permutations: Permutations in each test.
     """
 
     candidates: int = 2000
@@ -69,14 +69,14 @@ def measure(
     requirement: str = FRONT_GAP,
     progress: Progress | None = None,
 ) -> Iterator[Row]:
-    """Measure and yield row after row.
+    """Measure the difficulty and yield row after row.
 
     Args:
-        sizes: How much to run.
-        seed: Decides the candidates and their episodes.
-        processes: In how many processes.
-        requirement: Whose verdict counts.
-        progress: Is told the part, episodes done and episodes in that part.
+        sizes: Sample sizes.
+        seed: Seed of the candidates and their episodes.
+        processes: Number of processes.
+        requirement: Requirement that gives the verdict.
+        progress: Called with the part, the episodes done and the total of that part.
     """
     bench = _Bench(
         sizes=sizes or Sizes(), seed=seed, processes=processes, requirement=requirement, progress=progress
@@ -97,13 +97,13 @@ class _Bench:
     processes: int
     requirement: str
     progress: Progress | None
-    _candidates: list[Draw] | None = None
+    _candidates: list[Candidate] | None = None
     _trials: list[Trial] | None = None
 
     def _rng(self, part: int, index: int = 0) -> np.random.Generator:
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(part, index)))
 
-    def _spec(self, candidate: Draw, episode: int, *, oracle: bool = False) -> EpisodeSpec:
+    def _spec(self, candidate: Candidate, episode: int, *, oracle: bool = False) -> EpisodeSpec:
         return candidate.spec(self.seed * 1_000_003 + episode, (self.requirement,), oracle=oracle)
 
     def _run(self, part: str, specs: Sequence[EpisodeSpec]) -> list[Trial]:
@@ -114,16 +114,16 @@ class _Bench:
                 self.progress(part, len(trials), len(specs))
         return trials
 
-    def _sample(self) -> tuple[list[Draw], list[Trial]]:
+    def _sample(self) -> tuple[list[Candidate], list[Trial]]:
         if self._candidates is None or self._trials is None:
             count = self.sizes.candidates
-            self._candidates = [draw(self._rng(0, i)) for i in range(count)]
+            self._candidates = [draw_candidate(self._rng(0, i)) for i in range(count)]
             specs = [self._spec(candidate, i) for i, candidate in enumerate(self._candidates)]
             self._trials = self._run("random candidates", specs)
         return self._candidates, self._trials
 
     def shares(self) -> Iterator[Row]:
-        """How many random candidates are unsafe, in all and for each road curve."""
+        """Yield the unsafe share of random candidates, overall and for each road curve."""
         candidates, trials = self._sample()
         share = _share(trial.unsafe for trial in trials)
         yield Row(
@@ -147,13 +147,13 @@ class _Bench:
             )
 
     def behaviour_matters(self) -> Iterator[Row]:
-        """In how many scenarios the behaviour decides the verdict."""
+        """Yield the share of scenarios in which the behaviour decides the verdict."""
         specs = []
         for index in range(self.sizes.scenarios):
-            scenario = draw(self._rng(1, index))
+            scenario = draw_candidate(self._rng(1, index))
             behaviours = self._rng(2, index)
             specs += [
-                self._spec(with_behaviour(scenario, draw(behaviours)), 10_000_000 + index)
+                self._spec(with_behaviour(scenario, draw_candidate(behaviours)), 10_000_000 + index)
                 for _ in range(BEHAVIOURS_A_SCENARIO)
             ]
         trials = self._run("behaviours", specs)
@@ -168,7 +168,7 @@ class _Bench:
         )
 
     def chance_matters(self) -> Iterator[Row]:
-        """How often another seed changes the verdict."""
+        """Yield how often another seed changes the verdict."""
         candidates, trials = self._sample()
         count = min(self.sizes.reruns, len(candidates))
         specs = [self._spec(candidates[i], 20_000_000 + i) for i in range(count)]
@@ -183,7 +183,7 @@ class _Bench:
         )
 
     def neighbours_agree(self) -> Iterator[Row]:
-        """Whether neighbours agree more than strangers."""
+        """Yield how much more often neighbours agree than random pairs."""
         candidates, trials = self._sample()
         rng = self._rng(3)
         specs, bases, apart = [], [], []
@@ -208,8 +208,8 @@ class _Bench:
         )
 
     def ends(self) -> Iterator[Row]:
-        """The two ends: a perfect detector, and none."""
-        scenarios = [draw(self._rng(4, i)) for i in range(self.sizes.ends)]
+        """Yield the unsafe shares at both extremes: a perfect detector, and no detections."""
+        scenarios = [draw_candidate(self._rng(4, i)) for i in range(self.sizes.ends)]
         oracle = [self._spec(s, 40_000_000 + i, oracle=True) for i, s in enumerate(scenarios)]
         share = _share(trial.unsafe for trial in self._run("oracle", oracle))
         yield Row(
@@ -230,14 +230,14 @@ class _Bench:
         )
 
     def effect(self, name: str) -> Row:
-        """What redrawing one parameter does, everything else and the seed being the same."""
+        """Return the effect of redrawing one parameter, with everything else and the seed unchanged."""
         rng = self._rng(5, PARAMETERS.index(name))
         specs: list[EpisodeSpec] = []
         count = self.sizes.redraws if name in CATEGORICAL else self.sizes.number_redraws
         for index in range(count):
-            base = draw(rng)
+            base = draw_candidate(rng)
             while name not in CATEGORICAL and base.is_null(int(name[0])):
-                base = draw(rng)
+                base = draw_candidate(rng)
             other = redraw(base, name, rng)
             for again in (0, 1):
                 episode = 50_000_000 + 2 * index + again
@@ -258,18 +258,18 @@ class _Bench:
 
 
 def consistent_effect_p(change: FloatArray, rng: np.random.Generator, permutations: int) -> float:
-    """Return the p value of a permutation test for an effect that chance does not explain.
+    """Return the p value of a permutation test for an effect beyond chance.
 
-    A parameter may push the outcome up in one context and down in another, so that its effects cancel on average.
-    Hence each change of value is tried with two seeds. If the value does not matter, which of its two outcomes came
-    from which value is arbitrary for each seed by itself, so the signs of the two changes are independent coins; if
-    it matters, they agree. The statistic is the sum of the products of both changes, as signed ranks so that a few
-    large ones do not rule.
+    A parameter may raise the outcome in one context and lower it in another, so its effects may cancel on average.
+    Each change of value is therefore tried with two seeds. If the value does not matter, which of its two outcomes
+    came from which value is arbitrary for each seed, so the signs of the two changes are independent; if it matters,
+    they agree. The statistic is the sum of the products of both changes, as signed ranks so that a few large changes
+    do not dominate.
 
     Args:
-        change: Outcome with the new value less that with the old one, for each seed, shape ``(n, 2)``.
-        rng: Where the permutations come from.
-        permutations: How many.
+        change: Outcome with the new value minus that with the old one, for each seed, shape ``(n, 2)``.
+        rng: Source of the permutations.
+        permutations: Number of permutations.
     """
     magnitude = np.abs(change)
     ranks = np.searchsorted(np.sort(magnitude, axis=None), magnitude, side="right").astype(np.float64)

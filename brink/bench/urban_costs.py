@@ -1,4 +1,4 @@
-"""Owns the measurement of what episodes cost: processor time by kind of episode, and memory of a process."""
+"""Measures the cost of urban episodes: CPU time by kind of episode, and memory of a process."""
 
 import json
 import statistics
@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
+from brink.bench.trials import run_trial, single_threaded
+from brink.bench.urban_candidates import draw_candidate
 from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import ObstacleLabel
 from brink.sim.driving.system import ModularDriving
-from brink.sim.trials import run_trial, single_threaded
 from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour, InjectedTrajectory
-from brink.sim.urban.draws import draw
 from brink.sim.world.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
 from brink.sim.world.world import make_world
 
@@ -56,10 +56,10 @@ class Cost:
     """One measured cost.
 
     Attributes:
-        what: What was measured.
+        what: Name of the measurement.
         value: The figure.
         unit: ``ms`` or ``MB``.
-        most: What it should stay under, or None.
+        most: Upper bound, or None.
     """
 
     what: str
@@ -69,12 +69,12 @@ class Cost:
 
     @property
     def met(self) -> bool | None:
-        """Whether the figure is within its bound; None if there is none."""
+        """Whether the figure is within its bound; None without a bound."""
         return None if self.most is None else self.value <= self.most
 
 
 def measure_costs(*, repeats: int = 15, episodes: int = 2000) -> Iterator[Cost]:
-    """Measure and yield cost after cost.
+    """Measure the costs and yield them one by one.
 
     Args:
         repeats: Episodes of each kind; the figure is their median.
@@ -99,7 +99,7 @@ def _episode_cost(
 
 
 def episode_cpu_s(scenario: UrbanScenario, behaviour: DetectorBehaviour) -> float:
-    """Return the processor time of one whole 30 s episode: it goes on at the goal and after collisions."""
+    """Return the CPU time of one full 30 s episode, which continues at the goal and after collisions."""
     from brink.sim.bullet.engine import process_engine
     from brink.sim.urban.episode_loop import run_loop
 
@@ -124,14 +124,14 @@ def episode_cpu_s(scenario: UrbanScenario, behaviour: DetectorBehaviour) -> floa
 
 
 def process_memory_mb(episodes: int, settle: int = 20) -> tuple[float, float]:
-    """Return the memory of a fresh process after some random episodes, and after many more.
+    """Return the memory of a fresh process after some random episodes, and after all of them.
 
     Args:
-        episodes: How many in all.
-        settle: How many before the first figure.
+        episodes: Number of episodes.
+        settle: Number of episodes before the first figure.
     """
-    # A process of its own, not a spawned one: that would import whatever this one was started with.
-    command = [sys.executable, "-m", "brink.sim.urban.benchmark", str(episodes), str(settle)]
+    # A new interpreter rather than a spawned process, which would import the main module of this one.
+    command = [sys.executable, "-m", "brink.bench.urban_costs", str(episodes), str(settle)]
     with single_threaded():
         answer = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     first_mb, last_mb = json.loads(answer.splitlines()[-1])
@@ -141,14 +141,14 @@ def process_memory_mb(episodes: int, settle: int = 20) -> tuple[float, float]:
 def _memory_after(episodes: int, settle: int) -> tuple[float, float]:
     first_mb = 0.0
     for index in range(episodes):
-        run_trial(draw(np.random.default_rng(index)).spec(index, (FRONT_GAP,)))
+        run_trial(draw_candidate(np.random.default_rng(index)).spec(index, (FRONT_GAP,)))
         if index + 1 == settle:
             first_mb = resident_mb()
     return first_mb, resident_mb()
 
 
 def resident_mb() -> float:
-    """Return the resident memory of this process; its peak where the system does not tell the present."""
+    """Return the resident memory of this process, or its peak where the system does not report the current value."""
     status = Path("/proc/self/status")
     if status.exists():
         for line in status.read_text().splitlines():

@@ -1,4 +1,4 @@
-"""Measured figures, each with its target beside it."""
+"""Measured figures and their targets."""
 
 from dataclasses import dataclass
 
@@ -8,10 +8,10 @@ class Row:
     """One measured figure.
 
     Attributes:
-        what: What was measured.
+        what: Name of the measurement.
         value: The figure.
-        target: What it should be, in words; empty if there is no target.
-        met: Whether it is; None if there is no target.
+        target: The target in words; empty if there is none.
+        met: Whether the target is met; None if there is none.
         note: Sample sizes and further figures.
     """
 

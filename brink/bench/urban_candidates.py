@@ -1,7 +1,7 @@
-"""Owns random candidates of the urban problem as plain values: draws, redraws, small mutations, distance.
+"""Random candidates of the urban problem as plain values: draws, redraws, small mutations, distance.
 
-The twenty-nine parameters, their ranges and their repair are those of Sharifi et al. 2023. This is for measuring the
-simulator itself; a campaign draws its candidates from the search space of its problem.
+The 29 parameters, their ranges and their repair are those of Sharifi et al. 2023. This module serves measurements of
+the simulator; a campaign draws its candidates from the search space of its problem.
 """
 
 import math
@@ -36,32 +36,32 @@ PARAMETERS = (
     *SCENARIO_CHOICES,
     *(f"{ghost}.{field}" for ghost in range(TRAJECTORY_COUNT) for field in TRAJECTORY_FIELDS),
 )
-"""All parameters: the scenario's by name, the behaviour's as ``<trajectory>.<field>``."""
+"""All parameters: those of the scenario by name, those of the behaviour as ``<trajectory>.<field>``."""
 
 _RANGES = trajectory_ranges()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Draw:
+class Candidate:
     """A complete solution.
 
     Attributes:
-        values: By name, for each of `PARAMETERS`.
+        values: Value of each of `PARAMETERS`, by name.
     """
 
     values: dict[str, Value]
 
     def is_null(self, ghost: int) -> bool:
-        """Return whether a trajectory shows nothing."""
+        """Return whether a trajectory is null."""
         return self.values[f"{ghost}.label"] == NULL_LABEL
 
     def spec(self, seed: int, requirements: tuple[str, ...], *, oracle: bool = False) -> EpisodeSpec:
-        """Return the episode of this solution.
+        """Return the episode of this candidate.
 
         Args:
             seed: The episode's seed.
-            requirements: What to judge.
-            oracle: Replace the behaviour by the ground truth.
+            requirements: Requirements to evaluate.
+            oracle: Whether to replace the behaviour by the ground truth.
         """
         scenario: JsonObject = {name: self.values[name] for name in SCENARIO_CHOICES}
         trajectories: list[Json] = [
@@ -79,7 +79,7 @@ class Draw:
         )
 
 
-def draw(rng: np.random.Generator) -> Draw:
+def draw_candidate(rng: np.random.Generator) -> Candidate:
     """Return an independent draw of all parameters."""
     values: dict[str, Value] = {}
     for name in SCENARIO_CHOICES:
@@ -87,54 +87,59 @@ def draw(rng: np.random.Generator) -> Draw:
     for ghost in range(TRAJECTORY_COUNT):
         values[f"{ghost}.label"] = TRAJECTORY_LABELS[int(rng.integers(len(TRAJECTORY_LABELS)))]
         _fill(values, ghost, rng)
-    return Draw(values=values)
+    return Candidate(values=values)
 
 
-def with_behaviour(scenario: Draw, behaviour: Draw) -> Draw:
-    """Return the scenario of one solution with the behaviour of another."""
+def with_behaviour(scenario: Candidate, behaviour: Candidate) -> Candidate:
+    """Return the scenario of one candidate with the behaviour of another."""
     kept = {name: scenario.values[name] for name in SCENARIO_CHOICES}
-    return Draw(values={**behaviour.values, **kept})
+    return Candidate(values={**behaviour.values, **kept})
 
 
-def without_ghosts(scenario: Draw) -> Draw:
-    """Return a solution whose detector sees nothing."""
+def without_ghosts(scenario: Candidate) -> Candidate:
+    """Return a candidate whose detector reports nothing."""
     values = dict(scenario.values)
     for ghost in range(TRAJECTORY_COUNT):
         values[f"{ghost}.label"] = NULL_LABEL
         for field in TRAJECTORY_FIELDS[1:]:
             values[f"{ghost}.{field}"] = 0.0
-    return Draw(values=values)
+    return Candidate(values=values)
 
 
-def redraw(base: Draw, name: str, rng: np.random.Generator) -> Draw:
-    """Return a solution that differs from another in one parameter, and in what repair makes of that.
+def redraw(base: Candidate, name: str, rng: np.random.Generator) -> Candidate:
+    """Return a candidate that differs in one parameter, and in whatever its repair changes.
 
-    A categorical parameter gets another value. A trajectory that comes back to life gets fresh numbers.
+    A categorical parameter gets a different value. A trajectory that is no longer null gets new numbers.
+
+    Args:
+        base: The candidate to change.
+        name: One of `PARAMETERS`.
+        rng: Source of randomness.
     """
     values = dict(base.values)
     if name in SCENARIO_CHOICES:
         while values[name] == base.values[name]:
             values[name] = _choice(name, rng)
-        return Draw(values=values)
+        return Candidate(values=values)
     ghost, field = int(name.split(".")[0]), name.split(".")[1]
     if field == "label":
         others = [label for label in TRAJECTORY_LABELS if label != values[name]]
         values[name] = others[int(rng.integers(len(others)))]
         if base.is_null(ghost) or values[name] == NULL_LABEL:
             _fill(values, ghost, rng)
-        return Draw(values=values)
+        return Candidate(values=values)
     low, high, _ = _RANGES[field]
     values[name] = float(rng.uniform(low, high))
     _repair(values, ghost)
-    return Draw(values=values)
+    return Candidate(values=values)
 
 
-def neighbour(base: Draw, rng: np.random.Generator, sigma: float = 0.04) -> Draw:
-    """Return a solution close by: every number moves a little, and one time in two one category changes.
+def neighbour(base: Candidate, rng: np.random.Generator, sigma: float = 0.04) -> Candidate:
+    """Return a nearby candidate: every number moves a little, and half the time one category changes.
 
     Args:
-        base: Where to start.
-        rng: Where chance comes from.
+        base: The candidate to change.
+        rng: Source of randomness.
         sigma: Standard deviation of the move, as a share of each range.
     """
     values = dict(base.values)
@@ -146,15 +151,15 @@ def neighbour(base: Draw, rng: np.random.Generator, sigma: float = 0.04) -> Draw
             moved = float(values[name]) + float(rng.normal(0.0, sigma)) * (high - low)
             values[name] = min(max(moved, low), high)
         _repair(values, ghost)
-    moved_draw = Draw(values=values)
+    nearby = Candidate(values=values)
     if rng.random() < 0.5:
         names = tuple(SCENARIO_CHOICES)
-        moved_draw = redraw(moved_draw, names[int(rng.integers(len(names)))], rng)
-    return moved_draw
+        nearby = redraw(nearby, names[int(rng.integers(len(names)))], rng)
+    return nearby
 
 
-def distance(one: Draw, other: Draw) -> float:
-    """Return the distance of two solutions, in [0, 1]; section III of the paper."""
+def distance(one: Candidate, other: Candidate) -> float:
+    """Return the distance of two candidates, in [0, 1]; section III of the paper."""
     numeric = 0.0
     for name in NUMERIC:
         low, high, _ = _RANGES[name.split(".")[1]]
@@ -169,7 +174,7 @@ def _choice(name: str, rng: np.random.Generator) -> Value:
 
 
 def _fill(values: dict[str, Value], ghost: int, rng: np.random.Generator) -> None:
-    """Draw the ten numbers of a trajectory; all 0 if it is null."""
+    """Draw the ten numbers of a trajectory; all are 0 if it is null."""
     is_null = values[f"{ghost}.label"] == NULL_LABEL
     for field, (low, high, _) in _RANGES.items():
         drawn = float(rng.uniform(low, high))
@@ -179,7 +184,7 @@ def _fill(values: dict[str, Value], ghost: int, rng: np.random.Generator) -> Non
 
 
 def _repair(values: dict[str, Value], ghost: int) -> None:
-    """Mend a trajectory in place, by the rules of the paper's encoding."""
+    """Repair a trajectory in place by the rules of the paper's encoding."""
     names = (f"{ghost}.t0_step", f"{ghost}.t1_step")
     first, last = sorted(float(round(float(values[name]))) for name in names)
     least = float(math.ceil(MIN_DURATION_SHARE * LAST_STEP))

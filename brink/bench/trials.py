@@ -1,4 +1,4 @@
-"""Owns running many episodes in a few processes, for measurements without a coordinator."""
+"""Runs many episodes in a few processes, for measurements that need no coordinator."""
 
 import contextlib
 import hashlib
@@ -18,7 +18,7 @@ from brink.sim.catalogue import Simulator, make_simulator
 from brink.sim.episode import EpisodeSpec, Json
 
 Progress: TypeAlias = Callable[[int, int], None]
-"""Called with the number done and the number of all."""
+"""Called with the number of episodes done and the total."""
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 _CHUNK = 8
@@ -26,11 +26,11 @@ _CHUNK = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """What a measurement needs of an episode.
+    """The verdict of an episode.
 
     Attributes:
         unsafe: Whether the first requirement is violated.
-        robustness: Of the first requirement.
+        robustness: Robustness of the first requirement.
     """
 
     unsafe: bool
@@ -39,10 +39,10 @@ class Trial:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Record:
-    """What a measurement keeps of an episode or of a data-set evaluation, as plain JSON values.
+    """The outcome of an episode or of a data-set evaluation, as plain JSON values.
 
     Attributes:
-        robustness: Of each requirement, by id.
+        robustness: Robustness of each requirement, by id.
         objectives: By name.
         features: By name.
         cpu_s: CPU time.
@@ -77,8 +77,8 @@ def run_trials(specs: Sequence[EpisodeSpec], *, processes: int = 2) -> Iterator[
     """Run episodes and yield their outcomes in the order of the specifications.
 
     Args:
-        specs: What to run.
-        processes: In how many processes; 1 runs them in this one.
+        specs: The episodes.
+        processes: Number of processes; 1 runs the episodes in this process.
     """
     if processes <= 1:
         yield from map(run_trial, specs)
@@ -124,11 +124,11 @@ def code_fingerprint(packages: Sequence[str]) -> str:
 
 
 class Records:
-    """Runs specifications in a few processes, and keeps what came out in a file: nothing is run twice.
+    """Runs specifications in a few processes and stores their outcomes in a file, so that nothing is run twice.
 
     Args:
-        file: Where to; a JSON line each. What is in it already is not run again.
-        processes: In how many processes.
+        file: JSON-lines file; outcomes that it already holds are not run again.
+        processes: Number of processes.
     """
 
     def __init__(self, file: Path, *, processes: int = 2) -> None:
@@ -140,7 +140,7 @@ class Records:
         if file.exists():
             text = file.read_text(encoding="utf-8")
             for line in text.splitlines():
-                with contextlib.suppress(ValueError):  # the last line of a run that was killed
+                with contextlib.suppress(ValueError):  # the last line of a killed run
                     document = json.loads(line)
                     digest = document.pop("spec")
                     self._known[digest] = Record(**document)
@@ -149,7 +149,12 @@ class Records:
                     out.write("\n")
 
     def run(self, specs: Sequence[EpisodeSpec], on_progress: Progress | None = None) -> list[Record]:
-        """Return the outcomes of specifications, in their order."""
+        """Return the outcomes of specifications, in their order.
+
+        Args:
+            specs: The specifications; only new ones are run.
+            on_progress: Called after each run.
+        """
         missing = {spec.digest(): spec for spec in specs if spec.digest() not in self._known}
         done = len(specs) - len(missing)
         if missing:
@@ -173,7 +178,7 @@ class Records:
         return self._pool
 
     def close(self) -> None:
-        """Stop the processes; what waits is dropped."""
+        """Stop the processes and drop pending runs."""
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
             self._pool = None
@@ -181,7 +186,7 @@ class Records:
 
 @contextmanager
 def single_threaded() -> Iterator[None]:
-    """Keep numerical libraries of the processes that are started meanwhile to one thread."""
+    """Limit numerical libraries to one thread in processes started within the context."""
     before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
     try:

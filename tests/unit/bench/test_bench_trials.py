@@ -1,4 +1,4 @@
-"""Measurements that go on where they were interrupted."""
+"""Measurements that resume after an interruption."""
 
 import json
 from contextlib import closing
@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from brink.sim import trials
+from brink.bench import trials
+from brink.bench.trials import Record, Records, code_fingerprint, run_record
 from brink.sim.episode import EpisodeSpec
-from brink.sim.trials import Record, Records, code_fingerprint, run_record
 
 SPEC = EpisodeSpec(
     simulator="brink-aeb@1",
@@ -28,7 +28,7 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "folder" / "records.jsonl"
 
 
-def test_a_record_says_what_came_out() -> None:
+def test_a_record_holds_the_outcome_of_an_episode() -> None:
     record = run_record(SPEC)
     assert set(record.robustness) == set(SPEC.requirements)
     assert not record.unsafe
@@ -36,11 +36,13 @@ def test_a_record_says_what_came_out() -> None:
     assert 0 < record.cpu_s < 5
 
 
-def test_nothing_is_run_twice_and_order_is_kept(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[tuple[int, int]] = []
+def test_known_outcomes_are_not_run_again_and_keep_their_order(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    progress: list[tuple[int, int]] = []
     with closing(Records(file, processes=2)) as records:
-        first = records.run(SPECS[:3], lambda *done: told.append(done))
-    assert told == [(1, 3), (2, 3), (3, 3)]
+        first = records.run(SPECS[:3], lambda *done: progress.append(done))
+    assert progress == [(1, 3), (2, 3), (3, 3)]
     file.write_text(file.read_text() + '{"spec": "cut off')
     with closing(Records(file, processes=1)) as records:
         again = records.run([*SPECS[::-1], SPECS[0]])
@@ -57,7 +59,7 @@ def test_nothing_is_run_twice_and_order_is_kept(file: Path, monkeypatch: pytest.
         assert records.run(SPECS[:3]) == first
 
 
-def test_a_cut_line_does_not_spoil_what_is_written_after_it(file: Path) -> None:
+def test_a_truncated_line_does_not_corrupt_the_lines_after_it(file: Path) -> None:
     file.parent.mkdir()
     file.write_text('{"spec": "cut off')
     with closing(Records(file, processes=1)) as records:
@@ -66,7 +68,13 @@ def test_a_cut_line_does_not_spoil_what_is_written_after_it(file: Path) -> None:
     assert json.loads(good[-1])["spec"] == SPECS[0].digest()
 
 
-def test_other_code_has_another_fingerprint() -> None:
+def test_the_fingerprint_depends_on_the_code() -> None:
     assert code_fingerprint(["sim/aeb"]) == code_fingerprint(["sim/aeb"])
     assert code_fingerprint(["sim/aeb"]) != code_fingerprint(["sim/aeb", "sim/world"])
+    assert code_fingerprint(["sim/aeb"]) != code_fingerprint(["sim/aeb", "sim/requirements.py"])
     assert len(code_fingerprint(["sim/perception"])) == 12
+
+
+def test_the_fingerprint_of_a_missing_folder_is_an_error() -> None:
+    with pytest.raises(FileNotFoundError, match="sim/nowhere"):
+        code_fingerprint(["sim/nowhere"])

@@ -1,0 +1,1 @@
+"""Measurements of this installation, of its simulators and of its methods."""
