@@ -1,4 +1,4 @@
-"""An own requirement: passengers stand up to 3 m/s² of braking. Run it with
+"""A requirement as a plug-in: the ego brakes with at most 3 m/s². Run it with
 
 cd examples/plugins && brink --plugin gentle run gentle.yaml
 """
@@ -10,7 +10,7 @@ COMFORTABLE_MPS2 = 3.0
 
 
 class Gentle(Margin):
-    """Robustness: what is left to the limit, in m/s², from the speeds of two control steps."""
+    """Robustness: margin to the limit in m/s², from the speeds of two control steps."""
 
     unit = "m/s²"
     horizon = 10.0

@@ -1,4 +1,4 @@
-"""What is no trace is told so, whatever it is: no bomb is unpacked, nothing else is raised."""
+"""Untrusted bytes that are not a trace raise InvalidEpisode, and no decompression bomb is unpacked."""
 
 import io
 import json
@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from brink.sim.errors import InvalidEpisode
-from brink.sim.trace import TRACE_VERSION, Trace
-from brink.sim.trace_arrays import MOST_BYTES
+from brink.sim.trace import MAX_BYTES, TRACE_VERSION, Trace
 
 
 def npz(**arrays: Any) -> bytes:
@@ -30,7 +29,7 @@ def bomb() -> bytes:
         zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive,
         archive.open("ego.npy", "w") as member,
     ):
-        for _ in range(MOST_BYTES // 2**20 + 1):
+        for _ in range(MAX_BYTES // 2**20 + 1):
             member.write(bytes(2**20))
     return buffer.getvalue()
 
@@ -44,29 +43,29 @@ def claiming(shape: tuple[int, ...]) -> bytes:
     return buffer.getvalue()
 
 
-WRONG: Mapping[str, bytes] = {
-    "nothing": b"",
+INVALID: Mapping[str, bytes] = {
+    "no bytes": b"",
     "a text": b"the trace",
-    "the beginning of an archive": b"PK\x03\x04" + bytes(40),
-    "half of one": npz(header=np.zeros(3))[:-30],
-    "a bomb": bomb(),
+    "the start of an archive": b"PK\x03\x04" + bytes(40),
+    "a truncated archive": npz(header=np.zeros(3))[:-30],
+    "a decompression bomb": bomb(),
     "an array larger than memory": claiming((2**44,)),
     "pickles": npz(header=np.array([{}], dtype=object)),
     "no header": npz(ego=np.zeros(3)),
-    "a header that is no JSON": npz(header=np.frombuffer(b"{", dtype=np.uint8)),
+    "a header that is not JSON": npz(header=np.frombuffer(b"{", dtype=np.uint8)),
     "a header that is a list": headed([]),
-    "a header without end": npz(header=np.frombuffer(b"[" * 100_000, dtype=np.uint8)),
+    "an unclosed header": npz(header=np.frombuffer(b"[" * 100_000, dtype=np.uint8)),
     "another version": headed({"version": 99}),
-    "a header alone": headed({"version": TRACE_VERSION}),
-    "a header of other types": headed({"version": TRACE_VERSION, "ego_size_m": 1, "columns": 2}),
-    "a text for a number": headed({"version": TRACE_VERSION}, ego=np.array(["x"])),
-    "a place at the end of the world": headed({"version": TRACE_VERSION}, route=np.full((2, 2), 1e30)),
-    "a place without end": headed({"version": TRACE_VERSION}, route=np.full((2, 2), np.inf)),
-    "more samples than an hour has": headed({"version": TRACE_VERSION}, time_s=np.zeros(40_000)),
+    "nothing but a header": headed({"version": TRACE_VERSION}),
+    "a header of wrong types": headed({"version": TRACE_VERSION, "ego_size_m": 1, "columns": 2}),
+    "text in place of numbers": headed({"version": TRACE_VERSION}, ego=np.array(["x"])),
+    "a position beyond the limit": headed({"version": TRACE_VERSION}, route=np.full((2, 2), 1e30)),
+    "an infinite position": headed({"version": TRACE_VERSION}, route=np.full((2, 2), np.inf)),
+    "more samples than the limit": headed({"version": TRACE_VERSION}, time_s=np.zeros(40_000)),
 }
 
 
-@pytest.mark.parametrize("document", [pytest.param(document, id=name) for name, document in WRONG.items()])
-def test_what_is_no_trace_is_told_so(document: bytes) -> None:
+@pytest.mark.parametrize("document", [pytest.param(document, id=name) for name, document in INVALID.items()])
+def test_bytes_that_are_not_a_trace_are_rejected(document: bytes) -> None:
     with pytest.raises(InvalidEpisode, match="trace"):
         Trace.from_bytes(document)

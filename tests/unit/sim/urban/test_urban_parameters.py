@@ -34,7 +34,7 @@ def behaviour(*trajectories: JsonObject) -> JsonObject:
 
 
 @given(scenarios)
-def test_a_scenario_survives_json(document: JsonObject) -> None:
+def test_a_scenario_survives_a_json_round_trip(document: JsonObject) -> None:
     scenario = UrbanScenario.from_json(json.loads(json.dumps(document)))
     assert scenario.to_json() == document
     assert UrbanScenario.from_json(scenario.to_json()) == scenario
@@ -51,7 +51,7 @@ def test_a_scenario_survives_json(document: JsonObject) -> None:
         ("driving_task", "first_exist", "did you mean 'first_exit'"),
     ],
 )
-def test_a_wrong_value_is_refused_with_the_choices(field: str, value: object, expected: str) -> None:
+def test_an_invalid_value_is_rejected_with_the_choices(field: str, value: object, expected: str) -> None:
     document: JsonObject = {name: choices[0] for name, choices in SCENARIO_CHOICES.items()}
     document[field] = value  # type: ignore[assignment]
     with pytest.raises(InvalidEpisode, match=expected) as raised:
@@ -59,7 +59,7 @@ def test_a_wrong_value_is_refused_with_the_choices(field: str, value: object, ex
     assert field in str(raised.value)
 
 
-def test_a_missing_and_an_unknown_field_are_named() -> None:
+def test_errors_name_missing_and_unknown_fields() -> None:
     document: JsonObject = {name: choices[0] for name, choices in SCENARIO_CHOICES.items()}
     with pytest.raises(InvalidEpisode, match=r"'wether' \(did you mean 'weather'\?\)"):
         UrbanScenario.from_json({**document, "wether": "clear"})
@@ -68,7 +68,7 @@ def test_a_missing_and_an_unknown_field_are_named() -> None:
         UrbanScenario.from_json(document)
 
 
-def test_a_box_moves_in_a_straight_line_and_is_there_only_in_its_time() -> None:
+def test_a_box_moves_linearly_and_only_appears_between_its_steps() -> None:
     read = DetectorBehaviour.from_json(behaviour(trajectory()))
     assert [len(read.boxes_at(step)) for step in (9, 10, 60, 110, 111)] == [0, 1, 1, 1, 0]
     (box,) = read.boxes_at(60)
@@ -77,7 +77,7 @@ def test_a_box_moves_in_a_straight_line_and_is_there_only_in_its_time() -> None:
 
 
 @given(st.floats(0, 100), st.floats(0.5, 150), st.integers(0, 300))
-def test_a_box_never_leaves_the_hull_of_its_ends(t0: float, length: float, step: int) -> None:
+def test_a_box_stays_within_the_hull_of_its_two_ends(t0: float, length: float, step: int) -> None:
     ghost = InjectedTrajectory(
         label=ObstacleLabel.PERSON,
         t0_step=t0,
@@ -101,12 +101,12 @@ def test_null_trajectories_are_dropped() -> None:
 
 
 @given(st.lists(st.sampled_from(["vehicle", "person"]), max_size=4))
-def test_a_behaviour_survives_json(labels: list[str]) -> None:
+def test_a_behaviour_survives_a_json_round_trip(labels: list[str]) -> None:
     read = DetectorBehaviour.from_json(behaviour(*(trajectory(label=label) for label in labels)))
     assert DetectorBehaviour.from_json(read.to_json()) == read
 
 
-def test_the_oracle_has_no_trajectories() -> None:
+def test_the_oracle_takes_no_trajectories() -> None:
     assert DetectorBehaviour.from_json({"mode": "oracle"}).mode is BehaviourMode.ORACLE
     with pytest.raises(InvalidEpisode, match="unknown field 'trajectories'"):
         DetectorBehaviour.from_json({"mode": "oracle", "trajectories": []})
@@ -125,17 +125,17 @@ def test_the_oracle_has_no_trajectories() -> None:
         ({"colour": 1.0}, "unknown field 'colour'"),
     ],
 )
-def test_a_wrong_trajectory_is_refused_by_name(changes: dict[str, object], expected: str) -> None:
+def test_an_invalid_trajectory_is_rejected_with_its_field(changes: dict[str, object], expected: str) -> None:
     with pytest.raises(InvalidEpisode, match=expected):
         DetectorBehaviour.from_json(behaviour(trajectory(**changes)))
 
 
-def test_an_unknown_mode_is_refused() -> None:
+def test_an_unknown_mode_is_rejected() -> None:
     with pytest.raises(InvalidEpisode, match="did you mean 'oracle'"):
         DetectorBehaviour.from_json({"mode": "oracel"})
 
 
-def test_ranges_are_those_of_the_genome() -> None:
+def test_ranges_follow_the_order_of_the_genome() -> None:
     ranges = trajectory_ranges(30.0)
     assert tuple(ranges) == TRAJECTORY_FIELDS[1:]
     assert ranges["t1_step"][:2] == (0.0, 300.0)
@@ -143,7 +143,7 @@ def test_ranges_are_those_of_the_genome() -> None:
     assert ranges["y_min_0_px"] == (0.0, 600.0, "px")
 
 
-def test_reading_parameters_needs_no_physics() -> None:
+def test_parameters_can_be_read_without_loading_the_physics() -> None:
     code = (
         "import sys, brink.sim.urban.behaviour, brink.sim.world.scenario, brink.bench.urban_difficulty;"
         "sys.exit('pybullet' in sys.modules)"

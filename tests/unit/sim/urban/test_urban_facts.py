@@ -33,7 +33,7 @@ def _engine() -> Engine:
 
 @pytest.fixture(name="world")
 def _world() -> UrbanWorld:
-    """A world in which everybody but the ego is far away."""
+    """Return a world in which everybody except the ego is far away."""
     world = make_world(SCENARIO, seed=1)
     for vehicle in world.vehicles:
         vehicle.x_m, vehicle.speed_mps = vehicle.x_m + 5000.0, 0.0
@@ -74,7 +74,7 @@ def test_clearance_agrees_with_rectangle_geometry(x_m: float, y_m: float, yaw_ra
 
 
 def rectangle_gap_m(x_m: float, y_m: float, yaw_rad: float) -> float:
-    """Distance of a 4 x 2 rectangle at the origin to another one, by sampling their edges; 0 if they overlap."""
+    """Return the distance of a 4 x 2 rectangle at the origin to another one, 0 if they overlap."""
     corners = [(2.0, 1.0), (-2.0, 1.0), (-2.0, -1.0), (2.0, -1.0)]
     cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
     other = [(x_m + a * cos_yaw - b * sin_yaw, y_m + a * sin_yaw + b * cos_yaw) for a, b in corners]
@@ -109,7 +109,9 @@ def corner_to_edges_m(point: tuple[float, float], shape: list[tuple[float, float
     return best
 
 
-def test_front_gap_is_bumper_to_bumper_to_what_is_in_the_corridor(world: UrbanWorld, engine: Engine) -> None:
+def test_the_front_gap_is_the_bumper_to_bumper_distance_in_the_corridor(
+    world: UrbanWorld, engine: Engine
+) -> None:
     ego, lead, oncoming = world.ego, world.vehicles[0], world.vehicles[1]
     facts = Facts(world, engine)
     lead.x_m, lead.y_m, lead.yaw_rad = ego.x_m + 14.0, ego.y_m, 0.0
@@ -119,7 +121,7 @@ def test_front_gap_is_bumper_to_bumper_to_what_is_in_the_corridor(world: UrbanWo
     assert sample.collision is None
 
 
-def test_what_is_behind_or_beside_is_not_ahead(world: UrbanWorld, engine: Engine) -> None:
+def test_vehicles_behind_or_beside_the_ego_are_not_ahead(world: UrbanWorld, engine: Engine) -> None:
     ego, one, other = world.ego, world.vehicles[0], world.vehicles[1]
     facts = Facts(world, engine)
     one.x_m, one.y_m, one.yaw_rad = ego.x_m - 8.0, ego.y_m, 0.0
@@ -129,7 +131,7 @@ def test_what_is_behind_or_beside_is_not_ahead(world: UrbanWorld, engine: Engine
     assert sample.nearest_gap_m == pytest.approx(2.5 - 1.8, abs=1e-4)
 
 
-def test_a_car_that_passes_beside_one_who_waits_to_turn_left_is_not_ahead(engine: Engine) -> None:
+def test_a_car_that_passes_beside_an_ego_waiting_to_turn_left_is_not_ahead(engine: Engine) -> None:
     turning = replace(
         SCENARIO, road_curve=RoadCurve.CROSSROAD, driving_task=DrivingTask.SECOND_EXIT, pedestrians=0
     )
@@ -151,7 +153,7 @@ def test_a_car_that_passes_beside_one_who_waits_to_turn_left_is_not_ahead(engine
     assert front_m < 1.5
 
 
-def test_a_rear_end_collision_is_the_egos(world: UrbanWorld, engine: Engine) -> None:
+def test_a_rear_end_collision_counts_for_the_ego(world: UrbanWorld, engine: Engine) -> None:
     ego, lead = world.ego, world.vehicles[0]
     facts = Facts(world, engine)
     ego.speed_mps, lead.speed_mps = 6.0, 2.0
@@ -163,7 +165,7 @@ def test_a_rear_end_collision_is_the_egos(world: UrbanWorld, engine: Engine) -> 
     assert sample.front_gap_m == 0.0
 
 
-def test_somebody_who_walks_into_a_standing_ego_is_not_its_collision(
+def test_a_person_walking_into_a_standing_ego_is_not_a_collision_of_the_ego(
     world: UrbanWorld, engine: Engine
 ) -> None:
     ego, person = world.ego, world.walkers[0]
@@ -181,10 +183,10 @@ def test_somebody_who_walks_into_a_standing_ego_is_not_its_collision(
 
 @pytest.mark.parametrize("overlap_m", [0.02, 0.1, 0.3, 0.9])
 @pytest.mark.parametrize("phase_m", [0.0, 0.1, 0.2, 0.3, 0.39])
-def test_whoever_a_moving_ego_touches_it_has_hit(
+def test_contact_with_a_moving_ego_is_always_a_collision(
     world: UrbanWorld, engine: Engine, overlap_m: float, phase_m: float
 ) -> None:
-    """A person at the corner, one who walks into the flank, a car that comes from the side, a parked corner."""
+    """Contact with a person at the corner, a person walking into the side, and a car from the side."""
     ego, person, car = world.ego, world.walkers[0], world.vehicles[0]
     facts = Facts(world, engine)
     ego.speed_mps = 8.0
@@ -208,7 +210,9 @@ def test_whoever_a_moving_ego_touches_it_has_hit(
 
 
 @pytest.mark.parametrize("sunk_m", [0.05, 0.2, 0.31, 0.39])
-def test_a_vehicle_that_was_run_into_is_still_ahead(world: UrbanWorld, engine: Engine, sunk_m: float) -> None:
+def test_a_vehicle_that_the_ego_has_run_into_is_still_ahead(
+    world: UrbanWorld, engine: Engine, sunk_m: float
+) -> None:
     ego, lead = world.ego, world.vehicles[0]
     facts = Facts(world, engine)
     ego.speed_mps, lead.speed_mps = 8.0, 0.0
@@ -219,7 +223,7 @@ def test_a_vehicle_that_was_run_into_is_still_ahead(world: UrbanWorld, engine: E
     assert sample.front_gap_m == 0.0
 
 
-def test_only_a_person_in_the_way_is_a_reason_to_wait(world: UrbanWorld, engine: Engine) -> None:
+def test_only_a_person_in_the_way_allows_waiting(world: UrbanWorld, engine: Engine) -> None:
     ego, person = world.ego, world.walkers[0]
     facts = Facts(world, engine)
     for ahead_m, aside_m, waits in (
@@ -232,7 +236,7 @@ def test_only_a_person_in_the_way_is_a_reason_to_wait(world: UrbanWorld, engine:
         assert facts.measure(0.0).may_wait is waits
 
 
-def test_the_side_street_is_no_junction(engine: Engine) -> None:
+def test_a_side_street_beyond_the_junction_is_not_a_conflict_area(engine: Engine) -> None:
     turning = replace(SCENARIO, driving_task=DrivingTask.FIRST_EXIT, pedestrians=0)
     world = make_world(turning, seed=1)
     facts = Facts(world, engine)
@@ -245,7 +249,7 @@ def test_the_side_street_is_no_junction(engine: Engine) -> None:
     assert not any(in_the_way[15:])
 
 
-def test_leaving_the_road_ends_at_an_object(world: UrbanWorld, engine: Engine) -> None:
+def test_an_ego_that_leaves_the_road_hits_an_object(world: UrbanWorld, engine: Engine) -> None:
     ego = world.ego
     facts = Facts(world, engine)
     ego.yaw_rad = -0.5
@@ -261,7 +265,7 @@ def test_leaving_the_road_ends_at_an_object(world: UrbanWorld, engine: Engine) -
     assert hit.counterpart in ("parked-car", "building", "tree")
 
 
-def test_the_goal_and_the_stop_line_are_measured_at_the_bumper(engine: Engine) -> None:
+def test_goal_and_stop_line_are_measured_from_the_front_bumper(engine: Engine) -> None:
     crossroad = replace(SCENARIO, road_curve=RoadCurve.CROSSROAD, pedestrians=0)
     world = make_world(crossroad, seed=1)
     facts = Facts(world, engine)
