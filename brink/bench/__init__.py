@@ -1,1 +1,1 @@
-"""Measurements of this installation, of its simulators and of its methods."""
+"""Measurements of the service, of its simulators and of its methods, each with its target."""

@@ -7,8 +7,8 @@ import numpy as np
 
 from brink.search.algorithm import Scored
 from brink.search.space import Categorical, Component, Real, SearchSpace
-from brink.server.catalogue import PROBLEMS
 from brink.server.problems.base import NoParams
+from brink.server.problems.catalogue import PROBLEMS
 from brink.sim.catalogue import SIMULATORS, register
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Verdict
 
@@ -22,7 +22,7 @@ SPACE = SearchSpace(
 
 
 class BrakeAssistSimulator:
-    """Brakes when the sensed distance falls below the dry braking distance plus a margin, despite gusts."""
+    """Brakes when the sensed distance falls below the dry braking distance plus a margin; gusts push it forward."""
 
     def run(self, spec, *, record=False):
         road, speed, bias, delay = (*spec.scenario.values(), *spec.behaviour.values())
