@@ -24,8 +24,8 @@ from brink.bench.urban_costs import Cost, episode_cpu_s, measure_costs, process_
 from brink.bench.urban_difficulty import Sizes, consistent_effect_p, measure
 from brink.search.component import FloatArray
 from brink.search.metric import Metric
-from brink.server.catalogue import make_problem
 from brink.server.problems.base import SimulatedProblem
+from brink.server.problems.catalogue import make_problem
 from brink.sim.episode import EpisodeSpec
 from brink.sim.urban.behaviour import BOX_FIELDS, BehaviourMode, DetectorBehaviour, trajectory_ranges
 from brink.sim.world.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
