@@ -250,7 +250,17 @@ def run_loop(
         step_s=PERCEPTION_STEP_S,
         detects=detects,
     )
-    loop = _Loop(world, driving, sensing, Facts(world, engine), requirements, recorder, witness)
+    facts = Facts(world, engine)
+    loop = _Loop(
+        world=world,
+        driving=driving,
+        sensing=sensing,
+        facts=facts,
+        requirements=requirements,
+        recorder=recorder,
+        witness=witness,
+        sample=facts.measure(0.0),
+    )
     for step in range(CONTROL_PER_PERCEPTION * last_step):
         sample = loop.step(step)
         if (sample.collision is not None or sample.goal_reached) and not to_the_end:
@@ -259,58 +269,35 @@ def run_loop(
     return loop.outcome()
 
 
+@dataclass(slots=True, kw_only=True)
 class _Loop:
     """The state of an episode between steps."""
 
-    __slots__ = (
-        "_driving",
-        "_facts",
-        "_least_front_m",
-        "_light",
-        "_observers",
-        "_recorder",
-        "_sample",
-        "_sensing",
-        "_standing",
-        "_witness",
-        "_world",
-    )
-
-    def __init__(
-        self,
-        world: World,
-        driving: DrivingSystem,
-        sensing: Sensing,
-        facts: Facts,
-        requirements: Mapping[str, Requirement],
-        recorder: Recorder | None,
-        witness: Witness | None,
-    ) -> None:
-        self._world = world
-        self._witness = witness
-        self._driving = driving
-        self._sensing = sensing
-        self._facts = facts
-        self._observers = tuple(requirements.items())
-        self._recorder = recorder
-        self._light: LightReading | None = None
-        self._sample = facts.measure(0.0)
-        self._least_front_m: float | None = None
-        self._standing = 0
+    world: World
+    driving: DrivingSystem
+    sensing: Sensing
+    facts: Facts
+    requirements: Mapping[str, Requirement]
+    recorder: Recorder | None
+    witness: Witness | None
+    sample: WorldSample
+    light: LightReading | None = None
+    least_front_m: float | None = None
+    standing: int = 0
 
     def step(self, step: int) -> WorldSample:
         """Run one control step and return the facts after it."""
         command = self._decide(step)
-        world = self._world
+        world = self.world
         ego = world.ego
-        ego.set_grade(world.grade_at(self._sample.station_m))
+        ego.set_grade(world.grade_at(self.sample.station_m))
         ego.drive(command.accel_mps2, command.steer_rad, EGO_STEPS)
         world.advance(step)
-        self._sample = sample = self._facts.measure((step + 1) * STEP_S)
-        recorder, witness = self._recorder, self._witness
+        self.sample = sample = self.facts.measure((step + 1) * STEP_S)
+        recorder, witness = self.recorder, self.witness
         if witness is not None:
-            witness.see(sample, self._driving)
-        for name, requirement in self._observers:
+            witness.see(sample, self.driving)
+        for name, requirement in self.requirements.items():
             robustness = requirement.observe(sample)
             if recorder is not None:
                 recorder.judge(name, robustness)
@@ -319,43 +306,43 @@ class _Loop:
         if recorder is not None:
             recorder.watch(sample)
         front_m = sample.front_gap_m
-        if front_m is not None and (self._least_front_m is None or front_m < self._least_front_m):
-            self._least_front_m = front_m
+        if front_m is not None and (self.least_front_m is None or front_m < self.least_front_m):
+            self.least_front_m = front_m
         if sample.speed_mps < STANDS_BELOW_MPS:
-            self._standing += 1
+            self.standing += 1
         return sample
 
     def _decide(self, step: int) -> Command:
         """Let the driving system sense and decide."""
         time_s = step * STEP_S
-        sensing = self._sensing
+        sensing = self.sensing
         if step % CONTROL_PER_PERCEPTION:
             state = sensing.localise(None)
-            return self._driving.step(Observation(time_s=time_s, ego=state, boxes=None, light=self._light))
+            return self.driving.step(Observation(time_s=time_s, ego=state, boxes=None, light=self.light))
         perception_step = step // CONTROL_PER_PERCEPTION
         boxes = sensing.boxes(perception_step)
         state = sensing.localise(perception_step)
-        self._light = light = sensing.light(perception_step, time_s)
-        command = self._driving.step(Observation(time_s=time_s, ego=state, boxes=boxes, light=light))
-        if self._recorder is not None:
-            shown = self._sample.light.value if self._sample.light is not None else ""
-            self._recorder.sample(time_s, self._driving, sensing.truth(), boxes, shown)
+        self.light = light = sensing.light(perception_step, time_s)
+        command = self.driving.step(Observation(time_s=time_s, ego=state, boxes=boxes, light=light))
+        if self.recorder is not None:
+            shown = self.sample.light.value if self.sample.light is not None else ""
+            self.recorder.sample(time_s, self.driving, sensing.truth(), boxes, shown)
         return command
 
     def close(self, time_s: float) -> None:
         """Record the final state, which may be a collision between two perception steps."""
-        if self._recorder is not None:
-            shown = self._sample.light.value if self._sample.light is not None else ""
-            self._recorder.end(time_s, self._driving, shown)
+        if self.recorder is not None:
+            shown = self.sample.light.value if self.sample.light is not None else ""
+            self.recorder.end(time_s, self.driving, shown)
 
     def outcome(self) -> Outcome:
         """Return the outcome."""
-        sample = self._sample
+        sample = self.sample
         ended = "goal" if sample.goal_reached else "time"
         return Outcome(
             ended=ended if sample.collision is None else "collision",
             last=sample,
             way_m=sample.station_m,
-            least_front_gap_m=self._least_front_m,
-            stood_s=self._standing * STEP_S,
+            least_front_gap_m=self.least_front_m,
+            stood_s=self.standing * STEP_S,
         )

@@ -32,7 +32,7 @@ ALL_RED_S = 2.0
 CYCLE_S = MAIN_GREEN_S + SIDE_GREEN_S + 2.0 * (AMBER_S + ALL_RED_S)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class RoadStyle:
     """The properties in which the three roads of one shape differ.
 
@@ -40,9 +40,7 @@ class RoadStyle:
         radius_m: Radius of the curve's centre line; 0 for straight roads.
         grade: Rise over run in the ego's direction, positive uphill.
         lane_width_m: Width of each lane.
-        pavement_m: Width of each pavement.
-        parking: Whether cars are parked along the road.
-        trees: Whether trees stand along the road.
+        parking: Whether cars are parked along the road; otherwise trees stand along it.
         main_stream: Where the lead vehicle goes: 0 along the road, 1 into the first exit, 2 into the second.
         pace: Speed of other drivers here, as a share of their usual speed.
     """
@@ -50,48 +48,36 @@ class RoadStyle:
     radius_m: float
     grade: float
     lane_width_m: float
-    pavement_m: float
     parking: bool
-    trees: bool
     main_stream: int
     pace: float
 
-
-def _style(
-    radius_m: float, grade: float, lane_width_m: float, *, parking: bool, main_stream: int, pace: float
-) -> RoadStyle:
-    return RoadStyle(
-        radius_m=radius_m,
-        grade=grade,
-        lane_width_m=lane_width_m,
-        pavement_m=2.0 if parking else 2.6,
-        parking=parking,
-        trees=not parking,
-        main_stream=main_stream,
-        pace=pace,
-    )
+    @property
+    def pavement_m(self) -> float:
+        """Width of each pavement."""
+        return 2.0 if self.parking else 2.6
 
 
 STYLES: Mapping[RoadCurve, tuple[RoadStyle, RoadStyle, RoadStyle]] = {
     RoadCurve.STRAIGHT: (
-        _style(0.0, 0.0, 3.5, parking=False, main_stream=0, pace=1.0),
-        _style(0.0, 0.05, 3.2, parking=True, main_stream=1, pace=0.85),
-        _style(0.0, -0.06, 3.3, parking=True, main_stream=0, pace=0.92),
+        RoadStyle(0.0, 0.0, 3.5, parking=False, main_stream=0, pace=1.0),
+        RoadStyle(0.0, 0.05, 3.2, parking=True, main_stream=1, pace=0.85),
+        RoadStyle(0.0, -0.06, 3.3, parking=True, main_stream=0, pace=0.92),
     ),
     RoadCurve.RIGHT: (
-        _style(40.0, 0.0, 3.5, parking=False, main_stream=0, pace=1.0),
-        _style(28.0, 0.0, 3.3, parking=True, main_stream=0, pace=0.92),
-        _style(22.0, -0.04, 3.2, parking=False, main_stream=1, pace=0.96),
+        RoadStyle(40.0, 0.0, 3.5, parking=False, main_stream=0, pace=1.0),
+        RoadStyle(28.0, 0.0, 3.3, parking=True, main_stream=0, pace=0.92),
+        RoadStyle(22.0, -0.04, 3.2, parking=False, main_stream=1, pace=0.96),
     ),
     RoadCurve.LEFT: (
-        _style(38.0, 0.0, 3.4, parking=True, main_stream=0, pace=0.95),
-        _style(30.0, 0.03, 3.3, parking=False, main_stream=2, pace=1.0),
-        _style(22.0, 0.0, 3.2, parking=True, main_stream=0, pace=0.90),
+        RoadStyle(38.0, 0.0, 3.4, parking=True, main_stream=0, pace=0.95),
+        RoadStyle(30.0, 0.03, 3.3, parking=False, main_stream=2, pace=1.0),
+        RoadStyle(22.0, 0.0, 3.2, parking=True, main_stream=0, pace=0.90),
     ),
     RoadCurve.CROSSROAD: (
-        _style(0.0, 0.0, 3.5, parking=False, main_stream=0, pace=1.0),
-        _style(0.0, 0.04, 3.3, parking=True, main_stream=1, pace=0.95),
-        _style(0.0, -0.05, 3.2, parking=False, main_stream=0, pace=0.95),
+        RoadStyle(0.0, 0.0, 3.5, parking=False, main_stream=0, pace=1.0),
+        RoadStyle(0.0, 0.04, 3.3, parking=True, main_stream=1, pace=0.95),
+        RoadStyle(0.0, -0.05, 3.2, parking=False, main_stream=0, pace=0.95),
     ),
 }
 

@@ -104,15 +104,8 @@ class UrbanScenario:
 
     def to_json(self) -> JsonObject:
         """Return the scenario as a JSON object."""
-        return {
-            "time_of_day": self.time_of_day.value,
-            "weather": self.weather.value,
-            "pedestrians": self.pedestrians,
-            "road_curve": self.road_curve.value,
-            "road_id": self.road_id,
-            "road_length": self.road_length,
-            "driving_task": self.driving_task.value,
-        }
+        values = {name: getattr(self, name) for name in SCENARIO_CHOICES}
+        return {name: item.value if isinstance(item, StrEnum) else item for name, item in values.items()}
 
     @classmethod
     def from_json(cls, document: Mapping[str, Json]) -> Self:

@@ -139,7 +139,7 @@ def _parked_cars(road: Road) -> list[Fixture]:
 
 
 def _trees(road: Road) -> list[Fixture]:
-    if not road.style.trees:
+    if road.style.parking:
         return []
     found = []
     for side in (1.0, -1.0):
