@@ -200,7 +200,7 @@ class _Bench:
         unsafe = _share(trial.unsafe for trial in trials)
         far_share = unsafe * unsafe + (1.0 - unsafe) * (1.0 - unsafe)
         yield Row(
-            what="verdict agreement of neighbours, less that of strangers",
+            what="verdict agreement of neighbours minus that of random pairs",
             value=near_share - far_share,
             target="at least 0.15",
             met=near_share - far_share >= 0.15,

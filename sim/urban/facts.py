@@ -238,8 +238,7 @@ class Facts:
             nearest.gap_m = max(gap_m, 0.0)
             nearest.closing_mps = (other_x - ego_x) * normal_x + (other_y - ego_y) * normal_y
             if gap_m <= 0.0 and abs(ego.speed_mps) > CREEPING_MPS:
-                # Not by the normal: the shortest way out of an overlap may lead sideways even if the ego came from
-                # behind.
+                # Not the speed along the normal, which may point sideways even in a rear-end collision.
                 impact_mps = math.hypot(other_x - ego_x, other_y - ego_y)
                 nearest.collision = Collision(kind=kind, counterpart=mover.name, impact_speed_mps=impact_mps)
         return found

@@ -250,7 +250,7 @@ def make_people(
 
 
 def _clear_of_junctions(road: Road, station_m: float) -> float:
-    """Return the nearest station to cross at that is outside every junction."""
+    """Return the nearest station for crossing the road outside every junction."""
     reach_m = road.kerb_m + road.style.pavement_m + CLEAR_OF_JUNCTION_M
     for junction in road.junctions:
         beyond_m = station_m - junction.station_m

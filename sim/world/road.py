@@ -1,8 +1,8 @@
 """Roads: reference lines, junctions, crossing and traffic lights, and the routes and lanes over them.
 
-A road follows from (curve, id, length). The centre line runs between the two lanes; the ego starts at station 0, and
-traffic keeps to the right. Roads are straight around junctions, so that turns are quarter circles between lane centre
-lines. Traffic lights run fixed cycles in which the two directions are never green together.
+A road is determined by (curve, id, length). The centre line runs between the two lanes; the ego starts at station 0,
+and traffic keeps to the right. Roads are straight around junctions, so that turns are quarter circles between lane
+centre lines. Traffic lights run fixed cycles in which the two directions are never green together.
 """
 
 import math
@@ -19,7 +19,7 @@ SPEED_LIMIT_MPS = 30.0 / 3.6
 RIGHT_TURN_RADIUS_M = 7.0
 LEFT_TURN_RADIUS_M = 9.0
 SIDE_STREET_M = 60.0
-"""Length of side street with traffic: where drivers who leave it start, and how far drivers who enter it matter."""
+"""Drivers who leave a side street start this far from the junction; those who enter it are relevant up to there."""
 PARKING_STRIP_M = 2.1
 CROSSING_WIDTH_M = 3.0
 STOP_LINE_BEFORE_CROSSING_M = 1.5

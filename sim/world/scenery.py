@@ -86,7 +86,7 @@ def _near_side_street(road: Road, station_m: float, side: float, margin_m: float
 
 
 def _in_side_street(road: Road, x_m: float, y_m: float, margin_m: float) -> bool:
-    """Return whether a point lies within a margin of a side street, wherever the road curves."""
+    """Return whether a point lies in a side street or within a margin of it."""
     for junction in road.junctions:
         dx, dy = x_m - junction.x_m, y_m - junction.y_m
         along = dx * math.cos(junction.yaw_rad) + dy * math.sin(junction.yaw_rad)

@@ -9,7 +9,7 @@ import numpy as np
 
 
 class Stream(IntEnum):
-    """Purpose of a random stream. The values must not change, or episodes would."""
+    """Purpose of a random stream. Changing a value changes episodes."""
 
     START = 0
     LOCALISATION = 1

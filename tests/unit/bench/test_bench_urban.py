@@ -191,7 +191,7 @@ def test_measuring_yields_every_row_and_reports_progress(monkeypatch: pytest.Mon
     assert rows["unsafe share"].met
     assert rows["unsafe share with a perfect detector"].value == 0.0
     assert not rows["verdicts that another seed flips"].met  # these verdicts are pure chance
-    assert not rows["verdict agreement of neighbours, less that of strangers"].met
+    assert not rows["verdict agreement of neighbours minus that of random pairs"].met
     assert progress[0] == ("random candidates", 1, 300)
     assert all(done <= total for _, done, total in progress)
 
