@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 from rich.table import Table
 
 from brink.api.client import TIMEOUT, Api
+from brink.bench.figures import Row
 from brink.bench.rate import TARGET_SHARE, ServiceRate, measure_service
 from brink.cli.compare import compared, print_rows, rows_json
 from brink.cli.options import AsJson, console, print_json
@@ -22,7 +23,6 @@ from brink.server.errors import FieldError, InvalidInput
 from brink.server.runtime.coordinator import EmbeddedCoordinator, WorkerProcesses
 from brink.server.runtime.database import prepare_database
 from brink.server.settings import Settings
-from brink.sim.figures import Row
 
 
 def teller(progress: Progress) -> Callable[[str, int, int], None]:
@@ -97,7 +97,7 @@ def difficulty(
     Example: brink bench difficulty --candidates 2000
     """
     # Imported here: measuring runs episodes, which a coordinator never does.
-    from brink.sim.urban.difficulty import Sizes, measure
+    from brink.bench.urban_difficulty import Sizes, measure
 
     full = Sizes()
     sizes = Sizes(
@@ -207,7 +207,7 @@ def sim(
 
     Example: brink bench sim
     """
-    from brink.sim.urban.benchmark import measure_costs
+    from brink.bench.urban_costs import measure_costs
 
     rates = []
     with Console(stderr=True).status("CPU time and memory of episodes; takes some minutes") as status:
