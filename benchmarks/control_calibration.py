@@ -21,7 +21,7 @@ from brink.server.campaigns.plan import make_plan
 from brink.server.problems.base import SimulatedProblem
 from brink.sim.catalogue import make_simulator
 from brink.sim.episode import EpisodeSpec
-from brink.worker.outcome_document import completed
+from brink.worker.child_protocol import completed_document
 from brink.worker.wire import Completed
 
 ALGORITHMS = ("mlcshe@1", "ga@1", "random@1")
@@ -31,7 +31,7 @@ DRAWS = 5
 
 def simulate(spec: EpisodeSpec) -> Completed:
     """Run an episode in this process."""
-    return Completed.model_validate(completed(make_simulator(spec.simulator).run(spec)))
+    return Completed.model_validate(completed_document(make_simulator(spec.simulator).run(spec)))
 
 
 def main() -> None:

@@ -1,24 +1,36 @@
-"""A small coordinator over real HTTP: a queue in memory with leases and fencing, and faults on demand.
+"""A fake coordinator over real HTTP, and workers to run against it.
 
-Built on the standard library's server rather than on the application's framework, since it must be able to do what
-a framework prevents: close a connection instead of answering, and vanish with all its connections at once.
+The coordinator is a queue in memory with leases and fencing, and with faults on demand. It uses the server of the
+standard library, because web frameworks do not let it close a connection instead of answering, or cut all connections
+at once.
 """
 
 import itertools
 import json
+import os
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections import defaultdict, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum, auto
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.metadata import entry_points
+from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
+import pytest
 from pydantic import ValidationError
 
+from brink.sim.catalogue import PLUGINS_VARIABLE, SIMULATORS
+from brink.worker.client import CoordinatorClient
+from brink.worker.loop import Worker
+from brink.worker.settings import WorkerSettings
 from brink.worker.wire import (
     Completed,
     HeartbeatReply,
@@ -35,11 +47,13 @@ from brink.worker.wire import (
     ResultStatus,
 )
 
-PATIENCE_S = 30.0
+ROOT = Path(__file__).resolve().parents[3]
+PLUGINS = ROOT / "tests" / "plugins"
+TIMEOUT_S = 30.0
 
 
 class Fault(Enum):
-    """What may go wrong with a request, besides an HTTP status."""
+    """Faults of a request other than an HTTP error status."""
 
     DROP_REQUEST = auto()
     DROP_REPLY = auto()
@@ -58,8 +72,11 @@ class Job:
     outcome: Completed | JobFailed | None = None
 
 
+M = TypeVar("M", bound=Message)
+
+
 class FakeCoordinator:
-    """Hands out jobs in order. All of it may be inspected under `changed`."""
+    """Leases jobs in order. Tests may inspect all attributes while holding `changed`."""
 
     def __init__(self, *, lease_s: float = 30.0, token: str | None = None) -> None:
         self.changed = threading.Condition()
@@ -90,20 +107,20 @@ class FakeCoordinator:
         self.disappear()
 
     def appear(self) -> None:
-        """Listen, on the port of the first time."""
+        """Start to listen, always on the same port."""
         self._server = _Server(("127.0.0.1", self.port), _handler(self))
         self.port = self._server.server_address[1]
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.01,))
         self._thread.start()
 
     def disappear(self) -> None:
-        """Stop listening, and cut every connection where it is."""
+        """Stop listening and cut all connections."""
         server, self._server = self._server, None
         if server is None or self._thread is None:
             return
         server.shutdown()
         self._thread.join()
-        server.cut()
+        server.cut_connections()
         with self.changed:
             self.changed.notify_all()
         server.server_close()
@@ -133,16 +150,16 @@ class FakeCoordinator:
             return number
 
     def revoke(self, number: int) -> None:
-        """Take a lease away, as if it had expired, and put the job out of reach of everyone."""
+        """Take a lease away as if it had expired; nobody can lease the job again."""
         with self.changed:
-            self.jobs[number].token = "somebody-else"
+            self.jobs[number].token = "another-worker"
             self.jobs[number].expires_s = float("inf")
 
     def wait_until(self, predicate: Callable[[Self], bool]) -> None:
-        """Wait until something holds; fail after a long time."""
+        """Wait until a condition holds; fail after `TIMEOUT_S`."""
         with self.changed:
-            if not self.changed.wait_for(lambda: predicate(self), PATIENCE_S):
-                raise AssertionError(f"waited {PATIENCE_S} s in vain; jobs: {self.jobs}")
+            if not self.changed.wait_for(lambda: predicate(self), TIMEOUT_S):
+                raise AssertionError(f"not true after {TIMEOUT_S} s; jobs: {self.jobs}")
 
     def wait_for_outcome(self, number: int) -> Completed | JobFailed:
         self.wait_until(lambda c: c.jobs[number].outcome is not None)
@@ -154,12 +171,12 @@ class FakeCoordinator:
         self.wait_until(lambda c: all(job.outcome is not None for job in c.jobs.values()))
 
     def queued(self) -> list[int]:
-        """Jobs that nobody holds and that have no outcome."""
+        """Return the jobs that nobody holds and that have no outcome."""
         with self.changed:
             return [j.job for j in self.jobs.values() if j.token is None and j.outcome is None]
 
-    def of(self, kind: type[Message]) -> list[Message]:
-        """Requests of a kind that were served so far."""
+    def served(self, kind: type[M]) -> list[M]:
+        """Return the requests of one kind that were served so far."""
         with self.changed:
             return [message for _, message in self.requests if isinstance(message, kind)]
 
@@ -172,20 +189,20 @@ class FakeCoordinator:
             match name:
                 case "lease":
                     lease = LeaseRequest.model_validate_json(body)
-                    self._note(name, lease)
+                    self._record(name, lease)
                     return 200, self._lease(lease, gone)
                 case "heartbeat":
                     heartbeat = HeartbeatRequest.model_validate_json(body)
                     reply = self._heartbeat(heartbeat)
-                    self._note(name, heartbeat)
+                    self._record(name, heartbeat)
                     return 200, reply
                 case "results":
                     results = ResultsRequest.model_validate_json(body)
                     if any(result.job in self.refused_jobs for result in results.results):
-                        self._note(name, results)
+                        self._record(name, results)
                         return 422, {"title": "Unprocessable", "detail": "results.0:\n too strange"}
                     answered = self._results(results, gone)
-                    self._note(name, results)
+                    self._record(name, results)
                     return 200, answered
         except ValidationError as error:
             return 422, {"title": "Unprocessable", "detail": str(error)}
@@ -199,14 +216,14 @@ class FakeCoordinator:
             return self.faults[name].popleft() if self.faults[name] else None
 
     def note_delivered(self, reply: Message | dict[str, Any]) -> None:
-        """Remember which grants went out: one that is cut off is lost until its lease runs out."""
+        """Record which jobs were delivered; a job whose reply was cut off is lost until its lease expires."""
         lease = reply.lease if isinstance(reply, ResultsReply) else reply
         if isinstance(lease, LeaseReply):
             with self.changed:
                 self.delivered.update(job.job for job in lease.jobs)
                 self.changed.notify_all()
 
-    def _note(self, name: str, message: Message) -> None:
+    def _record(self, name: str, message: Message) -> None:
         with self.changed:
             self.requests.append((name, message))
             self.changed.notify_all()
@@ -215,7 +232,7 @@ class FakeCoordinator:
         until_s = time.monotonic() + request.wait_s
         with self.changed:
             while not (free := self._free(request)) and (left_s := until_s - time.monotonic()) > 0:
-                # Woken now and then: leases expire without anybody's doing.
+                # Wakes up regularly, since leases expire without a notification.
                 self.changed.wait(min(left_s, 0.05))
                 if gone() or self._server is None:
                     break
@@ -282,7 +299,7 @@ class FakeCoordinator:
 
 
 class _Server(ThreadingHTTPServer):
-    """Knows its connections, so that it can cut them."""
+    """A server that can cut its connections."""
 
     daemon_threads = True
     request_queue_size = 64
@@ -299,7 +316,7 @@ class _Server(ThreadingHTTPServer):
         self.connections.discard(request)
         super().shutdown_request(request)
 
-    def cut(self) -> None:
+    def cut_connections(self) -> None:
         for connection in tuple(self.connections):
             try:
                 connection.shutdown(socket.SHUT_RDWR)
@@ -307,13 +324,13 @@ class _Server(ThreadingHTTPServer):
                 continue
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing: a client that is killed in the middle of a request is part of the tests."""
+        """Stay silent: some tests kill a client in the middle of a request."""
 
 
 def _handler(coordinator: FakeCoordinator) -> type[BaseHTTPRequestHandler]:
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
-        # One segment an answer: two would wait for each other's acknowledgement.
+        # Send each reply in one segment: with two, the second would wait for the acknowledgement of the first.
         wbufsize = -1
         disable_nagle_algorithm = True
 
@@ -361,6 +378,74 @@ def _handler(coordinator: FakeCoordinator) -> type[BaseHTTPRequestHandler]:
             self.wfile.flush()
 
         def log_message(self, format: str, *args: Any) -> None:  # noqa: A002
-            """Say nothing."""
+            """Stay silent."""
 
     return Handler
+
+
+def use_faulty_simulator(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    """Let simulation processes find ``faulty@1`` and no installed simulator, so that they start quickly.
+
+    Args:
+        monkeypatch: Sets the environment of the processes.
+        folder: Empty folder for installation records that hide those with entry points for simulators.
+    """
+    for name in {point.dist.name for point in entry_points(group=SIMULATORS) if point.dist is not None}:
+        record = folder / f"{name.replace('-', '_')}-0.dist-info"
+        record.mkdir()
+        (record / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 0\n")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, (folder, PLUGINS, ROOT))))
+    monkeypatch.setenv(PLUGINS_VARIABLE, "faulty_simulator")
+
+
+class RunningWorker:
+    """A worker in a thread."""
+
+    def __init__(self, worker: Worker) -> None:
+        self.worker = worker
+        self.status: int | None = None
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def join(self) -> int:
+        """Wait until the worker ends and return its exit status."""
+        self._thread.join(TIMEOUT_S)
+        assert self.status is not None, "the worker did not end"
+        return self.status
+
+    def _run(self) -> None:
+        self.status = self.worker.run()
+
+
+@contextmanager
+def running_worker(url: str, *, token: str | None = None, **settings: Any) -> Iterator[RunningWorker]:
+    """Run a worker in a thread until the end of the block."""
+    defaults: dict[str, Any] = {
+        "server": url,
+        "worker_id": "w",
+        "wait_s": 5.0,
+        "memory_mib": 512,
+        "token": token,
+    }
+    with CoordinatorClient(url, token=token) as client:
+        running = RunningWorker(Worker(client, WorkerSettings(**(defaults | settings))))
+        try:
+            yield running
+        finally:
+            running.worker.stop(grace_s=0.0)
+            running.join()
+
+
+@contextmanager
+def worker_program(url: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """Run ``python -m brink.worker`` until the end of the block, with pipes for standard input and error."""
+    options = ("--server", url, "--wait", "5", "--memory", "512", *arguments)
+    command = [sys.executable, "-m", "brink.worker", *options]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT
+    ) as program:
+        try:
+            yield program
+        finally:
+            if program.poll() is None:
+                program.kill()
