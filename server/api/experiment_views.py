@@ -6,7 +6,7 @@ from typing import Any
 
 from sqlalchemy import Connection
 
-from brink.search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
+from brink.search.analysis.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.server.api.experiment_schemas import (
     ControlView,
     DuelView,

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, Row
 
+from brink.search.analysis.boundary import distinct_boundary
 from brink.search.archive import Archive
-from brink.search.boundary import distinct_boundary
 from brink.server.api.schemas import (
     Boundary,
     CampaignView,

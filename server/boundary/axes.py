@@ -5,8 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from brink.search.component import FloatArray
-from brink.search.space import Categorical, SearchSpace
+from brink.search.space import Categorical, FloatArray, SearchSpace
 from brink.server.boundary.parameters import ParameterColumn, parameter_columns
 
 TELLING: Final = 0.25

@@ -11,9 +11,7 @@ import scipy  # its statistics take half a second to load: at the first use
 from numpy.typing import NDArray
 
 from brink.search.archive import Archive
-from brink.search.component import BoolArray, FloatArray
-from brink.search.fitness import IntArray
-from brink.search.space import Categorical, Integer, SearchSpace
+from brink.search.space import BoolArray, Categorical, FloatArray, IntArray, Integer, SearchSpace
 from brink.server.boundary.parameters import ParameterColumn, parameter_columns
 
 FEWEST_IN_BIN: Final = 15

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brink.search.archive import Archive
-from brink.search.component import FloatArray
+from brink.search.space import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

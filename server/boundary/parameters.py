@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from brink.search.component import BoolArray, FloatArray
-from brink.search.space import Categorical, Component, Dormant, Parameter, SearchSpace
+from brink.search.space import BoolArray, Categorical, Component, Dormant, FloatArray, Parameter, SearchSpace
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -17,10 +17,9 @@ from typing import Any, Final
 import numpy as np
 
 from brink.search.archive import Archive
-from brink.search.component import BoolArray, FloatArray
 from brink.search.fitness import wilson_interval
 from brink.search.parameters import Categorical, Integer, Parameter
-from brink.search.space import SearchSpace
+from brink.search.space import BoolArray, FloatArray, SearchSpace
 from brink.server.errors import FieldError, InvalidInput, install
 
 DEPTH: Final = 4

@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
+from brink.search.analysis.boundary import PAPER_D_THS, PAPER_T_BS
 from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.cli.api import Api
 from brink.server.cli.options import AsJson, Database, Server, console, print_json, with_api

@@ -8,7 +8,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from brink.search.seeding import SeedRequest
+from brink.search.algorithm import SeedRequest
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
 from brink.server.campaigns.submission import checked_plan
 from brink.server.cli.api import Api

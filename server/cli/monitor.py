@@ -11,10 +11,10 @@ import typer
 from rich.table import Table
 
 from brink import __version__
+from brink.search.analysis.classification import fewest_false_alarms
+from brink.search.analysis.monitor import Answer, Monitor
 from brink.search.archive import Archive
 from brink.search.errors import DocumentError, SpaceError
-from brink.search.judging import false_alarms_at
-from brink.search.monitor import Answer, Monitor
 from brink.server.campaigns.body import read_yaml
 from brink.server.cli.api import Api
 from brink.server.cli.options import AsJson, Database, Server, check_picture, console, print_json, with_api
@@ -76,9 +76,16 @@ def fit(
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(made.to_json(about) + "\n", encoding="utf-8")
     if as_json:
-        print_json({"file": str(out), "solutions": len(made), "threshold": level, "weights": made.telling})
+        print_json(
+            {
+                "file": str(out),
+                "solutions": len(made),
+                "threshold": level,
+                "weights": made.informative_weights,
+            }
+        )
         return
-    tell = ", ".join(f"{name} {weight:g}" for name, weight in made.telling.items()) or "nothing"
+    tell = ", ".join(f"{name} {weight:g}" for name, weight in made.informative_weights.items()) or "nothing"
     console().print(
         f"{out}: {len(made):,} solutions, {made.unsafe_share:.0%} unsafe; unsafe above {level:g}\n"
         f"what tells, by weight: {tell}",
@@ -207,7 +214,7 @@ def _print(trial: Trial) -> None:
     for name in ("", "AUROC", "Brier", *(f"false alarms at {missed:.0%} missed" for missed in MISSED)):
         table.add_column(name, justify="right" if name else "left", header_style="dim")
     for witness in trial.witnesses:
-        costs = [f"{false_alarms_at(witness.alarms, missed).false:.0%}" for missed in MISSED]
+        costs = [f"{fewest_false_alarms(witness.alarms, missed).false:.0%}" for missed in MISSED]
         table.add_row(
             witness.name, f"{witness.judgement.auroc:.3f}", f"{witness.judgement.brier:.3f}", *costs
         )

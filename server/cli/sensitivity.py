@@ -9,8 +9,7 @@ import typer
 import yaml
 from rich.table import Table
 
-from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
-from brink.search.sensitivity import P_THS, RADII, Rescored, by_p_th, by_radius
+from brink.search.analysis.boundary import P_THS, PAPER_D_THS, PAPER_T_BS, RADII, Rescored, by_p_th, by_radius
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
 from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.cli.experiments.results import repeats_of

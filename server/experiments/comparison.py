@@ -1,7 +1,7 @@
 """DBS and strict DBS of campaigns side by side, each with its control.
 
-A control has verdicts that ignore behaviour (`brink.search.control`), so what it reaches is owed to scenarios
-and chance.
+A control has verdicts that ignore behaviour (`brink.search.analysis.control`), so what it reaches is owed to
+scenarios and chance.
 """
 
 import itertools
@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from brink.search.analysis.boundary import PAPER_D_THS, PAPER_T_BS
 from brink.search.archive import Archive
-from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
 from brink.server.campaigns.body import CampaignBody
 from brink.server.campaigns.plan import Plan
 from brink.server.experiments.scores import ENOUGH_REPEATS, Scores, scored

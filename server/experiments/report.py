@@ -12,8 +12,8 @@ from pathlib import Path
 from markdown_it import MarkdownIt
 
 from brink import __version__
-from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
-from brink.search.statistics import MeanInterval
+from brink.search.analysis.boundary import PAPER_D_THS, PAPER_T_BS
+from brink.search.analysis.statistics import MeanInterval
 from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.experiments.body import ExperimentBody
 from brink.server.experiments.conclusions import LEVEL, conclusion, with_low_controls

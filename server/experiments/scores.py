@@ -1,7 +1,7 @@
 """What one campaign reached: DBS and strict DBS at shares of its budget, beside those of its control.
 
-A control has verdicts that ignore behaviour (`brink.search.control`); its figures are means of some draws. What an
-algorithm simulated beyond its budget, to end a generation, is not counted.
+A control has verdicts that ignore behaviour (`brink.search.analysis.control`); its figures are means of some draws.
+What an algorithm simulated beyond its budget, to end a generation, is not counted.
 """
 
 from collections.abc import Sequence
@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from brink.search.analysis.boundary import PAPER_FRACTIONS, dbs_by_budget
+from brink.search.analysis.control import ScenarioRisk, blind_archive
 from brink.search.archive import Archive
-from brink.search.boundary import PAPER_FRACTIONS, dbs_by_budget
-from brink.search.control import ScenarioRisk, blind_archive
 from brink.search.space import SearchSpace
 
 SCENARIO = "scenario"

@@ -12,8 +12,15 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
-from brink.search.statistics import Comparison, MeanInterval, compared, effect_size, holm, mean_interval
+from brink.search.analysis.boundary import PAPER_D_THS, PAPER_T_BS
+from brink.search.analysis.statistics import (
+    Comparison,
+    MeanInterval,
+    compared,
+    effect_size,
+    holm,
+    mean_interval,
+)
 from brink.server.experiments.scores import Figures, Scores
 
 

@@ -10,9 +10,14 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from brink.search.component import BoolArray, FloatArray
-from brink.search.judging import Alarm, Judgement, alarms, judge
-from brink.search.monitor import Answer, Monitor
+from brink.search.analysis.classification import (
+    ClassificationMetrics,
+    OperatingPoint,
+    classification_metrics,
+    operating_points,
+)
+from brink.search.analysis.monitor import Answer, Monitor
+from brink.search.space import BoolArray, FloatArray
 from brink.server.errors import install
 
 MONITOR, MAJORITY, TREES = "monitor", "majority", "gradient-boosted trees"
@@ -30,8 +35,8 @@ class Witness:
     """
 
     name: str
-    judgement: Judgement
-    alarms: tuple[Alarm, ...]
+    judgement: ClassificationMetrics
+    alarms: tuple[OperatingPoint, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,8 +128,8 @@ def _witness(
 ) -> Witness:
     return Witness(
         name=name,
-        judgement=judge(probability, unsafe, low, high),
-        alarms=tuple(alarms(probability, unsafe, _steps(probability))),
+        judgement=classification_metrics(probability, unsafe, low, high),
+        alarms=tuple(operating_points(probability, unsafe, _steps(probability))),
     )
 
 

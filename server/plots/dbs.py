@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from brink.search.boundary import PAPER_D_THS, PAPER_T_BS, BudgetPoint, dbs_by_budget
+from brink.search.analysis.boundary import PAPER_D_THS, PAPER_T_BS, BudgetPoint, dbs_by_budget
 from brink.server.plots.inputs import CampaignFigures
 from brink.server.plots.style import (
     INK,

@@ -9,9 +9,9 @@ from matplotlib.colors import LinearSegmentedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from brink.search.boundary import IndexArray, distinct_boundary
-from brink.search.component import FloatArray
-from brink.search.embedding import embedded
+from brink.search.analysis.boundary import IndexArray, distinct_boundary
+from brink.search.analysis.embedding import embedded
+from brink.search.space import FloatArray
 from brink.server.boundary.axes import AxisMeaning, axis_meanings
 from brink.server.plots.inputs import CampaignFigures
 from brink.server.plots.style import (

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, MaxNLocator, PercentFormatter
 
-from brink.search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
-from brink.search.statistics import mean_interval
+from brink.search.analysis.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
+from brink.search.analysis.statistics import mean_interval
 from brink.server.experiments.scores import Figures
 from brink.server.experiments.tables import Line, Measure, Repeat, lines_of
 from brink.server.plots.style import INK, LABEL_PT, WIDTH_PX, frame, new_figure, say

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from brink.search.fitness import IntArray
+from brink.search.space import IntArray
 from brink.server.plots.inputs import CampaignFigures, by_generation
 from brink.server.plots.style import (
     INK,

@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from brink.search.sensitivity import Rescored
-from brink.search.statistics import mean_interval
+from brink.search.analysis.boundary import Rescored
+from brink.search.analysis.statistics import mean_interval
 from brink.server.plots.style import INK, LABEL_PT, MUTED, SAFE, UNSAFE, WIDTH_PX, frame, new_figure
 
 HEIGHT_PX: Final = 640

@@ -5,8 +5,8 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from brink.search.component import FloatArray
 from brink.search.metric import Metric
+from brink.search.space import FloatArray
 from brink.server.catalogue import make_problem
 from brink.server.problems.base import SimulatedProblem
 from brink.sim.urban.draws import CATEGORICAL, PARAMETERS, Draw, distance, draw, neighbour, redraw

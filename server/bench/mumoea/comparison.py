@@ -15,8 +15,8 @@ from typing import Final
 
 import numpy as np
 
-from brink.search.seeding import Origin
-from brink.search.statistics import compared
+from brink.search.algorithm import Origin
+from brink.search.analysis.statistics import compared
 from brink.server.bench.mumoea.measures import Measures, first_of_each_type, measured, types_over
 from brink.server.bench.mumoea.runs import ADAPTIVE, ALWAYS, METHODS, SearchRun, Task, run_or_read
 from brink.server.bench.telling import Told

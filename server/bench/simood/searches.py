@@ -11,7 +11,7 @@ from scipy import stats
 
 from brink.search.algorithm import Evaluation, Measured
 from brink.search.algorithms.simood import Simood, SimoodConfig, SimoodState, Stage, finalists_of
-from brink.search.statistics import compared
+from brink.search.analysis.statistics import compared
 from brink.server.bench.simood.places import Chain, Places
 from brink.server.bench.telling import Told
 from brink.sim.figures import Row

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from brink.search.errors import UnsupportedSpace
-from brink.search.levels import slots_of
+from brink.search.slots import slots_of
 from brink.server.cli.api import Api, CoordinatorSaid
 from brink.server.cli.findings.drawing import Drawing
 from brink.server.cli.options import AsJson, CampaignId, Database, Server, console, print_json, with_api

@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from brink.search.algorithms.multi_objective import CRITICALITY, MultiObjectiveConfig
-from brink.search.component import FloatArray
+from brink.search.space import FloatArray
 from brink.server.cli.api import Api, CoordinatorSaid
 from brink.server.cli.findings.drawing import Drawing
 from brink.server.cli.options import AsJson, CampaignId, Database, Server, console, print_json, with_api

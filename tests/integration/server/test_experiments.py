@@ -10,7 +10,7 @@ import yaml
 from support.api import FakeWorker, ball, coordinator, eventually, expect, row_counts
 from typer.testing import CliRunner
 
-from brink.search.boundary import PAPER_FRACTIONS
+from brink.search.analysis.boundary import PAPER_FRACTIONS
 from brink.server.cli.commands import app
 from brink.server.db.engine import Engines
 

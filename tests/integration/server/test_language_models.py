@@ -29,7 +29,7 @@ from support.traffic import POPULATION, calls, origins, others, seeded, traffic_
 from typer.testing import CliRunner
 
 import brink.server.llm.seeds
-from brink.search.seeding import SeedRequest
+from brink.search.algorithm import SeedRequest
 from brink.server.campaigns.body import CampaignBody
 from brink.server.cli.commands import app
 from brink.server.db.engine import Engines

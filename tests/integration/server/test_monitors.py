@@ -9,7 +9,7 @@ import pytest
 from support.api import FakeWorker, ball, eventually, expect, submit
 from typer.testing import CliRunner
 
-from brink.search.monitor import Monitor
+from brink.search.analysis.monitor import Monitor
 from brink.server.cli.commands import app
 
 

@@ -10,10 +10,17 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from synthetic_campaign import MIXED, campaign, mixed_campaign, mtq_campaign
 
-from brink.search.boundary import PAPER_D_THS, PAPER_T_BS, dbs, dbs_grid, distinct_boundary, strict_dbs
-from brink.search.embedding import embedded
+from brink.search.analysis.boundary import (
+    PAPER_D_THS,
+    PAPER_T_BS,
+    dbs,
+    dbs_grid,
+    distinct_boundary,
+    strict_dbs,
+)
+from brink.search.analysis.embedding import embedded
 from brink.search.fitness import wilson_interval
-from brink.search.problems.mtq import SPACE
+from brink.search.problems import MTQ_SPACE
 from brink.server.boundary.dependence import dependences
 from brink.server.plots import (
     FIGURES,
@@ -192,7 +199,7 @@ def test_verdicts_that_do_not_depend_on_a_parameter_are_not_called_dependent() -
 def _few(count: int, *, unsafe: bool) -> CampaignFigures:
     vectors = np.random.default_rng(3).random((count, 2))
     return campaign(
-        SPACE,
+        MTQ_SPACE,
         vectors,
         np.full(count, unsafe),
         np.full(count, -1.0 if unsafe else 1.0),

@@ -3,8 +3,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
+from brink.search.analysis.embedding import embedded
 from brink.search.archive import Archive, Neighbourhood
-from brink.search.embedding import embedded
 from brink.search.metric import Metric
 from brink.search.testing import example_spaces
 
@@ -33,7 +33,7 @@ def test_points_on_a_line_are_mapped_onto_a_line() -> None:
 
 
 @pytest.mark.parametrize("exact_points", [2000, 50])
-def test_near_solutions_are_mapped_near_each_other(exact_points: int) -> None:
+def test_distances_on_the_map_correlate_with_real_distances(exact_points: int) -> None:
     archive = mixed_archive(200)
     embedding = embedded(archive, exact_points=exact_points, landmarks=100)
     distance = archive.distances(range(200), range(200))[np.triu_indices(200, 1)]
@@ -48,7 +48,7 @@ def test_landmarks_for_all_points_give_the_exact_map() -> None:
     assert np.allclose(exact.points, landmarked.points, atol=1e-9)
 
 
-def test_map_is_reproducible_and_its_axes_point_to_the_furthest_solution() -> None:
+def test_map_is_reproducible_and_its_axes_point_to_the_most_distant_solution() -> None:
     archive = mixed_archive(150)
     first, second = embedded(archive), embedded(archive)
     assert np.array_equal(first.points, second.points)
@@ -58,7 +58,7 @@ def test_map_is_reproducible_and_its_axes_point_to_the_furthest_solution() -> No
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3])
-def test_few_solutions_have_a_map_too(count: int) -> None:
+def test_a_few_solutions_have_a_map(count: int) -> None:
     embedding = embedded(mixed_archive(3).first(count))
     assert embedding.points.shape == (count, 2)
     assert np.isfinite(embedding.points).all()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
+from brink.search.analysis.boundary import PAPER_D_THS, PAPER_T_BS
 from brink.server.experiments.comparison import Row, in_words
 
 SHAPE = (len(PAPER_T_BS), len(PAPER_D_THS))

@@ -2,7 +2,7 @@
 
 import pytest
 
-from brink.search.statistics import Comparison
+from brink.search.analysis.statistics import Comparison
 from brink.server.experiments.conclusions import conclusion
 from brink.server.experiments.tables import Duel, Line, Measure
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from brink.search.analysis.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, dbs, strict_dbs
 from brink.search.archive import Archive, Neighbourhood
-from brink.search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, dbs, strict_dbs
 from brink.search.testing import example_spaces
 from brink.server.experiments.body import parse_experiment
 from brink.server.experiments.report import html_report, markdown_report

@@ -1,0 +1,1 @@
+"""Analysis of archives: boundaries, statistics, comparisons, monitors and maps. Pure functions of plain values."""

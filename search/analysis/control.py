@@ -1,0 +1,138 @@
+"""Controls for DBS figures: the same solutions with verdicts that ignore the behaviour.
+
+`ScenarioRisk` estimates from an archive the probability that a solution is unsafe, given its scenario alone. A
+control redraws every verdict independently with that probability. Its DBS is due to scenarios and chance; the excess
+of the real figure is due to the behaviour.
+
+`blind_archive` keeps the solutions of a search, which were chosen under the real verdicts. Running a new search on
+blind verdicts was tried and rejected: where the behaviour has no effect at all, it found a quarter of MLCSHE's figure
+and twice the GA's.
+
+Limits: equal figures do not prove that the behaviour has no effect, because DBS counts neighbourhoods and can miss a
+real dependence, and a difference says nothing about the effect on any single solution. Scenarios must have been
+evaluated several times. The estimate for a scenario evaluated once comes mostly from similar ones, which flattens the
+landscape, so that the control is far too low; see `ScenarioRisk.repeats`, and the measurement in
+`benchmarks/control_calibration.py`.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from brink.search.archive import Archive
+from brink.search.metric import Metric
+from brink.search.space import FloatArray, IntArray, SearchSpace, frozen_array
+from brink.search.streams import Stream, generator
+
+SHRINKAGE = 4.0
+"""Weight of the estimate from similar scenarios, in evaluations."""
+
+BANDWIDTH = 0.1
+"""Distance between scenarios at which their mutual weight has fallen by a factor of e."""
+
+_BLOCK_ROWS = 256
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ScenarioRisk:
+    """Probability that a solution is unsafe, given its scenario alone.
+
+    For a scenario with k unsafe among n evaluated solutions it is (k + s m) / (n + s). s is the shrinkage. m is the
+    mean over all other scenarios, weighted by exp(-distance / bandwidth) and shrunk towards the overall mean with the
+    weight of one evaluation.
+
+    Attributes:
+        metric: Distance between scenarios.
+        part: Columns of the scenario in a row.
+        scenarios: Distinct scenarios, shape ``(s, d)``.
+        evaluated: Evaluated solutions per scenario, shape ``(s,)``.
+        unsafe: Unsafe solutions per scenario, shape ``(s,)``.
+        shrinkage: Weight of similar scenarios, in evaluations, > 0.
+        bandwidth: Reach of similarity, in distance between scenarios, > 0.
+    """
+
+    metric: Metric
+    part: slice
+    scenarios: FloatArray
+    evaluated: IntArray
+    unsafe: IntArray
+    shrinkage: float
+    bandwidth: float
+
+    @classmethod
+    def fitted(
+        cls,
+        archive: Archive,
+        space: SearchSpace,
+        *,
+        scenario: int = 0,
+        shrinkage: float = SHRINKAGE,
+        bandwidth: float = BANDWIDTH,
+    ) -> Self:
+        """Estimate the risk of scenarios from an archive.
+
+        Args:
+            archive: An archive with at least one solution.
+            space: The archive's space.
+            scenario: Position of the scenario component.
+            shrinkage: Weight of similar scenarios, in evaluations, > 0.
+            bandwidth: Reach of similarity, in distance between scenarios, > 0.
+
+        Raises:
+            ValueError: The archive is empty, or a setting is not positive.
+        """
+        if not len(archive):
+            raise ValueError("archive: expected at least one evaluated solution")
+        if not (shrinkage > 0 and bandwidth > 0):
+            raise ValueError(f"expected shrinkage > 0 and bandwidth > 0, got {shrinkage!r} and {bandwidth!r}")
+        part = space.slices[scenario]
+        scenarios, which = np.unique(archive.vectors[:, part], axis=0, return_inverse=True)
+        return cls(
+            metric=Metric.of_component(space, scenario),
+            part=part,
+            scenarios=frozen_array(scenarios),
+            evaluated=frozen_array(np.bincount(which, minlength=len(scenarios)), np.int64),
+            unsafe=frozen_array(np.bincount(which[archive.unsafe], minlength=len(scenarios)), np.int64),
+            shrinkage=shrinkage,
+            bandwidth=bandwidth,
+        )
+
+    @property
+    def repeats(self) -> float:
+        """Mean number of evaluated solutions per scenario."""
+        return float(self.evaluated.mean())
+
+    def probability(self, scenarios: FloatArray) -> FloatArray:
+        """Return the probability of unsafe for known or new scenarios, shape ``(m, d)`` to ``(m,)``."""
+        different, which = np.unique(scenarios, axis=0, return_inverse=True)
+        probability = np.empty(len(different))
+        mean = self.unsafe.sum() / self.evaluated.sum()
+        for top in range(0, len(different), _BLOCK_ROWS):
+            rows = slice(top, top + _BLOCK_ROWS)
+            distance = self.metric.between(different[rows], self.scenarios)
+            own = distance == 0
+            weight = np.where(own, 0.0, np.exp(-distance / self.bandwidth))
+            prior = ((weight * self.unsafe).sum(axis=1) + mean) / (
+                (weight * self.evaluated).sum(axis=1) + 1.0
+            )
+            unsafe = (own * self.unsafe).sum(axis=1)
+            evaluated = (own * self.evaluated).sum(axis=1)
+            probability[rows] = (unsafe + self.shrinkage * prior) / (evaluated + self.shrinkage)
+        return probability[which]
+
+
+def blind_archive(archive: Archive, risk: ScenarioRisk, *, seed: int, draw: int = 0) -> Archive:
+    """Return an archive of the same solutions with redrawn verdicts that ignore the behaviour.
+
+    The robustness of a solution becomes a uniform draw minus its probability of unsafe.
+
+    Args:
+        archive: The evaluated solutions.
+        risk: Risk fitted to that archive.
+        seed: Determines the verdicts, together with `draw` and the candidate numbers.
+        draw: Number of the control, >= 0.
+    """
+    uniform = [generator(seed, Stream.CONTROL, draw, number).random() for number in archive.numbers.tolist()]
+    robustness = np.array(uniform) - risk.probability(archive.vectors[:, risk.part])
+    return archive.with_verdicts(robustness < 0, robustness)
