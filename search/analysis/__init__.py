@@ -1,1 +1,1 @@
-"""Analysis of archives: boundaries, statistics, comparisons, monitors and maps. Pure functions of plain values."""
+"""Analysis of archives: boundaries, tables, statistics, comparisons, monitors and maps, as pure functions."""

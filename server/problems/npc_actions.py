@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Final
 
 from brink.search.algorithm import Evaluation, Scored
+from brink.search.analysis.violation_types import kinds_of
 from brink.search.errors import ConfigError
 from brink.search.settings import check_settings, setting
 from brink.search.space import SearchSpace
@@ -17,7 +18,6 @@ from brink.search.traffic.motion import roll_out, waypoints
 from brink.search.traffic.participants import MAX_PARTICIPANTS, Participant, RoadLimits
 from brink.server.problems.base import Vectors
 from brink.server.problems.detectors import wrong_detector
-from brink.server.violations.rules import kinds_of
 from brink.sim.encounter.lanes import lanes_of
 from brink.sim.encounter.scenario import PLACE_FIELDS
 from brink.sim.encounter.script import stretch_json

@@ -12,9 +12,9 @@ import yaml
 from prometheus_client.parser import text_string_to_metric_families
 from support.api import ball, submit
 
-from brink.server.cli.commands import app
-from brink.server.db.models import JobKind, JobStatus
+from brink.cli.commands import app
 from brink.server.settings import Settings
+from brink.server.states import JobKind, JobStatus
 from brink.sim.catalogue import PLUGINS_VARIABLE
 from brink.worker.log import FORMAT_VARIABLE, LEVEL_VARIABLE
 from brink.worker.loop import LAST_REPORT_S
@@ -22,7 +22,7 @@ from brink.worker.settings import TOKEN_VARIABLE
 
 ROOT = Path(__file__).resolve().parents[3]
 KUBERNETES = ROOT / "deploy" / "kubernetes"
-DOCS = (ROOT / "docs" / "many-machines.md").read_text()
+DOCS = (ROOT / "docs" / "how-to" / "run-many-workers.md").read_text()
 COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
 MARGIN_S = 5.0
 """For the start of the shutdown, and for processes to end."""

@@ -10,6 +10,15 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from synthetic_campaign import MIXED, campaign, mixed_campaign, mtq_campaign
 
+from brink.plots import (
+    FIGURES,
+    CampaignFigures,
+    figure_dbs,
+    figure_embedding,
+    figure_fitness,
+    figure_parameters,
+)
+from brink.plots.style import WIDTH_PX
 from brink.search.analysis.boundary import (
     PAPER_D_THS,
     PAPER_T_BS,
@@ -18,19 +27,10 @@ from brink.search.analysis.boundary import (
     distinct_boundary,
     strict_dbs,
 )
+from brink.search.analysis.dependence import dependences
 from brink.search.analysis.embedding import embedded
 from brink.search.fitness import wilson_interval
 from brink.search.problems import MTQ_SPACE
-from brink.server.boundary.dependence import dependences
-from brink.server.plots import (
-    FIGURES,
-    CampaignFigures,
-    figure_dbs,
-    figure_embedding,
-    figure_fitness,
-    figure_parameters,
-)
-from brink.server.plots.style import WIDTH_PX
 
 MakeFigure = Callable[[CampaignFigures], Figure]
 
