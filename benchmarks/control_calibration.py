@@ -12,7 +12,7 @@ import numpy as np
 
 from brink.search.algorithm import Evaluation
 from brink.search.analysis.boundary import PAPER_T_BS, dbs_grid
-from brink.search.analysis.control import ScenarioRisk, blind_archive
+from brink.search.analysis.scores import ScenarioRisk, blind_archive
 from brink.search.space import FloatArray
 from brink.search.streams import episode_seed
 from brink.server.campaigns.body import parse_body

@@ -245,7 +245,7 @@ class Seeded(Protocol):
         ...
 
     def seeded(self, state: Any, proposals: Sequence[Proposal]) -> Any:
-        """Return the state after the requested proposals arrived, possibly none.
+        """Return the state after receiving the requested proposals, possibly none.
 
         Raises:
             OrderError: No seeds were requested.

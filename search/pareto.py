@@ -97,7 +97,7 @@ def crowding(objectives: FloatArray) -> FloatArray:
 
 
 def ranks_and_crowding(objectives: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return the front of each row and its crowding distance within that front, shape ``(n, m)`` to two ``(n,)``."""
+    """Return the front of each row and its crowding distance within that front, both of shape ``(n,)``."""
     front = ranks(objectives)
     distances = np.zeros(len(objectives))
     for rank in range(int(front.max(initial=-1)) + 1):

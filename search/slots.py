@@ -21,7 +21,7 @@ from brink.search.parameters import Categorical, Parameter, Real, Values
 from brink.search.space import Component, FloatArray, SearchSpace, frozen_array
 
 _MAX_ATTEMPTS: Final = 100
-"""Mutations tried before an individual is drawn afresh; only a tiny catalogue has so few valid ones."""
+"""Mutations tried before an individual is drawn afresh; only a tiny catalogue needs so many."""
 
 
 @dataclass(frozen=True, slots=True)

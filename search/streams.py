@@ -10,7 +10,7 @@ import numpy as np
 
 
 class Stream(IntEnum):
-    """Purpose of a generator. Campaigns are reproducible only while these numbers never change or get reused."""
+    """Purpose of a generator. Never change or reuse a number, or stored campaigns cannot be reproduced."""
 
     EPISODE = 0
     START = 1

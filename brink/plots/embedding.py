@@ -25,9 +25,9 @@ from brink.plots.style import (
     say,
     share_text,
 )
-from brink.search.analysis.axes import AxisMeaning, axis_meanings
 from brink.search.analysis.boundary import IndexArray, distinct_boundary
-from brink.search.analysis.embedding import embedded
+from brink.search.analysis.dependence import AxisMeaning, axis_meanings
+from brink.search.analysis.similarity import embedded
 from brink.search.space import FloatArray
 
 HEIGHT_PX: Final = 1060

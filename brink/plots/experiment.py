@@ -14,7 +14,7 @@ from matplotlib.ticker import FixedLocator, MaxNLocator, PercentFormatter
 
 from brink.plots.style import INK, LABEL_PT, WIDTH_PX, frame, new_figure, say
 from brink.search.analysis.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
-from brink.search.analysis.experiment_tables import Line, Measure, Repeat, lines_of
+from brink.search.analysis.comparison import Line, Measure, Repeat, lines_of
 from brink.search.analysis.scores import Figures
 from brink.search.analysis.statistics import mean_interval
 

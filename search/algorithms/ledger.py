@@ -39,7 +39,7 @@ class BoundaryConfig:
 
 
 def row_keys(rows: FloatArray) -> list[bytes]:
-    """Return the bytes of each row, shape ``(n, d)``; two keys are equal exactly if the solutions are."""
+    """Return the bytes of each row, shape ``(n, d)``; two keys are equal if and only if the rows are."""
     blob = np.ascontiguousarray(rows).tobytes()
     width = rows.shape[1] * rows.itemsize
     return [blob[start : start + width] for start in range(0, len(blob), width)]

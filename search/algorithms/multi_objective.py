@@ -154,7 +154,7 @@ class Bounds:
     high: float = -np.inf
 
     def widened(self, values: FloatArray) -> "Bounds":
-        """Return bounds that also include the finite ones of the given values, shape ``(n,)``."""
+        """Return the bounds extended to the finite numbers among the given values, shape ``(n,)``."""
         finite = values[np.isfinite(values)]
         return Bounds(
             low=float(min(self.low, finite.min(initial=np.inf))),

@@ -52,11 +52,11 @@ from brink.search.traffic.variation import (
 )
 
 _BEST_SHARE: Final = 0.25
-"""Participants in this best share of the population, on either objective, get small changes instead of major ones."""
+"""Participants in the best quarter of the population, on either objective, get small instead of major changes."""
 _COMPARED: Final = 12
-"""Number of latest solutions, with and without a violation each, that proposals are compared with."""
+"""How many of the latest solutions, with and without a violation each, a proposal is compared with."""
 _SHOWN: Final = 3
-"""Number of latest solutions, with and without a violation each, that a request shows."""
+"""How many of the latest solutions, with and without a violation each, a request shows."""
 
 
 class Want(StrEnum):
@@ -193,7 +193,7 @@ def crossover_probability(
     k1: float = 0.6,
     k3: float = 1.0,
 ) -> FloatArray:
-    """Return PC of pairs.
+    """Return PC of each pair.
 
     Args:
         better: Fitness of the better parent of each pair (f'), any shape.
@@ -333,7 +333,7 @@ class Mumoea(LedgerAlgorithm[MumoeaConfig, MumoeaState]):
         )
 
     def seeded(self, state: MumoeaState, proposals: Sequence[Proposal]) -> MumoeaState:
-        """Return the state after the requested proposals arrived, possibly none.
+        """Return the state after receiving the requested proposals, possibly none.
 
         Raises:
             OrderError: No seeds were requested.
@@ -418,7 +418,7 @@ class Mumoea(LedgerAlgorithm[MumoeaConfig, MumoeaState]):
 def _with_progress(
     before: MumoeaState, told: MumoeaState, evaluations: Mapping[int, Evaluation]
 ) -> MumoeaState:
-    """Return the told state with the known kinds of violations and the number of generations without progress."""
+    """Return the new state with all kinds of violations so far and the number of generations without progress."""
     kinds = before.kinds.union(
         *(evaluation.kinds for evaluation in evaluations.values() if isinstance(evaluation, Scored))
     )
@@ -447,7 +447,7 @@ def _known(state: MumoeaState) -> tuple[list[int], list[int]]:
 
 
 def _with_seeds(state: MumoeaState, children: Sequence[Child], genome: TrafficGenome) -> MumoeaState:
-    """Return the state after taking the seeds that differ enough: in another round, or with the next generation."""
+    """Take the seeds that differ enough, then start another round or plan the next generation."""
     config = state.config
     accepted = different_enough(state, [row for row, _ in children], genome)
     taken = [child for child, fine in zip(children, accepted, strict=True) if fine]

@@ -262,7 +262,7 @@ def _room(state: SimoodState) -> int:
 
 
 def _joined(state: SimoodState) -> SimoodState:
-    """Return the state after the told children joined the population and the worst individuals were dropped."""
+    """Return the state after the evaluated children joined the population and the worst individuals left it."""
     place = _positions(state)
     joined = [*state.population, *(place[key] for key in row_keys(state.children) if key in place)]
     fitness = _fitness(state)
@@ -294,7 +294,7 @@ def _children(state: SimoodState, genome: ChainGenome) -> FloatArray:
 
 
 def _with_children_queued(state: SimoodState, genome: ChainGenome) -> SimoodState:
-    """Return the state with the new ones among its children queued, as far as the budget allows."""
+    """Return the state with its new children queued, as far as the budget allows."""
     known = _positions(state)
     fresh: dict[bytes, FloatArray] = {}
     for key, child in zip(row_keys(state.children), state.children, strict=True):

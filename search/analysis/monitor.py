@@ -108,7 +108,7 @@ class Risk:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Monitor:
-    """Simulated solutions, and the weights that decide how far each informs about its surroundings.
+    """Simulated solutions and parameter weights, from which the risk of any solution is estimated.
 
     Attributes:
         space: Space of the complete solutions, without constraints.

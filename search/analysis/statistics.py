@@ -30,7 +30,7 @@ class MeanInterval:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
-    """Whether one method gives larger values than another.
+    """Effect size and significance of the difference between two methods.
 
     Attributes:
         a12: Probability that a value of the first method exceeds one of the second, ties counted half.

@@ -175,7 +175,7 @@ def _alternatives(kind: Kind, start: Start, road: RoadLimits) -> Iterator[Start]
 
 @dataclass(frozen=True, slots=True)
 class Participants:
-    """The constraint; it owns all parameters of its component.
+    """Constraint of a component made of traffic participants; it owns all parameters of the component.
 
     Attributes:
         count: Largest number of participants.

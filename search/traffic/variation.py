@@ -197,7 +197,13 @@ def prolonged(participant: Participant, rng: np.random.Generator) -> Participant
 def crossed_genes(
     first: Participant, second: Participant, rng: np.random.Generator
 ) -> tuple[Participant, Participant]:
-    """Return two participants with the tails of their actions swapped (single-point crossover)."""
+    """Return two participants with the tails of their actions swapped (single-point crossover).
+
+    Args:
+        first: A participant with two or more actions.
+        second: A participant with two or more actions.
+        rng: Source of all randomness.
+    """
     here, there = (int(rng.integers(1, len(one.genes))) for one in (first, second))
 
     def with_genes(parent: Participant, genes: tuple[Gene, ...]) -> Participant:
@@ -212,7 +218,13 @@ def crossed_genes(
 def crossed_uniformly(
     first: Solution, second: Solution, rng: np.random.Generator
 ) -> tuple[Solution, Solution]:
-    """Return two solutions with participants swapped at random, and single actions of those not swapped."""
+    """Return two solutions with participants swapped at random, and single actions of those not swapped.
+
+    Args:
+        first: A solution with one or more participants.
+        second: A solution with one or more participants.
+        rng: Source of all randomness.
+    """
     ones, others = list(first), list(second)
     for place in range(min(len(ones), len(others))):
         if rng.random() < 0.5:

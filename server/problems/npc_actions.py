@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Final
 
 from brink.search.algorithm import Evaluation, Scored
-from brink.search.analysis.violation_types import kinds_of
+from brink.search.analysis.violations import kinds_of
 from brink.search.errors import ConfigError
 from brink.search.settings import check_settings, setting
 from brink.search.space import SearchSpace

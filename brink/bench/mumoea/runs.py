@@ -14,7 +14,7 @@ from brink.search.algorithms.multi_objective import Child
 from brink.search.algorithms.mumoea import Mumoea, MumoeaConfig
 from brink.search.algorithms.nsga2 import Mosat, Nsga2
 from brink.search.algorithms.random_search import RandomSearch
-from brink.search.analysis.violation_types import kinds_of
+from brink.search.analysis.violations import kinds_of
 from brink.search.streams import episode_seed
 from brink.search.traffic.variation import TrafficGenome
 from brink.server.problems.npc_actions import NpcActions, NpcActionsParams

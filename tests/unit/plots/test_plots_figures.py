@@ -28,7 +28,7 @@ from brink.search.analysis.boundary import (
     strict_dbs,
 )
 from brink.search.analysis.dependence import dependences
-from brink.search.analysis.embedding import embedded
+from brink.search.analysis.similarity import embedded
 from brink.search.fitness import wilson_interval
 from brink.search.problems import MTQ_SPACE
 

@@ -21,7 +21,7 @@ from brink.search.analysis.boundary import (
     rescored,
     strict_dbs,
 )
-from brink.search.analysis.control import ScenarioRisk, blind_archive
+from brink.search.analysis.scores import ScenarioRisk, blind_archive
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.metric import Metric
 from brink.search.space import Categorical, Component, Real, SearchSpace

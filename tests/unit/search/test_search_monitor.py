@@ -7,6 +7,7 @@ import pytest
 
 import brink.search.analysis.monitor
 from brink.search.analysis.monitor import Answer, Monitor
+from brink.search.analysis.monitor_evaluation import evaluate_monitor
 from brink.search.analysis.statistics import a12
 from brink.search.errors import DocumentError, SpaceError
 from brink.search.fitness import wilson_interval
@@ -153,3 +154,19 @@ def test_invalid_questions_are_rejected() -> None:
         Monitor.of(PLANE, (0.1, -1.0), rows, unsafe, threshold=0.1)
     with pytest.raises(ValueError, match=r"probability in \(0, 1\)"):
         Monitor.of(PLANE, (10, 10), rows, unsafe, threshold=1.0)
+
+
+def test_json_of_an_evaluation_keeps_the_published_field_names() -> None:
+    rows, unsafe = plane(200)
+    fresh, truth = plane(300, seed=2)
+    found = evaluate_monitor(Monitor.of(PLANE, (8, 0), rows, unsafe, threshold=0.5), fresh, truth).to_json()
+    assert list(found) == ["learned", "fresh", "threshold", "witnesses", "answers", "left_out"]
+    witness = json.loads(json.dumps(found))["witnesses"][0]
+    assert list(witness) == ["name", "judgement", "alarms"]
+    assert list(witness["judgement"]) == ["solutions", "unsafe", "auroc", "brier", "bins"]
+    assert list(witness["judgement"]["bins"][0]) == [
+        "solutions", "foretold", "low", "high", "observed", "observed_low", "observed_high",
+    ]  # fmt: skip
+    assert list(witness["alarms"][0]) == ["probability", "missed", "false"]
+    assert [list(one) for one in found["answers"]] == [["answer", "solutions", "unsafe"]] * 3
+    assert [one["answer"] for one in found["answers"]] == ["safe", "unsafe", "unknown"]

@@ -8,7 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from brink.search.analysis.classification import classification_metrics, fewest_false_alarms, operating_points
+from brink.search.analysis.monitor_evaluation import (
+    classification_metrics,
+    fewest_false_alarms,
+    operating_points,
+)
 from brink.search.analysis.statistics import a12, compared, effect_size, holm, mean_interval
 
 
@@ -122,7 +126,7 @@ def test_calibrated_probabilities_lie_within_their_bins() -> None:
     unsafe = rng.random(20_000) < probability
     found = classification_metrics(probability, unsafe, probability - 0.02, probability + 0.02)
     assert sum(one.solutions for one in found.bins) == 20_000
-    assert [one.foretold for one in found.bins] == sorted(one.foretold for one in found.bins)
+    assert [one.predicted for one in found.bins] == sorted(one.predicted for one in found.bins)
     assert all(one.observed_low <= one.observed <= one.observed_high for one in found.bins)
     assert sum(one.within for one in found.bins) >= 9
     miscalibrated = classification_metrics(probability**3, unsafe, probability**3, probability**3)

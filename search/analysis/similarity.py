@@ -1,4 +1,4 @@
-"""A map of an archive: complete solutions as points in the plane, with similar solutions close together.
+"""Similar solutions: a map of an archive, with similar solutions close together, and the nearest ones to a solution.
 
 The map is a classical (Torgerson) scaling of the distances. For more than `EXACT_POINTS` solutions it is fitted to
 landmarks, spread evenly over the archive, and all solutions are placed by their distances to these. A fitted map can
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from brink.search.archive import Archive
 from brink.search.metric import Metric
@@ -130,3 +131,35 @@ def _principal_axes(squared: FloatArray) -> tuple[FloatArray, FloatArray, float]
     # If all points lie on a line, the second axis is mere rounding error.
     values = np.where(values > 1e-12 * max(float(values[-1]), 0.0), values, 0.0)
     return values[::-1], vectors[:, ::-1], float(np.trace(centred))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Nearest:
+    """The solutions nearest to a solution, nearest first.
+
+    Attributes:
+        positions: Positions in the archive, shape ``(k,)``.
+        distances: Distances to the solution, shape ``(k,)``.
+    """
+
+    positions: NDArray[np.intp]
+    distances: FloatArray
+
+
+def nearest_solutions(archive: Archive, position: int, count: int) -> Nearest:
+    """Return the solutions nearest to one, without itself; on ties, the lower number first.
+
+    This computes one row of distances: a tenth of a second for 100,000 solutions.
+
+    Args:
+        archive: The evaluated solutions.
+        position: Position of the solution in the archive.
+        count: Largest number of solutions to return, >= 0.
+    """
+    distances = archive.distances([position], np.arange(len(archive)))[0]
+    others = np.flatnonzero(np.arange(len(archive)) != position)
+    if 0 < count < others.size:
+        farthest = np.partition(distances[others], count - 1)[count - 1]
+        others = others[distances[others] <= farthest]
+    order = others[np.lexsort((archive.numbers[others], distances[others]))][:count]
+    return Nearest(positions=order, distances=distances[order])

@@ -3,7 +3,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist
 
-from brink.search.analysis.embedding import embedded
+from brink.search.analysis.similarity import embedded
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.metric import Metric
 from brink.search.testing import example_spaces

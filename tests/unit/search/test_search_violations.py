@@ -1,4 +1,4 @@
-"""Types of violations and their instances."""
+"""Types of violations, and their distinct instances."""
 
 import math
 from typing import Any
@@ -11,11 +11,10 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 from support.circumstances import violation
 
-from brink.search.analysis.violation_instances import dbscan, instances
-from brink.search.analysis.violation_types import SECTORS, kinds_of, sector_of, signature_of
+from brink.search.analysis.violations import SECTORS, dbscan, instances, kinds_of, sector_of, signature_of
 
 
-def test_a_type_has_seven_words() -> None:
+def test_signature_has_seven_words() -> None:
     found = signature_of(violation())
     assert found.to_json() == {
         "requirement": "no-collision@1",
@@ -50,7 +49,7 @@ def test_a_type_has_seven_words() -> None:
         ({"nobody": True, "collision": "object"}, True),
     ],
 )
-def test_whose_fault_it_was(changes: dict[str, Any], at_fault: bool) -> None:
+def test_fault_is_assigned_by_the_rules(changes: dict[str, Any], at_fault: bool) -> None:
     assert signature_of(violation(**changes)).at_fault == ("at fault" if at_fault else "not at fault")
 
 
@@ -65,11 +64,11 @@ def test_whose_fault_it_was(changes: dict[str, Any], at_fault: bool) -> None:
         ({"accel_mps2": 2.0}, "accelerating"),
     ],
 )
-def test_what_the_ego_was_doing(changes: dict[str, Any], words: str) -> None:
+def test_manoeuvre_of_the_ego(changes: dict[str, Any], words: str) -> None:
     assert signature_of(violation(ego=changes)).ego == words
 
 
-def test_what_the_counterpart_was_doing() -> None:
+def test_manoeuvre_of_the_counterpart() -> None:
     assert signature_of(violation(other={"heading_rad": math.pi})).other == "oncoming, cut in"
     assert signature_of(violation(other={"heading_rad": 1.5})).other == "across, cut in"
     assert signature_of(violation(other={"speed_mps": 0.0})).other == "standing"
@@ -81,7 +80,7 @@ def test_what_the_counterpart_was_doing() -> None:
     assert signature_of(violation(nobody=True, collision="object")).counterpart == "object"
 
 
-def test_sectors_go_round_the_ego() -> None:
+def test_sectors_surround_the_ego() -> None:
     assert [sector_of(math.radians(degrees)) for degrees in range(0, 360, 45)] == list(SECTORS)
     assert sector_of(-math.pi) == sector_of(math.pi) == "rear"
     assert sector_of(math.radians(-22.0)) == "front"
@@ -89,7 +88,7 @@ def test_sectors_go_round_the_ego() -> None:
 
 
 def by_definition(points: NDArray[np.float64], reach: float, neighbours: int) -> list[set[int]]:
-    """Return the cores of each cluster, by growing them one point at a time."""
+    """Return the core points of each cluster, grown one point at a time."""
     apart = np.linalg.norm(points[:, None] - points[None], axis=2) <= reach
     cores = {int(p) for p in np.flatnonzero(apart.sum(axis=1) >= neighbours)}
     clusters = []
@@ -104,7 +103,7 @@ def by_definition(points: NDArray[np.float64], reach: float, neighbours: int) ->
 
 
 @given(arrays(np.float64, st.tuples(st.integers(0, 25), st.just(2)), elements=st.integers(0, 9).map(float)))
-def test_clusters_are_those_of_the_definition(points: NDArray[np.float64]) -> None:
+def test_clusters_follow_the_definition(points: NDArray[np.float64]) -> None:
     labels = dbscan(points, 1.5, 3)
     clusters = by_definition(points, 1.5, 3)
     assert int(labels.max(initial=-1)) + 1 == len(clusters)
@@ -116,7 +115,7 @@ def test_clusters_are_those_of_the_definition(points: NDArray[np.float64]) -> No
         assert int(labels[point]) in (near or {-1})
 
 
-def test_instances_are_clusters_and_what_belongs_to_none() -> None:
+def test_instances_are_clusters_and_single_violations() -> None:
     slow = [violation(ego={"speed_mps": 2.0 + 0.1 * i}) for i in range(4)]
     fast = [violation(ego={"speed_mps": 8.0 + 0.1 * i}) for i in range(4)]
     alone = [violation(other={"bearing_rad": 2.0})]
@@ -126,6 +125,6 @@ def test_instances_are_clusters_and_what_belongs_to_none() -> None:
     assert instances([violation(nobody=True, collision="object")]) == 1
 
 
-def test_a_violation_that_cannot_be_read_has_no_kind_and_the_others_keep_theirs() -> None:
+def test_invalid_violations_are_ignored() -> None:
     broken = {key: value for key, value in violation().items() if key != "place"}
     assert kinds_of([broken, violation(), {**violation(), "ego": None}]) == {str(signature_of(violation()))}

@@ -1,4 +1,4 @@
-"""Rules of a region: known regions are found, and nothing is praised for knowing by heart."""
+"""Rules of a region: known regions are found, and memorised scenarios do not count as accuracy."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def found(rows: np.ndarray, inside: np.ndarray) -> Rules:
     return region_rules(archive(rows), SPACE, inside, "the region", seed=1)
 
 
-def test_a_region_of_two_conditions_is_found_and_told_in_words() -> None:
+def test_region_of_two_conditions_is_found_and_described() -> None:
     rows = drawn(600)
     inside = (rows[:, 0] == 2) & (rows[:, 2] > 4.0)
     rules = found(rows, inside)
@@ -59,7 +59,7 @@ def test_a_region_of_two_conditions_is_found_and_told_in_words() -> None:
     assert f"{inside.sum()} of 600 evaluated solutions" in text
 
 
-def test_every_solution_falls_under_the_rule_that_says_so() -> None:
+def test_best_rule_covers_exactly_the_region() -> None:
     rows = drawn(300)
     inside = (rows[:, 3] <= 4) & (rows[:, 1] == 1)
     rules = found(rows, inside)
@@ -69,7 +69,7 @@ def test_every_solution_falls_under_the_rule_that_says_so() -> None:
     assert best.solutions == inside.sum()
 
 
-def test_chance_is_not_praised() -> None:
+def test_random_region_gets_no_better_than_chance() -> None:
     rng = np.random.default_rng(3)
     rows = drawn(500)
     rules = found(rows, rng.random(500) < 0.3)
@@ -78,8 +78,8 @@ def test_chance_is_not_praised() -> None:
     assert rules.balanced == pytest.approx(0.5, abs=0.08)
 
 
-def test_a_scenario_is_never_on_both_sides_of_a_fold() -> None:
-    # Whether a solution is inside is a coin for each of 60 scenarios, learned by heart if one may meet it again.
+def test_scenarios_are_never_in_both_training_and_test_set() -> None:
+    # A coin for each of 60 scenarios decides the region; a tree could memorise it if scenarios were in both sets.
     rng = np.random.default_rng(5)
     space = SearchSpace(
         (Component("scenario", (Real("place", 0.0, 1.0),)), Component("what", (Real("y", 0.0, 1.0),)))
@@ -96,7 +96,7 @@ def test_a_scenario_is_never_on_both_sides_of_a_fold() -> None:
     assert rules.balanced < 0.65
 
 
-def test_a_region_of_everything_or_nothing_has_no_rules() -> None:
+def test_regions_of_all_or_no_solutions_are_rejected() -> None:
     rows = drawn(50)
     for inside in (np.ones(50, np.bool_), np.zeros(50, np.bool_)):
         with pytest.raises(ValueError, match="some solutions inside and some outside"):
