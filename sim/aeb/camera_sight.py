@@ -13,9 +13,9 @@ from brink.sim.aeb.street import Street
 from brink.sim.perception.detector import LABELS, Detector
 from brink.sim.perception.quality import Found, Truth
 from brink.sim.perturbations import Mode, Perturbation, Pipeline
+from brink.sim.rendering.canvas import visible_bodies
 from brink.sim.rendering.renderer import Renderer
 from brink.sim.rendering.scene import BodyKind, Frame, Light, PictureCamera, Viewpoint
-from brink.sim.rendering.visible import visible_bodies
 from brink.sim.world.ego import EgoCar
 
 MIN_VISIBLE: Final = 0.25

@@ -17,9 +17,9 @@ from brink.sim.aeb.scenario import ARRIVAL_S, CROSSING_M, ONCOMING_M, AebScenari
 from brink.sim.aeb.street import CRUISE_MPS, KERB_M, LANE_M, LANE_Y_M, PERSON, STRIP_M, make_street
 from brink.sim.perception.detector import Picture
 from brink.sim.perception.quality import Truth
+from brink.sim.rendering.canvas import visible_bodies
 from brink.sim.rendering.renderer import Renderer
 from brink.sim.rendering.scene import Body, BodyKind, Frame, Light, PictureCamera, StreetScene, Viewpoint
-from brink.sim.rendering.visible import visible_bodies
 from brink.sim.urban.scenario import TimeOfDay, Weather
 
 SIZE_PX: Final = (640, 360)
