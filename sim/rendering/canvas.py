@@ -34,7 +34,12 @@ class Canvas:
     glows: list[tuple[float, float, float, Rgb]] = field(default_factory=list)
 
     def paint(self, marks: list[Mark], number: int) -> None:
-        """Paint marks over the current content and set their mask pixels to `number`, 0 for objects without an id."""
+        """Paint marks over the current content.
+
+        Args:
+            marks: Strokes and stamps, in order.
+            number: Id written into the mask, 0 for objects without an id.
+        """
         image, ids = self.image, self.ids
         fill, smooth, hard = cv2.fillConvexPoly, cv2.LINE_AA, cv2.LINE_8
         for mark in marks:

@@ -50,16 +50,16 @@ def street_from_road(road: Road, *, seed: int = 0) -> StreetScene:
         road: The road.
         seed: Selects the looks of buildings, trees and parked vehicles; the road fixes their positions.
     """
-    surfaces = [surface for surface in scene_surfaces(road) if surface.kind in _MATERIALS]
-    beside = [_ground(surface) for surface in surfaces if surface.kind == "pavement"]
-    upon = [_ground(surface) for surface in surfaces if surface.kind != "pavement"]
+    surfaces = road_surfaces(road)
+    beside = [surface for surface in surfaces if surface.material is Material.PAVEMENT]
+    upon = [surface for surface in surfaces if surface.material is not Material.PAVEMENT]
     buildings: list[Building] = []
     trees: list[Tree] = []
     parked: list[Body] = []
     for number, fixture in enumerate(fixtures(road)):
         look = choose(seed, 1000 + number, 1 << 20)
         if fixture.kind == "building":
-            buildings.append(_building(fixture, look % _HOUSE_LOOKS))
+            buildings.append(building_from_fixture(fixture, look % _HOUSE_LOOKS))
         elif fixture.kind == "tree":
             trees.append(_tree(fixture, look))
         else:
@@ -73,6 +73,11 @@ def street_from_road(road: Road, *, seed: int = 0) -> StreetScene:
     )
 
 
+def road_surfaces(road: Road) -> list[Ground]:
+    """Return the ground surfaces of a road, in painting order."""
+    return [_ground(surface) for surface in scene_surfaces(road) if surface.kind in _MATERIALS]
+
+
 def _ground(surface: Surface) -> Ground:
     points = surface.points.astype(np.float64)
     if not surface.closed:
@@ -83,9 +88,9 @@ def _ground(surface: Surface) -> Ground:
 def _widened(points: FloatArray, width_m: float) -> FloatArray:
     """Return the outline of a line of a given width."""
     along = np.gradient(points, axis=0)
-    along /= np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
-    across = np.stack((-along[:, 1], along[:, 0]), axis=1) * (width_m / 2)
-    return np.concatenate((points + across, (points - across)[::-1]))
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    across *= 0.5 * width_m / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+    return np.concatenate([points + across, (points - across)[::-1]])
 
 
 def _kerbs(road: Road) -> list[Ground]:
@@ -112,7 +117,8 @@ def _strip(line: ReferenceLine, from_m: float, to_m: float, half_m: float, mater
     return Ground(material=material, points=np.array(left + right[::-1]))
 
 
-def _building(fixture: Fixture, look: int) -> Building:
+def building_from_fixture(fixture: Fixture, look: int) -> Building:
+    """Return a building of the roadside."""
     return Building(
         x_m=fixture.x_m,
         y_m=fixture.y_m,

@@ -375,8 +375,6 @@ def _within(quad: list[Point], s: float, t: float) -> Point:
     return x, y, z
 
 
-Rgb = tuple[float, float, float]
-
 _PAINTS: Final[tuple[Rgb, ...]] = (
     (236, 236, 232), (26, 27, 30), (168, 172, 176), (96, 100, 106), (176, 28, 30), (30, 62, 132),
     (222, 222, 214), (42, 74, 58), (198, 176, 138), (226, 178, 32), (66, 124, 164), (112, 34, 44),

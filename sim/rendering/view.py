@@ -98,7 +98,7 @@ class View:
         return out
 
     def project_polygon(self, points_m: FloatArray) -> IntArray:
-        """Clip a polygon of camera coordinates at the near plane and project it to fixed point, shape ``(k, 2)``."""
+        """Clip a polygon in camera coordinates and project it to fixed point, shape ``(k, 2)``."""
         return to_fixed_point(self.project(clip_near(points_m)))
 
 

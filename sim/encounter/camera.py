@@ -1,23 +1,28 @@
-"""The camera in the loop of an encounter: the road rendered, a detector's boxes in the driving system's image."""
+"""The simulator `brink-encounter-camera@1`: encounters in which a detector looks at rendered camera pictures.
+
+The road is rendered from the ego's camera, and the detector's boxes are converted to the driving system's image.
+"""
 
 import math
-from typing import Final
+from collections.abc import Mapping
+from typing import ClassVar, Final
 
 import cv2
 import numpy as np
 
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import Box, ObstacleLabel
-from brink.sim.encounter.road_users import ScriptedUser
-from brink.sim.encounter.script import Kind
-from brink.sim.encounter.world import EncounterWorld
-from brink.sim.perception.detector import LABELS, Detector
+from brink.sim.encounter.simulator import BrinkEncounter
+from brink.sim.encounter.specification import EncounterScenario, Kind
+from brink.sim.encounter.world import EncounterWorld, ScriptedUser
+from brink.sim.episode import EpisodeSpec, Json
+from brink.sim.errors import InvalidEpisode
+from brink.sim.perception.detector import LABELS, Detector, find_detector
+from brink.sim.perception.user_files import weights_digest
 from brink.sim.rendering.renderer import Renderer
 from brink.sim.rendering.scene import (
     Body,
     BodyKind,
-    Building,
-    FloatArray,
     Ground,
     Light,
     Material,
@@ -26,38 +31,33 @@ from brink.sim.rendering.scene import (
     Tree,
     Viewpoint,
 )
-from brink.sim.trace import Surface
-from brink.sim.urban.scenario import UrbanScenario
+from brink.sim.rendering.street import building_from_fixture, road_surfaces
+from brink.sim.urban.scenario import UrbanScenario, check_fields
+from brink.sim.urban.sensing import Detects
 from brink.sim.world.road import Road
 from brink.sim.world.roadside import fixtures
-from brink.sim.world.scene import scene_surfaces
 
+MODE: Final = "detector"
 SIZE_PX: Final = (640, 360)
 CROWN_M: Final = 3.0
-STEPS_A_SECOND: Final = 1.9
-"""Steps of a walking person, for how its legs stand."""
+STEPS_PER_S: Final = 1.9
+"""Step rate of a walking person, for the pose of the legs."""
 
 _GRASS_BEYOND_M: Final = 80.0
-_MATERIALS: Final = {
-    "pavement": Material.PAVEMENT,
-    "road": Material.ASPHALT,
-    "marking": Material.MARKING,
-    "stop-line": Material.MARKING,
-    "crossing": Material.CROSSING,
-}
+_FIELDS: Final = ("mode", "detector", "threshold", "weights")
 _LABELS: Final = {"vehicle": ObstacleLabel.VEHICLE, "person": ObstacleLabel.PERSON}
 
 
 class EncounterCamera:
-    """Renders what the ego's camera sees, and says what a detector finds in it.
+    """Renders what the ego's camera sees and returns a detector's boxes.
 
     Args:
-        world: What there is to see.
-        place: When it is, in which weather.
-        seed: Decides the looks.
-        detector: What looks at the pictures.
-        threshold: Least score of a detection that is told.
-        camera: The driving system's, in whose image boxes are told.
+        world: The world of the encounter.
+        place: Time of day and weather.
+        seed: Selects the looks.
+        detector: The detector.
+        threshold: Minimum score of a box.
+        camera: The driving system's camera, which defines the image of the returned boxes.
     """
 
     def __init__(
@@ -84,25 +84,25 @@ class EncounterCamera:
         self._renderer = Renderer(street_scene(world.road), light, self._picture, seed)
 
     def boxes(self, time_s: float) -> tuple[Box, ...]:
-        """Return what the detector finds now, in px of the driving system's image."""
+        """Return the current detections, in px of the driving system's image."""
         ego = self._world.ego
         bodies = [self._body(index, user, time_s) for index, user in enumerate(self._world.everybody)]
         view = Viewpoint(x_m=ego.x_m, y_m=ego.y_m, yaw_rad=ego.yaw_rad)
         found = self._detector.detect(self._renderer.frame(view, bodies, time_s).image)
         sure = np.flatnonzero(found.scores >= self._threshold).tolist()
-        return tuple(self._told(LABELS[found.labels[i]], *found.boxes[i].tolist()) for i in sure)
+        return tuple(self._to_driving_image(LABELS[found.labels[i]], *found.boxes[i].tolist()) for i in sure)
 
     def _body(self, index: int, user: ScriptedUser, time_s: float) -> Body:
         person = user.kind is Kind.PEDESTRIAN
-        walks = 2.0 * math.pi * STEPS_A_SECOND * time_s if person and user.speed_mps > 0.1 else 0.0
+        walks = 2.0 * math.pi * STEPS_PER_S * time_s if person and user.speed_mps > 0.1 else 0.0
         return Body(
             id=self._first_id + index, kind=BodyKind.PERSON if person else BodyKind.VEHICLE, x_m=user.x_m,
             y_m=user.y_m, yaw_rad=user.yaw_rad, length_m=user.length_m, width_m=user.width_m,
             height_m=user.size.height_m, look=7 * index + 3, phase=walks % (2.0 * math.pi),
         )  # fmt: skip
 
-    def _told(self, label: str, x_min: float, y_min: float, x_max: float, y_max: float) -> Box:
-        """Return a box of the picture in the driving system's image: the same rays, other pixels."""
+    def _to_driving_image(self, label: str, x_min: float, y_min: float, x_max: float, y_max: float) -> Box:
+        """Convert a box to the driving system's image: the same rays, different pixels."""
         scale = self._camera.focal_px / self._picture.focal_px
         middle_x, middle_y = 0.5 * SIZE_PX[0], 0.5 * SIZE_PX[1]
         return Box(
@@ -115,19 +115,12 @@ class EncounterCamera:
 
 
 def street_scene(road: Road) -> StreetScene:
-    """Return a road as the renderer takes it: the same surfaces and fixtures that replays show from above."""
+    """Return a road as a scene with the same surfaces and fixtures that replays show from above."""
     still = fixtures(road)
-    ground = [_grass(road)]
-    ground += [_ground(surface) for surface in scene_surfaces(road) if surface.kind in _MATERIALS]
     return StreetScene(
-        ground=tuple(ground),
+        ground=(_grass(road), *road_surfaces(road)),
         buildings=tuple(
-            Building(
-                x_m=f.x_m, y_m=f.y_m, yaw_rad=f.yaw_rad, length_m=f.length_m, width_m=f.width_m,
-                height_m=f.height_m, look=index,
-            )
-            for index, f in enumerate(still)
-            if f.kind == "building"
+            building_from_fixture(f, index) for index, f in enumerate(still) if f.kind == "building"
         ),
         trees=tuple(
             Tree(x_m=f.x_m, y_m=f.y_m, height_m=f.height_m, crown_m=CROWN_M, look=index)
@@ -153,16 +146,37 @@ def _grass(road: Road) -> Ground:
     return Ground(material=Material.GRASS, points=corners)
 
 
-def _ground(surface: Surface) -> Ground:
-    points = surface.points.astype(np.float64)
-    if not surface.closed:
-        points = _widened(points, surface.width_m)
-    return Ground(material=_MATERIALS[surface.kind], points=points)
+class BrinkEncounterCamera(BrinkEncounter):
+    """Runs encounters with a camera in the loop."""
 
+    id: ClassVar[str] = "brink-encounter-camera@1"
 
-def _widened(points: FloatArray, width_m: float) -> FloatArray:
-    """Return the outline of a line of some width."""
-    along = np.gradient(points, axis=0)
-    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    across *= 0.5 * width_m / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
-    return np.concatenate([points + across, (points - across)[::-1]])
+    def _check(self, behaviour: Mapping[str, Json]) -> None:
+        check_fields("behaviour", {"weights": "", **behaviour}, _FIELDS)
+        if behaviour["mode"] != MODE:
+            raise InvalidEpisode(f"behaviour.mode: expected {MODE}, got {behaviour['mode']!r}")
+        threshold = behaviour["threshold"]
+        if isinstance(threshold, bool) or not isinstance(threshold, int | float) or not 0 < threshold < 1:
+            raise InvalidEpisode(f"behaviour.threshold: expected a number in (0, 1), got {threshold!r}")
+        if not isinstance(behaviour["detector"], str):
+            raise InvalidEpisode(
+                f"behaviour.detector: expected an id such as brink-det@1, got {behaviour['detector']!r}"
+            )
+        weights = behaviour.get("weights", "")
+        if weights and weights != weights_digest(behaviour["detector"]):
+            raise InvalidEpisode(
+                f"behaviour.detector: {behaviour['detector']} differs from the file that the "
+                "campaign was submitted with"
+            )
+
+    def _detects(
+        self, spec: EpisodeSpec, scenario: EncounterScenario, world: EncounterWorld
+    ) -> Detects | None:
+        return EncounterCamera(
+            world,
+            scenario.place,
+            seed=spec.seed,
+            detector=find_detector(str(spec.behaviour["detector"])),
+            threshold=float(str(spec.behaviour["threshold"])),
+            camera=self._camera,
+        ).boxes
