@@ -13,6 +13,10 @@ ServerError
 import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Final
+
+TOKEN_FORM: Final = "expected printable ASCII characters without spaces, such as: openssl rand -hex 24"
+"""What a bearer token must look like, to fit a header."""
 
 
 class ServerError(Exception):
@@ -81,11 +85,6 @@ class DatabaseError(ServerError):
 
 class Damaged(DatabaseError):
     """What is stored of a campaign does not fit together."""
-
-
-def install(extra: str) -> str:
-    """Return the command that installs an optional part of Brink."""
-    return f"pip install -c constraints.txt -e '.[{extra}]'"
 
 
 def nearest(name: str, valid: Iterable[str]) -> str | None:

@@ -6,16 +6,16 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from brink.server.campaigns.body import CampaignBody
-from brink.server.db.models import CampaignStatus, JobStatus, SolutionVerdict
+from brink.server.states import CampaignStatus, JobStatus, SolutionVerdict
 
 MAX_NUMBER = 2**53
 """Largest number of a job or a solution that is looked up: JSON readers keep it exactly."""
 
 
 class View(BaseModel):
-    """Base of all answers."""
+    """Base of all answers. Models are built at their first use: the command line needs few of them."""
 
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(frozen=True, defer_build=True)
 
 
 class CampaignView(View):

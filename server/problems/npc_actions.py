@@ -13,16 +13,16 @@ from brink.search.actions.road import RoadLimits
 from brink.search.actions.rollout import rolled_out, waypoints
 from brink.search.actions.rule import participants_component, participants_of
 from brink.search.algorithm import Evaluation, Scored
+from brink.search.analysis.violation_types import kinds_of
 from brink.search.errors import ConfigError
 from brink.search.settings import check_settings, setting
 from brink.search.space import SearchSpace
 from brink.server.problems.base import Vectors
 from brink.server.problems.detectors import wrong_detector
-from brink.server.violations.rules import kinds_of
 from brink.sim.encounter.specification import PLACE_FIELDS, describe_script, get_lane_layout, stretch_to_json
 from brink.sim.episode import EpisodeSpec, Json, JsonObject
 from brink.sim.perception.user_files import weights_digest
-from brink.sim.urban.scenario import SCENARIO_CHOICES, UrbanScenario
+from brink.sim.world.scenario import SCENARIO_CHOICES, UrbanScenario
 from brink.worker.wire import Completed
 
 SIMULATORS: Final = {"oracle": "brink-encounter@1", "detector": "brink-encounter-camera@1"}

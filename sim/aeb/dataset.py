@@ -42,8 +42,8 @@ from brink.sim.perturbations import Pipeline
 from brink.sim.rendering.canvas import visible_bodies
 from brink.sim.rendering.renderer import Renderer
 from brink.sim.rendering.scene import Body, BodyKind, Frame, Light, PictureCamera, StreetScene, Viewpoint
-from brink.sim.urban.scenario import TimeOfDay, Weather
 from brink.sim.urban.simulator import instruction_set, versions
+from brink.sim.world.scenario import TimeOfDay, Weather
 
 SIZE_PX: Final = (640, 360)
 FRAMES_A_STREET: Final = 10

@@ -15,7 +15,7 @@ from brink.sim.aeb.sight import Observation, Sight
 from brink.sim.aeb.street import CRUISE_MPS, END_M, LANE_M, LANE_Y_M, Actor, Street
 from brink.sim.bullet.engine import BodyId, Box, Engine
 from brink.sim.rendering.scene import Body, BodyKind
-from brink.sim.requirements.requirement import Collision, CollisionKind, Requirement, WorldSample
+from brink.sim.requirements import Collision, CollisionKind, Requirement, WorldSample
 from brink.sim.world.ego import STEP_S as PHYSICS_STEP_S
 from brink.sim.world.ego import EgoCar
 

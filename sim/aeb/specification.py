@@ -13,12 +13,12 @@ from enum import StrEnum
 from typing import Final, Self, TypeVar
 
 from brink.sim.aeb.braking import HOLD_S
-from brink.sim.episode import Json, JsonObject
+from brink.sim.episode import Json, JsonObject, nearest
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.user_files import weights_digest
 from brink.sim.perturbations import CATALOGUE, Mode, Perturbation, PerturbationError, parse_perturbations
 from brink.sim.urban.behaviour import DEFAULT_DURATION_S, DetectorBehaviour, InjectedTrajectory
-from brink.sim.urban.scenario import TimeOfDay, Weather, nearest
+from brink.sim.world.scenario import TimeOfDay, Weather
 
 TIMES = tuple(TimeOfDay)
 WEATHERS = (Weather.CLEAR, Weather.CLOUDY, Weather.WET, Weather.WET_CLOUDY, Weather.SOFT_RAIN)

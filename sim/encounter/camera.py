@@ -15,7 +15,7 @@ from brink.sim.driving.interface import Box, ObstacleLabel
 from brink.sim.encounter.simulator import BrinkEncounter
 from brink.sim.encounter.specification import EncounterScenario, Kind
 from brink.sim.encounter.world import EncounterWorld, ScriptedUser
-from brink.sim.episode import EpisodeSpec, Json
+from brink.sim.episode import EpisodeSpec, Json, check_fields
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.detector import LABELS, Detector, find_detector
 from brink.sim.perception.user_files import weights_digest
@@ -32,10 +32,10 @@ from brink.sim.rendering.scene import (
     Viewpoint,
 )
 from brink.sim.rendering.street import building_from_fixture, road_surfaces
-from brink.sim.urban.scenario import UrbanScenario, check_fields
-from brink.sim.urban.sensing import Detects
+from brink.sim.urban.episode_loop import Detects
 from brink.sim.world.road import Road
-from brink.sim.world.roadside import fixtures
+from brink.sim.world.scenario import UrbanScenario
+from brink.sim.world.scenery import fixtures
 
 MODE: Final = "detector"
 SIZE_PX: Final = (640, 360)

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, Self
 
-from brink.sim.episode import Json, JsonObject
+from brink.sim.episode import Json, JsonObject, check_fields, nearest
 from brink.sim.errors import InvalidEpisode
-from brink.sim.urban.scenario import SCENARIO_CHOICES, UrbanScenario, check_fields, nearest
 from brink.sim.world.road import PARKING_STRIP_M, build_road
+from brink.sim.world.scenario import SCENARIO_CHOICES, UrbanScenario
 
 MAX_ROAD_USERS: Final = 6
 MAX_STRETCHES: Final = 64

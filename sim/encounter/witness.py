@@ -11,7 +11,7 @@ from typing import Final, NamedTuple, TypeAlias
 from brink.sim.driving.interface import DrivingSystem
 from brink.sim.encounter.world import EncounterWorld, ScriptedUser
 from brink.sim.episode import JsonObject
-from brink.sim.requirements.requirement import WorldSample
+from brink.sim.requirements import WorldSample
 from brink.sim.trace import ACTION
 from brink.sim.urban.recorder import Recorder
 from brink.sim.world.world import STEP_S

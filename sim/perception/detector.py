@@ -34,10 +34,10 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from brink.sim.catalogue import load_plugin, plugin_ids
+from brink.sim.episode import nearest
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.boxes import Detections, FloatArray, non_maximum_suppression
 from brink.sim.perception.user_files import CATEGORY_LABELS, KINDS, DetectorError, weights_file
-from brink.sim.urban.scenario import nearest
 
 Picture: TypeAlias = NDArray[np.uint8]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from brink.sim.rendering.scene import FloatArray, Light, Rgb
 from brink.sim.rendering.view import View
-from brink.sim.urban.scenario import TimeOfDay, Weather
+from brink.sim.world.scenario import TimeOfDay, Weather
 
 _SUN_STREAM: Final = 71
 

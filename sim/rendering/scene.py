@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brink.sim.errors import SimulatorError
-from brink.sim.urban.scenario import TimeOfDay, Weather
+from brink.sim.world.scenario import TimeOfDay, Weather
 
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int32]

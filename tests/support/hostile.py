@@ -11,9 +11,10 @@ import httpx
 from sqlalchemy import select, update
 
 from brink.server.access.store import create_token, revoke_token
-from brink.server.access.tokens import Scope, id_within
+from brink.server.access.tokens import id_within
 from brink.server.db.engine import Engines
 from brink.server.db.models import Base, JobRow, TokenRow, WorkerRow
+from brink.server.states import Scope
 from brink.worker.wire import LeasedJob
 from support.api import FakeWorker, ball, completes, eventually, expect, submit
 
@@ -115,7 +116,7 @@ class Attack:
     """A row of the list.
 
     Attributes:
-        name: What is tried, as `docs/security.md` calls it.
+        name: What is tried, as `docs/reference/security.md` calls it.
         send: Tries it in each of its forms.
         gets: The statuses that may come; 0 is a connection that is closed without a word.
         says: What each answer's text holds.

@@ -27,9 +27,9 @@ from brink.sim.rendering import (
 )
 from brink.sim.rendering.sample import EGO, fallen_tree, sample_street, sample_traffic, vehicle
 from brink.sim.rendering.street import FIRST_PARKED_ID, street_from_road
-from brink.sim.urban.scenario import RoadCurve, TimeOfDay, Weather
 from brink.sim.world.road import Road, build_road
-from brink.sim.world.roadside import fixtures
+from brink.sim.world.scenario import RoadCurve, TimeOfDay, Weather
+from brink.sim.world.scenery import fixtures
 
 CAMERA = PictureCamera(width_px=320, height_px=192)
 STREET = sample_street()

@@ -1,0 +1,142 @@
+"""The commands of `brink`, and the options that come before a command.
+
+The table below is all that `brink --help` needs. A command's module is imported when the command is called: most
+commands only talk to a server, and should not wait for numpy, scipy and a web server.
+"""
+
+import logging
+import os
+import sys
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Annotated, Any, Final
+
+import typer
+from typer.core import TyperGroup
+
+from brink import __version__
+from brink.worker.log import LogLevel, configure_logging, environment_format
+
+SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
+    "Run": {
+        "run": ("brink.cli.run:run", "Run a campaign: coordinator, workers, results, pictures"),
+        "submit": ("brink.cli.submit:submit", "Submit a campaign to a coordinator"),
+        "experiment": ("brink.cli.experiment:experiment", "Compare algorithms over problems and seeds"),
+    },
+    "Inspect": {
+        "status": ("brink.cli.inspect:status", "Show campaigns, or the progress of one"),
+        "results": ("brink.cli.inspect:results", "Show or export distinct boundary solutions"),
+        "violations": ("brink.cli.findings.violations:violations", "Show the types of violations found"),
+        "combinations": ("brink.cli.findings.combinations:combinations", "Show hazardous chains of perturbations"),
+        "compare": ("brink.cli.compare:compare", "Compare campaigns, each beside its control"),
+        "plot": ("brink.cli.draw:plot", "Draw the figures of a campaign"),
+        "replay": ("brink.cli.draw:replay", "Draw one episode as PNG, GIF or MP4"),
+    },
+    "Trust": {
+        "evidence": ("brink.cli.evidence:evidence", "Export a boundary as tables, rules and replays"),
+        "repeats": ("brink.cli.repeats:repeats", "Simulate boundary solutions again with other seeds"),
+        "sensitivity": ("brink.cli.sensitivity:sensitivity", "Measure how settings change a boundary"),
+        "monitor": ("brink.cli.monitor:monitor", "Turn a campaign into a safety monitor"),
+    },
+    "Control": {
+        "pause": ("brink.cli.steer:pause", "Pause a campaign"),
+        "resume": ("brink.cli.steer:resume", "Resume a paused campaign"),
+        "cancel": ("brink.cli.steer:cancel", "Cancel a campaign and keep its results"),
+        "retry": ("brink.cli.steer:retry", "Retry the quarantined jobs of a campaign"),
+        "delete": ("brink.cli.steer:delete", "Delete a campaign and its results"),
+    },
+    "Operate": {
+        "serve": ("brink.cli.operate:serve", "Run a coordinator"),
+        "worker": ("brink.cli.operate:worker", "Run a worker"),
+        "token": ("brink.cli.tokens:token", "Create, list and revoke tokens"),
+        "db": ("brink.cli.operations:db", "Upgrade or prune the database"),
+        "doctor": ("brink.cli.operations:doctor", "Check the database, campaigns, jobs and workers"),
+        "export": ("brink.cli.operations:export", "Write a campaign to a file"),
+        "import": ("brink.cli.operations:import_", "Read a campaign from a file"),
+    },
+    "Tools": {
+        "perturbations": ("brink.cli.perturbations:perturbations", "List and show image perturbations"),
+        "llm": ("brink.cli.llm:llm", "Check and preview language models"),
+        "bench": ("brink.cli.bench:bench", "Measure this installation"),
+    },
+}  # fmt: skip
+"""By section and name: where the command is defined, ``module:attribute``, and its line in ``brink --help``."""
+
+
+class LazyGroup(TyperGroup):
+    """Imports the module of a command when the command is called."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of all commands."""
+        return [name for section in SECTIONS.values() for name in section]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command, or None if there is none of that name."""
+        for section in SECTIONS.values():
+            if cmd_name in section:
+                return load(cmd_name, section[cmd_name][0])
+        return None
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """List the commands by section, without importing them."""
+        for title, section in SECTIONS.items():
+            with formatter.section(title):
+                formatter.write_dl([(f"{name:13}", line) for name, (_, line) in section.items()])
+
+
+def load(name: str, target: str) -> Any:
+    """Return a command or a group of commands.
+
+    Args:
+        name: What it is called by.
+        target: Where it is defined, ``module:attribute``: a function, or a `typer.Typer`.
+    """
+    module, _, attribute = target.partition(":")
+    found = getattr(import_module(module), attribute)
+    if not isinstance(found, typer.Typer):
+        single = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+        single.command(name)(found)
+        found = single
+    command = typer.main.get_command(found)
+    command.name = name
+    return command
+
+
+app = typer.Typer(
+    name="brink",
+    cls=LazyGroup,
+    help="Find where a driving system with a machine-learned component stops being safe.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"brink {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log to stderr.")] = False,
+    plugin: Annotated[
+        list[str] | None,
+        typer.Option(help="Module with plug-ins, importable from here; may be repeated.", metavar="MODULE"),
+    ] = None,
+    show_version: Annotated[
+        bool,
+        typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True),
+    ] = False,
+) -> None:
+    """Find where a driving system with a machine-learned component stops being safe."""
+    if plugin:
+        from brink.sim.catalogue import PLUGINS_VARIABLE
+
+        named = [*filter(None, os.environ.get(PLUGINS_VARIABLE, "").split(",")), *plugin]
+        os.environ[PLUGINS_VARIABLE] = ",".join(named)  # for the workers that this command starts, too
+        sys.path.insert(0, os.getcwd())
+    if not logging.getLogger().handlers:
+        configure_logging(LogLevel.INFO if verbose else LogLevel.WARNING, environment_format())

@@ -1,1 +1,0 @@
-"""Measurements of the whole service, each with its target."""
