@@ -256,20 +256,20 @@ def _whole(name: str, value: Json, low: int, high: int) -> int:
 
 
 @lru_cache(maxsize=1)
-def _frames(wanted: _Request) -> tuple[tuple[Picture, GroundTruth], ...]:
+def _frames(request: _Request) -> tuple[tuple[Picture, GroundTruth], ...]:
     """Return the pictures of a data set; the last one is cached, as a picture takes about 50 ms to make."""
-    if wanted.dataset == SIMULATOR_DATA:
-        made = labelled_frames(Split.VALIDATION, wanted.frames, seed=wanted.seed + 1)
-        return tuple((frame.picture, frame.truth) for frame in made)
+    if request.dataset == SIMULATOR_DATA:
+        frames = labelled_frames(Split.VALIDATION, request.frames, seed=request.seed + 1)
+        return tuple((frame.picture, frame.truth) for frame in frames)
     try:
-        data = read_coco(Path(wanted.dataset))
+        data = read_coco(Path(request.dataset))
     except DatasetError as error:
         raise InvalidEpisode(f"scenario.dataset: {error}") from None
-    if wanted.digest and data.digest != wanted.digest:
+    if request.digest and data.digest != request.digest:
         raise InvalidEpisode(
-            f"scenario.dataset: {wanted.dataset} differs from the data set that the campaign was submitted with"
+            f"scenario.dataset: {request.dataset} differs from the data set that the campaign was submitted with"
         )
-    chosen = sample_evenly(data.pictures, wanted.frames)
+    chosen = sample_evenly(data.pictures, request.frames)
     return tuple((_read_picture(one), one.truth) for one in chosen)
 
 

@@ -91,9 +91,9 @@ def _side(
     """Return the frames restricted to one side: other true boxes are ignored, other detections dropped."""
     kept_truths, kept_found = [], []
     for truth, detected in zip(truths, detections, strict=True):
-        there = warning.intersects_each(truth.boxes) == inside
+        on_side = warning.intersects_each(truth.boxes) == inside
         kept_truths.append(
-            GroundTruth(labels=truth.labels, boxes=truth.boxes, ignored=truth.ignored | ~there)
+            GroundTruth(labels=truth.labels, boxes=truth.boxes, ignored=truth.ignored | ~on_side)
         )
         kept = warning.intersects_each(detected.boxes) == inside
         kept_found.append(

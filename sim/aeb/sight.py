@@ -123,8 +123,8 @@ class InjectedSight:
     def observe(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> Observation:
         """Observe a frame; see `Sight`."""
         boxes = [trajectory.box_at(time_s / PERCEPTION_STEP_S) for trajectory in self._trajectories]
-        said = tuple(self._placed(box) for box in boxes if box is not None)
-        return Observation(self._truth.observe(frame, time_s, street, ego).truth, said)
+        injected = tuple(self._placed(box) for box in boxes if box is not None)
+        return Observation(self._truth.observe(frame, time_s, street, ego).truth, injected)
 
     def _placed(self, box: Box) -> Detection:
         return Detection(

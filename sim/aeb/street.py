@@ -74,12 +74,12 @@ class Actor:
             waits: Whether it yields; a vehicle then brakes.
         """
         moves = time_s >= self.starts_s - 1e-9 and self.travelled_m < self.stops_after_m and not waits
-        wanted = self.cruise_mps if moves else 0.0
+        target_mps = self.cruise_mps if moves else 0.0
         if self.body.kind is BodyKind.VEHICLE:
-            wanted = min(
-                max(wanted, self.speed_mps - BRAKES_MPS2 * dt_s), self.speed_mps + STARTS_MPS2 * dt_s
+            target_mps = min(
+                max(target_mps, self.speed_mps - BRAKES_MPS2 * dt_s), self.speed_mps + STARTS_MPS2 * dt_s
             )
-        self.speed_mps = wanted
+        self.speed_mps = target_mps
         step_m = self.speed_mps * dt_s
         self.travelled_m += step_m
         self.x_m += step_m * math.cos(self.body.yaw_rad)

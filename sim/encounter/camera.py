@@ -86,7 +86,7 @@ class EncounterCamera:
     def boxes(self, time_s: float) -> tuple[Box, ...]:
         """Return the current detections, in px of the driving system's image."""
         ego = self._world.ego
-        bodies = [self._body(index, user, time_s) for index, user in enumerate(self._world.everybody)]
+        bodies = [self._body(index, user, time_s) for index, user in enumerate(self._world.road_users)]
         view = Viewpoint(x_m=ego.x_m, y_m=ego.y_m, yaw_rad=ego.yaw_rad)
         found = self._detector.detect(self._renderer.frame(view, bodies, time_s).image)
         sure = np.flatnonzero(found.scores >= self._threshold).tolist()

@@ -137,11 +137,11 @@ class EncounterWitness:
     def __init__(self, world: EncounterWorld, recorder: Recorder | None = None) -> None:
         self._world = world
         self._recorder = recorder
-        self._actions = [""] * len(world.everybody)
-        self.gaps_m = [math.inf] * len(world.everybody)
-        self._in_way_since_s: list[float | None] = [None] * len(world.everybody)
+        self._actions = [""] * len(world.road_users)
+        self.gaps_m = [math.inf] * len(world.road_users)
+        self._in_way_since_s: list[float | None] = [None] * len(world.road_users)
         self._history: deque[tuple[float, float, float]] = deque(maxlen=_LOOKBACK + 1)
-        self._speeds: list[deque[float]] = [deque(maxlen=_LOOKBACK + 1) for _ in world.everybody]
+        self._speeds: list[deque[float]] = [deque(maxlen=_LOOKBACK + 1) for _ in world.road_users]
         self._radius_m = 0.5 * math.hypot(world.ego.length_m, world.ego.width_m)
         self._sample: WorldSample | None = None
         self._mode = ""
@@ -154,7 +154,7 @@ class EncounterWitness:
         self._mode = driving.plan.mode.value
         self._history.append((sample.speed_mps, sample.yaw_rad, sample.offset_m))
         ego: Rectangle | None = None
-        for index, user in enumerate(self._world.everybody):
+        for index, user in enumerate(self._world.road_users):
             self._speeds[index].append(user.speed_mps)
             dx, dy = user.x_m - sample.x_m, user.y_m - sample.y_m
             reach_m = self._radius_m + 0.5 * math.hypot(user.length_m, user.width_m)
@@ -179,15 +179,15 @@ class EncounterWitness:
     def _watch_way(self, index: int, user: ScriptedUser, sample: WorldSample) -> None:
         """Track since when a road user has been in the ego's way."""
         dx, dy = user.x_m - sample.x_m, user.y_m - sample.y_m
-        there = -IN_WAY_M < dx < IN_WAY_M and -IN_WAY_M < dy < IN_WAY_M
-        if there:
+        in_way = -IN_WAY_M < dx < IN_WAY_M and -IN_WAY_M < dy < IN_WAY_M
+        if in_way:
             line = self._world.route.line
             at_m, off_m = line.project(user.x_m, user.y_m, sample.station_m)
             turn = user.yaw_rad - line.pose_at(at_m)[2]
             half_m = 0.5 * (abs(math.cos(turn)) * user.width_m + abs(math.sin(turn)) * user.length_m)
             within = abs(off_m - sample.offset_m) < half_m + 0.5 * sample.ego_width_m
-            there = within and 0.0 < at_m - sample.station_m < IN_WAY_M
-        if not there:
+            in_way = within and 0.0 < at_m - sample.station_m < IN_WAY_M
+        if not in_way:
             self._in_way_since_s[index] = None
         elif self._in_way_since_s[index] is None:
             self._in_way_since_s[index] = sample.time_s
@@ -200,7 +200,7 @@ class EncounterWitness:
         self._seen.add(requirement)
         hit = sample.collision
         if hit is not None:
-            names = [user.name for user in self._world.everybody]
+            names = [user.name for user in self._world.road_users]
             index = names.index(hit.counterpart) if hit.counterpart in names else None
         else:
             index = self._in_way(sample) if requirement in _COUNTERPART_AHEAD else None
@@ -222,7 +222,7 @@ class EncounterWitness:
         ego = self._ego()
         gaps = [
             (signed_gap_m(ego, make_rectangle(user)), index)
-            for index, user in enumerate(self._world.everybody)
+            for index, user in enumerate(self._world.road_users)
             if self._in_way_since_s[index] is not None
         ]
         return min(gaps)[1] if gaps else None
@@ -231,7 +231,7 @@ class EncounterWitness:
         ego = self._ego()
         gaps = [
             (signed_gap_m(ego, make_rectangle(user)), index)
-            for index, user in enumerate(self._world.everybody)
+            for index, user in enumerate(self._world.road_users)
             if math.hypot(user.x_m - sample.x_m, user.y_m - sample.y_m) < NEARBY_M + 8.0
         ]
         gap_m, index = min(gaps, default=(math.inf, 0))
@@ -251,7 +251,7 @@ class EncounterWitness:
         }
 
     def _other_facts(self, index: int, sample: WorldSample) -> JsonObject:
-        user = self._world.everybody[index]
+        user = self._world.road_users[index]
         ego, other = self._ego(), make_rectangle(user)
         speeds, since_s = self._speeds[index], self._in_way_since_s[index]
         over_s = max(STEP_S, (len(speeds) - 1) * STEP_S)

@@ -141,7 +141,7 @@ class EncounterWorld:
         ego: The car under test.
         vehicles: Scripted vehicles.
         walkers: Scripted people.
-        everybody: All scripted road users, in the order of their scripts.
+        road_users: All scripted road users, in the order of their scripts.
         leaves_road_m: Station at which the ego's route leaves the road.
     """
 
@@ -152,13 +152,13 @@ class EncounterWorld:
     ego: EgoMotion
     vehicles: Sequence[ScriptedUser]
     walkers: Sequence[ScriptedUser]
-    everybody: Sequence[ScriptedUser]
+    road_users: Sequence[ScriptedUser]
     leaves_road_m: float
 
     def advance(self, step: int) -> None:
         """Advance all scripted road users by one step."""
-        for user in self.everybody:
-            user.advance(step, STEP_S, self.everybody)
+        for user in self.road_users:
+            user.advance(step, STEP_S, self.road_users)
 
     def grade_at(self, station_m: float) -> float:
         """Return the grade of the ego's route; only the main road has one."""
@@ -177,7 +177,7 @@ def make_encounter(scenario: EncounterScenario, seed: int) -> EncounterWorld:
     route = ego_route(road, DrivingTask(place.driving_task))
     weather = conditions(place.time_of_day, place.weather)
     start = generator(seed, Stream.START)
-    everybody = tuple(
+    road_users = tuple(
         ScriptedUser(f"{script.kind.value}-{index}", script, road.forward)
         for index, script in enumerate(scenario.road_users, start=1)
     )
@@ -189,8 +189,8 @@ def make_encounter(scenario: EncounterScenario, seed: int) -> EncounterWorld:
         ego=EgoCar(
             route.pose_at(0.0, float(start.normal(0.0, 0.05))), START_SPEED_MPS, friction=weather.friction
         ),
-        vehicles=tuple(user for user in everybody if user.kind is not Kind.PEDESTRIAN),
-        walkers=tuple(user for user in everybody if user.kind is Kind.PEDESTRIAN),
-        everybody=everybody,
+        vehicles=tuple(user for user in road_users if user.kind is not Kind.PEDESTRIAN),
+        walkers=tuple(user for user in road_users if user.kind is Kind.PEDESTRIAN),
+        road_users=road_users,
         leaves_road_m=leaves_road_m(road, place.driving_task),
     )

@@ -166,7 +166,9 @@ def curves(truths: Sequence[GroundTruth], detections: Sequence[Detections]) -> l
         ValueError: The numbers of pictures differ.
     """
     if len(truths) != len(detections):
-        raise ValueError(f"expected as many pictures in both, got {len(truths)} and {len(detections)}")
+        raise ValueError(
+            f"expected equally many ground truths and detections, got {len(truths)} and {len(detections)}"
+        )
     occurring = np.unique(
         np.concatenate([truth.labels[~truth.ignored] for truth in truths] or [np.empty(0, int)])
     )

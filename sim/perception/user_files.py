@@ -218,7 +218,7 @@ def _read_coco(file: Path, _modified_ns: int, _size: int) -> CocoDataset:
         if path is not None
     )
     if not any(len(picture.truth.labels) for picture in pictures):
-        raise DatasetError(f"{file}: no box of a category named one of {', '.join(CATEGORY_LABELS)}")
+        raise DatasetError(f"{file}: no box belongs to one of the categories {', '.join(CATEGORY_LABELS)}")
     return CocoDataset(file=file, digest=hashlib.sha256(raw).hexdigest()[:16], pictures=pictures)
 
 

@@ -194,7 +194,7 @@ class Pipeline:
         for perturbation in self.perturbations:
             if not isinstance(perturbation, Perturbation):
                 raise InvalidPerturbation(
-                    f"expected perturbations; parse_perturbations reads {perturbation!r}"
+                    f"expected Perturbation objects, got {perturbation!r}; parse_perturbations reads lists"
                 )
         if self.seed < 0:
             raise InvalidPerturbation(f"seed: expected an integer >= 0, got {self.seed!r}")

@@ -286,8 +286,8 @@ class GroundPainter:
         reach = view.height_m / fall
         ahead = reach * (view.cos_pitch - up * view.sin_pitch)
         footprint_m = np.sqrt(reach / view.focal_px * (ahead * reach / (view.focal_px * view.height_m)))
-        wanted = np.log2(np.maximum(footprint_m * TILE_PX_PER_M, 1e-6)) + 0.2
-        levels = np.clip(np.floor(wanted), -1, len(self._tiles) - 1).astype(int)
+        exact_level = np.log2(np.maximum(footprint_m * TILE_PX_PER_M, 1e-6)) + 0.2
+        levels = np.clip(np.floor(exact_level), -1, len(self._tiles) - 1).astype(int)
         breaks = [0, *(np.flatnonzero(np.diff(levels)) + 1).tolist(), len(levels)]
         bands = tuple((a, b, int(levels[a])) for a, b in itertools.pairwise(breaks) if b > a)
         haze = self._lighting.haze(ahead)
@@ -457,12 +457,12 @@ def body_reflections(
     pixels = to_fixed_point(view.project(seen)).reshape(-1, 8, 2)
     found: list[list[tuple[IntArray, Rgb]]] = []
     for row, (body, rgb, lights) in enumerate(zip(bodies, colours, lit, strict=True)):
-        mine: list[tuple[IntArray, Rgb]] = []
+        reflections: list[tuple[IntArray, Rgb]] = []
         if before[row]:
-            mine.append((cv2.convexHull(pixels[row])[:, 0].astype(np.int32, copy=False), rgb))
+            reflections.append((cv2.convexHull(pixels[row])[:, 0].astype(np.int32, copy=False), rgb))
             if body.kind is BodyKind.VEHICLE and (lights or body.braking):
-                mine += _light_reflections(body, view, lights=lights)
-        found.append(mine)
+                reflections += _light_reflections(body, view, lights=lights)
+        found.append(reflections)
     return found
 
 

@@ -64,8 +64,8 @@ def draw_lamps(
     before: list[bool] = np.all(seen[:, 0].reshape(-1, 4) > NEAR_M, axis=1).tolist()
     marks: list[list[Mark]] = []
     for number, head in enumerate(heads):
-        mine = [*limbs[2 * number], *limbs[2 * number + 1]]
-        marks.append([*mine, Stroke(head, rgb, True)] if before[number] else mine)
+        strokes = [*limbs[2 * number], *limbs[2 * number + 1]]
+        marks.append([*strokes, Stroke(head, rgb, True)] if before[number] else strokes)
     return marks
 
 

@@ -68,15 +68,15 @@ def draw_people(people: Sequence[Body], view: View, lighting: Lighting, lit: Flo
     for index, own in enumerate(limbs):
         last = first + len(own)
         order = np.argsort(-middle[first:last], kind="stable") + first
-        mine: list[Mark] = []
+        strokes: list[Mark] = []
         for limb in order.tolist():
             if gone[limb] or own[limb - first].shown_px > tall_px[index]:
                 continue
-            mine.append(Stroke(polygons[limb], rgb[limb], True))
+            strokes.append(Stroke(polygons[limb], rgb[limb], True))
             if tall_px[index] > 46 and shaded:
                 dark = rgb[limb][0] * 0.78, rgb[limb][1] * 0.78, rgb[limb][2] * 0.8
-                mine.append(Stroke(shades[limb], dark, False))
-        marks.append(mine)
+                strokes.append(Stroke(shades[limb], dark, False))
+        marks.append(strokes)
         first = last
     return marks
 

@@ -250,6 +250,6 @@ def _rows(items: Items) -> list[tuple[Thing, FloatArray, float, float]]:
     ]
 
 
-def _put(marks: _Marks, rows: list[int], made: _Marks) -> None:
-    for row, mine in zip(rows, made, strict=True):
-        marks[row] = mine
+def _put(marks: _Marks, rows: list[int], drawn: _Marks) -> None:
+    for row, item_marks in zip(rows, drawn, strict=True):
+        marks[row] = item_marks

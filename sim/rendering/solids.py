@@ -376,12 +376,12 @@ def draw_limbs(
     wide = (radius.max(axis=1) > _SHADED_FROM_PX).tolist()
     marks: list[list[Mark]] = []
     for index, (red, green, blue) in enumerate(colours):
-        mine: list[Mark] = []
+        strokes: list[Mark] = []
         if not gone[index]:
-            mine.append(Stroke(polygons[index], (red, green, blue), True))
+            strokes.append(Stroke(polygons[index], (red, green, blue), True))
             if wide[index]:
-                mine.append(Stroke(shades[index], (0.72 * red, 0.72 * green, 0.74 * blue), False))
-        marks.append(mine)
+                strokes.append(Stroke(shades[index], (0.72 * red, 0.72 * green, 0.74 * blue), False))
+        marks.append(strokes)
     return marks
 
 

@@ -96,8 +96,8 @@ def _kerbs(road: Road) -> list[Ground]:
     """Return kerbs and gutters as strips that are wider than the asphalt painted over them."""
     lines = [(road.centre, -BEFORE_M, road.length_m + BEYOND_M)]
     for junction in road.junctions:
-        for turn, there in ((-0.5, junction.right), (0.5, junction.left)):
-            if there:
+        for turn, exists in ((-0.5, junction.right), (0.5, junction.left)):
+            if exists:
                 yaw_rad = junction.yaw_rad + turn * math.pi
                 street = ReferenceLine(junction.x_m, junction.y_m, yaw_rad, (Piece(road.side_street_m),))
                 lines.append((street, 0.0, street.length_m))

@@ -178,7 +178,7 @@ def test_boxes_of_known_categories_are_kept_and_cropped_to_the_picture(tmp_path:
         ({"annotations": [{"id": 5, "image_id": 6, "category_id": 1, "bbox": [1, 2, 5, 3]}]}, "image_id 6"),
         ({"images": [{"id": 7, "file_name": "a.png", "width": "320", "height": 180}]}, "width and height"),
         ({"images": [{"id": 7, "width": 320, "height": 180}]}, "'file_name' is missing"),
-        ({"annotations": [{"id": 3, "image_id": 8, "category_id": 9, "bbox": [0, 0, 5, 5]}]}, "no box of a category"),
+        ({"annotations": [{"id": 3, "image_id": 8, "category_id": 9, "bbox": [0, 0, 5, 5]}]}, "no box belongs"),
     ],
 )  # fmt: skip
 def test_an_invalid_file_is_refused_with_its_first_faults(

@@ -82,7 +82,7 @@ def test_numpy_levels_are_stored_as_plain_integers() -> None:
 
 
 def test_a_pipeline_refuses_other_objects_and_negative_seeds() -> None:
-    with pytest.raises(InvalidPerturbation, match="parse_perturbations reads 'rain:3'"):
+    with pytest.raises(InvalidPerturbation, match="got 'rain:3'; parse_perturbations"):
         Pipeline(("rain:3",), seed=0)  # type: ignore[arg-type]
     with pytest.raises(InvalidPerturbation, match="seed: expected an integer >= 0, got -1"):
         Pipeline((), seed=-1)
