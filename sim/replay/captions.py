@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Final
 
-from brink.sim.aeb.words import words_of_perturbations, words_of_street
+from brink.sim.aeb.specification import describe_perturbations, describe_street
 from brink.sim.episode import Json
 from brink.sim.trace import Trace
 from brink.sim.world.scenario import words_of_scenario
@@ -27,7 +27,7 @@ def scenario_words(trace: Trace) -> str:
     scenario = spec.get("scenario") if isinstance(spec, Mapping) else None
     words = ""
     if isinstance(scenario, Mapping):
-        words = words_of_street(scenario) if "crossing_m" in scenario else words_of_scenario(scenario)
+        words = describe_street(scenario) if "crossing_m" in scenario else words_of_scenario(scenario)
     if _behaviour(trace).get("trajectories") and not len(trace.given_boxes.rows):
         words += "; it ends before anything is injected"
     return words
@@ -38,7 +38,7 @@ def perturbation_words(trace: Trace) -> str:
     steps = _behaviour(trace).get("perturbations")
     if not isinstance(steps, list):
         return ""
-    return words_of_perturbations([step for step in steps if isinstance(step, Mapping)])
+    return describe_perturbations([step for step in steps if isinstance(step, Mapping)])
 
 
 def report_word(trace: Trace) -> str:

@@ -1,50 +1,47 @@
-"""Evaluates a detector on the test pictures, which no training has seen: figures, curves, a table by distance.
+"""Evaluation of a detector: average precision, calibration, tables by distance and size, and plots."""
 
-    python -m brink.sim.perception.evaluate --out FOLDER
-
-Writes `evaluation.json` and `evaluation.png` (precision over recall, calibration). Test pictures come from seeds and
-looks of their own.
-"""
-
-import argparse
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from brink.sim.aeb.pictures import LabelledFrame, Split, labelled_frames
+from brink.sim.perception.boxes import (
+    Curve,
+    Detections,
+    LabelledFrame,
+    calibration,
+    curves,
+    mean_average_precision,
+)
 from brink.sim.perception.detector import LABELS, Detector
-from brink.sim.perception.quality import Curve, Found, Truth, calibration, curves, mean_average_precision
-from brink.sim.perception.registry import find_detector
 
-FRAMES: Final = 600
 DEPTHS_M: Final = ((0.0, 5.0), (5.0, 10.0), (10.0, 20.0), (20.0, 40.0), (40.0, 80.0))
 THRESHOLD: Final = 0.5
 SIDES_PX: Final = (6, 8, 12, 16)
-"""In pictures of 640 x 360; the network looks at half of that."""
+"""Sides in pictures of 640 x 360; the network sees half of that."""
 _COLOURS: Final = ("#0072b2", "#d55e00")
 
 
-def evaluated(detector: Detector, frames: Sequence[LabelledFrame]) -> tuple[dict[str, Any], list[Curve]]:
-    """Return all figures of a detector on pictures as plain JSON values, and its curves."""
+def evaluate(detector: Detector, frames: Sequence[LabelledFrame]) -> tuple[dict[str, Any], list[Curve]]:
+    """Return the figures of a detector on pictures as plain JSON values, and its curves by class."""
     truths = [frame.truth for frame in frames]
-    found = [detector.detect(frame.picture) for frame in frames]
-    by_class = curves(truths, found)
+    detections = [detector.detect(frame.picture) for frame in frames]
+    by_class = curves(truths, detections)
     figures: dict[str, Any] = {
         "pictures": len(frames),
         "map": float(np.mean([curve.average_precision for curve in by_class])),
         "classes": {LABELS[curve.label]: _class_figures(curve) for curve in by_class},
     }
     figures["by_shorter_side"] = [
-        {"from_px": side, "map": _from_side(side, frames, found)} for side in SIDES_PX
+        {"from_px": side, "map": _from_side(side, frames, detections)} for side in SIDES_PX
     ]
     for name, figure in figures["classes"].items():
-        figure["by_depth"] = _by_depth(LABELS.index(name), frames, found)
+        figure["by_depth"] = _by_depth(LABELS.index(name), frames, detections)
     return figures, by_class
 
 
@@ -63,40 +60,37 @@ def _class_figures(curve: Curve) -> dict[str, Any]:
     }
 
 
-def _from_side(side_px: float, frames: Sequence[LabelledFrame], found: Sequence[Found]) -> float:
-    """Return mAP where boxes with a shorter side cost nobody anything."""
+def _from_side(side_px: float, frames: Sequence[LabelledFrame], detections: Sequence[Detections]) -> float:
+    """Return the mAP when boxes with a shorter side are ignored."""
     truths = []
     for frame in frames:
         sides = (frame.truth.boxes[:, 2:] - frame.truth.boxes[:, :2]).min(axis=1)
-        ignored = frame.truth.ignored | (sides < side_px)
-        truths.append(Truth(labels=frame.truth.labels, boxes=frame.truth.boxes, ignored=ignored))
-    return mean_average_precision(truths, found)
+        truths.append(replace(frame.truth, ignored=frame.truth.ignored | (sides < side_px)))
+    return mean_average_precision(truths, detections)
 
 
-def _by_depth(label: int, frames: Sequence[LabelledFrame], found: Sequence[Found]) -> list[dict[str, Any]]:
-    """Return average precision and recall by distance; bodies at other distances cost nobody anything."""
+def _by_depth(
+    label: int, frames: Sequence[LabelledFrame], detections: Sequence[Detections]
+) -> list[dict[str, Any]]:
+    """Return average precision and recall by distance; bodies at other distances are ignored."""
     rows = []
     for low_m, high_m in DEPTHS_M:
-        truths = [
-            Truth(
-                labels=frame.truth.labels,
-                boxes=frame.truth.boxes,
-                ignored=frame.truth.ignored | (frame.depths_m < low_m) | (frame.depths_m >= high_m),
-            )
-            for frame in frames
-        ]
+        truths = []
+        for frame in frames:
+            outside = (frame.depths_m < low_m) | (frame.depths_m >= high_m)
+            truths.append(replace(frame.truth, ignored=frame.truth.ignored | outside))
         rows += [
             {
                 "from_m": low_m, "to_m": high_m, "positives": curve.positives,
                 "average_precision": curve.average_precision, "recall": curve.at_score(THRESHOLD)[1],
             }
-            for curve in curves(truths, found) if curve.label == label
+            for curve in curves(truths, detections) if curve.label == label
         ]  # fmt: skip
     return rows
 
 
-def drawn(figures: dict[str, Any], by_class: Sequence[Curve]) -> Figure:
-    """Return the plots: precision over recall, share of right detections over score, recall over distance."""
+def plot(figures: dict[str, Any], by_class: Sequence[Curve]) -> Figure:
+    """Plot precision over recall, share of correct detections over score, and recall over distance."""
     figure = Figure(figsize=(12, 3.8), layout="constrained")
     FigureCanvasAgg(figure)
     left, middle, right = figure.subplots(1, 3)
@@ -120,21 +114,20 @@ def drawn(figures: dict[str, Any], by_class: Sequence[Curve]) -> Figure:
     return figure
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Evaluate, print and write."""
-    parser = argparse.ArgumentParser(prog="python -m brink.sim.perception.evaluate", description=__doc__)
-    parser.add_argument("--out", type=Path, required=True, help="folder for figures and plots")
-    parser.add_argument("--detector", default="brink-det@1", help="id of the detector (%(default)s)")
-    parser.add_argument("--frames", type=int, default=FRAMES, help="test pictures (%(default)s)")
-    given = parser.parse_args(arguments)
-    given.out.mkdir(parents=True, exist_ok=True)
-    cv2.setNumThreads(1)
-    frames = list(labelled_frames(Split.TEST, given.frames))
-    figures, by_class = evaluated(find_detector(given.detector), frames)
-    figures = {"detector": given.detector, **figures}
-    (given.out / "evaluation.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-    drawn(figures, by_class).savefig(given.out / "evaluation.png", dpi=110, metadata={"Software": None})
-    print(f"{given.detector}: mAP@0.5 {figures['map']:.3f} on {given.frames} test pictures")  # noqa: T201
+def write_report(detector_id: str, detector: Detector, frames: Sequence[LabelledFrame], out: Path) -> None:
+    """Evaluate a detector, write `evaluation.json` and `evaluation.png`, and print the tables.
+
+    Args:
+        detector_id: Named in the report.
+        detector: The detector.
+        frames: Test pictures.
+        out: Output folder.
+    """
+    figures, by_class = evaluate(detector, frames)
+    figures = {"detector": detector_id, **figures}
+    (out / "evaluation.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    plot(figures, by_class).savefig(out / "evaluation.png", dpi=110, metadata={"Software": None})
+    print(f"{detector_id}: mAP@0.5 {figures['map']:.3f} on {len(frames)} test pictures")  # noqa: T201
     sides = ", ".join(f"from {row['from_px']} px {row['map']:.3f}" for row in figures["by_shorter_side"])
     print(f"  by shorter side of the boxes: {sides}")  # noqa: T201
     for name, figure in figures["classes"].items():
@@ -147,7 +140,3 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 f"    {row['from_m']:g} to {row['to_m']:g} m: AP {row['average_precision']:.2f}, "
                 f"recall {row['recall']:.2f} of {row['positives']}"
             )
-
-
-if __name__ == "__main__":
-    main()

@@ -1,44 +1,44 @@
-"""Owns solid models: flat faces in groups, and how a whole frame's models become strokes at once.
+"""Solid shapes as strokes: models of flat faces, and limbs with rounded ends.
 
-A model stands in its own axes: x ahead, y left, z up, the middle of its footprint at the origin. Its faces are convex
-and listed in painting order within their group; groups are ordered by where the eye is to the planes between them.
+A model has its own axes: x ahead, y left, z up, with the middle of its footprint at the origin. Its faces are convex
+and listed in painting order within their group. Groups are ordered by the side of the separating plane that the eye
+is on. All shapes of a frame are converted in one batch.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from brink.sim.rendering.canvas import Mark, Stroke
 from brink.sim.rendering.light import Lighting
-from brink.sim.rendering.scene import FloatArray
-from brink.sim.rendering.view import NEAR_M, View, fixed_point
+from brink.sim.rendering.scene import FloatArray, Mark, Rgb, Stroke
+from brink.sim.rendering.view import NEAR_M, View, to_fixed_point
 
 Plane: TypeAlias = tuple[tuple[float, float, float], float]
 """Normal and offset of a plane in a model's axes."""
 
 
 class Finish(IntEnum):
-    """How a face answers light."""
+    """How a face responds to light."""
 
     PAINT = 0
     GLASS = 1
     LAMP = 2
-    """White light ahead; shines when vehicles drive with their lights on."""
+    """White front light; on when vehicles drive with their lights on."""
     TAIL = 3
-    """Red light behind; shines with the lights, brighter when braking."""
+    """Red rear light; on with the lights, and brighter when braking."""
     FLAT = 4
-    """Dark rubber and holes: hardly shaded."""
+    """Dark rubber and openings, hardly shaded."""
     BRAKE = 5
-    """The third brake light: dark glass unless braking."""
+    """Third brake light; dark glass unless braking."""
 
 
 class Group(IntEnum):
-    """Parts of a model between which planes decide the order."""
+    """Parts of a model that are ordered by planes between them."""
 
     WHEELS = 0
     LOWER = 1
@@ -47,9 +47,9 @@ class Group(IntEnum):
 
 
 class Face(NamedTuple):
-    """A flat convex polygon: corners as (x, y, z), counter-clockwise seen from outside.
+    """A flat convex polygon with corners (x, y, z), counter-clockwise seen from outside.
 
-    `shown_px` is the height in pixels from which a model is large enough for this face to be drawn.
+    `shown_px` is the height in pixels that a model must reach for this face to be drawn.
     """
 
     corners: Sequence[tuple[float, float, float]]
@@ -66,16 +66,16 @@ class Mesh:
 
     Attributes:
         points: Corners of all faces, shape ``(n, 3)``, m.
-        starts: Where each face begins in `points`, and the end, length faces + 1.
-        normals: Outward, shape ``(faces, 3)``.
+        starts: Index in `points` at which each face begins, then the end, length faces + 1.
+        normals: Outward unit normals, shape ``(faces, 3)``.
         centres: Shape ``(faces, 3)``.
         rgb: Shape ``(faces, 3)``.
         finish: Shape ``(faces,)``.
         group: Shape ``(faces,)``.
-        solid: Whether a face adds to the silhouette.
-        shown_px: From which height of the model it is drawn.
-        floor: Level plane (or side plane, when it was turned over) between wheels and body: normal and offset.
-        belt: The same between body and cabin.
+        solid: Whether a face adds to the silhouette, shape ``(faces,)``.
+        shown_px: Height that the model must reach for a face to be drawn, shape ``(faces,)``.
+        floor: Plane between wheels and body, rotated with an overturned model.
+        belt: Plane between body and cabin.
     """
 
     points: FloatArray
@@ -91,11 +91,17 @@ class Mesh:
     belt: Plane
 
 
-def mesh_of(faces: Sequence[Face], *, floor: Plane, belt: Plane) -> Mesh:
-    """Return faces as a mesh."""
+def make_mesh(faces: Sequence[Face], *, floor: Plane, belt: Plane) -> Mesh:
+    """Build a mesh from faces.
+
+    Args:
+        faces: In painting order within their group.
+        floor: Plane between wheels and body.
+        belt: Plane between body and cabin.
+    """
     ordered = sorted(faces, key=lambda face: face.group)
     arrays = [np.array(face.corners, dtype=np.float64) for face in ordered]
-    normals = np.array([normal_of(face.corners) for face in ordered])
+    normals = np.array([unit_normal(face.corners) for face in ordered])
     return Mesh(
         points=np.concatenate(arrays),
         starts=np.cumsum([0, *(len(corners) for corners in arrays)]),
@@ -111,8 +117,8 @@ def mesh_of(faces: Sequence[Face], *, floor: Plane, belt: Plane) -> Mesh:
     )
 
 
-def normal_of(corners: Sequence[tuple[float, float, float]]) -> tuple[float, float, float]:
-    """Return the unit normal of a flat polygon (Newell's sum), outward of a counter-clockwise one."""
+def unit_normal(corners: Sequence[tuple[float, float, float]]) -> tuple[float, float, float]:
+    """Return the unit normal of a flat polygon (Newell's method), outward if it is counter-clockwise."""
     x = y = z = 0.0
     x0, y0, z0 = corners[-1]
     for x1, y1, z1 in corners:
@@ -124,8 +130,8 @@ def normal_of(corners: Sequence[tuple[float, float, float]]) -> tuple[float, flo
     return x / length, y / length, z / length
 
 
-class Placed(NamedTuple):
-    """A mesh somewhere in the world."""
+class PlacedMesh(NamedTuple):
+    """A mesh at a position in the world."""
 
     mesh: Mesh
     x_m: float
@@ -136,14 +142,16 @@ class Placed(NamedTuple):
     parked: bool
 
 
-def mesh_marks(placed: Sequence[Placed], view: View, lighting: Lighting, lit: FloatArray) -> list[list[Mark]]:
+def draw_meshes(
+    placed: Sequence[PlacedMesh], view: View, lighting: Lighting, lit: FloatArray
+) -> list[list[Mark]]:
     """Return the strokes of each model, in painting order.
 
     Args:
         placed: The models.
-        view: Whence they are seen.
+        view: The camera.
         lighting: The light.
-        lit: How strongly the ego's headlights light each model, shape ``(n,)``.
+        lit: Artificial light on each model, in [0, 1], shape ``(n,)``.
     """
     if not placed:
         return []
@@ -167,14 +175,14 @@ def mesh_marks(placed: Sequence[Placed], view: View, lighting: Lighting, lit: Fl
     shown = shown[np.argsort(_ranks(meshes, eyes, owner)[shown], kind="stable")]
     owner, towards, normals = owner[shown], towards[shown], normals[shown]
     facing = across[shown] / np.sqrt(np.einsum("ij,ij->i", towards, towards))
-    rgb = _shaded(placed, meshes, shown, owner, normals, facing, cosine, sine, lighting, lit)
+    rgb = _shade(placed, meshes, shown, owner, normals, facing, cosine, sine, lighting, lit)
     haze = lighting.haze(ahead)[owner][:, None]
     rgb = np.clip(rgb * (1 - haze) + np.array(lighting.haze_rgb) * haze, 0, 255)
     return _strokes(meshes, seen, shown, owner, rgb, view)
 
 
 def _ranks(meshes: list[Mesh], eyes: FloatArray, owner: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return numbers that rise in painting order: model by model, hidden groups of a model first."""
+    """Return sort keys for painting: model by model, hidden groups of a model first."""
     order = np.zeros((len(meshes), len(Group)), dtype=np.int64)
     order[:, Group.DISCS] = 4
     for row, (mesh, eye) in enumerate(zip(meshes, eyes.tolist(), strict=True)):
@@ -204,8 +212,8 @@ def _seen(
     return view.to_camera(world)
 
 
-def _shaded(
-    placed: Sequence[Placed],
+def _shade(
+    placed: Sequence[PlacedMesh],
     meshes: list[Mesh],
     shown: NDArray[np.int64],
     owner: NDArray[np.int64],
@@ -216,16 +224,18 @@ def _shaded(
     lighting: Lighting,
     lit: FloatArray,
 ) -> FloatArray:
-    """Return the colours of the faces that are shown, under the light, shape ``(shown, 3)``."""
+    """Return the colours of the visible faces under the light, shape ``(shown, 3)``."""
     finish = np.concatenate([mesh.finish for mesh in meshes])[shown]
     rgb = np.concatenate([mesh.rgb for mesh in meshes])[shown]
     sun_x = lighting.sun[0] * cosine + lighting.sun[1] * sine
     sun_y = lighting.sun[1] * cosine - lighting.sun[0] * sine
     to_sun = normals[:, 0] * sun_x[owner] + normals[:, 1] * sun_y[owner] + normals[:, 2] * lighting.sun[2]
     from_sky = 0.86 + 0.14 * normals[:, 2]
-    share = lighting.ambient_share * from_sky + lighting.sun_share * np.maximum(to_sun, 0.0)
+    share = lighting.ambient_strength * from_sky + lighting.sun_strength * np.maximum(to_sun, 0.0)
     share = share + lit[owner] * (0.25 + 0.75 * facing) * 0.9
-    share = np.where(finish == Finish.FLAT, 0.5 * share + 0.25 * (lighting.ambient_share + lit[owner]), share)
+    share = np.where(
+        finish == Finish.FLAT, 0.5 * share + 0.25 * (lighting.ambient_strength + lit[owner]), share
+    )
     shaded = rgb * share[:, None] * lighting.tint
     glass = finish == Finish.GLASS
     sky = np.array(lighting.sky_low_rgb)
@@ -256,7 +266,7 @@ def _strokes(
     rgb: FloatArray,
     view: View,
 ) -> list[list[Mark]]:
-    pixels = fixed_point(view.pixels(seen))
+    pixels = to_fixed_point(view.project(seen))
     clipped = seen[:, 0] < NEAR_M
     offsets = np.cumsum([0, *(len(mesh.points) for mesh in meshes)])
     starts = np.concatenate(
@@ -273,6 +283,115 @@ def _strokes(
     for model, first, last, (red, green, blue), counts, near in rows:
         polygon = pixels[first:last]
         if near:
-            polygon = view.polygon(seen[first:last])
+            polygon = view.project_polygon(seen[first:last])
         marks[model].append(Stroke(polygon, (red, green, blue), counts))
     return marks
+
+
+_CAP_POINTS: Final = 5
+_SHADED_FROM_PX: Final = 2.0
+_SHRINK_PX: Final = 0.35
+"""OpenCV fills half a pixel beyond a polygon's edge, which would make thin strokes too wide."""
+
+
+def clip_segments_near(seen: FloatArray) -> NDArray[np.bool_]:
+    """Clip line segments at the near plane in place and return which of them lie entirely before it.
+
+    Args:
+        seen: Both ends in camera coordinates, shape ``(n, 2, 3)``.
+    """
+    depth = seen[..., 0].copy()
+    for end, other in ((0, 1), (1, 0)):
+        cut = (depth[:, end] < NEAR_M) & (depth[:, other] >= NEAR_M)
+        if cut.any():
+            part = (NEAR_M - depth[cut, end]) / (depth[cut, other] - depth[cut, end])
+            seen[cut, end] += part[:, None] * (seen[cut, other] - seen[cut, end])
+    gone: NDArray[np.bool_] = np.asarray((depth < NEAR_M).all(axis=1))
+    return gone
+
+
+def radius_px(seen: FloatArray, radius_m: FloatArray, view: View) -> FloatArray:
+    """Return the radii at the ends of limbs in pixels, shape ``(n, 2)``.
+
+    Args:
+        seen: Both ends in camera coordinates, shape ``(n, 2, 3)``.
+        radius_m: Radii at both ends, shape ``(n, 2)``.
+        view: The camera.
+    """
+    radius: FloatArray = radius_m * view.focal_px / np.maximum(seen[..., 0], NEAR_M)
+    return radius
+
+
+def capsule_polygons(
+    seen: FloatArray, radius: FloatArray, view: View
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Return limbs as convex polygons, and narrower polygons for the shade on their right.
+
+    Args:
+        seen: Both ends in camera coordinates, beyond the near plane, shape ``(n, 2, 3)``.
+        radius: Radii at both ends in pixels, shape ``(n, 2)``.
+        view: The camera.
+
+    Returns:
+        Two arrays of shape ``(n, 10, 2)``, in sixteenths of a pixel.
+    """
+    pixels = view.project(seen.reshape(-1, 3)).reshape(-1, 2, 2)
+    along = pixels[:, 1] - pixels[:, 0]
+    base = np.arctan2(along[:, 1], along[:, 0])[:, None]
+    angles = np.linspace(-np.pi / 2, np.pi / 2, _CAP_POINTS)
+    reach = np.maximum(radius - _SHRINK_PX, 0.15)
+    points = np.empty((len(seen), 2 * _CAP_POINTS, 2))
+    for end, turns, first in ((1, base + angles, 0), (0, base + np.pi + angles, _CAP_POINTS)):
+        rows = slice(first, first + _CAP_POINTS)
+        points[:, rows, 0] = pixels[:, end, 0, None] + reach[:, end, None] * np.cos(turns)
+        points[:, rows, 1] = pixels[:, end, 1, None] + reach[:, end, None] * np.sin(turns)
+    shade = points.copy()
+    axis = _axis_column(pixels, points)
+    shade[..., 0] = axis + (points[..., 0] - axis) * 0.5 + 0.46 * reach.mean(axis=1)[:, None]
+    return to_fixed_point(points), to_fixed_point(shade)
+
+
+def draw_limbs(
+    joints_m: FloatArray, radii_m: FloatArray, colours: list[Rgb], view: View, *, flat_feet: bool
+) -> list[list[Mark]]:
+    """Return the strokes of each limb: one in its colour and, on a wide limb, a darker one for its shade.
+
+    Args:
+        joints_m: Both ends in the world, shape ``(n, 2, 3)``.
+        radii_m: Radii at both ends, shape ``(n, 2)``.
+        colours: Colour of each limb.
+        view: The camera.
+        flat_feet: Whether limbs are cut off flat at their lower end, on the ground.
+    """
+    if len(joints_m) == 0:
+        return []
+    seen = view.to_camera(joints_m.reshape(-1, 3)).reshape(-1, 2, 3)
+    gone = clip_segments_near(seen).tolist()
+    radius = radius_px(seen, radii_m, view)
+    polygons, shades = capsule_polygons(seen, radius, view)
+    if flat_feet:
+        foot = to_fixed_point(view.project(seen[:, 0]))[:, 1, None]
+        polygons[..., 1] = np.minimum(polygons[..., 1], foot)
+        shades[..., 1] = np.minimum(shades[..., 1], foot)
+    wide = (radius.max(axis=1) > _SHADED_FROM_PX).tolist()
+    marks: list[list[Mark]] = []
+    for index, (red, green, blue) in enumerate(colours):
+        strokes: list[Mark] = []
+        if not gone[index]:
+            strokes.append(Stroke(polygons[index], (red, green, blue), True))
+            if wide[index]:
+                strokes.append(Stroke(shades[index], (0.72 * red, 0.72 * green, 0.74 * blue), False))
+        marks.append(strokes)
+    return marks
+
+
+def _axis_column(pixels: FloatArray, points: FloatArray) -> FloatArray:
+    """Return the column of a limb's axis beside each polygon point; for a flat limb, the point's own."""
+    start, end = pixels[:, 0], pixels[:, 1]
+    rise = end[:, 1] - start[:, 1]
+    steep = np.abs(rise) > np.abs(end[:, 0] - start[:, 0]) * 0.5
+    safe = np.where(steep, rise, 1.0)[:, None]
+    part = np.clip((points[..., 1] - start[:, 1, None]) / safe, 0, 1)
+    column = start[:, 0, None] + part * (end[:, 0] - start[:, 0])[:, None]
+    axis: FloatArray = np.where(steep[:, None], column, points[..., 0])
+    return axis

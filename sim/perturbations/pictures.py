@@ -1,12 +1,116 @@
-"""Draws a street for trying perturbations without a picture of one's own: sky, houses, a car, two people."""
+"""Pictures for trying out perturbations: files, a drawn street, and contact sheets."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import cast
 
 import cv2
 import numpy as np
 
-from brink.sim.perturbations.gene import Frame
+from brink.sim.perturbations.catalogue import Frame, Gene, InvalidFrame
+from brink.sim.perturbations.pipeline import Perturbation, apply, check_frame, generator
+
+CAPTION_PX = 26
+MARGIN_PX = 6
+PAPER, INK = 255, (32, 36, 42)
+COLUMNS = 3
+OVERSAMPLING = 2
+"""Pictures are perturbed at this multiple of the tile size, which keeps fine detail realistic."""
+
+
+def contact_sheet(
+    picture: Frame, genes: Sequence[Gene], *, seed: int = 0, tile_width: int = 320, genes_per_row: int = 1
+) -> Frame:
+    """Return a sheet with the lowest, middle and highest level of each gene.
+
+    A gene with two levels shows the original picture in third place.
+
+    Args:
+        picture: The picture to perturb: RGB, uint8, shape ``(height, width, 3)``.
+        genes: The genes to show, in this order.
+        seed: Seed of the random fields, the same for all levels of a gene.
+        tile_width: Width of a tile in px.
+        genes_per_row: Number of genes side by side.
+    """
+    height, width = picture.shape[:2]
+    tile_height = max(1, round(height * tile_width / width))
+    size = (OVERSAMPLING * tile_width, OVERSAMPLING * tile_height)
+    shrunk = cast(Frame, cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
+    strips = [_draw_gene_row(shrunk, gene, seed, (tile_width, tile_height)) for gene in genes]
+    while len(strips) % genes_per_row:
+        strips.append(np.full_like(strips[0], PAPER))
+    rows = [
+        np.hstack(strips[first : first + genes_per_row]) for first in range(0, len(strips), genes_per_row)
+    ]
+    return _add_margin(np.vstack(rows))
+
+
+def _draw_gene_row(picture: Frame, gene: Gene, seed: int, tile: tuple[int, int]) -> Frame:
+    levels = [*gene.representative_levels, 0, 0][:COLUMNS]
+    tiles = []
+    for level in levels:
+        perturbed = apply(picture, Perturbation(gene.name, level), generator(seed, 0, 0))
+        small = cv2.resize(perturbed, tile, interpolation=cv2.INTER_AREA)
+        tiles.append(_add_caption(cast(Frame, small), _caption(gene, level)))
+    return _add_margin(np.hstack(tiles))
+
+
+def _caption(gene: Gene, level: int) -> str:
+    value = gene.value(level)
+    return "no effect" if value is None else f"{gene.name} {level} of {gene.levels - 1} (v = {value:.3g})"
+
+
+def _add_caption(tile: Frame, caption: str) -> Frame:
+    banner = np.full((CAPTION_PX, tile.shape[1] + 2 * MARGIN_PX, 3), PAPER, dtype=np.uint8)
+    size = min(0.5, 0.5 * tile.shape[1] / 280)
+    cv2.putText(
+        banner, caption, (MARGIN_PX, CAPTION_PX - 9), cv2.FONT_HERSHEY_SIMPLEX, size, INK, 1, cv2.LINE_AA
+    )
+    sides = cv2.copyMakeBorder(
+        tile, 0, 0, MARGIN_PX, MARGIN_PX, cv2.BORDER_CONSTANT, value=(PAPER, PAPER, PAPER)
+    )
+    return np.vstack([banner, cast(Frame, sides)])
+
+
+def _add_margin(picture: Frame) -> Frame:
+    white = (PAPER, PAPER, PAPER)
+    return cast(Frame, cv2.copyMakeBorder(picture, 0, MARGIN_PX, 0, 0, cv2.BORDER_CONSTANT, value=white))
+
+
+def read_picture(path: Path) -> Frame:
+    """Read a picture file as RGB, uint8, shape ``(height, width, 3)``; transparency is dropped.
+
+    Raises:
+        InvalidFrame: The file is not a picture, or the picture is too small.
+        OSError: The file cannot be read.
+    """
+    content = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+    try:
+        decoded = cv2.imdecode(content, cv2.IMREAD_COLOR) if content.size else None
+    except cv2.error:  # exceeds OpenCV's limit on the number of pixels
+        decoded = None
+    if decoded is None:
+        raise InvalidFrame(f"{path}: expected a picture (PNG, JPEG, WebP, TIFF, BMP), got something else")
+    picture = cast(Frame, cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB))
+    check_frame(picture, f"{path}: ")
+    return picture
+
+
+def write_picture(picture: Frame, path: Path) -> None:
+    """Write an RGB picture in the format given by the file's suffix, such as ``.png``.
+
+    Raises:
+        InvalidFrame: OpenCV does not support the format, or this picture in it.
+        OSError: The file cannot be written.
+    """
+    try:
+        written, content = cv2.imencode(path.suffix, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+    except cv2.error as error:
+        raise InvalidFrame(f"{path}: cannot be written as {path.suffix}: {error.err}") from error
+    if not written:
+        raise InvalidFrame(f"{path}: cannot be written as {path.suffix}")
+    path.write_bytes(content.tobytes())
+
 
 WIDTH_PX, HEIGHT_PX = 1280, 720
 HORIZON_PX = 340
@@ -15,10 +119,10 @@ Colour = tuple[int, int, int]
 
 
 def draw_street(height: int = HEIGHT_PX) -> Frame:
-    """Return an RGB picture of a street by day, 16:9; the same at every call.
+    """Draw a street by day with houses, cars and people, 16:9 RGB; every call returns the same picture.
 
     Args:
-        height: In px, at least 16.
+        height: Height in px, at least 16.
     """
     frame = np.zeros((HEIGHT_PX, WIDTH_PX, 3), dtype=np.uint8)
     _draw_ground(frame)
@@ -33,7 +137,7 @@ def draw_street(height: int = HEIGHT_PX) -> Frame:
     _draw_car(frame, 545, 384, 0.55, (52, 84, 142))
     _draw_person(frame, 735, 560, 1.5, (36, 74, 132), (44, 44, 52))
     _draw_person(frame, 1010, 455, 0.95, (188, 140, 44), (66, 56, 52))
-    grain = np.random.default_rng(3).normal(0, 4, frame.shape)  # no two pixels of a camera are quite alike
+    grain = np.random.default_rng(3).normal(0, 4, frame.shape)  # sensor noise
     picture = np.clip(cv2.GaussianBlur(frame, (3, 3), 0.7) + grain, 0, 255).astype(np.uint8)
     size = (round(height * WIDTH_PX / HEIGHT_PX), height)
     return (
@@ -94,7 +198,7 @@ def _draw_car(frame: Frame, x: int, base: int, size: float, colour: Colour) -> N
 
 
 def _draw_person(frame: Frame, x: int, base: int, size: float, coat: Colour, trousers: Colour) -> None:
-    """Draw somebody who walks; `x` and `base` are the point between the feet in px."""
+    """Draw a walking person; `x` and `base` are the point between the feet in px."""
 
     def at(*points: tuple[float, float]) -> list[tuple[float, float]]:
         return [(x + px * size, base - py * size) for px, py in points]

@@ -1,4 +1,4 @@
-"""Owns trees: trunks, crowns of leaves, and a tree that lies on the road."""
+"""Trees: trunks, crowns of leaves, and a fallen tree."""
 
 import math
 from collections.abc import Sequence
@@ -8,16 +8,22 @@ from typing import Final
 import cv2
 import numpy as np
 
-from brink.sim.rendering.canvas import Coverage, Mark, Rgb, Stamp
 from brink.sim.rendering.light import Lighting
-from brink.sim.rendering.looks import choice
-from brink.sim.rendering.rounded import limb_marks
-from brink.sim.rendering.scene import Body, FloatArray, Picture, Tree
-from brink.sim.rendering.textures import leaves
+from brink.sim.rendering.scene import (
+    TRUNK_SHARE,
+    Body,
+    Coverage,
+    FloatArray,
+    Mark,
+    Picture,
+    Stamp,
+    Tree,
+    choose,
+)
+from brink.sim.rendering.solids import draw_limbs
+from brink.sim.rendering.textures import draw_leaves
 from brink.sim.rendering.view import View
 
-TRUNK_SHARE: Final = 0.42
-"""Share of a tree's height at which its crown begins."""
 _CROWN_FILL: Final = 0.47
 """Radius of the crown in its texture, as a share of the texture's side."""
 _BARK: Final = ((92, 74, 58), (108, 92, 74), (76, 64, 54))
@@ -26,15 +32,17 @@ _FALLEN_STREAM: Final = 75
 
 
 @lru_cache(maxsize=32)
-def _levels(kind: int, fallen: bool, tint: tuple[float, float, float]) -> list[tuple[Picture, Coverage]]:
+def _tinted_leaves(
+    kind: int, fallen: bool, tint: tuple[float, float, float]
+) -> list[tuple[Picture, Coverage]]:
     levels = []
-    for image, cover in leaves(kind, fallen=fallen):
+    for image, cover in draw_leaves(kind, fallen=fallen):
         tinted = np.clip(image * np.array(tint), 0, 255).astype(np.uint8)
         levels.append((tinted, cover))
     return levels
 
 
-class Foliage:
+class TreePainter:
     """Makes the marks of trees under one light.
 
     Args:
@@ -45,27 +53,45 @@ class Foliage:
         self._lighting = lighting
         red, green, blue = lighting.tint.tolist()
         self._tint = (red, green, blue)
-        self._veils: dict[tuple[int, int], Picture] = {}
+        self._haze: Picture = np.empty((0, 0, 3), np.uint8)
 
     def trunks(self, trees: Sequence[Tree], view: View, lit: FloatArray) -> list[list[Mark]]:
-        """Return the trunk of each tree up to somewhat into its crown."""
+        """Return the marks of each trunk, which extends a little into the crown.
+
+        Args:
+            trees: The trees.
+            view: The camera.
+            lit: Artificial light on each tree, in [0, 1], shape ``(n,)``.
+        """
         joints = np.array([_trunk(tree) for tree in trees]).reshape(-1, 2, 3)
         radii = np.array([(0.035 * tree.height_m, 0.021 * tree.height_m) for tree in trees]).reshape(-1, 2)
-        bark = np.array([_BARK[choice(tree.look, 31, len(_BARK))] for tree in trees]).reshape(-1, 3)
-        colours = self.shaded(bark, joints[:, 0], view, lit)
-        return limb_marks(joints, radii, colours, view, flat_feet=True)
+        bark = np.array([_BARK[choose(tree.look, 31, len(_BARK))] for tree in trees]).reshape(-1, 3)
+        colours = self._lighting.shade(bark, joints[:, 0], view, lit)
+        return draw_limbs(joints, radii, colours, view, flat_feet=True)
 
     def crown(self, tree: Tree, view: View, lit: float) -> list[Mark]:
-        """Return the leaves of a tree."""
+        """Return the marks of a tree's crown.
+
+        Args:
+            tree: The tree.
+            view: The camera.
+            lit: Artificial light on the crown, in [0, 1].
+        """
         low = TRUNK_SHARE * tree.height_m
         tall = tree.height_m - low
         centre = (tree.x_m, tree.y_m, low + 0.5 * tall)
-        levels = _levels(choice(tree.look, 32, 8), False, self._tint)
+        levels = _tinted_leaves(choose(tree.look, 32, 8), False, self._tint)
         stamp = self._stamp(levels, centre, (tree.crown_m / 2, tall / 2), view, lit)
         return [] if stamp is None else [stamp]
 
     def fallen(self, body: Body, view: View, lit: float) -> list[Mark]:
-        """Return a tree that lies along its heading, roots behind, crown ahead."""
+        """Return the marks of a fallen tree; its crown points along the body's heading.
+
+        Args:
+            body: A body of kind `FALLEN_TREE`.
+            view: The camera.
+            lit: Artificial light on the tree, in [0, 1].
+        """
         joints, radii, rgb, blobs = _fallen_shape(body.look, body.length_m, body.width_m, body.height_m)
         cosine, sine = math.cos(body.yaw_rad), math.sin(body.yaw_rad)
 
@@ -78,10 +104,10 @@ class Foliage:
         parts: list[tuple[float, list[Mark]]] = []
         placed = world(joints)
         bark = np.repeat(np.array([rgb]), len(joints), axis=0)
-        colours = self.shaded(bark, placed.mean(axis=1), view, np.full(len(joints), lit))
+        colours = self._lighting.shade(bark, placed.mean(axis=1), view, np.full(len(joints), lit))
         depths = view.to_camera(placed.mean(axis=1))[:, 0].tolist()
-        parts += zip(depths, limb_marks(placed, radii, colours, view, flat_feet=False), strict=True)
-        levels = _levels(choice(body.look, 33, 4), True, self._tint)
+        parts += zip(depths, draw_limbs(placed, radii, colours, view, flat_feet=False), strict=True)
+        levels = _tinted_leaves(choose(body.look, 33, 4), True, self._tint)
         for centre, half in zip(world(blobs[:, :3]), blobs[:, 3:], strict=True):
             place = (float(centre[0]), float(centre[1]), float(centre[2]))
             stamp = self._stamp(levels, place, (float(half[0]), float(half[1])), view, lit)
@@ -89,14 +115,6 @@ class Foliage:
                 parts.append((float(view.to_camera(centre[None])[0, 0]), [stamp]))
         parts.sort(key=lambda part: -part[0])
         return [mark for _, marks in parts for mark in marks]
-
-    def shaded(self, rgb: FloatArray, at_m: FloatArray, view: View, lit: FloatArray) -> list[Rgb]:
-        """Return colours, shape ``(n, 3)``, under the light and through the haze at places, shape ``(n, 3)``."""
-        light = self._lighting
-        haze = light.haze(np.hypot(at_m[:, 0] - view.x_m, at_m[:, 1] - view.y_m))[:, None]
-        share = (light.ambient_share + 0.5 * light.sun_share + 0.8 * lit)[:, None]
-        mixed = rgb * light.tint * share * (1 - haze) + np.array(light.haze_rgb) * haze
-        return [(red, green, blue) for red, green, blue in np.clip(mixed, 0, 255).tolist()]
 
     def _stamp(
         self,
@@ -106,8 +124,8 @@ class Foliage:
         view: View,
         lit: float,
     ) -> Stamp | None:
-        """Return the texture of leaves that fills an upright ellipse, cropped to the picture."""
-        depth, left_m, up_m = view.place(*centre_m)
+        """Return the leaves that fill an upright ellipse, cropped to the picture; None if out of view."""
+        depth, left_m, up_m = view.point_to_camera(*centre_m)
         if depth < _NEAREST_M:
             return None
         column = view.width_px / 2 - 0.5 - left_m * view.focal_px / depth
@@ -136,22 +154,19 @@ class Foliage:
         covered = cv2.warpAffine(cover, to_texture, size, flags=flags, borderMode=cv2.BORDER_CONSTANT)
         light = self._lighting
         haze = 1.0 - math.exp(-math.hypot(depth, left_m) / light.haze_m)
-        share = light.ambient_share + 0.55 * light.sun_share + 0.7 * lit
+        share = light.ambient_strength + 0.55 * light.sun_strength + 0.7 * lit
         veil = self._veil(size)
         mixed = cv2.addWeighted(pixels, share * (1 - haze), veil, haze, 0.0)
         mask = cv2.threshold(covered, 127, 255, cv2.THRESH_BINARY)[1]
         return Stamp(left, top, mixed.astype(np.uint8, copy=False), mask.astype(np.uint8, copy=False))
 
     def _veil(self, size: tuple[int, int]) -> Picture:
-        """Return haze, shape ``(height, width, 3)``, at least of a size and cut to it."""
-        stored = self._veils.get((0, 0))
-        if stored is None or stored.shape[0] < size[1] or stored.shape[1] < size[0]:
-            rows = max(size[1], 0 if stored is None else stored.shape[0])
-            columns = max(size[0], 0 if stored is None else stored.shape[1])
-            stored = np.empty((rows, columns, 3), np.uint8)
-            stored[:] = np.array(self._lighting.haze_rgb).astype(np.uint8)
-            self._veils[0, 0] = stored
-        return stored[: size[1], : size[0]]
+        """Return a haze-coloured picture of a size (width, height)."""
+        rows, columns = max(size[1], self._haze.shape[0]), max(size[0], self._haze.shape[1])
+        if (rows, columns) != self._haze.shape[:2]:
+            self._haze = np.empty((rows, columns, 3), np.uint8)
+            self._haze[:] = np.array(self._lighting.haze_rgb).astype(np.uint8)
+        return self._haze[: size[1], : size[0]]
 
 
 def _trunk(tree: Tree) -> list[tuple[float, float, float]]:
@@ -162,7 +177,11 @@ def _trunk(tree: Tree) -> list[tuple[float, float, float]]:
 def _fallen_shape(
     look: int, length_m: float, width_m: float, height_m: float
 ) -> tuple[FloatArray, FloatArray, tuple[float, float, float], FloatArray]:
-    """Return limbs (n, 2, 3), their radii (n, 2), the bark's colour, and leaves (n, 5): centre and half sizes."""
+    """Return limbs, their radii, the bark colour, and the leaves of a fallen tree.
+
+    Returns:
+        Limbs, shape ``(n, 2, 3)``; radii, shape ``(n, 2)``; colour; centres and half sizes of leaves, ``(m, 5)``.
+    """
     rng = np.random.default_rng((look & 0xFFFFFFFF, _FALLEN_STREAM))
     thick = min(0.17 * height_m, 0.045 * length_m)
     root, tip = -0.5 * length_m + thick, 0.42 * length_m
@@ -200,4 +219,4 @@ def _fallen_shape(
         blobs.append((x, y, z, wide, half))
     joints = np.array([(start, end) for start, end, _, _ in limbs], dtype=np.float64)
     radii = np.array([(a, b) for _, _, a, b in limbs], dtype=np.float64)
-    return joints, radii, _BARK[choice(look, 34, len(_BARK))], np.array(blobs)
+    return joints, radii, _BARK[choose(look, 34, len(_BARK))], np.array(blobs)
