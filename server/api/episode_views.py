@@ -22,16 +22,14 @@ from brink.server.api.episode_schemas import (
 )
 from brink.sim.driving.camera import Camera
 from brink.sim.errors import InvalidEpisode
-from brink.sim.replay.captions import (
-    REQUIREMENT_UNITS,
+from brink.sim.replay.scene import ReplayError, score_threshold
+from brink.sim.replay.story import (
     perturbation_words,
-    plain_name,
     report_word,
     scenario_words,
+    story_of,
+    unit_of,
 )
-from brink.sim.replay.errors import ReplayError
-from brink.sim.replay.moments import tell
-from brink.sim.replay.picture_view import threshold_of
 from brink.sim.trace import (
     BOX_COLUMNS,
     FOUND_COLUMNS,
@@ -106,7 +104,7 @@ def episode_view(trace: Trace, requirement: str | None) -> EpisodeView:
         target_speed_mps=_column(trace.target_speed_mps, 2),
         lights=[str(light) for light in trace.lights],
         robustness={str(name): _column(series, _PLACE) for name, series in trace.robustness.items()},
-        units={str(name): REQUIREMENT_UNITS.get(plain_name(str(name)), "") for name in trace.robustness},
+        units={str(name): unit_of(str(name)) for name in trace.robustness},
         events=[
             EventView.model_construct(time_s=_length(e.time_s), kind=str(e.kind), text=str(e.text))
             for e in trace.events
@@ -226,11 +224,11 @@ def _surer(found: Ragged) -> Ragged:
 def _story(trace: Trace, requirement: str | None) -> StoryView | None:
     """Return what the episode is about: what the campaign judges, or else what is violated first."""
     try:
-        story = tell(trace, requirement)
+        story = story_of(trace, requirement)
         if requirement is None and not story.violated:
             below = {name: np.flatnonzero(series < 0) for name, series in trace.robustness.items()}
             violated = {name: int(samples[0]) for name, samples in below.items() if samples.size}
-            story = tell(trace, min(violated, key=violated.__getitem__)) if violated else story
+            story = story_of(trace, min(violated, key=violated.__getitem__)) if violated else story
     except ReplayError:
         if requirement is not None:  # the campaign judges something that the trace does not record
             return _story(trace, None)
@@ -269,6 +267,6 @@ def _film(trace: Trace, film: Film) -> FilmView:
         samples=film.samples.tolist(),
         judged=_rows(film.judged),
         found=_rows(_surer(film.found)),
-        threshold=_length(threshold_of(trace)),
+        threshold=_length(score_threshold(trace)),
         regions={str(name): _points(corners, _BOX) for name, corners in film.regions.items()},
     )

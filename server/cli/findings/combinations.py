@@ -18,7 +18,7 @@ from brink.server.cli.findings.drawing import Drawing
 from brink.server.cli.options import AsJson, CampaignId, Database, Server, console, print_json, with_api
 from brink.server.cli.pictures import FetchedArchive
 from brink.server.cli.replays import NoTrace, fetch_trace
-from brink.sim.replay.side_by_side import Row, side_by_side
+from brink.sim.replay.sheets import Row, side_by_side
 
 SHOWN = 10
 PICTURES = 3

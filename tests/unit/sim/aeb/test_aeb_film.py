@@ -18,11 +18,10 @@ from brink.sim.aeb.simulator import BrinkAeb
 from brink.sim.episode import Json
 from brink.sim.perception.quality import Found
 from brink.sim.perception.registry import DETECTORS
-from brink.sim.replay import render
-from brink.sim.replay.errors import ReplayError
-from brink.sim.replay.palette import FOUND_ON_PICTURE, SEEN_ON_PICTURE
-from brink.sim.replay.side_by_side import HEADER_PX, MARGIN, TILE_PX, Row, side_by_side
-from brink.sim.replay.top_down import FramePainter
+from brink.sim.replay import ReplayError, render
+from brink.sim.replay.frame import FramePainter
+from brink.sim.replay.sheets import HEADER_PX, MARGIN, TILE_PX, Row, side_by_side
+from brink.sim.replay.style import FOUND_ON_PICTURE, SEEN_ON_PICTURE
 from brink.sim.trace import Film, Trace
 
 COLUMN, ROW = st.floats(-50, 700, width=32), st.floats(-50, 360, width=32)
