@@ -5,7 +5,8 @@ SearchError
 ├── ConfigError         a setting of an algorithm is out of range
 ├── UnsupportedSpace    the algorithm cannot work on that search space
 ├── OrderError          ask and tell were called out of order, or with the wrong candidates
-└── DocumentError       a stored state is broken, or of a version that this code does not know
+├── DocumentError       a stored state is broken, or of a version that this code does not know
+└── MissingExtra        an optional dependency is not installed
 """
 
 
@@ -41,3 +42,12 @@ class OrderError(SearchError, RuntimeError):
 
 class DocumentError(SearchError, ValueError):
     """A stored state is broken, or of a version that this code does not know."""
+
+
+class MissingExtra(SearchError):
+    """An optional dependency is not installed."""
+
+
+def install_command(extra: str) -> str:
+    """Return the command that installs an optional part of Brink."""
+    return f"pip install -c constraints.txt -e '.[{extra}]'"

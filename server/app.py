@@ -35,11 +35,12 @@ from brink.server.api.guards import Guards
 from brink.server.api.measured import Measured
 from brink.server.api.problem_details import describe, install
 from brink.server.api.schemas import ProblemDetail
-from brink.server.campaigns import store
 from brink.server.campaigns.advance import Stepper
 from brink.server.campaigns.archives import Archives
 from brink.server.campaigns.films import Films
-from brink.server.campaigns.service import SLOW_AT_ONCE, CampaignService, read
+from brink.server.campaigns.monitors import Monitors
+from brink.server.campaigns.scheduler import Scheduler
+from brink.server.campaigns.service import SLOW_AT_ONCE, CampaignService
 from brink.server.dashboard.figures import Figures
 from brink.server.dashboard.page import add_dashboard
 from brink.server.db.engine import Engines, open_engines
@@ -50,8 +51,8 @@ from brink.server.experiments.scorebook import Scorebook
 from brink.server.experiments.service import ExperimentService
 from brink.server.llm.seeds import LlmSeeds
 from brink.server.metrics import Metrics
-from brink.server.monitors.kept import Monitors
 from brink.server.queue.service import QueueService
+from brink.server.queue.wakeups import Wakeups
 from brink.server.settings import LOOPBACK, Settings
 
 log = logging.getLogger(__name__)
@@ -102,7 +103,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
             await loop.run_in_executor(None, context.campaigns.close)
             await loop.run_in_executor(None, partial(context.drawing.shutdown, cancel_futures=True))
             await loop.run_in_executor(None, context.figures.close)
-            await loop.run_in_executor(None, context.queue.close)
+            await loop.run_in_executor(None, context.scheduler.close)
             await loop.run_in_executor(None, context.queue.writer.close)
             engines.dispose()
 
@@ -154,16 +155,24 @@ def _context(
 ) -> Context:
     def came(campaign_id: str) -> None:
         with suppress(RuntimeError):  # the coordinator has stopped meanwhile
-            loop.call_soon_threadsafe(lambda: queue.advance_soon([campaign_id]))
+            loop.call_soon_threadsafe(scheduler.advance_soon, [campaign_id])
 
     writer = Writer(engines.writer, took=metrics.commits.observe)
     seeds = LlmSeeds(engines, writer, came)
     stepper = Stepper(
         engines, writer, max_stored_distances=settings.max_stored_distances, seeds=seeds, metrics=metrics
     )
-    queue = QueueService(settings=settings, writer=writer, stepper=stepper, metrics=metrics)
+    wakeups = Wakeups()
+    scheduler = Scheduler(engines, stepper, wakeups)
+    queue = QueueService(
+        settings=settings, writer=writer, on_idle=scheduler.advance_soon, metrics=metrics, wakeups=wakeups
+    )
     campaigns = CampaignService(
-        engines=engines, writer=writer, stepper=stepper, queue=queue, llm_endpoints=settings.llm_endpoints
+        engines=engines,
+        writer=writer,
+        scheduler=scheduler,
+        wakeups=wakeups,
+        llm_endpoints=settings.llm_endpoints,
     )
     archives = Archives(engines=engines, stepper=stepper)
     drawing = ThreadPoolExecutor(SLOW_AT_ONCE, thread_name_prefix="brink-draw")
@@ -171,6 +180,7 @@ def _context(
         settings=settings,
         engines=engines,
         queue=queue,
+        scheduler=scheduler,
         campaigns=campaigns,
         experiments=ExperimentService(campaigns=campaigns),
         scorebook=Scorebook(archives=archives, threads=drawing),
@@ -189,7 +199,7 @@ async def _sweep(context: Context, stopping: asyncio.Event) -> None:
     while not stopping.is_set():
         try:
             await context.queue.sweep()
-            context.queue.advance_soon(await read(context.engines, store.running_idle))
+            await context.scheduler.sweep()
         except Unavailable as error:
             log.warning("sweeper: %s; the next round will look again", error)
         except Exception:

@@ -83,11 +83,6 @@ class Damaged(DatabaseError):
     """What is stored of a campaign does not fit together."""
 
 
-def install(extra: str) -> str:
-    """Return the command that installs an optional part of Brink."""
-    return f"pip install -c constraints.txt -e '.[{extra}]'"
-
-
 def nearest(name: str, valid: Iterable[str]) -> str | None:
     """Return the valid name most like the given one, or None if none is like it."""
     matches = difflib.get_close_matches(name, list(valid), n=1, cutoff=0.5)

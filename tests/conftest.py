@@ -17,7 +17,7 @@ from support.scheduling import ByFolder
 from support.scratch import use_memory
 from xdist.remote import Producer
 
-from brink.server.bench.temporary.postgres import NoPostgres
+from brink.bench.temporary.postgres import NoPostgres
 from brink.server.db.engine import Engines, open_engines
 
 # A check that everybody must pass tries the same examples each time; people's own runs go on looking for new ones.

@@ -7,8 +7,8 @@ import numpy as np
 
 from brink.search.algorithm import Scored
 from brink.search.space import Categorical, Component, Real, SearchSpace
-from brink.server.catalogue import PROBLEMS
 from brink.server.problems.base import NoParams
+from brink.server.problems.catalogue import PROBLEMS
 from brink.sim.catalogue import SIMULATORS, register
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Verdict
 

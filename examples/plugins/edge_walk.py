@@ -11,7 +11,7 @@ from brink.search.algorithms.ledger import BoundaryConfig, Ledger, check_budget
 from brink.search.operators import mutated
 from brink.search.settings import setting
 from brink.search.streams import Stream, generator
-from brink.server.catalogue import ALGORITHMS
+from brink.server.problems.catalogue import ALGORITHMS
 from brink.sim.catalogue import register
 
 

@@ -14,8 +14,9 @@ from datetime import UTC, datetime
 from typing import Final
 
 from brink.server.access.store import list_tokens
-from brink.server.access.tokens import Scope, StoredToken, digest_of, id_within
+from brink.server.access.tokens import StoredToken, digest_of, id_within
 from brink.server.db.engine import Engines
+from brink.server.states import Scope
 
 REMEMBERED_S: Final = 5.0
 STRANGERS_PER_S: Final = 20.0

@@ -5,8 +5,9 @@ import re
 import secrets
 from dataclasses import dataclass
 from datetime import datetime
-from enum import StrEnum
 from typing import Final
+
+from brink.server.states import Scope
 
 ID_BYTES: Final = 4
 SECRET_BYTES: Final = 24
@@ -15,32 +16,23 @@ _JOBS: Final = ("/api/v1/jobs/lease", "/api/v1/jobs/heartbeat", "/api/v1/jobs/re
 _READS: Final = frozenset({"GET", "HEAD"})
 
 
-class Scope(StrEnum):
-    """What a token is for.
+def allows(scope: Scope, method: str, path: str) -> bool:
+    """Return whether a scope covers a request.
 
-    Attributes:
-        READ: To look at everything.
-        USER: To look, and to submit and steer campaigns.
-        WORKER: To lease jobs and report them, and nothing else.
-        ADMIN: Everything, deletion included.
+    Args:
+        scope: The scope of the caller's token.
+        method: HTTP method of the request.
+        path: Path of the request, such as ``/api/v1/campaigns``.
     """
-
-    READ = "read"
-    USER = "user"
-    WORKER = "worker"
-    ADMIN = "admin"
-
-    def may(self, method: str, path: str) -> bool:
-        """Return whether this scope covers a request."""
-        if self is Scope.ADMIN:
-            return True
-        if path in _JOBS:
-            return self is Scope.WORKER
-        if self is Scope.WORKER:
-            return False
-        if method in _READS:
-            return True
-        return self is Scope.USER and not _deletes_for_good(method, path)
+    if scope is Scope.ADMIN:
+        return True
+    if path in _JOBS:
+        return scope is Scope.WORKER
+    if scope is Scope.WORKER:
+        return False
+    if method in _READS:
+        return True
+    return scope is Scope.USER and not _deletes_for_good(method, path)
 
 
 def _deletes_for_good(method: str, path: str) -> bool:

@@ -5,9 +5,9 @@ from typing import Annotated
 from fastapi import APIRouter, Request
 from pydantic import Field
 
-from brink.server.access.tokens import Scope
 from brink.server.api.guards import caller_of
 from brink.server.api.schemas import View
+from brink.server.states import Scope
 
 router = APIRouter(tags=["access"])
 

@@ -13,13 +13,14 @@ from brink.server.api.schemas import MAX_NUMBER, CampaignList, CampaignView, Pro
 from brink.server.api.views import campaign_view, read_progress
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
-from brink.server.campaigns.body import MAX_FILE_BYTES, CampaignBody, parse_body, yaml_document
-from brink.server.campaigns.service import read
+from brink.server.campaigns.body import CampaignBody, parse_body
 from brink.server.campaigns.store import ENDED
 from brink.server.campaigns.values import Campaign
-from brink.server.db.models import CampaignStatus
+from brink.server.db.engine import read
+from brink.server.documents import MAX_FILE_BYTES, yaml_document
 from brink.server.errors import InvalidInput
 from brink.server.queue.workers import capabilities_of_live
+from brink.server.states import CampaignStatus
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"])
 

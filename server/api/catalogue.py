@@ -3,7 +3,7 @@
 from fastapi import APIRouter
 
 from brink.server.api.schemas import AlgorithmView, ProblemView
-from brink.server.catalogue import describe_algorithms, describe_problems
+from brink.server.problems.catalogue import describe_algorithms, describe_problems
 
 router = APIRouter(tags=["catalogue"])
 

@@ -11,6 +11,8 @@ from fastapi import Depends, Request
 
 from brink.server.campaigns.archives import Archives
 from brink.server.campaigns.films import Films
+from brink.server.campaigns.monitors import Monitors
+from brink.server.campaigns.scheduler import Scheduler
 from brink.server.campaigns.service import CampaignService
 from brink.server.dashboard.figures import Figures
 from brink.server.db.engine import Engines
@@ -18,7 +20,6 @@ from brink.server.experiments.scorebook import Scorebook
 from brink.server.experiments.service import ExperimentService
 from brink.server.llm.seeds import LlmSeeds
 from brink.server.metrics import Metrics
-from brink.server.monitors.kept import Monitors
 from brink.server.queue.service import QueueService
 from brink.server.settings import Settings
 
@@ -34,6 +35,7 @@ class Context:
     scorebook: Scorebook
     monitors: Monitors
     queue: QueueService
+    scheduler: Scheduler
     archives: Archives
     films: Films
     seeds: LlmSeeds

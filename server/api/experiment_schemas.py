@@ -5,10 +5,10 @@ from typing import Annotated
 
 from pydantic import Field
 
+from brink.search.analysis.experiment_tables import Measure
 from brink.server.api.schemas import View
-from brink.server.db.models import CampaignStatus
 from brink.server.experiments.body import ExperimentBody
-from brink.server.experiments.tables import Measure
+from brink.server.states import CampaignStatus
 
 
 class MemberView(View):

@@ -6,6 +6,9 @@ from typing import Any
 
 from sqlalchemy import Connection
 
+from brink.search.analysis.conclusions import LEVEL, conclusion, with_low_controls
+from brink.search.analysis.experiment_tables import Duel, Repeat, duels, standings
+from brink.search.analysis.scores import Control
 from brink.search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.server.api.experiment_schemas import (
     ControlView,
@@ -19,14 +22,11 @@ from brink.server.api.experiment_schemas import (
     StandingView,
 )
 from brink.server.campaigns.store import ENDED
-from brink.server.db.models import CampaignStatus, JobStatus
 from brink.server.db.writer import Trouble
 from brink.server.experiments import store
-from brink.server.experiments.conclusions import LEVEL, conclusion, with_low_controls
-from brink.server.experiments.scores import Control
-from brink.server.experiments.tables import Duel, Repeat, duels, standings
 from brink.server.experiments.values import Experiment
 from brink.server.queue.workers import capabilities_of_live
+from brink.server.states import CampaignStatus, JobStatus
 
 RATE_S = 60.0
 """Time over which the rate is taken."""

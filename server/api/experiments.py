@@ -18,7 +18,7 @@ from brink.server.api.experiment_schemas import (
 )
 from brink.server.api.experiment_views import experiment_view, read_progress, results_view, summary_view
 from brink.server.api.schemas import BeingMade
-from brink.server.campaigns.service import read
+from brink.server.db.engine import read
 from brink.server.experiments.body import ExperimentBody
 
 router = APIRouter(prefix="/experiments", tags=["experiments"])

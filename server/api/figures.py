@@ -8,21 +8,21 @@ from fastapi import APIRouter, Query, Request, Response
 from numpy.typing import NDArray
 from pydantic import Field
 
+from brink.search.analysis.dependence import Dependence
+from brink.search.analysis.parameters import ParameterColumn, parameter_columns
 from brink.search.space import Categorical
 from brink.server.api.conditional import NOTHING_NEW, is_known, nothing_new, tag_of
 from brink.server.api.context import Services
 from brink.server.api.schemas import MAX_NUMBER, View
 from brink.server.api.solutions import Threshold
-from brink.server.boundary.dependence import Dependence
-from brink.server.boundary.parameters import ParameterColumn, parameter_columns
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.campaigns.service import read
 from brink.server.campaigns.store import ENDED
 from brink.server.campaigns.values import Campaign
 from brink.server.dashboard import course as courses
 from brink.server.dashboard.solution_map import SolutionMap
+from brink.server.db.engine import read
 from brink.server.errors import FieldError, InvalidInput, nearest
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["figures"])

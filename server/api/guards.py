@@ -13,6 +13,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from brink.server.access.gate import Caller, Gate
+from brink.server.access.tokens import allows
 from brink.server.api import docs_page
 from brink.server.api.elsewhere import from_elsewhere
 from brink.server.api.problem_details import problem
@@ -104,7 +105,7 @@ class Guards:
         if wait_s := self._gate.wait_s(caller):
             return _too_many(wait_s)
         scope[_CALLER] = caller
-        if not caller.scope.may(scope["method"], scope["path"]):
+        if not allows(caller.scope, scope["method"], scope["path"]):
             return problem(
                 403, "Forbidden",
                 f"this token's scope is {caller.scope}; expected one that covers {scope['method']} {scope['path']}",

@@ -10,13 +10,14 @@ from sqlalchemy import Connection, func, select, text
 
 from brink.server.api.context import Services
 from brink.server.api.problem_details import problem
-from brink.server.campaigns.service import read
 from brink.server.db.clock import database_now
-from brink.server.db.models import IS_LEASED, CampaignRow, JobRow, JobStatus
+from brink.server.db.engine import read
+from brink.server.db.models import IS_LEASED, CampaignRow, JobRow
 from brink.server.db.upgrade import current_revision, head_revision
 from brink.server.errors import DatabaseError
 from brink.server.queue.census import count_jobs
 from brink.server.queue.workers import capabilities_of_live
+from brink.server.states import JobStatus
 
 log = logging.getLogger(__name__)
 router = APIRouter(tags=["operations"])

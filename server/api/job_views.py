@@ -6,9 +6,9 @@ from sqlalchemy import Connection
 
 from brink.server.api.schemas import JobCounts
 from brink.server.campaigns.store import ENDED
-from brink.server.db.models import JobKind, JobStatus
 from brink.server.queue.census import count_jobs
 from brink.server.queue.workers import capabilities_of_live
+from brink.server.states import JobKind, JobStatus
 
 
 def job_counts(connection: Connection, worker_seen_s: float) -> JobCounts:

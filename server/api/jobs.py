@@ -10,9 +10,9 @@ from brink.server.api.job_views import job_counts
 from brink.server.api.schemas import MAX_NUMBER, JobCounts, JobList, JobViewModel, WorkerView
 from brink.server.api.wire_route import WireRoute
 from brink.server.campaigns.jobs import list_jobs
-from brink.server.campaigns.service import read
-from brink.server.db.models import JobStatus
+from brink.server.db.engine import read
 from brink.server.queue.workers import list_seen
+from brink.server.states import JobStatus
 from brink.worker.wire import (
     HeartbeatReply,
     HeartbeatRequest,

@@ -6,7 +6,7 @@ from fastapi import APIRouter, Query
 
 from brink.server.api.context import Services
 from brink.server.api.schemas import LlmCall, LlmCalls
-from brink.server.campaigns.service import read
+from brink.server.db.engine import read
 from brink.server.llm.calls import StoredCall, spent_on
 from brink.server.llm.store import list_calls
 

@@ -11,7 +11,7 @@ from brink.search.errors import SpaceError
 from brink.search.monitor import Answer
 from brink.server.api.context import Services
 from brink.server.api.schemas import View
-from brink.server.campaigns.body import Body
+from brink.server.documents import Body
 from brink.server.errors import FieldError, InvalidInput
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["monitors"])

@@ -8,9 +8,9 @@ from fastapi import APIRouter, Query
 from fastapi import Path as PathParameter
 from pydantic import Field
 
+from brink.search.analysis.nearest import Nearest, nearest
 from brink.server.api.context import Services
 from brink.server.api.schemas import MAX_NUMBER, View
-from brink.server.boundary.nearest import Nearest, nearest
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.errors import NotFound

@@ -13,11 +13,11 @@ from brink.server.api.cursor import cursor_of, read_cursor
 from brink.server.api.schemas import View
 from brink.server.campaigns import view_store
 from brink.server.campaigns.plan import looks_for_boundary
-from brink.server.campaigns.service import read
 from brink.server.campaigns.standing import read_standing
 from brink.server.dashboard.overview import Outline, list_outlines
-from brink.server.db.models import CampaignStatus
+from brink.server.db.engine import read
 from brink.server.queue.workers import capabilities_of_live
+from brink.server.states import CampaignStatus
 
 router = APIRouter(tags=["campaigns"])
 

@@ -11,8 +11,8 @@ from pydantic import BaseModel
 from sqlalchemy.exc import DBAPIError
 from starlette.exceptions import HTTPException
 
-from brink.server.campaigns.body import field_errors
 from brink.server.db.writer import passes
+from brink.server.documents import field_errors
 from brink.server.errors import Conflict, FieldError, InvalidInput, NotFound, NoWorker, Unavailable
 
 MEDIA_TYPE = "application/problem+json"

@@ -9,11 +9,11 @@ from pydantic import Field, model_validator
 from brink.server.api.context import Services
 from brink.server.api.schemas import MAX_NUMBER, View
 from brink.server.campaigns.archives import ReadArchive
-from brink.server.campaigns.body import Body
 from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.repeats import MOST, StoredRepeats, read_repeats
-from brink.server.campaigns.service import read
-from brink.server.db.models import CampaignStatus
+from brink.server.db.engine import read
+from brink.server.documents import Body
+from brink.server.states import CampaignStatus
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["repeats"])
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from brink.server.campaigns.body import CampaignBody
-from brink.server.db.models import CampaignStatus, JobStatus, SolutionVerdict
+from brink.server.states import CampaignStatus, JobStatus, SolutionVerdict
 
 MAX_NUMBER = 2**53
 """Largest number of a job or a solution that is looked up: JSON readers keep it exactly."""

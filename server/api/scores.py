@@ -6,6 +6,8 @@ from fastapi import APIRouter, Query
 from fastapi.responses import JSONResponse
 from pydantic import Field
 
+from brink.search.analysis.comparison import rows_of, said
+from brink.search.analysis.scores import DRAWS, Scores
 from brink.search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.server.api.context import Services
 from brink.server.api.experiment_schemas import ControlView
@@ -13,10 +15,8 @@ from brink.server.api.experiment_views import control_view
 from brink.server.api.schemas import BeingMade, View
 from brink.server.campaigns.store import ENDED
 from brink.server.campaigns.values import Campaign
-from brink.server.db.models import CampaignStatus
 from brink.server.errors import Conflict
-from brink.server.experiments.comparison import rows_of, said
-from brink.server.experiments.scores import DRAWS, Scores
+from brink.server.states import CampaignStatus
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["campaigns"])
 

@@ -13,6 +13,7 @@ from starlette.responses import Response as PlainResponse
 from brink.search.errors import UnsupportedSpace
 from brink.search.parameters import Categorical
 from brink.search.space import SearchSpace
+from brink.server.api.boundary_table import boundary_rows, table_bytes
 from brink.server.api.combination_views import combinations_view, variants_view
 from brink.server.api.context import Services
 from brink.server.api.schemas import (
@@ -26,10 +27,9 @@ from brink.server.api.schemas import (
 )
 from brink.server.api.traces import NOT_YET, UNREADABLE, Wait, being_made, trace_of
 from brink.server.api.views import boundary_view, solution_views
-from brink.server.boundary.table import boundary_rows, table_bytes
 from brink.server.campaigns import view_store
 from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.campaigns.service import read
+from brink.server.db.engine import read
 from brink.server.errors import Conflict, FieldError, InvalidInput, NotFound
 from brink.sim.replay import render_bytes
 from brink.sim.trace import Trace

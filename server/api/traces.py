@@ -13,12 +13,12 @@ from sqlalchemy import Connection, Row
 
 from brink.server.api.context import Context, client_gone
 from brink.server.api.schemas import BeingMade, ProblemDetail
-from brink.server.campaigns.service import read
 from brink.server.campaigns.traces import find_trace, simulator_of, trace_job
 from brink.server.campaigns.values import Campaign
-from brink.server.db.models import JobStatus
+from brink.server.db.engine import read
 from brink.server.errors import Conflict, NotFound, NoWorker
 from brink.server.queue.workers import can_run
+from brink.server.states import JobStatus
 from brink.sim.errors import SimulatorError
 
 LOOK_AGAIN_S = 0.25

@@ -7,15 +7,16 @@ from fastapi import APIRouter, Query, Response
 from fastapi import Path as PathParameter
 from pydantic import BaseModel, ConfigDict, Field
 
+from brink.search.analysis.violation_types import RULES_VERSION
+from brink.search.analysis.violations import FoundViolation, ViolationType, by_type
 from brink.server.api.context import Context, Services
 from brink.server.api.schemas import MAX_NUMBER, View
-from brink.server.campaigns.service import read
 from brink.server.campaigns.values import Campaign
+from brink.server.db.engine import read
 from brink.server.errors import NotFound
 from brink.server.problems.base import TellsViolations
 from brink.server.violations import store
-from brink.server.violations.found import FoundViolation, ViolationType, by_type, found_violations
-from brink.server.violations.rules import RULES_VERSION
+from brink.server.violations.found import found_violations
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/violations", tags=["violations"])
 

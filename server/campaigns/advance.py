@@ -49,11 +49,11 @@ from brink.server.campaigns.values import (
     Step,
 )
 from brink.server.db.engine import Engines
-from brink.server.db.models import CampaignStatus, JobStatus, SolutionVerdict
 from brink.server.db.writer import Writer, passes
 from brink.server.errors import Damaged, FieldError, InvalidInput, Unavailable
 from brink.server.metrics import Metrics
 from brink.server.problems.base import InProcessProblem, MeasuresOnData, Problem, SimulatedProblem
+from brink.server.states import CampaignStatus, JobStatus, SolutionVerdict
 from brink.worker.wire import Completed
 
 FEW_FAILURES = 3
@@ -167,7 +167,7 @@ class Stepper:
         request = wanted_seeds(plan, live.state)
         assert isinstance(algorithm, Seeded)
         assert request is not None
-        proposals = self._seeds.proposals(campaign, plan.problem, request)
+        proposals = self._seeds.proposals(campaign.id, campaign.body.llm, plan.problem, request)
         if proposals is None:
             return False
         seeded = algorithm.seeded(live.state, proposals)

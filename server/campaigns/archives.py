@@ -16,7 +16,7 @@ from brink.server.campaigns.advance import Stepper
 from brink.server.campaigns.plan import Plan, make_plan, restored_archive
 from brink.server.campaigns.values import Campaign, StoredArchive
 from brink.server.db.engine import Engines
-from brink.server.latest import Latest
+from brink.server.single_flight import Latest
 
 KEPT = 8
 

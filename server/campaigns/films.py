@@ -4,12 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
-from brink.server.campaigns.service import read
 from brink.server.campaigns.traces import find_trace, trace_key
 from brink.server.campaigns.values import Campaign
-from brink.server.db.engine import Engines
+from brink.server.db.engine import Engines, read
 from brink.server.errors import NotFound
-from brink.server.latest import Latest
+from brink.server.single_flight import Latest
 from brink.sim.errors import SimulatorError
 from brink.sim.trace import Trace
 

@@ -7,11 +7,13 @@ from datetime import datetime
 
 from sqlalchemy import Connection, select, text, update
 
-from brink.server.campaigns.store import ENDED, find_campaign, note_change
+from brink.server.campaigns.store import ENDED, find_campaign
 from brink.server.campaigns.values import Campaign
-from brink.server.db.models import JobKind, JobRow, JobStatus, SolutionRow, SolutionVerdict
+from brink.server.db.locking import note_change
+from brink.server.db.models import JobRow, SolutionRow
 from brink.server.db.news import announce
 from brink.server.errors import Conflict, NotFound
+from brink.server.states import JobKind, JobStatus, SolutionVerdict
 
 OPEN = frozenset({JobStatus.QUEUED, JobStatus.LEASED, JobStatus.QUARANTINED})
 # One look a campaign, as `brink.server.queue.census` has it, and for the same reason.

@@ -14,10 +14,10 @@ from brink.search.seeding import Seeded, SeedRequest
 from brink.search.streams import episode_seed
 from brink.server.campaigns.body import CampaignBody, PluginChoice
 from brink.server.campaigns.values import NewJob, NewSolution, StoredArchive
-from brink.server.catalogue import make_algorithm, make_params, make_problem, read_problem_params
-from brink.server.db.models import JobKind
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.problems.base import InProcessProblem, MeasuresOnData, Problem, SimulatedProblem
+from brink.server.problems.catalogue import make_algorithm, make_params, make_problem, read_problem_params
+from brink.server.states import JobKind
 
 DEFAULT_T_B = 0.10
 """Fitness up to which a solution counts as boundary, where nobody says otherwise."""

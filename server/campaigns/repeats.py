@@ -24,8 +24,10 @@ from brink.server.campaigns.body import Budget, CampaignBody, PluginChoice
 from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.submission import Prepared, prepared, store_prepared
 from brink.server.campaigns.values import Campaign
-from brink.server.db.models import CampaignRow, CampaignStatus, RepeatsRow, SolutionRow, SolutionVerdict
+from brink.server.db.locking import note_change
+from brink.server.db.models import CampaignRow, RepeatsRow, SolutionRow
 from brink.server.errors import Conflict, FieldError, InvalidInput
+from brink.server.states import CampaignStatus, SolutionVerdict
 
 MOST = 1_000
 """Solutions that are repeated, the best ones: they stand in the settings of a campaign."""
@@ -215,7 +217,7 @@ def store_repeats(connection: Connection, planned: PlannedRepeats) -> tuple[Camp
             repeats=planned.repeats, numbers=list(planned.numbers),
         )
     )  # fmt: skip
-    store.note_change(connection, planned.of)
+    note_change(connection, planned.of)
     return campaign, True
 
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from brink.search.seeding import Proposal, SeedRequest
-from brink.server.campaigns.values import Campaign
+from brink.server.llm.settings import LlmSettings
 from brink.server.problems.base import Problem
 
 
@@ -12,7 +12,7 @@ class SeedSource(Protocol):
     """Gives seeds, the same ones for the same request of a campaign whenever it is asked."""
 
     def proposals(
-        self, campaign: Campaign, problem: Problem, request: SeedRequest
+        self, campaign_id: str, settings: LlmSettings | None, problem: Problem, request: SeedRequest
     ) -> Sequence[Proposal] | None:
         """Return what came, perhaps nothing; None while it is not known yet.
 

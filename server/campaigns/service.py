@@ -13,7 +13,6 @@ from sqlalchemy import Connection
 from brink.search.archive import Archive
 from brink.server.campaigns import jobs as job_store
 from brink.server.campaigns import store, traces
-from brink.server.campaigns.advance import Stepper
 from brink.server.campaigns.body import CampaignBody
 from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.repeats import (
@@ -23,15 +22,16 @@ from brink.server.campaigns.repeats import (
     plan_repeats,
     store_repeats,
 )
+from brink.server.campaigns.scheduler import Scheduler
 from brink.server.campaigns.store import ENDED
 from brink.server.campaigns.submission import Prepared, check_repeatable, prepared, store_prepared
 from brink.server.campaigns.values import Campaign
-from brink.server.db.engine import Engines
-from brink.server.db.models import CampaignStatus
+from brink.server.db.engine import Engines, read
 from brink.server.db.writer import Writer
 from brink.server.errors import Conflict, NotFound
 from brink.server.queue.report_store import idle_campaigns
-from brink.server.queue.service import QueueService
+from brink.server.queue.wakeups import Wakeups
+from brink.server.states import CampaignStatus
 
 log = logging.getLogger(__name__)
 
@@ -52,8 +52,8 @@ class CampaignService:
 
     engines: Engines
     writer: Writer
-    stepper: Stepper
-    queue: QueueService
+    scheduler: Scheduler
+    wakeups: Wakeups
     llm_endpoints: str = ""
     checks: ThreadPoolExecutor = field(
         default_factory=lambda: ThreadPoolExecutor(SLOW_AT_ONCE, thread_name_prefix="brink-check")
@@ -112,9 +112,9 @@ class CampaignService:
                 "simulations": one.body.budget.simulations,
             }
             log.info("campaign submitted", extra={"campaign": one.id, **about})
-            self.stepper.adopt(one.id, one.live)
-        self.queue.wakeups.wake()
-        self.queue.advance_soon(idle)
+            self.scheduler.stepper.adopt(one.id, one.live)
+        self.wakeups.wake()
+        self.scheduler.advance_soon(idle)
 
     async def check(self, body: CampaignBody) -> None:
         """Check that a campaign could be submitted; nothing is stored.
@@ -154,15 +154,15 @@ class CampaignService:
     async def resume(self, campaign_id: str) -> Campaign:
         """Go on with a paused campaign, without the candidates that failed so far."""
         campaign = await self._change(campaign_id, "resume", (CampaignStatus.PAUSED,), CampaignStatus.RUNNING)
-        self.queue.wakeups.wake()
-        self.queue.advance_soon([campaign.id])
+        self.wakeups.wake()
+        self.scheduler.advance_soon([campaign.id])
         return campaign
 
     async def cancel(self, campaign_id: str) -> Campaign:
         """End a campaign; what it found stays."""
         allowed = (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
         campaign = await self._change(campaign_id, "cancel", allowed, CampaignStatus.CANCELLED)
-        self.stepper.forget(campaign.id)
+        self.scheduler.stepper.forget(campaign.id)
         return campaign
 
     async def delete(self, campaign_id: str) -> None:
@@ -244,13 +244,13 @@ class CampaignService:
             Conflict: It is not in quarantine, or its generation went on without it.
         """
         await self._write(lambda connection: job_store.retry(connection, job))
-        self.queue.wakeups.wake()  # the first in line may be unable to run it
+        self.wakeups.wake()  # the first in line may be unable to run it
 
     async def request_trace(self, campaign_id: str, number: int) -> bool:
         """Have workers make the trace of a solution; return whether it can be made."""
         campaign = await self.get(campaign_id)
         possible = await self._write(lambda connection: traces.request_trace(connection, campaign, number))
-        self.queue.wakeups.wake()  # the first in line may be unable to run it
+        self.wakeups.wake()  # the first in line may be unable to run it
         return possible
 
     async def _change(
@@ -292,16 +292,6 @@ class CampaignService:
 
     def _write(self, unit: Callable[[Connection], T]) -> Awaitable[T]:
         return asyncio.wrap_future(self.writer.submit(unit))
-
-
-async def read(engines: Engines, query: Callable[[Connection], T]) -> T:
-    """Run a query on one snapshot, off the event loop."""
-
-    def run() -> T:
-        with engines.reader.connect() as connection:
-            return query(connection)
-
-    return await asyncio.get_running_loop().run_in_executor(None, run)
 
 
 def _found(campaign: Campaign | None, campaign_id: str) -> Campaign:

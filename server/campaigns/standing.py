@@ -9,7 +9,7 @@ from sqlalchemy import Connection
 
 from brink.server.campaigns import view_store
 from brink.server.campaigns.values import GenerationSummary
-from brink.server.db.models import CampaignStatus, JobStatus
+from brink.server.states import CampaignStatus, JobStatus
 
 RATE_WINDOW: Final = 5
 """Generations over which the rate is taken."""

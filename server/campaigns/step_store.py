@@ -10,27 +10,25 @@ from sqlalchemy import Connection, Row, bindparam, delete, insert, select, updat
 
 from brink.search.component import FloatArray
 from brink.search.metric import METRIC_VERSION
-from brink.server.campaigns.store import find_campaign, note_change, set_status
+from brink.server.campaigns.store import find_campaign, set_status
 from brink.server.campaigns.values import Campaign, Checkpoint, NewJob, NewSolution, Step, StoredArchive
 from brink.server.db.clock import database_now
+from brink.server.db.locking import note_change
 from brink.server.db.models import (
     EVALUATES,
     LAST_TURN,
     NEXT_SEQUENCE,
     CampaignRow,
-    CampaignStatus,
     CheckpointRow,
     DistanceBlockRow,
     GenerationRow,
-    JobKind,
     JobRow,
-    JobStatus,
     SolutionRow,
-    SolutionVerdict,
     has_open_jobs,
 )
 from brink.server.db.news import announce
 from brink.server.errors import Damaged
+from brink.server.states import CampaignStatus, JobKind, JobStatus, SolutionVerdict
 
 log = logging.getLogger(__name__)
 

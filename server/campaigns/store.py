@@ -18,14 +18,13 @@ from brink.server.db.models import (
     EVALUATES,
     NEXT_SEQUENCE,
     CampaignRow,
-    CampaignStatus,
     JobRow,
-    JobStatus,
     RepeatsRow,
     TraceRow,
     has_open_jobs,
 )
 from brink.server.db.news import announce
+from brink.server.states import CampaignStatus, JobStatus
 
 ENDED = (CampaignStatus.FINISHED, CampaignStatus.CANCELLED, CampaignStatus.FAILED)
 
@@ -173,13 +172,6 @@ def set_status(
                 finished_at=database_now(connection),
             )
         )
-
-
-def note_change(connection: Connection, campaign_id: str) -> None:
-    """Have everybody see that something of a campaign changed."""
-    connection.execute(
-        update(CampaignRow).where(CampaignRow.id == campaign_id).values(sequence=NEXT_SEQUENCE)
-    )
 
 
 def count_quarantined(connection: Connection, campaign_id: str) -> int:

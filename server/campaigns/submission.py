@@ -11,10 +11,10 @@ from brink.server.campaigns import step_store, store
 from brink.server.campaigns.body import CampaignBody
 from brink.server.campaigns.plan import Live, Plan, first_generation, make_plan
 from brink.server.campaigns.values import Campaign, NewSolution
-from brink.server.catalogue import config_field_error
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.llm.settings import LlmSettings
 from brink.server.problems.base import ChecksInputs, Describes, InProcessProblem
+from brink.server.problems.catalogue import config_field_error
 
 LLM = "llm"
 """What an algorithm's setting `seeder` is that wants seeds from a language model."""

@@ -6,7 +6,8 @@ from sqlalchemy import Connection, Row, select
 
 from brink.server.campaigns.step_store import enqueue_traces
 from brink.server.campaigns.values import Campaign
-from brink.server.db.models import JobKind, JobRow, SolutionRow, TraceRow
+from brink.server.db.models import JobRow, SolutionRow, TraceRow
+from brink.server.states import JobKind
 
 
 def find_trace(connection: Connection, campaign_id: str, number: int) -> bytes | None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brink.server.campaigns.body import CampaignBody
-from brink.server.db.models import CampaignStatus, JobKind, SolutionVerdict
+from brink.server.states import CampaignStatus, JobKind, SolutionVerdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

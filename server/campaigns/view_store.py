@@ -7,15 +7,8 @@ from sqlalchemy import Connection, Row, Select, bindparam, func, select
 
 from brink.server.campaigns.step_store import MAX_NAMED
 from brink.server.campaigns.values import GenerationSummary
-from brink.server.db.models import (
-    EVALUATES,
-    CampaignRow,
-    GenerationRow,
-    JobRow,
-    JobStatus,
-    SolutionRow,
-    SolutionVerdict,
-)
+from brink.server.db.models import EVALUATES, CampaignRow, GenerationRow, JobRow, SolutionRow
+from brink.server.states import JobStatus, SolutionVerdict
 
 _NOT_DONE = tuple(status for status in JobStatus if status is not JobStatus.DONE)
 

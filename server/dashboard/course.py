@@ -9,7 +9,7 @@ import numpy as np
 
 from brink.search.boundary import BudgetPoint, dbs_by_budget
 from brink.server.campaigns.archives import ReadArchive
-from brink.server.latest import Latest
+from brink.server.single_flight import Latest
 
 POINTS: Final = 24
 MOST: Final = 10_000

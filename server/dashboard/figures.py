@@ -4,12 +4,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import InitVar, dataclass, field
 from typing import Final
 
-from brink.server.boundary.dependence import Dependence, dependences
+from brink.search.analysis.dependence import Dependence, dependences
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.dashboard.course import Courses
 from brink.server.dashboard.overview import Sparks
 from brink.server.dashboard.solution_map import SolutionMaps
-from brink.server.latest import Latest
+from brink.server.single_flight import Latest
 
 DEPENDENCES_KEPT: Final = 32
 """Campaigns of which is remembered what their verdicts depend on."""

@@ -10,13 +10,8 @@ from typing import Final
 from sqlalchemy import Connection, func, select
 
 from brink.server.db.listing import newest_first
-from brink.server.db.models import (
-    CampaignRow,
-    CampaignStatus,
-    ExperimentCampaignRow,
-    GenerationRow,
-    RepeatsRow,
-)
+from brink.server.db.models import CampaignRow, ExperimentCampaignRow, GenerationRow, RepeatsRow
+from brink.server.states import CampaignStatus
 
 POINTS: Final = 24
 """Of a course in a few pixels."""

@@ -13,13 +13,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from brink.search.analysis.axes import axis_meanings
 from brink.search.archive import Archive
 from brink.search.component import FloatArray
 from brink.search.embedding import Projection
 from brink.search.space import SearchSpace
-from brink.server.boundary.axes import axis_meanings
 from brink.server.campaigns.archives import ReadArchive
-from brink.server.latest import Latest
+from brink.server.single_flight import Latest
 
 MOST: Final = 20_000
 """Solutions on a map; while a campaign runs, up to a tenth more."""

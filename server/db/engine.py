@@ -4,18 +4,22 @@ A database has two engines. The *writer* takes the write lock at BEGIN, so that 
 because another one wrote first. The *reader* sees one snapshot for the length of a transaction.
 """
 
+import asyncio
 import re
 import sqlite3
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
-from sqlalchemy import Engine, create_engine, event
+from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError
 from sqlalchemy.pool import ConnectionPoolEntry
 
 from brink.server.errors import DatabaseError
+
+T = TypeVar("T")
 
 SQLITE_BUSY_S = 30.0
 MAX_OVERFLOW = 32
@@ -142,3 +146,13 @@ def _enter_wal(connection: sqlite3.Connection) -> None:
             time.sleep(0.02)
         else:
             return
+
+
+async def read(engines: Engines, query: Callable[[Connection], T]) -> T:
+    """Run a query on one snapshot of the database, in a thread, and return its result."""
+
+    def run() -> T:
+        with engines.reader.connect() as connection:
+            return query(connection)
+
+    return await asyncio.get_running_loop().run_in_executor(None, run)

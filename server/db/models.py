@@ -32,48 +32,10 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import DeclarativeBase, InstrumentedAttribute, Mapped, mapped_column
 
-from brink.server.access.tokens import Scope
 from brink.server.db.types import UtcDateTime
+from brink.server.states import CampaignStatus, JobKind, JobStatus, Scope, SolutionVerdict
 
 JobId = BigInteger().with_variant(Integer(), "sqlite")
-
-
-class CampaignStatus(StrEnum):
-    """Where a campaign stands."""
-
-    RUNNING = "running"
-    PAUSED = "paused"
-    FINISHED = "finished"
-    CANCELLED = "cancelled"
-    FAILED = "failed"
-
-
-class JobStatus(StrEnum):
-    """Where a job stands. `queued` and `leased` are open; the others are final."""
-
-    QUEUED = "queued"
-    LEASED = "leased"
-    DONE = "done"
-    QUARANTINED = "quarantined"
-    CANCELLED = "cancelled"
-
-
-class JobKind(StrEnum):
-    """What a job is for."""
-
-    EPISODE = "episode"
-    DATASET = "dataset-evaluation"
-    TRACE = "trace"
-
-
-class SolutionVerdict(StrEnum):
-    """What is known of a solution."""
-
-    PENDING = "pending"
-    SAFE = "safe"
-    UNSAFE = "unsafe"
-    MEASURED = "measured"
-    FAILED = "failed"
 
 
 def _one_of(column: str, values: type[StrEnum]) -> CheckConstraint:

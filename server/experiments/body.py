@@ -8,17 +8,8 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
-from brink.server.campaigns.body import (
-    Body,
-    Budget,
-    CampaignBody,
-    Execution,
-    PluginChoice,
-    hash_of,
-    parsed,
-    read_yaml,
-    without_controls,
-)
+from brink.server.campaigns.body import Budget, CampaignBody, Execution, PluginChoice
+from brink.server.documents import Body, hash_of, parsed, read_yaml, without_controls
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.llm.settings import LlmSettings
 

@@ -4,13 +4,13 @@ import asyncio
 from concurrent.futures import Executor
 from dataclasses import InitVar, dataclass, field
 
+from brink.search.analysis.experiment_tables import Repeat
+from brink.search.analysis.scores import Scores, scored
 from brink.server.campaigns.archives import Archives
 from brink.server.campaigns.values import Campaign
-from brink.server.db.models import CampaignStatus
-from brink.server.experiments.scores import Scores, scored
-from brink.server.experiments.tables import Repeat
 from brink.server.experiments.values import Experiment
-from brink.server.latest import Latest
+from brink.server.single_flight import Latest
+from brink.server.states import CampaignStatus
 
 KEPT = 2_000
 """Campaigns whose scores are kept; each takes some 30 kB."""

@@ -11,16 +11,17 @@ from typing import TypeVar
 from sqlalchemy import Connection
 
 from brink.server.campaigns.repeats import check_no_open_repeats
-from brink.server.campaigns.service import CampaignService, read
+from brink.server.campaigns.service import CampaignService
 from brink.server.campaigns.store import ENDED
 from brink.server.campaigns.submission import Prepared, prepared, store_prepared
 from brink.server.campaigns.values import Campaign
-from brink.server.db.models import CampaignStatus
+from brink.server.db.engine import read
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.experiments import store
 from brink.server.experiments.body import Cell, ExperimentBody
 from brink.server.experiments.values import Experiment
 from brink.server.queue.report_store import idle_campaigns
+from brink.server.states import CampaignStatus
 
 log = logging.getLogger(__name__)
 

@@ -15,11 +15,11 @@ from brink.server.db.models import (
     ExperimentRow,
     GenerationRow,
     JobRow,
-    JobStatus,
     SolutionRow,
 )
 from brink.server.experiments.body import Cell, ExperimentBody
 from brink.server.experiments.values import Experiment, Member
+from brink.server.states import JobStatus
 
 
 def insert_experiment(

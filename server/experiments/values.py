@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from brink.server.campaigns.values import Campaign
-from brink.server.db.models import CampaignStatus
 from brink.server.experiments.body import ExperimentBody
+from brink.server.states import CampaignStatus
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

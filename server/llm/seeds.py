@@ -19,7 +19,6 @@ from typing import Final
 from sqlalchemy.exc import DBAPIError
 
 from brink.search.seeding import Proposal, SeedRequest
-from brink.server.campaigns.values import Campaign
 from brink.server.db.engine import Engines
 from brink.server.db.writer import Writer
 from brink.server.errors import Unavailable
@@ -86,32 +85,38 @@ class LlmSeeds:
         self._release(None)
 
     def proposals(
-        self, campaign: Campaign, problem: Problem, request: SeedRequest
+        self, campaign_id: str, settings: LlmSettings | None, problem: Problem, request: SeedRequest
     ) -> Sequence[Proposal] | None:
-        """Return what came, perhaps nothing; None while it is not known yet, here or by another coordinator."""
-        settings = campaign.body.llm
+        """Return the proposals that came, perhaps none; None while this or another coordinator is still asking.
+
+        Args:
+            campaign_id: The campaign that waits.
+            settings: The language model; None if the campaign names none.
+            problem: The campaign's problem.
+            request: What the algorithm asks for.
+        """
         if settings is None or not isinstance(problem, Describes):
             return ()
         with self._lock:
-            if (campaign.id, request.number) in self._answers:
-                return self._answers.pop((campaign.id, request.number))
-            asking = self._asking.get(campaign.id)
+            if (campaign_id, request.number) in self._answers:
+                return self._answers.pop((campaign_id, request.number))
+            asking = self._asking.get(campaign_id)
             if self._stopping.is_set():
                 return None
-        if asking is not None or not self._claim(campaign.id).result():
+        if asking is not None or not self._claim(campaign_id).result():
             return None
         words = f"asking {settings.model} for {request.count} solutions"
         # A daemon: a model that never answers must not keep a coordinator from stopping.
         thread = threading.Thread(
-            target=self._ask, args=(campaign.id, settings, problem, request), name="seeds", daemon=True
+            target=self._ask, args=(campaign_id, settings, problem, request), name="seeds", daemon=True
         )
         with self._lock:
             stopping = self._stopping.is_set()
             if not stopping:
-                self._asking[campaign.id] = _Asking(words, thread)
+                self._asking[campaign_id] = _Asking(words, thread)
                 thread.start()
         if stopping:
-            self._release(campaign.id)
+            self._release(campaign_id)
         return None
 
     def doing(self, campaign_id: str) -> str | None:

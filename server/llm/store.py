@@ -8,9 +8,9 @@ from typing import Final
 
 from sqlalchemy import Connection, delete, insert, select
 
-from brink.server.campaigns.store import find_campaign
 from brink.server.db.clock import database_now
 from brink.server.db.engine import Engines
+from brink.server.db.locking import lock_campaign
 from brink.server.db.models import LlmCallRow, SeedClaimRow
 from brink.server.db.writer import Writer
 from brink.server.errors import Unavailable
@@ -76,7 +76,7 @@ def insert_call(connection: Connection, campaign_id: str, call: StoredCall) -> N
 def claim(connection: Connection, campaign_id: str, owner: str, hold_s: float) -> bool:
     """Take or keep the right to ask for a campaign's seeds; return whether it was free, expired or held already."""
     # The campaign's row, since a claim that is not there yet cannot be locked: two could find none and both take it.
-    if find_campaign(connection, campaign_id, lock=True) is None:
+    if not lock_campaign(connection, campaign_id):
         return False
     now = database_now(connection)
     mine = SeedClaimRow.campaign_id == campaign_id

@@ -17,11 +17,12 @@ from brink.server.campaigns import step_store, store
 from brink.server.campaigns.plan import make_plan, restored_archive
 from brink.server.db.clock import database_now
 from brink.server.db.engine import Engines
-from brink.server.db.models import CampaignRow, CampaignStatus, DistanceBlockRow, JobRow, JobStatus
+from brink.server.db.models import CampaignRow, DistanceBlockRow, JobRow
 from brink.server.db.upgrade import current_revision, head_revision
 from brink.server.errors import ServerError
 from brink.server.queue.workers import list_seen
 from brink.server.settings import Settings
+from brink.server.states import CampaignStatus, JobStatus
 
 SKEW_S: Final = 2.0
 """A database's clock may be off by so much from this machine's."""

@@ -8,7 +8,8 @@ from sqlalchemy.orm import aliased
 
 from brink.server.campaigns.store import ENDED, delete_campaign
 from brink.server.db.clock import database_now
-from brink.server.db.models import CampaignRow, JobKind, JobRow, JobStatus, RepeatsRow, SolutionRow, TraceRow
+from brink.server.db.models import CampaignRow, JobRow, RepeatsRow, SolutionRow, TraceRow
+from brink.server.states import JobKind, JobStatus
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

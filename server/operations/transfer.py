@@ -32,12 +32,10 @@ from brink.server.db.clock import database_now
 from brink.server.db.models import (
     Base,
     CampaignRow,
-    CampaignStatus,
     CheckpointRow,
     DistanceBlockRow,
     GenerationRow,
     JobRow,
-    JobStatus,
     LlmCallRow,
     SolutionRow,
     TraceRow,
@@ -45,6 +43,7 @@ from brink.server.db.models import (
 )
 from brink.server.db.types import UtcDateTime
 from brink.server.errors import Conflict, NotFound, ServerError
+from brink.server.states import CampaignStatus, JobStatus
 from brink.sim.episode import EpisodeSpec
 from brink.sim.errors import SimulatorError
 

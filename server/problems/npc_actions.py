@@ -13,12 +13,12 @@ from brink.search.actions.road import RoadLimits
 from brink.search.actions.rollout import rolled_out, waypoints
 from brink.search.actions.rule import participants_component, participants_of
 from brink.search.algorithm import Evaluation, Scored
+from brink.search.analysis.violation_types import kinds_of
 from brink.search.errors import ConfigError
 from brink.search.settings import check_settings, setting
 from brink.search.space import SearchSpace
 from brink.server.problems.base import Vectors
 from brink.server.problems.detectors import wrong_detector
-from brink.server.violations.rules import kinds_of
 from brink.sim.encounter.lanes import lanes_of
 from brink.sim.encounter.scenario import PLACE_FIELDS
 from brink.sim.encounter.script import stretch_json

@@ -10,8 +10,8 @@ from datetime import datetime
 
 from sqlalchemy import Connection, text
 
-from brink.server.db.models import CampaignStatus, JobStatus
 from brink.server.db.types import UtcDateTime
+from brink.server.states import CampaignStatus, JobStatus
 
 _COUNT = """SELECT jobs.kind, jobs.needs, jobs.campaign_id, campaigns.status AS of, campaigns.name,
     count(*) AS jobs, min(jobs.created_at) AS since

@@ -12,7 +12,8 @@ from sqlalchemy import Connection, select, update
 
 from brink.server.db.clock import database_now
 from brink.server.db.locking import locked
-from brink.server.db.models import JobRow, JobStatus
+from brink.server.db.models import JobRow
+from brink.server.states import JobStatus
 from brink.worker.wire import HeldLease
 
 

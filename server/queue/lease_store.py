@@ -17,17 +17,9 @@ from sqlalchemy import Connection, Label, Select, bindparam, exists, func, liter
 from brink.server.db.clock import database_now
 from brink.server.db.locking import locked
 from brink.server.db.many import UpdateEach, among
-from brink.server.db.models import (
-    EVALUATES,
-    IS_LEASED,
-    LAST_TURN,
-    CampaignRow,
-    CampaignStatus,
-    JobKind,
-    JobRow,
-    JobStatus,
-)
+from brink.server.db.models import EVALUATES, IS_LEASED, LAST_TURN, CampaignRow, JobRow
 from brink.server.queue.values import Grants, JobRecord, LeaseTerms, LeaseWanted
+from brink.server.states import CampaignStatus, JobKind, JobStatus
 from brink.worker.wire import LeasedJob
 
 # Spelled out in the SQL: Postgres' plans for prepared statements do not know the values of parameters, and could not

@@ -14,17 +14,10 @@ from sqlalchemy import Connection, bindparam, func, insert, select, update
 from brink.server.db.clock import database_now
 from brink.server.db.locking import locked
 from brink.server.db.many import UpdateEach, among
-from brink.server.db.models import (
-    IS_LEASED,
-    CampaignRow,
-    CampaignStatus,
-    JobRow,
-    JobStatus,
-    TraceRow,
-    has_open_jobs,
-)
+from brink.server.db.models import IS_LEASED, CampaignRow, JobRow, TraceRow, has_open_jobs
 from brink.server.db.types import UtcDateTime
 from brink.server.queue.values import JobRecord, LeaseTerms, Loss, Outcome, Report
+from brink.server.states import CampaignStatus, JobStatus
 
 MAX_ERROR_CHARACTERS = 4000
 MAX_BACKOFF_S = 300.0

@@ -1,7 +1,7 @@
 """What workers ask of the coordinator: leases, heartbeats, results.
 
 Everything that changes a job goes through the one writer. News travels on the event loop: whoever enqueues jobs
-wakes waiting workers, whoever finishes a generation has its campaign advanced.
+wakes waiting workers; `on_idle` is called with the campaigns that have no open job left.
 """
 
 import asyncio
@@ -11,13 +11,10 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 from sqlalchemy import Connection
 
-from brink.server.campaigns import store
-from brink.server.campaigns.advance import Stepper
 from brink.server.db.writer import Joint, Writer
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.metrics import Metrics
@@ -84,14 +81,12 @@ class _Swept:
         lost: Leases that ran out.
         live: What the workers can run that any coordinator has heard of lately.
         due: How many jobs wait to be tried again that one of them can run.
-        running: Which campaigns go on, of those whose states are in memory.
     """
 
     idle: tuple[str, ...]
     lost: list[Loss]
     live: dict[str, tuple[str, ...]]
     due: int
-    running: frozenset[str]
 
 
 @dataclass(slots=True)
@@ -100,7 +95,7 @@ class QueueService:
 
     settings: Settings
     writer: Writer
-    stepper: Stepper
+    on_idle: Callable[[Iterable[str]], None]
     metrics: Metrics = field(default_factory=Metrics)
     wakeups: Wakeups = field(default_factory=Wakeups)
     clock: Callable[[], float] = time.monotonic
@@ -108,11 +103,6 @@ class QueueService:
     _seen: dict[str, _Seen] = field(default_factory=dict)
     _crew: _Crew | None = None
     _with_others: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    _due: set[str] = field(default_factory=set)
-    _tasks: set[asyncio.Task[None]] = field(default_factory=set)
-    _steps: ThreadPoolExecutor = field(
-        default_factory=lambda: ThreadPoolExecutor(max_workers=1, thread_name_prefix="brink-step")
-    )
 
     @property
     def _alone(self) -> bool:
@@ -123,10 +113,6 @@ class QueueService:
         """Answer those who wait for work with none, and let nobody wait any more."""
         self.stopping = True
         self.wakeups.wake()
-
-    def close(self) -> None:
-        """Let the step that is running end, and take no more."""
-        self._steps.shutdown(wait=True, cancel_futures=True)
 
     def terms(self, worker: str | None = None) -> LeaseTerms:
         """Return how leases are granted now, to a worker if one is named."""
@@ -200,7 +186,7 @@ class QueueService:
         _log_granted(request.worker.id, granted)
         if released or report.quarantined:  # the latter may have kept the same simulation of others waiting
             self.wakeups.wake()  # not only the first in line, who may be unable to run what there is now
-        self.advance_soon(report.campaigns)
+        self.on_idle(report.campaigns)
         reply: LeaseReply | None = None
         if wanted is not None:
             if granted and gone.is_set():
@@ -227,38 +213,11 @@ class QueueService:
                 seen.done += isinstance(item.outcome, Completed)
                 seen.failed += not isinstance(item.outcome, Completed)
 
-    def advance_soon(self, campaigns: Iterable[str]) -> None:
-        """Have campaigns advanced off the event loop, each at most once at a time in line."""
-        for campaign in campaigns:
-            if campaign in self._due:
-                continue
-            self._due.add(campaign)
-            task = asyncio.get_running_loop().create_task(self._advance(campaign))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
-
-    async def _advance(self, campaign: str) -> None:
-        loop = asyncio.get_running_loop()
-
-        def step() -> bool:
-            # From here on news about this campaign needs a look of its own.
-            loop.call_soon_threadsafe(self._due.discard, campaign)
-            return self.stepper.advance(campaign)
-
-        try:
-            moved = await loop.run_in_executor(self._steps, step)
-        except Exception:
-            log.exception("the step failed; the sweeper will look again", extra={"campaign": campaign})
-            return
-        if moved:
-            self.wakeups.wake()
-
     async def sweep(self) -> None:
-        """Take back leases that ran out; forget workers that are gone and campaigns that do not go on."""
+        """Take back expired leases and forget workers that are gone."""
         terms = self.terms()
         local = self._alone
         unnoted = self._drop_absent()
-        kept = self.stepper.kept
 
         def unit(connection: Connection) -> _Swept:
             for name, seen in unnoted.items():
@@ -274,14 +233,11 @@ class QueueService:
                 lost=lost,
                 live=live,
                 due=lease_store.due_retries(connection, terms.elsewhere),
-                running=store.running_among(connection, kept),
             )
 
         swept = await asyncio.wrap_future(self.writer.submit(unit))
         self._with_others = {name: known for name, known in swept.live.items() if name not in self._seen}
         self._crew = None
-        for campaign in set(kept) - swept.running:  # ended or paused, perhaps through another coordinator
-            self.stepper.forget(campaign)
         lost = swept.lost
         if lost:
             log.warning("leases that ran out: %d", len(lost))
@@ -290,7 +246,7 @@ class QueueService:
             _log_quarantined(lost)
             self.metrics.expired.inc(len(lost))
         self.wakeups.wake(swept.due)
-        self.advance_soon(swept.idle)
+        self.on_idle(swept.idle)
 
     def _drop_absent(self) -> dict[str, _Seen]:
         """Drop workers that were not heard of lately, or are dead; return those with counts not yet noted."""

@@ -1,58 +1,18 @@
-"""The violations that a campaign found, with their types: by the rules, or as somebody named them."""
+"""Reads the violations that a campaign found out of its stored results."""
 
 import logging
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from sqlalchemy import Row
 
+from brink.search.analysis.violation_instances import scaled_circumstances
+from brink.search.analysis.violation_types import Signature, signature_of
+from brink.search.analysis.violations import FoundViolation
 from brink.server.problems.base import TellsViolations
-from brink.server.violations.instances import instances, scaled_circumstances
-from brink.server.violations.rules import Signature, signature_of
 from brink.worker.wire import Completed
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FoundViolation:
-    """One violation of one solution.
-
-    Attributes:
-        number: The solution.
-        circumstances: As the simulator told them.
-        signature: What the rules make of them.
-        name: What a person says it is, or None.
-    """
-
-    number: int
-    circumstances: Mapping[str, Any]
-    signature: Signature
-    name: str | None
-
-    @property
-    def type(self) -> str:
-        """Its type in words."""
-        return self.name or str(self.signature)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ViolationType:
-    """All violations of one type.
-
-    Attributes:
-        words: The type.
-        violations: Ascending by number.
-    """
-
-    words: str
-    violations: tuple[FoundViolation, ...]
-
-    @property
-    def instances(self) -> int:
-        """How many distinct ones there are among them."""
-        return instances([violation.circumstances for violation in self.violations])
 
 
 def found_violations(
@@ -87,11 +47,3 @@ def _signature(number: int, circumstances: Mapping[str, Any]) -> Signature | Non
     except (LookupError, TypeError, ValueError) as error:
         log.warning("solution %d: a violation that cannot be read: %r", number, error)
         return None
-
-
-def by_type(found: Sequence[FoundViolation]) -> list[ViolationType]:
-    """Return violations by type, in the order of finding."""
-    types: dict[str, list[FoundViolation]] = {}
-    for violation in found:
-        types.setdefault(violation.type, []).append(violation)
-    return [ViolationType(words=words, violations=tuple(its)) for words, its in types.items()]

@@ -5,9 +5,10 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, delete, insert, select
 
-from brink.server.campaigns.store import note_change
 from brink.server.db.clock import database_now
-from brink.server.db.models import EVALUATES, JobRow, SolutionRow, SolutionVerdict, ViolationNameRow
+from brink.server.db.locking import note_change
+from brink.server.db.models import EVALUATES, JobRow, SolutionRow, ViolationNameRow
+from brink.server.states import SolutionVerdict
 
 
 def unsafe_results(connection: Connection, campaign_id: str) -> list[Row[*tuple[Any, ...]]]:

@@ -21,7 +21,7 @@ def test_example_plugin_runs_as_a_campaign(plugin: str, simulations: int, tmp_pa
     lines = [line for line in text.splitlines() if not line.startswith("budget:")]
     file.write_text("\n".join([*lines, f"budget: {{simulations: {simulations}}}"]), encoding="utf-8")
     command = [
-        sys.executable, "-c", "from brink.server.cli.main import main; main()", "--plugin", plugin, "run", str(file),
+        sys.executable, "-c", "from brink.cli.main import main; main()", "--plugin", plugin, "run", str(file),
         "--database", f"sqlite:///{tmp_path}/brink.db", "--out", str(tmp_path / "out"), "--no-pictures", "--json",
     ]  # fmt: skip
     run = subprocess.run(command, cwd=PLUGINS, capture_output=True, text=True, timeout=240, check=False)

@@ -7,8 +7,8 @@ import pytest
 
 from brink.search.component import FloatArray
 from brink.search.metric import Metric
-from brink.server.catalogue import make_problem
 from brink.server.problems.base import SimulatedProblem
+from brink.server.problems.catalogue import make_problem
 from brink.sim.urban.draws import CATEGORICAL, PARAMETERS, Draw, distance, draw, neighbour, redraw
 
 PROBLEM = make_problem("urban-injected@1", {})

@@ -9,9 +9,9 @@ from typing import Any
 import httpx
 from sqlalchemy import func, select
 
-from brink.server.cli.coordinator import EmbeddedCoordinator
 from brink.server.db.engine import Engines
 from brink.server.db.models import Base
+from brink.server.runtime.coordinator import EmbeddedCoordinator
 from brink.server.settings import Settings
 from brink.worker.wire import Completed, JobFailed, LeasedJob, LeaseReply
 from support.problems import SIMULATOR, simulated

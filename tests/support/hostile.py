@@ -11,9 +11,10 @@ import httpx
 from sqlalchemy import select, update
 
 from brink.server.access.store import create_token, revoke_token
-from brink.server.access.tokens import Scope, id_within
+from brink.server.access.tokens import id_within
 from brink.server.db.engine import Engines
 from brink.server.db.models import Base, JobRow, TokenRow, WorkerRow
+from brink.server.states import Scope
 from brink.worker.wire import LeasedJob
 from support.api import FakeWorker, ball, completes, eventually, expect, submit
 

@@ -1,7 +1,7 @@
 """Databases of a real Postgres for tests, made from one that was migrated once.
 
 ``TEST_DATABASE_URL`` names a running server, on which the user may create databases; without it one is started as
-`brink.server.bench.temporary.postgres` finds it.
+`brink.bench.temporary.postgres` finds it.
 """
 
 import os
@@ -13,7 +13,7 @@ import psycopg
 from sqlalchemy import inspect
 from sqlalchemy.engine import make_url
 
-from brink.server.bench.temporary.postgres import temporary_postgres
+from brink.bench.temporary.postgres import temporary_postgres
 from brink.server.db.engine import open_engines
 from brink.server.db.upgrade import upgrade
 

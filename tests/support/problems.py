@@ -12,8 +12,8 @@ from brink.search.algorithm import Evaluation, Measured, Scored
 from brink.search.settings import check_settings, setting
 from brink.search.space import Component, Real, SearchSpace
 from brink.search.testing import example_spaces
-from brink.server.catalogue import PROBLEMS
 from brink.server.problems.base import NoParams, Vectors
+from brink.server.problems.catalogue import PROBLEMS
 from brink.sim import catalogue
 from brink.sim.catalogue import register
 from brink.sim.episode import EpisodeSpec, Json

@@ -15,9 +15,10 @@ from brink.server.campaigns.body import Budget, CampaignBody, Execution, PluginC
 from brink.server.campaigns.values import NewJob, NewSolution
 from brink.server.db.clock import database_now
 from brink.server.db.engine import Engines
-from brink.server.db.models import CampaignStatus, JobRow
+from brink.server.db.models import JobRow
 from brink.server.queue import holding_store, lease_store, report_store
 from brink.server.queue.values import LeaseTerms, LeaseWanted, Outcome, Report
+from brink.server.states import CampaignStatus
 from brink.worker.wire import HeldLease, LeasedJob
 from support.problems import SIMULATOR
 

@@ -22,8 +22,8 @@ from hypothesis.stateful import (
 from sqlalchemy import text
 
 from brink.server.db.engine import Engines, open_engines
-from brink.server.db.models import CampaignStatus
 from brink.server.errors import Conflict, NotFound
+from brink.server.states import CampaignStatus
 from brink.worker.wire import LeasedJob
 from support.queue import Queue
 

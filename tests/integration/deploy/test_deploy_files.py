@@ -12,9 +12,9 @@ import yaml
 from prometheus_client.parser import text_string_to_metric_families
 from support.api import ball, submit
 
-from brink.server.cli.commands import app
-from brink.server.db.models import JobKind, JobStatus
+from brink.cli.commands import app
 from brink.server.settings import Settings
+from brink.server.states import JobKind, JobStatus
 from brink.sim.catalogue import PLUGINS_VARIABLE
 from brink.worker.log import FORMAT_VARIABLE, LEVEL_VARIABLE
 from brink.worker.loop import LAST_REPORT_S

@@ -28,9 +28,9 @@ from brink.search.metric import Metric
 from brink.server.api import campaigns as campaign_routes
 from brink.server.api import views
 from brink.server.api.schemas import Progress
-from brink.server.catalogue import make_problem
 from brink.server.db.engine import Engines
 from brink.server.db.models import DistanceBlockRow
+from brink.server.problems.catalogue import make_problem
 from brink.sim import catalogue
 from brink.worker.wire import Completed, JobFailed, LeasedJob
 

@@ -8,10 +8,11 @@ from sqlalchemy import update
 from support.processes import environment
 from support.queue import RESULT, Queue
 
-from brink.server.bench.chaos.ledger import Ledger, audit
-from brink.server.bench.chaos.trial import ChaosPlan, run_trial
+from brink.bench.chaos.ledger import Ledger, audit
+from brink.bench.chaos.trial import ChaosPlan, run_trial
 from brink.server.db.engine import Engines
-from brink.server.db.models import CampaignRow, CampaignStatus, SolutionRow, SolutionVerdict
+from brink.server.db.models import CampaignRow, SolutionRow
+from brink.server.states import CampaignStatus, SolutionVerdict
 from brink.worker.wire import LeasedJob
 
 SHORT = ChaosPlan(minutes=0.25, faults=8, every_s=1.2, share=0.05, simulations=100, drives=False)

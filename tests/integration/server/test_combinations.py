@@ -8,7 +8,7 @@ from support.api import FakeWorker, expect, submit
 from test_measurements import SIMOOD, judge
 from typer.testing import CliRunner
 
-from brink.server.cli.commands import app
+from brink.cli.commands import app
 
 
 @pytest.fixture

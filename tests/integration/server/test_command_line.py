@@ -17,10 +17,10 @@ from support.api import FakeWorker, ball, coordinator, submit
 from support.databases import Databases
 from typer.testing import CliRunner
 
-from brink.server.cli import commands, steer
-from brink.server.cli.commands import app
-from brink.server.cli.main import main
-from brink.server.cli.options import database_option
+from brink.cli import commands, steer
+from brink.cli.commands import app
+from brink.cli.main import main
+from brink.cli.options import database_option
 from brink.server.db import engine
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.upgrade import upgrade

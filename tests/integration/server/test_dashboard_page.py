@@ -9,9 +9,9 @@ import pytest
 from support.api import coordinator, expect
 
 from brink.server.access.store import create_token
-from brink.server.access.tokens import Scope
 from brink.server.dashboard.page import STATIC
 from brink.server.db.engine import Engines
+from brink.server.states import Scope
 
 SECRET = "correct-horse"
 IMPORTS = re.compile(r"""(?:from|import\()\s*["'](\.[^"']+)["']""")

@@ -12,7 +12,7 @@ from support.api import FakeWorker, ball, coordinator, submit
 from support.queue import Queue
 from typer.testing import CliRunner
 
-from brink.server.cli.commands import app
+from brink.cli.commands import app
 from brink.server.db.clock import database_now
 from brink.server.db.engine import Engines
 from brink.server.db.models import CampaignRow, CheckpointRow, DistanceBlockRow, JobRow

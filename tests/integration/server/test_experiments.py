@@ -10,8 +10,8 @@ import yaml
 from support.api import FakeWorker, ball, coordinator, eventually, expect, row_counts
 from typer.testing import CliRunner
 
+from brink.cli.commands import app
 from brink.search.boundary import PAPER_FRACTIONS
-from brink.server.cli.commands import app
 from brink.server.db.engine import Engines
 
 API = "/api/v1/experiments"

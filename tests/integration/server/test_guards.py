@@ -9,10 +9,10 @@ import pytest
 from pydantic import SecretStr, ValidationError
 from support.api import ball, coordinator, expect
 
-from brink.server.cli import impatient
-from brink.server.cli.coordinator import CannotListen, listen
 from brink.server.db.engine import parse_url
 from brink.server.errors import DatabaseError
+from brink.server.runtime import request_timeout
+from brink.server.runtime.coordinator import CannotListen, listen
 from brink.server.settings import Settings
 
 SECRET = "correct-horse"
@@ -182,7 +182,7 @@ STALLED = {
 def test_a_request_that_does_not_come_is_not_waited_for(
     database_url: str, small_problems: None, monkeypatch: pytest.MonkeyPatch, sent: bytes, answered: bytes
 ) -> None:
-    monkeypatch.setattr(impatient, "LINGER_S", 0.2)
+    monkeypatch.setattr(request_timeout, "LINGER_S", 0.2)
     with (
         coordinator(database_url, stall_s=0.3) as client,
         socket.create_connection(("127.0.0.1", client.base_url.port or 0), timeout=20) as connection,

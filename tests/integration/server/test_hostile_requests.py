@@ -21,8 +21,9 @@ from support.problems import small_problems
 
 import brink.server.access.gate
 from brink.server.access.store import create_token
-from brink.server.access.tokens import Scope, id_within
+from brink.server.access.tokens import id_within
 from brink.server.db.engine import Engines, open_engines
+from brink.server.states import Scope
 
 SECURITY = Path(__file__).parents[3] / "docs" / "security.md"
 INSIDES = ("Traceback", "site-packages", "sqlalchemy", "psycopg", "[SQL", "postgresql://", "sqlite:///")

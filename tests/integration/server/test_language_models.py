@@ -29,9 +29,9 @@ from support.traffic import POPULATION, calls, origins, others, seeded, traffic_
 from typer.testing import CliRunner
 
 import brink.server.llm.seeds
+from brink.cli.commands import app
 from brink.search.seeding import SeedRequest
 from brink.server.campaigns.body import CampaignBody
-from brink.server.cli.commands import app
 from brink.server.db.engine import Engines
 from brink.server.db.models import SeedClaimRow
 from brink.server.db.writer import Writer
@@ -290,7 +290,12 @@ def test_whoever_stops_leaves_no_claim_behind(
         return original(*given)
 
     monkeypatch.setattr(brink.server.llm.seeds, when.removesuffix("s"), meanwhile)
-    assert seeds.proposals(campaign, NpcActions(NpcActionsParams()), SeedRequest(number=0, count=8)) is None
+    assert (
+        seeds.proposals(
+            campaign.id, campaign.body.llm, NpcActions(NpcActionsParams()), SeedRequest(number=0, count=8)
+        )
+        is None
+    )
     eventually(lambda: bool(stopper.ident), "it was stopped")
     stopper.join()
     writer.close()

@@ -8,7 +8,7 @@ from pathlib import Path
 import httpx
 from support.api import eventually
 
-from brink.server.bench.temporary.coordinator import Process, free_port
+from brink.bench.temporary.coordinator import Process, free_port
 
 FEW = 128
 MANY = 300

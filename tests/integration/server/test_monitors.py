@@ -9,8 +9,8 @@ import pytest
 from support.api import FakeWorker, ball, eventually, expect, submit
 from typer.testing import CliRunner
 
+from brink.cli.commands import app
 from brink.search.monitor import Monitor
-from brink.server.cli.commands import app
 
 
 def finished(client: httpx.Client, **changes: Any) -> str:

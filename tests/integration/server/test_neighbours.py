@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from support.api import FakeWorker, ball, expect, submit
 
+from brink.search.analysis.nearest import nearest
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.fitness import wilson_interval
 from brink.search.metric import Metric
-from brink.server.boundary.nearest import nearest
 
 API = "/api/v1/campaigns"
 

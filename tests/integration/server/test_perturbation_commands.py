@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from brink.server.cli import perturbations
-from brink.server.cli.main import main
+from brink.cli import perturbations
+from brink.cli.main import main
 
 cv2 = pytest.importorskip("cv2", reason="contact sheets need the vision extra")
 

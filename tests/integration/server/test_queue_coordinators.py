@@ -13,10 +13,10 @@ from support.queue import RESULT, TERMS, Queue
 
 from brink.server.campaigns import store
 from brink.server.db.engine import Engines, open_engines
-from brink.server.db.models import CampaignStatus
 from brink.server.db.writer import Unit, Writer
 from brink.server.queue import lease_store, report_store
 from brink.server.queue.values import Outcome, Report
+from brink.server.states import CampaignStatus
 from brink.worker.wire import LeasedJob
 
 WAIT_S = 30.0

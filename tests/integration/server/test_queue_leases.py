@@ -10,8 +10,8 @@ from support.queue import Queue
 from brink.server.campaigns import store
 from brink.server.campaigns.traces import request_trace
 from brink.server.db.clock import database_now
-from brink.server.db.models import CampaignStatus
 from brink.server.queue import lease_store
+from brink.server.states import CampaignStatus
 from brink.worker.wire import LeasedJob
 
 

@@ -22,14 +22,13 @@ from support.queue import RESULT, TERMS, Queue, held
 
 from brink.server.campaigns import jobs as job_store
 from brink.server.campaigns import store
-from brink.server.campaigns.advance import Stepper
 from brink.server.db.engine import open_engines
-from brink.server.db.models import JobStatus
 from brink.server.db.writer import Writer
 from brink.server.queue import census, holding_store, workers
 from brink.server.queue.exchange import Exchange, exchange
 from brink.server.queue.service import QueueService
 from brink.server.queue.values import LeaseWanted, Outcome
+from brink.server.states import JobStatus
 from brink.worker.machine import machine_name
 from brink.worker.wire import WorkerIdentity
 
@@ -104,13 +103,12 @@ def periodic(queue: Queue) -> None:
     queue.lease("w3", max_jobs=1)
     queue.end_leases(*queue.lease("w4", max_jobs=2))
     writer = Writer(engines.writer)
-    stepper = Stepper(engines, writer, max_stored_distances=0, seeds=NoSeeds())
     settings = settings_for(engines.writer.url.render_as_string(hide_password=False))
-    service = QueueService(settings=settings, writer=writer, stepper=stepper)
+    idle: list[str] = []
+    service = QueueService(settings=settings, writer=writer, on_idle=idle.extend)
     try:
         asyncio.run(service.sweep())
     finally:
-        service.close()
         writer.close()
     # Of this machine's workers alone, as on SQLite; a database that is shared has them too.
     queue.run(
@@ -119,6 +117,7 @@ def periodic(queue: Queue) -> None:
         )
     )
     queue.run(store.running_idle)
+    queue.run(lambda connection: store.running_among(connection, idle))
 
 
 def watching(queue: Queue) -> None:

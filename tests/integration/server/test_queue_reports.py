@@ -6,10 +6,11 @@ from support.queue import RESULT, Queue
 from brink.server.campaigns import store
 from brink.server.campaigns.jobs import retry
 from brink.server.campaigns.traces import request_trace
-from brink.server.db.models import CampaignStatus, TraceRow
+from brink.server.db.models import TraceRow
 from brink.server.errors import Conflict, NotFound
 from brink.server.queue import report_store
 from brink.server.queue.values import Outcome
+from brink.server.states import CampaignStatus
 from brink.worker.wire import LeasedJob
 
 A, B = "a" * 64, "b" * 64

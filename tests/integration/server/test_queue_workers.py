@@ -148,11 +148,11 @@ def test_a_coordinator_keeps_no_state_of_a_campaign_that_another_one_stopped(
                 await stack.enter_async_context(app.router.lifespan_context(app))
             first, second = (app.state.context for app in apps)
             one, other = [(await first.campaigns.submit(parse_body(ball(seed=n)), None))[0] for n in (1, 2)]
-            await first.queue.sweep()
-            assert set(first.queue.stepper.kept) == {one.id, other.id}
+            await first.scheduler.sweep()
+            assert set(first.scheduler.stepper.kept) == {one.id, other.id}
             await second.campaigns.cancel(one.id)
-            await first.queue.sweep()
-            assert set(first.queue.stepper.kept) == {other.id}
+            await first.scheduler.sweep()
+            assert set(first.scheduler.stepper.kept) == {other.id}
 
     asyncio.run(body())
 

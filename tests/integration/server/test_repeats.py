@@ -16,8 +16,8 @@ from support.api import FakeWorker, ball, coordinator, expect, progress, row_cou
 from support.problems import REQUIREMENT
 from typer.testing import CliRunner
 
+from brink.cli.commands import app
 from brink.search.fitness import wilson_interval
-from brink.server.cli.commands import app
 from brink.server.db.engine import Engines
 from brink.server.db.models import CampaignRow
 from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict

@@ -25,12 +25,14 @@ from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import first_generation, make_plan, restored_archive
 from brink.server.campaigns.values import Campaign
 from brink.server.db.engine import Engines
-from brink.server.db.models import CampaignStatus, CheckpointRow, GenerationRow, SolutionRow
+from brink.server.db.models import CheckpointRow, GenerationRow, SolutionRow
 from brink.server.db.writer import Writer
 from brink.server.errors import Damaged, Unavailable
+from brink.server.llm.settings import LlmSettings
 from brink.server.llm.store import claim
 from brink.server.problems.base import Problem
 from brink.server.queue.values import Outcome
+from brink.server.states import CampaignStatus
 from brink.sim import catalogue
 from brink.worker.wire import Completed, LeasedJob
 
@@ -42,7 +44,7 @@ class NoSeeds:
         self.says: Sequence[Proposal] | None = ()
 
     def proposals(
-        self, campaign: Campaign, problem: Problem, request: SeedRequest
+        self, campaign_id: str, settings: LlmSettings | None, problem: Problem, request: SeedRequest
     ) -> Sequence[Proposal] | None:
         return self.says
 

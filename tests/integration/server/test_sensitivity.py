@@ -12,7 +12,7 @@ from support.api import FakeWorker, ball, expect, submit
 from support.databases import Databases
 from typer.testing import CliRunner
 
-from brink.server.cli.commands import app
+from brink.cli.commands import app
 
 MTQ: dict[str, Any] = {
     "name": "known", "problem": {"id": "mtq@1"}, "algorithm": {"id": "mlcshe@1", "params": {"archive_size": 3}},

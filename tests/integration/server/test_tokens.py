@@ -15,14 +15,15 @@ from support.databases import Databases
 from typer.testing import CliRunner
 
 import brink.server.access.gate
+from brink.cli.commands import app
 from brink.server.access.gate import Caller, Gate
 from brink.server.access.store import any_token, create_token
-from brink.server.access.tokens import Scope, digest_of, id_within
-from brink.server.cli.commands import app
-from brink.server.cli.coordinator import CannotListen, check_exposed
+from brink.server.access.tokens import digest_of, id_within
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.upgrade import current_revision
+from brink.server.runtime.coordinator import CannotListen, check_exposed
 from brink.server.settings import Settings
+from brink.server.states import Scope
 
 BRINK = Path(sys.executable).with_name("brink")
 SMALL = {

@@ -23,8 +23,8 @@ from support.api import (
 )
 from typer.testing import CliRunner
 
-from brink.server.cli.api import CoordinatorSaid
-from brink.server.cli.commands import app
+from brink.api.client import CoordinatorSaid
+from brink.cli.commands import app
 from brink.server.db.engine import Engines
 from brink.server.db.models import WorkerRow
 from brink.server.operations.prune import prune

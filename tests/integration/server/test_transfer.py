@@ -16,7 +16,7 @@ from support.databases import Databases
 from support.queue import Queue
 from typer.testing import CliRunner
 
-from brink.server.cli.commands import app
+from brink.cli.commands import app
 from brink.server.db.engine import open_engines
 from brink.server.db.models import CampaignRow, JobRow, SolutionRow
 from brink.server.errors import Conflict, NotFound, ServerError

@@ -13,10 +13,10 @@ from support.api import expect, progress, submit
 from support.traffic import traffic_worker
 from typer.testing import CliRunner
 
-from brink.server.cli.commands import app
-from brink.server.cli.findings.violations import draw_types, in_words, write_violations
-from brink.server.cli.live import CampaignDisplay
-from brink.server.violations.rules import RULES_VERSION
+from brink.cli.commands import app
+from brink.cli.findings.violations import draw_types, in_words, write_violations
+from brink.cli.live import CampaignDisplay
+from brink.search.analysis.violation_types import RULES_VERSION
 
 TRAFFIC: dict[str, Any] = {
     "name": "traffic",

@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from brink.plots import CampaignFigures
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.problems.mtq import RADIUS, SPACE, robustness
 from brink.search.space import Categorical, Component, Dormant, Integer, Real, SearchSpace
-from brink.server.plots import CampaignFigures
 
 MIXED = SearchSpace(
     (

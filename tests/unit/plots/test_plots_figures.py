@@ -10,12 +10,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from synthetic_campaign import MIXED, campaign, mixed_campaign, mtq_campaign
 
-from brink.search.boundary import PAPER_D_THS, PAPER_T_BS, dbs, dbs_grid, distinct_boundary, strict_dbs
-from brink.search.embedding import embedded
-from brink.search.fitness import wilson_interval
-from brink.search.problems.mtq import SPACE
-from brink.server.boundary.dependence import dependences
-from brink.server.plots import (
+from brink.plots import (
     FIGURES,
     CampaignFigures,
     figure_dbs,
@@ -23,7 +18,12 @@ from brink.server.plots import (
     figure_fitness,
     figure_parameters,
 )
-from brink.server.plots.style import WIDTH_PX
+from brink.plots.style import WIDTH_PX
+from brink.search.analysis.dependence import dependences
+from brink.search.boundary import PAPER_D_THS, PAPER_T_BS, dbs, dbs_grid, distinct_boundary, strict_dbs
+from brink.search.embedding import embedded
+from brink.search.fitness import wilson_interval
+from brink.search.problems.mtq import SPACE
 
 MakeFigure = Callable[[CampaignFigures], Figure]
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from brink.plots.fronts import figure_fronts, told_diversities
 from brink.search.actions.road import RoadLimits
 from brink.search.actions.rule import participants_component
 from brink.search.algorithm import Scored
 from brink.search.algorithms.multi_objective import CRITICALITY
 from brink.search.algorithms.nsga2 import Nsga2, Nsga2Config
 from brink.search.space import SearchSpace
-from brink.server.plots.fronts import figure_fronts, told_diversities
 
 SPACE = SearchSpace((participants_component("npcs", 2, RoadLimits()),))
 CONFIG = Nsga2Config(population_size=10)

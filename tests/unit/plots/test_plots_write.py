@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 from synthetic_campaign import mtq_campaign
 
-from brink.server.plots import FIGURES, write_campaign_figures
-from brink.server.plots.style import WIDTH_PX
+from brink.plots import FIGURES, write_campaign_figures
+from brink.plots.style import WIDTH_PX
 
 
 def test_every_figure_is_written_in_every_format(tmp_path: Path) -> None:

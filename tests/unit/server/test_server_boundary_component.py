@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.traces import make_trace
 
-from brink.server.boundary.component import COLUMNS, box_rows, seen_and_said, write_boxes
+from brink.report.component import COLUMNS, box_rows, seen_and_said, write_boxes
 from brink.sim.trace import BOX_COLUMNS, Ragged, Trace
 
 Box = tuple[float, float, float, float, float]

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from brink.search.analysis.rules import LEAST_LEAF, Rules, region_rules, rules_markdown
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.space import Categorical, Component, Integer, Real, SearchSpace
-from brink.server.boundary.rules import LEAST_LEAF, Rules, region_rules, rules_markdown
 
 SPACE = SearchSpace(
     (

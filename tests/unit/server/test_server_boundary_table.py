@@ -8,10 +8,10 @@ from typing import Any
 import pyarrow.parquet as pq
 import pytest
 
+from brink.server.api.boundary_table import boundary_rows, table_bytes
 from brink.server.api.schemas import Boundary, SolutionView
-from brink.server.boundary.table import boundary_rows, table_bytes
 from brink.server.campaigns.body import parse_body
-from brink.server.db.models import SolutionVerdict
+from brink.server.states import SolutionVerdict
 
 BODY = parse_body(
     {

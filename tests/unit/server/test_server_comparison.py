@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from brink.search.analysis.comparison import Row, in_words
 from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
-from brink.server.experiments.comparison import Row, in_words
 
 SHAPE = (len(PAPER_T_BS), len(PAPER_D_THS))
 

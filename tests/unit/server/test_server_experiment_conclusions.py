@@ -2,9 +2,9 @@
 
 import pytest
 
+from brink.search.analysis.conclusions import conclusion
+from brink.search.analysis.experiment_tables import Duel, Line, Measure
 from brink.search.statistics import Comparison
-from brink.server.experiments.conclusions import conclusion
-from brink.server.experiments.tables import Duel, Line, Measure
 
 GA, RS, GA_CONTROL = (
     Line(problem="gap", method=method, control=control)

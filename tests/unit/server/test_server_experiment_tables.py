@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from brink.plots.experiment import EXPERIMENT_FIGURES
+from brink.report.experiment import html_report, markdown_report
+from brink.search.analysis.experiment_tables import Line, Measure, Repeat, duels, standings
+from brink.search.analysis.scores import Control, Figures, Scores, scored
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, dbs, strict_dbs
 from brink.search.testing import example_spaces
 from brink.server.experiments.body import parse_experiment
-from brink.server.experiments.report import html_report, markdown_report
-from brink.server.experiments.scores import Control, Figures, Scores, scored
-from brink.server.experiments.tables import Line, Measure, Repeat, duels, standings
-from brink.server.plots.experiment import EXPERIMENT_FIGURES
 
 SHAPE = (len(PAPER_FRACTIONS), len(PAPER_T_BS), len(PAPER_D_THS))
 METHODS = {"MLCSHE": 30, "GA": 18, "RS <b>": 4}

@@ -6,7 +6,7 @@ import threading
 import pytest
 
 from brink.server.errors import Unavailable
-from brink.server.latest import Latest
+from brink.server.single_flight import Latest
 
 
 class Counted:

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from brink.server.campaigns.body import invalid_input
+from brink.server.documents import invalid_input
 from brink.server.llm.errors import KeyMissing
 from brink.server.llm.settings import LlmSettings, api_key
 

@@ -11,8 +11,8 @@ from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 from support.circumstances import violation
 
-from brink.server.violations.instances import dbscan, instances
-from brink.server.violations.rules import SECTORS, kinds_of, sector_of, signature_of
+from brink.search.analysis.violation_instances import dbscan, instances
+from brink.search.analysis.violation_types import SECTORS, kinds_of, sector_of, signature_of
 
 
 def test_a_type_has_seven_words() -> None:

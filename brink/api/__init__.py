@@ -1,0 +1,1 @@
+"""Python access to a coordinator."""

@@ -1,0 +1,113 @@
+"""`brink compare`: DBS tables of campaigns side by side, with their controls."""
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from brink.api.client import Api
+from brink.cli.options import AsJson, Database, Server, console, print_json, with_api
+from brink.cli.pictures import FetchedArchive, fetch_archive
+from brink.search.analysis.comparison import ComparedCampaign, Row, in_words
+from brink.search.analysis.comparison import compare as compare_campaigns
+from brink.search.analysis.scores import DRAWS
+from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
+from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+
+
+def compare(
+    campaigns: Annotated[list[str], typer.Argument(metavar="ID...", help="Campaigns to compare.")],
+    control: Annotated[
+        bool, typer.Option(help="Add controls: verdicts that ignore the component's behaviour.")
+    ] = True,
+    database: Database = None,
+    server: Server = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare campaigns: DBS and strict DBS for the paper's thresholds, beside controls.
+
+    Example: brink compare 3f2a 91bc 77d0
+    """
+    unique = list(dict.fromkeys(campaigns))
+    rows = with_api(server, database, lambda api: compared(api, unique, control=control))
+    if as_json:
+        print_json(rows_json(rows))
+    else:
+        print_rows(console(), rows)
+
+
+async def compared(api: Api, campaigns: Sequence[str], *, control: bool) -> list[Row]:
+    """Return the comparison of some campaigns."""
+    return compared_archives([await fetch_archive(api, campaign) for campaign in campaigns], control=control)
+
+
+def compared_archives(fetched: Sequence[FetchedArchive], *, control: bool) -> list[Row]:
+    """Return the comparison of some archives, each campaign once."""
+    fetched = list({item.id: item for item in fetched}.values())
+    names = [item.body.name for item in fetched]
+    return compare_campaigns(
+        [
+            ComparedCampaign(
+                id=item.id,
+                label=item.body.name if names.count(item.body.name) == 1 else f"{item.body.name} {item.id}",
+                space=item.plan.problem.space,
+                archive=item.archive,
+                simulations=item.body.budget.simulations,
+                seed=item.body.seed,
+            )
+            for item in fetched
+        ],
+        control=control,
+    )
+
+
+def rows_json(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Return a comparison for programs."""
+    return [
+        {
+            "campaign": row.campaign,
+            "label": row.label,
+            "control": row.repeats is not None,
+            "behaviours_a_scenario": row.repeats,
+            "unsafe_share": row.unsafe_share,
+            "grid": [
+                {"t_b": t, "d_th": d, "dbs": float(row.dbs[i, j]), "strict_dbs": float(row.strict[i, j])}
+                for i, t in enumerate(PAPER_T_BS)
+                for j, d in enumerate(PAPER_D_THS)
+            ],
+        }
+        for row in rows
+    ]
+
+
+def print_rows(screen: Console, rows: Sequence[Row]) -> None:
+    """Print a comparison for people: one table a d_th."""
+    for column, d_th in enumerate(PAPER_D_THS):
+        table = Table(
+            title=f"d_th {d_th:g}: DBS (strict DBS)", title_justify="left", box=None, pad_edge=False
+        )
+        table.add_column("")
+        table.add_column("unsafe", justify="right", header_style="dim")
+        for t_b in PAPER_T_BS:
+            table.add_column(f"t_b {t_b:g}", justify="right", header_style="dim")
+        for row in rows:
+            cells = [
+                f"{row.dbs[i, column]:.4g} ({row.strict[i, column]:.4g})" for i in range(len(PAPER_T_BS))
+            ]
+            label = f"{row.label} (reads low)" if row.reads_low else row.label
+            table.add_row(label, f"{row.unsafe_share:.0%}", *cells)
+        screen.print(table)
+        screen.print()
+    if any(row.repeats is not None for row in rows):
+        screen.print(f"At t_b {DEFAULT_T_B:g}, d_th {DEFAULT_D_TH:g}:")
+        for sentence in in_words(rows, DEFAULT_T_B, DEFAULT_D_TH):
+            screen.print(f"  {sentence}")
+        screen.print(
+            f"[dim]Controls: verdicts redrawn without regard to behaviour; means of {DRAWS} draws.[/dim]"
+        )
+    screen.print(
+        "[dim]t_b >= 1/9 counts all-safe neighbourhoods as boundary; strict DBS does not. "
+        "Both are greedy counts, so that either may be larger by a few.[/dim]"
+    )

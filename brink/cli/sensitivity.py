@@ -1,0 +1,226 @@
+"""`brink sensitivity rescore | rerun`: how much does a boundary depend on settings?"""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+import yaml
+from rich.table import Table
+
+from brink.cli.experiments.results import repeats_of
+from brink.cli.experiments.running import run_experiment
+from brink.cli.local import RESULTS
+from brink.cli.options import (
+    AsJson,
+    CampaignFile,
+    CampaignId,
+    Database,
+    New,
+    Resume,
+    Server,
+    Workers,
+    check_picture,
+    console,
+    file_name,
+    print_json,
+    with_api,
+)
+from brink.cli.pictures import fetch_archive
+from brink.search.analysis.experiment_tables import Measure, lines_of
+from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
+from brink.search.sensitivity import P_THS, RADII, Rescored, by_p_th, by_radius
+from brink.server.campaigns.body import CampaignBody, read_campaign_file
+from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.errors import Conflict, FieldError, InvalidInput
+from brink.server.experiments.body import ExperimentBody, parse_experiment
+
+_USUAL_RADII = ",".join(map(str, RADII))
+_USUAL_P_THS = ",".join(map(str, P_THS))
+
+sensitivity = typer.Typer(
+    name="sensitivity",
+    help="How much does a boundary depend on the settings that it was searched and scored with?",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+
+def rescore(
+    campaign: CampaignId,
+    t_b: Annotated[float, typer.Option("--t-b", min=0.0, max=1.0, help="Largest fitness.")] = DEFAULT_T_B,
+    d_th: Annotated[
+        float, typer.Option("--d-th", min=0.0, max=1.0, help="Least distance apart.")
+    ] = DEFAULT_D_TH,
+    radii: Annotated[
+        str, typer.Option("--radius", help="Radii of neighbourhoods, with commas between.")
+    ] = _USUAL_RADII,
+    p_ths: Annotated[
+        str, typer.Option("--p-th", help="Probabilities on the boundary, with commas between.")
+    ] = _USUAL_P_THS,
+    picture: Annotated[Path | None, typer.Option("--picture", help="PNG or SVG to draw it into.")] = None,
+    database: Database = None,
+    server: Server = None,
+    as_json: AsJson = False,
+) -> None:
+    """Score what a campaign evaluated with other radii (delta) and probabilities (p_th): nothing is simulated.
+
+    Example: brink sensitivity rescore 3f2a --picture sensitivity.png
+    """
+    check_picture(picture)
+    wanted_radii = _numbers("--radius", radii, low=0.0, high=1.0, closed=True)
+    wanted_p_ths = _numbers("--p-th", p_ths, low=0.0, high=1.0, closed=False)
+    fetched = with_api(server, database, lambda api: fetch_archive(api, campaign))
+    if not len(fetched.archive):
+        raise Conflict(f"campaign {fetched.id} has evaluated nothing yet")
+    near = fetched.archive.neighbourhood
+    found_radii = by_radius(fetched.archive, sorted({*wanted_radii, near.radius}), t_b=t_b, d_th=d_th)
+    found_p_ths = by_p_th(fetched.archive, sorted({*wanted_p_ths, near.p_th}), t_b=t_b, d_th=d_th)
+    if picture is not None:
+        # matplotlib takes half a second to load: only those who draw wait for it.
+        from brink.plots.sensitivity import figure_rescored
+
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        figure_rescored(
+            found_radii, found_p_ths, own=(near.radius, near.p_th), t_b=t_b, d_th=d_th,
+            title=f"How much the boundary depends on its settings: {fetched.body.name}",
+        ).savefig(picture)  # fmt: skip
+    if as_json:
+        print_json(
+            {
+                "campaign": fetched.id, "t_b": t_b, "d_th": d_th, "radius": near.radius, "p_th": near.p_th,
+                "by_radius": [asdict(one) for one in found_radii],
+                "by_p_th": [asdict(one) for one in found_p_ths],
+            }
+        )  # fmt: skip
+        return
+    console().print(_table("radius", found_radii, near.radius), "")
+    console().print(_table("p_th", found_p_ths, near.p_th))
+    if picture is not None:
+        console().print(f"picture: {picture}", soft_wrap=True)
+
+
+def rerun(
+    file: CampaignFile,
+    parameter: Annotated[
+        str, typer.Option(help="Setting of the algorithm to vary, such as population_size or archive_size.")
+    ],
+    values: Annotated[str, typer.Option(help="Its values, with commas between.")],
+    seeds: Annotated[int, typer.Option(min=2, max=100, help="Searches for each value.")] = 5,
+    t_b: Annotated[float, typer.Option("--t-b", help="Largest fitness, one of the paper's.")] = DEFAULT_T_B,
+    d_th: Annotated[
+        float, typer.Option("--d-th", help="Least distance apart, one of the paper's.")
+    ] = DEFAULT_D_TH,
+    workers: Workers = 2,
+    database: Database = None,
+    resume: Resume = False,
+    new: New = False,
+    out: Annotated[Path, typer.Option(help="Folder for experiment file, report and picture.")] = RESULTS,
+    as_json: AsJson = False,
+) -> None:
+    """Search again with other values of a setting and several seeds, as an experiment, and compare.
+
+    Example: brink sensitivity rerun examples/quickstart.yaml --parameter population_size --values 5,10,20 --seeds 5
+    """
+    for name, value, known in (("--t-b", t_b, PAPER_T_BS), ("--d-th", d_th, PAPER_D_THS)):
+        if value not in known:
+            message = f"expected one of {', '.join(map(str, known))}, got {value:g}"
+            raise InvalidInput([FieldError(pointer=name, message=message)])
+    body = varied(read_campaign_file(file), parameter, _values(values), seeds)
+    out.mkdir(parents=True, exist_ok=True)
+    experiment = out / f"{file_name(body.name)}.yaml"
+    document = body.model_dump(mode="json", exclude_defaults=True)
+    experiment.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    ran = run_experiment(
+        body, experiment, workers=workers, database=database, resume=resume, new=new, out=out, as_json=as_json
+    )
+    if ran is None:
+        raise typer.Exit(1)
+    i, j = PAPER_T_BS.index(t_b), PAPER_D_THS.index(d_th)
+    found: dict[str, dict[str, list[float]]] = {}
+    for line, figures in lines_of(repeats_of(ran.results)).items():
+        if not line.control:
+            found[line.method] = {
+                str(measure): [float(measure.of(one)[-1, i, j]) for _, one in figures] for measure in Measure
+            }
+    # matplotlib takes half a second to load: only those who draw wait for it.
+    from brink.plots.sensitivity import figure_rerun
+
+    picture = ran.folder / "sensitivity.png"
+    title = f"How much the boundary depends on {parameter}: {body.name}"
+    figure_rerun(found, parameter=parameter, t_b=t_b, d_th=d_th, title=title).savefig(picture)
+    (ran.folder / "sensitivity.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    if not as_json:
+        console().print(f"picture: {picture}", soft_wrap=True)
+
+
+def varied(body: CampaignBody, parameter: str, values: list[Any], seeds: int) -> ExperimentBody:
+    """Return the experiment that varies one setting of a campaign's algorithm.
+
+    Args:
+        body: The campaign.
+        parameter: Which setting.
+        values: Its values.
+        seeds: Searches for each; the first has the campaign's seed.
+
+    Raises:
+        InvalidInput: They make no experiment.
+    """
+    document = {
+        "name": f"{body.name}: {parameter}"[:100],
+        "problems": [body.problem.model_dump(mode="json")],
+        "algorithms": [
+            {
+                "name": f"{value:g}" if isinstance(value, float) else str(value),
+                "id": body.algorithm.id, "params": {**body.algorithm.params, parameter: value},
+                "llm": None if body.llm is None else body.llm.model_dump(mode="json"),
+            }
+            for value in values
+        ],
+        "seeds": {"first": body.seed, "count": seeds},
+        "budget": body.budget.model_dump(mode="json"),
+        "priority": body.priority,
+        "execution": body.execution.model_dump(mode="json"),
+    }  # fmt: skip
+    return parse_experiment(document)
+
+
+def _values(text: str) -> list[Any]:
+    """Return values as they are written: numbers, true and false, texts."""
+    found: list[Any] = []
+    for part in filter(None, map(str.strip, text.split(","))):
+        try:
+            found.append(json.loads(part))
+        except ValueError:
+            found.append(part)
+    return found
+
+
+def _numbers(option: str, text: str, *, low: float, high: float, closed: bool) -> list[float]:
+    bound = f"({low:g}, {high:g}{']' if closed else ')'}"
+    try:
+        found = [float(part) for part in text.split(",") if part.strip()]
+    except ValueError:
+        found = []
+    if not found or not all(low < value < high or (closed and value == high) for value in found):
+        message = f"expected numbers in {bound} with commas between, got {text!r}"
+        raise InvalidInput([FieldError(pointer=option, message=message)])
+    return found
+
+
+def _table(name: str, found: list[Rescored], own: float) -> Table:
+    table = Table(box=None, pad_edge=False)
+    for column in (name, "neighbours", "on the boundary", "distinct", "strict", ""):
+        table.add_column(column, justify="right" if column else "left", header_style="dim")
+    for one in found:
+        value = one.radius if name == "radius" else one.p_th
+        table.add_row(
+            f"{value:g}", f"{one.neighbours:g}", f"{one.near:,}", f"{one.dbs:,}", f"{one.strict_dbs:,}",
+            "the campaign's" if value == own else "",
+        )  # fmt: skip
+    return table
+
+
+for command in (rescore, rerun):
+    sensitivity.command()(command)

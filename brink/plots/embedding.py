@@ -1,0 +1,292 @@
+"""Figure: the map of a campaign. Every solution is a dot, alike ones lie near each other, the boundary is ringed."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, TwoSlopeNorm
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from brink.plots.inputs import CampaignFigures
+from brink.plots.style import (
+    HAIRLINE,
+    INK,
+    LABEL_PT,
+    MUTED,
+    PAPER,
+    SAFE,
+    SMALL_PT,
+    TICK_PT,
+    UNSAFE,
+    WIDTH_PX,
+    new_figure,
+    say,
+    share_text,
+)
+from brink.search.analysis.axes import AxisMeaning, axis_meanings
+from brink.search.boundary import IndexArray, distinct_boundary
+from brink.search.component import FloatArray
+from brink.search.embedding import embedded
+
+HEIGHT_PX: Final = 1060
+MAP_LEFT_PX, MAP_RIGHT_PX, MAP_TOP_PX, MAP_BOTTOM_PX = 76, 1170, 140, 64
+TEXT_LEFT_PX: Final = 1212
+GRID_CELLS: Final = 170
+"""Cells of the background along the longer side."""
+SMOOTHING: Final = 0.02
+"""Width of the background's kernel, as a share of the longer side."""
+MOST_NUMBERED: Final = 40
+MOST_LISTED: Final = 14
+
+_GROUND = LinearSegmentedColormap.from_list(
+    "safe-to-unsafe", ["#9cc8e6", "#cfe3f1", "#ffffff", "#fbe3d0", "#f3b98d"], N=256
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Map:
+    """What is drawn: places of the solutions, the boundary among them, what the axes mean."""
+
+    points: FloatArray
+    explained: float
+    meanings: tuple[AxisMeaning | None, AxisMeaning | None]
+    near: IndexArray
+    distinct: IndexArray
+    strict: int
+
+
+def figure_embedding(inputs: CampaignFigures) -> Figure:
+    """Return the map of the archive: verdicts as colours, the boundary solutions marked, the distinct ones ringed.
+
+    Args:
+        inputs: The campaign.
+    """
+    figure = new_figure(
+        HEIGHT_PX,
+        f"{inputs.title}: map of the search",
+        f"Each dot is one complete solution ({' + '.join(part.name for part in inputs.space.components)}), evaluated "
+        "once. Alike solutions lie near each other.\n"
+        "The rings are the result: distinct solutions on the hazard boundary, where safe turns into unsafe.",
+    )
+    axes = figure.add_axes(
+        (
+            MAP_LEFT_PX / WIDTH_PX,
+            MAP_BOTTOM_PX / HEIGHT_PX,
+            (MAP_RIGHT_PX - MAP_LEFT_PX) / WIDTH_PX,
+            1 - (MAP_TOP_PX + MAP_BOTTOM_PX) / HEIGHT_PX,
+        )
+    )
+    for spine in axes.spines.values():
+        spine.set_color(HAIRLINE)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    if len(inputs.archive) == 0:
+        say(axes, "no solution has been evaluated yet")
+        return figure
+    drawn = _placed(inputs)
+    _limit(axes, drawn.points)
+    _draw_ground(axes, inputs, drawn)
+    _draw_dots(axes, inputs, drawn)
+    _draw_rings(axes, drawn)
+    _name_axes(axes, drawn)
+    _write_key(figure, inputs, drawn)
+    return figure
+
+
+def _placed(inputs: CampaignFigures) -> _Map:
+    embedding = embedded(inputs.archive)
+    points = np.asarray(embedding.points)
+    extent = np.ptp(points, axis=0)
+    if extent[1] > extent[0]:
+        # The canvas is wider than high. A quarter turn keeps all distances.
+        points = np.column_stack([points[:, 1], -points[:, 0]])
+    return _Map(
+        points=points,
+        explained=embedding.explained,
+        meanings=axis_meanings(inputs.space, inputs.archive.vectors, points),
+        near=np.flatnonzero(inputs.archive.fitness <= inputs.t_b),
+        distinct=distinct_boundary(inputs.archive, inputs.t_b, inputs.d_th),
+        strict=int(distinct_boundary(inputs.archive, inputs.t_b, inputs.d_th, strict=True).size),
+    )
+
+
+def _limit(axes: Axes, points: FloatArray) -> None:
+    """Fit the limits to the points with equal scales, filling the canvas."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    width = (MAP_RIGHT_PX - MAP_LEFT_PX) / (HEIGHT_PX - MAP_TOP_PX - MAP_BOTTOM_PX)
+    extent = np.maximum(high - low, 1e-3) * 1.1
+    side = max(extent[0] / width, extent[1])
+    centre = (low + high) / 2
+    axes.set_xlim(centre[0] - side * width / 2, centre[0] + side * width / 2)
+    axes.set_ylim(centre[1] - side / 2, centre[1] + side / 2)
+
+
+def _draw_ground(axes: Axes, inputs: CampaignFigures, drawn: _Map) -> None:
+    """Tint the ground by the unsafe share of the neighbourhoods nearby; it fades where no solution is near."""
+    archive = inputs.archive
+    share = archive.unsafe_neighbours / archive.neighbours
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    rows = max(2, round(GRID_CELLS * (top - bottom) / (right - left)))
+    x, y = np.linspace(left, right, GRID_CELLS), np.linspace(bottom, top, rows)
+    width = SMOOTHING * (right - left)
+    # The kernel is a product of one along x and one along y, so the sums are two matrix products.
+    along = np.exp(-0.5 * ((x[:, None] - drawn.points[:, 0]) / width) ** 2)
+    across = np.exp(-0.5 * ((y[:, None] - drawn.points[:, 1]) / width) ** 2)
+    weight = across @ along.T
+    smooth = (across * share) @ along.T / np.maximum(weight, 1e-12)
+    norm = TwoSlopeNorm(archive.neighbourhood.p_th, 0.0, 1.0)
+    colours = _GROUND(norm(smooth))
+    # One solution right there is enough for a clear tint; two kernel widths away little is left.
+    colours[..., 3] = np.clip(weight / 1.2, 0, 1)
+    axes.imshow(
+        colours,
+        extent=(left, right, bottom, top),
+        origin="lower",
+        aspect="auto",
+        interpolation="bilinear",
+        zorder=0,
+    )
+
+
+def _draw_dots(axes: Axes, inputs: CampaignFigures, drawn: _Map) -> None:
+    archive = inputs.archive
+    size = float(np.clip(26_000 / len(archive), 14, 60))
+    # In the order of evaluation, verdicts mixed: neither colour is always on top of the other.
+    axes.scatter(
+        drawn.points[:, 0], drawn.points[:, 1], s=size, c=np.where(archive.unsafe, UNSAFE, SAFE), alpha=0.72,
+        linewidths=0.4, edgecolors=PAPER, zorder=2, gid="solutions",
+    )  # fmt: skip
+    if drawn.near.size:
+        near = drawn.points[drawn.near]
+        axes.scatter(
+            near[:, 0], near[:, 1], s=size * 1.25, facecolors="none", edgecolors=INK, linewidths=0.8, zorder=3,
+            gid="near-boundary",
+        )  # fmt: skip
+
+
+def _draw_rings(axes: Axes, drawn: _Map) -> None:
+    """Ring the distinct boundary solutions; while they are few, each ring holds its number, best first."""
+    rings = drawn.points[drawn.distinct]
+    if not rings.size:
+        return
+    numbered = len(rings) <= MOST_NUMBERED
+    axes.scatter(
+        rings[:, 0], rings[:, 1], s=330 if numbered else 110, facecolors=PAPER if numbered else "none",
+        edgecolors=PAPER, linewidths=4.5, zorder=4,
+    )  # fmt: skip
+    # Worst first: where rings overlap, the better one lies on top with its number.
+    for rank in range(len(rings), 0, -1):
+        x, y = rings[rank - 1].tolist()
+        axes.scatter(
+            x, y, s=330 if numbered else 110, facecolors=PAPER if numbered else "none", edgecolors=INK,
+            linewidths=1.9, zorder=5 + 1 / rank, gid=f"ring-{rank}",
+        )  # fmt: skip
+        if numbered:
+            axes.annotate(
+                str(rank), (x, y), ha="center", va="center_baseline", fontsize=SMALL_PT + 0.5, fontweight="bold",
+                color=INK, zorder=5 + 1 / rank,
+            )  # fmt: skip
+
+
+def _name_axes(axes: Axes, drawn: _Map) -> None:
+    across, up = drawn.meanings
+    if across is not None:
+        axes.set_xlabel(f"across: {across.text}", fontsize=TICK_PT, color=MUTED, labelpad=8)
+    if up is not None:
+        axes.set_ylabel(f"up: {up.text}", fontsize=TICK_PT, color=MUTED, labelpad=8)
+
+
+def _write_key(figure: Figure, inputs: CampaignFigures, drawn: _Map) -> None:
+    archive = inputs.archive
+    unsafe = int(archive.unsafe.sum())
+    dot = {"linestyle": "", "marker": "o", "markersize": 9, "markeredgewidth": 0}
+    hollow = {"linestyle": "", "marker": "o", "markerfacecolor": "none", "markeredgecolor": INK}
+    near = f"near the boundary (fitness ≤ {inputs.t_b:g}): {drawn.near.size:,}"
+    handles = [
+        Line2D([], [], color=SAFE, label=f"safe: {len(archive) - unsafe:,}", **dot),  # type: ignore[arg-type]
+        Line2D(
+            [],
+            [],
+            color=UNSAFE,
+            label=f"unsafe: {unsafe:,} ({share_text(unsafe / len(archive))})",
+            **dot,  # type: ignore[arg-type]
+        ),
+        Line2D([], [], markersize=9, markeredgewidth=1.0, label=near, **hollow),  # type: ignore[arg-type]
+        Line2D([], [], markersize=14, markeredgewidth=2.0, label=_ring_text(inputs, drawn), **hollow),  # type: ignore[arg-type]
+    ]
+    top = 1 - MAP_TOP_PX / HEIGHT_PX
+    figure.legend(
+        handles=handles, loc="upper left", bbox_to_anchor=(TEXT_LEFT_PX / WIDTH_PX - 0.008, top + 0.008),
+        frameon=False, fontsize=LABEL_PT, labelcolor=INK, labelspacing=0.9, handletextpad=0.7, borderaxespad=0,
+        borderpad=0.3,
+    )  # fmt: skip
+    _draw_tint_key(figure, inputs, 1 - (MAP_TOP_PX + 218) / HEIGHT_PX)
+    _list_rings(figure, inputs, drawn, 1 - (MAP_TOP_PX + 300) / HEIGHT_PX)
+    figure.text(
+        TEXT_LEFT_PX / WIDTH_PX,
+        MAP_BOTTOM_PX / HEIGHT_PX,
+        "Distances on the map follow the distances between\n"
+        f"solutions. Its two dimensions hold {drawn.explained:.0%} of the spread.",
+        fontsize=SMALL_PT, color=MUTED, va="bottom", linespacing=1.5,
+    )  # fmt: skip
+
+
+def _ring_text(inputs: CampaignFigures, drawn: _Map) -> str:
+    if drawn.distinct.size == 0:
+        return "distinct boundary solutions: none yet"
+    return (
+        f"distinct boundary solutions: {drawn.distinct.size:,}\n"
+        f"(at least {inputs.d_th:g} apart; strict: {drawn.strict:,})"
+    )
+
+
+def _draw_tint_key(figure: Figure, inputs: CampaignFigures, top: float) -> None:
+    p_th = inputs.archive.neighbourhood.p_th
+    width, height = 300 / WIDTH_PX, 14 / HEIGHT_PX
+    left = TEXT_LEFT_PX / WIDTH_PX
+    figure.text(
+        left, top, "ground: unsafe share of the neighbourhood", fontsize=LABEL_PT, color=INK, va="bottom"
+    )
+    axes = figure.add_axes((left, top - 26 / HEIGHT_PX, width, height))
+    norm = TwoSlopeNorm(p_th, 0.0, 1.0)
+    ramp = np.linspace(0, 1, 256)
+    share = np.where(ramp < 0.5, ramp * 2 * p_th, p_th + (ramp - 0.5) * 2 * (1 - p_th))
+    axes.imshow(_GROUND(norm(share))[None], aspect="auto", extent=(0, 1, 0, 1))
+    axes.set_yticks([])
+    axes.set_xticks([0, 0.5, 1], ["0", f"p_th = {p_th:g}", "1"], fontsize=SMALL_PT, color=MUTED)
+    axes.tick_params(length=0, pad=5)
+    for spine in axes.spines.values():
+        spine.set_color(HAIRLINE)
+
+
+def _list_rings(figure: Figure, inputs: CampaignFigures, drawn: _Map, top: float) -> None:
+    """List the best ringed solutions: rank, candidate number, how many of their neighbours are unsafe, fitness."""
+    archive = inputs.archive
+    if drawn.distinct.size == 0:
+        return
+    columns = [(0, "ring"), (58, "solution"), (150, "unsafe neighbours"), (330, "fitness")]
+    line = 21 / HEIGHT_PX
+    for x, word in columns:
+        figure.text((TEXT_LEFT_PX + x) / WIDTH_PX, top, word, fontsize=SMALL_PT, color=MUTED, va="top")
+    for row, position in enumerate(drawn.distinct[:MOST_LISTED].tolist(), start=1):
+        unsafe, all_of_them = int(archive.unsafe_neighbours[position]), int(archive.neighbours[position])
+        cells = [
+            f"{row}",
+            f"{archive.numbers[position]}",
+            f"{unsafe} of {all_of_them} ({share_text(unsafe / all_of_them)})",
+            f"{archive.fitness[position]:.3f}",
+        ]
+        colour = UNSAFE if archive.unsafe[position] else SAFE
+        for index, ((x, _), cell) in enumerate(zip(columns, cells, strict=True)):
+            figure.text(
+                (TEXT_LEFT_PX + x) / WIDTH_PX, top - row * line - 4 / HEIGHT_PX, cell, fontsize=TICK_PT, va="top",
+                color=colour if index == 1 else INK, fontweight="bold" if index == 0 else "normal",
+            )  # fmt: skip
+    more = drawn.distinct.size - MOST_LISTED
+    if more > 0:
+        figure.text(
+            TEXT_LEFT_PX / WIDTH_PX, top - (MOST_LISTED + 1) * line - 6 / HEIGHT_PX, f"and {more:,} more",
+            fontsize=SMALL_PT, color=MUTED, va="top",
+        )  # fmt: skip

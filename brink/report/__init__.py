@@ -1,0 +1,1 @@
+"""Reports for people: experiments and the evidence for a boundary."""

@@ -1,0 +1,239 @@
+"""The report of an experiment: what was run, what it says in words, tables, figures, how it was computed.
+
+It is written as Markdown with its pictures beside it; the HTML page is made from that, with the pictures inside.
+"""
+
+import base64
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from datetime import datetime
+from html import escape
+from pathlib import Path
+
+from markdown_it import MarkdownIt
+
+from brink import __version__
+from brink.search.analysis.conclusions import LEVEL, conclusion, with_low_controls
+from brink.search.analysis.experiment_tables import Duel, Line, Measure, Repeat, Standing, duels, standings
+from brink.search.analysis.scores import DRAWS, ENOUGH_REPEATS
+from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
+from brink.search.statistics import MeanInterval
+from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.experiments.body import ExperimentBody
+
+NAMES = {Measure.DBS: "DBS", Measure.STRICT: "strict DBS"}
+STYLE = """
+:root { color-scheme: light dark; }
+body { font: 16px/1.55 system-ui, sans-serif; max-width: 76rem; margin: 2rem auto; padding: 0 1.2rem;
+  color: #1f252b; background: #fff; }
+h1, h2, h3 { line-height: 1.25; margin: 2.2em 0 .6em; } h1 { margin-top: 0; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .78rem; display: block;
+  overflow-x: auto; }
+th, td { padding: .3rem .55rem; text-align: right; border-bottom: 1px solid #d0d5d9; white-space: nowrap; }
+th:first-child, td:first-child { text-align: left; } img { max-width: 100%; height: auto; }
+code { font-size: .92em; } em { color: #68727b; font-style: normal; }
+@media (prefers-color-scheme: dark) { body { color: #e6e9ec; background: #14181c; } th, td { border-color: #3a424a; }
+  em { color: #9aa5ae; } img { background: #fff; border-radius: 6px; padding: 4px; } }
+"""
+
+
+def markdown_report(
+    body: ExperimentBody,
+    repeats: Sequence[Repeat],
+    pictures: Mapping[tuple[str, Measure, str], str],
+    *,
+    experiment: str,
+    created_at: datetime,
+    elapsed_s: float,
+) -> str:
+    """Return the report as Markdown.
+
+    Args:
+        body: What was asked for.
+        repeats: The campaigns that have finished, at least one.
+        pictures: File names of the figures, by problem, measure and kind.
+        experiment: Id of the experiment.
+        created_at: When it was submitted.
+        elapsed_s: How long it took.
+    """
+    parts = [f"# {body.name}", _facts(body, repeats, experiment, created_at, elapsed_s)]
+    found_standings, found_duels = standings(repeats), duels(repeats)
+    for problem in dict.fromkeys(repeat.problem for repeat in repeats):
+        heading = f": {problem}" if len(body.problems) > 1 else ""
+        parts += [
+            f"## What it says{heading}",
+            "\n".join(sentences(repeats, found_standings, found_duels, problem)),
+        ]
+        for measure in Measure:
+            name = NAMES[measure]
+            parts += [f"## {name[0].upper()}{name[1:]}{heading}"]
+            for kind, words in (("by-budget", "by share of the budget"), ("by-distance", "by d_th")):
+                file = pictures.get((problem, measure, kind))
+                if file:
+                    parts.append(f"![{name} {words}]({file})")
+            parts += ["### Means and 95% intervals", _standings_table(found_standings, problem, measure)]
+            parts += ["### Compared", _duels_table(found_duels, problem, measure)]
+    parts += ["## Campaigns", _campaigns(repeats), "## How it was computed", _method(repeats)]
+    return "\n\n".join(parts) + "\n"
+
+
+def html_report(markdown: str, title: str, folder: Path) -> str:
+    """Return a report as one HTML page with its pictures inside.
+
+    Args:
+        markdown: From `markdown_report`.
+        title: Of the page.
+        folder: Where the pictures are.
+    """
+    tokens = (reader := MarkdownIt("commonmark", {"html": False}).enable("table")).parse(markdown)
+    for token in tokens:
+        for child in token.children or ():
+            if child.type == "image":
+                picture = (folder / str(child.attrs["src"])).read_bytes()
+                child.attrs["src"] = f"data:image/png;base64,{base64.b64encode(picture).decode('ascii')}"
+    content = reader.renderer.render(tokens, reader.options, {})
+    return (
+        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">\n<title>{escape(title)}</title>\n'
+        f"<style>{STYLE}</style>\n</head>\n<body>\n{content}</body>\n</html>\n"
+    )
+
+
+def sentences(
+    repeats: Sequence[Repeat], found: Sequence[Standing], compared: Sequence[Duel], problem: str
+) -> Iterator[str]:
+    """Yield what the tables say of a problem at the usual thresholds, a list item each."""
+    yield f"At t_b {DEFAULT_T_B:g} and d_th {DEFAULT_D_TH:g}:\n"
+    means = {(one.line, one.measure): one.value for one in found if (one.t_b, one.d_th) == _USUAL}
+    for duel in compared:
+        if (duel.t_b, duel.d_th) != _USUAL or duel.first.problem != problem:
+            continue
+        first, second = (means[line, duel.measure].mean for line in (duel.first, duel.second))
+        yield f"- {_in_words(duel, first, second, with_low_controls(repeats, problem))}"
+
+
+_USUAL = (DEFAULT_T_B, DEFAULT_D_TH)
+
+
+def _in_words(duel: Duel, first: float, second: float, low: Collection[str]) -> str:
+    figures = (
+        f"{NAMES[duel.measure]} {first:.1f} against {second:.1f}, A12 {duel.result.a12:.2f} ({duel.size}), "
+        f"p {_p(duel.result.p_value)}, corrected {_p(duel.adjusted)}"
+    )
+    other = "beside its control" if duel.second.control else f"and **{duel.second.method}**"
+    return f"**{duel.first.method}** {other}: {figures}; {conclusion(duel, first, second, low)}."
+
+
+def _facts(
+    body: ExperimentBody, repeats: Sequence[Repeat], experiment: str, created_at: datetime, elapsed_s: float
+) -> str:
+    total = body.campaigns
+    finished = "" if len(repeats) == total else f"; **{len(repeats)} of {total} campaigns have finished**"
+    hours, minutes = divmod(round(elapsed_s / 60), 60)
+    rows = [
+        f"- Experiment `{experiment}`, submitted {created_at:%Y-%m-%d %H:%M} UTC, {hours} h {minutes:02} min"
+        f"{finished}.",
+        f"- Methods: {', '.join(f'{one.label} (`{one.id}`)' for one in body.algorithms)}.",
+        f"- Problems: {', '.join(f'{one.label} (`{one.id}`)' for one in body.problems)}.",
+        f"- {len(body.seeds)} seeds ({_seeds(body.seeds)}), {body.budget.simulations:,} simulations each: "
+        f"{total * body.budget.simulations:,} in all.",
+        f"- Brink {__version__}.",
+    ]
+    return "\n".join(rows)
+
+
+def _seeds(seeds: Sequence[int]) -> str:
+    in_a_row = len(seeds) > 2 and list(seeds) == list(range(seeds[0], seeds[0] + len(seeds)))
+    return f"{seeds[0]} to {seeds[-1]}" if in_a_row else ", ".join(str(seed) for seed in seeds)
+
+
+def _standings_table(found: Sequence[Standing], problem: str, measure: Measure) -> str:
+    ours = [one for one in found if one.line.problem == problem and one.measure is measure]
+    rows = [_row(["d_th", "method", *(f"t_b {t_b:g}" for t_b in PAPER_T_BS)]), _row(["---"] * 8)]
+    by_place = {(one.line, one.t_b, one.d_th): one.value for one in ours}
+    lines = list(dict.fromkeys(one.line for one in ours))
+    for d_th in PAPER_D_THS:
+        for line in lines:
+            values = [_interval(by_place[line, t_b, d_th]) for t_b in PAPER_T_BS]
+            rows.append(_row([f"{d_th:g}", _name(line), *values]))
+    return "\n".join(rows)
+
+
+def _duels_table(found: Sequence[Duel], problem: str, measure: Measure) -> str:
+    ours = [one for one in found if one.first.problem == problem and one.measure is measure]
+    rows = [_row(["d_th", "methods", *(f"t_b {t_b:g}" for t_b in PAPER_T_BS)]), _row(["---"] * 8)]
+    by_place = {(one.first, one.second, one.t_b, one.d_th): one for one in ours}
+    pairs = list(dict.fromkeys((one.first, one.second) for one in ours))
+    if not pairs:
+        return "Nothing to compare."
+    for d_th in PAPER_D_THS:
+        for first, second in pairs:
+            cells = [_duel(by_place[first, second, t_b, d_th]) for t_b in PAPER_T_BS]
+            against = "its control" if second.control else second.method
+            rows.append(_row([f"{d_th:g}", f"{first.method} : {against}", *cells]))
+    legend = (
+        "*Each cell: A12 (how often the first exceeds the second), effect, p of Mann-Whitney U corrected by Holm's "
+        f"method for all comparisons of this table in which values differ at all. Bold: p at most {LEVEL:g}.*"
+    )
+    return "\n".join(rows) + f"\n\n{legend}"
+
+
+def _duel(duel: Duel) -> str:
+    words = f"{duel.result.a12:.2f} {duel.size}, p {_p(duel.adjusted)}"
+    return f"**{words}**" if duel.adjusted <= LEVEL else words
+
+
+def _campaigns(repeats: Sequence[Repeat]) -> str:
+    rows = [
+        _row(["campaign", "method", "problem", "seed", "evaluated", "unsafe", "behaviours a scenario"]),
+        _row(["---"] * 7),
+    ]
+    for one in repeats:
+        control = one.scores.control
+        behaviours = "–" if control is None else f"{control.repeats:.1f}"
+        share = one.scores.unsafe / one.scores.evaluated if one.scores.evaluated else 0.0
+        rows.append(
+            _row([
+                f"`{one.campaign}`", one.method, one.problem, str(one.seed), f"{one.scores.evaluated:,}",
+                f"{share:.0%}", behaviours,
+            ])
+        )  # fmt: skip
+    return "\n".join(rows)
+
+
+def _method(repeats: Sequence[Repeat]) -> str:
+    low = with_low_controls(repeats)
+    items = [
+        "**DBS**: solutions whose fitness is at most t_b, taken greedily, best first, each at least d_th from all "
+        "taken before. What was simulated beyond the budget, to end a generation, is not counted.",
+        "**Strict DBS** counts only solutions whose interval holds p_th and whose neighbourhood holds both verdicts. "
+        "Up from t_b 1/9 (at p_th .1) plain DBS counts surroundings in which nothing unsafe was ever seen.",
+        "**Controls** keep what was simulated and redraw each verdict with the probability that its scenario alone "
+        f"has: means of {DRAWS} draws a campaign. What a method reaches beyond its control is owed to behaviour.",
+        "**Tests**: Mann-Whitney U, two-sided, with Holm's correction over all comparisons of a table; Vargha and "
+        "Delaney's A12, called small from .56, medium from .64, large from .71, and the same below one half.",
+        "Intervals are Student's over the seeds.",
+    ]
+    if low:
+        items.append(
+            f"The control of {', '.join(low)} **reads low**, with fewer than {ENOUGH_REPEATS:g} behaviours a "
+            "scenario: what lies beyond it proves nothing."
+        )
+    return "\n".join(f"- {item}" for item in items)
+
+
+def _interval(value: MeanInterval) -> str:
+    if value.low is None or value.high is None:
+        return f"{value.mean:.1f}"
+    return f"{value.mean:.1f} [{max(0.0, value.low):.1f}, {value.high:.1f}]"
+
+
+def _name(line: Line) -> str:
+    return f"*{line.label}*" if line.control else f"**{line.method}**"
+
+
+def _p(value: float) -> str:
+    return "< .001" if value < 0.001 else f"{value:.3f}"
+
+
+def _row(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |"

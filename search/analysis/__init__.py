@@ -1,0 +1,1 @@
+"""What can be said of an archive: pure functions of archives and plain values."""

@@ -1,0 +1,142 @@
+"""Boundary solutions as a table: one row a solution, for spreadsheets, programs and data frames."""
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
+from typing import Any, Final, TypeAlias
+
+from brink.search.errors import install_command
+from brink.server.api.schemas import Boundary
+from brink.server.campaigns.body import CampaignBody
+from brink.server.errors import FieldError, InvalidInput
+
+Cell: TypeAlias = str | int | float | bool | None
+Row: TypeAlias = dict[str, Cell]
+
+FORMATS: Final = ("csv", "jsonl", "parquet")
+MEANINGS: Final = {
+    "number": "of the solution in its campaign",
+    "verdict": "safe or unsafe, of its one simulation in the search",
+    "robustness": "of the campaign's requirement: distance to violation, negative if violated",
+    "fitness": "distance of its neighbourhood from the boundary, 0 on it",
+    "neighbours": "evaluated solutions within the radius, itself included",
+    "unsafe_neighbours": "unsafe ones among them",
+    "interval_low": "lower limit of the Wilson interval of the unsafe share of its neighbourhood",
+    "interval_high": "upper limit",
+    "strict": "whether the interval contains p_th and the neighbourhood holds both verdicts",
+    "seed": "of its episode: the same seed gives the same episode, bit for bit",
+    "words": "what it is, for people",
+    "campaign": "id of the campaign",
+    "problem": "what was searched",
+    "algorithm": "what searched",
+    "campaign_seed": "of the search",
+    "generation": "in which it was asked for",
+    "robustness.*": "of each requirement, in its unit",
+    "feature.*": "what else the simulator says of the episode",
+    "version.*": "of everything that the simulation ran with",
+    "*.*": "parameters of a component of the solution, as people read them",
+    "component.*": "what the component saw beside what it said: see seen and said",
+}
+"""What columns mean; a star stands for any name."""
+_TIMINGS: Final = ("cpu_s", "simulated_s")
+
+
+def boundary_rows(boundary: Boundary, campaign: str, body: CampaignBody) -> list[Row]:
+    """Return boundary solutions as rows with the same columns.
+
+    Args:
+        boundary: The solutions with all that is known of them.
+        campaign: Its id.
+        body: What the campaign was.
+    """
+    strict = set(boundary.strict)
+    rows: list[Row] = []
+    for solution in boundary.solutions:
+        low, high = solution.interval or (None, None)
+        row: Row = {
+            "number": solution.number, "verdict": str(solution.verdict), "robustness": solution.robustness,
+            "fitness": solution.fitness, "neighbours": solution.neighbours,
+            "unsafe_neighbours": solution.unsafe_neighbours, "interval_low": low, "interval_high": high,
+            "strict": solution.number in strict, "seed": solution.seed, "words": solution.words,
+        }  # fmt: skip
+        for component, values in solution.parameters.items():
+            row.update({f"{component}.{name}": _cell(value) for name, value in values.items()})
+        row.update({
+            "campaign": campaign, "problem": body.problem.id, "algorithm": body.algorithm.id,
+            "campaign_seed": body.seed, "generation": solution.generation,
+        })  # fmt: skip
+        for name, verdict in (solution.verdicts or {}).items():
+            row[f"robustness.{name}"] = verdict["robustness"]
+        row.update({f"feature.{name}": _cell(value) for name, value in (solution.features or {}).items()})
+        provenance = solution.provenance or {}
+        row.update({f"version.{name}": _cell(v) for name, v in provenance.items() if name not in _TIMINGS})
+        rows.append(row)
+    return _squared(rows)
+
+
+def _cell(value: Any) -> Cell:
+    return value if value is None or isinstance(value, str | int | float | bool) else json.dumps(value)
+
+
+def _squared(rows: Sequence[Mapping[str, Cell]]) -> list[Row]:
+    """Return rows with the same columns, in the order in which they come first."""
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    return [{name: row.get(name) for name in columns} for row in rows]
+
+
+def table_bytes(rows: Sequence[Row], form: str) -> bytes:
+    """Return rows as a file.
+
+    Args:
+        rows: With the same columns.
+        form: One of `FORMATS`.
+
+    Raises:
+        InvalidInput: Parquet was asked for, and pyarrow is not installed.
+    """
+    if form == "parquet":
+        return _parquet(rows)
+    text = io.StringIO()
+    if form == "csv":
+        writer = csv.DictWriter(text, list(rows[0]) if rows else ["number"], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    else:
+        text.writelines(json.dumps(row, allow_nan=False) + "\n" for row in rows)
+    return text.getvalue().encode()
+
+
+def has_parquet() -> bool:
+    """Return whether tables can be written as Parquet here."""
+    return find_spec("pyarrow") is not None
+
+
+def _parquet(rows: Sequence[Row]) -> bytes:
+    if not has_parquet():
+        message = f"parquet needs pyarrow, which is not installed here: {install_command('analysis')}"
+        raise InvalidInput([FieldError(pointer="/query/format", message=message)])
+    # Imported here: an optional extra that takes a second to load.
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pa.Table.from_pylist([_of_one_type(row, mixed) for mixed in [_mixed(rows)] for row in rows])
+    buffer = io.BytesIO()
+    pq.write_table(table, buffer)
+    return buffer.getvalue()
+
+
+def _mixed(rows: Sequence[Row]) -> frozenset[str]:
+    """Return columns whose values are of several types, whole numbers and others counting as one."""
+    kinds: dict[str, set[type]] = {}
+    for row in rows:
+        for name, value in row.items():
+            if value is not None:
+                number = isinstance(value, int | float) and not isinstance(value, bool)
+                kinds.setdefault(name, set()).add(float if number else type(value))
+    return frozenset(name for name, found in kinds.items() if len(found) > 1)
+
+
+def _of_one_type(row: Row, mixed: frozenset[str]) -> Row:
+    return {name: str(value) if name in mixed and value is not None else value for name, value in row.items()}

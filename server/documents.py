@@ -1,0 +1,189 @@
+"""Documents that come in: strict models, YAML files, and errors that point to each wrong field.
+
+Every error names the field by a JSON pointer, says what was expected and what came, and the nearest valid name.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from brink.server.errors import FieldError, InvalidInput, nearest
+
+MAX_FILE_BYTES = 1024 * 1024
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+class Body(BaseModel):
+    """Base of what comes in: strict types, no unknown field."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+def without_controls(text: str) -> str:
+    """Return a text that can be shown on one line.
+
+    Raises:
+        ValueError: It cannot.
+    """
+    if not text.isprintable():
+        raise ValueError("expected text without control characters")
+    return text
+
+
+def hash_of(document: object) -> str:
+    """Return the SHA-256 of a JSON document, whatever the order of its keys."""
+    text = json.dumps(document, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def parsed(document: object, model: type[Model], expected: str) -> Model:
+    """Read a document.
+
+    Args:
+        document: What was written.
+        model: What it should be.
+        expected: The same, in words.
+
+    Raises:
+        InvalidInput: With a pointer to each wrong field.
+    """
+    if not isinstance(document, Mapping):
+        came = "nothing" if document is None else f"a {type(document).__name__}"
+        raise InvalidInput([FieldError(pointer="", message=f"expected {expected}, got {came}")])
+    try:
+        return model.model_validate(dict(document))
+    except ValidationError as error:
+        raise invalid_input(error, model) from None
+
+
+def read_yaml(path: Path) -> object:
+    """Read a file of YAML, of which JSON is a part.
+
+    Raises:
+        InvalidInput: The file cannot be read, or is no YAML.
+    """
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise InvalidInput(
+                [FieldError(pointer="", message=f"{path}: larger than {MAX_FILE_BYTES} bytes")]
+            )
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise InvalidInput([FieldError(pointer="", message=f"{path}: {reason}")]) from None
+    return yaml_document(text, f"{path}: ")
+
+
+def yaml_document(text: str, prefix: str = "") -> object:
+    """Read a text of YAML, of which JSON is a part.
+
+    Raises:
+        InvalidInput: It is no YAML; the message begins with the prefix.
+    """
+    try:
+        document: object = yaml.load(text, _Loader)
+    except yaml.YAMLError as error:
+        raise InvalidInput([FieldError(pointer="", message=f"{prefix}{_yaml_trouble(error)}")]) from None
+    except (ValueError, RecursionError) as error:  # a date that is none; nested without end
+        reason = str(error) if isinstance(error, ValueError) else "nested too deeply"
+        raise InvalidInput([FieldError(pointer="", message=f"{prefix}not YAML: {reason}")]) from None
+    return document
+
+
+class _Loader(yaml.SafeLoader):
+    """Takes no key twice: the second one would silently win."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+        for key, _ in reversed(node.value):
+            if isinstance(key, yaml.ScalarNode) and key.value != "<<" and keys.count(key.value) > 1:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"{key.value!r} is given twice", key.start_mark
+                )
+        return super().construct_mapping(node, deep)
+
+
+def _yaml_trouble(error: yaml.YAMLError) -> str:
+    mark = getattr(error, "problem_mark", None)
+    if mark is None:
+        return f"not YAML: {' '.join(str(error).split())}"
+    problem = str(getattr(error, "problem", None) or "cannot be read")
+    if "\\t" in problem:
+        problem = "a tab; YAML is indented by spaces"
+    return f"line {mark.line + 1}, column {mark.column + 1}: {problem}"
+
+
+def invalid_input(error: ValidationError, model: type[BaseModel], prefix: str = "") -> InvalidInput:
+    """Translate a validation error into pointers, expectations and nearest names."""
+    return InvalidInput(_field_error(item, model, prefix) for item in error.errors(include_url=False))
+
+
+def field_errors(items: Iterable[Any], model: type[BaseModel] | None) -> list[FieldError]:
+    """Translate the errors of a request, whose locations begin with the part of the request."""
+    errors = []
+    for item in items:
+        part, *location = item["loc"]
+        body = part == "body"
+        relative = {**item, "loc": tuple(location)}
+        errors.append(_field_error(relative, (model if body else None) or Body, "" if body else f"/{part}"))
+    return errors
+
+
+def _field_error(item: Any, model: type[BaseModel], prefix: str) -> FieldError:
+    location = [part for part in item["loc"] if not isinstance(part, str) or not part.startswith("function-")]
+    pointer = prefix + "".join(f"/{_escaped(str(part))}" for part in location)
+    if item["type"] == "extra_forbidden":
+        valid = sorted(_fields_at(model, location[:-1]))
+        return FieldError(
+            pointer=pointer,
+            message=f"unknown field; expected one of {', '.join(valid) or 'none'}",
+            nearest=nearest(str(location[-1]), valid),
+        )
+    if item["type"] == "missing":
+        return FieldError(pointer=pointer, message="missing; this field is required")
+    if item["type"] == "json_invalid":
+        where = location[-1] if location else 0
+        reason = item.get("ctx", {}).get("error", "malformed")
+        return FieldError(pointer=prefix, message=f"expected JSON: {reason} at character {where}")
+    if item["type"] in ("model_type", "model_attributes_type", "dict_type"):
+        valid = sorted(_fields_at(model, location))
+        fields = f" with {', '.join(valid)}" if valid else ""
+        message = f"expected a mapping{fields}, got {repr(item['input'])[:120]}"
+        return FieldError(pointer=pointer, message=message)
+    message = item["msg"].removeprefix("Value error, ")
+    valid = [str(value) for value in _literals(item)]
+    shown = repr(item.get("input"))
+    return FieldError(
+        pointer=pointer,
+        message=f"{message[0].lower()}{message[1:]}, got {shown[:120]}",
+        nearest=nearest(str(item.get("input")), valid) if valid else None,
+    )
+
+
+def _literals(item: Any) -> list[str]:
+    expected = item.get("ctx", {}).get("expected", "") if item["type"] == "literal_error" else ""
+    return [part.strip().strip("'") for part in expected.replace(" or ", ", ").split(",") if part.strip()]
+
+
+def _escaped(part: str) -> str:
+    return part.replace("~", "~0").replace("/", "~1")
+
+
+def _fields_at(model: type[BaseModel], location: list[Any]) -> set[str]:
+    for part in location:
+        if isinstance(part, int):  # one of a list, whose model is known
+            continue
+        field = model.model_fields.get(str(part))
+        inner = field.annotation if field else None
+        for choice in get_args(inner):  # a model that may be left out, or a list of them
+            inner = choice if isinstance(choice, type) and issubclass(choice, BaseModel) else inner
+        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+            return set()
+        model = inner
+    return set(model.model_fields)

@@ -1,0 +1,185 @@
+"""Which problems and algorithms there are, and the JSON schemas of their parameters.
+
+Parameters are plain dataclasses whose fields carry their bounds (`brink.search.settings.setting`); here they become
+pydantic models, so that input is checked and described in one way.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, Field, fields
+from typing import Any, Literal, cast, get_type_hints
+
+from pydantic import BaseModel, ConfigDict, ValidationError, create_model
+from pydantic import Field as PydanticField
+
+from brink.search.algorithm import Algorithm
+from brink.search.errors import ConfigError, UnsupportedSpace
+from brink.search.levels import slots_of
+from brink.server.documents import invalid_input
+from brink.server.errors import FieldError, InvalidInput, nearest
+from brink.server.problems.base import InProcessProblem, Problem, SimulatedProblem, TellsViolations
+from brink.sim.catalogue import load_plugin, plugin_ids
+
+PROBLEMS = "brink.problems"
+ALGORITHMS = "brink.algorithms"
+
+_BOUNDS = ("ge", "gt", "le", "lt")
+
+
+def params_model(params_type: type[Any]) -> type[BaseModel]:
+    """Return the pydantic model of a parameter dataclass."""
+    hints = get_type_hints(params_type)
+    definitions: dict[str, Any] = {}
+    for item in fields(params_type):
+        definitions[item.name] = (_annotation(item, hints[item.name]), _field(item))
+    model: type[BaseModel] = create_model(
+        params_type.__name__,
+        __config__=ConfigDict(extra="forbid", strict=True, frozen=True),
+        __doc__=params_type.__doc__,
+        **definitions,
+    )
+    return model
+
+
+def _annotation(item: Field[Any], hint: Any) -> Any:
+    choices = item.metadata.get("choices")
+    return Literal[tuple(choices)] if choices else hint
+
+
+def _field(item: Field[Any]) -> Any:
+    bounds = {name: item.metadata[name] for name in _BOUNDS if item.metadata.get(name) is not None}
+    unit = item.metadata.get("unit")
+    extra = {"unit": unit} if unit else None
+    if item.default_factory is not MISSING:
+        return PydanticField(default_factory=item.default_factory, **bounds)
+    default = ... if item.default is MISSING else item.default
+    return PydanticField(default, description=item.metadata.get("help"), json_schema_extra=extra, **bounds)
+
+
+def make_params(params_type: type[Any], values: Mapping[str, Any], prefix: str) -> Any:
+    """Return parameters from input.
+
+    Args:
+        params_type: Their dataclass.
+        values: What the user gave.
+        prefix: Pointer to them, such as ``/algorithm/params``.
+
+    Raises:
+        InvalidInput: With a pointer to each wrong field.
+    """
+    model = params_model(params_type)
+    try:
+        checked = model.model_validate(dict(values))
+    except ValidationError as error:
+        raise invalid_input(error, model, prefix) from None
+    try:
+        return params_type(**{name: getattr(checked, name) for name in model.model_fields})
+    except ConfigError as error:
+        raise InvalidInput([config_field_error(error, prefix)]) from None
+
+
+def config_field_error(error: ConfigError, prefix: str) -> FieldError:
+    """Return a configuration error as a pointer and an expectation."""
+    message = str(error).removeprefix(f"{error.field}: ")
+    return FieldError(pointer=f"{prefix}/{error.field}", message=message, nearest=error.nearest)
+
+
+def _load(group: str, plugin_id: str, pointer: str, what: str) -> Any:
+    known = plugin_ids(group)
+    if plugin_id not in known:
+        raise InvalidInput(
+            [
+                FieldError(
+                    pointer=pointer,
+                    message=f"unknown {what} {plugin_id!r}; expected one of {', '.join(known)}, or one that a "
+                    "plug-in registers: brink --plugin MODULE …",
+                    nearest=nearest(plugin_id, known),
+                )
+            ]
+        )
+    return load_plugin(group, plugin_id)
+
+
+def make_algorithm(algorithm_id: str) -> Algorithm:
+    """Return an algorithm.
+
+    Raises:
+        InvalidInput: There is none of that id.
+    """
+    factory = _load(ALGORITHMS, algorithm_id, "/algorithm/id", "algorithm")
+    return cast(Callable[[], Algorithm], factory)()
+
+
+def problem_type(problem_id: str) -> type[Any]:
+    """Return the class of a problem.
+
+    Raises:
+        InvalidInput: There is none of that id.
+    """
+    return cast(type[Any], _load(PROBLEMS, problem_id, "/problem/id", "problem"))
+
+
+def read_problem_params(problem_id: str, values: Mapping[str, Any]) -> Any:
+    """Return the parameters of a problem, defaults included.
+
+    Raises:
+        InvalidInput: There is no problem of that id, or its parameters are wrong.
+    """
+    return make_params(problem_type(problem_id).params_type, values, "/problem/params")
+
+
+def make_problem(problem_id: str, params: Mapping[str, Any]) -> Problem:
+    """Return a problem.
+
+    Raises:
+        InvalidInput: There is none of that id, or its parameters are wrong.
+    """
+    kind = problem_type(problem_id)
+    problem = kind(read_problem_params(problem_id, params))
+    if not isinstance(problem, SimulatedProblem | InProcessProblem):
+        raise TypeError(f"plug-in {problem_id}: has neither episode and evaluation nor evaluate")
+    return problem
+
+
+def describe_problems() -> list[dict[str, Any]]:
+    """Return every problem with the schema of its parameters and its default search space."""
+    described = []
+    for problem_id in plugin_ids(PROBLEMS):
+        kind = problem_type(problem_id)
+        problem = make_problem(problem_id, {})
+        described.append(
+            {
+                "id": problem_id,
+                "summary": kind.summary,
+                "params": params_model(kind.params_type).model_json_schema(),
+                "space": problem.space.describe(),
+                "simulator": problem.needs if isinstance(problem, SimulatedProblem) else None,
+                "finds": _finds(problem),
+                "algorithm_defaults": dict(problem.algorithm_defaults),
+            }
+        )
+    return described
+
+
+def _finds(problem: Problem) -> list[str]:
+    """Return what can be told of a campaign on a problem besides its boundary, by the names of the routes."""
+    found = ["violations"] if isinstance(problem, TellsViolations) else []
+    try:
+        slots_of(problem.space)
+    except UnsupportedSpace:
+        return found
+    return [*found, "combinations"]
+
+
+def describe_algorithms() -> list[dict[str, Any]]:
+    """Return every algorithm with the schema of its parameters."""
+    described = []
+    for algorithm_id in plugin_ids(ALGORITHMS):
+        algorithm = make_algorithm(algorithm_id)
+        described.append(
+            {
+                "id": algorithm_id,
+                "summary": algorithm.summary,
+                "params": params_model(algorithm.config_type).model_json_schema(),
+            }
+        )
+    return described
