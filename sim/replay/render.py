@@ -4,13 +4,10 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final, TypeAlias
+from typing import Final
 
 from brink.sim.replay.scene import ReplayError
 from brink.sim.trace import Trace
-
-ProgressCallback: TypeAlias = Callable[[int, int], None]
-"""Called with the number of frames drawn and the number of all frames."""
 
 DEFAULT_SIZES: Final = {".png": (1280, 720), ".gif": (800, 450), ".mp4": (960, 540)}
 """Width and height of a frame, by extension; a PNG has more below its frame."""
@@ -22,7 +19,7 @@ def render(
     *,
     requirement: str | None = None,
     size: tuple[int, int] | None = None,
-    on_progress: ProgressCallback | None = None,
+    on_progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Draw an episode into a file: a still picture (.png) or a film (.gif, .mp4).
 
@@ -34,7 +31,7 @@ def render(
         requirement: Id of the requirement to judge; by default the front gap or, if the trace does not record it,
             its first requirement.
         size: Width and height of a frame; by default a good one for the extension.
-        on_progress: Called after each frame.
+        on_progress: Called after each frame with the number of frames drawn and of all.
 
     Returns:
         The path.
@@ -72,7 +69,7 @@ def render_bytes(
     *,
     requirement: str | None = None,
     size: tuple[int, int] | None = None,
-    on_progress: ProgressCallback | None = None,
+    on_progress: Callable[[int, int], None] | None = None,
 ) -> bytes:
     """Draw an episode and return the content of the file.
 

@@ -186,7 +186,7 @@ def _obstacles(trace: Trace) -> Obstacles:
         there = actor.motion[samples]
         # A comparison with NaN is false: an actor that is absent matches nothing.
         near = np.hypot(there[:, 0] - x_m, there[:, 1] - y_m) < _MATCH_M
-        real |= near & (kinds == actor.kind)
+        real |= near & (kinds == str(actor.kind))
     return Obstacles(
         yaw_rad=np.where(moving, np.arctan2(vy_mps, vx_mps), trace.ego[samples, 2]),
         length_m=np.fmax(length_m, _LEAST_SIDE_M),

@@ -179,7 +179,8 @@ def notable_events(trace: Trace) -> list[Event]:
 
 def event_caption(event: Event) -> str:
     """Return an event in words; an action names the road user, such as ``car-1: change lane``."""
-    return event.text.replace("_", " ").replace(":", ": ", 1) if event.kind == ACTION else event.text
+    text = str(event.text)
+    return text.replace("_", " ").replace(":", ": ", 1) if event.kind == ACTION else text
 
 
 def runs(values: Sequence[T]) -> list[tuple[T, int, int]]:

@@ -1,17 +1,19 @@
 """Films: frames as a GIF or as H.264 in MP4, ten per simulated second, so that they play in real time."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from fractions import Fraction
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeAlias
 
 import av
 import numpy as np
 from PIL import Image
 
 from brink.sim.replay.frame import FramePainter
-from brink.sim.replay.render import ProgressCallback
+
+ProgressCallback: TypeAlias = Callable[[int, int], None]
+"""Called with the number of frames drawn and of all."""
 
 FRAMES_PER_S: Final = 10
 HOLD_S: Final = 1.0
