@@ -6,6 +6,7 @@ from typing import Annotated
 from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from brink.server.errors import TOKEN_FORM
 from brink.worker.log import LogFormat, LogLevel
 
 DEFAULT_DATABASE = "sqlite:///brink.db"
@@ -73,9 +74,7 @@ class Settings(BaseSettings):
         """Take an empty token for what it is: no token, with which nobody may listen to other machines."""
         text = token.get_secret_value() if token is not None else ""
         if not all("!" <= letter <= "~" for letter in text):
-            raise ValueError(
-                "expected printable ASCII characters without spaces, such as: openssl rand -hex 24"
-            )
+            raise ValueError(TOKEN_FORM)
         return token if text else None
 
     @property

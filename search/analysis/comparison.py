@@ -19,7 +19,7 @@ from brink.search.space import SearchSpace
 SPREADS = 2.0
 """Standard deviations of its draws by which a campaign must exceed its control, to owe anything to behaviour."""
 CALIBRATION = 0.15
-"""Share of a control by which it can read low though behaviour has no effect (docs/mlcshe.md)."""
+"""Share of a control by which it can read low though behaviour has no effect (docs/explanation/mlcshe-results.md)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,6 +9,7 @@ from typing import Annotated, cast
 
 from fastapi import Depends, Request
 
+from brink.server.access.gate import Caller
 from brink.server.campaigns.archives import Archives
 from brink.server.campaigns.monitors import Monitors
 from brink.server.campaigns.scheduler import Scheduler
@@ -22,6 +23,9 @@ from brink.server.llm.seeds import LlmSeeds
 from brink.server.metrics import Metrics
 from brink.server.queue.service import QueueService
 from brink.server.settings import Settings
+
+CALLER = "brink.caller"
+"""Key of the caller in the scope of a request."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,3 +72,8 @@ async def client_gone(request: Request) -> AsyncIterator[asyncio.Event]:
         yield gone
     finally:
         watching.cancel()
+
+
+def caller_of(request: Request) -> Caller | None:
+    """Return whose token a request carries; None where no token is asked for."""
+    return cast(Caller | None, request.scope.get(CALLER))

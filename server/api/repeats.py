@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from brink.server.api.context import Services
 from brink.server.api.schemas import MAX_NUMBER, View
 from brink.server.campaigns.archives import ReadArchive
-from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.repeats import MOST, StoredRepeats, read_repeats
 from brink.server.db.engine import read
 from brink.server.documents import Body

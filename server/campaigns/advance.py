@@ -24,9 +24,8 @@ from brink.search.document import Document
 from brink.search.metric import METRIC_VERSION
 from brink.search.seeding import Seeded
 from brink.server.campaigns import step_store, store
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.plan import (
-    DEFAULT_D_TH,
-    DEFAULT_T_B,
     Live,
     Plan,
     asked,

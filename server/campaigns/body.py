@@ -12,6 +12,11 @@ from brink.server.documents import Body, hash_of, parsed, read_yaml, without_con
 from brink.server.llm.settings import LlmSettings
 from brink.worker.wire import JsonValues
 
+DEFAULT_T_B = 0.10
+"""Largest fitness of a boundary solution, unless a request says otherwise."""
+DEFAULT_D_TH = 0.20
+"""Least distance between distinct boundary solutions, unless a request says otherwise."""
+
 
 class PluginChoice(Body):
     """A plug-in and its parameters."""

@@ -19,11 +19,6 @@ from brink.server.problems.base import InProcessProblem, MeasuresOnData, Problem
 from brink.server.problems.catalogue import make_algorithm, make_params, make_problem, read_problem_params
 from brink.server.states import JobKind
 
-DEFAULT_T_B = 0.10
-"""Fitness up to which a solution counts as boundary, where nobody says otherwise."""
-DEFAULT_D_TH = 0.20
-"""Distance from which boundary solutions count as distinct, where nobody says otherwise."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:

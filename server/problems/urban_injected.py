@@ -1,7 +1,7 @@
 """`urban-injected@1`: an urban scenario and what the obstacle detector is made to say in it.
 
 Seven categorical parameters make the scenario, two injected trajectories of eleven parameters the behaviour: 29
-in all. Source: Sharifi et al. 2023, section 4 (see docs/mlcshe.md).
+in all. Source: Sharifi et al. 2023, section 4 (see docs/explanation/hazard-boundary.md).
 """
 
 from collections.abc import Mapping

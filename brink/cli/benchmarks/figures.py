@@ -10,8 +10,6 @@ from rich.table import Table
 from brink.cli.options import console, print_json
 from brink.sim.figures import Row
 
-bench = typer.Typer(help="Measure this installation, each figure with its target.", no_args_is_help=True)
-
 
 def teller(progress: Progress) -> Callable[[str, int, int], None]:
     """Return what shows how far each part of a measurement is: bars, or lines where bars cannot be drawn."""

@@ -13,11 +13,12 @@ from brink.api.client import TIMEOUT, Api
 from brink.bench.rate import TARGET_SHARE, ServiceRate, measure_service
 from brink.cli.benchmarks.figures import bars, figure_table, print_figures, said, teller
 from brink.cli.compare import compared, print_rows, rows_json
-from brink.cli.operate import follow
 from brink.cli.options import AsJson, console, print_json
+from brink.cli.submit import follow
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
 from brink.server.errors import FieldError, InvalidInput
-from brink.server.runtime.coordinator import EmbeddedCoordinator, WorkerProcesses, prepare_database
+from brink.server.runtime.coordinator import EmbeddedCoordinator, WorkerProcesses
+from brink.server.runtime.database import prepare_database
 from brink.server.settings import Settings
 
 PAPER_FILES = tuple(Path("examples") / f"paper-{name}.yaml" for name in ("mlcshe", "ga", "random"))

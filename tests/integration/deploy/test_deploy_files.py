@@ -22,8 +22,9 @@ from brink.worker.settings import TOKEN_VARIABLE
 
 ROOT = Path(__file__).resolve().parents[3]
 KUBERNETES = ROOT / "deploy" / "kubernetes"
-DOCS = (ROOT / "docs" / "many-machines.md").read_text()
-COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+DOCS = (ROOT / "docs" / "how-to" / "run-many-workers.md").read_text()
+GROUP: Any = typer.main.get_command(app)
+COMMANDS = {name: GROUP.get_command(None, name) for name in GROUP.list_commands(None)}
 MARGIN_S = 5.0
 """For the start of the shutdown, and for processes to end."""
 

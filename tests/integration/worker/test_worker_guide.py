@@ -1,4 +1,4 @@
-"""What docs/writing-a-worker.md shows works: its messages are of the wire, its example is a worker."""
+"""What docs/how-to/write-a-worker.md shows works: its messages are of the wire, its example is a worker."""
 
 import json
 import re
@@ -21,7 +21,7 @@ from brink.worker.wire import (
     ResultsRequest,
 )
 
-GUIDE = (ROOT / "docs" / "writing-a-worker.md").read_text(encoding="utf-8")
+GUIDE = (ROOT / "docs" / "how-to" / "write-a-worker.md").read_text(encoding="utf-8")
 
 
 def blocks(language: str) -> list[str]:
