@@ -116,7 +116,7 @@ class SurfaceView(View):
     closed: Annotated[bool, Field(description="Whether it is an area; otherwise a line of `width_m`.")]
     width_m: float
     points: Annotated[list[Point], Field(description="In metres.")]
-    paint: Annotated[str, Field(description="What it is painted as: kinds that look alike share a paint.")]
+    paint: Annotated[str, Field(description="Kinds that look alike share a paint.")]
     outlined: Annotated[bool, Field(description="Whether its edge is drawn.")]
     height_m: Annotated[float, Field(description="How tall it is drawn in perspective; 0 if it is flat.")]
 

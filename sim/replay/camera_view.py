@@ -249,9 +249,9 @@ def draw_film_legend(draw: ImageDraw.ImageDraw, at: tuple[float, float], unit: f
     x, y = at
     font = typeface(round(11 * unit))
     entries: tuple[tuple[Rgb, str], ...] = (
-        (SEEN_ON_PICTURE, "there"),
+        (SEEN_ON_PICTURE, "ground truth"),
         (FOUND_ON_PICTURE, "detected"),
-        (REGION_ON_PICTURE, "a person here brakes (dashed: a vehicle)"),
+        (REGION_ON_PICTURE, "a person here triggers the brake (dashed: a vehicle)"),
     )
     for colour, text in entries:
         box = (x, y - 6 * unit, x + 20 * unit, y + 6 * unit)

@@ -206,7 +206,7 @@ class FramePainter:
             ReplayError: The trace has no film.
         """
         if self.trace.film is None:
-            raise ReplayError("the trace has no pictures of a camera")
+            raise ReplayError("the trace has no pictures from a camera")
         return self._camera_view(size_px).draw(sample)
 
     def verdict(self) -> str:
@@ -215,7 +215,7 @@ class FramePainter:
         if self.story.violated:
             return f"{name} violated at {time_s:.1f} s"
         if not np.isfinite(self.story.least):
-            return f"{name} was never at stake"
+            return f"{name} never applied"
         return f"{name} held: {with_unit(self.story.least, name)} to spare at {time_s:.1f} s"
 
     def _camera_view(self, size_px: Size) -> FilmView | SketchView:
@@ -335,7 +335,7 @@ class Panel:
         value = float(self._trace.robustness[self._story.requirement][sample])
         top = self._top + 14 * self._unit
         finite = np.isfinite(value)
-        text = with_unit(value, self._story.requirement) if finite else "not concerned"
+        text = with_unit(value, self._story.requirement) if finite else "not applicable"
         colour = VIOLATION if value < 0 else INK
         draw.text((middle, top), text, fill=colour, font=self._number if finite else self._word)
         word = "violated" if value < 0 else ("to spare" if finite else "")
@@ -368,13 +368,13 @@ class Panel:
     def _draw_legend(self, draw: ImageDraw.ImageDraw, top: float) -> None:
         unit = self._unit
         entries: list[tuple[str, DrawKey]] = [
-            ("ego, its trail", self._key_car(EGO, EGO_TRAIL)),
-            ("its route", self._key_route),
+            ("ego and trail", self._key_car(EGO, EGO_TRAIL)),
+            ("route", self._key_route),
             ("vehicle", self._key_car(VEHICLE, None)),
             ("pedestrian", self._key_person),
             ("ghost: perceived, not there", self._key_ghost),
-            ("camera: what is there", self._key_box),
-            ("camera: what was reported", self._key_dashed_box),
+            ("camera: ground truth", self._key_box),
+            ("camera: reported", self._key_dashed_box),
         ]
         if self._trace.film is not None:
             entries = entries[:4]  # the lines on the picture are explained below it

@@ -163,7 +163,7 @@ def _left(column: int) -> int:
 def _draw_row(sheet: Image.Image, draw: ImageDraw.ImageDraw, row: Row, top: int, decisive_s: float) -> None:
     trace = row.trace
     if trace.film is None:
-        raise ReplayError("an episode has no pictures of a camera")
+        raise ReplayError("an episode has no pictures from a camera")
     story = story_of(trace)
     _draw_words(draw, row.words, story, top)
     view = FilmView(trace, trace.film, size_px=TILE_PX)
@@ -174,7 +174,7 @@ def _draw_row(sheet: Image.Image, draw: ImageDraw.ImageDraw, row: Row, top: int,
         if at_s > float(trace.time_s[-1]) + 0.06:
             draw.rectangle(frame, outline=HAIRLINE)
             middle = (left + TILE_PX[0] / 2, top + TILE_PX[1] / 2)
-            draw.text(middle, "it is over", fill=MUTED, font=typeface(14), anchor="mm")
+            draw.text(middle, "ended", fill=MUTED, font=typeface(14), anchor="mm")
             continue
         sample = int(np.abs(np.asarray(trace.time_s) - at_s).argmin())
         sheet.paste(view.draw(sample), (left, top))

@@ -201,7 +201,7 @@ def scenario_words(trace: Trace) -> str:
     if scenario:
         words = words_of_street(scenario) if "crossing_m" in scenario else words_of_scenario(scenario)
     if spec_part(trace, "behaviour").get("trajectories") and not len(trace.given_boxes.rows):
-        words += "; it ends before anything is injected"
+        words += "; ends before the first injection"
     return words
 
 

@@ -188,7 +188,7 @@ def test_requirement_that_never_applies_is_not_violated() -> None:
     never = replace(trace, robustness={"front-gap@1": np.full(200, np.inf, np.float32)})
     assert not story_of(never).violated
     assert np.isinf(story_of(never).least)
-    assert FramePainter(never).verdict() == "front-gap was never at stake"
+    assert FramePainter(never).verdict() == "front-gap never applied"
     assert still(never).width == 1280
 
 
