@@ -15,13 +15,11 @@ from brink.server.api.schemas import View
 from brink.sim.driving.camera import Camera
 from brink.sim.errors import InvalidEpisode
 from brink.sim.replay.scene import (
-    CAR,
     GHOSTS,
     LABELS,
-    PERSON_NOSE,
-    PERSON_RADIUS_M,
     PERSON_REGION,
     PICTURE_COLOURS,
+    SHAPES,
     SIGHTED,
     SKETCHED_FROM_M,
     SKETCHED_TO_M,
@@ -274,13 +272,7 @@ def episode_view(trace: Trace, requirement: str | None) -> EpisodeView:
             _actor(actor, brakes) for actor, brakes in zip(trace.actors, scene.actors_brake, strict=True)
         ],
         scene=[_surface(surface) for surface in trace.scene],
-        shapes=ShapesView.model_construct(
-            car_body=CAR.body,
-            car_windows=CAR.windows,
-            car_brake_lights=CAR.brake_lights,
-            person_radius_m=PERSON_RADIUS_M,
-            person_nose=PERSON_NOSE,
-        ),
+        shapes=ShapesView.model_construct(**SHAPES._asdict()),
         seen=_rows(trace.seen_boxes),
         given=_rows(trace.given_boxes),
         perceived=_rows(
@@ -463,14 +455,10 @@ def _or_empty(describe: Callable[[Trace], str], trace: Trace) -> str:
 
 def _camera() -> PictureCamera:
     camera = Camera()
+    names = ("width_px", "height_px", "centre_x_px", "horizon_px", "height_m", "forward_m")
     return PictureCamera.model_construct(
-        width_px=camera.width_px,
-        height_px=camera.height_px,
+        **{name: getattr(camera, name) for name in names},
         focal_px=round(camera.focal_px, _PLACE),
-        centre_x_px=camera.centre_x_px,
-        horizon_px=camera.horizon_px,
-        height_m=camera.height_m,
-        forward_m=camera.forward_m,
         from_m=SKETCHED_FROM_M,
         to_m=SKETCHED_TO_M,
     )
@@ -492,7 +480,7 @@ def _film(trace: Trace, film: Film) -> FilmView:
         least_score=LEAST_SCORE,
         regions={str(name): _points(corners, _BOX) for name, corners in film.regions.items()},
         person_region=PERSON_REGION,
-        colours=PICTURE_COLOURS,
+        colours={line: "#{:02x}{:02x}{:02x}".format(*colour) for line, colour in PICTURE_COLOURS.items()},
     )
 
 

@@ -1,6 +1,5 @@
 """One frame of a replay: header, map from above, the camera's picture, panel with legend, and time bar."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Self, TypeAlias
 
@@ -50,8 +49,6 @@ from brink.sim.trace import Trace
 Size: TypeAlias = tuple[int, int]
 Rectangle: TypeAlias = tuple[int, int, int, int]
 """Left, top, right, bottom in pixels."""
-DrawKey: TypeAlias = Callable[[ImageDraw.ImageDraw, float, float], None]
-"""Draws the key of a legend entry at the left end and middle of its row."""
 
 DEFAULT_SIZE: Final[Size] = (960, 540)
 LEAST_SIZE: Final[Size] = (640, 360)
@@ -136,8 +133,7 @@ class FramePainter:
 
     Args:
         trace: The episode.
-        requirement: Id of the requirement to judge; by default the front gap or, if the trace does not record it,
-            its first requirement.
+        requirement: Id of the requirement to judge; for the default see `story_of`.
         size: Width and height of the frames in pixels.
 
     Raises:
@@ -367,15 +363,10 @@ class Panel:
 
     def _draw_legend(self, draw: ImageDraw.ImageDraw, top: float) -> None:
         unit = self._unit
-        entries: list[tuple[str, DrawKey]] = [
-            ("ego and trail", self._key_car(EGO, EGO_TRAIL)),
-            ("route", self._key_route),
-            ("vehicle", self._key_car(VEHICLE, None)),
-            ("pedestrian", self._key_person),
-            ("ghost: perceived, not there", self._key_ghost),
-            ("camera: ground truth", self._key_box),
-            ("camera: reported", self._key_dashed_box),
-        ]
+        entries = [
+            ("ego and trail", "ego"), ("route", "route"), ("vehicle", "vehicle"), ("pedestrian", "person"),
+            ("ghost: perceived, not there", "ghost"), ("camera: ground truth", "box"), ("camera: reported", "dashed"),
+        ]  # fmt: skip
         if self._trace.film is not None:
             entries = entries[:4]  # the lines on the picture are explained below it
         spots = [(0, 0), (1, 0), (0, 1), (1, 1), (0, 2), (0, 3), (0, 4)]
@@ -384,44 +375,30 @@ class Panel:
             y = top + (9 + 20 * row) * unit
             if y + 8 * unit > self._bottom:
                 continue
-            key(draw, x, y)
+            self._draw_key(draw, key, x, y)
             draw.text((x + 32 * unit, y), text, fill=INK, font=self._small, anchor="lm")
 
-    def _key_car(self, colour: Rgb, trail: Rgb | None) -> DrawKey:
+    def _draw_key(self, draw: ImageDraw.ImageDraw, key: str, x: float, y: float) -> None:
+        """Draw a sample of a shape or line, left of its name."""
         unit = self._unit
-
-        def key(draw: ImageDraw.ImageDraw, x: float, y: float) -> None:
-            if trail is not None:
-                draw.line((x, y, x + 8 * unit, y), fill=trail, width=max(2, round(2 * unit)))
-            box = (x + 5 * unit, y - 4.5 * unit, x + 25 * unit, y + 4.5 * unit)
-            draw.rounded_rectangle(box, radius=3 * unit, fill=colour)
-
-        return key
-
-    def _key_route(self, draw: ImageDraw.ImageDraw, x: float, y: float) -> None:
-        unit = self._unit
-        draw.line((x + 2 * unit, y, x + 25 * unit, y), fill=ROUTE, width=max(2, round(3 * unit)))
-
-    def _key_person(self, draw: ImageDraw.ImageDraw, x: float, y: float) -> None:
-        unit = self._unit
-        draw.ellipse((x + 11 * unit, y - 4 * unit, x + 19 * unit, y + 4 * unit), fill=PEDESTRIAN)
-
-    def _key_box(self, draw: ImageDraw.ImageDraw, x: float, y: float) -> None:
-        unit = self._unit
-        draw.rectangle((x + 5 * unit, y - 6 * unit, x + 25 * unit, y + 6 * unit), outline=SEEN, width=2)
-
-    def _key_dashed_box(self, draw: ImageDraw.ImageDraw, x: float, y: float) -> None:
-        unit = self._unit
-        corners = np.array([(x + 5 * unit, y - 6 * unit), (x + 25 * unit, y - 6 * unit)])
-        box = np.vstack([corners, corners[::-1] + np.array([0, 12 * unit])])
-        draw_dashed(draw, box, GHOST, dash=4 * unit, gap=3 * unit, width=2)
-
-    def _key_ghost(self, draw: ImageDraw.ImageDraw, x: float, y: float) -> None:
-        unit = self._unit
-        self._key_dashed_box(draw, x, y)
         left, top, right, bottom = x + 5 * unit, y - 6 * unit, x + 25 * unit, y + 6 * unit
-        draw.line((left, top, right, bottom), fill=GHOST)
-        draw.line((left, bottom, right, top), fill=GHOST)
+        if key == "ego":
+            draw.line((x, y, x + 8 * unit, y), fill=EGO_TRAIL, width=max(2, round(2 * unit)))
+        if key in ("ego", "vehicle"):
+            car = (left, y - 4.5 * unit, right, y + 4.5 * unit)
+            draw.rounded_rectangle(car, radius=3 * unit, fill=EGO if key == "ego" else VEHICLE)
+        elif key == "route":
+            draw.line((x + 2 * unit, y, right, y), fill=ROUTE, width=max(2, round(3 * unit)))
+        elif key == "person":
+            draw.ellipse((x + 11 * unit, y - 4 * unit, x + 19 * unit, y + 4 * unit), fill=PEDESTRIAN)
+        elif key == "box":
+            draw.rectangle((left, top, right, bottom), outline=SEEN, width=2)
+        else:
+            box = np.array([(left, top), (right, top), (right, bottom), (left, bottom)])
+            draw_dashed(draw, box, GHOST, dash=4 * unit, gap=3 * unit, width=2)
+        if key == "ghost":
+            draw.line((left, top, right, bottom), fill=GHOST)
+            draw.line((left, bottom, right, top), fill=GHOST)
 
 
 class TimeBar:

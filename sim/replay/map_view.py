@@ -11,10 +11,8 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from brink.sim.replay.scene import (
-    CAR,
     GHOSTS,
-    PERSON_NOSE,
-    PERSON_RADIUS_M,
+    SHAPES,
     SIGHTED,
     EpisodeScene,
     Flags,
@@ -52,11 +50,11 @@ from brink.sim.trace import FloatArray, Surface, Trace
 ROUTE_WIDTH_M: Final = 0.3
 LEAST_PERSON_PX: Final = 3.0
 
-_RINGS: Final = (CAR.body, *CAR.windows, *CAR.brake_lights)
+_RINGS: Final = (SHAPES.car_body, *SHAPES.car_windows, *SHAPES.car_brake_lights)
 _CAR_CORNERS: Final = np.array([corner for ring in _RINGS for corner in ring])
 _ENDS: Final = np.cumsum([len(ring) for ring in _RINGS]).tolist()
 _BODY, *_DETAILS = (slice(end - len(ring), end) for ring, end in zip(_RINGS, _ENDS, strict=True))
-_WINDOWS, _BRAKE_LIGHTS = _DETAILS[: len(CAR.windows)], _DETAILS[len(CAR.windows) :]
+_WINDOWS, _BRAKE_LIGHTS = _DETAILS[: len(SHAPES.car_windows)], _DETAILS[len(SHAPES.car_windows) :]
 _PERSON_CORNERS: Final = np.array([(0.0, 0.0), (1.6, 0.0)])
 """Centre of a person, and a point ahead of it."""
 
@@ -222,10 +220,10 @@ class MapView:
                 draw.polygon(corners[light].ravel().tolist(), fill=BRAKE)
 
     def _draw_person(self, draw: ImageDraw.ImageDraw, corners: Points) -> None:
-        radius = max(LEAST_PERSON_PX * SUPERSAMPLING, PERSON_RADIUS_M * self._viewport.px_per_m)
+        radius = max(LEAST_PERSON_PX * SUPERSAMPLING, SHAPES.person_radius_m * self._viewport.px_per_m)
         (x, y), nose = corners[0], corners[1] - corners[0]
         length = max(1e-9, float(np.hypot(*nose)))
-        tip = corners[0] + nose / length * radius * PERSON_NOSE
+        tip = corners[0] + nose / length * radius * SHAPES.person_nose
         draw.line([x, y, *tip.tolist()], fill=PEDESTRIAN, width=round(radius * 0.6))
         draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=PEDESTRIAN, outline=PAPER)
 

@@ -28,8 +28,7 @@ def render(
     Args:
         trace: The episode.
         path: The file; its extension decides what is drawn.
-        requirement: Id of the requirement to judge; by default the front gap or, if the trace does not record it,
-            its first requirement.
+        requirement: Id of the requirement to judge; for the default see `story_of`.
         size: Width and height of a frame; by default a good one for the extension.
         on_progress: Called after each frame with the number of frames drawn and of all.
 

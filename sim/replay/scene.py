@@ -34,7 +34,7 @@ PERSON: Final = 1
 """Label of a person."""
 PERSON_REGION: Final = "warning"
 """Region of a film's pictures in which a person triggers the brake; in the others a vehicle does."""
-PICTURE_COLOURS: Final = {"judged": "#40de80", "found": "#ff3434", "region": "#ffd640"}
+PICTURE_COLOURS: Final = {"judged": (64, 222, 128), "found": (255, 52, 52), "region": (255, 214, 64)}
 """Lines that show on a camera's picture by day and night: ground truth, detections, regions that brake."""
 
 _MATCH_M: Final = 2.5
@@ -93,32 +93,39 @@ def surface_style(kind: str) -> SurfaceStyle:
     return _SURFACE_STYLES.get(kind, _UNKNOWN_SURFACE)
 
 
-class CarShape(NamedTuple):
-    """A car from above: corners in half lengths ahead and half widths to the left of its centre."""
-
-    body: tuple[tuple[float, float], ...]
-    windows: tuple[tuple[tuple[float, float], ...], ...]
-    brake_lights: tuple[tuple[tuple[float, float], ...], ...]
+Ring: TypeAlias = tuple[tuple[float, float], ...]
 
 
-CAR: Final = CarShape(
-    body=(
+class Shapes(NamedTuple):
+    """Road users from above.
+
+    Corners of a car are in half lengths ahead and half widths to the left of its centre. A person is a disc and a nose.
+    """
+
+    car_body: Ring
+    car_windows: tuple[Ring, ...]
+    car_brake_lights: tuple[Ring, ...]
+    person_radius_m: float
+    person_nose: float
+    """How far the nose reaches from the centre, in radii."""
+
+
+SHAPES: Final = Shapes(
+    car_body=(
         (1.0, 0.62), (0.9, 0.94), (0.72, 1.0), (-0.8, 1.0), (-0.95, 0.92), (-1.0, 0.7),
         (-1.0, -0.7), (-0.95, -0.92), (-0.8, -1.0), (0.72, -1.0), (0.9, -0.94), (1.0, -0.62),
     ),
-    windows=(
+    car_windows=(
         ((0.42, 0.8), (0.42, -0.8), (0.12, -0.68), (0.12, 0.68)),
         ((-0.58, 0.66), (-0.58, -0.66), (-0.76, -0.74), (-0.76, 0.74)),
     ),
-    brake_lights=(
+    car_brake_lights=(
         ((-0.9, 0.9), (-0.9, 0.42), (-1.0, 0.42), (-1.0, 0.8)),
         ((-0.9, -0.9), (-0.9, -0.42), (-1.0, -0.42), (-1.0, -0.8)),
     ),
+    person_radius_m=0.35,
+    person_nose=1.9,
 )  # fmt: skip
-PERSON_RADIUS_M: Final = 0.35
-"""A person is drawn as a disc of this radius with a nose."""
-PERSON_NOSE: Final = 1.9
-"""How far the nose reaches from a person's centre, in radii."""
 
 
 def is_car(actor: ActorTrack) -> bool:
@@ -286,13 +293,17 @@ def front_gap(trace: Trace, sample: int) -> FrontGap | None:
     route = trace.route if len(trace.route) else trace.ego[sample : sample + 1, :2]
     found: list[tuple[float, FrontGap]] = []
     for index, actor in enumerate(trace.actors):
-        if not is_car(actor) or not _ahead(actor, sample, x_m, y_m, yaw_rad, trace.ego_size_m[0]):
-            continue
         there = actor.motion[sample].tolist()
+        dx_m, dy_m = there[0] - x_m, there[1] - y_m
+        reach_m = _GAP_DRAWN_UP_TO_M + trace.ego_size_m[0] + actor.length_m
+        # A comparison with NaN is false: an actor that is absent is not ahead.
+        ahead = dx_m * np.cos(yaw_rad) + dy_m * np.sin(yaw_rad) > 0 and np.hypot(dx_m, dy_m) < reach_m
+        if not is_car(actor) or not ahead:
+            continue
         other = outline(there[0], there[1], there[2], actor.length_m, actor.width_m)
         start, end, clearance_m = closest_points(ego, other)
         if gap_m is None:
-            if _off_axis(actor, sample, x_m, y_m, yaw_rad) > _CORRIDOR_M:
+            if abs(dy_m * np.cos(yaw_rad) - dx_m * np.sin(yaw_rad)) > _CORRIDOR_M:
                 continue
             rank = clearance_m
         elif abs(clearance_m - gap_m) > _GAP_TOLERANCE_M:
@@ -300,30 +311,11 @@ def front_gap(trace: Trace, sample: int) -> FrontGap | None:
         else:
             # An oncoming vehicle may pass at just that distance: the one ahead is the one on the route.
             rank = float(np.hypot(*(route - actor.motion[sample, :2]).T).min())
-        line = FrontGap(
-            actor=index,
-            ends=np.vstack([start, end]),
-            gap_m=clearance_m if gap_m is None else max(0.0, gap_m),
-        )
-        found.append((rank, line))
+        line_m = clearance_m if gap_m is None else max(0.0, gap_m)
+        found.append((rank, FrontGap(actor=index, ends=np.vstack([start, end]), gap_m=line_m)))
     nearest = min(found, key=lambda pair: pair[0])[1] if found else None
     collided = "no-collision" in series and bool(series["no-collision"][sample] < 0)
     return None if nearest is None or (collided and nearest.gap_m < _TOUCHING_M) else nearest
-
-
-def _ahead(
-    actor: ActorTrack, sample: int, x_m: float, y_m: float, yaw_rad: float, ego_length_m: float
-) -> bool:
-    dx, dy = float(actor.motion[sample, 0]) - x_m, float(actor.motion[sample, 1]) - y_m
-    along_m = dx * np.cos(yaw_rad) + dy * np.sin(yaw_rad)
-    reach_m = _GAP_DRAWN_UP_TO_M + ego_length_m + actor.length_m
-    # A comparison with NaN is false: an actor that is absent is not ahead.
-    return bool(along_m > 0 and np.hypot(dx, dy) < reach_m)
-
-
-def _off_axis(actor: ActorTrack, sample: int, x_m: float, y_m: float, yaw_rad: float) -> float:
-    dx, dy = float(actor.motion[sample, 0]) - x_m, float(actor.motion[sample, 1]) - y_m
-    return float(abs(dy * np.cos(yaw_rad) - dx * np.sin(yaw_rad)))
 
 
 def outline(x_m: float, y_m: float, yaw_rad: float, length_m: float, width_m: float) -> Points:

@@ -35,8 +35,7 @@ def still(trace: Trace, *, requirement: str | None = None, size: Size = (1280, 7
 
     Args:
         trace: The episode.
-        requirement: Id of the requirement to judge; by default the front gap or, if the trace does not record it,
-            its first requirement.
+        requirement: Id of the requirement to judge; for the default see `story_of`.
         size: Width and height of the frame at the top; the picture is as wide and nearly twice as high.
 
     Raises:

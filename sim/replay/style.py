@@ -57,6 +57,8 @@ EDGES: Final[dict[str, Rgb]] = {
 }
 """Colours of the outlines of surfaces that have one, by paint."""
 
+SEEN_ON_PICTURE, FOUND_ON_PICTURE, REGION_ON_PICTURE = PICTURE_COLOURS.values()
+
 SKY: Final[Rgb] = (226, 235, 243)
 
 PLAN_MODES: Final[dict[str, Rgb]] = {
@@ -77,19 +79,8 @@ LIGHTS: Final[dict[str, Rgb]] = {
 LAMP_OFF: Final[Rgb] = (78, 84, 90)
 
 
-def rgb(hexadecimal_: str) -> Rgb:
-    """Return the colour written as ``#rrggbb``."""
-    red, green, blue = bytes.fromhex(hexadecimal_.removeprefix("#"))
-    return red, green, blue
-
-
-SEEN_ON_PICTURE, FOUND_ON_PICTURE, REGION_ON_PICTURE = (
-    rgb(PICTURE_COLOURS[name]) for name in ("judged", "found", "region")
-)
-
-
 def hexadecimal(colour: Rgb) -> str:
-    """Return a colour as matplotlib and CSS read it, such as ``#d55e00``."""
+    """Return a colour as matplotlib reads it, such as ``#d55e00``."""
     return "#{:02x}{:02x}{:02x}".format(*colour)
 
 

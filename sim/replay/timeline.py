@@ -41,8 +41,7 @@ def timeline_figure(
 
     Args:
         trace: The episode.
-        requirement: Id of the requirement to show; by default the front gap or, if the trace does not record it,
-            its first requirement.
+        requirement: Id of the requirement to show; for the default see `story_of`.
         size: Width and height in pixels.
 
     Raises:

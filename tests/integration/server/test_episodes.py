@@ -1,6 +1,5 @@
 """Episodes as the dashboard draws them: a trace and its scene in columns, and the pictures of its film."""
 
-import base64
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import timedelta
@@ -9,15 +8,15 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from support.api import FakeWorker, ball, completes, expect, row_counts, submit
+from support.api import FakeWorker, ball, expect, row_counts, submit
 from support.traces import filmed, grey_jpeg, make_trace
+from test_traces_over_the_api import traces
 
 from brink.server.db.engine import Engines
 from brink.server.operations.prune import prune
 from brink.sim.episode import Json
 from brink.sim.replay.scene import EpisodeScene, map_centres
 from brink.sim.trace import ACTION, BOX_COLUMNS, PERCEIVED_COLUMNS, Event, Ragged, Trace
-from brink.worker.wire import Completed, JobFailed, LeasedJob
 
 NUMBER = 3
 OBSTACLE_COLUMNS = ("yaw_rad", "drawn_length_m", "drawn_width_m", "ghost")
@@ -25,14 +24,7 @@ OBSTACLE_COLUMNS = ("yaw_rad", "drawn_length_m", "drawn_width_m", "ghost")
 
 def kept(client: httpx.Client, document: bytes | None) -> str:
     """Return the path of a solution whose kept trace is this document."""
-
-    def judge(job: LeasedJob) -> Completed | JobFailed:
-        outcome = completes(job)
-        if not job.record or document is None:
-            return outcome
-        return outcome.model_copy(update={"trace": base64.b64encode(document).decode()})
-
-    worker = FakeWorker(client, judge=judge)
+    worker = FakeWorker(client, judge=traces(document))
     campaign = submit(client, ball(simulations=20, execution={"keep_traces": 0}))
     assert worker.work(campaign)["status"] == "finished"
     path = f"/api/v1/campaigns/{campaign}/solutions/{NUMBER}"

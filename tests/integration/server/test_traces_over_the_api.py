@@ -39,14 +39,14 @@ def finished(client: httpx.Client, worker: FakeWorker) -> str:
     return campaign
 
 
-def traces(text: bytes | None) -> Callable[[LeasedJob], Completed | JobFailed]:
+def traces(document: bytes | None) -> Callable[[LeasedJob], Completed | JobFailed]:
     """Return a judge that adds this trace to the outcome of every job that requests one."""
 
     def judge(job: LeasedJob) -> Completed | JobFailed:
         outcome = completes(job)
-        if not job.record or text is None:
+        if not job.record or document is None:
             return outcome
-        return outcome.model_copy(update={"trace": base64.b64encode(text).decode()})
+        return outcome.model_copy(update={"trace": base64.b64encode(document).decode()})
 
     return judge
 
