@@ -48,6 +48,7 @@ from brink.sim.trace import (
     PERCEIVED_COLUMNS,
     ActorTrack,
     Film,
+    FloatArray,
     Ragged,
     Surface,
     Trace,
@@ -79,32 +80,30 @@ Point: TypeAlias = tuple[float, float]
 Ring: TypeAlias = Sequence[Point]
 
 
-class EgoView(View):
-    """The ego at each sample."""
+class TrackView(View):
+    """A road user at each sample; null where it is absent."""
 
     x_m: Column
     y_m: Column
     yaw_rad: Column
     speed_mps: Column
-    accel_mps2: Column
     length_m: float
     width_m: float
     brakes: Annotated[list[bool], Field(description="Whether its brake lights are on.")]
 
 
-class ActorView(View):
-    """Another road user at each sample; null where it is absent."""
+class EgoView(TrackView):
+    """The ego at each sample."""
+
+    accel_mps2: Column
+
+
+class ActorView(TrackView):
+    """Another road user at each sample."""
 
     name: str
     kind: Annotated[str, Field(description="vehicle or pedestrian.")]
     shape: Annotated[str, Field(description="How it is drawn: car or person.")]
-    length_m: float
-    width_m: float
-    x_m: Column
-    y_m: Column
-    yaw_rad: Column
-    speed_mps: Column
-    brakes: Annotated[list[bool], Field(description="Whether its brake lights are on.")]
 
 
 class SurfaceView(View):
@@ -259,11 +258,7 @@ def episode_view(trace: Trace, requirement: str | None) -> EpisodeView:
     return EpisodeView.model_construct(
         time_s=_metres(trace.time_s),
         ego=EgoView.model_construct(
-            **_motion(trace.ego[:, :4]),
-            accel_mps2=_metres(trace.ego[:, 4]),
-            length_m=_length(trace.ego_size_m[0]),
-            width_m=_length(trace.ego_size_m[1]),
-            brakes=scene.ego_brakes.tolist(),
+            **_track(trace.ego, trace.ego_size_m, scene.ego_brakes), accel_mps2=_metres(trace.ego[:, 4])
         ),
         route=_points(trace.route, _PLACE),
         route_layer=scene.route_layer,
@@ -388,10 +383,15 @@ def _length(value: float) -> float:
     return round(number, _PLACE)
 
 
-def _motion(motion: np.ndarray[Any, np.dtype[np.float32]]) -> dict[str, Any]:
-    """Return x_m, y_m, yaw_rad, speed_mps, shape ``(n, 4)``, as columns by name."""
+def _track(motion: FloatArray, size_m: tuple[float, float], brakes: Flags) -> dict[str, Any]:
+    """Return the fields of a `TrackView`; x_m, y_m, yaw_rad, speed_mps are the first columns of the motion."""
     names = {"x_m": _PLACE, "y_m": _PLACE, "yaw_rad": _ANGLE, "speed_mps": _PLACE}
-    return {name: _column(motion[:, place], decimals) for place, (name, decimals) in enumerate(names.items())}
+    columns = {name: _column(motion[:, place], names[name]) for place, name in enumerate(names)}
+    return columns | {
+        "length_m": _length(size_m[0]),
+        "width_m": _length(size_m[1]),
+        "brakes": brakes.tolist(),
+    }
 
 
 def _actor(actor: ActorTrack, brakes: Flags) -> ActorView:
@@ -399,10 +399,7 @@ def _actor(actor: ActorTrack, brakes: Flags) -> ActorView:
         name=str(actor.name),
         kind=str(actor.kind),
         shape="car" if is_car(actor) else "person",
-        length_m=_length(actor.length_m),
-        width_m=_length(actor.width_m),
-        **_motion(actor.motion),
-        brakes=brakes.tolist(),
+        **_track(actor.motion, (actor.length_m, actor.width_m), brakes),
     )
 
 

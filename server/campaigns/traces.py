@@ -113,12 +113,8 @@ class Films:
         Raises:
             NotFound: No trace is kept, it has no film, or the film has no such picture.
         """
-
-        def trace_key(connection: Connection) -> str | None:
-            found: str | None = _kept(connection, TraceRow.spec_hash, campaign.id, number)
-            return found
-
-        key = await read(self.engines, trace_key)
+        # Equal simulations share one trace.
+        key = await read(self.engines, lambda c: _kept(c, TraceRow.spec_hash, campaign.id, number))
         if key is None:
             raise NotFound(
                 f"campaign {campaign.id}: no trace of solution {number} is kept; request its episode first"

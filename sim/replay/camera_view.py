@@ -238,6 +238,13 @@ class FilmView:
         return float(left), float(top), float(max(right, left)), float(max(bottom, top))
 
 
+def camera_view(trace: Trace, size_px: tuple[int, int]) -> FilmView | SketchView:
+    """Return the view of an episode's film, or a sketch if there is none."""
+    if trace.film is None:
+        return SketchView(trace, size_px=size_px)
+    return FilmView(trace, trace.film, size_px=size_px)
+
+
 def draw_film_legend(draw: ImageDraw.ImageDraw, at: tuple[float, float], unit: float) -> None:
     """Draw the meaning of the lines on a film's picture in one row.
 

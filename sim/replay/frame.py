@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from brink.sim.replay.camera_view import FilmView, SketchView, draw_film_legend
+from brink.sim.replay.camera_view import camera_view, draw_film_legend
 from brink.sim.replay.map_view import MapView
 from brink.sim.replay.scene import PERSON, EpisodeScene, ReplayError
 from brink.sim.replay.story import (
@@ -85,8 +85,14 @@ class Layout:
         Raises:
             ReplayError: The size is out of bounds, or odd (H.264 halves both sides for its colours).
         """
-        check_size(size)
         width, height = size
+        (least_width, least_height), (most_width, most_height) = LEAST_SIZE, GREATEST_SIZE
+        within = least_width <= width <= most_width and least_height <= height <= most_height
+        if not within or width % 2 or height % 2:
+            raise ReplayError(
+                f"size: expected even numbers of pixels from {least_width}x{least_height} to "
+                f"{most_width}x{most_height}, got {width}x{height}"
+            )
         unit = min(width / DEFAULT_SIZE[0], height / DEFAULT_SIZE[1])
         top, bottom = round(32 * unit), height - round(58 * unit)
         side = width - round(300 * unit)
@@ -103,22 +109,6 @@ class Layout:
             camera=(0, top, side, top + round(side * 9 / 16)) if filmed else small,
             panel=(camera_left, camera_bottom + gap, camera_right, bottom),
             time_bar=(0, bottom, width, height),
-        )
-
-
-def check_size(size: Size) -> None:
-    """Reject a frame size that cannot be drawn.
-
-    Raises:
-        ReplayError: The size is out of bounds, or odd.
-    """
-    width, height = size
-    if not (LEAST_SIZE[0] <= width <= GREATEST_SIZE[0] and LEAST_SIZE[1] <= height <= GREATEST_SIZE[1]) or (
-        width % 2 or height % 2
-    ):
-        raise ReplayError(
-            f"size: expected even numbers of pixels from {LEAST_SIZE[0]}x{LEAST_SIZE[1]} to "
-            f"{GREATEST_SIZE[0]}x{GREATEST_SIZE[1]}, got {width}x{height}"
         )
 
 
@@ -153,9 +143,9 @@ class FramePainter:
             look_ahead_m=LOOK_AHEAD_M,
             font_px=round(13 * self.layout.unit),
         )
-        self._camera = self._camera_view(extent(self.layout.camera))
-        self._panel = Panel(trace, self.story, self.layout)
-        self._bar = TimeBar(trace, self.story, self.layout)
+        self._camera = camera_view(trace, extent(self.layout.camera))
+        self._panel = _Panel(trace, self.story, self.layout)
+        self._bar = _TimeBar(trace, self.story, self.layout)
         self._still = Image.new("RGB", size, PAPER)
         self._paint_grounds()
         self._panel.draw_still(self._still)
@@ -195,16 +185,6 @@ class FramePainter:
         image = self._camera.draw(sample)
         return self._with_verdict(image, sample) if self.filmed else image
 
-    def picture(self, sample: int, size_px: Size) -> Image.Image:
-        """Return the film's picture at a sample in another size.
-
-        Raises:
-            ReplayError: The trace has no film.
-        """
-        if self.trace.film is None:
-            raise ReplayError("the trace has no pictures from a camera")
-        return self._camera_view(size_px).draw(sample)
-
     def verdict(self) -> str:
         """Return the verdict of the episode in words."""
         name, time_s = self.story.title, float(self.trace.time_s[self.story.decisive])
@@ -213,14 +193,6 @@ class FramePainter:
         if not np.isfinite(self.story.least):
             return f"{name} never applied"
         return f"{name} held: {with_unit(self.story.least, name)} to spare at {time_s:.1f} s"
-
-    def _camera_view(self, size_px: Size) -> FilmView | SketchView:
-        film = self.trace.film
-        return (
-            SketchView(self.trace, size_px=size_px)
-            if film is None
-            else FilmView(self.trace, film, size_px=size_px)
-        )
 
     def _with_verdict(self, image: Image.Image, sample: int) -> Image.Image:
         if self.story.violated and sample >= self.story.decisive:
@@ -274,14 +246,8 @@ class FramePainter:
         draw.text(((left + right) / 2, y - 9 * unit), f"{SCALE_BAR_M:g} m", fill=INK, font=font, anchor="mm")
 
 
-class Panel:
-    """Draws speed, robustness, plan mode, traffic light and legend onto a frame.
-
-    Args:
-        trace: The episode.
-        story: Its story.
-        layout: The frame's layout.
-    """
+class _Panel:
+    """Draws speed, robustness, plan mode, traffic light and legend onto a frame."""
 
     def __init__(self, trace: Trace, story: Story, layout: Layout) -> None:
         self._trace = trace
@@ -401,14 +367,8 @@ class Panel:
             draw.line((left, bottom, right, top), fill=GHOST)
 
 
-class TimeBar:
-    """Draws onto a frame when which plan mode, reported boxes and violations lasted, and a pointer at the sample.
-
-    Args:
-        trace: The episode.
-        story: Its story.
-        layout: The frame's layout.
-    """
+class _TimeBar:
+    """Draws onto a frame when plan modes, reported boxes and violations lasted, and a pointer at the sample."""
 
     def __init__(self, trace: Trace, story: Story, layout: Layout) -> None:
         self._trace = trace

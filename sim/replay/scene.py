@@ -99,7 +99,7 @@ Ring: TypeAlias = tuple[tuple[float, float], ...]
 class Shapes(NamedTuple):
     """Road users from above.
 
-    Corners of a car are in half lengths ahead and half widths to the left of its centre. A person is a disc and a nose.
+    Corners of a car are in half lengths ahead and half widths to the left of its centre. A person is a disc.
     """
 
     car_body: Ring

@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 from PIL import Image, ImageDraw
 
-from brink.sim.replay.camera_view import FilmView, draw_film_legend
-from brink.sim.replay.frame import FramePainter, Size, check_size
+from brink.sim.replay.camera_view import FilmView, camera_view, draw_film_legend
+from brink.sim.replay.frame import FramePainter, Size
 from brink.sim.replay.map_view import MapView
 from brink.sim.replay.scene import ReplayError
 from brink.sim.replay.story import Moment, Story, story_of
@@ -41,7 +41,6 @@ def still(trace: Trace, *, requirement: str | None = None, size: Size = (1280, 7
     Raises:
         ReplayError: The trace is empty, lacks the requirement, or the size is out of bounds.
     """
-    check_size(size)
     painter = FramePainter(trace, requirement=requirement, size=size)
     frame = painter.frame(painter.story.decisive)
     if not painter.story.violated:
@@ -72,19 +71,20 @@ def _strip(painter: FramePainter) -> Image.Image:
     strip = Image.new("RGB", (width, high + words + 2 * gap), PAPER)
     draw = ImageDraw.Draw(strip)
     draw.line((0, 0, width, 0), fill=HAIRLINE)
-    close_up = MapView(
-        painter.scene,
-        size_px=(side, high),
-        px_per_m=side / CLOSE_UP_M,
-        look_ahead_m=CLOSE_UP_AHEAD_M,
-        font_px=round(10 * unit),
+    close_up = (
+        camera_view(painter.trace, (side, high))
+        if painter.filmed
+        else MapView(
+            painter.scene,
+            size_px=(side, high),
+            px_per_m=side / CLOSE_UP_M,
+            look_ahead_m=CLOSE_UP_AHEAD_M,
+            font_px=round(10 * unit),
+        )
     )
     left = (width - len(moments) * (side + gap) + gap) // 2
     for moment in moments:
-        picture = (
-            painter.picture(moment.sample, (side, high)) if painter.filmed else close_up.draw(moment.sample)
-        )
-        strip.paste(picture, (left, gap))
+        strip.paste(close_up.draw(moment.sample), (left, gap))
         _frame_moment(strip, painter, moment, (left, gap, side, high))
         left += side + gap
     return strip
@@ -192,14 +192,12 @@ def _draw_row(sheet: Image.Image, draw: ImageDraw.ImageDraw, row: Row, top: int,
 
 def _draw_words(draw: ImageDraw.ImageDraw, words: str, story: Story, top: int) -> None:
     y = top + 4.0
-    font = typeface(15, bold=True)
-    for line in _wrapped(draw, words, WORDS_PX - MARGIN):
-        draw.text((MARGIN, y), line, fill=INK, font=font)
-        y += 20
     verdict = f"hazard: {story.title} violated" if story.violated else "safe"
-    for line in _wrapped(draw, verdict, WORDS_PX - MARGIN):
-        draw.text((MARGIN, y + 4), line, fill=VIOLATION if story.violated else SEEN, font=font)
-        y += 20
+    for text, colour in ((words, INK), (verdict, VIOLATION if story.violated else SEEN)):
+        for line in _wrapped(draw, text, WORDS_PX - MARGIN):
+            draw.text((MARGIN, y), line, fill=colour, font=typeface(15, bold=True))
+            y += 20
+        y += 4
 
 
 def _wrapped(draw: ImageDraw.ImageDraw, words: str, width_px: float) -> list[str]:

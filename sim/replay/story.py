@@ -25,6 +25,7 @@ REQUIREMENT_UNITS: Final = {
 }
 """Units of robustness, by id without version, of the requirements that ship with the project."""
 
+_MOST_MOMENTS: Final = 6
 _LEAD_UP_S: Final = (1.0, 2.5, 5.0)
 """How long before the decisive moment to look if nothing else happens."""
 
@@ -60,14 +61,13 @@ class Story:
     moments: tuple[Moment, ...]
 
 
-def story_of(trace: Trace, requirement: str | None = None, *, most: int = 6) -> Story:
+def story_of(trace: Trace, requirement: str | None = None) -> Story:
     """Return the story of an episode.
 
     Args:
         trace: The episode.
         requirement: Id of the requirement to judge, with or without version. By default the front gap or, if the
             trace does not record it, its first requirement.
-        most: Greatest number of moments, at least 2.
 
     Raises:
         ReplayError: The trace is empty, or does not record the requirement.
@@ -85,7 +85,7 @@ def story_of(trace: Trace, requirement: str | None = None, *, most: int = 6) -> 
         violated=bool(below.size),
         decisive=decisive,
         least=float(series.min()),
-        moments=_moments(trace, decisive, violated=bool(below.size), most=most),
+        moments=_moments(trace, decisive, violated=bool(below.size)),
     )
 
 
@@ -109,7 +109,7 @@ def _choose(trace: Trace, requirement: str | None) -> str:
     return requirement if requirement in matching else matching[0]
 
 
-def _moments(trace: Trace, decisive: int, *, violated: bool, most: int) -> tuple[Moment, ...]:
+def _moments(trace: Trace, decisive: int, *, violated: bool) -> tuple[Moment, ...]:
     """Pick the weightiest moments that are at least a twentieth of the episode apart."""
     last = len(trace.time_s) - 1
     candidates = [Moment(sample=decisive, reason="violation" if violated else "closest")]
@@ -118,7 +118,9 @@ def _moments(trace: Trace, decisive: int, *, violated: bool, most: int) -> tuple
     apart = max(1, min(8, last // 20))
     chosen: list[Moment] = []
     for candidate in candidates:
-        if len(chosen) < most and all(abs(candidate.sample - other.sample) >= apart for other in chosen):
+        if len(chosen) < _MOST_MOMENTS and all(
+            abs(candidate.sample - other.sample) >= apart for other in chosen
+        ):
             chosen.append(candidate)
     return tuple(sorted(chosen, key=lambda moment: moment.sample))
 
