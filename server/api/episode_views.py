@@ -57,7 +57,7 @@ from brink.sim.trace import (
 LONGEST_S: Final = 24 * 3600.0
 """Longest episode that is drawn: the dashboard draws marks along its time."""
 MOST_NUMBERS: Final = 4_000_000
-"""Of a whole episode; an hour of urban driving has a third of them."""
+"""Numbers in the arrays of one episode; an hour of urban driving has a third of this."""
 LEAST_SCORE: Final = 0.1
 """Detections with a lower score are left out: there are ten times as many of them, and nobody looks at them."""
 LOOK_AHEAD_M: Final = 12.0
@@ -145,7 +145,7 @@ class RowsView(View):
 
 
 class PictureCamera(View):
-    """The camera whose pixels the boxes `seen` and `given` are in. It looks along the ego's yaw."""
+    """The camera of the boxes `seen` and `given`, which are in its pixels. It looks along the ego's yaw."""
 
     width_px: int
     height_px: int
@@ -164,9 +164,7 @@ class FilmView(View):
     size_px: tuple[int, int]
     samples: Annotated[list[int], Field(description="The sample of each picture, ascending.")]
     shown: Annotated[list[int], Field(description="Index of the picture that each sample shows.")]
-    judged: Annotated[
-        RowsView, Field(description="Ground truth; ignored is 1 where it counts neither for nor against.")
-    ]
+    judged: Annotated[RowsView, Field(description="Ground truth; ignored is 1 where it counts for nothing.")]
     found: Annotated[
         RowsView,
         Field(description="Detections with at least `least_score`; counts is 1 from `threshold` on."),

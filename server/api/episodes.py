@@ -47,7 +47,7 @@ NOT_YET: dict[int | str, dict[str, Any]] = {
 UNREADABLE = (
     SimulatorError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError, MemoryError,
 )  # fmt: skip
-"""Errors of drawing a trace: a worker may send anything, and that is no fault of the coordinator."""
+"""Errors that drawing a malformed trace may raise: a worker may send anything."""
 
 Number = Annotated[int, PathParameter(ge=0, le=MAX_NUMBER)]
 Index = Annotated[
@@ -127,7 +127,7 @@ async def get_picture(campaign_id: str, number: Number, index: Index, services: 
 
 
 async def _drawn(executor: Executor | None, number: int, draw: Callable[[], T]) -> T:
-    """Return what a function draws of a solution's trace, in a thread.
+    """Draw a solution's trace in a thread.
 
     Args:
         executor: Where to draw; None for the event loop's own threads.
@@ -165,7 +165,7 @@ async def _trace_of(
     deadline = asyncio.get_running_loop().time() + wait_s
 
     def look_up(connection: Connection) -> tuple[TraceStatus, bool]:
-        """Return the status of the trace, and whether it waits for a worker that does not exist."""
+        """Return the state of the trace, and whether no live worker could make it."""
         found = trace_status(connection, campaign.id, number)
         waits = found.document is None and found.needs is not None and found.job in (None, JobStatus.QUEUED)
         return found, waits and not can_run(connection, str(found.needs), services.settings.worker_seen_s)

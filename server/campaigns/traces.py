@@ -19,7 +19,7 @@ from brink.sim.trace import Trace
 
 FILMS_KEPT: Final = 4
 LARGEST_FILM_BYTES: Final = 32 * 1024**2
-"""Of all pictures of a film: no worker of this project makes a larger one."""
+"""Size of all pictures of a film; no worker of this project makes a larger one."""
 JPEG_MAGIC: Final = b"\xff\xd8"
 
 Pictures: TypeAlias = Sequence[bytes]
@@ -27,7 +27,7 @@ Pictures: TypeAlias = Sequence[bytes]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TraceStatus:
-    """How far the trace of a solution is.
+    """The state of a solution's trace.
 
     Attributes:
         document: The trace, if it is kept.
@@ -43,7 +43,7 @@ class TraceStatus:
 
 
 def trace_status(connection: Connection, campaign_id: str, number: int) -> TraceStatus:
-    """Return how far the trace of a solution is.
+    """Return the state of a solution's trace.
 
     Args:
         connection: To the database.

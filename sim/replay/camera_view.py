@@ -246,7 +246,7 @@ def camera_view(trace: Trace, size_px: tuple[int, int]) -> FilmView | SketchView
 
 
 def draw_film_legend(draw: ImageDraw.ImageDraw, at: tuple[float, float], unit: float) -> None:
-    """Draw the meaning of the lines on a film's picture in one row.
+    """Draw the legend of a film's picture in one row.
 
     Args:
         draw: Where to draw.

@@ -175,13 +175,13 @@ class FramePainter:
         return frame
 
     def map(self, sample: int) -> Image.Image:
-        """Return the map of a sample alone, with its scale bar; without a film, with the verdict once violated."""
+        """Return the map of a sample with its scale bar; without a film also with the verdict, once violated."""
         image = self._map.draw(sample)
         self._draw_scale(image)
         return image if self.filmed else self._with_verdict(image, sample)
 
     def camera(self, sample: int) -> Image.Image:
-        """Return the camera's picture of a sample alone; with a film, with the verdict once violated."""
+        """Return the camera's picture of a sample; from a film also with the verdict, once violated."""
         image = self._camera.draw(sample)
         return self._with_verdict(image, sample) if self.filmed else image
 
@@ -368,7 +368,7 @@ class _Panel:
 
 
 class _TimeBar:
-    """Draws onto a frame when plan modes, reported boxes and violations lasted, and a pointer at the sample."""
+    """Draws plan modes, reported boxes and violations over time onto a frame, and a pointer at the sample."""
 
     def __init__(self, trace: Trace, story: Story, layout: Layout) -> None:
         self._trace = trace
@@ -417,7 +417,7 @@ class _TimeBar:
         return self._left + (time_s - self._start_s) / self._span_s * (self._right - self._left)
 
     def _reported(self) -> NDArray[np.int64]:
-        """Return how many boxes were reported at each sample, shape ``(n,)``; with a film, of people only."""
+        """Return the number of reported boxes at each sample, shape ``(n,)``; with a film, only those of people."""
         if self._trace.film is None:
             return np.asarray(np.diff(self._trace.given_boxes.first), np.int64)
         return reported(self._trace, PERSON)

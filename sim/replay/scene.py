@@ -35,28 +35,27 @@ PERSON: Final = 1
 PERSON_REGION: Final = "warning"
 """Region of a film's pictures in which a person triggers the brake; in the others a vehicle does."""
 PICTURE_COLOURS: Final = {"judged": (64, 222, 128), "found": (255, 52, 52), "region": (255, 214, 64)}
-"""Lines that show on a camera's picture by day and night: ground truth, detections, regions that brake."""
+"""Colours of lines that show on a picture by day and night: ground truth, detections, brake regions."""
 
 _MATCH_M: Final = 2.5
 """A perceived obstacle this close to a road user of its kind is that road user; any other is a ghost."""
 _ACTOR_KINDS: Final = ("vehicle", "pedestrian", "vehicle")
-"""The kind of road user that an obstacle can be, by label."""
+"""The kind of road user that an obstacle matches, by label."""
 _MOVING_MPS: Final = 1.0
 """A slower obstacle has no heading of its own."""
 _LEAST_SIDE_M: Final = 0.8
 """Smaller obstacles are drawn this large."""
 SKETCHED_FROM_M: Final = 0.4
-"""Sketches of the camera's picture leave out what is nearer than this,"""
 SKETCHED_TO_M: Final = 90.0
-"""and areas that begin farther away than this."""
+"""Least and greatest distance of what a sketch of the camera's picture shows."""
 
 _BRAKING_MPS2: Final = -1.0
 _SMOOTHING_S: Final = 2.0
 _GAP_DRAWN_UP_TO_M: Final = 40.0
 _CORRIDOR_M: Final = 2.5
-"""If no front gap was recorded: how far off the ego's axis a vehicle may be and still count as ahead."""
+"""How far off the ego's axis a vehicle may be and still count as ahead, if no front gap was recorded."""
 _TOUCHING_M: Final = 1.0
-"""Two that collided are sampled less than this apart: they bounce off between two samples."""
+"""Vehicles that collide bounce off between two samples: a gap below this counts as contact."""
 _GAP_TOLERANCE_M: Final = 0.75
 """How far a clearance between outlines may differ from the recorded gap: float32 poses, sampling, slopes."""
 _TIED_M: Final = 0.02
@@ -152,14 +151,14 @@ class Obstacles:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeScene:
-    """An episode with all that its drawings derive from it.
+    """An episode with everything that its drawings derive from it.
 
     Attributes:
         trace: The episode.
         obstacles: What the driving system perceives.
         ego_brakes: Whether the ego is braking at each sample, shape ``(n,)``.
         actors_brake: The same for each actor of the trace.
-        route_layer: How many surfaces lie below the route: it is painted on the road and under all that stands.
+        route_layer: Number of surfaces below the route, which lies on the road and under everything that stands.
     """
 
     trace: Trace
@@ -238,7 +237,7 @@ def map_centres(trace: Trace, look_ahead_m: float) -> Points:
 
 
 def pictures_shown(film: Film, samples: int) -> NDArray[np.int64]:
-    """Return the index of the film's picture that each sample shows: the latest, or the first before there is one."""
+    """Return the index of the picture that each sample shows: the latest so far, or else the first."""
     latest = np.searchsorted(film.samples, np.arange(samples), side="right") - 1
     return np.asarray(np.maximum(0, latest), dtype=np.int64)
 
@@ -256,7 +255,7 @@ def spec_part(trace: Trace, name: str) -> Mapping[str, Json]:
 
 
 def score_threshold(trace: Trace) -> float:
-    """Return the least score at which a detection counted in an episode; 0 if the trace does not record it."""
+    """Return the score threshold of an episode's detector; 0 if the trace does not record it."""
     value = spec_part(trace, "behaviour").get("threshold")
     return float(value) if isinstance(value, int | float) else 0.0
 

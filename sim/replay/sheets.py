@@ -22,7 +22,7 @@ CLOSE_UP_M: Final = 30.0
 CLOSE_UP_AHEAD_M: Final = 6.0
 
 MOMENTS_S: Final = (-1.5, -0.75, 0.0)
-"""Columns of episodes side by side, from the decisive moment of the last one."""
+"""Times of the columns of episodes side by side, from the decisive moment of the last episode."""
 MARGIN: Final = 16
 WORDS_PX: Final = 250
 TILE_PX: Final = (400, 225)

@@ -27,7 +27,7 @@ REQUIREMENT_UNITS: Final = {
 
 _MOST_MOMENTS: Final = 6
 _LEAD_UP_S: Final = (1.0, 2.5, 5.0)
-"""How long before the decisive moment to look if nothing else happens."""
+"""How long before the decisive moment to look for others."""
 
 T = TypeVar("T")
 
@@ -168,7 +168,7 @@ def _injections(trace: Trace, decisive: int) -> list[tuple[int, str]]:
 
 
 def reported(trace: Trace, label: int) -> "np.ndarray[tuple[int], np.dtype[np.int64]]":
-    """Return how many boxes of a label were reported to the driving system at each sample, shape ``(n,)``."""
+    """Return the number of boxes of a label reported to the driving system at each sample, shape ``(n,)``."""
     boxes = trace.given_boxes
     sums = np.concatenate([[0], np.cumsum(boxes.rows[:, 0].astype(np.int64) == label)])
     return np.asarray(sums[boxes.first[1:]] - sums[boxes.first[:-1]], dtype=np.int64)

@@ -76,7 +76,7 @@ class FilmPainter {
     this.showsAll = false;
   }
 
-  /** Draw a sample with a width and height in px. The picture before stays until the next one has arrived. */
+  /** Draw a sample with a width and height in px. The previous picture stays until the next one arrives. */
   draw(pen, sample, width, height) {
     const { film, pictures } = this;
     const wanted = film.shown[sample] ?? -1;
@@ -90,7 +90,7 @@ class FilmPainter {
     if (index >= 0) this.#drawBoxes(pen, film.samples[index], width, height);
   }
 
-  /** Return whether the picture of a sample cannot be had. */
+  /** Return whether the picture of a sample is unavailable. */
   missing(sample) {
     return this.pictures.isMissing(this.film.shown[sample] ?? -1);
   }
@@ -187,7 +187,7 @@ class Pictures {
     return this.#bitmaps.get(index) ?? null;
   }
 
-  /** Return whether a picture cannot be had. */
+  /** Return whether a picture is unavailable. */
   isMissing(index) {
     return this.#missing.has(index);
   }
@@ -213,7 +213,7 @@ class Pictures {
       }
     } catch (error) {
       if (this.signal.aborted) return;
-      // A temporary error is retried later; any other means that the picture cannot be had.
+      // A temporary error is retried later; any other error means that the picture is unavailable.
       if (error instanceof ApiError && error.passes) {
         setTimeout(this.onPicture, RETRY_MS);
         return;

@@ -11,7 +11,7 @@ const USUAL_REPEATS = 20;
 const MOST_REPEATS = 10_000;
 const NO_GENERATION = 1_000_000_000;
 
-/** Return the requirement that decides a solution: the one the campaign names, or else the one with its robustness. */
+/** Return the requirement that decides a solution: the one the campaign names, or else the one with the solution's robustness. */
 export function judgedBy(solution, campaign) {
   const verdicts = Object.entries(solution.verdicts ?? {});
   const wanted = campaign.body.problem.params.requirement;
@@ -63,7 +63,7 @@ function plainTable({ entries }, component) {
     h("tbody", null, entries.map(([name, one]) => h("tr", null, h("th", { scope: "row" }, spaced(name)), h("td", null, value(one))))));
 }
 
-/** Return a table of groups with the same parameters: groups by parameters, whichever are more in the rows. */
+/** Return a table of groups that have the same parameters; its longer side goes down. */
 function crossTable({ prefixes, names, at }) {
   const groupsDown = prefixes.length > names.length;
   const [rows, columns] = groupsDown ? [prefixes, names] : [names, prefixes];

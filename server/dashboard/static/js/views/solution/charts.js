@@ -18,7 +18,7 @@ const CROWDED = 12;
 const FILTERS = [["", "All"], ["1", "People"], ["0", "Vehicles"]];
 const LEAST_OVERLAP = 0.2;
 const MISSED_SAMPLES = 2;
-/** A band goes on if its box is missing in at most so many samples. */
+/** A band survives at most this many samples without a box. */
 const EDGE = 5;
 /** Robustness beyond this is drawn at the edge: only values near zero matter. */
 const SERIES = ["--series-1", "--series-2", "--series-3", "--series-4", "--series-5", "--series-6"];
@@ -179,7 +179,7 @@ export function boxes(player) {
 /**
  * Return boxes of successive samples that overlap, joined to bands of picture columns over time.
  *
- * @param {object} rows Boxes, as an episode has them.
+ * @param {object} rows Rows of boxes of an episode.
  * @param {number} samples
  * @returns {{label: number, samples: number[], low: number[], high: number[]}[]} In order of the first sample.
  */

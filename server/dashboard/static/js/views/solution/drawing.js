@@ -17,8 +17,8 @@ const PAINTS = {
 };
 
 /**
- * Return the colours of a replay by use; ``paint(surface)`` returns that of a surface, ``renew()`` looks all up again. They are
- * looked up once per theme: a canvas that moves cannot do that in every frame.
+ * Return the colours of a replay by use; ``paint(surface)`` returns that of a surface, ``renew()`` reads them again. They are
+ * read once per theme: a canvas that moves cannot do that in every frame.
  */
 export function palette() {
   const paints = {};

@@ -1,7 +1,7 @@
 /** An episode as the API sends it, poses between its samples, and the player that every moving part of the page follows. */
 
 const TELEPORT_M = 20;
-/** No road user drives that far between two samples: it is not interpolated. */
+/** No road user drives that far between two samples: such a jump is not interpolated. */
 const LONGEST_FRAME_S = 0.1;
 /** A page that was hidden goes on where it was instead of jumping. */
 
@@ -32,7 +32,7 @@ export class Episode {
     return low;
   }
 
-  /** Return the sample before a time, and how far the time lies towards the next sample, in [0, 1]. */
+  /** Return the sample before a time, and the share of the step to the next sample that has passed, in [0, 1]. */
   between(time_s) {
     const sample = this.sampleAt(time_s);
     if (sample >= this.last) return { sample, share: 0 };
