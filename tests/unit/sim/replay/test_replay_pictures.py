@@ -1,22 +1,28 @@
-"""Frames show what the trace says, where it is."""
+"""Frames show the trace in the right places; files decode back to their frames."""
 
+import io
 from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from PIL import Image
+from PIL import Image, ImageSequence
 from support.traces import make_trace
 
-from brink.sim.replay.errors import ReplayError
-from brink.sim.replay.layout import DEFAULT_SIZE, Layout
-from brink.sim.replay.palette import EGO, GHOST, PLAN_MODES, SEEN, VIOLATION, Rgb
+from brink.sim.replay import ReplayError, render, render_bytes
+from brink.sim.replay.frame import DEFAULT_SIZE, FramePainter, Layout
+from brink.sim.replay.map_view import Viewport
+from brink.sim.replay.style import EGO, GHOST, PLAN_MODES, SEEN, VIOLATION, Rgb
 from brink.sim.replay.timeline import timeline_figure, timeline_image
-from brink.sim.replay.top_down import FramePainter
-from brink.sim.replay.viewport import Viewport
+from brink.sim.replay.video import HOLD_S, film_samples
 from brink.sim.trace import Trace
+
+SMALL = (640, 360)
+HELD = round(HOLD_S * 10)
 
 
 def count(image: Image.Image, colour: Rgb, box: Iterable[int] | None = None) -> int:
@@ -34,15 +40,13 @@ def painter(trace: Trace) -> FramePainter:
     return FramePainter(trace)
 
 
-def test_frame_has_the_asked_size(painter: FramePainter, trace: Trace) -> None:
+def test_frame_has_the_requested_size(painter: FramePainter, trace: Trace) -> None:
     assert painter.frame(0).size == DEFAULT_SIZE
     assert FramePainter(trace, size=(1280, 720)).frame(0).size == (1280, 720)
     assert len(painter) == len(trace.time_s)
 
 
-def test_same_sample_gives_the_same_frame_whatever_was_drawn_before(
-    painter: FramePainter, trace: Trace
-) -> None:
+def test_frame_does_not_depend_on_the_frames_drawn_before(painter: FramePainter, trace: Trace) -> None:
     first = painter.frame(60).tobytes()
     painter.frame(120)
     assert painter.frame(60).tobytes() == first == FramePainter(trace).frame(60).tobytes()
@@ -60,14 +64,14 @@ def test_ghosts_are_drawn_while_they_are_perceived_and_only_then(painter: FrameP
     assert count(painter.map(150), GHOST) == 0
 
 
-def test_given_and_seen_boxes_are_in_the_cameras_picture(painter: FramePainter) -> None:
+def test_reported_boxes_and_ground_truth_are_in_the_cameras_picture(painter: FramePainter) -> None:
     camera = painter.layout.camera
     assert count(painter.frame(60), GHOST, camera) > 60
     assert count(painter.frame(60), SEEN, camera) > 60
     assert count(painter.frame(150), GHOST, camera) == 0
 
 
-def test_violation_is_marked_from_its_moment_on(painter: FramePainter) -> None:
+def test_violation_is_marked_from_its_first_sample_on(painter: FramePainter) -> None:
     decisive = painter.story.decisive
     assert count(painter.map(decisive - 1), VIOLATION) == 0
     assert count(painter.map(decisive), VIOLATION) > 2000
@@ -97,13 +101,13 @@ def test_pointer_of_the_time_bar_moves_with_time(painter: FramePainter, trace: T
 
 
 @pytest.mark.parametrize("size", [(639, 360), (640, 361), (320, 180), (1922, 1080)])
-def test_sizes_that_cannot_be_drawn_are_refused(trace: Trace, size: tuple[int, int]) -> None:
+def test_frame_size_out_of_bounds_or_odd_is_rejected(trace: Trace, size: tuple[int, int]) -> None:
     with pytest.raises(ReplayError, match=f"size: expected even numbers.*got {size[0]}x{size[1]}"):
         FramePainter(trace, size=size)
 
 
 @given(st.integers(320, 960), st.integers(180, 540))
-def test_parts_of_a_frame_lie_inside_and_apart(half_width: int, half_height: int) -> None:
+def test_parts_of_a_frame_lie_inside_it_and_do_not_overlap(half_width: int, half_height: int) -> None:
     layout = Layout.of((2 * half_width, 2 * half_height))
     parts = [layout.header, layout.map, layout.camera, layout.panel, layout.time_bar]
     for index, (left, top, right, bottom) in enumerate(parts):
@@ -114,7 +118,7 @@ def test_parts_of_a_frame_lie_inside_and_apart(half_width: int, half_height: int
 
 
 @given(st.floats(-3, 3), st.lists(st.tuples(st.floats(-90, 90), st.floats(-90, 90)), min_size=2, max_size=9))
-def test_map_keeps_distances_and_its_canvas_holds_the_ego(
+def test_map_preserves_distances_and_its_canvas_contains_the_drive(
     yaw: float, places: list[tuple[float, float]]
 ) -> None:
     ego = np.zeros((len(places), 5), np.float32)
@@ -129,7 +133,7 @@ def test_map_keeps_distances_and_its_canvas_holds_the_ego(
     np.testing.assert_allclose(ahead[1] - ahead[0], (8, 0), atol=1e-4)
 
 
-def test_one_sample_without_anybody_is_drawn() -> None:
+def test_single_sample_without_road_users_is_drawn() -> None:
     trace = make_trace(samples=1)
     bare = replace(trace, actors=(), scene=(), route=np.empty((0, 2), np.float32), about={})
     for each in (trace, bare):
@@ -159,5 +163,97 @@ def test_timeline_has_a_band_for_every_run_of_a_plan_mode(trace: Trace) -> None:
 
 @settings(max_examples=5, deadline=None)
 @given(st.sampled_from([(640, 360), (1001, 333), (1200, 620)]))
-def test_timeline_picture_has_exactly_the_asked_size(size: tuple[int, int]) -> None:
+def test_timeline_picture_has_exactly_the_requested_size(size: tuple[int, int]) -> None:
     assert timeline_image(make_trace(samples=30), size=size).size == size
+
+
+@pytest.fixture(scope="module")
+def short() -> Trace:
+    return make_trace(samples=40)
+
+
+def test_png_is_as_wide_as_its_frame_and_has_strip_and_plots_below(tmp_path: Path, short: Trace) -> None:
+    path = render(short, tmp_path / "story.PNG", size=SMALL)
+    with Image.open(path) as image:
+        image.load()
+        assert image.format == "PNG"
+        assert image.width == 640
+        assert image.height > 1.6 * 360
+        for top in range(0, image.height - 120, 120):
+            assert np.asarray(image.convert("L").crop((0, top, 640, top + 120))).std() > 8
+
+
+def test_rendered_bytes_are_the_content_of_the_file(tmp_path: Path, short: Trace) -> None:
+    path = render(short, tmp_path / "a.png")
+    assert render_bytes(short, ".png") == path.read_bytes()
+
+
+def test_gif_plays_every_sample_in_real_time(short: Trace) -> None:
+    with Image.open(io.BytesIO(render_bytes(short, ".gif", size=SMALL))) as film:
+        assert film.size == SMALL
+        lengths = [frame.info["duration"] for frame in ImageSequence.Iterator(film)]
+        first = np.asarray(ImageSequence.Iterator(film)[0].convert("RGB")).astype(int)
+    # Equal frames are one longer frame in a GIF.
+    assert sum(lengths) == pytest.approx(100 * (40 + HELD))
+    expected = np.asarray(FramePainter(short, size=SMALL).frame(0)).astype(int)
+    assert np.abs(first - expected).mean() < 4
+
+
+def test_mp4_plays_every_sample_in_real_time(tmp_path: Path, short: Trace) -> None:
+    path = render(short, tmp_path / "film.mp4", size=SMALL)
+    with av.open(str(path)) as film:
+        stream = film.streams.video[0]
+        assert stream.codec_context.name == "h264"
+        assert stream.codec_context.pix_fmt == "yuv420p"
+        assert stream.average_rate == 10
+        frames = [frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]
+    assert len(frames) == 40 + HELD
+    assert frames[0].shape == (360, 640, 3)
+    painter = FramePainter(short, size=SMALL)
+    for index in (0, 25, 39):
+        assert np.abs(frames[index].astype(int) - np.asarray(painter.frame(index))).mean() < 6
+    assert path.read_bytes().index(b"moov") < path.read_bytes().index(b"mdat"), (
+        "browsers want the index first"
+    )
+
+
+@pytest.mark.parametrize(("name", "total"), [("a.gif", 40 + HELD), ("a.mp4", 40 + HELD), ("a.png", 1)])
+def test_progress_counts_to_the_number_of_frames(tmp_path: Path, short: Trace, name: str, total: int) -> None:
+    seen: list[tuple[int, int]] = []
+    render(short, tmp_path / name, size=SMALL, on_progress=lambda done, of: seen.append((done, of)))
+    assert seen == [(done, total) for done in range(1, total + 1)]
+
+
+def test_film_follows_simulated_time_not_sample_numbers() -> None:
+    trace = make_trace(samples=41)
+    sparse = replace(trace, time_s=(np.arange(41) * 0.25).astype(np.float32))
+    samples = film_samples(FramePainter(sparse, size=SMALL))
+    assert len(samples) == 101 + HELD
+    assert samples[:101] == [int(np.abs(sparse.time_s - i / 10 + 1e-6).argmin()) for i in range(101)]
+
+
+@pytest.mark.parametrize(("name", "said"), [("film.avi", "'.avi'"), ("film", "'none'"), (".mp4", "'none'")])
+def test_unknown_extension_is_rejected_with_the_known_ones(
+    tmp_path: Path, short: Trace, name: str, said: str
+) -> None:
+    with pytest.raises(ReplayError, match=rf"extension: expected one of \.gif, \.mp4, \.png; got {said}"):
+        render(short, tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_failed_drawing_leaves_no_file(tmp_path: Path, short: Trace) -> None:
+    class Stopped(Exception):
+        pass
+
+    def stop(done: int, total: int) -> None:
+        if done == 3:
+            raise Stopped
+
+    for name in ("a.gif", "a.mp4"):
+        with pytest.raises(Stopped):
+            render(short, tmp_path / name, size=SMALL, on_progress=stop)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_trace_read_from_its_bytes_gives_the_same_picture(short: Trace) -> None:
+    assert render_bytes(Trace.from_bytes(short.to_bytes()), ".png") == render_bytes(short, ".png")
