@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from brink.sim.episode import Json
 from brink.sim.errors import SimulatorError
-from brink.sim.requirements.front_gap import REQUIRED_GAP_M
+from brink.sim.requirements import REQUIRED_GAP_M
 from brink.sim.trace import ActorTrack, Film, Trace
 
 Points: TypeAlias = NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 from brink.sim.aeb.words import words_of_perturbations, words_of_street
 from brink.sim.replay.scene import LABELS, PERSON, ReplayError, plain_name, spec_part
 from brink.sim.trace import ACTION, Event, Trace
-from brink.sim.urban.words import words_of_scenario
+from brink.sim.world.scenario import words_of_scenario
 
 PREFERRED: Final = ("front-gap", "no-collision")
 """Requirements that an episode is about if none is named, in order of preference."""
