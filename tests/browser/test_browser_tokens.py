@@ -4,7 +4,7 @@ import httpx
 from playwright.sync_api import Page
 from playwright.sync_api import expect as shown
 
-from brink.server.access.store import create_token
+from brink.server.access.tokens import create_token
 from brink.server.db.engine import open_engines
 from brink.server.states import Scope
 from browser.console import Console

@@ -26,7 +26,7 @@ from brink.cli.options import (
     print_json,
     settings_with,
 )
-from brink.server.api.experiment_schemas import Results
+from brink.server.api.schemas import Results
 from brink.server.campaigns.submission import checked_plan
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.experiments.body import ExperimentBody, read_experiment_file
