@@ -1,4 +1,4 @@
-"""An own algorithm: mutate the solutions that came closest to changing their verdict. Run it with
+"""An algorithm as a plug-in: mutates the solutions closest to a change of verdict. Run it with
 
 cd examples/plugins && brink --plugin edge_walk run edge_walk.yaml
 """
@@ -17,15 +17,15 @@ from brink.sim.catalogue import register
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EdgeWalkConfig(BoundaryConfig):
-    """Settings of the walk."""
+    """Settings of the algorithm."""
 
-    step: int = setting(40, help="Candidates a generation.", ge=1, le=10_000)
+    step: int = setting(40, help="Candidates per generation.", ge=1, le=10_000)
     rate: float = setting(0.2, help="Probability that a gene mutates.", gt=0, le=1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EdgeWalkState:
-    """The ledger of candidates is all there is to remember."""
+    """State of the algorithm: just the ledger of candidates."""
 
     config: EdgeWalkConfig
     ledger: Ledger
@@ -36,11 +36,11 @@ class EdgeWalkState:
 
 
 class EdgeWalk:
-    """Half a generation around the smallest absolute robustness, half anywhere."""
+    """Draws half of each generation around the smallest absolute robustness, and half at random."""
 
     id, summary, config_type = (
         "edge-walk@1",
-        "Mutates what came closest to changing its verdict.",
+        "Mutates the solutions closest to a change of verdict.",
         EdgeWalkConfig,
     )
 

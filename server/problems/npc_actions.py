@@ -25,7 +25,7 @@ from brink.sim.encounter.script import stretch_json
 from brink.sim.encounter.words import words_of_script
 from brink.sim.episode import EpisodeSpec, Json, JsonObject
 from brink.sim.perception.weights_file import weights_digest
-from brink.sim.urban.scenario import SCENARIO_CHOICES, UrbanScenario
+from brink.sim.world.scenario import SCENARIO_CHOICES, UrbanScenario
 from brink.worker.wire import Completed
 
 SIMULATORS: Final = {"oracle": "brink-encounter@1", "detector": "brink-encounter-camera@1"}
