@@ -178,7 +178,7 @@ def search(as_json: AsJson = False) -> None:
 
     Example: brink bench search
     """
-    from brink.search.benchmark import measure
+    from brink.bench.distances import measure
 
     rows = measure()
     if as_json:

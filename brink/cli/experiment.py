@@ -39,7 +39,7 @@ from brink.cli.options import (
     with_api,
 )
 from brink.report.experiment import html_report, markdown_report, sentences
-from brink.search.analysis.experiment_tables import Measure, Repeat, duels, standings
+from brink.search.analysis.comparison import Measure, Repeat, duels, standings
 from brink.search.analysis.scores import Control, Figures, Scores
 from brink.server.api.schemas import ControlView, RepeatView, Results
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B

@@ -36,7 +36,7 @@ from brink.cli.options import (
     settings_with,
 )
 from brink.cli.repeats import finished_repeats, sentence, write_repeats
-from brink.search.analysis.comparison import in_words
+from brink.search.analysis.comparison import control_summaries
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
 from brink.server.campaigns.submission import check_submission
 from brink.server.errors import Conflict
@@ -333,7 +333,7 @@ async def _write_all(
         found = await fetch_findings(api, fetched)
         for findings in found:
             files += findings.write(folder)
-        control = in_words(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)
+        control = control_summaries(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)
         written = Written(boundary=boundary, files=files, control=control, findings=found)
         if not plan.pictures or stop.is_set():
             return written

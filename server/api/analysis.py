@@ -8,13 +8,13 @@ from fastapi import APIRouter, Query, Request, Response
 from numpy.typing import NDArray
 from pydantic import Field
 
-from brink.search.analysis.comparison import rows_of, said
-from brink.search.analysis.dependence import Dependence
-from brink.search.analysis.parameters import ParameterColumn, parameter_columns
+from brink.search.analysis.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
+from brink.search.analysis.comparison import control_summary, rows_of
+from brink.search.analysis.dependence import Dependence, ParameterColumn, parameter_columns
+from brink.search.analysis.monitor import Answer
 from brink.search.analysis.scores import DRAWS, Scores
-from brink.search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.errors import SpaceError
-from brink.search.monitor import Answer
+from brink.search.fitness import wilson_interval
 from brink.search.space import Categorical
 from brink.server.api.context import Services
 from brink.server.api.experiments import control_view
@@ -157,7 +157,7 @@ def _rounded(values: NDArray[np.float64]) -> list[float]:
 
 
 def _colour_by(column: ParameterColumn, rows: NDArray[np.intp]) -> ColourBy:
-    parameter, awake = column.parameter, column.awake[rows].tolist()
+    parameter, awake = column.parameter, column.active[rows].tolist()
     scale = None if isinstance(parameter, Categorical) else parameter
     return ColourBy.model_construct(
         parameter=column.name, unit=scale.unit if scale else "",
@@ -233,6 +233,10 @@ class DependenceView(View):
     high: float | None
     counts: list[int]
     unsafe: list[int]
+    intervals: Annotated[
+        list[tuple[float, float]],
+        Field(description="95% Wilson intervals of the unsafe shares."),
+    ]
     strength: Annotated[float, Field(description="Cramér's V between group and verdict.")]
     p_value: float
     detectable: Annotated[
@@ -271,11 +275,16 @@ async def get_dependence(
 def _dependence(one: Dependence, parameters: int) -> DependenceView:
     parameter = one.column.parameter
     scale = None if isinstance(parameter, Categorical) else parameter
+    low, high = wilson_interval(
+        one.unsafe, np.maximum(one.counts, 1)
+    )  # groups without solutions are not drawn
     return DependenceView(
         component=one.column.component, parameter=parameter.name, unit=scale.unit if scale else "",
         places=one.places.tolist(), labels=list(one.labels),
         low=float(scale.low) if scale else None, high=float(scale.high) if scale else None,
-        counts=one.counts.tolist(), unsafe=one.unsafe.tolist(), strength=one.strength, p_value=one.p_value,
+        counts=one.counts.tolist(), unsafe=one.unsafe.tolist(),
+        intervals=list(zip(low.tolist(), high.tolist(), strict=True)),
+        strength=one.strength, p_value=one.p_value,
         detectable=one.detectable(parameters),
     )  # fmt: skip
 
@@ -336,7 +345,7 @@ def _scores_view(campaign: Campaign, scores: Scores) -> ScoresView:
         t_bs=list(PAPER_T_BS), d_ths=list(PAPER_D_THS), dbs=scores.figures.dbs.tolist(),
         strict=scores.figures.strict.tolist(), control=control_view(scores.control), draws=DRAWS,
         says=[
-            [said(own, blind, (i, j)) for j in range(len(PAPER_D_THS))]
+            [control_summary(own, blind, (i, j)) for j in range(len(PAPER_D_THS))]
             for blind in control
             for i in range(len(PAPER_T_BS))
         ],

@@ -24,6 +24,7 @@ from brink.server.api.responses import (
 )
 from brink.server.api.schemas import (
     MAX_NUMBER,
+    THRESHOLDS,
     CampaignList,
     CampaignView,
     GenerationView,
@@ -213,7 +214,7 @@ def campaign_view(campaign: Campaign) -> CampaignView:
         budget=campaign.budget, unsafe=campaign.unsafe, failed=campaign.failed,
         measured=campaign.measured, generation=campaign.generation, created_at=campaign.created_at,
         finished_at=campaign.finished_at,
-        body=campaign.body,
+        body=campaign.body, thresholds=THRESHOLDS,
     )  # fmt: skip
 
 

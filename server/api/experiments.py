@@ -8,10 +8,17 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Request, Response
 from sqlalchemy import Connection
 
-from brink.search.analysis.conclusions import LEVEL, conclusion, with_low_controls
-from brink.search.analysis.experiment_tables import Duel, Repeat, duels, standings
+from brink.search.analysis.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
+from brink.search.analysis.comparison import (
+    LEVEL,
+    Duel,
+    Repeat,
+    conclusion,
+    duels,
+    standings,
+    with_low_controls,
+)
 from brink.search.analysis.scores import Control
-from brink.search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.server.api.context import Services
 from brink.server.api.responses import (
     COMPUTING,
@@ -27,6 +34,7 @@ from brink.server.api.responses import (
     set_etag,
 )
 from brink.server.api.schemas import (
+    THRESHOLDS,
     ControlView,
     DuelView,
     ExperimentList,
@@ -188,6 +196,7 @@ def experiment_view(experiment: Experiment) -> ExperimentView:
     return ExperimentView(
         **_summary(experiment),
         body=experiment.body,
+        thresholds=THRESHOLDS,
         members=[
             MemberView(
                 campaign=member.campaign.id, method=member.method, problem=member.problem,

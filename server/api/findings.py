@@ -7,22 +7,21 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Query, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from brink.search.analysis.violation_types import RULES_VERSION
-from brink.search.analysis.violations import FoundViolation, ViolationType, by_type
-from brink.search.archive import Archive
-from brink.search.combinations import (
+from brink.search.analysis.combinations import (
     Chain,
     Combination,
     Step,
     Tally,
-    beside,
     combinations,
     tally_by_step,
+    variants_at,
     verdicts_by_chain,
 )
+from brink.search.analysis.violations import RULES_VERSION, FoundViolation, ViolationType, by_type
+from brink.search.archive import Archive
 from brink.search.errors import UnsupportedSpace
-from brink.search.levels import slots_of
 from brink.search.parameters import Categorical
+from brink.search.slots import slots_of
 from brink.search.space import SearchSpace
 from brink.server.api.context import Context, Services
 from brink.server.api.schemas import (
@@ -277,7 +276,7 @@ def variants_view(space: SearchSpace, archive: Archive, number: int) -> list[Var
     chain = next((c for c, seen in verdicts.items() if any(v.number == number for v in seen.values())), None)
     if chain is None:
         raise KeyError(number)
-    found = beside(verdicts, chain, number)
+    found = variants_at(verdicts, chain, number)
     order = sorted(found, key=lambda one: (one == chain, len(one)))
     return [
         Variant(
@@ -294,7 +293,7 @@ def _combination_view(names: TechniqueNames, one: Combination) -> CombinationVie
         unsafe=one.tally.unsafe, trials=one.tally.trials,
         parts=_tallies(names, one.parts), orders=_tallies(names, one.orders),
         hazardous=one.hazardous, minimal=one.minimal, only_together=one.only_together,
-        order_matters=one.order_matters, together=list(one.together), turned=list(one.turned),
+        order_matters=one.order_matters, together=list(one.joint_hazards), turned=list(one.order_hazards),
     )  # fmt: skip
 
 

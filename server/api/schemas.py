@@ -1,12 +1,13 @@
 """Response schemas of the REST API that several routes or the command line share."""
 
 from datetime import datetime
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from brink.search.analysis.experiment_tables import Measure
-from brink.server.campaigns.body import CampaignBody
+from brink.search.analysis.boundary import PAPER_D_THS, PAPER_T_BS
+from brink.search.analysis.comparison import Measure
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody
 from brink.server.experiments.body import ExperimentBody
 from brink.server.states import CampaignStatus, JobStatus, SolutionVerdict
 
@@ -18,6 +19,20 @@ class View(BaseModel):
     """Base of all response schemas. Validators are built at first use, since the command line needs few of them."""
 
     model_config = ConfigDict(frozen=True, defer_build=True)
+
+
+class Thresholds(View):
+    """Thresholds at which boundary solutions are counted."""
+
+    t_b: Annotated[float, Field(description="Default of the largest fitness of a boundary solution.")]
+    d_th: Annotated[float, Field(description="Default of the smallest distance between boundary solutions.")]
+    t_bs: Annotated[list[float], Field(description="Values of t_b in tables of scores.")]
+    d_ths: Annotated[list[float], Field(description="Values of d_th in tables of scores.")]
+
+
+THRESHOLDS: Final = Thresholds(
+    t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH, t_bs=list(PAPER_T_BS), d_ths=list(PAPER_D_THS)
+)
 
 
 class CampaignView(View):
@@ -41,6 +56,7 @@ class CampaignView(View):
     created_at: datetime
     finished_at: datetime | None
     body: CampaignBody
+    thresholds: Thresholds
 
 
 class CampaignList(View):
@@ -368,6 +384,7 @@ class AlgorithmView(View):
     id: str
     summary: str
     params: Annotated[dict[str, Any], Field(description="JSON schema of its parameters.")]
+    internal: Annotated[bool, Field(description="Whether only Brink itself starts campaigns with it.")]
 
 
 class BeingMade(View):
@@ -427,6 +444,7 @@ class ExperimentView(ExperimentSummary):
     """An experiment with its campaigns."""
 
     body: ExperimentBody
+    thresholds: Thresholds
     members: list[MemberView]
 
 

@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
+from brink.search.analysis.boundary import BudgetPoint, dbs_by_budget
 from brink.search.analysis.dependence import Dependence, dependences
-from brink.search.boundary import BudgetPoint, dbs_by_budget
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.dashboard.overview import Sparklines
 from brink.server.dashboard.solution_map import SolutionMaps
