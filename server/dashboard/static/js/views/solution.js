@@ -1,11 +1,10 @@
 /** One solution: what it is, how it was judged, its neighbourhood, and its episode to look at. */
 
+import { isOpen } from "../api.js";
 import { h, replace, text } from "../dom.js";
 import { count, figure, plainId, spaced } from "../format.js";
-import { badge } from "../parts/badge.js";
-import { facts } from "../parts/facts.js";
 import { link } from "../router.js";
-import { isOpen } from "../status.js";
+import { badge, facts } from "../parts/elements.js";
 import { again } from "./solution/again.js";
 import { downloads } from "./solution/downloads.js";
 import { made } from "./solution/made.js";

@@ -1,10 +1,10 @@
 /** A solution simulated again with other seeds: how likely is it unsafe itself? */
 
+import { isOpen } from "../../api.js";
 import { h, replace, text } from "../../dom.js";
 import { count, percent, plural } from "../../format.js";
-import { badge } from "../../parts/badge.js";
 import { link } from "../../router.js";
-import { isOpen } from "../../status.js";
+import { badge } from "../../parts/elements.js";
 
 const USUAL = 20;
 const MOST = 10_000;

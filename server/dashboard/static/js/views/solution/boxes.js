@@ -1,8 +1,8 @@
 /** The behaviour as boxes over time: which columns of the picture hold something, and which are said to. */
 
 import { h } from "../../dom.js";
-import { canvas } from "../../parts/canvas.js";
-import { segments } from "../../parts/segments.js";
+import { canvas } from "../../parts/charts.js";
+import { segments } from "../../parts/elements.js";
 import { bands } from "./bands.js";
 import { LABELS, rowCount } from "./episode.js";
 import { palette } from "./palette.js";

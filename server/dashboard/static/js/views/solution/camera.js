@@ -2,7 +2,7 @@
 
 import { h, text } from "../../dom.js";
 import { percent } from "../../format.js";
-import { canvas } from "../../parts/canvas.js";
+import { canvas } from "../../parts/charts.js";
 import { rowCount } from "./episode.js";
 import { FilmPlayer } from "./film.js";
 import { palette } from "./palette.js";

@@ -1,7 +1,7 @@
 /** Play, pause, the scrubber with what happens marked on it, how fast, and the way to the violation. */
 
 import { attribute, h, text } from "../../dom.js";
-import { segments } from "../../parts/segments.js";
+import { segments } from "../../parts/elements.js";
 
 const SPEEDS = [["0.5", "0.5×"], ["1", "1×"], ["2", "2×"], ["4", "4×"]];
 const TYPED = "input:not([type=range]), textarea, select, button, a, summary, [role=region]";

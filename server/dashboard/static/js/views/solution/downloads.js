@@ -2,7 +2,7 @@
 
 import { saveBlob } from "../../api.js";
 import { h, text } from "../../dom.js";
-import { whenMade } from "../../patience.js";
+import { whenMade } from "../../polling.js";
 
 /** Return the buttons that save a solution's episode. */
 export function downloads(context, path, name, spec) {
@@ -19,7 +19,7 @@ function drawn(context, path, file, words) {
     text(button, "Drawing …");
     try {
       await context.tell(async () => {
-        saveBlob(await whenMade(path, { ...context.patience, as: "blob" }), file);
+        saveBlob(await whenMade(path, { ...context.retrying, as: "blob" }), file);
       });
     } finally {
       button.disabled = false;

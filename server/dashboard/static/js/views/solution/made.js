@@ -3,8 +3,8 @@
 import { ApiError } from "../../api.js";
 import { h, replace } from "../../dom.js";
 import { sentence } from "../../format.js";
-import { callout, workerCommand } from "../../parts/callout.js";
-import { whenMade } from "../../patience.js";
+import { whenMade } from "../../polling.js";
+import { callout, workerCommand } from "../../parts/elements.js";
 
 /**
  * Return a place that says how far an episode is, and hands it on once it is there.
@@ -21,7 +21,7 @@ export function made(context, path, take) {
   async function ask() {
     say(h("p", null, "Asking for the episode …"));
     try {
-      const told = await whenMade(`${path}/episode`, { ...context.patience, making });
+      const told = await whenMade(`${path}/episode`, { ...context.retrying, making });
       node.remove();
       take(told);
     } catch (error) {

@@ -1,7 +1,7 @@
 /** The episode from above: the scene, whoever is in it, and what the driving system holds to be there. */
 
 import { h } from "../../dom.js";
-import { canvas } from "../../parts/canvas.js";
+import { canvas } from "../../parts/charts.js";
 import { drawCar, drawWalker, strokeBox } from "./bodies.js";
 import { eachRow, LABELS } from "./episode.js";
 import { palette } from "./palette.js";

@@ -2,8 +2,8 @@
 
 import { h, replace, text } from "../../dom.js";
 import { count, figure, percent, plural } from "../../format.js";
-import { badge } from "../../parts/badge.js";
 import { link } from "../../router.js";
+import { badge } from "../../parts/elements.js";
 
 /** Return a share of solutions as a bar from 0 to 1: interval, share, p_th. Its ``update`` takes others. */
 export function intervalBar() {

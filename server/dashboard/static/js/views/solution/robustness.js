@@ -2,8 +2,8 @@
 
 import { h, text } from "../../dom.js";
 import { figure, plainId, spaced } from "../../format.js";
-import { chart } from "../../parts/chart.js";
 import { colour } from "../../theme.js";
+import { chart } from "../../parts/charts.js";
 
 const EDGE = 5;
 /** Values beyond this are drawn at the edge: what matters is near zero. */

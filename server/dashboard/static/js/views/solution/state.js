@@ -2,7 +2,7 @@
 
 import { attribute, h, text } from "../../dom.js";
 import { minus, plainId, spaced } from "../../format.js";
-import { facts } from "../../parts/facts.js";
+import { facts } from "../../parts/elements.js";
 import { seconds } from "./controls.js";
 
 const MOST_EVENTS = 300;

@@ -2,7 +2,7 @@
 
 import { h } from "../../dom.js";
 import { figure, plainId, spaced } from "../../format.js";
-import { badge } from "../../parts/badge.js";
+import { badge } from "../../parts/elements.js";
 import { seconds } from "./controls.js";
 
 /** Return the requirement that a solution was judged by: what the campaign names, or else whose robustness it has. */
