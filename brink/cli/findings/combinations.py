@@ -17,7 +17,7 @@ from brink.cli.findings.drawing import Drawing
 from brink.cli.options import AsJson, CampaignId, Database, Server, console, print_json, with_api
 from brink.search.errors import UnsupportedSpace
 from brink.search.slots import slots_of
-from brink.sim.replay.side_by_side import Row, side_by_side
+from brink.sim.replay.sheets import Row, side_by_side
 
 SHOWN = 10
 PICTURES = 3

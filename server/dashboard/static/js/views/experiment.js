@@ -105,7 +105,7 @@ function steering(read, context, path, look) {
     context.may.steer && open && button("Cancel", async () => {
       if (await sure("Cancel the campaigns that have not ended? Their results are kept, but they cannot be resumed.", { yes: "Cancel experiment" })) await act("POST", "/cancel", "The experiment has been cancelled.");
     }),
-    h("a.button", { href: link("campaigns", { experiment: read.id }) }, "Campaigns"),
+    h("a.button", { href: link("campaigns", { experiment: read.id }) }, "Show campaigns"),
     context.may.remove && !open && button("Delete", async () => {
       const question = `Delete ${read.name} with its ${plural(read.campaigns - read.deleted, "campaign")} and all results? This cannot be undone.`;
       if ((await sure(question, { yes: "Delete" })) && (await context.act("DELETE", path, "The experiment has been deleted.")) === null) go("experiments");
