@@ -14,9 +14,9 @@ from rich.table import Table
 
 from brink.api.client import TIMEOUT, Api
 from brink.bench.rate import TARGET_SHARE, ServiceRate, measure_service
+from brink.cli.campaigns import follow
 from brink.cli.compare import compared, print_rows, rows_json
 from brink.cli.options import AsJson, console, print_json
-from brink.cli.submit import follow
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.runtime.coordinator import EmbeddedCoordinator, WorkerProcesses
