@@ -46,7 +46,7 @@ class Api:
         Raises:
             CoordinatorError: The request failed.
         """
-        return _adapter(schema).validate_json((await self.request("GET", path, params=params)).content)
+        return _validated(schema, await self.request("GET", path, params=params))
 
     async def send(self, schema: type[T], path: str, content: Any = None) -> T:
         """Return the answer to a POST request.
@@ -59,7 +59,7 @@ class Api:
         Raises:
             CoordinatorError: The request failed.
         """
-        return _adapter(schema).validate_json((await self.request("POST", path, json=content)).content)
+        return _validated(schema, await self.request("POST", path, json=content))
 
     async def get(self, path: str, params: Mapping[str, Any] | None = None) -> Any:
         """Return the decoded JSON answer to a GET request.
@@ -105,8 +105,14 @@ class Api:
         raise CoordinatorError(_error_message(response))
 
 
+def _validated(schema: type[T], response: httpx.Response) -> T:
+    any_schema: Any = schema  # mypy does not take a type variable for hashable
+    adapter: TypeAdapter[T] = _adapter(any_schema)
+    return adapter.validate_json(response.content)
+
+
 @cache
-def _adapter(schema: type[T]) -> TypeAdapter[T]:
+def _adapter(schema: Any) -> TypeAdapter[Any]:
     return TypeAdapter(schema)
 
 

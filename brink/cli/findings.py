@@ -30,9 +30,9 @@ from brink.cli.options import (
     write_json,
 )
 from brink.search.algorithms.multi_objective import CRITICALITY, MultiObjectiveConfig
-from brink.search.component import FloatArray
 from brink.search.errors import UnsupportedSpace
-from brink.search.levels import slots_of
+from brink.search.slots import slots_of
+from brink.search.space import FloatArray
 from brink.server.api.schemas import (
     ChainTally,
     Combinations,

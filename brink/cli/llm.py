@@ -20,7 +20,7 @@ from brink.cli.options import (
     print_json,
     with_api,
 )
-from brink.search.seeding import SeedRequest
+from brink.search.algorithm import SeedRequest
 from brink.server.api.schemas import LlmCalls
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
 from brink.server.campaigns.submission import checked_plan

@@ -1,6 +1,5 @@
 """`brink monitor fit | score | judge`: a safety monitor fitted to the results of campaigns."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -22,11 +21,10 @@ from brink.cli.options import (
     print_json,
     with_api,
 )
-from brink.search.analysis.monitor_trial import Trial, try_monitor
+from brink.search.analysis.monitor import Answer, Monitor
+from brink.search.analysis.monitor_evaluation import MonitorEvaluation, evaluate_monitor, fewest_false_alarms
 from brink.search.archive import Archive
 from brink.search.errors import DocumentError, SpaceError
-from brink.search.judging import false_alarms_at
-from brink.search.monitor import Answer, Monitor
 from brink.server.documents import read_yaml
 from brink.server.errors import Conflict, FieldError, InvalidInput
 
@@ -73,7 +71,7 @@ def fit(
         raise Conflict(f"a monitor needs at least two evaluated solutions, got {len(vectors)}")
     plan = fetched[0].plan
     level = threshold if threshold is not None else plan.neighbourhood.p_th
-    made = Monitor.fitted(
+    fitted = Monitor.fitted(
         plan.problem.space,
         vectors,
         unsafe,
@@ -81,20 +79,21 @@ def fit(
         z=plan.neighbourhood.z,
         seed=fetched[0].body.seed,
     )
+    weights = fitted.informative_weights
     about = {
         "campaigns": [one.id for one in fetched],
         "problem": fetched[0].body.problem.model_dump(mode="json"),
         "brink": __version__,
     }
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(made.to_json(about) + "\n", encoding="utf-8")
+    out.write_text(fitted.to_json(about) + "\n", encoding="utf-8")
     if as_json:
-        print_json({"file": str(out), "solutions": len(made), "threshold": level, "weights": made.telling})
+        print_json({"file": str(out), "solutions": len(fitted), "threshold": level, "weights": weights})
         return
-    tell = ", ".join(f"{name} {weight:g}" for name, weight in made.telling.items()) or "none"
+    parameters = ", ".join(f"{name} {weight:g}" for name, weight in weights.items()) or "none"
     console().print(
-        f"{out}: {len(made):,} solutions, {made.unsafe_share:.0%} unsafe; unsafe above {level:g}\n"
-        f"parameters by weight: {tell}",
+        f"{out}: {len(fitted):,} solutions, {fitted.unsafe_share:.0%} unsafe; unsafe above {level:g}\n"
+        f"parameters by weight: {parameters}",
         soft_wrap=True, markup=False,
     )  # fmt: skip
 
@@ -160,7 +159,7 @@ def judge(
     if fetched[0].plan.problem.space.column_names() != known.space.column_names():
         raise Conflict(f"the search space of {file} differs from that of campaign {fetched[0].id}")
     try:
-        trial = try_monitor(known, vectors, unsafe)
+        evaluation = evaluate_monitor(known, vectors, unsafe)
     except ValueError as error:
         raise Conflict(str(error)) from None
     if picture is not None:
@@ -168,11 +167,11 @@ def judge(
         from brink.plots.monitor import figure_monitor
 
         picture.parent.mkdir(parents=True, exist_ok=True)
-        figure_monitor(trial, f"Monitor of {trial.learned:,} simulations").savefig(picture)
+        figure_monitor(evaluation, f"Monitor of {evaluation.learned:,} simulations").savefig(picture)
     if as_json:
-        print_json(_document(trial))
+        print_json(evaluation.to_json())
         return
-    _print(trial)
+    _print(evaluation)
     if picture is not None:
         console().print(f"picture: {picture}", soft_wrap=True)
 
@@ -207,37 +206,30 @@ def _together(fetched: Sequence[FetchedArchive]) -> tuple[Any, Any]:
     )
 
 
-def _document(trial: Trial) -> dict[str, Any]:
-    document: dict[str, Any] = json.loads(json.dumps(asdict(trial)))
-    return document
-
-
-def _print(trial: Trial) -> None:
+def _print(evaluation: MonitorEvaluation) -> None:
     screen = console()
-    screen.print(f"fitted to {trial.learned:,} simulations, evaluated on {trial.fresh:,} others")
+    screen.print(f"fitted to {evaluation.learned:,} simulations, evaluated on {evaluation.fresh:,} others")
     columns = ("AUROC", "Brier", *(f"false alarms at {missed:.0%} missed" for missed in MISSED))
     table = plain_table("", *columns, right=columns)
-    for witness in trial.witnesses:
-        costs = [f"{false_alarms_at(witness.alarms, missed).false:.0%}" for missed in MISSED]
-        table.add_row(
-            witness.name, f"{witness.judgement.auroc:.3f}", f"{witness.judgement.brier:.3f}", *costs
-        )
+    for one in evaluation.predictors:
+        costs = [f"{fewest_false_alarms(one.operating_points, missed).false:.0%}" for missed in MISSED]
+        table.add_row(one.name, f"{one.metrics.auroc:.3f}", f"{one.metrics.brier:.3f}", *costs)
     screen.print(table, "")
-    bins = trial.witnesses[0].judgement.bins
+    bins = evaluation.predictors[0].metrics.bins
     columns = ("solutions", "predicted", "interval", "unsafe share", "within")
     table = plain_table(*columns, right=columns, title="calibration of the monitor")
-    for one in bins:
+    for bin_ in bins:
         table.add_row(
-            f"{one.solutions:,}", f"{one.foretold:.2f}", f"{one.low:.2f} to {one.high:.2f}", f"{one.observed:.2f}",
-            "yes" if one.within else "no",
+            f"{bin_.solutions:,}", f"{bin_.predicted:.2f}", f"{bin_.low:.2f} to {bin_.high:.2f}",
+            f"{bin_.observed:.2f}", "yes" if bin_.within else "no",
         )  # fmt: skip
     screen.print(table, "")
-    for verdicts in trial.answers:
+    for verdicts in evaluation.answers:
         share = f", {verdicts.unsafe / verdicts.solutions:.0%} of them unsafe" if verdicts.solutions else ""
         unknown = verdicts.answer is Answer.UNKNOWN
         reason = ": too few simulations around them, or too mixed" if unknown else ""
         screen.print(f"  {verdicts.answer}: {verdicts.solutions:,}{share}{reason}")
-    for name, reason in trial.left_out.items():
+    for name, reason in evaluation.left_out.items():
         screen.print(f"[yellow]left out: {name}, {reason}[/yellow]")
 
 

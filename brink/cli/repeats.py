@@ -100,7 +100,9 @@ async def _run(session: Session, campaign: str, request: dict[str, Any], workers
 async def _find_or_submit(api: Api, campaign: str, request: dict[str, Any]) -> RepeatsView:
     """Return the repeats of a boundary, submitted now unless they were before."""
     known = await _latest(api, campaign, request)
-    return known or await api.send(RepeatsView, f"/campaigns/{campaign}/repeats", request)
+    if known is not None:
+        return known
+    return await api.send(RepeatsView, f"/campaigns/{campaign}/repeats", request)
 
 
 async def _latest(api: Api, campaign: str, request: dict[str, Any]) -> RepeatsView | None:

@@ -33,7 +33,7 @@ from brink.cli.options import (
     program,
 )
 from brink.cli.repeats import repeat_finished, repeats_sentence, write_repeats
-from brink.search.analysis.comparison import in_words
+from brink.search.analysis.comparison import control_summaries
 from brink.server.api.repeats import RepeatsView
 from brink.server.api.schemas import Boundary, CampaignList, CampaignView, Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
@@ -181,7 +181,7 @@ async def _write_all(
         found = await fetch_findings(api, fetched)
         for findings in found:
             files += findings.write(folder)
-        control = in_words(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)
+        control = control_summaries(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)
         report = Report(boundary=boundary, files=files, control=control, findings=found)
         if not pictures or session.stop.is_set():
             return report

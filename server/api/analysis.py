@@ -9,11 +9,10 @@ from fastapi.responses import JSONResponse
 from numpy.typing import NDArray
 from pydantic import Field
 
-from brink.search.analysis.comparison import rows_of, said
-from brink.search.analysis.dependence import Dependence
-from brink.search.analysis.parameters import ParameterColumn, parameter_columns
+from brink.search.analysis.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
+from brink.search.analysis.comparison import control_summary, rows_of
+from brink.search.analysis.dependence import Dependence, ParameterColumn, parameter_columns
 from brink.search.analysis.scores import DRAWS, Scores
-from brink.search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.space import Categorical
 from brink.server.api.conditional import NOTHING_NEW, is_known, nothing_new, tag_of
 from brink.server.api.context import Services
@@ -150,7 +149,7 @@ def _rounded(values: NDArray[np.float64]) -> list[float]:
 
 
 def _colour_by(column: ParameterColumn, rows: NDArray[np.intp]) -> ColourBy:
-    parameter, awake = column.parameter, column.awake[rows].tolist()
+    parameter, awake = column.parameter, column.active[rows].tolist()
     scale = None if isinstance(parameter, Categorical) else parameter
     return ColourBy.model_construct(
         parameter=column.name, unit=scale.unit if scale else "",
@@ -325,7 +324,7 @@ def _scores_view(campaign: Campaign, scores: Scores) -> ScoresView:
         t_bs=list(PAPER_T_BS), d_ths=list(PAPER_D_THS), dbs=scores.figures.dbs.tolist(),
         strict=scores.figures.strict.tolist(), control=control_view(scores.control), draws=DRAWS,
         says=[
-            [said(own, blind, (i, j)) for j in range(len(PAPER_D_THS))]
+            [control_summary(own, blind, (i, j)) for j in range(len(PAPER_D_THS))]
             for blind in control
             for i in range(len(PAPER_T_BS))
         ],

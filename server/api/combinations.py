@@ -4,20 +4,20 @@ from collections.abc import Mapping
 
 from fastapi import APIRouter
 
-from brink.search.archive import Archive
-from brink.search.combinations import (
+from brink.search.analysis.combinations import (
     Chain,
     Combination,
     Step,
     Tally,
-    beside,
     combinations,
     tally_by_step,
+    variants_at,
     verdicts_by_chain,
 )
+from brink.search.archive import Archive
 from brink.search.errors import UnsupportedSpace
-from brink.search.levels import slots_of
 from brink.search.parameters import Categorical
+from brink.search.slots import slots_of
 from brink.search.space import SearchSpace
 from brink.server.api.context import Services
 from brink.server.api.schemas import (
@@ -124,7 +124,7 @@ def variants_view(space: SearchSpace, archive: Archive, number: int) -> list[Var
     chain = next((c for c, seen in verdicts.items() if any(v.number == number for v in seen.values())), None)
     if chain is None:
         raise KeyError(number)
-    found = beside(verdicts, chain, number)
+    found = variants_at(verdicts, chain, number)
     order = sorted(found, key=lambda one: (one == chain, len(one)))
     return [
         Variant(
@@ -141,7 +141,7 @@ def _view(names: Names, one: Combination) -> CombinationView:
         unsafe=one.tally.unsafe, trials=one.tally.trials,
         parts=_tallies(names, one.parts), orders=_tallies(names, one.orders),
         hazardous=one.hazardous, minimal=one.minimal, only_together=one.only_together,
-        order_matters=one.order_matters, together=list(one.together), turned=list(one.turned),
+        order_matters=one.order_matters, together=list(one.joint_hazards), turned=list(one.order_hazards),
     )  # fmt: skip
 
 

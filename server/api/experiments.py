@@ -9,10 +9,17 @@ from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import JSONResponse
 from sqlalchemy import Connection
 
-from brink.search.analysis.conclusions import LEVEL, conclusion, with_low_controls
-from brink.search.analysis.experiment_tables import Duel, Repeat, duels, standings
+from brink.search.analysis.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
+from brink.search.analysis.comparison import (
+    LEVEL,
+    Duel,
+    Repeat,
+    conclusion,
+    duels,
+    standings,
+    with_low_controls,
+)
 from brink.search.analysis.scores import Control
-from brink.search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.server.api.conditional import NOTHING_NEW, tag
 from brink.server.api.context import Services
 from brink.server.api.cursor import cursor_of, read_cursor

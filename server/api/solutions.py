@@ -14,9 +14,9 @@ from pydantic import Field
 from sqlalchemy import Connection, Row
 from starlette.responses import Response as PlainResponse
 
-from brink.search.analysis.nearest import Nearest, nearest
+from brink.search.analysis.boundary import distinct_boundary
+from brink.search.analysis.similarity import Nearest, nearest_solutions
 from brink.search.archive import Archive
-from brink.search.boundary import distinct_boundary
 from brink.search.parameters import Categorical
 from brink.search.space import SearchSpace
 from brink.server.api.boundary_table import boundary_rows, table_bytes
@@ -343,7 +343,8 @@ async def get_neighbours(campaign_id: str, number: Number, services: Services, m
         place = found.places.get(number)
         if place is None:
             raise NotFound(f"campaign {campaign.id} has no evaluated solution {number}")
-        return _neighbours_view(found, number, place, nearest(found.archive, place, most), boundary=boundary)
+        near = nearest_solutions(found.archive, place, most)
+        return _neighbours_view(found, number, place, near, boundary=boundary)
 
     return await asyncio.get_running_loop().run_in_executor(None, look)
 
@@ -364,6 +365,6 @@ def _neighbours_view(
                 unsafe=bool(archive.unsafe[other]), robustness=float(archive.robustness[other]),
                 fitness=float(archive.fitness[other]),
             )
-            for other, distance in zip(near.places.tolist(), near.distances.tolist(), strict=True)
+            for other, distance in zip(near.positions.tolist(), near.distances.tolist(), strict=True)
         ],
     )  # fmt: skip

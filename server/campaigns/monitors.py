@@ -3,7 +3,7 @@
 from concurrent.futures import Executor
 from dataclasses import InitVar, dataclass, field
 
-from brink.search.monitor import Monitor
+from brink.search.analysis.monitor import Monitor
 from brink.server.campaigns.archives import Archives
 from brink.server.campaigns.values import Campaign
 from brink.server.errors import Conflict

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from sqlalchemy import Connection, insert, select
 
 from brink.search.algorithms.repeats import Repeats, Tallies, tallied
+from brink.search.analysis.boundary import distinct_boundary
 from brink.search.archive import Archive
-from brink.search.boundary import distinct_boundary
 from brink.search.streams import Stream, generator
 from brink.server.campaigns import store
 from brink.server.campaigns.body import Budget, CampaignBody, PluginChoice

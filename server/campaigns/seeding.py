@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Protocol
 
-from brink.search.seeding import Proposal, SeedRequest
+from brink.search.algorithm import Proposal, SeedRequest
 from brink.server.llm.settings import LlmSettings
 from brink.server.problems.base import Problem
 

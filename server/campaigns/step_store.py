@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, Row, bindparam, delete, insert, select, update
 
-from brink.search.component import FloatArray
 from brink.search.metric import METRIC_VERSION
+from brink.search.space import FloatArray
 from brink.server.campaigns.store import find_campaign, set_status
 from brink.server.campaigns.values import Campaign, Checkpoint, NewJob, NewSolution, Step, StoredArchive
 from brink.server.db.clock import database_now

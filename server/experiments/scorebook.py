@@ -4,7 +4,7 @@ import asyncio
 from concurrent.futures import Executor
 from dataclasses import InitVar, dataclass, field
 
-from brink.search.analysis.experiment_tables import Repeat
+from brink.search.analysis.comparison import Repeat
 from brink.search.analysis.scores import Scores, scored
 from brink.server.campaigns.archives import Archives
 from brink.server.campaigns.values import Campaign

@@ -6,9 +6,7 @@ from typing import Any
 
 from sqlalchemy import Row
 
-from brink.search.analysis.violation_instances import scaled_circumstances
-from brink.search.analysis.violation_types import Signature, signature_of
-from brink.search.analysis.violations import FoundViolation
+from brink.search.analysis.violations import FoundViolation, Signature, scaled_circumstances, signature_of
 from brink.server.problems.base import TellsViolations
 from brink.worker.wire import Completed
 

@@ -6,12 +6,11 @@ from enum import StrEnum
 from typing import Final, Self, TypeVar
 
 from brink.sim.aeb.braking import HOLD_S
-from brink.sim.episode import Json
+from brink.sim.episode import Json, nearest
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.weights_file import weights_digest
 from brink.sim.perturbations import Mode, Perturbation, PerturbationError, parse_perturbations
 from brink.sim.urban.behaviour import DEFAULT_DURATION_S, DetectorBehaviour, InjectedTrajectory
-from brink.sim.urban.scenario import nearest
 
 SIZE_PX: Final = (640, 360)
 THRESHOLD: Final = 0.5

@@ -9,7 +9,7 @@ from brink.sim.aeb.facts import Facts
 from brink.sim.aeb.recorder import AebRecorder
 from brink.sim.aeb.sight import Look, Sight
 from brink.sim.aeb.street import CRUISE_MPS, Street
-from brink.sim.requirements.requirement import Collision, Requirement, WorldSample
+from brink.sim.requirements import Collision, Requirement, WorldSample
 from brink.sim.world.ego import STEP_S as PHYSICS_STEP_S
 from brink.sim.world.ego import EgoCar
 

@@ -9,7 +9,7 @@ from typing import Final
 from brink.sim.aeb.street import CRUISE_MPS, END_M, LANE_M, LANE_Y_M, Actor, Street
 from brink.sim.bullet.engine import BodyId, Box, Engine
 from brink.sim.rendering.scene import Body, BodyKind
-from brink.sim.requirements.requirement import Collision, CollisionKind, WorldSample
+from brink.sim.requirements import Collision, CollisionKind, WorldSample
 from brink.sim.world.ego import EgoCar
 
 NEAR_M: Final = 8.0

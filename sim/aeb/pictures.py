@@ -20,7 +20,7 @@ from brink.sim.perception.quality import Truth
 from brink.sim.rendering.renderer import Renderer
 from brink.sim.rendering.scene import Body, BodyKind, Frame, Light, PictureCamera, StreetScene, Viewpoint
 from brink.sim.rendering.visible import visible_bodies
-from brink.sim.urban.scenario import TimeOfDay, Weather
+from brink.sim.world.scenario import TimeOfDay, Weather
 
 SIZE_PX: Final = (640, 360)
 FRAMES_A_STREET: Final = 10

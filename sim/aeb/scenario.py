@@ -12,9 +12,9 @@ from dataclasses import dataclass, fields
 from enum import StrEnum
 from typing import Self, TypeVar
 
-from brink.sim.episode import Json, JsonObject
+from brink.sim.episode import Json, JsonObject, nearest
 from brink.sim.errors import InvalidEpisode
-from brink.sim.urban.scenario import TimeOfDay, Weather, nearest
+from brink.sim.world.scenario import TimeOfDay, Weather
 
 TIMES = tuple(TimeOfDay)
 WEATHERS = (Weather.CLEAR, Weather.CLOUDY, Weather.WET, Weather.WET_CLOUDY, Weather.SOFT_RAIN)

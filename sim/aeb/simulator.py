@@ -16,12 +16,12 @@ from brink.sim.aeb.scenario import AebScenario
 from brink.sim.aeb.sight import GroundTruth, Injected, Sight
 from brink.sim.aeb.street import CRUISE_MPS, LANE_Y_M, Street, make_street
 from brink.sim.bullet.engine import EngineError, discard_engine, process_engine
+from brink.sim.catalogue import make_requirements
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
 from brink.sim.errors import SimulationCrashed
 from brink.sim.perception.registry import find_detector
 from brink.sim.rendering.scene import Light
-from brink.sim.requirements.registry import features_of, make_requirements, verdicts_of
-from brink.sim.requirements.requirement import Requirement
+from brink.sim.requirements import Requirement, features_of, verdicts_of
 from brink.sim.urban.simulator import instruction_set, versions
 from brink.sim.world.ego import EgoCar
 from brink.sim.world.weather import conditions

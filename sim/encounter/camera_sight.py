@@ -27,10 +27,9 @@ from brink.sim.rendering.scene import (
     Viewpoint,
 )
 from brink.sim.trace import Surface
-from brink.sim.urban.scenario import UrbanScenario
 from brink.sim.world.road import Road
-from brink.sim.world.roadside import fixtures
-from brink.sim.world.scene import scene_surfaces
+from brink.sim.world.scenario import UrbanScenario
+from brink.sim.world.scenery import fixtures, scene_surfaces
 
 SIZE_PX: Final = (640, 360)
 CROWN_M: Final = 3.0

@@ -7,12 +7,11 @@ from brink.sim.encounter.camera_sight import EncounterCamera
 from brink.sim.encounter.scenario import EncounterScenario
 from brink.sim.encounter.simulator import BrinkEncounter
 from brink.sim.encounter.world import EncounterWorld
-from brink.sim.episode import EpisodeSpec, Json
+from brink.sim.episode import EpisodeSpec, Json, check_fields
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.registry import find_detector
 from brink.sim.perception.weights_file import weights_digest
-from brink.sim.urban.scenario import check_fields
-from brink.sim.urban.sensing import Detects
+from brink.sim.urban.episode_loop import Detects
 
 MODE: Final = "detector"
 _FIELDS: Final = ("mode", "detector", "threshold", "weights")

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from brink.sim.urban.scenario import UrbanScenario
 from brink.sim.world.road import PARKING_STRIP_M, build_road
+from brink.sim.world.scenario import UrbanScenario
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

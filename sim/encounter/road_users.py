@@ -10,9 +10,8 @@ from typing import Final
 
 from brink.sim.encounter.script import Kind, Script, Stretch
 from brink.sim.world.line import ReferenceLine
+from brink.sim.world.pedestrians import PERSON_LENGTH_M, PERSON_WIDTH_M
 from brink.sim.world.vehicle import CAR, VAN, VehicleSize
-from brink.sim.world.walker import LENGTH_M as PERSON_LENGTH_M
-from brink.sim.world.walker import WIDTH_M as PERSON_WIDTH_M
 from brink.sim.world.world import RoadUser
 
 SIZES: Final = {

@@ -7,7 +7,7 @@ from typing import Final, Self
 from brink.sim.encounter.script import Script, scripts_from_json
 from brink.sim.episode import Json
 from brink.sim.errors import InvalidEpisode
-from brink.sim.urban.scenario import SCENARIO_CHOICES, UrbanScenario
+from brink.sim.world.scenario import SCENARIO_CHOICES, UrbanScenario
 
 PLACE_FIELDS: Final = tuple(name for name in SCENARIO_CHOICES if name != "pedestrians")
 """What a place is described by: the urban scenario's parameters, but for how many pedestrians are about."""

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
-from brink.sim.episode import Json, JsonObject
+from brink.sim.episode import Json, JsonObject, check_fields, nearest
 from brink.sim.errors import InvalidEpisode
-from brink.sim.urban.scenario import check_fields, nearest
 
 MOST_ROAD_USERS: Final = 6
 MOST_STRETCHES: Final = 64

@@ -11,20 +11,18 @@ from collections.abc import Mapping
 from typing import ClassVar, Final
 
 from brink.sim.bullet.engine import EngineError, discard_engine, process_engine
+from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.system import ModularDriving
 from brink.sim.encounter.scenario import EncounterScenario
 from brink.sim.encounter.witness import EncounterWitness
 from brink.sim.encounter.world import EncounterWorld, make_encounter
-from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject, check_fields
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
-from brink.sim.requirements.registry import features_of, make_requirements, verdicts_of
-from brink.sim.requirements.requirement import Requirement
+from brink.sim.requirements import Requirement, features_of, verdicts_of
 from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour
-from brink.sim.urban.episode_loop import Outcome, run_loop
+from brink.sim.urban.episode_loop import Detects, Outcome, run_loop
 from brink.sim.urban.recorder import Recorder
-from brink.sim.urban.scenario import check_fields
-from brink.sim.urban.sensing import Detects
 from brink.sim.urban.simulator import instruction_set, versions
 
 MAX_DURATION_S: Final = 120.0

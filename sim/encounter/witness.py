@@ -13,7 +13,7 @@ from brink.sim.encounter.rectangles import Rectangle, bearing_rad, signed_gap_m
 from brink.sim.encounter.road_users import ScriptedUser
 from brink.sim.encounter.world import EncounterWorld
 from brink.sim.episode import JsonObject
-from brink.sim.requirements.requirement import WorldSample
+from brink.sim.requirements import WorldSample
 from brink.sim.trace import ACTION
 from brink.sim.urban.recorder import Recorder
 from brink.sim.world.world import STEP_S

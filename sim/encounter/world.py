@@ -6,13 +6,10 @@ from dataclasses import dataclass
 from brink.sim.encounter.road_users import ScriptedUser
 from brink.sim.encounter.scenario import EncounterScenario
 from brink.sim.encounter.script import Kind
-from brink.sim.urban.scenario import DrivingTask
 from brink.sim.world.ego import EgoCar, EgoMotion
-from brink.sim.world.lights import SignalPlan
-from brink.sim.world.road import Road, build_road
-from brink.sim.world.route import LaneRoute
+from brink.sim.world.road import LaneRoute, Road, SignalPlan, build_road, ego_route
+from brink.sim.world.scenario import DrivingTask
 from brink.sim.world.streams import Stream, generator
-from brink.sim.world.task import ego_route
 from brink.sim.world.weather import Conditions, conditions
 from brink.sim.world.world import START_SPEED_MPS, STEP_S, leaves_road_m, signal_plan
 
@@ -73,7 +70,7 @@ def make_encounter(scenario: EncounterScenario, seed: int) -> EncounterWorld:
         road=road,
         route=route,
         weather=weather,
-        signals=signal_plan(road, place, seed) if road.junctions[0].lit else None,
+        signals=signal_plan(place, seed) if road.junctions[0].lit else None,
         ego=EgoCar(
             route.pose_at(0.0, float(start.normal(0.0, 0.05))), START_SPEED_MPS, friction=weather.friction
         ),

@@ -4,12 +4,12 @@ from collections.abc import Callable
 from typing import Final, cast
 
 from brink.sim.catalogue import load_plugin, plugin_ids
+from brink.sim.episode import nearest
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.adapters import file_detector
 from brink.sim.perception.detector import Detector
 from brink.sim.perception.errors import DetectorError
 from brink.sim.perception.weights_file import KINDS
-from brink.sim.urban.scenario import nearest
 
 DETECTORS: Final = "brink.detectors"
 

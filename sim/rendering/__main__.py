@@ -12,8 +12,8 @@ from brink.sim.rendering.renderer import Renderer
 from brink.sim.rendering.sample import EGO, fallen_tree, person, sample_street, sample_traffic, vehicle
 from brink.sim.rendering.scene import Body, BodyKind, Light, Picture, PictureCamera, StreetScene
 from brink.sim.rendering.street import street_of
-from brink.sim.urban.scenario import RoadCurve, TimeOfDay, Weather
 from brink.sim.world.road import build_road
+from brink.sim.world.scenario import RoadCurve, TimeOfDay, Weather
 
 _CAMERA = PictureCamera(width_px=640, height_px=360)
 _COLUMNS = 3

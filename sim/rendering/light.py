@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from brink.sim.rendering.scene import FloatArray, Light
-from brink.sim.urban.scenario import TimeOfDay, Weather
+from brink.sim.world.scenario import TimeOfDay, Weather
 
 _SUN_STREAM: Final = 71
 

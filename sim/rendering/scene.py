@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brink.sim.rendering.errors import InvalidCamera, InvalidScene
-from brink.sim.urban.scenario import TimeOfDay, Weather
+from brink.sim.world.scenario import TimeOfDay, Weather
 
 if TYPE_CHECKING:
     from brink.sim.rendering.canvas import Outline

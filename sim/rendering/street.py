@@ -20,8 +20,7 @@ from brink.sim.rendering.scene import (
 from brink.sim.trace import Surface
 from brink.sim.world.line import Piece, ReferenceLine
 from brink.sim.world.road import Road
-from brink.sim.world.roadside import Fixture, fixtures
-from brink.sim.world.scene import BEFORE_M, BEYOND_M, scene_surfaces
+from brink.sim.world.scenery import BEFORE_M, BEYOND_M, Fixture, fixtures, scene_surfaces
 
 FIRST_PARKED_ID: Final = 1_000_001
 """Parked vehicles are numbered from here, in the order of the road's fixtures."""

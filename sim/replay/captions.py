@@ -6,7 +6,7 @@ from typing import Final
 from brink.sim.aeb.words import words_of_perturbations, words_of_street
 from brink.sim.episode import Json
 from brink.sim.trace import Trace
-from brink.sim.urban.words import words_of_scenario
+from brink.sim.world.scenario import words_of_scenario
 
 UNITS: Final = {"m": " m", "s": " s", "m/s": " m/s"}
 REQUIREMENT_UNITS: Final = {

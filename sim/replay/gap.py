@@ -7,7 +7,7 @@ import numpy as np
 
 from brink.sim.replay.captions import plain_name
 from brink.sim.replay.geometry import Points, closest_points, outline
-from brink.sim.requirements.front_gap import REQUIRED_GAP_M
+from brink.sim.requirements import REQUIRED_GAP_M
 from brink.sim.trace import ActorTrack, Trace
 
 FRONT_GAP: Final = "front-gap"

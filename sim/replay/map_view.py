@@ -26,7 +26,7 @@ from brink.sim.replay.palette import (
 )
 from brink.sim.replay.scene import SUPERSAMPLING, paint_scene
 from brink.sim.replay.viewport import Viewport
-from brink.sim.requirements.front_gap import REQUIRED_GAP_M
+from brink.sim.requirements import REQUIRED_GAP_M
 from brink.sim.trace import Trace
 
 SMOOTHING_S: Final = 2.0

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from brink.cli.commands import app
 from brink.cli.findings import draw_types, violations_sentence, write_violations
 from brink.cli.live import CampaignDisplay
-from brink.search.analysis.violation_types import RULES_VERSION
+from brink.search.analysis.violations import RULES_VERSION
 from brink.server.api.schemas import Progress
 from brink.server.api.violations import Violations
 

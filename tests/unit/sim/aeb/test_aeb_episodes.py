@@ -17,10 +17,10 @@ from brink.sim.aeb.sight import GroundTruth, Look
 from brink.sim.aeb.simulator import BrinkAeb
 from brink.sim.aeb.street import CRUISE_MPS, LANE_Y_M, Street, make_street
 from brink.sim.bullet.engine import process_engine
+from brink.sim.catalogue import make_requirements
 from brink.sim.episode import EpisodeResult, Json
 from brink.sim.errors import InvalidEpisode
 from brink.sim.replay import render_bytes
-from brink.sim.requirements.registry import make_requirements
 from brink.sim.trace import Trace
 from brink.sim.world.ego import EgoCar
 

@@ -18,8 +18,8 @@ from brink.sim.episode import EpisodeSpec, Json, JsonObject
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.registry import find_detector
 from brink.sim.trace import Trace
-from brink.sim.urban.scenario import RoadCurve
 from brink.sim.world.road import build_road
+from brink.sim.world.scenario import RoadCurve
 
 DETECTOR: JsonObject = {"mode": "detector", "detector": "brink-det@1", "threshold": 0.5}
 

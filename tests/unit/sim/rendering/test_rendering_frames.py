@@ -22,7 +22,7 @@ from brink.sim.rendering import (
     Viewpoint,
 )
 from brink.sim.rendering.sample import EGO, fallen_tree, sample_street, sample_traffic, vehicle
-from brink.sim.urban.scenario import TimeOfDay, Weather
+from brink.sim.world.scenario import TimeOfDay, Weather
 
 CAMERA = PictureCamera(width_px=320, height_px=192)
 STREET = sample_street()

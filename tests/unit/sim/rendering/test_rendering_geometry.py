@@ -19,7 +19,7 @@ from brink.sim.rendering import (
 )
 from brink.sim.rendering.buildings import footprint
 from brink.sim.rendering.view import beyond_near, view_from
-from brink.sim.urban.scenario import TimeOfDay, Weather
+from brink.sim.world.scenario import TimeOfDay, Weather
 
 CAMERA = PictureCamera(width_px=640, height_px=360)
 ORIGIN = Viewpoint(x_m=0.0, y_m=0.0, yaw_rad=0.0)

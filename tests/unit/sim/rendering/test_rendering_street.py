@@ -5,9 +5,9 @@ import pytest
 
 from brink.sim.rendering import Light, Material, PictureCamera, Renderer, Viewpoint, visible_bodies
 from brink.sim.rendering.street import FIRST_PARKED_ID, street_of
-from brink.sim.urban.scenario import RoadCurve, TimeOfDay, Weather
 from brink.sim.world.road import Road, build_road
-from brink.sim.world.roadside import fixtures
+from brink.sim.world.scenario import RoadCurve, TimeOfDay, Weather
+from brink.sim.world.scenery import fixtures
 
 
 def roads() -> Iterator[Road]:
