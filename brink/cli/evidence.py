@@ -52,7 +52,7 @@ UNDRAWABLE = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Wanted:
+class _Options:
     folder: Path
     t_b: float
     d_th: float
@@ -85,8 +85,8 @@ def evidence(
     if film not in (None, "gif", "mp4"):
         raise InvalidInput([FieldError(pointer="--film", message=f"expected gif or mp4, got {film!r}")])
     screen = console(stderr=as_json)
-    wanted = _Wanted(folder=out, t_b=t_b, d_th=d_th, replays=replays, film=film, server=server)
-    summary = with_api(server, database, lambda api: _write(api, campaign, wanted, screen))
+    options = _Options(folder=out, t_b=t_b, d_th=d_th, replays=replays, film=film, server=server)
+    summary = with_api(server, database, lambda api: _write(api, campaign, options, screen))
     if as_json:
         print_json(summary)
         return
@@ -96,32 +96,32 @@ def evidence(
     screen.print(f"{out}: {counts}; start with {out / 'README.md'}", soft_wrap=True, markup=False)
 
 
-async def _write(api: Api, campaign: str, wanted: _Wanted, screen: Console) -> dict[str, Any]:
+async def _write(api: Api, campaign: str, options: _Options, screen: Console) -> dict[str, Any]:
     fetched = await fetch_archive(api, campaign)
-    params = {"t_b": wanted.t_b, "d_th": wanted.d_th}
+    params = {"t_b": options.t_b, "d_th": options.d_th}
     boundary = await api.read(Boundary, f"/campaigns/{fetched.id}/boundary", params)
-    wanted.folder.mkdir(parents=True, exist_ok=True)
+    options.folder.mkdir(parents=True, exist_ok=True)
     rows, notes = boundary_rows(boundary, fetched.id, fetched.body), list[str]()
     if not has_parquet():
         notes.append(f"no boundary.parquet: {install_command('analysis')}")
-    _tables(rows, wanted.folder)
+    _tables(rows, options.folder)
     found: list[Rules] = []
     with screen.status("finding rules"):
         try:
-            found = await asyncio.to_thread(_rules, fetched, wanted.t_b)
+            found = await asyncio.to_thread(_rules, fetched, options.t_b)
         except MissingExtra as error:
             notes.append(f"no rules: {error}")
     document = [asdict(one) for one in found]
-    write_json(wanted.folder / "rules.json", document)
+    write_json(options.folder / "rules.json", document)
     # The slow part comes last, so that Ctrl-C leaves everything else complete.
-    readme = wanted.folder / "README.md"
-    readme.write_text(_readme(fetched, boundary, wanted, found, notes, 0), encoding="utf-8")
-    drawn, missing = await _replays(api, fetched, rows, boundary, wanted, screen)
+    readme = options.folder / "README.md"
+    readme.write_text(_readme(fetched, boundary, options, found, notes, 0), encoding="utf-8")
+    drawn, missing = await _replays(api, fetched, rows, boundary, options, screen)
     notes += missing
-    _tables(rows, wanted.folder)
-    readme.write_text(_readme(fetched, boundary, wanted, found, notes, drawn), encoding="utf-8")
+    _tables(rows, options.folder)
+    readme.write_text(_readme(fetched, boundary, options, found, notes, drawn), encoding="utf-8")
     return {
-        "campaign": fetched.id, "folder": str(wanted.folder), "solutions": len(rows), "replays": drawn,
+        "campaign": fetched.id, "folder": str(options.folder), "solutions": len(rows), "replays": drawn,
         "rules": document, "notes": notes,
     }  # fmt: skip
 
@@ -150,7 +150,7 @@ async def _replays(
     fetched: FetchedArchive,
     rows: Sequence[Row],
     boundary: Boundary,
-    wanted: _Wanted,
+    options: _Options,
     screen: Console,
 ) -> tuple[int, list[str]]:
     """Write replays and add the component's detections to the rows; return the number of replays, and failures."""
@@ -158,10 +158,10 @@ async def _replays(
         (row, solution.number)
         for row, solution in zip(rows, boundary.solutions, strict=True)
         if solution.spec is not None
-    ][: wanted.replays]
+    ][: options.replays]
     if not chosen:
         return 0, []
-    folder = wanted.folder / "episodes"
+    folder = options.folder / "episodes"
     folder.mkdir(exist_ok=True)
     requirement = await fetch_requirement(api, fetched.id)
     names = ("seen", "said", "matched", "missed", "invented")
@@ -171,20 +171,20 @@ async def _replays(
     with Progress(console=screen, transient=True) as progress:
         for row, number in progress.track(chosen, description="replays"):
             try:
-                trace = await _trace(api, fetched.id, number, wanted)
+                trace = await _trace(api, fetched.id, number, options)
                 compared = seen_and_said(trace)
-                await asyncio.to_thread(_draw, trace, folder, number, wanted.film, requirement)
+                await asyncio.to_thread(_draw, trace, folder, number, options.film, requirement)
             except UNDRAWABLE as error:
                 notes.append(f"solution {number} has no replay: {type(error).__name__}: {error}")
                 continue
             row.update({f"component.{name}": getattr(compared, name) for name in names})
-            row["replay"] = f"episodes/{number}.{wanted.film or 'png'}"
+            row["replay"] = f"episodes/{number}.{options.film or 'png'}"
             drawn += 1
     return drawn, notes
 
 
-async def _trace(api: Api, campaign: str, number: int, wanted: _Wanted) -> Trace:
-    if wanted.server is None:
+async def _trace(api: Api, campaign: str, number: int, options: _Options) -> Trace:
+    if options.server is None:
         return await run_episode(api, campaign, number)
     return await fetch_trace(api, campaign, number, TRACE_TIMEOUT_S)
 
@@ -200,7 +200,7 @@ def _draw(trace: Trace, folder: Path, number: int, film: str | None, requirement
 def _readme(
     fetched: FetchedArchive,
     boundary: Boundary,
-    wanted: _Wanted,
+    options: _Options,
     found: Sequence[Rules],
     notes: Sequence[str],
     drawn: int,
@@ -212,12 +212,12 @@ def _readme(
         f"{len(fetched.archive):,} evaluated solutions, {int(fetched.archive.unsafe.sum()):,} of them unsafe. "
         f"Brink {__version__}.",
         f"{boundary.dbs} distinct boundary solutions, {boundary.strict_dbs} of them strict: fitness at most "
-        f"{wanted.t_b:g}, at least {wanted.d_th:g} apart, around the region that is unsafe with probability "
+        f"{options.t_b:g}, at least {options.d_th:g} apart, around the region that is unsafe with probability "
         f"{near.p_th:g}; neighbours within {near.radius:g}, intervals with z = {near.z:g}. {boundary.note}",
         "Each solution was simulated once. `brink repeats` estimates how likely the solution itself is unsafe.",
         *(f"> {note}" for note in notes),
         "# Files",
-        _files(wanted.film, drawn),
+        _files(options.film, drawn),
         "# Columns\n\n| column | meaning |\n|---|---|\n"
         + "\n".join(f"| `{name}` | {meaning} |" for name, meaning in MEANINGS.items()),
     ]  # fmt: skip

@@ -22,6 +22,7 @@ from brink.api.client import TIMEOUT, Api, CoordinatorError
 from brink.cli.live import CampaignDisplay
 from brink.cli.options import database_option, program, settings_with
 from brink.search.errors import install_command
+from brink.server.api.experiment_schemas import ExperimentProgress
 from brink.server.api.schemas import Progress
 from brink.server.errors import Conflict, FieldError, InvalidInput, Unavailable
 from brink.server.problems.base import NeedsExtra, Problem
@@ -35,43 +36,8 @@ POLL_S = 0.3
 MAX_TROUBLE_S = 5.0
 """How long the database may reject writes before a run gives up."""
 
-
-class Standing(Protocol):
-    """The progress of a campaign or an experiment, as far as running it needs to know."""
-
-    @property
-    def id(self) -> str:
-        """Id of the campaign or experiment."""
-        ...
-
-    @property
-    def status(self) -> CampaignStatus:
-        """Whether it is running, paused, or in which way it ended."""
-        ...
-
-    @property
-    def simulations(self) -> int:
-        """Simulations done so far."""
-        ...
-
-    @property
-    def budget(self) -> int:
-        """Simulations in all."""
-        ...
-
-    @property
-    def trouble(self) -> str | None:
-        """Why the database rejects writes at the moment, if it does."""
-        ...
-
-    @property
-    def trouble_s(self) -> float:
-        """How long the database has rejected writes, in seconds."""
-        ...
-
-
 T = TypeVar("T")
-StandingT = TypeVar("StandingT", bound=Standing)
+ProgressT = TypeVar("ProgressT", Progress, ExperimentProgress)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,7 +66,7 @@ class Session:
         """Print a hint with a command that can be pasted."""
         self.screen.print(f"{text}: {program()} {command}{self.database}", soft_wrap=True)
 
-    async def watch(self, poll: Callable[[], Awaitable[StandingT]]) -> StandingT:
+    async def watch(self, poll: Callable[[], Awaitable[ProgressT]]) -> ProgressT:
         """Poll until the work ends or is stopped, and replace workers that died.
 
         Args:
@@ -162,7 +128,7 @@ class RunOptions:
     port: int = 0
 
 
-class Workload(Protocol[StandingT]):
+class Workload(Protocol[ProgressT]):
     """A campaign or an experiment to run to its end.
 
     Attributes:
@@ -173,11 +139,11 @@ class Workload(Protocol[StandingT]):
     noun: str
     command: str
 
-    async def latest(self, api: Api, statuses: Sequence[CampaignStatus]) -> StandingT | None:
+    async def latest(self, api: Api, statuses: Sequence[CampaignStatus]) -> ProgressT | None:
         """Return the latest run of the file that has one of these statuses."""
         ...
 
-    async def resume(self, api: Api, found: StandingT) -> None:
+    async def resume(self, api: Api, found: ProgressT) -> None:
         """Resume an unfinished run."""
         ...
 
@@ -185,11 +151,11 @@ class Workload(Protocol[StandingT]):
         """Submit a new run; return its id and a summary of it in words."""
         ...
 
-    async def watch(self, session: Session, name: str) -> StandingT:
+    async def watch(self, session: Session, name: str) -> ProgressT:
         """Show the progress until the work ends or is stopped; return the last progress."""
         ...
 
-    def reasons(self, progress: StandingT) -> Sequence[str]:
+    def reasons(self, progress: ProgressT) -> Sequence[str]:
         """Return why the work ended unfinished."""
         ...
 
@@ -246,10 +212,10 @@ def _coordinator(settings: Settings, worker_log: Path) -> Iterator[tuple[str, st
 
 
 def run_to_end(
-    workload: Workload[StandingT],
+    workload: Workload[ProgressT],
     options: RunOptions,
     screen: Console,
-    finish: Callable[[Session, StandingT], Awaitable[T]],
+    finish: Callable[[Session, ProgressT], Awaitable[T]],
 ) -> T | None:
     """Run a campaign or an experiment to its end on this machine.
 
@@ -295,7 +261,7 @@ def run_to_end(
     return run_locally(settings, options.out / "worker.log", screen, work)
 
 
-async def _start(workload: Workload[StandingT], options: RunOptions, session: Session) -> str:
+async def _start(workload: Workload[ProgressT], options: RunOptions, session: Session) -> str:
     """Return the id of the run to watch: the latest one of this file, or a new one."""
     statuses = [CampaignStatus.RUNNING, CampaignStatus.PAUSED]
     if options.resume:

@@ -48,6 +48,7 @@ Campaigns = Annotated[
 ]
 
 
+@monitor.command()
 def fit(
     campaigns: Campaigns,
     out: Annotated[Path, typer.Option(help="File to write.")] = Path("monitor.json"),
@@ -66,7 +67,7 @@ def fit(
     Example: brink monitor fit 3f2a --out monitor.json
     """
     fetched = with_api(server, database, lambda api: _fetched(api, campaigns))
-    vectors, unsafe = _together(fetched)
+    vectors, unsafe = _evaluated(fetched)
     if len(vectors) < 2:
         raise Conflict(f"a monitor needs at least two evaluated solutions, got {len(vectors)}")
     plan = fetched[0].plan
@@ -98,6 +99,7 @@ def fit(
     )  # fmt: skip
 
 
+@monitor.command()
 def score(
     file: MonitorFile,
     solutions: Annotated[
@@ -113,16 +115,16 @@ def score(
     """Estimate how likely solutions are unsafe. Needs no server.
 
     Example: brink monitor score monitor.json solutions.json
-    """  # fmt: skip
-    known = _read(file)
+    """
+    fitted = _read(file)
     document = read_yaml(solutions)
-    solutions_given = document if isinstance(document, list) else [document]
+    given = document if isinstance(document, list) else [document]
     risks = []
-    for place, values in enumerate(solutions_given):
+    for place, values in enumerate(given):
         if not isinstance(values, dict):
             raise _wrong(place, f"expected parameters by component, got {values!r}"[:200])
         try:
-            risks.append(known.ask(values.get("parameters", values)))
+            risks.append(fitted.ask(values.get("parameters", values)))
         except (SpaceError, AttributeError) as error:
             raise _wrong(place, str(error)) from None
     if as_json:
@@ -138,6 +140,7 @@ def score(
     console().print(table)
 
 
+@monitor.command()
 def judge(
     file: MonitorFile,
     campaigns: Campaigns,
@@ -153,13 +156,13 @@ def judge(
     Example: brink monitor judge monitor.json 91bc --picture monitor.png
     """
     check_picture(picture)
-    known = _read(file)
+    fitted = _read(file)
     fetched = with_api(server, database, lambda api: _fetched(api, campaigns))
-    vectors, unsafe = _together(fetched)
-    if fetched[0].plan.problem.space.column_names() != known.space.column_names():
+    vectors, unsafe = _evaluated(fetched)
+    if fetched[0].plan.problem.space.column_names() != fitted.space.column_names():
         raise Conflict(f"the search space of {file} differs from that of campaign {fetched[0].id}")
     try:
-        evaluation = evaluate_monitor(known, vectors, unsafe)
+        evaluation = evaluate_monitor(fitted, vectors, unsafe)
     except ValueError as error:
         raise Conflict(str(error)) from None
     if picture is not None:
@@ -198,7 +201,7 @@ async def _fetched(api: Api, campaigns: Sequence[str]) -> list[FetchedArchive]:
     return list({one.id: one for one in found}.values())
 
 
-def _together(fetched: Sequence[FetchedArchive]) -> tuple[Any, Any]:
+def _evaluated(fetched: Sequence[FetchedArchive]) -> tuple[Any, Any]:
     archives: list[Archive] = [one.archive for one in fetched]
     return (
         np.concatenate([archive.vectors for archive in archives]),
@@ -231,7 +234,3 @@ def _print(evaluation: MonitorEvaluation) -> None:
         screen.print(f"  {verdicts.answer}: {verdicts.solutions:,}{share}{reason}")
     for name, reason in evaluation.left_out.items():
         screen.print(f"[yellow]left out: {name}, {reason}[/yellow]")
-
-
-for command in (fit, score, judge):
-    monitor.command()(command)

@@ -49,6 +49,7 @@ sensitivity = typer.Typer(
 )
 
 
+@sensitivity.command()
 def rescore(
     campaign: CampaignId,
     t_b: FitnessThreshold = DEFAULT_T_B,
@@ -103,6 +104,7 @@ def rescore(
         console().print(f"picture: {picture}", soft_wrap=True)
 
 
+@sensitivity.command()
 def rerun(
     file: CampaignFile,
     parameter: Annotated[
@@ -228,7 +230,3 @@ def _table(name: str, found: list[Rescored], own: float) -> Table:
             "this campaign" if value == own else "",
         )  # fmt: skip
     return table
-
-
-for command in (rescore, rerun):
-    sensitivity.command()(command)
