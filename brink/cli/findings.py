@@ -45,7 +45,7 @@ from brink.server.api.violations import TypeView, Violations
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.problems.base import TellsViolations
 from brink.sim.replay import render
-from brink.sim.replay.side_by_side import Row, side_by_side
+from brink.sim.replay.sheets import Row, side_by_side
 
 CHAINS_SHOWN: Final = 10
 CHAINS_DRAWN: Final = 3
