@@ -9,7 +9,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import httpx
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
 from brink.server.errors import TOKEN_FORM, FieldError, InvalidInput, ServerError
 
@@ -44,9 +44,10 @@ class Api:
             params: Query parameters.
 
         Raises:
-            CoordinatorError: The request failed.
+            CoordinatorError: The request failed, or the answer does not match the schema.
         """
-        return _validated(schema, await self.request("GET", path, params=params))
+        answer: T = self._validated(schema, await self.request("GET", path, params=params))
+        return answer
 
     async def send(self, schema: type[T], path: str, content: Any = None) -> T:
         """Return the answer to a POST request.
@@ -57,9 +58,10 @@ class Api:
             content: JSON body; None sends no body.
 
         Raises:
-            CoordinatorError: The request failed.
+            CoordinatorError: The request failed, or the answer does not match the schema.
         """
-        return _validated(schema, await self.request("POST", path, json=content))
+        answer: T = self._validated(schema, await self.request("POST", path, json=content))
+        return answer
 
     async def get(self, path: str, params: Mapping[str, Any] | None = None) -> Any:
         """Return the decoded JSON answer to a GET request.
@@ -104,11 +106,16 @@ class Api:
             )
         raise CoordinatorError(_error_message(response))
 
-
-def _validated(schema: type[T], response: httpx.Response) -> T:
-    any_schema: Any = schema  # mypy does not take a type variable for hashable
-    adapter: TypeAdapter[T] = _adapter(any_schema)
-    return adapter.validate_json(response.content)
+    def _validated(self, schema: Any, response: httpx.Response) -> Any:
+        try:
+            return _adapter(schema).validate_json(response.content)
+        except ValidationError as error:
+            fault = error.errors(include_url=False)[0]
+            place = "/".join(map(str, fault["loc"])) or "the answer"
+            raise CoordinatorError(
+                f"unexpected answer from {self.where}: {place}: {fault['msg']}; "
+                "is it a coordinator of the same version of Brink?"
+            ) from None
 
 
 @cache
