@@ -9,9 +9,9 @@ from rich.console import Console
 from brink.api.client import Api
 from brink.cli.draw import FetchedArchive, fetch_archive
 from brink.cli.options import AsJson, Database, Server, console, plain_table, print_json, with_api
-from brink.search.analysis.boundary import PAPER_D_THS, PAPER_T_BS
 from brink.search.analysis.comparison import ComparedCampaign, Row, control_summaries
 from brink.search.analysis.comparison import compare as compare_campaigns
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
 from brink.search.analysis.scores import DRAWS
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 

@@ -16,7 +16,8 @@ from brink.cli.live import LiveDisplay, budget_bar, duration, rate_of
 from brink.cli.local import RunOptions, Session, check_extra, run_to_end
 from brink.cli.options import console, file_name, plain_table, print_json
 from brink.report.experiment import html_report, markdown_report, sentences
-from brink.search.analysis.comparison import Measure, Repeat, duels, standings
+from brink.search.analysis.comparison import Repeat, duels, standings
+from brink.search.analysis.paper import Measure
 from brink.search.analysis.scores import Control, Figures, Scores
 from brink.server.api.schemas import (
     ControlView,

@@ -32,8 +32,9 @@ from brink.cli.options import (
     with_api,
     write_json,
 )
-from brink.search.analysis.boundary import P_THS, PAPER_D_THS, PAPER_T_BS, RADII, Rescored, by_p_th, by_radius
-from brink.search.analysis.comparison import Measure, lines_of
+from brink.search.analysis.boundary import P_THS, RADII, Rescored, by_p_th, by_radius
+from brink.search.analysis.comparison import lines_of
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS, Measure
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
 from brink.server.errors import Conflict, FieldError, InvalidInput
 from brink.server.experiments.body import ExperimentBody, parse_experiment

@@ -8,10 +8,10 @@ from fastapi import APIRouter, Query, Request, Response
 from numpy.typing import NDArray
 from pydantic import Field
 
-from brink.search.analysis.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.analysis.comparison import control_summary, rows_of
 from brink.search.analysis.dependence import Dependence, ParameterColumn, parameter_columns
 from brink.search.analysis.monitor import Answer
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.analysis.scores import DRAWS, Scores
 from brink.search.errors import SpaceError
 from brink.search.fitness import wilson_interval

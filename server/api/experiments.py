@@ -8,7 +8,6 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Request, Response
 from sqlalchemy import Connection
 
-from brink.search.analysis.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.analysis.comparison import (
     LEVEL,
     Duel,
@@ -18,6 +17,7 @@ from brink.search.analysis.comparison import (
     standings,
     with_low_controls,
 )
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.analysis.scores import Control
 from brink.server.api.context import Services
 from brink.server.api.responses import (

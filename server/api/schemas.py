@@ -5,8 +5,7 @@ from typing import Annotated, Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from brink.search.analysis.boundary import PAPER_D_THS, PAPER_T_BS
-from brink.search.analysis.comparison import Measure
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS, Measure
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody
 from brink.server.experiments.body import ExperimentBody
 from brink.server.states import CampaignStatus, JobStatus, SolutionVerdict

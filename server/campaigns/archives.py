@@ -7,7 +7,8 @@ from functools import cached_property
 
 from sqlalchemy import Connection
 
-from brink.search.analysis.boundary import PAPER_D_THS, PAPER_T_BS, DbsGrid, dbs_grid
+from brink.search.analysis.boundary import DbsGrid, dbs_grid
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
 from brink.search.archive import Archive, archive_digest
 from brink.search.space import FloatArray
 from brink.server.campaigns import step_store
