@@ -14,7 +14,7 @@ from brink.search.analysis.comparison import ComparedCampaign, Row, in_words
 from brink.search.analysis.comparison import compare as compare_campaigns
 from brink.search.analysis.scores import DRAWS
 from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
-from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 
 
 def compare(

@@ -28,7 +28,7 @@ from brink.server.api.boundary_table import (
     table_bytes,
 )
 from brink.server.api.schemas import Boundary
-from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.errors import FieldError, InvalidInput
 from brink.sim.errors import SimulatorError
 from brink.sim.replay import render

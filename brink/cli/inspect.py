@@ -26,7 +26,7 @@ from brink.cli.pictures import draw_figures, fetch_archive
 from brink.cli.replays import fetch_trace, requirement_of, run_again
 from brink.cli.summary import grid_table, solution_table
 from brink.server.api.boundary_table import FORMATS
-from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.errors import FieldError, InvalidInput
 from brink.sim.replay import render
 

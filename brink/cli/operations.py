@@ -21,7 +21,7 @@ from brink.cli.options import (
     print_json,
     settings_with,
 )
-from brink.server.campaigns.store import named_campaign
+from brink.server.campaigns.store import CAMPAIGNS
 from brink.server.db.engine import open_engines
 from brink.server.errors import DatabaseError, FieldError, InvalidInput
 from brink.server.operations.doctor import State, examine
@@ -87,7 +87,7 @@ def export(
     engines = open_engines(settings.database)
     try:
         with engines.reader.connect() as connection:
-            found = named_campaign(connection, campaign)
+            found = CAMPAIGNS.get(connection, campaign)
             file = out or Path(f"{file_name(found.body.name)}-{found.id}.brink")
             counts = export_campaign(connection, found.id, file)
     finally:
@@ -115,7 +115,7 @@ def import_(
     try:
         with engines.writer.begin() as connection:
             campaign, counts = import_campaign(connection, file)
-            status = named_campaign(connection, campaign).status
+            status = CAMPAIGNS.get(connection, campaign).status
     finally:
         engines.dispose()
     _told(f"campaign {campaign} taken in from {file}", {"campaign": campaign}, counts, as_json)

@@ -27,8 +27,8 @@ from brink.cli.options import (
     with_api,
 )
 from brink.server.api.repeats import DEFAULT_REPEATS
-from brink.server.campaigns.body import CampaignBody
-from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B, make_plan
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody
+from brink.server.campaigns.plan import make_plan
 from brink.server.runtime.coordinator import WorkerProcesses
 from brink.server.settings import Settings
 

@@ -36,9 +36,8 @@ from brink.cli.repeats import finished_repeats, sentence, write_repeats
 from brink.cli.replays import write_replays
 from brink.cli.summary import print_summary
 from brink.search.analysis.comparison import in_words
-from brink.server.campaigns.body import CampaignBody, read_campaign_file
-from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.campaigns.submission import check_submission
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
+from brink.server.campaigns.plan import check_submission
 from brink.server.errors import Conflict
 from brink.server.settings import Settings
 

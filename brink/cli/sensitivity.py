@@ -31,8 +31,7 @@ from brink.cli.pictures import fetch_archive
 from brink.search.analysis.experiment_tables import Measure, lines_of
 from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
 from brink.search.sensitivity import P_THS, RADII, Rescored, by_p_th, by_radius
-from brink.server.campaigns.body import CampaignBody, read_campaign_file
-from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
 from brink.server.errors import Conflict, FieldError, InvalidInput
 from brink.server.experiments.body import ExperimentBody, parse_experiment
 

@@ -17,7 +17,7 @@ from brink.search.analysis.experiment_tables import Duel, Line, Measure, Repeat,
 from brink.search.analysis.scores import DRAWS, ENOUGH_REPEATS
 from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
 from brink.search.statistics import MeanInterval
-from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.experiments.body import ExperimentBody
 
 NAMES = {Measure.DBS: "DBS", Measure.STRICT: "strict DBS"}

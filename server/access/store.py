@@ -5,8 +5,8 @@ from datetime import timedelta
 from sqlalchemy import Connection, insert, or_, select, update
 
 from brink.server.access.tokens import StoredToken, digest_of, new_token
-from brink.server.db.clock import database_now
 from brink.server.db.models import TokenRow
+from brink.server.db.sql import database_now
 from brink.server.errors import NotFound
 from brink.server.states import Scope
 

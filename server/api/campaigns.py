@@ -14,12 +14,11 @@ from brink.server.api.views import campaign_view, read_progress
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import CampaignBody, parse_body
-from brink.server.campaigns.store import ENDED
-from brink.server.campaigns.values import Campaign
+from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.db.engine import read
-from brink.server.documents import MAX_FILE_BYTES, yaml_document
+from brink.server.documents import MAX_FILE_BYTES, parse_yaml
 from brink.server.errors import InvalidInput
-from brink.server.queue.workers import capabilities_of_live
+from brink.server.queue.workers import live_capabilities
 from brink.server.states import CampaignStatus
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"])
@@ -59,7 +58,7 @@ async def check_campaign(
     services: Services,
 ) -> CampaignBody:
     """Return the campaign of a file if it could be submitted, with the same errors if it could not; store nothing."""
-    body = parse_body(yaml_document(text))
+    body = parse_body(parse_yaml(text))
     await services.campaigns.check(body)
     return body
 
@@ -144,10 +143,10 @@ async def _pulse(services: Context, campaign_id: str, since: int) -> str | None:
     trouble = services.queue.writer.trouble
 
     def look(connection: Connection) -> tuple[object, ...] | None:
-        pulse = view_store.read_pulse(connection, campaign_id)
+        pulse = view_store.read_version(connection, campaign_id)
         if pulse is None:
             return None
-        live = capabilities_of_live(connection, services.settings.worker_seen_s)
+        live = live_capabilities(connection, services.settings.worker_seen_s)
         return (*pulse, sorted((worker, sorted(able)) for worker, able in live.items()))
 
     pulse = await read(services.engines, look)

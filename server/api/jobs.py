@@ -9,9 +9,9 @@ from brink.server.api.context import Services, client_gone
 from brink.server.api.job_views import job_counts
 from brink.server.api.schemas import MAX_NUMBER, JobCounts, JobList, JobViewModel, WorkerView
 from brink.server.api.wire_route import WireRoute
-from brink.server.campaigns.jobs import list_jobs
 from brink.server.db.engine import read
-from brink.server.queue.workers import list_seen
+from brink.server.queue.job_store import list_jobs
+from brink.server.queue.workers import list_workers
 from brink.server.states import JobStatus
 from brink.worker.wire import (
     HeartbeatReply,
@@ -87,7 +87,7 @@ async def retry_job(job: Annotated[int, Path(ge=0, le=MAX_NUMBER)], services: Se
 @router.get("/workers", tags=["workers"], responses=NOTHING_NEW)
 async def get_workers(services: Services, request: Request, response: Response) -> list[WorkerView]:
     """List workers, the latest heard of first. Answers 304 to a known ETag."""
-    seen = await read(services.engines, lambda connection: list_seen(connection))
+    seen = await read(services.engines, lambda connection: list_workers(connection))
     horizon = services.settings.worker_seen_s
     views = [
         WorkerView(

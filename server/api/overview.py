@@ -11,12 +11,12 @@ from brink.server.api.conditional import NOTHING_NEW, is_known, nothing_new, tag
 from brink.server.api.context import Services
 from brink.server.api.cursor import cursor_of, read_cursor
 from brink.server.api.schemas import View
-from brink.server.campaigns import view_store
 from brink.server.campaigns.plan import looks_for_boundary
-from brink.server.campaigns.standing import read_standing
+from brink.server.campaigns.view_store import read_campaign_progress
 from brink.server.dashboard.overview import Outline, list_outlines
 from brink.server.db.engine import read
-from brink.server.queue.workers import capabilities_of_live
+from brink.server.queue.job_store import count_unfinished
+from brink.server.queue.workers import live_capabilities
 from brink.server.states import CampaignStatus
 
 router = APIRouter(tags=["campaigns"])
@@ -88,7 +88,7 @@ async def get_overview(
             experiment=experiment,
         )
         pulses = [_pulse(connection, one) for one in outlines]
-        workers = sorted(capabilities_of_live(connection, services.settings.worker_seen_s))
+        workers = sorted(live_capabilities(connection, services.settings.worker_seen_s))
         told = (pulses, workers, limit, trouble.reason if trouble else None)
         etag = tag_of(*told)
         if is_known(request, etag):
@@ -105,13 +105,15 @@ async def get_overview(
 def _pulse(connection: Connection, one: Outline) -> tuple[object, ...]:
     if one.finished_at is not None:
         return (one.id, one.sequence)
-    return (one.id, one.sequence, *sorted(view_store.count_open_jobs(connection, one.id).items()))
+    return (one.id, one.sequence, *sorted(count_unfinished(connection, one.id).items()))
 
 
 def _overview(
     services: Services, connection: Connection, outlines: list[Outline], limit: int, workers: int
 ) -> Overview:
-    standings = [read_standing(connection, one) if one.finished_at is None else None for one in outlines]
+    standings = [
+        read_campaign_progress(connection, one) if one.finished_at is None else None for one in outlines
+    ]
     both = list(zip(outlines, standings, strict=True))
     sparks = services.figures.sparks.of(connection, outlines)
     trouble = services.queue.writer.trouble
@@ -125,7 +127,7 @@ def _overview(
     }  # fmt: skip
     return Overview(
         **columns,
-        simulations=[standing.done if standing else one.told for one, standing in both],
+        simulations=[standing.done if standing else one.completed for one, standing in both],
         quarantined=[standing.quarantined if standing else None for _, standing in both],
         rate_per_s=[standing.rate_per_s if standing else None for _, standing in both],
         remaining_s=[standing.remaining_s if standing else None for _, standing in both],

@@ -13,8 +13,7 @@ from brink.server.api.context import Services
 from brink.server.api.experiment_schemas import ControlView
 from brink.server.api.experiment_views import control_view
 from brink.server.api.schemas import BeingMade, View
-from brink.server.campaigns.store import ENDED
-from brink.server.campaigns.values import Campaign
+from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.errors import Conflict
 from brink.server.states import CampaignStatus
 

@@ -28,7 +28,7 @@ from brink.server.api.schemas import (
 from brink.server.api.traces import NOT_YET, UNREADABLE, Wait, being_made, trace_of
 from brink.server.api.views import boundary_view, solution_views
 from brink.server.campaigns import view_store
-from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.db.engine import read
 from brink.server.errors import Conflict, FieldError, InvalidInput, NotFound
 from brink.sim.replay import render_bytes

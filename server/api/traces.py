@@ -9,14 +9,15 @@ from typing import Annotated, Any
 
 from fastapi import Query, Request
 from fastapi.responses import JSONResponse
-from sqlalchemy import Connection, Row
+from sqlalchemy import Connection
 
 from brink.server.api.context import Context, client_gone
 from brink.server.api.schemas import BeingMade, ProblemDetail
+from brink.server.campaigns.store import Campaign
 from brink.server.campaigns.traces import find_trace, simulator_of, trace_job
-from brink.server.campaigns.values import Campaign
 from brink.server.db.engine import read
 from brink.server.errors import Conflict, NotFound, NoWorker
+from brink.server.queue.job_store import Job
 from brink.server.queue.workers import can_run
 from brink.server.states import JobStatus
 from brink.sim.errors import SimulatorError
@@ -47,7 +48,7 @@ class _Look:
 
     kept: bytes | None
     needs: str | None
-    job: Row[*tuple[Any, ...]] | None
+    job: Job | None
     away: bool
     """Nobody could make it now."""
 

@@ -17,22 +17,24 @@ from brink.server.api.schemas import (
     Progress,
     SolutionView,
 )
-from brink.server.campaigns import store, view_store
+from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
-from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B, looks_for_boundary
-from brink.server.campaigns.standing import read_standing
-from brink.server.campaigns.values import Campaign
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.plan import looks_for_boundary
+from brink.server.campaigns.store import CAMPAIGNS, Campaign
+from brink.server.campaigns.view_store import read_campaign_progress
 from brink.server.db.writer import Trouble
 from brink.server.errors import NotFound
 from brink.server.problems.base import Problem, words_of
-from brink.server.queue.workers import capabilities_of_live
+from brink.server.queue.job_store import queued_needs
+from brink.server.queue.workers import live_capabilities
 
 
 def campaign_view(campaign: Campaign) -> CampaignView:
     """Return a campaign."""
     return CampaignView(
         id=campaign.id, name=campaign.body.name, status=campaign.status,
-        status_reason=campaign.status_reason, sequence=campaign.sequence, simulations=campaign.told,
+        status_reason=campaign.status_reason, sequence=campaign.sequence, simulations=campaign.completed,
         budget=campaign.budget, unsafe=campaign.unsafe, failed=campaign.failed,
         measured=campaign.measured, generation=campaign.generation, created_at=campaign.created_at,
         finished_at=campaign.finished_at,
@@ -50,13 +52,13 @@ def read_progress(
     trouble: Trouble | None,
 ) -> Progress:
     """Return counts and series of a campaign, from generation `since` on."""
-    campaign = store.find_campaign(connection, campaign_id)
+    campaign = CAMPAIGNS.find(connection, campaign_id)
     if campaign is None:
         raise NotFound(f"campaign {campaign_id}: no such campaign")
-    standing = read_standing(connection, campaign)
-    live = capabilities_of_live(connection, worker_seen_s)
+    standing = read_campaign_progress(connection, campaign)
+    live = live_capabilities(connection, worker_seen_s)
     capabilities = set().union(*live.values())
-    waiting = view_store.waiting_needs(connection, campaign.id) if standing.queued else {}
+    waiting = queued_needs(connection, campaign.id) if standing.queued else {}
     return Progress(
         id=campaign.id, name=campaign.body.name, status=campaign.status,
         status_reason=campaign.status_reason, sequence=campaign.sequence, budget=campaign.budget,

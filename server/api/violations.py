@@ -1,6 +1,7 @@
 """Routes of violations: which types a campaign found, and what people call them."""
 
 import asyncio
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Response
@@ -11,12 +12,11 @@ from brink.search.analysis.violation_types import RULES_VERSION
 from brink.search.analysis.violations import FoundViolation, ViolationType, by_type
 from brink.server.api.context import Context, Services
 from brink.server.api.schemas import MAX_NUMBER, View
-from brink.server.campaigns.values import Campaign
+from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import read
 from brink.server.errors import NotFound
 from brink.server.problems.base import TellsViolations
-from brink.server.violations import store
-from brink.server.violations.found import found_violations
+from brink.server.violations import read_violations, set_name
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/violations", tags=["violations"])
 
@@ -108,27 +108,21 @@ async def _name(services: Context, campaign_id: str, number: int, requirement: s
             f"it has {', '.join(known) or 'none'}"
         )
     writer = services.campaigns.writer
-    unit = writer.submit(
-        lambda connection: store.give_name(connection, campaign.id, number, requirement, name)
-    )
+    unit = writer.submit(lambda connection: set_name(connection, campaign.id, number, requirement, name))
     await asyncio.wrap_future(unit)
 
 
-async def _found(services: Context, campaign: Campaign) -> list[FoundViolation]:
+async def _found(services: Context, campaign: Campaign) -> Sequence[FoundViolation]:
     problem = (await services.archives.get(campaign)).plan.problem
     if not isinstance(problem, TellsViolations):
         raise NotFound(f"campaign {campaign.id}: {campaign.body.problem.id} tells no violations")
     return await read(
         services.engines,
-        lambda connection: found_violations(
-            store.unsafe_results(connection, campaign.id),
-            store.read_names(connection, campaign.id),
-            problem,
-        ),
+        lambda connection: read_violations(connection, campaign.id, problem),
     )
 
 
-def _types(found: list[FoundViolation]) -> list[TypeView]:
+def _types(found: Sequence[FoundViolation]) -> list[TypeView]:
     return [_type(kind) for kind in by_type(found)]
 
 

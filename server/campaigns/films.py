@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
+from brink.server.campaigns.store import Campaign
 from brink.server.campaigns.traces import find_trace, trace_key
-from brink.server.campaigns.values import Campaign
 from brink.server.db.engine import Engines, read
 from brink.server.errors import NotFound
-from brink.server.single_flight import Latest
+from brink.server.single_flight import SingleFlightCache
 from brink.sim.errors import SimulatorError
 from brink.sim.trace import Trace
 
@@ -29,7 +29,7 @@ class Films:
     """
 
     engines: Engines
-    _latest: Latest[Pictures] = field(default_factory=lambda: Latest(KEPT))
+    _latest: SingleFlightCache[Pictures] = field(default_factory=lambda: SingleFlightCache(KEPT))
 
     async def picture(self, campaign: Campaign, number: int, index: int) -> bytes:
         """Return a picture of a solution's film, as JPEG.

@@ -1,12 +1,11 @@
-"""Traces that are kept, and the jobs that make them."""
+"""Traces that are kept, and the jobs that record them."""
 
-from typing import Any
+from sqlalchemy import Connection, select
 
-from sqlalchemy import Connection, Row, select
-
-from brink.server.campaigns.step_store import enqueue_traces
-from brink.server.campaigns.values import Campaign
-from brink.server.db.models import JobRow, SolutionRow, TraceRow
+from brink.server.campaigns.store import Campaign
+from brink.server.db.models import SolutionRow, TraceRow
+from brink.server.queue import job_store
+from brink.server.queue.job_store import Job
 from brink.server.states import JobKind
 
 
@@ -21,7 +20,7 @@ def find_trace(connection: Connection, campaign_id: str, number: int) -> bytes |
 
 
 def trace_key(connection: Connection, campaign_id: str, number: int) -> str | None:
-    """Return by what the trace of a solution is known if it is kept: the same simulation has the same trace."""
+    """Return the key of a solution's trace if it is kept: equal simulations share one trace."""
     query = (
         select(TraceRow.spec_hash)
         .join(SolutionRow, SolutionRow.spec_hash == TraceRow.spec_hash)
@@ -31,22 +30,17 @@ def trace_key(connection: Connection, campaign_id: str, number: int) -> str | No
 
 
 def simulator_of(connection: Connection, campaign_id: str, number: int) -> str | None:
-    """Return what a worker must be capable of to make the trace of a solution; None if it was not simulated."""
-    query = select(JobRow.needs).where(
-        JobRow.campaign_id == campaign_id, JobRow.number == number, JobRow.kind == JobKind.EPISODE
-    )
-    return connection.execute(query).scalar_one_or_none()
+    """Return the capability that recording a solution's trace needs, or None if it was not simulated."""
+    job = job_store.find_job_of(connection, campaign_id, number, JobKind.EPISODE)
+    return None if job is None else job.needs
 
 
-def trace_job(connection: Connection, campaign_id: str, number: int) -> Row[*tuple[Any, ...]] | None:
-    """Return status and last error of the job that makes a trace, if there is one."""
-    query = select(JobRow.status, JobRow.last_error).where(
-        JobRow.campaign_id == campaign_id, JobRow.number == number, JobRow.kind == JobKind.TRACE
-    )
-    return connection.execute(query).one_or_none()
+def trace_job(connection: Connection, campaign_id: str, number: int) -> Job | None:
+    """Return the job that records a solution's trace, or None."""
+    return job_store.find_job_of(connection, campaign_id, number, JobKind.TRACE)
 
 
 def request_trace(connection: Connection, campaign: Campaign, number: int) -> bool:
     """Enqueue the trace of a solution unless it is enqueued already; return whether that is possible."""
-    enqueue_traces(connection, campaign, [number])
+    job_store.enqueue_traces(connection, campaign.id, [number], campaign.job_settings)
     return trace_job(connection, campaign.id, number) is not None

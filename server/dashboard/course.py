@@ -9,7 +9,7 @@ import numpy as np
 
 from brink.search.boundary import BudgetPoint, dbs_by_budget
 from brink.server.campaigns.archives import ReadArchive
-from brink.server.single_flight import Latest
+from brink.server.single_flight import SingleFlightCache
 
 POINTS: Final = 24
 MOST: Final = 10_000
@@ -30,10 +30,10 @@ class Courses:
 
     threads: InitVar[Executor]
     most_waiting: InitVar[int]
-    _latest: Latest[Sequence[BudgetPoint]] = field(init=False)
+    _latest: SingleFlightCache[Sequence[BudgetPoint]] = field(init=False)
 
     def __post_init__(self, threads: Executor, most_waiting: int) -> None:
-        self._latest = Latest(KEPT, threads, most_waiting)
+        self._latest = SingleFlightCache(KEPT, threads, most_waiting)
 
     async def get(self, campaign: str, read: ReadArchive, t_b: float, d_th: float) -> Sequence[BudgetPoint]:
         """Return DBS at shares of what was simulated so far; nothing of an archive that is empty or too large."""

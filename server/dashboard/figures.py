@@ -9,7 +9,7 @@ from brink.server.campaigns.archives import ReadArchive
 from brink.server.dashboard.course import Courses
 from brink.server.dashboard.overview import Sparks
 from brink.server.dashboard.solution_map import SolutionMaps
-from brink.server.single_flight import Latest
+from brink.server.single_flight import SingleFlightCache
 
 DEPENDENCES_KEPT: Final = 32
 """Campaigns of which is remembered what their verdicts depend on."""
@@ -32,14 +32,14 @@ class Figures:
     maps: SolutionMaps = field(init=False)
     courses: Courses = field(init=False)
     sparks: Sparks = field(default_factory=Sparks)
-    _dependences: Latest[list[Dependence]] = field(init=False)
+    _dependences: SingleFlightCache[list[Dependence]] = field(init=False)
     _threads: ThreadPoolExecutor = field(init=False)
 
     def __post_init__(self, at_once: int) -> None:
         self._threads = ThreadPoolExecutor(at_once, thread_name_prefix="brink-look")
         self.maps = SolutionMaps(threads=self._threads, most_waiting=MOST_WAITING)
         self.courses = Courses(threads=self._threads, most_waiting=MOST_WAITING)
-        self._dependences = Latest(DEPENDENCES_KEPT, self._threads, most_waiting=MOST_WAITING)
+        self._dependences = SingleFlightCache(DEPENDENCES_KEPT, self._threads, MOST_WAITING)
 
     async def dependences(self, campaign: str, found: ReadArchive) -> list[Dependence]:
         """Return how the verdict depends on each parameter."""

@@ -19,7 +19,7 @@ from brink.search.component import FloatArray
 from brink.search.embedding import Projection
 from brink.search.space import SearchSpace
 from brink.server.campaigns.archives import ReadArchive
-from brink.server.single_flight import Latest
+from brink.server.single_flight import SingleFlightCache
 
 MOST: Final = 20_000
 """Solutions on a map; while a campaign runs, up to a tenth more."""
@@ -133,11 +133,11 @@ class SolutionMaps:
 
     threads: InitVar[Executor]
     most_waiting: InitVar[int]
-    _latest: Latest[SolutionMap] = field(init=False)
+    _latest: SingleFlightCache[SolutionMap] = field(init=False)
     _before: OrderedDict[str, SolutionMap] = field(default_factory=OrderedDict)
 
     def __post_init__(self, threads: Executor, most_waiting: int) -> None:
-        self._latest = Latest(KEPT, threads, most_waiting)
+        self._latest = SingleFlightCache(KEPT, threads, most_waiting)
 
     async def get(self, campaign: str, read: ReadArchive, *, ended: bool) -> SolutionMap:
         """Return the map of a campaign's archive."""

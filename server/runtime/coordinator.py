@@ -20,8 +20,8 @@ from brink.server.db.engine import open_engines, parse_url
 from brink.server.db.models import TokenRow
 from brink.server.db.upgrade import upgrade
 from brink.server.errors import ServerError
-from brink.server.queue.holding_store import release
-from brink.server.queue.workers import leases_of, process_is_gone
+from brink.server.queue.lease_store import release
+from brink.server.queue.workers import leases_of_dead
 from brink.server.runtime.request_timeout import impatient
 from brink.server.settings import LOOPBACK, Settings
 
@@ -56,7 +56,7 @@ def release_leases_of_the_dead(settings: Settings) -> int:
     engines = open_engines(settings.database)
     try:
         with engines.writer.begin() as connection:
-            leases = leases_of(connection, process_is_gone)
+            leases = leases_of_dead(connection)
             return release(connection, leases)
     finally:
         engines.dispose()

@@ -13,7 +13,7 @@ from brink.report.experiment import html_report, markdown_report, sentences
 from brink.search.analysis.experiment_tables import Measure, Repeat, duels, standings
 from brink.search.analysis.scores import Control, Figures, Scores
 from brink.server.api.experiment_schemas import ControlView, RepeatView, Results
-from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.experiments.body import ExperimentBody
 
 LOOK_EVERY_S = 1.0

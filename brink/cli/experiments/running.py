@@ -27,7 +27,7 @@ from brink.cli.options import (
     settings_with,
 )
 from brink.server.api.experiment_schemas import Results
-from brink.server.campaigns.submission import checked_plan
+from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.experiments.body import ExperimentBody, read_experiment_file
 from brink.server.runtime.coordinator import WorkerProcesses
@@ -120,7 +120,7 @@ def run_experiment(
     plan = _Plan(body=body, file=file, workers=workers, out=out, resume=resume, new=new, json=as_json)
     for cell in body.cells()[: len(body.problems) * len(body.algorithms)]:
         try:
-            check_extra(checked_plan(cell.body).problem)
+            check_extra(make_checked_plan(cell.body).problem)
         except InvalidInput as error:
             raise cell.in_experiment(error) from None
     # The experiment is the user's own, and so is the coordinator: it may ask whom the file names.

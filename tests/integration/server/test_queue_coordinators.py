@@ -15,7 +15,7 @@ from brink.server.campaigns import store
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.writer import Unit, Writer
 from brink.server.queue import lease_store, report_store
-from brink.server.queue.values import Outcome, Report
+from brink.server.queue.report_store import Outcome, Report
 from brink.server.states import CampaignStatus
 from brink.worker.wire import LeasedJob
 
@@ -74,7 +74,7 @@ def test_a_lease_does_not_wait_for_the_one_who_cancels_its_campaign(two: tuple[E
     locked, leased = threading.Event(), threading.Event()
 
     def cancel(connection: Connection) -> None:
-        store.find_campaign(connection, campaign, lock=True)
+        store.CAMPAIGNS.find(connection, campaign, lock=True)
         locked.set()
         assert leased.wait(WAIT_S)
         store.set_status(connection, campaign, CampaignStatus.CANCELLED, "")
