@@ -37,9 +37,9 @@ from brink.server.db.engine import Engines, read
 from brink.server.db.sql import DocumentTable
 from brink.server.db.writer import Writer
 from brink.server.errors import Conflict
-from brink.server.queue.job_store import count_quarantined, idle_campaigns
+from brink.server.queue.job_store import count_unfinished, idle_campaigns
 from brink.server.queue.wakeups import Wakeups
-from brink.server.states import CampaignStatus
+from brink.server.states import CampaignStatus, JobStatus
 
 log = logging.getLogger(__name__)
 
@@ -90,11 +90,7 @@ class DocumentService(ABC, Generic[B, S]):
 
     @abstractmethod
     def _prepare(self, body: B) -> Sequence[PreparedCampaign]:
-        """Check a body and return its campaigns.
-
-        Raises:
-            InvalidInput: One of the campaigns cannot run.
-        """
+        """Check a body and return its campaigns."""
 
     @abstractmethod
     def _store(
@@ -108,11 +104,7 @@ class DocumentService(ABC, Generic[B, S]):
 
     @abstractmethod
     def _delete(self, connection: Connection, stored: S) -> None:
-        """Delete it with everything that belongs to it.
-
-        Raises:
-            Conflict: Repeats of its campaigns have not ended.
-        """
+        """Delete it, unless repeats of its campaigns have not ended."""
 
     async def submit(self, body: B, key: str | None = None) -> tuple[S, bool]:
         """Check and store a submission with all of its campaigns, or nothing.
@@ -391,7 +383,8 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
                 )
             accepted = None
             if status is CampaignStatus.RUNNING:
-                accepted = max(current.failures_accepted, count_quarantined(connection, campaign_id))
+                quarantined = count_unfinished(connection, campaign_id).get(JobStatus.QUARANTINED, 0)
+                accepted = max(current.failures_accepted, quarantined)
             store.set_status(connection, campaign_id, status, "", failures_accepted=accepted)
             return self.table.get(connection, campaign_id), True
 

@@ -44,7 +44,7 @@ class State(StrEnum):
     WRONG = "wrong"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Finding:
     """A finding of a check.
 
@@ -75,19 +75,15 @@ def examine(settings: Settings, engines: Engines, *, thorough: bool) -> Iterator
         revision = current_revision(engines)
     except (ServerError, DBAPIError) as error:
         words = str(error.orig if isinstance(error, DBAPIError) else error).strip().splitlines()
-        yield Finding(
-            check="database", state=State.WRONG, found=words[0] if words else "no answer",
-            advice="check the URL, and that the server runs or the file exists",
-        )  # fmt: skip
+        advice = "check the URL, and that the server runs or the file exists"
+        yield Finding("database", State.WRONG, words[0] if words else "no answer", advice)
         return
-    yield Finding(check="database", state=State.FINE, found="reachable")
+    yield Finding("database", State.FINE, "reachable")
     if revision != head_revision():
-        yield Finding(
-            check="schema", state=State.WRONG, found=f"{revision or 'none'}, this version needs {head_revision()}",
-            advice="brink db upgrade",
-        )  # fmt: skip
+        found = f"{revision or 'none'}, this version needs {head_revision()}"
+        yield Finding("schema", State.WRONG, found, "brink db upgrade")
         return
-    yield Finding(check="schema", state=State.FINE, found=str(revision))
+    yield Finding("schema", State.FINE, str(revision))
     checks: list[Callable[[Connection], Iterator[Finding]]] = [
         _clock,
         lambda connection: _workers(connection, settings),
@@ -111,31 +107,25 @@ def _file(connection: Connection, settings: Settings) -> Iterator[Finding]:
     free = shutil.disk_usage(file.resolve().parent).free
     size = file.stat().st_size
     if integrity != "ok":
-        yield Finding(
-            check="file", state=State.WRONG, found=f"damaged: {integrity}",
-            advice="stop everything, copy the file, and recover the data with sqlite3 .recover",
-        )  # fmt: skip
+        advice = "stop everything, copy the file, and recover the data with sqlite3 .recover"
+        yield Finding("file", State.WRONG, f"damaged: {integrity}", advice)
     elif free < max(LEAST_FREE_BYTES, size // 10):
-        yield Finding(
-            check="file", state=State.LOOK, found=f"{_bytes(size)}; {_bytes(free)} free on its disk",
-            advice="free some space: brink db prune",
-        )  # fmt: skip
+        advice = "free some space: brink db prune"
+        yield Finding("file", State.LOOK, f"{_bytes(size)}; {_bytes(free)} free on its disk", advice)
     else:
-        yield Finding(
-            check="file", state=State.FINE, found=f"{_bytes(size)}; {_bytes(free)} free on its disk"
-        )
+        yield Finding("file", State.FINE, f"{_bytes(size)}; {_bytes(free)} free on its disk")
 
 
 def _clock(connection: Connection) -> Iterator[Finding]:
     skew_s = (database_now(connection) - datetime.now(UTC)).total_seconds()
-    found = f"the database's is {abs(skew_s):.1f} s {'ahead of' if skew_s > 0 else 'behind'} this machine's"
+    found = (
+        f"the database's clock is {abs(skew_s):.1f} s {'ahead of' if skew_s > 0 else 'behind'} this machine's"
+    )
     if abs(skew_s) > SKEW_S:
-        yield Finding(
-            check="clock", state=State.LOOK, found=found,
-            advice="leases are not affected, but times in logs are: correct this machine's clock",
-        )  # fmt: skip
+        advice = "leases are not affected, but times in logs are: correct this machine's clock"
+        yield Finding("clock", State.LOOK, found, advice)
     else:
-        yield Finding(check="clock", state=State.FINE, found=found)
+        yield Finding("clock", State.FINE, found)
 
 
 def _workers(connection: Connection, settings: Settings) -> Iterator[Finding]:
@@ -148,26 +138,22 @@ def _workers(connection: Connection, settings: Settings) -> Iterator[Finding]:
     found = f"{len(live)} in contact within the last {settings.worker_seen_s:g} s"
     lacking = {needs: count for needs, count in queued.items() if needs not in offered}
     if not lacking:
-        yield Finding(check="workers", state=State.FINE, found=found)
+        yield Finding("workers", State.FINE, found)
     for needs, count in sorted(lacking.items()):
-        yield Finding(
-            check="workers", state=State.WRONG,
-            found=f"{found}; {count} queued jobs need {needs}, which none of them offers",
-            advice="start a worker on a machine that can run it: brink worker --server URL",
-        )  # fmt: skip
+        advice = "start a worker on a machine that can run it: brink worker --server URL"
+        unrunnable = f"{count} queued jobs need {needs}, which none of them offers"
+        yield Finding("workers", State.WRONG, f"{found}; {unrunnable}", advice)
 
 
 def _leases(connection: Connection) -> Iterator[Finding]:
     horizon = database_now(connection) - timedelta(seconds=OVERDUE_S)
     overdue, held = job_store.count_leases(connection, horizon)
     if overdue:
-        yield Finding(
-            check="leases", state=State.WRONG,
-            found=f"{overdue} of {held} expired over {OVERDUE_S:g} s ago and were not taken back",
-            advice="is a coordinator running on this database? brink serve",
-        )  # fmt: skip
+        advice = "is a coordinator running on this database? brink serve"
+        found = f"{overdue} of {held} expired over {OVERDUE_S:g} s ago and were not taken back"
+        yield Finding("leases", State.WRONG, found, advice)
     else:
-        yield Finding(check="leases", state=State.FINE, found=f"{held} held")
+        yield Finding("leases", State.FINE, f"{held} held")
 
 
 def _jobs(connection: Connection) -> Iterator[Finding]:
@@ -175,12 +161,10 @@ def _jobs(connection: Connection) -> Iterator[Finding]:
     found = ", ".join(f"{count} {status}" for status, count in sorted(counts.items())) or "none"
     quarantined = counts.get(JobStatus.QUARANTINED, 0)
     if quarantined:
-        yield Finding(
-            check="jobs", state=State.LOOK, found=f"of running and paused campaigns: {found}",
-            advice="see the reason with brink status ID; retry with POST /api/v1/jobs/ID/retry",
-        )  # fmt: skip
+        advice = "see the reason with brink status ID; retry with POST /api/v1/jobs/ID/retry"
+        yield Finding("jobs", State.LOOK, f"of running and paused campaigns: {found}", advice)
     else:
-        yield Finding(check="jobs", state=State.FINE, found=f"of running and paused campaigns: {found}")
+        yield Finding("jobs", State.FINE, f"of running and paused campaigns: {found}")
 
 
 def _campaigns(connection: Connection) -> Iterator[Finding]:
@@ -192,16 +176,14 @@ def _campaigns(connection: Connection) -> Iterator[Finding]:
         since = latest or (campaign.created_at if campaign is not None else None)
         if since is not None and since < horizon:
             stuck += 1
-            yield Finding(
-                check="campaigns", state=State.WRONG,
-                found=f"{campaign_id} has had no open job since {since:%Y-%m-%d %H:%M:%S} UTC",
-                advice="is a coordinator running, and what does its log say? A generation step or its seeds are due",
-            )  # fmt: skip
+            advice = "is a coordinator running, and what does its log say? A step or seeds are due"
+            found = f"{campaign_id} has had no open job since {since:%Y-%m-%d %H:%M:%S} UTC"
+            yield Finding("campaigns", State.WRONG, found, advice)
     if not stuck:
         running = connection.execute(
             select(func.count()).where(CampaignRow.status == CampaignStatus.RUNNING)
         ).scalar_one()
-        yield Finding(check="campaigns", state=State.FINE, found=f"{running} running, none of them stuck")
+        yield Finding("campaigns", State.FINE, f"{running} running, none of them stuck")
 
 
 def _stored(connection: Connection) -> Iterator[Finding]:
@@ -214,15 +196,11 @@ def _stored(connection: Connection) -> Iterator[Finding]:
             compared += _verify(connection, name)
         except (ServerError, SearchError, ValueError, LookupError) as error:
             broken += 1
-            yield Finding(
-                check="stored", state=State.WRONG, found=f"{name}: {error}",
-                advice="the results of simulations are not affected, but the search cannot continue",
-            )  # fmt: skip
+            advice = "the results of simulations are not affected, but the search cannot continue"
+            yield Finding("stored", State.WRONG, f"{name}: {error}", advice)
     if not broken:
-        yield Finding(
-            check="stored", state=State.FINE,
-            found=f"archives of {len(names)} campaigns; distances of {compared} solutions verified",
-        )  # fmt: skip
+        found = f"archives of {len(names)} campaigns; distances of {compared} solutions verified"
+        yield Finding("stored", State.FINE, found)
 
 
 def _verify(connection: Connection, campaign_id: str) -> int:

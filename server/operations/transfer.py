@@ -14,8 +14,10 @@ import json
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
+from types import SimpleNamespace
 from typing import IO, Any, Final
 
 import numpy as np
@@ -90,18 +92,9 @@ def export_campaign(connection: Connection, campaign_id: str, file: Path) -> dic
     if CAMPAIGNS.find(connection, campaign_id) is None:
         raise NotFound(f"campaign {campaign_id}: no such campaign")
     part = file.with_name(f"{file.name}.part")
-    counts: dict[str, int] = {}
-    sums: dict[str, str] = {}
     try:
         with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
-            for name, model in _TABLES.items():
-                counts[name] = _write_table(connection, archive, sums, name, model.__table__, campaign_id)
-            counts["traces"] = _write_traces(connection, archive, sums, campaign_id)
-            manifest = {
-                "format": FORMAT, "version": VERSION, "brink": __version__, "campaign": campaign_id,
-                "rows": counts, "sha256": sums,
-            }  # fmt: skip
-            archive.writestr(_MANIFEST, json.dumps(manifest, indent=1))
+            counts = _Export(connection, archive, campaign_id).run()
         part.replace(file)
     finally:
         part.unlink(missing_ok=True)
@@ -136,91 +129,88 @@ def import_campaign(connection: Connection, file: Path) -> tuple[str, dict[str, 
         raise BadFile(f"{file}: expected a file of brink export, undamaged: {error}") from None
 
 
-def _write_table(
-    connection: Connection,
-    archive: zipfile.ZipFile,
-    sums: dict[str, str],
-    name: str,
-    table: Any,
-    campaign_id: str,
-) -> int:
-    """Write a campaign's rows of a table: binary columns as arrays, the others as JSON Lines."""
-    columns = [column.name for column in table.columns if column.name not in _LEFT_OUT.get(name, ())]
-    own = table.c.id if name == "campaigns" else table.c.campaign_id
-    query = select(*(table.c[column] for column in columns)).where(own == campaign_id)
-    query = query.order_by(*(table.c.id,) if name == "jobs" else table.primary_key.columns)
-    vectors: list[bytes] = []
-    count = 0
-    with _member(archive, sums, f"{name}.jsonl") as member:
-        rows = connection.execution_options(stream_results=True, yield_per=_BATCH).execute(query)
-        for row in rows.mappings():
-            count += 1
-            plain = {key: _json(value) for key, value in row.items() if not isinstance(value, bytes)}
-            member.write(json.dumps(plain, separators=(",", ":"), sort_keys=True).encode() + b"\n")
-            if name == "solutions":
-                vectors.append(row["vector"])
-    if name == "solutions" and vectors:
-        stacked = np.frombuffer(b"".join(vectors), "<f8").reshape(len(vectors), -1)
-        _write_array(archive, sums, "vectors", stacked)
-    if name in ("checkpoints", "distance_blocks"):
-        _write_binary(connection, archive, sums, name, query)
-    return count
+class _Export:
+    """The export of one campaign."""
 
+    def __init__(self, connection: Connection, archive: zipfile.ZipFile, campaign_id: str) -> None:
+        self._connection = connection
+        self._archive = archive
+        self._id = campaign_id
+        self._sums: dict[str, str] = {}
 
-def _write_binary(
-    connection: Connection, archive: zipfile.ZipFile, sums: dict[str, str], name: str, query: Any
-) -> None:
-    with connection.execution_options(stream_results=True, yield_per=1).execute(query) as rows:
-        for row in rows.mappings():
+    def run(self) -> dict[str, int]:
+        """Write all members; return the number of rows of each table."""
+        counts = {name: self._write_table(name, model.__table__) for name, model in _TABLES.items()}
+        counts["traces"] = self._write_traces()
+        manifest = {
+            "format": FORMAT, "version": VERSION, "brink": __version__, "campaign": self._id,
+            "rows": counts, "sha256": self._sums,
+        }  # fmt: skip
+        self._archive.writestr(_MANIFEST, json.dumps(manifest, indent=1))
+        return counts
+
+    def _write_table(self, name: str, table: Any) -> int:
+        """Write the campaign's rows of a table: binary columns as arrays, the others as JSON Lines."""
+        columns = [column.name for column in table.columns if column.name not in _LEFT_OUT.get(name, ())]
+        own = table.c.id if name == "campaigns" else table.c.campaign_id
+        query = select(*(table.c[column] for column in columns)).where(own == self._id)
+        query = query.order_by(*(table.c.id,) if name == "jobs" else table.primary_key.columns)
+        vectors: list[bytes] = []
+        count = 0
+        with self._member(f"{name}.jsonl") as member:
+            for row in self._rows(query, _BATCH):
+                count += 1
+                plain = {key: _json(value) for key, value in row.items() if not isinstance(value, bytes)}
+                member.write(json.dumps(plain, separators=(",", ":"), sort_keys=True).encode() + b"\n")
+                if name == "solutions":
+                    vectors.append(row["vector"])
+        if vectors:
+            self._write_array("vectors", np.frombuffer(b"".join(vectors), "<f8").reshape(len(vectors), -1))
+        for row in self._rows(query, 1) if name in ("checkpoints", "distance_blocks") else ():
             if name == "checkpoints":
                 for column in ("document", "neighbours", "unsafe_neighbours"):
-                    _write_array(archive, sums, f"checkpoint-{column}", np.frombuffer(row[column], np.uint8))
+                    self._write_array(f"checkpoint-{column}", np.frombuffer(row[column], np.uint8))
             else:
                 block = np.frombuffer(row["data"], "<f4").reshape(row["rows"], row["columns"])
-                _write_array(archive, sums, f"distances-{row['generation']}", block)
+                self._write_array(f"distances-{row['generation']}", block)
+        return count
 
-
-def _write_traces(
-    connection: Connection, archive: zipfile.ZipFile, sums: dict[str, str], campaign_id: str
-) -> int:
-    own = select(JobRow.spec_hash).where(JobRow.campaign_id == campaign_id)
-    query = select(TraceRow.spec_hash, TraceRow.data).where(TraceRow.spec_hash.in_(own))
-    count = 0
-    with connection.execution_options(stream_results=True, yield_per=1).execute(query) as rows:
-        for row in rows:
-            _write_array(archive, sums, f"trace-{row.spec_hash}", np.frombuffer(row.data, np.uint8))
+    def _write_traces(self) -> int:
+        own = select(JobRow.spec_hash).where(JobRow.campaign_id == self._id)
+        count = 0
+        for row in self._rows(
+            select(TraceRow.spec_hash, TraceRow.data).where(TraceRow.spec_hash.in_(own)), 1
+        ):
+            self._write_array(f"trace-{row['spec_hash']}", np.frombuffer(row["data"], np.uint8))
             count += 1
-    return count
+        return count
+
+    def _rows(self, query: Any, batch: int) -> Iterator[Mapping[str, Any]]:
+        """Yield rows as they are read: all of them may not fit into memory."""
+        options = self._connection.execution_options(stream_results=True, yield_per=batch)
+        with options.execute(query) as rows:
+            yield from rows.mappings()
+
+    def _write_array(self, name: str, array: NDArray[Any]) -> None:
+        with self._member(f"arrays/{name}.npy") as member:
+            np.lib.format.write_array(member, np.ascontiguousarray(array), allow_pickle=False)
+
+    @contextmanager
+    def _member(self, name: str) -> Iterator[Any]:
+        """Open a member of the archive for writing, and record its checksum."""
+        digest = hashlib.sha256()
+
+        def write(data: bytes) -> None:
+            digest.update(data)
+            file.write(data)
+
+        with self._archive.open(name, "w", force_zip64=True) as file:
+            yield SimpleNamespace(write=write)
+        self._sums[name] = digest.hexdigest()
 
 
 def _json(value: Any) -> Any:
     return value.isoformat() if isinstance(value, datetime) else value
-
-
-class _member:  # noqa: N801  (used as a function)
-    """Writes a member of an archive and records its checksum."""
-
-    def __init__(self, archive: zipfile.ZipFile, sums: dict[str, str], name: str) -> None:
-        self._archive, self._sums, self._name = archive, sums, name
-        self._digest = hashlib.sha256()
-
-    def __enter__(self) -> "_member":
-        self._file = self._archive.open(self._name, "w", force_zip64=True)
-        return self
-
-    def write(self, data: bytes) -> int:
-        """Write data to the member."""
-        self._digest.update(data)
-        return self._file.write(data)
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
-        self._sums[self._name] = self._digest.hexdigest()
-
-
-def _write_array(archive: zipfile.ZipFile, sums: dict[str, str], name: str, array: NDArray[Any]) -> None:
-    with _member(archive, sums, f"arrays/{name}.npy") as member:
-        np.lib.format.write_array(member, np.ascontiguousarray(array), allow_pickle=False)
 
 
 class _Import:
@@ -425,16 +415,7 @@ def _type_of(column: Any) -> type[Any]:
 
 
 def _value(value: Any, column: Any, where: str) -> Any:
-    """Return a value in the type of its column.
-
-    Args:
-        value: A JSON value.
-        column: The column.
-        where: File and line for the error message.
-
-    Raises:
-        BadFile: The value does not fit the column.
-    """
+    """Return a JSON value, from a certain line, in the type of its column."""
     wanted = _type_of(column)
     if value is None:
         if not column.nullable:

@@ -238,7 +238,12 @@ def cancel_evaluations(connection: Connection, campaign_id: str) -> None:
 
 
 def requeue(connection: Connection, job_id: int, *, more_attempts: int) -> bool:
-    """Return a quarantined job to the queue with additional attempts.
+    """Return a quarantined job to the queue.
+
+    Args:
+        connection: In a write transaction.
+        job_id: The job.
+        more_attempts: Attempts in addition to those already made.
 
     Returns:
         False if the job is not in quarantine any more.
@@ -260,7 +265,13 @@ def requeue(connection: Connection, job_id: int, *, more_attempts: int) -> bool:
 
 
 def withdraw_results(connection: Connection, campaign_id: str, numbers: Sequence[int]) -> None:
-    """Stop sharing the results of some solutions with other jobs, because they cannot be evaluated."""
+    """Stop sharing the results of some solutions with other jobs, because they cannot be evaluated.
+
+    Args:
+        connection: In a write transaction.
+        campaign_id: The campaign.
+        numbers: Numbers of the solutions.
+    """
     for some in _chunks(numbers):
         connection.execute(
             update(JobRow)
@@ -269,9 +280,7 @@ def withdraw_results(connection: Connection, campaign_id: str, numbers: Sequence
         )
 
 
-def _has_open_jobs(
-    campaign: ColumnElement[str] | InstrumentedAttribute[str] | str,
-) -> ColumnElement[bool]:
+def _has_open_jobs(campaign: InstrumentedAttribute[str] | str) -> ColumnElement[bool]:
     """Return the condition that a campaign has queued or leased evaluations.
 
     The two states are looked up separately: for both at once, Postgres may read all jobs of the campaign.
@@ -288,11 +297,7 @@ def _has_open_jobs(
 _IDLE = select(CampaignRow.id).where(
     CampaignRow.status == CampaignStatus.RUNNING, ~_has_open_jobs(CampaignRow.id)
 )
-_IDLE_AMONG = select(CampaignRow.id).where(
-    in_list(CampaignRow.id, "campaigns"),
-    CampaignRow.status == CampaignStatus.RUNNING,
-    ~_has_open_jobs(CampaignRow.id),
-)
+_IDLE_AMONG = _IDLE.where(in_list(CampaignRow.id, "campaigns"))
 
 
 def has_open_jobs(connection: Connection, campaign_id: str) -> bool:
@@ -311,7 +316,13 @@ def idle_campaigns(connection: Connection, campaigns: Iterable[str] | None = Non
 
 
 def generation_outcomes(connection: Connection, campaign_id: str, generation: int) -> list[JobOutcome]:
-    """Return the outcomes of a generation's evaluations, ascending by number."""
+    """Return the outcomes of a generation's evaluations, ascending by number.
+
+    Args:
+        connection: Sees one snapshot.
+        campaign_id: The campaign.
+        generation: Number of the generation.
+    """
     return _outcomes(connection, campaign_id, SolutionRow.generation == generation)
 
 
@@ -356,17 +367,20 @@ def _job(row: Row[*tuple[Any, ...]]) -> Job:
 
 def find_job(connection: Connection, job_id: int) -> Job | None:
     """Return a job, or None."""
-    row = connection.execute(select(*_JOB).where(JobRow.id == job_id)).one_or_none()
-    return None if row is None else _job(row)
+    return next(map(_job, connection.execute(select(*_JOB).where(JobRow.id == job_id))), None)
 
 
 def find_job_of(connection: Connection, campaign_id: str, number: int, kind: JobKind) -> Job | None:
-    """Return the job of one kind for a solution, or None."""
-    query = select(*_JOB).where(
-        JobRow.campaign_id == campaign_id, JobRow.number == number, JobRow.kind == kind
-    )
-    row = connection.execute(query).one_or_none()
-    return None if row is None else _job(row)
+    """Return the job of one kind for a solution, or None.
+
+    Args:
+        connection: Sees one snapshot.
+        campaign_id: The campaign.
+        number: Number of the solution.
+        kind: What the job is for.
+    """
+    its_job = (JobRow.campaign_id == campaign_id, JobRow.number == number, JobRow.kind == kind)
+    return next(map(_job, connection.execute(select(*_JOB).where(*its_job))), None)
 
 
 # Statements about open jobs visit the campaigns one by one and use the index on campaign and status: all jobs that
@@ -467,11 +481,6 @@ def count_by_status(connection: Connection, campaign_statuses: Sequence[Campaign
         .group_by(JobRow.status)
     )
     return {str(row[0]): int(row[1]) for row in connection.execute(query)}
-
-
-def count_quarantined(connection: Connection, campaign_id: str) -> int:
-    """Return how many evaluations of a campaign are in quarantine."""
-    return count_unfinished(connection, campaign_id).get(JobStatus.QUARANTINED, 0)
 
 
 def queued_needs(connection: Connection, campaign_id: str) -> dict[str, int]:

@@ -63,23 +63,21 @@ class LeaseDemand:
 class QueuedJob(Protocol):
     """What the policy reads of a queued job."""
 
-    @property
-    def id(self) -> int: ...  # noqa: D102
-    @property
-    def campaign_id(self) -> str: ...  # noqa: D102
-    @property
-    def kind(self) -> str: ...  # noqa: D102
-    @property
-    def spec_hash(self) -> str: ...  # noqa: D102
-    @property
-    def cache(self) -> bool: ...  # noqa: D102
+    id: int
+    campaign_id: str
+    kind: str
+    spec_hash: str
+    cache: bool
 
 
 class Retry(QueuedJob, Protocol):
-    """A queued job that was tried before, with the priority of its campaign."""
+    """A queued job that was tried before.
 
-    @property
-    def priority(self) -> int: ...  # noqa: D102
+    Attributes:
+        priority: Priority of its campaign.
+    """
+
+    priority: int
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,7 +35,6 @@ from brink.server.queue.lease_policy import (
     Backlog,
     CampaignTurn,
     LeaseDemand,
-    LeaseTerms,
     QueuedJob,
     Retry,
 )
@@ -201,22 +200,6 @@ class Grants:
 
     jobs: Sequence[list[LeasedJob]]
     campaigns: frozenset[str]
-
-
-def lease(
-    connection: Connection, worker: str, capabilities: Sequence[str], max_jobs: int, terms: LeaseTerms
-) -> list[LeasedJob]:
-    """Grant jobs to one worker.
-
-    Args:
-        connection: In a write transaction.
-        worker: Id of the worker.
-        capabilities: What the worker can run.
-        max_jobs: Maximum number of jobs.
-        terms: The terms for this worker.
-    """
-    demand = LeaseDemand(worker=worker, capabilities=tuple(capabilities), max_jobs=max_jobs, terms=terms)
-    return lease_together(connection, [demand], database_now(connection)).jobs[0]
 
 
 def lease_together(connection: Connection, demands: Sequence[LeaseDemand], now: datetime) -> Grants:

@@ -6,7 +6,7 @@ transaction, and only if the outcome names the token of the lease that still hol
 
 import secrets
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Any, TypeAlias
 
@@ -120,22 +120,10 @@ class Report:
     quarantined: tuple[FailedAttempt, ...] = ()
 
 
-def report(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms) -> Report:
-    """Store the outcomes of jobs whose leases still hold; all others change nothing.
-
-    Args:
-        connection: In a write transaction.
-        outcomes: What workers report.
-        terms: Terms with the backoff of retries.
-    """
-    stored, _ = store_outcomes(connection, outcomes, terms)
-    return replace(stored, campaigns=idle_campaigns(connection, stored.campaigns))
-
-
 def store_outcomes(
     connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms
 ) -> tuple[Report, datetime]:
-    """Store outcomes as `report` does, without checking which campaigns are idle.
+    """Store the outcomes of jobs whose leases still hold; all others change nothing.
 
     Args:
         connection: In a write transaction.
@@ -143,7 +131,7 @@ def store_outcomes(
         terms: Terms with the backoff of retries.
 
     Returns:
-        The report, with the campaigns of all accepted outcomes; and the database's time.
+        The report, with the campaigns of all accepted outcomes, idle or not; and the database's time.
     """
     if not outcomes:
         return Report(statuses=(), campaigns=()), database_now(connection)

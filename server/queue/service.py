@@ -149,23 +149,6 @@ class _LiveWorkers:
     count: Counter[str]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Sweep:
-    """The result of a sweep.
-
-    Attributes:
-        idle: Campaigns that have no open job left.
-        expired: Attempts whose leases expired.
-        live: Capabilities of the workers that contacted any coordinator recently.
-        due: How many retries are due that one of them can run.
-    """
-
-    idle: tuple[str, ...]
-    expired: list[FailedAttempt]
-    live: dict[str, tuple[str, ...]]
-    due: int
-
-
 @dataclass(slots=True)
 class QueueService:
     """The queue of one coordinator process."""
@@ -303,7 +286,9 @@ class QueueService:
         alone = self._is_alone
         unrecorded = self._drop_absent()
 
-        def unit(connection: Connection) -> _Sweep:
+        def unit(
+            connection: Connection,
+        ) -> tuple[dict[str, tuple[str, ...]], tuple[str, ...], list[FailedAttempt], int]:
             for name, worker in unrecorded.items():
                 workers.add_counts(connection, name, done=worker.done, failed=worker.failed)
             workers.forget_absent(connection, FORGET_S)
@@ -311,20 +296,19 @@ class QueueService:
             if alone:  # workers on this machine need not be waited for: their processes can be looked up
                 lease_store.end_now(connection, workers.leases_of_dead(connection))
             idle, expired = report_store.expire(connection, terms)
-            due = lease_store.count_due_retries(connection, terms.elsewhere)
-            return _Sweep(idle=idle, expired=expired, live=live, due=due)
+            return live, idle, expired, lease_store.count_due_retries(connection, terms.elsewhere)
 
-        swept = await self.writer.write(unit)
-        self._elsewhere = {name: able for name, able in swept.live.items() if name not in self._workers}
+        live, idle, expired, due_retries = await self.writer.write(unit)
+        self._elsewhere = {name: able for name, able in live.items() if name not in self._workers}
         self._live = None
-        if swept.expired:
-            log.warning("leases that ran out: %d", len(swept.expired))
-            for attempt in swept.expired:
+        if expired:
+            log.warning("leases that ran out: %d", len(expired))
+            for attempt in expired:
                 log.info("lease ran out", extra=attempt.log_fields)
-            _log_quarantined(swept.expired)
-            self.metrics.expired.inc(len(swept.expired))
-        self.wakeups.wake(swept.due)
-        self.on_idle(swept.idle)
+            _log_quarantined(expired)
+            self.metrics.expired.inc(len(expired))
+        self.wakeups.wake(due_retries)
+        self.on_idle(idle)
 
     def _drop_absent(self) -> dict[str, _WorkerRecord]:
         """Drop workers that are dead or have not made contact; return those with unrecorded counts."""

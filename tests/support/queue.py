@@ -16,7 +16,7 @@ from brink.server.campaigns.step_store import NewSolution
 from brink.server.db.engine import Engines
 from brink.server.db.models import JobRow
 from brink.server.db.sql import database_now
-from brink.server.queue import lease_store, report_store
+from brink.server.queue import job_store, lease_store, report_store
 from brink.server.queue.job_store import NewJob
 from brink.server.queue.lease_policy import LeaseDemand, LeaseTerms
 from brink.server.queue.report_store import Outcome, Report
@@ -27,6 +27,20 @@ from support.problems import SIMULATOR
 T = TypeVar("T")
 RESULT = '{"kind":"completed","verdicts":{},"objectives":{},"features":{},"provenance":{}}'
 TERMS = LeaseTerms(lease_s=60.0, retry_backoff_s=10.0, live_workers=1)
+
+
+def lease(
+    connection: Connection, worker: str, capabilities: Sequence[str], max_jobs: int, terms: LeaseTerms
+) -> list[LeasedJob]:
+    """Lease jobs to one worker."""
+    demand = LeaseDemand(worker=worker, capabilities=tuple(capabilities), max_jobs=max_jobs, terms=terms)
+    return lease_store.lease_together(connection, [demand], database_now(connection)).jobs[0]
+
+
+def report(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms) -> Report:
+    """Store outcomes, and say which campaigns have no open job left."""
+    stored, _ = report_store.store_outcomes(connection, outcomes, terms)
+    return replace(stored, campaigns=job_store.idle_campaigns(connection, stored.campaigns))
 
 
 def held(job: LeasedJob) -> HeldLease:
@@ -103,7 +117,7 @@ class Queue:
     ) -> list[LeasedJob]:
         """Lease jobs."""
         terms = replace(TERMS, live_workers=live_workers, lease_s=lease_s, elsewhere=frozenset(elsewhere))
-        return self.run(lambda c: lease_store.lease(c, worker, capabilities, max_jobs, terms))
+        return self.run(lambda c: lease(c, worker, capabilities, max_jobs, terms))
 
     def lease_together(
         self, asks: Sequence[tuple[str, int, Sequence[str]]], *, live_workers: int = 1
@@ -126,7 +140,7 @@ class Queue:
     def report(self, *outcomes: Outcome, retry_backoff_s: float = 10.0) -> Report:
         """Report outcomes."""
         terms = replace(TERMS, retry_backoff_s=retry_backoff_s)
-        return self.run(lambda c: report_store.report(c, outcomes, terms))
+        return self.run(lambda c: report(c, outcomes, terms))
 
     def complete(self, *jobs: LeasedJob, result: str = RESULT) -> tuple[str, ...]:
         """Report jobs as completed; return what became of each report."""

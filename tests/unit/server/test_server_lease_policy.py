@@ -17,7 +17,7 @@ from brink.server.queue.lease_policy import (
 from brink.server.states import JobKind
 
 
-@dataclass(frozen=True)
+@dataclass
 class Job:
     id: int
     campaign_id: str = "a"
