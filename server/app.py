@@ -12,33 +12,29 @@ from fastapi import APIRouter, FastAPI
 from brink import __version__
 from brink.server.access.gate import Gate
 from brink.server.api import (
-    access,
+    analysis,
     campaigns,
-    catalogue,
+    combinations,
     episodes,
     experiments,
-    figures,
-    health,
     jobs,
     llm,
     monitors,
-    neighbours,
     overview,
     repeats,
-    scores,
+    service,
     solutions,
     violations,
 )
 from brink.server.api.context import Context
-from brink.server.api.docs_page import add_docs
-from brink.server.api.guards import Guards
-from brink.server.api.measured import Measured
+from brink.server.api.middleware import AccessMiddleware, MetricsMiddleware
 from brink.server.api.problem_details import describe, install
 from brink.server.api.schemas import ProblemDetail
+from brink.server.api.service import add_docs
 from brink.server.campaigns.advance import Scheduler, Stepper
 from brink.server.campaigns.archives import Archives, Monitors
-from brink.server.campaigns.films import Films
 from brink.server.campaigns.service import SLOW_AT_ONCE, CampaignService
+from brink.server.campaigns.traces import Films
 from brink.server.dashboard.figures import Figures
 from brink.server.dashboard.page import add_dashboard
 from brink.server.db.engine import Engines, open_engines
@@ -119,30 +115,30 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
     for module in (
         jobs,
         campaigns,
+        combinations,
         solutions,
         episodes,
-        neighbours,
         violations,
         llm,
         monitors,
         repeats,
-        scores,
         experiments,
-        catalogue,
-        access,
+        service,
         overview,
-        figures,
+        analysis,
     ):
         api.include_router(module.router)
     app.include_router(api)
-    app.include_router(health.router)
+    app.include_router(service.root)
     add_docs(app)
     add_dashboard(app)
     token = settings.token.get_secret_value() if settings.token else None
     exposed = settings.host not in LOOPBACK
     gate = Gate(engines, token=token, exposed=exposed, rate_limit=settings.rate_limit) if sweeping else None
-    app.add_middleware(Guards, gate=gate, max_body_bytes=settings.max_body_bytes, stall_s=settings.stall_s)
-    app.add_middleware(Measured, metrics=metrics, access_log=settings.access_log)
+    app.add_middleware(
+        AccessMiddleware, gate=gate, max_body_bytes=settings.max_body_bytes, stall_s=settings.stall_s
+    )
+    app.add_middleware(MetricsMiddleware, metrics=metrics, access_log=settings.access_log)
     return app
 
 

@@ -13,6 +13,10 @@ ServerError
 import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Final
+
+TOKEN_FORM: Final = "expected printable ASCII characters without spaces, such as: openssl rand -hex 24"
+"""What a bearer token must look like, to fit a header."""
 
 
 class ServerError(Exception):

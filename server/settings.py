@@ -6,6 +6,7 @@ from typing import Annotated
 from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from brink.server.errors import TOKEN_FORM
 from brink.worker.log import LogFormat, LogLevel
 
 DEFAULT_DATABASE = "sqlite:///brink.db"
@@ -77,9 +78,7 @@ class Settings(BaseSettings):
         """
         text = token.get_secret_value() if token is not None else ""
         if not all("!" <= letter <= "~" for letter in text):
-            raise ValueError(
-                "expected printable ASCII characters without spaces, such as: openssl rand -hex 24"
-            )
+            raise ValueError(TOKEN_FORM)
         return token if text else None
 
     @property

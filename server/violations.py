@@ -6,9 +6,7 @@ from typing import Any
 
 from sqlalchemy import Connection, delete, insert, select
 
-from brink.search.analysis.violation_instances import scaled_circumstances
-from brink.search.analysis.violation_types import Signature, signature_of
-from brink.search.analysis.violations import FoundViolation
+from brink.search.analysis.violations import FoundViolation, Signature, scaled_circumstances, signature_of
 from brink.server.db.models import ViolationNameRow
 from brink.server.db.sql import database_now, note_change
 from brink.server.problems.base import TellsViolations

@@ -5,15 +5,14 @@ Either way a command speaks the REST API, so that what works here works from afa
 
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import httpx
 
-from brink.server.app import create_app
-from brink.server.db.engine import open_engines
-from brink.server.db.upgrade import check_known, current_revision, head_revision
-from brink.server.errors import DatabaseError, FieldError, InvalidInput, ServerError
-from brink.server.settings import Settings
+from brink.server.errors import TOKEN_FORM, FieldError, InvalidInput, ServerError
+
+if TYPE_CHECKING:
+    from brink.server.settings import Settings
 
 TIMEOUT = httpx.Timeout(90.0, connect=5.0)
 
@@ -84,67 +83,51 @@ def _what_it_said(response: httpx.Response) -> str:
 
 
 @asynccontextmanager
-async def open_api(server: str | None, settings: Settings) -> AsyncIterator[Api]:
-    """Give the API of a coordinator.
+async def connect(server: str, token: str | None) -> AsyncIterator[Api]:
+    """Give the API of a coordinator, over HTTP.
 
     Args:
-        server: Its URL; None to work on the database in this process.
-        settings: Which database, and the token.
+        server: Its URL.
+        token: The bearer token to send; None to send none.
+
+    Raises:
+        InvalidInput: The URL or the token is malformed.
+    """
+    if not server.startswith(("http://", "https://")):
+        message = f"expected a URL such as http://127.0.0.1:8700, got {server!r}"
+        raise InvalidInput([FieldError(pointer="--server", message=message)])
+    if token is not None and not all("!" <= letter <= "~" for letter in token):
+        raise InvalidInput([FieldError(pointer="BRINK_TOKEN", message=TOKEN_FORM)])
+    async with httpx.AsyncClient(base_url=server, timeout=TIMEOUT, headers=_headers(token)) as client:
+        yield Api(client, server)
+
+
+@asynccontextmanager
+async def in_process(settings: "Settings") -> AsyncIterator[Api]:
+    """Give the API of a coordinator that runs in this process, on a database that may have another one.
+
+    Args:
+        settings: Names the database.
 
     Raises:
         DatabaseError: There is no database, or it cannot be used as it is.
-        InvalidInput: The URL is none.
     """
-    token = settings.token.get_secret_value() if settings.token else None
-    headers = {"Authorization": f"Bearer {token}"} if token else {}
-    if server is not None:
-        if not server.startswith(("http://", "https://")):
-            message = f"expected a URL such as http://127.0.0.1:8700, got {server!r}"
-            raise InvalidInput([FieldError(pointer="--server", message=message)])
-        async with httpx.AsyncClient(base_url=server, timeout=TIMEOUT, headers=headers) as client:
-            yield Api(client, server)
-        return
+    # Imported here: a web server and a database, which clients of a running coordinator do not need.
+    from brink.server.app import create_app
+    from brink.server.runtime.database import check_database
+
     check_database(settings)
     app = create_app(settings, sweeping=False)
-    transport = httpx.ASGITransport(app=app)
+    token = settings.token.get_secret_value() if settings.token else None
     async with (
         app.router.lifespan_context(app),
         httpx.AsyncClient(
-            transport=transport, base_url="http://brink", timeout=TIMEOUT, headers=headers
+            transport=httpx.ASGITransport(app=app), base_url="http://brink", timeout=TIMEOUT,
+            headers=_headers(token),
         ) as client,
-    ):
+    ):  # fmt: skip
         yield Api(client, settings.database)
 
 
-def check_there(settings: Settings) -> None:
-    """Raise unless the database is there, where it is a file; looking at one makes it.
-
-    Raises:
-        DatabaseError: It is not, with what to do.
-    """
-    path = settings.sqlite_file
-    if path is not None and not path.exists():
-        raise DatabaseError(
-            f"no database at {path}: run a campaign first (brink run FILE), name another one with --database, "
-            "or name a coordinator with --server"
-        )
-
-
-def check_database(settings: Settings) -> None:
-    """Raise unless the database is there and has this version's schema.
-
-    Raises:
-        DatabaseError: It is not, with what to do.
-    """
-    check_there(settings)
-    engines = open_engines(settings.database)
-    try:
-        revision = current_revision(engines)
-    finally:
-        engines.dispose()
-    check_known(revision)
-    if revision != head_revision():
-        raise DatabaseError(
-            f"the database has schema {revision or 'none'}, this version needs {head_revision()}; "
-            "upgrade it with: brink db upgrade"
-        )
+def _headers(token: str | None) -> dict[str, str]:
+    return {"Authorization": f"Bearer {token}"} if token else {}

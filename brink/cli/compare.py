@@ -8,12 +8,12 @@ from rich.console import Console
 from rich.table import Table
 
 from brink.api.client import Api
+from brink.cli.draw import FetchedArchive, fetch_archive
 from brink.cli.options import AsJson, Database, Server, console, print_json, with_api
-from brink.cli.pictures import FetchedArchive, fetch_archive
-from brink.search.analysis.comparison import ComparedCampaign, Row, in_words
+from brink.search.analysis.boundary import PAPER_D_THS, PAPER_T_BS
+from brink.search.analysis.comparison import ComparedCampaign, Row, control_summaries
 from brink.search.analysis.comparison import compare as compare_campaigns
 from brink.search.analysis.scores import DRAWS
-from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 
 
@@ -102,7 +102,7 @@ def print_rows(screen: Console, rows: Sequence[Row]) -> None:
         screen.print()
     if any(row.repeats is not None for row in rows):
         screen.print(f"At t_b {DEFAULT_T_B:g}, d_th {DEFAULT_D_TH:g}:")
-        for sentence in in_words(rows, DEFAULT_T_B, DEFAULT_D_TH):
+        for sentence in control_summaries(rows, DEFAULT_T_B, DEFAULT_D_TH):
             screen.print(f"  {sentence}")
         screen.print(
             f"[dim]Controls: verdicts redrawn without regard to behaviour; means of {DRAWS} draws.[/dim]"

@@ -1,12 +1,10 @@
 """Commands that look at campaigns: status, results, plot, replay."""
 
-import asyncio
 import json
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.progress import Progress
 from rich.table import Table
 
 from brink.api.client import Api
@@ -16,22 +14,17 @@ from brink.cli.options import (
     CampaignId,
     Database,
     Server,
-    Threshold,
     brink,
     console,
     print_json,
     with_api,
 )
-from brink.cli.pictures import draw_figures, fetch_archive
-from brink.cli.replays import fetch_trace, requirement_of, run_again
-from brink.cli.summary import grid_table, solution_table
-from brink.server.api.boundary_table import FORMATS
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.errors import FieldError, InvalidInput
-from brink.sim.replay import render
 
-PATIENCE_S = 120.0
 ERRORS_SHOWN = 5
+SHOWN = 5
+"""Boundary solutions in a table, at most."""
 LATEST = 10**9
 """A generation that no campaign reaches."""
 
@@ -130,7 +123,7 @@ def results(
 
     Example: brink results 3f2a --t-b 0.1 --d-th 0.2 --out boundary.csv
     """
-    if out is not None and out.suffix.removeprefix(".") not in ("json", *FORMATS):
+    if out is not None and out.suffix not in (".csv", ".jsonl", ".parquet", ".json"):
         message = f"{out}: expected a file name that ends in .csv, .jsonl, .parquet or .json"
         raise InvalidInput([FieldError(pointer="--out", message=message)])
 
@@ -157,73 +150,33 @@ def results(
     with_api(server, database, work)
 
 
-def plot(
-    campaign: CampaignId,
-    out: Annotated[Path | None, typer.Option(help="Folder for the figures.")] = None,
-    t_b: Threshold = DEFAULT_T_B,
-    d_th: Threshold = DEFAULT_D_TH,
-    svg: Annotated[bool, typer.Option("--svg", help="Write SVG too.")] = False,
-    database: Database = None,
-    server: Server = None,
-    as_json: AsJson = False,
-) -> None:
-    """Draw a campaign: its boundary, its embedding, its course, its parameters.
-
-    DBS over simulations for several thresholds, the archive embedded in two dimensions, fitness over generations,
-    and how the verdict depends on each parameter.
-
-    Example: brink plot 3f2a --out figures
-    """
-
-    async def work(api: Api) -> list[Path]:
-        fetched = await fetch_archive(api, campaign)
-        folder = out or Path("brink-results") / f"plots-{campaign}"
-        folder.mkdir(parents=True, exist_ok=True)
-        formats = ("png", "svg") if svg else ("png",)
-        return await asyncio.to_thread(draw_figures, fetched, folder, t_b=t_b, d_th=d_th, formats=formats)
-
-    files = with_api(server, database, work)
-    if as_json:
-        print_json([str(path) for path in files])
-    else:
-        for path in files:
-            typer.echo(path)
+def grid_table(grid: list[dict[str, Any]]) -> Table:
+    """Return DBS and strict DBS over the paper's grid of thresholds."""
+    t_bs = sorted({cell["t_b"] for cell in grid})
+    table = Table(title="DBS (strict DBS)", title_justify="left", title_style="dim", box=None, pad_edge=False)
+    table.add_column("d_th", style="dim")
+    for t_b in t_bs:
+        table.add_column(f"t_b {t_b:g}", justify="right", header_style="dim")
+    for d_th in sorted({cell["d_th"] for cell in grid}):
+        cells = {cell["t_b"]: cell for cell in grid if cell["d_th"] == d_th}
+        table.add_row(f"{d_th:g}", *(f"{cells[t]['dbs']} ({cells[t]['strict_dbs']})" for t in t_bs))
+    return table
 
 
-def replay(
-    campaign: CampaignId,
-    number: Annotated[int, typer.Argument(metavar="NUMBER", min=0, help="Number of the solution.")],
-    out: Annotated[Path, typer.Option(help="File to write: .png, .gif or .mp4.")],
-    database: Database = None,
-    server: Server = None,
-) -> None:
-    """Draw one episode from above, with what the camera saw and what the detector was made to say.
-
-    Without --server the episode is run again on this machine; with it, the coordinator's workers run it.
-
-    Example: brink replay 3f2a 17 --out replay.mp4
-    """
-    if out.suffix not in (".png", ".gif", ".mp4"):
-        message = f"{out}: expected a file name that ends in .png, .gif or .mp4"
-        raise InvalidInput([FieldError(pointer="--out", message=message)])
-    if not out.parent.is_dir():
-        raise InvalidInput([FieldError(pointer="--out", message=f"{out.parent}: no such folder")])
-
-    async def work(api: Api) -> None:
-        requirement = await requirement_of(api, campaign)
-        if server is None:
-            trace = await run_again(api, campaign, number)
-        else:
-            trace = await fetch_trace(api, campaign, number, PATIENCE_S)
-        with Progress(console=console(), transient=True) as progress:
-            task = progress.add_task(f"drawing {out}", total=None)
-            await asyncio.to_thread(
-                render,
-                trace,
-                out,
-                requirement=requirement,
-                on_progress=lambda done, total: progress.update(task, completed=done, total=total),
-            )
-
-    with_api(server, database, work)
-    typer.echo(out)
+def solution_table(boundary: dict[str, Any], shown: int = SHOWN) -> Table:
+    """Return the best boundary solutions as a table."""
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    for name in ("number", "verdict", "robustness", "fitness", "unsafe near it", "what it is"):
+        table.add_column(name, justify="left" if name in ("verdict", "what it is") else "right")
+    for solution in boundary["solutions"][:shown]:
+        table.add_row(
+            str(solution["number"]),
+            solution["verdict"],
+            f"{solution['robustness']:.2f}",
+            f"{solution['fitness']:.3f}",
+            f"{solution['unsafe_neighbours']} of {solution['neighbours']}",
+            solution["words"],
+        )
+    if len(boundary["solutions"]) > shown:
+        table.add_row("…", "", "", "", "", f"and {len(boundary['solutions']) - shown} more in boundary.csv")
+    return table

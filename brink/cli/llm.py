@@ -19,7 +19,7 @@ from brink.cli.options import (
     print_json,
     with_api,
 )
-from brink.search.seeding import SeedRequest
+from brink.search.algorithm import SeedRequest
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
 from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import FieldError, InvalidInput

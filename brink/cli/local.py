@@ -19,13 +19,8 @@ from brink.cli.live import CampaignDisplay
 from brink.search.errors import install_command
 from brink.server.errors import FieldError, InvalidInput, Unavailable
 from brink.server.problems.base import NeedsExtra, Problem
-from brink.server.runtime.coordinator import (
-    EmbeddedCoordinator,
-    WorkerProcesses,
-    has_tokens,
-    prepare_database,
-    release_leases_of_the_dead,
-)
+from brink.server.runtime.coordinator import EmbeddedCoordinator, WorkerProcesses
+from brink.server.runtime.database import has_tokens, prepare_database, release_leases_of_the_dead
 from brink.server.settings import Settings
 
 RESULTS = Path("brink-results")

@@ -1,6 +1,5 @@
 """`brink monitor fit | score | judge`: a campaign as a safety monitor."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -12,13 +11,12 @@ from rich.table import Table
 
 from brink import __version__
 from brink.api.client import Api
+from brink.cli.draw import FetchedArchive, fetch_archive
 from brink.cli.options import AsJson, Database, Server, check_picture, console, print_json, with_api
-from brink.cli.pictures import FetchedArchive, fetch_archive
-from brink.search.analysis.monitor_trial import Trial, try_monitor
+from brink.search.analysis.monitor import Answer, Monitor
+from brink.search.analysis.monitor_evaluation import MonitorEvaluation, evaluate_monitor, fewest_false_alarms
 from brink.search.archive import Archive
 from brink.search.errors import DocumentError, SpaceError
-from brink.search.judging import false_alarms_at
-from brink.search.monitor import Answer, Monitor
 from brink.server.documents import read_yaml
 from brink.server.errors import Conflict, FieldError, InvalidInput
 
@@ -76,9 +74,16 @@ def fit(
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(made.to_json(about) + "\n", encoding="utf-8")
     if as_json:
-        print_json({"file": str(out), "solutions": len(made), "threshold": level, "weights": made.telling})
+        print_json(
+            {
+                "file": str(out),
+                "solutions": len(made),
+                "threshold": level,
+                "weights": made.informative_weights,
+            }
+        )
         return
-    tell = ", ".join(f"{name} {weight:g}" for name, weight in made.telling.items()) or "nothing"
+    tell = ", ".join(f"{name} {weight:g}" for name, weight in made.informative_weights.items()) or "nothing"
     console().print(
         f"{out}: {len(made):,} solutions, {made.unsafe_share:.0%} unsafe; unsafe above {level:g}\n"
         f"what tells, by weight: {tell}",
@@ -148,7 +153,7 @@ def judge(
     if fetched[0].plan.problem.space.column_names() != known.space.column_names():
         raise Conflict(f"{file} knows another search space than campaign {fetched[0].id}")
     try:
-        trial = try_monitor(known, vectors, unsafe)
+        trial = evaluate_monitor(known, vectors, unsafe)
     except ValueError as error:
         raise Conflict(str(error)) from None
     if picture is not None:
@@ -158,7 +163,7 @@ def judge(
         picture.parent.mkdir(parents=True, exist_ok=True)
         figure_monitor(trial, f"Monitor of {trial.learned:,} simulations").savefig(picture)
     if as_json:
-        print_json(_document(trial))
+        print_json(trial.to_json())
         return
     _print(trial)
     if picture is not None:
@@ -195,30 +200,23 @@ def _together(fetched: Sequence[FetchedArchive]) -> tuple[Any, Any]:
     )
 
 
-def _document(trial: Trial) -> dict[str, Any]:
-    document: dict[str, Any] = json.loads(json.dumps(asdict(trial)))
-    return document
-
-
-def _print(trial: Trial) -> None:
+def _print(trial: MonitorEvaluation) -> None:
     screen = console()
     screen.print(f"learned from {trial.learned:,} simulations, judged by {trial.fresh:,} others")
     table = Table(box=None, pad_edge=False)
     for name in ("", "AUROC", "Brier", *(f"false alarms at {missed:.0%} missed" for missed in MISSED)):
         table.add_column(name, justify="right" if name else "left", header_style="dim")
-    for witness in trial.witnesses:
-        costs = [f"{false_alarms_at(witness.alarms, missed).false:.0%}" for missed in MISSED]
-        table.add_row(
-            witness.name, f"{witness.judgement.auroc:.3f}", f"{witness.judgement.brier:.3f}", *costs
-        )
+    for witness in trial.predictors:
+        costs = [f"{fewest_false_alarms(witness.operating_points, missed).false:.0%}" for missed in MISSED]
+        table.add_row(witness.name, f"{witness.metrics.auroc:.3f}", f"{witness.metrics.brier:.3f}", *costs)
     screen.print(table, "")
-    bins = trial.witnesses[0].judgement.bins
+    bins = trial.predictors[0].metrics.bins
     table = Table(title="the monitor's calibration", title_justify="left", box=None, pad_edge=False)
     for name in ("solutions", "foretold", "stated", "unsafe share", "within"):
         table.add_column(name, justify="right", header_style="dim")
     for one in bins:
         table.add_row(
-            f"{one.solutions:,}", f"{one.foretold:.2f}", f"{one.low:.2f} to {one.high:.2f}", f"{one.observed:.2f}",
+            f"{one.solutions:,}", f"{one.predicted:.2f}", f"{one.low:.2f} to {one.high:.2f}", f"{one.observed:.2f}",
             "yes" if one.within else "no",
         )  # fmt: skip
     screen.print(table, "")

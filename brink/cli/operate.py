@@ -1,36 +1,25 @@
-"""Commands that keep things running: serve, worker, submit, db."""
+"""Commands that keep things running: serve, worker."""
 
-import asyncio
 import logging
 import os
 from collections.abc import Callable
 from contextlib import closing
 from functools import partial
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from brink.api.client import Api
-from brink.cli.live import CampaignDisplay
 from brink.cli.options import (
-    AsJson,
-    CampaignFile,
     Database,
     LogFormatOption,
     LogLevelOption,
-    brink,
     console,
-    print_json,
     settings_with,
-    with_api,
 )
 from brink.search.errors import install_command
-from brink.server.campaigns.body import read_campaign_file
-from brink.server.db.engine import open_engines
-from brink.server.db.upgrade import current_revision, head_revision
-from brink.server.runtime.coordinator import CoordinatorServer, listen, prepare_database, shown_url, url_of
+from brink.server.runtime.coordinator import CoordinatorServer, listen, url_of
+from brink.server.runtime.database import prepare_database, shown_url
 from brink.server.runtime.open_files import allow_many_open_files
 from brink.server.settings import Settings
 from brink.sim.catalogue import PLUGINS_VARIABLE
@@ -38,11 +27,7 @@ from brink.worker.log import LogFormat, configure_logging
 from brink.worker.run import run_worker
 from brink.worker.settings import WorkerSettings
 
-WATCH_S = 0.5
-
 log = logging.getLogger(__name__)
-
-db = typer.Typer(help="The database: upgrade it, or say which schema it has.", no_args_is_help=True)
 
 
 def serve(
@@ -161,95 +146,3 @@ def _run_on_ray(address: str, settings: WorkerSettings, workers: int | None, com
             log_format=common.log_format,
         )
     )  # fmt: skip
-
-
-def submit(
-    file: CampaignFile,
-    server: Annotated[
-        str, typer.Option("--server", envvar="BRINK_SERVER", help="URL of the coordinator.")
-    ] = "http://127.0.0.1:8700",
-    watch: Annotated[bool, typer.Option("--watch", help="Show progress until the campaign ends.")] = False,
-    key: Annotated[
-        str | None, typer.Option(help="Idempotency key: the same key again submits nothing new.")
-    ] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Submit a campaign to a coordinator.
-
-    Example: brink submit examples/paper-mlcshe.yaml --server http://coordinator:8700 --watch
-    """
-    body = read_campaign_file(file)
-
-    async def work(api: Api) -> bool:
-        headers = {"Idempotency-Key": key} if key else {}
-        response = await api.request("POST", "/campaigns", json=body.model_dump(mode="json"), headers=headers)
-        campaign = response.json()
-        if as_json and not watch:
-            print_json(campaign)
-        elif not as_json:
-            known = "" if response.status_code == 201 else " (submitted before with this key)"
-            console().print(f"campaign {campaign['id']}{known}")
-            if not watch:
-                hint = f"see how it goes with: {brink()} status {campaign['id']} --server {server}"
-                console().print(hint, soft_wrap=True)
-        return await follow(api, campaign["id"], as_json=as_json) if watch else True
-
-    if not with_api(server, None, work):
-        raise typer.Exit(1)
-
-
-async def follow(api: Api, campaign_id: str, *, as_json: bool, quiet: bool = False) -> bool:
-    """Show progress until a campaign ends; return whether it finished."""
-    screen = console()
-    with CampaignDisplay(screen) as display:
-        while True:
-            progress = await api.get(f"/campaigns/{campaign_id}/progress", {"since": display.generations})
-            if not (as_json or quiet):
-                display.show(progress)
-            if progress["status"] != "running":
-                break
-            await asyncio.sleep(WATCH_S)
-    if as_json:
-        print_json(progress)
-    elif not quiet:
-        screen.print(
-            f"campaign {campaign_id} is {progress['status']}: {progress['simulations']} simulations, "
-            f"{progress['unsafe']} unsafe {progress['status_reason']}"
-        )
-        screen.print(f"archive sha256 {progress['digest']}")
-    return bool(progress["status"] == "finished")
-
-
-@db.command("upgrade")
-def db_upgrade(database: Database = None) -> None:
-    """Bring a database to this version's schema; makes a new one if there is none.
-
-    Example: brink db upgrade --database sqlite:///brink.db
-    """
-    settings = settings_with(database=database)
-    before, after = prepare_database(settings)
-    where = shown_url(settings)
-    if before == after:
-        typer.echo(f"{where}: schema {after} already")
-    else:
-        typer.echo(f"{where}: upgraded from schema {before or 'none'} to {after}")
-
-
-@db.command("status")
-def db_status(database: Database = None) -> None:
-    """Say which schema a database has, and which this version needs.
-
-    Example: brink db status
-    """
-    settings = settings_with(database=database)
-    path: Path | None = settings.sqlite_file
-    revision = None
-    if path is None or path.exists():
-        engines = open_engines(settings.database)
-        try:
-            revision = current_revision(engines)
-        finally:
-            engines.dispose()
-    typer.echo(f"schema {revision or 'none'}; this version needs {head_revision()}")
-    if revision != head_revision():
-        raise typer.Exit(1)

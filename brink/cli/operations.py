@@ -10,7 +10,6 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from brink.api.client import check_database, check_there
 from brink.cli.options import (
     AsJson,
     Database,
@@ -23,12 +22,15 @@ from brink.cli.options import (
 )
 from brink.server.campaigns.store import CAMPAIGNS
 from brink.server.db.engine import open_engines
+from brink.server.db.upgrade import current_revision, head_revision
 from brink.server.errors import DatabaseError, FieldError, InvalidInput
 from brink.server.operations.doctor import State, examine
 from brink.server.operations.prune import prune
 from brink.server.operations.transfer import export_campaign, import_campaign
-from brink.server.runtime.coordinator import prepare_database
+from brink.server.runtime.database import check_database, check_there, prepare_database, shown_url
 from brink.server.states import CampaignStatus
+
+db = typer.Typer(help="The database: upgrade it, or say which schema it has.", no_args_is_help=True)
 
 _COLOURS = {State.FINE: "green", State.LOOK: "yellow", State.WRONG: "red"}
 
@@ -132,6 +134,7 @@ def _told(words: str, facts: dict[str, str], counts: dict[str, int], as_json: bo
     console().print(f"{words}: {said}", soft_wrap=True, markup=False)
 
 
+@db.command("prune")
 def prune_(
     ended_days: Annotated[
         float | None, typer.Option(min=0.0, help="Campaigns that ended more than so many days ago go.")
@@ -197,3 +200,38 @@ def _shrink(file: Path) -> None:
             f"all that is deleted, but {file} keeps its size ({error}): shrinking needs as much free space as the "
             "file has, and nobody who writes to it; stop the coordinator and say it again"
         ) from None
+
+
+@db.command("upgrade")
+def db_upgrade(database: Database = None) -> None:
+    """Bring a database to this version's schema; makes a new one if there is none.
+
+    Example: brink db upgrade --database sqlite:///brink.db
+    """
+    settings = settings_with(database=database)
+    before, after = prepare_database(settings)
+    where = shown_url(settings)
+    if before == after:
+        typer.echo(f"{where}: schema {after} already")
+    else:
+        typer.echo(f"{where}: upgraded from schema {before or 'none'} to {after}")
+
+
+@db.command("status")
+def db_status(database: Database = None) -> None:
+    """Say which schema a database has, and which this version needs.
+
+    Example: brink db status
+    """
+    settings = settings_with(database=database)
+    path: Path | None = settings.sqlite_file
+    revision = None
+    if path is None or path.exists():
+        engines = open_engines(settings.database)
+        try:
+            revision = current_revision(engines)
+        finally:
+            engines.dispose()
+    typer.echo(f"schema {revision or 'none'}; this version needs {head_revision()}")
+    if revision != head_revision():
+        raise typer.Exit(1)

@@ -7,18 +7,19 @@ import shutil
 import sys
 from collections.abc import Awaitable, Callable
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
-from pydantic import ValidationError
 from rich.console import Console
 
-from brink.api.client import Api, open_api
+from brink.api.client import Api, connect, in_process
 from brink.server.errors import FieldError, InvalidInput
-from brink.server.runtime.coordinator import shown_url
-from brink.server.settings import Settings
-from brink.sim.catalogue import PLUGINS_VARIABLE
 from brink.worker.log import LogFormat, LogLevel
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
+
+    from brink.server.settings import Settings
 
 T = TypeVar("T")
 PLAIN_WIDTH = 140
@@ -70,19 +71,24 @@ Port = Annotated[int, typer.Option(min=0, max=65535, help="Port of the coordinat
 Threshold = Annotated[float, typer.Option(min=0.0, max=1.0)]
 
 
-def settings_with(**given: Any) -> Settings:
+def settings_with(**given: Any) -> "Settings":
     """Return settings from the environment, with what was given on the command line.
 
     Raises:
         InvalidInput: A setting is not what was expected; names its variable, and never shows a secret.
     """
+    # Imported here, and below: clients of a running coordinator need no settings of one.
+    from pydantic import ValidationError
+
+    from brink.server.settings import Settings
+
     try:
         return Settings(**{name: value for name, value in given.items() if value is not None})
     except ValidationError as error:
         raise InvalidInput(_setting_errors(error, given)) from None
 
 
-def _setting_errors(error: ValidationError, given: dict[str, Any]) -> list[FieldError]:
+def _setting_errors(error: "ValidationError", given: dict[str, Any]) -> list[FieldError]:
     errors = []
     for item in error.errors(include_url=False):
         name = str(item["loc"][0])
@@ -95,6 +101,8 @@ def _setting_errors(error: ValidationError, given: dict[str, Any]) -> list[Field
 
 def brink() -> str:
     """Return how this command was called, for hints that can be pasted: its path if it is not found without."""
+    from brink.sim.catalogue import PLUGINS_VARIABLE
+
     called = Path(sys.argv[0])
     found = shutil.which(called.name)
     if called.name != "brink" or (found and Path(found).resolve() == called.resolve()):
@@ -105,11 +113,14 @@ def brink() -> str:
     return " ".join([name, *(f"--plugin {plugin}" for plugin in plugins)])
 
 
-def database_option(settings: Settings) -> str:
+def database_option(settings: "Settings") -> str:
     """Return the option that names the database in a hint, without its password.
 
     Empty for the default one, and for that of the environment, which the next command has as well.
     """
+    from brink.server.runtime.database import shown_url
+    from brink.server.settings import Settings
+
     usual = {Settings.model_fields["database"].default, os.environ.get("BRINK_DATABASE")}
     return "" if settings.database in usual else f" --database {shown_url(settings)}"
 
@@ -118,7 +129,11 @@ def with_api(server: str | None, database: str | None, work: Callable[[Api], Awa
     """Run a command's work against a coordinator, or against the database in this process."""
 
     async def run() -> T:
-        async with open_api(server, settings_with(database=database)) as api:
+        if server is None:
+            opened = in_process(settings_with(database=database))
+        else:
+            opened = connect(server, os.environ.get("BRINK_TOKEN") or None)
+        async with opened as api:
             return await work(api)
 
     return asyncio.run(run())

@@ -10,12 +10,11 @@ from rich.markup import escape
 from rich.table import Table
 from sqlalchemy import Connection
 
-from brink.api.client import check_database
 from brink.cli.options import AsJson, Database, console, print_json, settings_with
 from brink.server.access.gate import REMEMBERED_S
 from brink.server.access.store import create_token, list_tokens, revoke_token
 from brink.server.db.engine import open_engines
-from brink.server.runtime.coordinator import prepare_database, shown_url
+from brink.server.runtime.database import check_database, prepare_database, shown_url
 from brink.server.states import Scope
 
 token = typer.Typer(

@@ -21,7 +21,7 @@ from brink.plots.style import (
     new_figure,
     say,
 )
-from brink.search.boundary import PAPER_D_THS, PAPER_T_BS, BudgetPoint, dbs_by_budget
+from brink.search.analysis.boundary import PAPER_D_THS, PAPER_T_BS, BudgetPoint, dbs_by_budget
 
 FRACTIONS: Final = tuple(np.round(np.arange(0.05, 1.001, 0.05), 2).tolist())
 RAMP: Final = ("#a6cbe3", "#6fb0d6", "#3a93c4", "#0072b2", "#00527f", "#10304a")

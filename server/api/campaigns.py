@@ -9,15 +9,24 @@ from sqlalchemy import Connection
 from brink.server.api.conditional import NOTHING_NEW, is_known, nothing_new, tag_of
 from brink.server.api.context import Context, Services
 from brink.server.api.cursor import cursor_of, read_cursor
-from brink.server.api.schemas import MAX_NUMBER, CampaignList, CampaignView, Progress
-from brink.server.api.views import campaign_view, read_progress
+from brink.server.api.schemas import (
+    MAX_NUMBER,
+    CampaignList,
+    CampaignView,
+    GenerationView,
+    Progress,
+)
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
-from brink.server.campaigns.body import CampaignBody, parse_body
-from brink.server.campaigns.store import ENDED, Campaign
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, parse_body
+from brink.server.campaigns.plan import looks_for_boundary
+from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
+from brink.server.campaigns.view_store import read_campaign_progress
 from brink.server.db.engine import read
+from brink.server.db.writer import Trouble
 from brink.server.documents import MAX_FILE_BYTES, parse_yaml
-from brink.server.errors import InvalidInput
+from brink.server.errors import InvalidInput, NotFound
+from brink.server.queue.job_store import queued_needs
 from brink.server.queue.workers import live_capabilities
 from brink.server.states import CampaignStatus
 
@@ -181,3 +190,54 @@ async def _final_archive(services: Context, campaign: Campaign) -> ReadArchive |
         return await services.archives.get(campaign)
     except InvalidInput:
         return None
+
+
+def campaign_view(campaign: Campaign) -> CampaignView:
+    """Return a campaign."""
+    return CampaignView(
+        id=campaign.id, name=campaign.body.name, status=campaign.status,
+        status_reason=campaign.status_reason, sequence=campaign.sequence, simulations=campaign.completed,
+        budget=campaign.budget, unsafe=campaign.unsafe, failed=campaign.failed,
+        measured=campaign.measured, generation=campaign.generation, created_at=campaign.created_at,
+        finished_at=campaign.finished_at,
+        body=campaign.body,
+    )  # fmt: skip
+
+
+def read_progress(
+    connection: Connection,
+    campaign_id: str,
+    since: int,
+    worker_seen_s: float,
+    archive: ReadArchive | None,
+    asking: str | None,
+    trouble: Trouble | None,
+) -> Progress:
+    """Return counts and series of a campaign, from generation `since` on."""
+    campaign = CAMPAIGNS.find(connection, campaign_id)
+    if campaign is None:
+        raise NotFound(f"campaign {campaign_id}: no such campaign")
+    standing = read_campaign_progress(connection, campaign)
+    live = live_capabilities(connection, worker_seen_s)
+    capabilities = set().union(*live.values())
+    waiting = queued_needs(connection, campaign.id) if standing.queued else {}
+    return Progress(
+        id=campaign.id, name=campaign.body.name, status=campaign.status,
+        status_reason=campaign.status_reason, sequence=campaign.sequence, budget=campaign.budget,
+        simulations=standing.done, evaluated=campaign.evaluated, unsafe=campaign.unsafe, failed=campaign.failed,
+        measured=campaign.measured, quarantined=standing.quarantined, queued=standing.queued,
+        leased=standing.leased, generation=campaign.generation, rate_per_s=standing.rate_per_s,
+        remaining_s=standing.remaining_s, elapsed_s=standing.elapsed_s, workers=len(live),
+        unrunnable={needs: n for needs, n in waiting.items() if needs not in capabilities},
+        digest=archive.digest if archive is not None else None,
+        looks_for_boundary=looks_for_boundary(campaign.body.algorithm.id),
+        origins=view_store.count_origins(connection, campaign.id) if campaign.finished_at else {},
+        asking=asking,
+        trouble=trouble.reason if trouble else None,
+        trouble_s=trouble.span_s if trouble else 0.0,
+        t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH,
+        generations=[
+            GenerationView.model_validate(item, from_attributes=True)
+            for item in view_store.list_generations(connection, campaign.id, since)
+        ],
+    )  # fmt: skip

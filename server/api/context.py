@@ -9,10 +9,11 @@ from typing import Annotated, cast
 
 from fastapi import Depends, Request
 
+from brink.server.access.gate import Caller
 from brink.server.campaigns.advance import Scheduler
 from brink.server.campaigns.archives import Archives, Monitors
-from brink.server.campaigns.films import Films
 from brink.server.campaigns.service import CampaignService
+from brink.server.campaigns.traces import Films
 from brink.server.dashboard.figures import Figures
 from brink.server.db.engine import Engines
 from brink.server.experiments.service import ExperimentService, ScoreCache
@@ -20,6 +21,9 @@ from brink.server.llm.seeds import LlmSeeds
 from brink.server.metrics import Metrics
 from brink.server.queue.service import QueueService
 from brink.server.settings import Settings
+
+CALLER = "brink.caller"
+"""Key of the caller in the scope of a request."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,3 +70,8 @@ async def client_gone(request: Request) -> AsyncIterator[asyncio.Event]:
         yield gone
     finally:
         watching.cancel()
+
+
+def caller_of(request: Request) -> Caller | None:
+    """Return whose token a request carries; None where no token is asked for."""
+    return cast(Caller | None, request.scope.get(CALLER))

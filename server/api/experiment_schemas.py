@@ -5,7 +5,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from brink.search.analysis.experiment_tables import Measure
+from brink.search.analysis.comparison import Measure
 from brink.server.api.schemas import View
 from brink.server.experiments.body import ExperimentBody
 from brink.server.states import CampaignStatus

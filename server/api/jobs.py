@@ -1,18 +1,23 @@
-"""Routes for workers, and for those who look after jobs."""
+"""Routes of jobs and workers: the three messages of a worker, and what operators look at."""
 
-from typing import Annotated
+from collections import Counter
+from collections.abc import Callable, Coroutine
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi.routing import APIRoute
+from pydantic import BaseModel, ValidationError
+from sqlalchemy import Connection
+from starlette.requests import ClientDisconnect
 
 from brink.server.api.conditional import NOTHING_NEW, tag
 from brink.server.api.context import Services, client_gone
-from brink.server.api.job_views import job_counts
 from brink.server.api.schemas import MAX_NUMBER, JobCounts, JobList, JobViewModel, WorkerView
-from brink.server.api.wire_route import WireRoute
+from brink.server.campaigns.store import ENDED
 from brink.server.db.engine import read
-from brink.server.queue.job_store import list_jobs
-from brink.server.queue.workers import list_workers
-from brink.server.states import JobStatus
+from brink.server.queue.job_store import count_jobs, list_jobs
+from brink.server.queue.workers import list_workers, live_capabilities
+from brink.server.states import CampaignStatus, JobKind, JobStatus
 from brink.worker.wire import (
     HeartbeatReply,
     HeartbeatRequest,
@@ -21,6 +26,32 @@ from brink.worker.wire import (
     ResultsReply,
     ResultsRequest,
 )
+
+JSON = "application/json"
+
+
+class WireRoute(APIRoute):
+    """A route whose function takes ``message``, ``request`` and ``services``, and returns a message."""
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """Return what serves a request."""
+        serve, usual = self.endpoint, super().get_route_handler()
+        model: type[BaseModel] = self.endpoint.__annotations__["message"]
+
+        async def handle(request: Request) -> Response:
+            if request.headers.get("content-type") != JSON:
+                return await usual(request)
+            try:
+                message = model.model_validate_json(await request.body())
+            except ClientDisconnect:  # or a body that is too large, or late, which the guards answer
+                return Response(status_code=400)
+            except ValidationError:
+                return await usual(request)  # which says what is wrong
+            reply = await serve(message=message, request=request, services=request.app.state.context)
+            return Response(reply.model_dump_json(), media_type=JSON)
+
+        return handle
+
 
 router = APIRouter(tags=["jobs"])
 wire = APIRouter(tags=["jobs"], route_class=WireRoute)
@@ -100,3 +131,26 @@ async def get_workers(services: Services, request: Request, response: Response) 
     ]  # fmt: skip
     tag(request, response, views, leave_out=("seen_s_ago",))
     return views
+
+
+def job_counts(connection: Connection, worker_seen_s: float) -> JobCounts:
+    """Return how many jobs are not done, by what they have in common."""
+    counts = sorted(count_jobs(connection), key=lambda one: (one.campaign, one.status, one.needs, one.kind))
+    able = set().union(*live_capabilities(connection, worker_seen_s).values())
+    unrunnable: Counter[str] = Counter()
+    paused = set()
+    for one in counts:
+        # Traces are made after the end, too.
+        handed_out = one.campaign_status is CampaignStatus.RUNNING or one.kind == JobKind.TRACE
+        if one.status is JobStatus.QUEUED and not handed_out:
+            paused.add(one.campaign)
+        elif one.status is JobStatus.QUEUED and one.needs not in able:
+            unrunnable[one.needs] += one.jobs
+    return JobCounts(
+        status=[one.status for one in counts], campaign=[one.campaign for one in counts],
+        kind=[one.kind for one in counts], needs=[one.needs for one in counts],
+        jobs=[one.jobs for one in counts],
+        campaigns={one.campaign: one.name for one in counts},
+        paused=sorted(paused), ended=sorted({one.campaign for one in counts if one.campaign_status in ENDED}),
+        unrunnable=dict(unrunnable),
+    )  # fmt: skip

@@ -7,8 +7,8 @@ import numpy as np
 from fastapi import APIRouter
 from pydantic import Field
 
+from brink.search.analysis.monitor import Answer
 from brink.search.errors import SpaceError
-from brink.search.monitor import Answer
 from brink.server.api.context import Services
 from brink.server.api.schemas import View
 from brink.server.documents import Body

@@ -140,7 +140,7 @@ async def _views(services: Services, campaign_id: str) -> list[RepeatsView]:
 def _view(of: str, name: str, stored: StoredRepeats, read_archive: ReadArchive) -> RepeatsView:
     near = read_archive.plan.neighbourhood
     tallies = stored.tallies(near.z)
-    known, holds = tallies.evaluated > 0, tallies.holds(near.p_th)
+    known, holds = tallies.evaluated > 0, tallies.contains(near.p_th)
     solutions = []
     for place, number in enumerate(stored.numbers):
         index = read_archive.places.get(number)

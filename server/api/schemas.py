@@ -13,9 +13,9 @@ MAX_NUMBER = 2**53
 
 
 class View(BaseModel):
-    """Base of all answers."""
+    """Base of all answers. Models are built at their first use: the command line needs few of them."""
 
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(frozen=True, defer_build=True)
 
 
 class CampaignView(View):

@@ -8,8 +8,7 @@ from fastapi import APIRouter, Query, Response
 from fastapi import Path as PathParameter
 from pydantic import BaseModel, ConfigDict, Field
 
-from brink.search.analysis.violation_types import RULES_VERSION
-from brink.search.analysis.violations import FoundViolation, ViolationType, by_type
+from brink.search.analysis.violations import RULES_VERSION, FoundViolation, ViolationType, by_type
 from brink.server.api.context import Context, Services
 from brink.server.api.schemas import MAX_NUMBER, View
 from brink.server.campaigns.store import Campaign

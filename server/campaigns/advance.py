@@ -20,12 +20,21 @@ from sqlalchemy import Connection
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 
-from brink.search.algorithm import Candidate, Evaluation, Failed, Measured, Question, Scored
+from brink.search.algorithm import (
+    Candidate,
+    Evaluation,
+    Failed,
+    Measured,
+    Proposal,
+    Question,
+    Scored,
+    Seeded,
+    SeedRequest,
+)
+from brink.search.analysis.boundary import distinct_boundary
 from brink.search.archive import Archive
-from brink.search.boundary import distinct_boundary
 from brink.search.document import Document
 from brink.search.metric import METRIC_VERSION
-from brink.search.seeding import Proposal, Seeded, SeedRequest
 from brink.server.campaigns import step_store, store
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.plan import (

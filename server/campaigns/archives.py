@@ -6,11 +6,10 @@ from concurrent.futures import Executor
 from dataclasses import InitVar, dataclass, field
 from functools import cached_property
 
-from brink.search.archive import Archive
-from brink.search.boundary import PAPER_D_THS, PAPER_T_BS, DbsGrid, dbs_grid
-from brink.search.component import FloatArray
-from brink.search.digest import archive_digest
-from brink.search.monitor import Monitor
+from brink.search.analysis.boundary import PAPER_D_THS, PAPER_T_BS, DbsGrid, dbs_grid
+from brink.search.analysis.monitor import Monitor
+from brink.search.archive import Archive, archive_digest
+from brink.search.space import FloatArray
 from brink.server.campaigns import step_store
 from brink.server.campaigns.advance import Stepper
 from brink.server.campaigns.plan import Plan, make_plan, restored_archive

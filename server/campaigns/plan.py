@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection
 
-from brink.search.algorithm import Algorithm, Candidate, Question
+from brink.search.algorithm import Algorithm, Candidate, Question, Seeded, SeedRequest
 from brink.search.algorithms.multi_objective import MultiObjectiveConfig
 from brink.search.algorithms.repeats import RepeatsConfig
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.errors import ConfigError, UnsupportedSpace
-from brink.search.seeding import Seeded, SeedRequest
 from brink.search.streams import episode_seed
 from brink.server.campaigns import step_store, store
 from brink.server.campaigns.body import CampaignBody, PluginChoice

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from sqlalchemy import Connection, insert, select
 
 from brink.search.algorithms.repeats import Repeats, Tallies, tallied
+from brink.search.analysis.boundary import distinct_boundary
 from brink.search.archive import Archive
-from brink.search.boundary import distinct_boundary
 from brink.search.streams import Stream, generator
 from brink.server.campaigns.body import Budget, CampaignBody, PluginChoice
 from brink.server.campaigns.plan import Plan, PreparedCampaign, prepare_campaign, store_campaign

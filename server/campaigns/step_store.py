@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Connection, bindparam, delete, insert, select, update
 
-from brink.search.component import FloatArray
 from brink.search.metric import METRIC_VERSION
+from brink.search.space import FloatArray
 from brink.server.campaigns.store import CAMPAIGNS, Campaign, set_status
 from brink.server.db.models import (
     LAST_TURN,

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from brink.search.boundary import BudgetPoint, dbs_by_budget
+from brink.search.analysis.boundary import BudgetPoint, dbs_by_budget
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.single_flight import SingleFlightCache
 

@@ -13,11 +13,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from brink.search.analysis.axes import axis_meanings
+from brink.search.analysis.dependence import axis_meanings
+from brink.search.analysis.similarity import Projection
 from brink.search.archive import Archive
-from brink.search.component import FloatArray
-from brink.search.embedding import Projection
-from brink.search.space import SearchSpace
+from brink.search.space import FloatArray, SearchSpace
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.single_flight import SingleFlightCache
 

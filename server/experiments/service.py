@@ -9,7 +9,7 @@ from dataclasses import InitVar, dataclass, field
 
 from sqlalchemy import Connection
 
-from brink.search.analysis.experiment_tables import Repeat
+from brink.search.analysis.comparison import Repeat
 from brink.search.analysis.scores import Scores, scored
 from brink.server.campaigns.archives import Archives
 from brink.server.campaigns.plan import PreparedCampaign, prepare_campaign, store_campaign

@@ -23,7 +23,7 @@ from typing import IO, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
-from sqlalchemy import JSON, Connection, Table, insert, select
+from sqlalchemy import JSON, Connection, RowMapping, Table, insert, select
 from sqlalchemy.exc import DataError, IntegrityError
 
 from brink import __version__
@@ -185,7 +185,7 @@ class _Export:
             count += 1
         return count
 
-    def _rows(self, query: Any, batch: int) -> Iterator[Mapping[str, Any]]:
+    def _rows(self, query: Any, batch: int) -> Iterator[RowMapping]:
         """Yield rows as they are read: all of them may not fit into memory."""
         options = self._connection.execution_options(stream_results=True, yield_per=batch)
         with options.execute(query) as rows:

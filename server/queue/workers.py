@@ -11,8 +11,7 @@ from sqlalchemy import Connection, bindparam, delete, exists, func, insert, sele
 from brink.server.db.models import JobRow, WorkerRow
 from brink.server.db.sql import database_now, in_list, lock_rows
 from brink.server.queue.job_store import IS_LEASED
-from brink.worker.machine import machine_name
-from brink.worker.wire import HeldLease, WorkerIdentity
+from brink.worker.wire import HeldLease, WorkerIdentity, machine_name
 
 _LIVE = select(WorkerRow.id, WorkerRow.machine, WorkerRow.pid, WorkerRow.capabilities).where(
     WorkerRow.last_seen_at >= bindparam("horizon")
@@ -153,7 +152,7 @@ def leases_of_dead(connection: Connection) -> list[HeldLease]:
 
 
 def process_is_gone(machine: str, pid: int) -> bool:
-    """Return whether a process ran on this machine (see `brink.worker.machine`) and has ended."""
+    """Return whether a process ran on this machine (see `machine_name`) and has ended."""
     if not machine or machine != machine_name() or pid <= 0:
         return False
     try:

@@ -12,16 +12,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import uvicorn
-from sqlalchemy import inspect
 
-from brink.server.access.store import any_token
 from brink.server.app import create_app
-from brink.server.db.engine import open_engines, parse_url
-from brink.server.db.models import TokenRow
-from brink.server.db.upgrade import upgrade
 from brink.server.errors import ServerError
-from brink.server.queue.lease_store import release
-from brink.server.queue.workers import leases_of_dead
+from brink.server.runtime.database import has_tokens
 from brink.server.runtime.request_timeout import impatient
 from brink.server.settings import LOOPBACK, Settings
 
@@ -30,36 +24,6 @@ START_S = 15.0
 
 class CannotListen(ServerError):
     """The coordinator cannot listen where it should."""
-
-
-def prepare_database(settings: Settings) -> tuple[str | None, str]:
-    """Bring the database to this version's schema; return the revisions before and after.
-
-    Raises:
-        DatabaseError: It cannot be reached, or its schema is newer than this version knows.
-    """
-    engines = open_engines(settings.database)
-    try:
-        return upgrade(engines)
-    finally:
-        engines.dispose()
-
-
-def release_leases_of_the_dead(settings: Settings) -> int:
-    """Put back what workers of this machine held that are no more, uncharged; return how many jobs.
-
-    For the start after a crash of everything, which is no fault of the jobs. Only for SQLite, where the coordinator
-    and its database share a machine; should a worker be mistaken for dead, its results are `stale` and run again.
-    """
-    if settings.sqlite_file is None:
-        return 0
-    engines = open_engines(settings.database)
-    try:
-        with engines.writer.begin() as connection:
-            leases = leases_of_dead(connection)
-            return release(connection, leases)
-    finally:
-        engines.dispose()
 
 
 def check_exposed(settings: Settings) -> None:
@@ -73,22 +37,6 @@ def check_exposed(settings: Settings) -> None:
             f"listening on {settings.host} lets other machines in: make tokens (brink token create NAME --scope "
             "worker), or set a secret in BRINK_TOKEN, here and for the workers, or listen on 127.0.0.1"
         )
-
-
-def has_tokens(settings: Settings, *, that_hold: bool = True) -> bool:
-    """Return whether tokens are stored: such that hold, or any, so that nobody is served without one."""
-    file = settings.sqlite_file
-    if file is not None and not file.exists():
-        return False
-    engines = open_engines(settings.database)
-    try:
-        with engines.reader.connect() as connection:
-            # An older schema knows no tokens.
-            return inspect(connection).has_table(TokenRow.__tablename__) and any_token(
-                connection, that_holds=that_hold
-            )
-    finally:
-        engines.dispose()
 
 
 def listen(settings: Settings) -> socket.socket:
@@ -117,11 +65,6 @@ def url_of(listener: socket.socket) -> str:
     """Return the URL at which a listening socket is reached from this machine."""
     host, port = listener.getsockname()[:2]
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
-
-
-def shown_url(settings: Settings) -> str:
-    """Return the URL of the database without its password."""
-    return parse_url(settings.database).render_as_string(hide_password=True)
 
 
 class CoordinatorServer(uvicorn.Server):

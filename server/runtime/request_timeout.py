@@ -1,6 +1,6 @@
 """HTTP/1.1 for strangers: a connection whose request does not come, or whose body does not end, is closed.
 
-The bodies of requests that are served have a bound of their own, in `brink.server.api.guards`.
+The bodies of requests that are served have a bound of their own, in `brink.server.api.middleware`.
 """
 
 import asyncio

@@ -116,7 +116,7 @@ class Attack:
     """A row of the list.
 
     Attributes:
-        name: What is tried, as `docs/security.md` calls it.
+        name: What is tried, as `docs/reference/security.md` calls it.
         send: Tries it in each of its forms.
         gets: The statuses that may come; 0 is a connection that is closed without a word.
         says: What each answer's text holds.

@@ -11,7 +11,7 @@ from support.api import FakeWorker, ball, coordinator, eventually, expect, row_c
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
-from brink.search.boundary import PAPER_FRACTIONS
+from brink.search.analysis.boundary import PAPER_FRACTIONS
 from brink.server.db.engine import Engines
 
 API = "/api/v1/experiments"

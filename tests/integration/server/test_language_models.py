@@ -30,7 +30,7 @@ from typer.testing import CliRunner
 
 import brink.server.llm.seeds
 from brink.cli.commands import app
-from brink.search.seeding import SeedRequest
+from brink.search.algorithm import SeedRequest
 from brink.server.campaigns.body import CampaignBody
 from brink.server.db.engine import Engines
 from brink.server.db.models import SeedClaimRow

@@ -10,7 +10,7 @@ from support.api import FakeWorker, ball, eventually, expect, submit
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
-from brink.search.monitor import Monitor
+from brink.search.analysis.monitor import Monitor
 
 
 def finished(client: httpx.Client, **changes: Any) -> str:

@@ -28,8 +28,7 @@ from brink.server.queue.lease_policy import LeaseDemand
 from brink.server.queue.report_store import Outcome
 from brink.server.queue.service import Exchange, QueueService, run_exchanges
 from brink.server.states import JobStatus
-from brink.worker.machine import machine_name
-from brink.worker.wire import WorkerIdentity
+from brink.worker.wire import WorkerIdentity, machine_name
 
 DONE = 3000
 NO_PROCESS = 2**22 + 1

@@ -17,8 +17,8 @@ from support.queue import Queue
 from support.reference import undisturbed_digest
 from support.traffic import driven, seeded
 
-from brink.search.digest import archive_digest
-from brink.search.seeding import Proposal, SeedRequest
+from brink.search.algorithm import Proposal, SeedRequest
+from brink.search.archive import archive_digest
 from brink.server.campaigns import advance, step_store, store
 from brink.server.campaigns.advance import Stepper
 from brink.server.campaigns.body import parse_body

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from brink.cli.commands import app
 from brink.cli.findings.violations import draw_types, in_words, write_violations
 from brink.cli.live import CampaignDisplay
-from brink.search.analysis.violation_types import RULES_VERSION
+from brink.search.analysis.violations import RULES_VERSION
 
 TRAFFIC: dict[str, Any] = {
     "name": "traffic",

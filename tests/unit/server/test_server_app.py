@@ -9,7 +9,7 @@ import pytest
 from brink.server.app import create_app
 from brink.server.settings import Settings
 
-OPERATIONS = Path(__file__).parents[3] / "docs" / "operations.md"
+SETTINGS_PAGE = Path(__file__).parents[3] / "docs" / "reference" / "settings.md"
 
 
 def test_an_app_is_garbage_collected(tmp_path: Path) -> None:
@@ -24,4 +24,4 @@ def test_an_app_is_garbage_collected(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", Settings.model_fields)
 def test_every_setting_is_documented(name: str) -> None:
-    assert f"`BRINK_{name.upper()}`" in OPERATIONS.read_text()
+    assert f"`BRINK_{name.upper()}`" in SETTINGS_PAGE.read_text()
