@@ -1,7 +1,7 @@
 """The violations that a campaign found: read from the results of its unsafe solutions, and named by people."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from sqlalchemy import Connection, delete, insert, select
@@ -18,7 +18,7 @@ log = logging.getLogger(__name__)
 
 def read_violations(
     connection: Connection, campaign_id: str, problem: TellsViolations
-) -> Sequence[FoundViolation]:
+) -> list[FoundViolation]:
     """Return the violations of a campaign's unsafe solutions, ascending by number.
 
     Args:

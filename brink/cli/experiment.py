@@ -41,7 +41,7 @@ from brink.cli.options import (
 from brink.report.experiment import html_report, markdown_report, sentences
 from brink.search.analysis.comparison import Measure, Repeat, duels, standings
 from brink.search.analysis.scores import Control, Figures, Scores
-from brink.server.api.experiment_schemas import ControlView, RepeatView, Results
+from brink.server.api.schemas import ControlView, RepeatView, Results
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import Conflict, InvalidInput

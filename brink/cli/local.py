@@ -20,7 +20,7 @@ from brink.search.errors import install_command
 from brink.server.errors import FieldError, InvalidInput, Unavailable
 from brink.server.problems.base import NeedsExtra, Problem
 from brink.server.runtime.coordinator import EmbeddedCoordinator, WorkerProcesses
-from brink.server.runtime.database import has_tokens, prepare_database, release_leases_of_the_dead
+from brink.server.runtime.database import has_tokens, prepare_database, release_leases_of_dead_workers
 from brink.server.settings import Settings
 
 RESULTS = Path("brink-results")
@@ -66,10 +66,10 @@ def local_service(settings: Settings, worker_log: Path) -> Iterator[Local]:
         CannotListen: The coordinator did not come up.
     """
     prepare_database(settings)
-    if settings.token is None and has_tokens(settings, that_hold=False):
+    if settings.token is None and has_tokens(settings, valid_only=False):
         # The database is that of a coordinator with tokens: this command and its workers have one of their own.
         settings = settings.model_copy(update={"token": SecretStr(secrets.token_hex(24))})
-    release_leases_of_the_dead(settings)
+    release_leases_of_dead_workers(settings)
     coordinator = EmbeddedCoordinator(settings)
     coordinator.start()
     token = settings.token.get_secret_value() if settings.token else None

@@ -27,7 +27,7 @@ from brink.server.errors import DatabaseError, FieldError, InvalidInput
 from brink.server.operations.doctor import State, examine
 from brink.server.operations.prune import prune
 from brink.server.operations.transfer import export_campaign, import_campaign
-from brink.server.runtime.database import check_database, check_there, prepare_database, shown_url
+from brink.server.runtime.database import check_database, check_exists, prepare_database, shown_url
 from brink.server.states import CampaignStatus
 
 db = typer.Typer(help="The database: upgrade it, or say which schema it has.", no_args_is_help=True)
@@ -52,7 +52,7 @@ def doctor(
     Example: brink doctor --thorough
     """
     settings = settings_with(database=database)
-    check_there(settings)
+    check_exists(settings)
     engines = open_engines(settings.database)
     try:
         found = list(examine(settings, engines, thorough=thorough))

@@ -11,8 +11,8 @@ from rich.table import Table
 from sqlalchemy import Connection
 
 from brink.cli.options import AsJson, Database, console, print_json, settings_with
-from brink.server.access.gate import REMEMBERED_S
-from brink.server.access.store import create_token, list_tokens, revoke_token
+from brink.server.access.authentication import TOKEN_CACHE_S
+from brink.server.access.tokens import create_token, list_tokens, revoke_token
 from brink.server.db.engine import open_engines
 from brink.server.runtime.database import check_database, prepare_database, shown_url
 from brink.server.states import Scope
@@ -63,7 +63,7 @@ def create(
     typer.echo(made)
     typer.echo(
         f"a token of {shown_url(settings_with(database=database))}, shown this once; give it on as BRINK_TOKEN. "
-        f"It works within {REMEMBERED_S:g} s",
+        f"It works within {TOKEN_CACHE_S:g} s",
         err=True,
     )
 
@@ -97,7 +97,7 @@ def list_(database: Database = None, as_json: AsJson = False) -> None:
         table.add_column(column)
     for one in found:
         ends = f"until {one.expires_at:%Y-%m-%d %H:%M} UTC" if one.expires_at else "works"
-        state = "revoked" if one.revoked_at else ends if one.holds(now) else "ended"
+        state = "revoked" if one.revoked_at else ends if one.is_valid(now) else "ended"
         table.add_row(one.id, one.scope, escape(one.name), f"{one.created_at:%Y-%m-%d %H:%M}", state)
     console().print(table)
 
@@ -115,4 +115,4 @@ def revoke(
     """
     with _connected(database) as connection:
         revoke_token(connection, token_id)
-    console().print(f"token {token_id} ends within {REMEMBERED_S:g} s")
+    console().print(f"token {token_id} ends within {TOKEN_CACHE_S:g} s")

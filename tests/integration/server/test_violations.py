@@ -106,7 +106,7 @@ def test_a_problem_without_violations_says_so(client: httpx.Client) -> None:
     }
     campaign = submit(client, body)
     detail = expect(client.get(f"/api/v1/campaigns/{campaign}/violations"), 404)["detail"]
-    assert "mtq@1 tells no violations" in detail
+    assert "mtq@1 reports no violations" in detail
 
 
 def test_the_command_line_shows_and_names_them(
