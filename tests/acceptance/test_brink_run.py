@@ -73,5 +73,5 @@ def test_a_run_that_is_stopped_goes_on_to_the_same_end(
         assert "--resume" in refused.stderr
         resumed = brink("run", file, *options, "--resume", "--json", cwd=tmp_path, env=TOY)
         assert resumed.returncode == 0, resumed.stderr
-    assert "going on at" in resumed.stderr
+    assert "continuing at" in resumed.stderr
     assert json.loads(resumed.stdout)["digest"] == undisturbed_digest(BALL)

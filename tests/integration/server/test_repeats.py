@@ -261,7 +261,7 @@ def test_the_command_asks_then_shows_what_came(client: httpx.Client, tmp_path: P
     server = ["--server", str(client.base_url)]
     asked = CliRunner().invoke(app, [*wanted, *server])
     assert asked.exit_code == 0, asked.output
-    assert "the same command shows how far it is" in asked.output
+    assert "the same command shows its progress" in asked.output
     [view] = expect(client.get(f"{API}/{campaign}/repeats"))
     FakeWorker(client, judge=by_chance).work(view["campaign"])
     shown = CliRunner().invoke(app, [*wanted, *server, "--picture", str(picture)])
