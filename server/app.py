@@ -27,24 +27,20 @@ from brink.server.api.middleware import AccessMiddleware, MetricsMiddleware
 from brink.server.api.problem_details import describe, install
 from brink.server.api.schemas import ProblemDetail
 from brink.server.api.service import add_docs
-from brink.server.campaigns.advance import Stepper
-from brink.server.campaigns.archives import Archives
-from brink.server.campaigns.monitors import Monitors
-from brink.server.campaigns.scheduler import Scheduler
+from brink.server.campaigns.advance import Scheduler, Stepper
+from brink.server.campaigns.archives import Archives, Monitors
 from brink.server.campaigns.service import SLOW_AT_ONCE, CampaignService
 from brink.server.campaigns.traces import Films
 from brink.server.dashboard.figures import Figures
 from brink.server.dashboard.page import add_dashboard
 from brink.server.db.engine import Engines, open_engines
-from brink.server.db.news import listen
 from brink.server.db.writer import Writer
 from brink.server.errors import Unavailable
-from brink.server.experiments.scorebook import Scorebook
-from brink.server.experiments.service import ExperimentService
+from brink.server.experiments.service import ExperimentService, ScoreCache
 from brink.server.llm.seeds import LlmSeeds
 from brink.server.metrics import Metrics
 from brink.server.queue.service import QueueService
-from brink.server.queue.wakeups import Wakeups
+from brink.server.queue.wakeups import Wakeups, listen
 from brink.server.settings import LOOPBACK, Settings
 
 log = logging.getLogger(__name__)
@@ -146,7 +142,7 @@ def _context(
         with suppress(RuntimeError):  # the coordinator has stopped in the meantime
             loop.call_soon_threadsafe(scheduler.advance_soon, [campaign_id])
 
-    writer = Writer(engines.writer, took=metrics.commits.observe)
+    writer = Writer(engines.writer, on_commit=metrics.commits.observe)
     seeds = LlmSeeds(engines, writer, on_seeds)
     stepper = Stepper(
         engines, writer, max_stored_distances=settings.max_stored_distances, seeds=seeds, metrics=metrics
@@ -171,8 +167,10 @@ def _context(
         queue=queue,
         scheduler=scheduler,
         campaigns=campaigns,
-        experiments=ExperimentService(campaigns=campaigns),
-        scorebook=Scorebook(archives=archives, threads=drawing),
+        experiments=ExperimentService(
+            engines=engines, writer=writer, checks=campaigns.checks, campaigns=campaigns
+        ),
+        scorebook=ScoreCache(archives=archives, threads=drawing),
         monitors=Monitors(archives=archives, threads=drawing),
         archives=archives,
         films=Films(engines=engines),

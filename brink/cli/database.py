@@ -30,7 +30,7 @@ from brink.cli.options import (
 )
 from brink.server.access.authentication import TOKEN_CACHE_S
 from brink.server.access.tokens import create_token, list_tokens, revoke_token
-from brink.server.campaigns.store import named_campaign
+from brink.server.campaigns.store import CAMPAIGNS
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.upgrade import current_revision, head_revision
 from brink.server.errors import DatabaseError, FieldError, InvalidInput
@@ -106,7 +106,7 @@ def export(
     settings = settings_with(database=database)
     check_database(settings)
     with _opened(settings) as engines, engines.reader.connect() as connection:
-        found = named_campaign(connection, campaign)
+        found = CAMPAIGNS.get(connection, campaign)
         file = out or Path(f"{file_name(found.body.name)}-{found.id}.brink")
         counts = export_campaign(connection, found.id, file)
     facts = {"campaign": found.id, "file": str(file)}
@@ -128,7 +128,7 @@ def import_(
     prepare_database(settings)
     with _opened(settings) as engines, engines.writer.begin() as connection:
         campaign, counts = import_campaign(connection, file)
-        status = named_campaign(connection, campaign).status
+        status = CAMPAIGNS.get(connection, campaign).status
     _print_transfer(f"campaign {campaign} imported from {file}", {"campaign": campaign}, counts, as_json)
     if status is CampaignStatus.PAUSED and not as_json:
         print_line(

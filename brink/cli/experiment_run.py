@@ -29,7 +29,7 @@ from brink.server.api.schemas import (
     Results,
 )
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.campaigns.submission import checked_plan
+from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import InvalidInput
 from brink.server.experiments.body import ExperimentBody
 from brink.server.states import CampaignStatus
@@ -62,7 +62,7 @@ def run_experiment(body: ExperimentBody, options: RunOptions) -> FinishedExperim
     """
     for cell in body.cells()[: len(body.problems) * len(body.algorithms)]:
         try:
-            check_extra(checked_plan(cell.body).problem)
+            check_extra(make_checked_plan(cell.body).problem)
         except InvalidInput as error:
             raise cell.in_experiment(error) from None
     screen = console(stderr=options.json)

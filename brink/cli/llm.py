@@ -23,7 +23,7 @@ from brink.cli.options import (
 from brink.search.algorithm import SeedRequest
 from brink.server.api.schemas import LlmCalls
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
-from brink.server.campaigns.submission import checked_plan
+from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.llm.check import EndpointReport, check_endpoint
 from brink.server.llm.estimate import estimate
@@ -102,7 +102,7 @@ def dry_run(
     """
     body = read_campaign_file(file)
     settings = _settings(body)
-    plan = checked_plan(body)
+    plan = make_checked_plan(body)
     problem = plan.problem
     assert isinstance(problem, Describes)  # checked with the plan
     config: Any = plan.config

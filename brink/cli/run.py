@@ -37,7 +37,7 @@ from brink.search.analysis.comparison import control_summaries
 from brink.server.api.repeats import RepeatsView
 from brink.server.api.schemas import Boundary, CampaignList, CampaignView, Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
-from brink.server.campaigns.submission import check_submission
+from brink.server.campaigns.plan import check_submission
 from brink.server.states import CampaignStatus
 
 PAPER_BUDGET = 1300

@@ -9,8 +9,8 @@ from typing import Final
 
 from sqlalchemy import Connection, insert, or_, select, update
 
-from brink.server.db.clock import database_now
 from brink.server.db.models import TokenRow
+from brink.server.db.sql import database_now
 from brink.server.errors import NotFound
 from brink.server.states import Scope
 

@@ -24,8 +24,7 @@ from brink.server.api.solutions import Threshold
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.campaigns.store import ENDED
-from brink.server.campaigns.values import Campaign
+from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.dashboard import figures
 from brink.server.dashboard.solution_map import SolutionMap
 from brink.server.db.engine import read

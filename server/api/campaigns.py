@@ -33,21 +33,21 @@ from brink.server.api.schemas import (
     Progress,
     View,
 )
-from brink.server.campaigns import store, view_store
+from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, parse_body
 from brink.server.campaigns.plan import looks_for_boundary
-from brink.server.campaigns.standing import read_standing
-from brink.server.campaigns.store import ENDED
-from brink.server.campaigns.values import Campaign
+from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
+from brink.server.campaigns.view_store import read_campaign_progress
 from brink.server.dashboard.overview import Outline, list_outlines
 from brink.server.db.engine import read
 from brink.server.db.writer import Trouble
-from brink.server.documents import MAX_FILE_BYTES, yaml_document
+from brink.server.documents import MAX_FILE_BYTES, parse_yaml
 from brink.server.errors import InvalidInput, NotFound
 from brink.server.llm.calls import StoredCall, spent_on
 from brink.server.llm.store import list_calls
-from brink.server.queue.workers import capabilities_of_live
+from brink.server.queue.job_store import count_unfinished, queued_needs
+from brink.server.queue.workers import live_capabilities
 from brink.server.states import CampaignStatus
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"])
@@ -83,7 +83,7 @@ async def check_campaign(
     services: Services,
 ) -> CampaignBody:
     """Validate a campaign file without submitting it: return the parsed campaign, or the errors of a submission."""
-    body = parse_body(yaml_document(text))
+    body = parse_body(parse_yaml(text))
     await services.campaigns.check(body)
     return body
 
@@ -166,10 +166,10 @@ async def _progress_etag(services: Context, campaign_id: str, since: int) -> str
     trouble = services.queue.writer.trouble
 
     def look(connection: Connection) -> tuple[object, ...] | None:
-        pulse = view_store.read_pulse(connection, campaign_id)
+        pulse = view_store.read_version(connection, campaign_id)
         if pulse is None:
             return None
-        live = capabilities_of_live(connection, services.settings.worker_seen_s)
+        live = live_capabilities(connection, services.settings.worker_seen_s)
         return (*pulse, sorted((worker, sorted(able)) for worker, able in live.items()))
 
     pulse = await read(services.engines, look)
@@ -210,7 +210,7 @@ def campaign_view(campaign: Campaign) -> CampaignView:
     """Return the response schema of a campaign."""
     return CampaignView(
         id=campaign.id, name=campaign.body.name, status=campaign.status,
-        status_reason=campaign.status_reason, sequence=campaign.sequence, simulations=campaign.told,
+        status_reason=campaign.status_reason, sequence=campaign.sequence, simulations=campaign.completed,
         budget=campaign.budget, unsafe=campaign.unsafe, failed=campaign.failed,
         measured=campaign.measured, generation=campaign.generation, created_at=campaign.created_at,
         finished_at=campaign.finished_at,
@@ -241,13 +241,13 @@ def read_progress(
     Raises:
         NotFound: The campaign does not exist.
     """
-    campaign = store.find_campaign(connection, campaign_id)
+    campaign = CAMPAIGNS.find(connection, campaign_id)
     if campaign is None:
         raise NotFound(f"campaign {campaign_id}: no such campaign")
-    standing = read_standing(connection, campaign)
-    live = capabilities_of_live(connection, worker_seen_s)
+    standing = read_campaign_progress(connection, campaign)
+    live = live_capabilities(connection, worker_seen_s)
     capabilities = set().union(*live.values())
-    waiting = view_store.waiting_needs(connection, campaign.id) if standing.queued else {}
+    waiting = queued_needs(connection, campaign.id) if standing.queued else {}
     return Progress(
         id=campaign.id, name=campaign.body.name, status=campaign.status,
         status_reason=campaign.status_reason, sequence=campaign.sequence, budget=campaign.budget,
@@ -343,7 +343,7 @@ async def get_overview(
             experiment=experiment,
         )
         states = [_outline_state(connection, one) for one in outlines]
-        workers = sorted(capabilities_of_live(connection, services.settings.worker_seen_s))
+        workers = sorted(live_capabilities(connection, services.settings.worker_seen_s))
         etag = etag_of(states, workers, limit, trouble.reason if trouble else None)
         if matches(request, etag):
             return etag, None
@@ -359,13 +359,15 @@ async def get_overview(
 def _outline_state(connection: Connection, one: Outline) -> tuple[object, ...]:
     if one.finished_at is not None:
         return (one.id, one.sequence)
-    return (one.id, one.sequence, *sorted(view_store.count_open_jobs(connection, one.id).items()))
+    return (one.id, one.sequence, *sorted(count_unfinished(connection, one.id).items()))
 
 
 def _overview(
     services: Services, connection: Connection, outlines: list[Outline], limit: int, workers: int
 ) -> Overview:
-    standings = [read_standing(connection, one) if one.finished_at is None else None for one in outlines]
+    standings = [
+        read_campaign_progress(connection, one) if one.finished_at is None else None for one in outlines
+    ]
     both = list(zip(outlines, standings, strict=True))
     sparks = services.figures.sparks.of(connection, outlines)
     trouble = services.queue.writer.trouble
@@ -378,7 +380,7 @@ def _overview(
     }  # fmt: skip
     return Overview(
         **columns,
-        simulations=[standing.done if standing else one.told for one, standing in both],
+        simulations=[standing.done if standing else one.completed for one, standing in both],
         quarantined=[standing.quarantined if standing else None for _, standing in both],
         rate_per_s=[standing.rate_per_s if standing else None for _, standing in both],
         remaining_s=[standing.remaining_s if standing else None for _, standing in both],

@@ -10,15 +10,13 @@ from typing import Annotated, cast
 from fastapi import Depends, Request
 
 from brink.server.access.authentication import Caller
-from brink.server.campaigns.archives import Archives
-from brink.server.campaigns.monitors import Monitors
-from brink.server.campaigns.scheduler import Scheduler
+from brink.server.campaigns.advance import Scheduler
+from brink.server.campaigns.archives import Archives, Monitors
 from brink.server.campaigns.service import CampaignService
 from brink.server.campaigns.traces import Films
 from brink.server.dashboard.figures import Figures
 from brink.server.db.engine import Engines
-from brink.server.experiments.scorebook import Scorebook
-from brink.server.experiments.service import ExperimentService
+from brink.server.experiments.service import ExperimentService, ScoreCache
 from brink.server.llm.seeds import LlmSeeds
 from brink.server.metrics import Metrics
 from brink.server.queue.service import QueueService
@@ -36,7 +34,7 @@ class Context:
     engines: Engines
     campaigns: CampaignService
     experiments: ExperimentService
-    scorebook: Scorebook
+    scorebook: ScoreCache
     monitors: Monitors
     queue: QueueService
     scheduler: Scheduler

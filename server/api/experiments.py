@@ -51,8 +51,9 @@ from brink.server.db.engine import read
 from brink.server.db.writer import Trouble
 from brink.server.experiments import store
 from brink.server.experiments.body import ExperimentBody
-from brink.server.experiments.values import Experiment
-from brink.server.queue.workers import capabilities_of_live
+from brink.server.experiments.store import Experiment
+from brink.server.queue.job_store import count_unfinished
+from brink.server.queue.workers import live_capabilities
 from brink.server.states import CampaignStatus, JobStatus
 
 router = APIRouter(prefix="/experiments", tags=["experiments"])
@@ -201,7 +202,7 @@ def experiment_view(experiment: Experiment) -> ExperimentView:
             MemberView(
                 campaign=member.campaign.id, method=member.method, problem=member.problem,
                 seed=member.campaign.body.seed, status=member.campaign.status,
-                status_reason=member.campaign.status_reason, simulations=member.campaign.told,
+                status_reason=member.campaign.status_reason, simulations=member.campaign.completed,
                 unsafe=member.campaign.unsafe, failed=member.campaign.failed,
             )
             for member in experiment.members
@@ -222,15 +223,15 @@ def read_progress(
     """
     ids = [member.campaign.id for member in experiment.members]
     running = [member.campaign.id for member in experiment.members if member.campaign.status not in ENDED]
-    open_jobs = store.count_open_jobs(connection, ids)
+    open_jobs = count_unfinished(connection, *ids)
     queued, leased = open_jobs.get(JobStatus.QUEUED, 0), open_jobs.get(JobStatus.LEASED, 0)
-    in_generations = max(0, store.count_pending(connection, running) - queued - leased)
+    in_generations = max(0, store.count_current_generations(connection, running) - queued - leased)
     ended = experiment.status in ENDED
     ends = [m.campaign.finished_at for m in experiment.members if m.campaign.finished_at is not None]
     now = max(ends) if ended and ends else datetime.now(UTC)
     elapsed_s = max(0.0, (now - experiment.created_at).total_seconds())
     span_s = elapsed_s if ended else min(RATE_S, elapsed_s)
-    before = store.told_by(connection, ids, now - timedelta(seconds=span_s))
+    before = store.completed_by(connection, ids, now - timedelta(seconds=span_s))
     told = experiment.simulations
     done = told + in_generations
     if before:  # how far the generations in flight were by then is unknown
@@ -238,7 +239,7 @@ def read_progress(
     else:
         rate = done / elapsed_s if elapsed_s > 0 and done else None
     remaining = sum(
-        max(0, member.campaign.body.budget.simulations - member.campaign.told)
+        max(0, member.campaign.body.budget.simulations - member.campaign.completed)
         for member in experiment.members
         if member.campaign.status not in ENDED
     )
@@ -251,7 +252,7 @@ def read_progress(
         queued=queued,
         leased=leased,
         quarantined=open_jobs.get(JobStatus.QUARANTINED, 0),
-        workers=len(capabilities_of_live(connection, worker_seen_s)),
+        workers=len(live_capabilities(connection, worker_seen_s)),
         paused=[
             f"{member.campaign.id}: {member.campaign.status_reason or 'paused by a user'}"
             for member in experiment.members

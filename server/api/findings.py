@@ -34,12 +34,11 @@ from brink.server.api.schemas import (
     View,
 )
 from brink.server.api.solutions import Number
-from brink.server.campaigns.values import Campaign
+from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import read
 from brink.server.errors import NotFound
 from brink.server.problems.base import TellsViolations
-from brink.server.violations import store
-from brink.server.violations.found import found_violations
+from brink.server.violations import read_violations, set_name
 
 violations_router = APIRouter(prefix="/campaigns/{campaign_id}/violations", tags=["violations"])
 
@@ -133,11 +132,9 @@ async def _name(services: Context, campaign_id: str, number: int, requirement: s
             f"campaign {campaign.id}: solution {number} has no violation of {requirement[:64]!r}; "
             f"it has {', '.join(known) or 'none'}"
         )
-    writer = services.campaigns.writer
-    unit = writer.submit(
-        lambda connection: store.give_name(connection, campaign.id, number, requirement, name)
+    await services.campaigns.writer.write(
+        lambda connection: set_name(connection, campaign.id, number, requirement, name)
     )
-    await asyncio.wrap_future(unit)
 
 
 async def _found(services: Context, campaign: Campaign) -> list[FoundViolation]:
@@ -146,11 +143,7 @@ async def _found(services: Context, campaign: Campaign) -> list[FoundViolation]:
         raise NotFound(f"campaign {campaign.id}: {campaign.body.problem.id} reports no violations")
     return await read(
         services.engines,
-        lambda connection: found_violations(
-            store.unsafe_results(connection, campaign.id),
-            store.read_names(connection, campaign.id),
-            problem,
-        ),
+        lambda connection: read_violations(connection, campaign.id, problem),
     )
 
 

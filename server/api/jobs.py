@@ -13,12 +13,11 @@ from starlette.requests import ClientDisconnect
 from brink.server.api.context import Services, client_gone
 from brink.server.api.responses import NOT_MODIFIED, set_etag
 from brink.server.api.schemas import MAX_NUMBER, JobCounts, JobList, JobViewModel, WorkerView
-from brink.server.campaigns.jobs import list_jobs
 from brink.server.campaigns.store import ENDED
 from brink.server.db.engine import read
-from brink.server.queue.census import count_jobs
-from brink.server.queue.workers import capabilities_of_live, list_seen
-from brink.server.states import JobKind, JobStatus
+from brink.server.queue.job_store import count_jobs, list_jobs
+from brink.server.queue.workers import list_workers, live_capabilities
+from brink.server.states import CampaignStatus, JobKind, JobStatus
 from brink.worker.wire import (
     HeartbeatReply,
     HeartbeatRequest,
@@ -119,7 +118,7 @@ async def retry_job(job: Annotated[int, Path(ge=0, le=MAX_NUMBER)], services: Se
 @router.get("/workers", tags=["workers"], responses=NOT_MODIFIED)
 async def get_workers(services: Services, request: Request, response: Response) -> list[WorkerView]:
     """List workers, most recently seen first. Supports conditional requests with ETag."""
-    seen = await read(services.engines, lambda connection: list_seen(connection))
+    seen = await read(services.engines, lambda connection: list_workers(connection))
     horizon = services.settings.worker_seen_s
     views = [
         WorkerView(
@@ -137,13 +136,12 @@ async def get_workers(services: Services, request: Request, response: Response) 
 def job_counts(connection: Connection, worker_seen_s: float) -> JobCounts:
     """Return the counts of unfinished jobs, and which of them cannot run now."""
     counts = sorted(count_jobs(connection), key=lambda one: (one.campaign, one.status, one.needs, one.kind))
-    able = set().union(*capabilities_of_live(connection, worker_seen_s).values())
+    able = set().union(*live_capabilities(connection, worker_seen_s).values())
     unrunnable: Counter[str] = Counter()
     paused = set()
     for one in counts:
-        handed_out = (
-            one.running or one.kind == JobKind.TRACE
-        )  # traces are recorded after a campaign has ended, too
+        # Traces are recorded after a campaign has ended, too.
+        handed_out = one.campaign_status is CampaignStatus.RUNNING or one.kind == JobKind.TRACE
         if one.status is JobStatus.QUEUED and not handed_out:
             paused.add(one.campaign)
         elif one.status is JobStatus.QUEUED and one.needs not in able:
@@ -153,6 +151,6 @@ def job_counts(connection: Connection, worker_seen_s: float) -> JobCounts:
         kind=[one.kind for one in counts], needs=[one.needs for one in counts],
         jobs=[one.jobs for one in counts],
         campaigns={one.campaign: one.name for one in counts},
-        paused=sorted(paused), ended=sorted({one.campaign for one in counts if one.of in ENDED}),
+        paused=sorted(paused), ended=sorted({one.campaign for one in counts if one.campaign_status in ENDED}),
         unrunnable=dict(unrunnable),
     )  # fmt: skip

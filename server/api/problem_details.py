@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from sqlalchemy.exc import DBAPIError
 from starlette.exceptions import HTTPException
 
-from brink.server.db.writer import passes
+from brink.server.db.writer import is_transient
 from brink.server.documents import field_errors
 from brink.server.errors import Conflict, FieldError, InvalidInput, NotFound, NoWorker, Unavailable
 
@@ -74,7 +74,7 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(DBAPIError)
     async def database_away(request: Request, error: DBAPIError) -> JSONResponse:
-        if not passes(error):
+        if not is_transient(error):
             return await unexpected(request, error)
         log.error("database: %s", error.orig)
         return problem(503, "Unavailable", "the database did not answer", headers={"Retry-After": "1"})

@@ -168,7 +168,7 @@ def _view(of: str, name: str, stored: StoredRepeats, read_archive: ReadArchive) 
         campaign=stored.campaign.id, of=of, name=name, status=stored.campaign.status,
         status_reason=stored.campaign.status_reason, repeats=stored.repeats, boundary=stored.boundary,
         t_b=stored.t_b, d_th=stored.d_th,
-        p_th=near.p_th, simulations=stored.campaign.told, budget=stored.campaign.body.budget.simulations,
+        p_th=near.p_th, simulations=stored.campaign.completed, budget=stored.campaign.body.budget.simulations,
         holding=int((holds & known).sum()), below=int((tallies.high < near.p_th).sum()),
         above=int((tallies.low > near.p_th).sum()), evaluated=int(tallies.evaluated.sum()),
         unsafe=int(tallies.unsafe.sum()), solutions=solutions,

@@ -18,15 +18,15 @@ from brink.search.algorithms.repeats import Repeats
 from brink.server.api.context import Services, caller_of
 from brink.server.api.problem_details import problem
 from brink.server.api.schemas import AlgorithmView, ProblemView, View
-from brink.server.db.clock import database_now
 from brink.server.db.engine import read
-from brink.server.db.models import IS_LEASED, CampaignRow, JobRow
+from brink.server.db.models import CampaignRow
+from brink.server.db.sql import database_now
 from brink.server.db.upgrade import current_revision, head_revision
 from brink.server.errors import DatabaseError
 from brink.server.problems.catalogue import describe_algorithms, describe_problems
-from brink.server.queue.census import count_jobs
-from brink.server.queue.workers import capabilities_of_live
-from brink.server.states import JobStatus, Scope
+from brink.server.queue.job_store import count_jobs, next_expiry
+from brink.server.queue.workers import live_capabilities
+from brink.server.states import CampaignStatus, JobStatus, Scope
 
 log = logging.getLogger(__name__)
 root = APIRouter(tags=["operations"])
@@ -91,19 +91,18 @@ async def metrics(services: Services) -> Response:
         now, waits = database_now(connection), [0.0]
         for count in count_jobs(connection):
             jobs.labels(count.status, count.kind, count.needs).inc(count.jobs)
-            if count.running and count.status is not JobStatus.QUARANTINED:
+            if count.campaign_status is CampaignStatus.RUNNING and count.status is not JobStatus.QUARANTINED:
                 depth.labels(count.campaign, count.needs, count.status).inc(count.jobs)
             if count.status is JobStatus.QUEUED:
-                waits.append((now - count.since).total_seconds())
+                waits.append((now - count.oldest).total_seconds())
         oldest.set(max(waits))
         states = select(CampaignRow.status, func.count()).group_by(CampaignRow.status)
         for status, number in connection.execute(states):
             campaigns.labels(status).set(number)
-        expires = select(func.min(JobRow.lease_expires_at)).where(IS_LEASED)
-        if (first := connection.execute(expires).scalar_one()) is not None:
+        if (first := next_expiry(connection)) is not None:
             left_s = (first - now).total_seconds()
             unrenewed.set(max(0.0, services.settings.lease_s - left_s))
-        workers.set(len(capabilities_of_live(connection, services.settings.worker_seen_s)))
+        workers.set(len(live_capabilities(connection, services.settings.worker_seen_s)))
 
     await read(services.engines, collect)
     content = generate_latest(registry) + generate_latest(services.metrics.registry)

@@ -34,7 +34,7 @@ from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.plan import looks_for_boundary
-from brink.server.campaigns.values import Campaign
+from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import read
 from brink.server.errors import FieldError, InvalidInput, NotFound
 from brink.server.problems.base import Problem, words_of

@@ -12,7 +12,7 @@ from brink.search.analysis.dependence import Dependence, dependences
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.dashboard.overview import Sparklines
 from brink.server.dashboard.solution_map import SolutionMaps
-from brink.server.single_flight import Latest
+from brink.server.single_flight import SingleFlightCache
 
 POINTS: Final = 24
 MAX_SOLUTIONS: Final = 10_000
@@ -33,10 +33,10 @@ class ConvergenceCurves:
 
     threads: InitVar[Executor]
     most_waiting: InitVar[int]
-    _latest: Latest[Sequence[BudgetPoint]] = field(init=False)
+    _latest: SingleFlightCache[Sequence[BudgetPoint]] = field(init=False)
 
     def __post_init__(self, threads: Executor, most_waiting: int) -> None:
-        self._latest = Latest(CACHED_CURVES, threads, most_waiting)
+        self._latest = SingleFlightCache(CACHED_CURVES, threads, most_waiting)
 
     async def get(self, campaign: str, read: ReadArchive, t_b: float, d_th: float) -> Sequence[BudgetPoint]:
         """Return DBS at fractions of the simulations so far; nothing if the archive is empty or too large.
@@ -80,14 +80,14 @@ class Figures:
     maps: SolutionMaps = field(init=False)
     convergence: ConvergenceCurves = field(init=False)
     sparks: Sparklines = field(default_factory=Sparklines)
-    _dependences: Latest[list[Dependence]] = field(init=False)
+    _dependences: SingleFlightCache[list[Dependence]] = field(init=False)
     _threads: ThreadPoolExecutor = field(init=False)
 
     def __post_init__(self, at_once: int) -> None:
         self._threads = ThreadPoolExecutor(at_once, thread_name_prefix="brink-figures")
         self.maps = SolutionMaps(threads=self._threads, most_waiting=MAX_PENDING)
         self.convergence = ConvergenceCurves(threads=self._threads, most_waiting=MAX_PENDING)
-        self._dependences = Latest(CACHED_DEPENDENCES, self._threads, most_waiting=MAX_PENDING)
+        self._dependences = SingleFlightCache(CACHED_DEPENDENCES, self._threads, MAX_PENDING)
 
     async def dependences(self, campaign: str, found: ReadArchive) -> list[Dependence]:
         """Return how the verdict depends on each parameter, strongest dependence first."""

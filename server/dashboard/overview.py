@@ -9,8 +9,8 @@ from typing import Final
 
 from sqlalchemy import Connection, func, select
 
-from brink.server.db.listing import newest_first
 from brink.server.db.models import CampaignRow, ExperimentCampaignRow, GenerationRow, RepeatsRow
+from brink.server.db.sql import newest_first
 from brink.server.states import CampaignStatus
 
 POINTS: Final = 24
@@ -47,7 +47,7 @@ class Outline:
     repeats_of: str | None
 
     @property
-    def told(self) -> int:
+    def completed(self) -> int:
         """Finished candidates: evaluated, measured or failed."""
         return self.evaluated + self.measured + self.failed
 

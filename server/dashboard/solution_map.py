@@ -18,7 +18,7 @@ from brink.search.analysis.similarity import Projection
 from brink.search.archive import Archive
 from brink.search.space import FloatArray, SearchSpace
 from brink.server.campaigns.archives import ReadArchive
-from brink.server.single_flight import Latest
+from brink.server.single_flight import SingleFlightCache
 
 MAX_DRAWN: Final = 20_000
 """Solutions on a map; up to a tenth more while a campaign runs."""
@@ -132,11 +132,11 @@ class SolutionMaps:
 
     threads: InitVar[Executor]
     most_waiting: InitVar[int]
-    _latest: Latest[SolutionMap] = field(init=False)
+    _latest: SingleFlightCache[SolutionMap] = field(init=False)
     _before: OrderedDict[str, SolutionMap] = field(default_factory=OrderedDict)
 
     def __post_init__(self, threads: Executor, most_waiting: int) -> None:
-        self._latest = Latest(CACHED, threads, most_waiting)
+        self._latest = SingleFlightCache(CACHED, threads, most_waiting)
 
     async def get(self, campaign: str, read: ReadArchive, *, ended: bool) -> SolutionMap:
         """Return the map of a campaign's archive.

@@ -7,8 +7,8 @@ from brink.server.db.engine import open_engines, parse_url
 from brink.server.db.models import TokenRow
 from brink.server.db.upgrade import check_known, current_revision, head_revision, upgrade
 from brink.server.errors import DatabaseError
-from brink.server.queue.holding_store import release
-from brink.server.queue.workers import leases_of, process_is_gone
+from brink.server.queue.lease_store import release
+from brink.server.queue.workers import leases_of_dead
 from brink.server.settings import Settings
 
 
@@ -70,7 +70,7 @@ def release_leases_of_dead_workers(settings: Settings) -> int:
     engines = open_engines(settings.database)
     try:
         with engines.writer.begin() as connection:
-            leases = leases_of(connection, process_is_gone)
+            leases = leases_of_dead(connection)
             return release(connection, leases)
     finally:
         engines.dispose()

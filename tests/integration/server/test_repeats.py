@@ -204,7 +204,7 @@ def test_what_is_computed_is_not_repeated(client: httpx.Client) -> None:
     computed = ball(problem={"id": "mtq@1"}, repeats=5)
     answer = expect(client.post(API, json=computed), 422)
     assert [(e["pointer"], e["message"]) for e in answer["errors"]] == [
-        ("/repeats", "mtq@1 is computed, not simulated: with other seeds it says the same")
+        ("/repeats", "mtq@1 is computed, not simulated: other seeds give the same verdicts")
     ]
 
 

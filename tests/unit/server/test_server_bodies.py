@@ -1,14 +1,30 @@
-"""What an experiment may say, and which campaigns it becomes."""
+"""The bodies of campaigns and experiments."""
 
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from brink.server.campaigns.body import parse_body
 from brink.server.errors import InvalidInput
 from brink.server.experiments.body import MAX_CAMPAIGNS, parse_experiment, read_experiment_file
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
+
+
+PLAIN: dict[str, Any] = {
+    "name": "night-rain",
+    "problem": {"id": "mtq@1"},
+    "algorithm": {"id": "random@1"},
+    "budget": {"simulations": 100},
+}
+
+
+def test_fields_of_later_versions_do_not_change_the_hash_unless_they_are_set() -> None:
+    first = "d0fa27c9315a72b53172e656131079cb4ecccc805459d11ce25db46699fdf7ad"
+    assert parse_body(PLAIN).document_hash() == first
+    assert parse_body({**PLAIN, "repeats": 0}).document_hash() == first
+    assert parse_body({**PLAIN, "repeats": 5}).document_hash() != first
 
 
 def document(**changes: Any) -> dict[str, Any]:
@@ -28,7 +44,7 @@ def pointers(document: object) -> dict[str, str]:
     return {error.pointer: error.message for error in raised.value.errors}
 
 
-def test_an_experiment_is_every_method_on_every_problem_with_every_seed() -> None:
+def test_an_experiment_has_a_campaign_for_every_combination() -> None:
     two = [{"id": "mtq@1"}, {"name": "bits", "id": "onemax@1"}]
     cells = parse_experiment(document(problems=two, priority=3)).cells()
     assert [(cell.body.seed, cell.problem, cell.method) for cell in cells] == [
@@ -60,22 +76,22 @@ def test_seeds_may_be_a_range() -> None:
         ({"seeds": [1, -1]}, "/seeds/1", "greater than or equal to 0"),
         ({"seeds": [1, 1]}, "", "'1' more than once"),
         ({"algorithms": []}, "/algorithms", "at least 1"),
-        ({"algorithms": [{"id": "ga@1"}, {"id": "ga@1"}]}, "", "'ga@1' more than once; give each a name"),
+        ({"algorithms": [{"id": "ga@1"}, {"id": "ga@1"}]}, "", "'ga@1' more than once; give each a different name"),
         ({"algorithms": [{"id": "ga@1", "parms": {}}]}, "/algorithms/0/parms", "one of id, llm, name, params"),
         ({"seeds": {"count": 300}}, "", f"at most {MAX_CAMPAIGNS} campaigns, got 600"),
         ({"budget": {"simulations": 0}}, "/budget/simulations", "greater than or equal to 1"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_pointed_at(changes: dict[str, Any], pointer: str, said: str) -> None:
+def test_each_invalid_field_has_a_pointer(changes: dict[str, Any], pointer: str, said: str) -> None:
     found = pointers(document(**changes))
     assert pointer in found
     assert said in found[pointer]
 
 
-def test_only_a_mapping_is_an_experiment() -> None:
+def test_a_list_is_rejected_as_an_experiment() -> None:
     assert "expected an experiment with name, problems" in pointers([1])[""]
 
 
-def test_the_examples_can_be_read() -> None:
+def test_the_example_can_be_read() -> None:
     body = read_experiment_file(EXAMPLES / "paper-rq1.yaml")
     assert (body.campaigns, body.budget.simulations) == (30, 1300)
