@@ -28,8 +28,8 @@ from brink.cli.options import (
     program,
     settings_with,
 )
-from brink.server.access.gate import REMEMBERED_S
-from brink.server.access.store import create_token, list_tokens, revoke_token
+from brink.server.access.authentication import TOKEN_CACHE_S
+from brink.server.access.tokens import create_token, list_tokens, revoke_token
 from brink.server.campaigns.store import named_campaign
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.upgrade import current_revision, head_revision
@@ -37,7 +37,7 @@ from brink.server.errors import DatabaseError, FieldError, InvalidInput
 from brink.server.operations.doctor import State, examine
 from brink.server.operations.prune import prune
 from brink.server.operations.transfer import export_campaign, import_campaign
-from brink.server.runtime.database import check_database, check_there, prepare_database, shown_url
+from brink.server.runtime.database import check_database, check_exists, prepare_database, shown_url
 from brink.server.settings import Settings
 from brink.server.states import CampaignStatus, Scope
 
@@ -76,7 +76,7 @@ def doctor(
     Example: brink doctor --thorough
     """
     settings = settings_with(database=database)
-    check_there(settings)
+    check_exists(settings)
     with _opened(settings) as engines:
         found = list(examine(settings, engines, thorough=thorough))
     if as_json:
@@ -263,7 +263,7 @@ def create(
     typer.echo(created)
     typer.echo(
         f"a token for {shown_url(settings)}, shown only once; pass it on as BRINK_TOKEN. "
-        f"It becomes valid within {REMEMBERED_S:g} s",
+        f"It becomes valid within {TOKEN_CACHE_S:g} s",
         err=True,
     )
 
@@ -297,7 +297,7 @@ def list_(database: Database = None, as_json: AsJson = False) -> None:
     table = plain_table("id", "scope", "name", "created", "state")
     for one in found:
         valid = f"valid until {one.expires_at:%Y-%m-%d %H:%M} UTC" if one.expires_at else "valid"
-        state = "revoked" if one.revoked_at else valid if one.holds(now) else "expired"
+        state = "revoked" if one.revoked_at else valid if one.is_valid(now) else "expired"
         table.add_row(one.id, one.scope, escape(one.name), f"{one.created_at:%Y-%m-%d %H:%M}", state)
     console().print(table)
 
@@ -317,4 +317,4 @@ def revoke(
     check_database(settings)
     with _opened(settings) as engines, engines.writer.begin() as connection:
         revoke_token(connection, token_id)
-    console().print(f"token {token_id} is rejected within {REMEMBERED_S:g} s")
+    console().print(f"token {token_id} is rejected within {TOKEN_CACHE_S:g} s")

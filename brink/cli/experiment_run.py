@@ -18,14 +18,14 @@ from brink.cli.options import console, file_name, plain_table, print_json
 from brink.report.experiment import html_report, markdown_report, sentences
 from brink.search.analysis.comparison import Measure, Repeat, duels, standings
 from brink.search.analysis.scores import Control, Figures, Scores
-from brink.server.api.experiment_schemas import (
+from brink.server.api.experiments import Results
+from brink.server.api.schemas import (
     ControlView,
     ExperimentList,
     ExperimentProgress,
     ExperimentView,
     MemberView,
     RepeatView,
-    Results,
 )
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.submission import checked_plan

@@ -22,12 +22,11 @@ from brink.api.client import TIMEOUT, Api, CoordinatorError
 from brink.cli.live import CampaignDisplay
 from brink.cli.options import database_option, program, settings_with
 from brink.search.errors import install_command
-from brink.server.api.experiment_schemas import ExperimentProgress
-from brink.server.api.schemas import Progress
+from brink.server.api.schemas import ExperimentProgress, Progress
 from brink.server.errors import Conflict, FieldError, InvalidInput, Unavailable
 from brink.server.problems.base import NeedsExtra, Problem
 from brink.server.runtime.coordinator import EmbeddedCoordinator, WorkerProcesses
-from brink.server.runtime.database import has_tokens, prepare_database, release_leases_of_the_dead
+from brink.server.runtime.database import has_tokens, prepare_database, release_leases_of_dead_workers
 from brink.server.settings import Settings
 from brink.server.states import CampaignStatus
 
@@ -194,10 +193,10 @@ def run_locally(
 def _coordinator(settings: Settings, worker_log: Path) -> Iterator[tuple[str, str | None, WorkerProcesses]]:
     """Yield URL, token and workers of a coordinator that is stopped in the end."""
     prepare_database(settings)
-    if settings.token is None and has_tokens(settings, that_hold=False):
+    if settings.token is None and has_tokens(settings, valid_only=False):
         # The database belongs to a coordinator with tokens: this command and its workers share a token of their own.
         settings = settings.model_copy(update={"token": SecretStr(secrets.token_hex(24))})
-    release_leases_of_the_dead(settings)
+    release_leases_of_dead_workers(settings)
     coordinator = EmbeddedCoordinator(settings)
     coordinator.start()
     token = settings.token.get_secret_value() if settings.token else None

@@ -12,9 +12,8 @@ import typer
 
 from brink.cli.options import Database, LogFormatOption, LogLevelOption, console, settings_with
 from brink.search.errors import install_command
-from brink.server.runtime.coordinator import CoordinatorServer, listen, url_of
+from brink.server.runtime.coordinator import CoordinatorServer, allow_many_open_files, listen, url_of
 from brink.server.runtime.database import prepare_database, shown_url
-from brink.server.runtime.open_files import allow_many_open_files
 from brink.server.settings import Settings
 from brink.sim.catalogue import PLUGINS_VARIABLE
 from brink.worker.log import LogFormat, configure_logging

@@ -17,8 +17,8 @@ from brink.cli.commands import app
 from brink.cli.findings import draw_types, violations_sentence, write_violations
 from brink.cli.live import CampaignDisplay
 from brink.search.analysis.violations import RULES_VERSION
+from brink.server.api.findings import Violations
 from brink.server.api.schemas import Progress
-from brink.server.api.violations import Violations
 
 TRAFFIC: dict[str, Any] = {
     "name": "traffic",
@@ -108,7 +108,7 @@ def test_a_problem_without_violations_says_so(client: httpx.Client) -> None:
     }
     campaign = submit(client, body)
     detail = expect(client.get(f"/api/v1/campaigns/{campaign}/violations"), 404)["detail"]
-    assert "mtq@1 tells no violations" in detail
+    assert "mtq@1 reports no violations" in detail
 
 
 def test_the_command_line_shows_and_names_them(

@@ -1,16 +1,16 @@
-/** The course of the search: boundary solutions over simulations at chosen thresholds, unsafe share, fitness. */
+/** Convergence of a search: boundary solutions over simulations at chosen thresholds, unsafe share, fitness. */
 
-import { UNCHANGED, Conditional } from "../../api.js";
+import { Conditional, UNCHANGED } from "../../api.js";
 import { h, text } from "../../dom.js";
-import { sparing } from "../../sparing.js";
-import { chart } from "../../parts/chart.js";
+import { loadOnNews } from "../../polling.js";
 import { rewrite } from "../../router.js";
+import { chart } from "../../parts/charts.js";
 
-/** Keeps the generations told so far; an answer brings those that are new. */
+/** The completed generations; each response brings new ones. */
 export class Generations {
   list = [];
 
-  /** The number of the first generation that is not known. */
+  /** Number of the first generation that is not known yet. */
   get next() {
     return this.list.length ? this.list.at(-1).number + 1 : 0;
   }
@@ -20,13 +20,15 @@ export class Generations {
   }
 }
 
-/** Return the cards; ``news(progress, generations)`` draws what is new. */
-export function courseCards(context, id, query) {
-  const t_b = threshold("t-b", "t_b", query.get("t_b"), 0.1);
-  const d_th = threshold("d-th", "d_th", query.get("d_th"), 0.2);
+/** Return the cards; ``news(progress, generations)`` draws new data, ``explain(note)`` shows how to read the thresholds. */
+export function convergenceCards(context, id, query, thresholds) {
+  const t_b = threshold("t-b", "t_b", query.get("t_b"), thresholds.t_b);
+  const d_th = threshold("d-th", "d_th", query.get("d_th"), thresholds.d_th);
   const conditional = new Conditional();
-  let defaults = { t_b: 0.1, d_th: 0.2 };
+  let defaults = thresholds;
+  let reading = ""; // how to read the thresholds, from the coordinator
   let generations = null;
+  let unavailable = null; // why there is no curve at these thresholds
 
   const dbs = chart({
     label: "Distinct boundary solutions over simulations", x: "simulations", signal: context.signal, height: 400,
@@ -47,7 +49,7 @@ export function courseCards(context, id, query) {
     h("div.inline", null, h("h2", null, "Distinct boundary solutions"), t_b.label, d_th.label, reset), dbs, note);
   const shareCard = h("section.card", null, h("h2", null, "Unsafe share"), shares);
   const fitnessCard = h("section.card", null, h("h2", null, "Fitness by generation"), fitness,
-    h("p.hint", null, "Of what the algorithm minimises; 0 lies on the boundary for searches of a boundary."));
+    h("p.hint", null, "The quantity that the algorithm minimises. In a search for the boundary, 0 is on the boundary."));
 
   for (const field of [t_b, d_th]) {
     field.input.addEventListener("change", () => {
@@ -58,11 +60,12 @@ export function courseCards(context, id, query) {
     });
   }
 
-  const load = sparing(async () => {
+  const load = loadOnNews(async () => {
     const read = await conditional.get(`campaigns/${id}/course?t_b=${t_b.value()}&d_th=${d_th.value()}`, { signal: context.signal });
     if (read === UNCHANGED || isDefault()) return;
     dbs.update([[0, ...read.simulations], [0, ...read.dbs], [0, ...read.strict_dbs]]);
-    text(note, read.note ?? explained());
+    unavailable = read.note;
+    explain();
   }, { signal: context.signal, refuse: context.complain, leastMs: 2_000 });
 
   function isDefault() {
@@ -75,29 +78,29 @@ export function courseCards(context, id, query) {
     t_b.input.dispatchEvent(new Event("change"));
   }
 
-  function explained() {
-    const loose = t_b.value() >= 0.111;
-    return `Fitness at most t_b, and at least d_th from each other. Strict: the interval holds p_th, and both verdicts occur around it.${
-      loose ? " From t_b 0.111 on, surroundings without a single unsafe solution may count as boundary; strict ones never do." : ""}`;
+  function explain() {
+    text(note, unavailable ?? `DBS counts solutions with fitness at most t_b and distance at least d_th from each other. ${reading}`.trim());
   }
 
   function draw({ atOnce = false } = {}) {
     if (!generations) return;
     const list = generations.list;
-    const told = list.map((one) => one.evaluated + one.measured + one.failed);
+    const simulations = list.map((one) => one.evaluated + one.measured + one.failed);
     if (isDefault()) {
       conditional.forget();
-      dbs.update([[0, ...told], [0, ...list.map((one) => one.dbs)], [0, ...list.map((one) => one.strict_dbs)]]);
-      text(note, explained());
+      dbs.update([[0, ...simulations], [0, ...list.map((one) => one.dbs)], [0, ...list.map((one) => one.strict_dbs)]]);
+      unavailable = null;
+      explain();
     } else {
       load(`${generations.next} ${t_b.value()} ${d_th.value()}`, { atOnce });
     }
-    shares.update([told, list.map((one) => (one.evaluated ? (100 * one.unsafe) / one.evaluated : null))]);
+    shares.update([simulations, list.map((one) => (one.evaluated ? (100 * one.unsafe) / one.evaluated : null))]);
     fitness.update([list.map((one) => one.number), list.map((one) => one.best_fitness), list.map((one) => one.median_fitness)]);
   }
 
   return {
     dbs: dbsCard, shares: shareCard, fitness: fitnessCard,
+    explain: (words) => { reading = words; explain(); },
     thresholds: () => ({ t_b: t_b.value(), d_th: d_th.value() }),
     news(progress, known) {
       defaults = { t_b: progress.t_b, d_th: progress.d_th };
@@ -120,7 +123,7 @@ function threshold(id, name, given, usual) {
   let valid = Number(input.value);
   const value = () => {
     if (input.value !== "" && input.validity.valid) valid = Number(input.value);
-    return valid; // of what is half written, the last that could be used
+    return valid; // while the input is incomplete, the last valid value
   };
   return { input, label: h("label", { for: id }, name, " ", input), value };
 }

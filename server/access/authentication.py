@@ -1,7 +1,6 @@
-"""Decides about each request: does it need a token, whose is it, may it do this, and so often.
+"""Authentication of requests by bearer token, and rate limits.
 
-Tokens are read from the database and remembered for a few seconds: a new one works, and a revoked one ends, that much
-later.
+Tokens are cached for a few seconds, so a new token starts to work, and a revoked one stops, that much later.
 """
 
 import asyncio
@@ -13,29 +12,28 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Final
 
-from brink.server.access.store import list_tokens
-from brink.server.access.tokens import StoredToken, digest_of, id_within
+from brink.server.access.tokens import StoredToken, list_tokens, parse_token_id, token_digest
 from brink.server.db.engine import Engines
 from brink.server.states import Scope
 
-REMEMBERED_S: Final = 5.0
-STRANGERS_PER_S: Final = 20.0
-"""Requests with no token, or a wrong one, that one address may make."""
+TOKEN_CACHE_S: Final = 5.0
+UNAUTHENTICATED_PER_S: Final = 20.0
+"""Requests per second from one address without a valid token."""
 
-_MOST_BUCKETS: Final = 10_000
+_MAX_BUCKETS: Final = 10_000
 _OPERATOR: Final = "the coordinator's own"
 
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """Whose token a request carries."""
+    """The owner of the token that a request carries."""
 
     id: str
     scope: Scope
 
 
 class _Bucket:
-    """Fills with a steady rate, holds what comes in one second, and gives one a request. Changes in place."""
+    """A token bucket that holds one second's worth of requests. Changes in place."""
 
     __slots__ = ("_at", "_left")
 
@@ -43,7 +41,7 @@ class _Bucket:
         self._left, self._at = max(1.0, rate), now
 
     def take(self, rate: float, now: float) -> float:
-        """Take one; return 0, or how long to wait for it."""
+        """Take one request from the bucket; return 0, or how long to wait for one, in seconds."""
         self._left = min(max(1.0, rate), self._left + (now - self._at) * rate)
         self._at = now
         if self._left >= 1.0:
@@ -52,15 +50,15 @@ class _Bucket:
         return (1.0 - self._left) / rate
 
 
-class Gate:
-    """Knows the tokens of one coordinator.
+class Authenticator:
+    """Checks tokens and request rates.
 
     Args:
-        engines: Where they are stored.
-        token: The one that the coordinator was started with, if any: it may do everything.
-        exposed: Whether other machines can come: then nobody is served without a token.
-        rate_limit: Requests a second of one token; 0 for no limit.
-        clock: Seconds that only grow.
+        engines: Database with the tokens.
+        token: Token that the coordinator was started with, if any; its scope is admin.
+        exposed: Whether other machines can connect; a token is then always required.
+        rate_limit: Requests per second for each token; 0 for no limit.
+        clock: Monotonic clock, in seconds.
     """
 
     def __init__(
@@ -78,16 +76,16 @@ class Gate:
         self._rate_limit = rate_limit
         self._clock = clock
         self._known: dict[str, StoredToken] = {}
-        self._read_at = -REMEMBERED_S
+        self._read_at = -TOKEN_CACHE_S
         self._reading = asyncio.Lock()
-        # Of its own: heartbeats must not wait for archives that others read.
-        self._reader = ThreadPoolExecutor(1, thread_name_prefix="brink-gate")
+        # A separate thread, so that heartbeats do not wait for reads of archives.
+        self._reader = ThreadPoolExecutor(1, thread_name_prefix="brink-access")
         self._buckets: dict[str, _Bucket] = {}
 
-    async def closed(self) -> bool:
-        """Return whether requests need a token: one is set, other machines can come, or there ever was a token.
+    async def requires_token(self) -> bool:
+        """Return whether requests need a token: one is set, other machines can connect, or a token was ever stored.
 
-        Were it those that hold, a coordinator would open to everybody when its last token ends.
+        Expired and revoked tokens count: otherwise a coordinator would open to everybody when its last token expires.
         """
         if self._own is not None or self._exposed:
             return True
@@ -95,44 +93,44 @@ class Gate:
         return bool(self._known)
 
     async def caller(self, authorization: bytes) -> Caller | None:
-        """Return whose token a header carries; None if it is none that holds."""
+        """Return the owner of the token in an Authorization header, or None if the token is not valid."""
         if self._own is not None and secrets.compare_digest(authorization, self._own):
             return Caller(_OPERATOR, Scope.ADMIN)
         kind, _, given = authorization.partition(b" ")
         token = given.decode("ascii", errors="replace")
-        token_id = id_within(token) if kind == b"Bearer" else None
+        token_id = parse_token_id(token) if kind == b"Bearer" else None
         if token_id is None:
             return None
         await self._refresh()
         stored = self._known.get(token_id)
-        # A comparison in any case: how long it takes says nothing about which ids there are.
-        same = secrets.compare_digest(digest_of(token), stored.digest if stored is not None else "0" * 64)
-        if stored is None or not same or not stored.holds(datetime.now(UTC)):
+        # Compare in any case, so that timing does not reveal which ids exist.
+        same = secrets.compare_digest(token_digest(token), stored.digest if stored is not None else "0" * 64)
+        if stored is None or not same or not stored.is_valid(datetime.now(UTC)):
             return None
         return Caller(stored.id, stored.scope)
 
     def wait_s(self, caller: Caller) -> float:
-        """Count a request of a token; return 0, or after how long it may come again."""
+        """Count a request with a token; return 0, or how long the client has to wait, in seconds."""
         return self._take(f"token {caller.id}", self._rate_limit)
 
-    def stranger_wait_s(self, address: str) -> float:
-        """Count a request without a token that holds; return 0, or after how long another may come."""
-        return self._take(f"address {address}", STRANGERS_PER_S)
+    def unauthenticated_wait_s(self, address: str) -> float:
+        """Count a request without a valid token; return 0, or how long the client has to wait, in seconds."""
+        return self._take(f"address {address}", UNAUTHENTICATED_PER_S)
 
     def _take(self, name: str, rate: float) -> float:
         if rate <= 0:
             return 0.0
         now = self._clock()
-        if len(self._buckets) >= _MOST_BUCKETS and name not in self._buckets:
+        if len(self._buckets) >= _MAX_BUCKETS and name not in self._buckets:
             self._buckets.clear()
         return self._buckets.setdefault(name, _Bucket(rate, now)).take(rate, now)
 
     async def _refresh(self) -> None:
         age = self._clock() - self._read_at
-        if age < REMEMBERED_S or (age < 2 * REMEMBERED_S and self._reading.locked()):
-            return  # in the latter case somebody is reading them
+        if age < TOKEN_CACHE_S or (age < 2 * TOKEN_CACHE_S and self._reading.locked()):
+            return  # in the second case another request is refreshing the cache
         async with self._reading:
-            if self._clock() - self._read_at < REMEMBERED_S:
+            if self._clock() - self._read_at < TOKEN_CACHE_S:
                 return
 
             def read() -> dict[str, StoredToken]:
