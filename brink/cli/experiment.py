@@ -1,7 +1,4 @@
-"""`brink experiment`: run, submit, follow and report comparisons of algorithms.
-
-Commands that only talk to a server load no more than the schemas of its answers.
-"""
+"""`brink experiment`: run, submit, follow and report comparisons of algorithms."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -28,11 +25,12 @@ from brink.cli.options import (
     print_line,
     with_api,
 )
+from brink.server.api.schemas import ExperimentList, ExperimentProgress, ExperimentSummary, ExperimentView
 from brink.server.errors import Conflict
 from brink.server.experiments.body import read_experiment_file
 
 if TYPE_CHECKING:
-    from brink.server.api.schemas import ExperimentProgress, ExperimentView, Results
+    from brink.server.api.experiments import Results
 
 ExperimentFile = Annotated[
     Path, typer.Argument(metavar="FILE", help="Experiment file (YAML or JSON).", show_default=False)
@@ -91,8 +89,6 @@ def submit(
 
     Example: brink experiment submit examples/paper-rq1.yaml --server http://coordinator:8700
     """
-    from brink.server.api.schemas import ExperimentView
-
     body = read_experiment_file(file).model_dump(mode="json")
     document = with_api(server, database, lambda api: api.post("/experiments", body))
     if as_json:
@@ -110,7 +106,6 @@ def status(
 
     Example: brink experiment status 3f2a
     """
-    from brink.server.api.schemas import ExperimentProgress, ExperimentView
 
     async def work(api: Api) -> tuple[Any, Any]:
         return await api.get(f"/experiments/{name}/progress"), await api.get(f"/experiments/{name}")
@@ -122,7 +117,7 @@ def status(
         _print_status(ExperimentProgress.model_validate(progress), ExperimentView.model_validate(found))
 
 
-def _print_status(progress: "ExperimentProgress", found: "ExperimentView") -> None:
+def _print_status(progress: ExperimentProgress, found: ExperimentView) -> None:
     print_line(
         f"experiment {progress.id} ({progress.name}): {progress.status}, "
         f"{progress.simulations:,} of {progress.budget:,} simulations, {rate_of(progress.rate_per_s)}, "
@@ -153,7 +148,6 @@ def report(
     Example: brink experiment report 3f2a --out reports
     """
     from brink.cli.experiment_run import fetch_results, print_results, write_report
-    from brink.server.api.schemas import ExperimentProgress, ExperimentView
 
     screen = console()
 
@@ -202,7 +196,6 @@ def cancel(name: ExperimentId, database: Database = None, server: Server = None)
 
 
 def _control(name: str, verb: str, database: str | None, server: str | None) -> None:
-    from brink.server.api.schemas import ExperimentSummary
 
     found = with_api(server, database, lambda api: api.send(ExperimentSummary, f"/experiments/{name}/{verb}"))
     print_line(
@@ -218,8 +211,6 @@ def delete(
 
     Example: brink experiment delete 3f2a --yes
     """
-    from brink.server.api.schemas import ExperimentView
-
     found = with_api(server, database, lambda api: api.read(ExperimentView, f"/experiments/{name}"))
     what = f"experiment {found.id} ({found.name}) with {found.simulations:,} simulations"
     delete_confirmed(f"/experiments/{found.id}", what, confirmed=confirmed, server=server, database=database)
@@ -231,8 +222,6 @@ def list_(database: Database = None, server: Server = None, as_json: AsJson = Fa
 
     Example: brink experiment list
     """
-    from brink.server.api.schemas import ExperimentList
-
     document = with_api(server, database, lambda api: api.get("/experiments", {"limit": 100}))
     if as_json:
         print_json(document["experiments"])

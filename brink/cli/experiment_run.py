@@ -19,6 +19,7 @@ from brink.report.experiment import html_report, markdown_report, sentences
 from brink.search.analysis.comparison import Repeat, duels, standings
 from brink.search.analysis.paper import Measure
 from brink.search.analysis.scores import Control, Figures, Scores
+from brink.server.api.experiments import Results
 from brink.server.api.schemas import (
     ControlView,
     ExperimentList,
@@ -26,7 +27,6 @@ from brink.server.api.schemas import (
     ExperimentView,
     MemberView,
     RepeatView,
-    Results,
 )
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.plan import make_checked_plan

@@ -11,6 +11,7 @@ from sqlalchemy import Connection
 from brink.server.api.context import Context, Services
 from brink.server.api.responses import (
     NOT_MODIFIED,
+    THRESHOLDS,
     Cursor,
     DocumentHash,
     IdempotencyKey,
@@ -24,7 +25,6 @@ from brink.server.api.responses import (
 )
 from brink.server.api.schemas import (
     MAX_NUMBER,
-    THRESHOLDS,
     CampaignList,
     CampaignView,
     GenerationView,

@@ -6,6 +6,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
+from pydantic import Field
 from sqlalchemy import Connection
 
 from brink.search.analysis.comparison import (
@@ -17,12 +18,13 @@ from brink.search.analysis.comparison import (
     standings,
     with_low_controls,
 )
-from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import Control
 from brink.server.api.context import Services
 from brink.server.api.responses import (
     COMPUTING,
     NOT_MODIFIED,
+    THRESHOLDS,
     Cursor,
     DocumentHash,
     IdempotencyKey,
@@ -34,17 +36,14 @@ from brink.server.api.responses import (
     set_etag,
 )
 from brink.server.api.schemas import (
-    THRESHOLDS,
     ControlView,
-    DuelView,
     ExperimentList,
     ExperimentProgress,
     ExperimentSummary,
     ExperimentView,
     MemberView,
     RepeatView,
-    Results,
-    StandingView,
+    View,
 )
 from brink.server.campaigns.store import ENDED
 from brink.server.db.engine import read
@@ -57,6 +56,59 @@ from brink.server.queue.workers import live_capabilities
 from brink.server.states import CampaignStatus, JobStatus
 
 router = APIRouter(prefix="/experiments", tags=["experiments"])
+
+
+class StandingView(View):
+    """Mean and 95% interval of a method, or of its control, for one pair of thresholds."""
+
+    problem: str
+    method: str
+    control: bool
+    measure: Measure
+    t_b: float
+    d_th: float
+    mean: float
+    low: float | None
+    high: float | None
+    repeats: int
+
+
+class DuelView(View):
+    """Comparison of a method with another, or with its own control, for one pair of thresholds."""
+
+    problem: str
+    first: str
+    second: str
+    control: Annotated[bool, Field(description="Whether the second is the control of the first.")]
+    measure: Measure
+    t_b: float
+    d_th: float
+    u: float
+    p: float
+    p_holm: Annotated[
+        float, Field(description="p, corrected over all comparisons of this problem and measure.")
+    ]
+    a12: float
+    effect: str
+    differs: Annotated[bool, Field(description="Whether the difference is significant after correction.")]
+    says: Annotated[str, Field(description="Conclusion in words.")]
+
+
+class Results(View):
+    """Result tables of an experiment, from its finished campaigns."""
+
+    id: str
+    name: str
+    status: CampaignStatus
+    created_at: datetime
+    campaigns: int
+    scored: Annotated[int, Field(description="Finished campaigns included in the tables.")]
+    fractions: Annotated[list[float], Field(description="Fractions of the budget.")]
+    t_bs: list[float]
+    d_ths: list[float]
+    standings: list[StandingView]
+    duels: list[DuelView]
+    repeats: list[RepeatView]
 
 
 @router.post(

@@ -10,7 +10,9 @@ from typing import Annotated, Any, Final, Protocol
 from fastapi import Header, Query, Request, Response
 from fastapi.responses import JSONResponse
 
-from brink.server.api.schemas import BeingMade, View
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
+from brink.server.api.schemas import BeingMade, Thresholds, View
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.errors import FieldError, InvalidInput
 
 Responses = dict[int | str, dict[str, Any]]
@@ -20,6 +22,10 @@ NOT_MODIFIED: Final[Responses] = {304: {"description": "Not modified since that 
 COMPUTING: Final[Responses] = {
     202: {"model": BeingMade, "description": "Still being computed; try again after `Retry-After` seconds."}
 }
+THRESHOLDS: Final = Thresholds(
+    t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH, t_bs=list(PAPER_T_BS), d_ths=list(PAPER_D_THS)
+)
+"""Default thresholds, and the grid of the paper."""
 
 
 def set_etag(

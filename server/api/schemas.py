@@ -1,12 +1,11 @@
 """Response schemas of the REST API that several routes or the command line share."""
 
 from datetime import datetime
-from typing import Annotated, Any, Final
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS, Measure
-from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody
+from brink.server.campaigns.body import CampaignBody
 from brink.server.experiments.body import ExperimentBody
 from brink.server.states import CampaignStatus, JobStatus, SolutionVerdict
 
@@ -27,11 +26,6 @@ class Thresholds(View):
     d_th: Annotated[float, Field(description="Default of the smallest distance between boundary solutions.")]
     t_bs: Annotated[list[float], Field(description="Values of t_b in tables of scores.")]
     d_ths: Annotated[list[float], Field(description="Values of d_th in tables of scores.")]
-
-
-THRESHOLDS: Final = Thresholds(
-    t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH, t_bs=list(PAPER_T_BS), d_ths=list(PAPER_D_THS)
-)
 
 
 class CampaignView(View):
@@ -471,42 +465,6 @@ class ExperimentProgress(ExperimentSummary):
     trouble_s: Annotated[float, Field(description="How long it has rejected writes, in seconds.")]
 
 
-class StandingView(View):
-    """Mean and 95% interval of a method, or of its control, for one pair of thresholds."""
-
-    problem: str
-    method: str
-    control: bool
-    measure: Measure
-    t_b: float
-    d_th: float
-    mean: float
-    low: float | None
-    high: float | None
-    repeats: int
-
-
-class DuelView(View):
-    """Comparison of a method with another, or with its own control, for one pair of thresholds."""
-
-    problem: str
-    first: str
-    second: str
-    control: Annotated[bool, Field(description="Whether the second is the control of the first.")]
-    measure: Measure
-    t_b: float
-    d_th: float
-    u: float
-    p: float
-    p_holm: Annotated[
-        float, Field(description="p, corrected over all comparisons of this problem and measure.")
-    ]
-    a12: float
-    effect: str
-    differs: Annotated[bool, Field(description="Whether the difference is significant after correction.")]
-    says: Annotated[str, Field(description="Conclusion in words.")]
-
-
 class RepeatView(View):
     """Scores of a finished campaign: a value for each fraction of the budget, each t_b and each d_th."""
 
@@ -534,20 +492,3 @@ class ControlView(View):
     spread: Annotated[
         list[list[float]], Field(description="Standard deviation of strict DBS over the draws.")
     ]
-
-
-class Results(View):
-    """Result tables of an experiment, from its finished campaigns."""
-
-    id: str
-    name: str
-    status: CampaignStatus
-    created_at: datetime
-    campaigns: int
-    scored: Annotated[int, Field(description="Finished campaigns included in the tables.")]
-    fractions: Annotated[list[float], Field(description="Fractions of the budget.")]
-    t_bs: list[float]
-    d_ths: list[float]
-    standings: list[StandingView]
-    duels: list[DuelView]
-    repeats: list[RepeatView]

@@ -33,6 +33,7 @@ EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "quickstart.yaml"
         (["status", "3f2a", "--server", CLOSED], 1),
         (["results", "3f2a", "--server", CLOSED], 1),
         (["pause", "3f2a", "--server", CLOSED], 1),
+        (["experiment", "status", "3f2a", "--server", CLOSED], 1),
         (["submit", str(EXAMPLE), "--server", CLOSED], 1),
     ],
     ids=lambda value: value[0] if isinstance(value, list) else None,
