@@ -38,7 +38,7 @@ def test_a_campaign_file_becomes_results_and_a_summary(databases: Databases, tmp
         assert "archive sha256 " in said.stdout
         shown = brink("run", written(tmp_path, body), "--database", url, "--resume", cwd=tmp_path)
         assert shown.returncode == 0, shown.stderr
-        assert "is finished" in shown.stdout
+        assert "has finished" in shown.stdout
         assert len(list((tmp_path / "brink-results").glob("known-boundary-*"))) == 1
         again = brink(
             "run", written(tmp_path, body), "--database", url, "--workers", "1", "--no-pictures", "--json",
