@@ -12,7 +12,8 @@ import numpy as np
 
 from brink.bench.urban_candidates import draw_candidate
 from brink.search.algorithm import Evaluation
-from brink.search.analysis.boundary import PAPER_T_BS, dbs_grid
+from brink.search.analysis.boundary import dbs_grid
+from brink.search.analysis.paper import PAPER_T_BS
 from brink.search.analysis.scores import ScenarioRisk, blind_archive
 from brink.search.space import FloatArray
 from brink.search.streams import episode_seed

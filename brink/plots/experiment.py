@@ -13,8 +13,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, MaxNLocator, PercentFormatter
 
 from brink.plots.style import INK, LABEL_PT, WIDTH_PX, frame, new_figure, say
-from brink.search.analysis.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
-from brink.search.analysis.comparison import Line, Measure, Repeat, lines_of
+from brink.search.analysis.comparison import Line, Repeat, lines_of
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import Figures
 from brink.search.analysis.statistics import mean_interval
 

@@ -12,12 +12,10 @@ from pathlib import Path
 from markdown_it import MarkdownIt
 
 from brink import __version__
-from brink.search.analysis.boundary import PAPER_D_THS, PAPER_T_BS
 from brink.search.analysis.comparison import (
     LEVEL,
     Duel,
     Line,
-    Measure,
     Repeat,
     Standing,
     conclusion,
@@ -25,6 +23,7 @@ from brink.search.analysis.comparison import (
     standings,
     with_low_controls,
 )
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import DRAWS, ENOUGH_REPEATS
 from brink.search.analysis.statistics import MeanInterval
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B

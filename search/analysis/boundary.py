@@ -21,17 +21,13 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.archive import Archive
 from brink.search.metric import Points
 from brink.search.space import BoolArray, FloatArray, IntArray
 
 IndexArray: TypeAlias = NDArray[np.intp]
 
-PAPER_T_BS = (0.01, 0.03, 0.05, 0.10, 0.15, 0.20)
-PAPER_D_THS = (0.1, 0.2, 0.3)
-PAPER_FRACTIONS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
-PAPER_BUDGET = 1_300
-PAPER_REPEATS = 10
 
 RADII: Final = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5)
 P_THS: Final = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)

@@ -11,12 +11,11 @@ comparisons of one table, which are those of one problem and one measure in whic
 import itertools
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Final
 
 import numpy as np
 
-from brink.search.analysis.boundary import PAPER_D_THS, PAPER_T_BS
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import ENOUGH_REPEATS, Figures, Scores, scored
 from brink.search.analysis.statistics import (
     Comparison,
@@ -158,17 +157,6 @@ def control_summary(row: Row, control: Row, place: tuple[int, int]) -> str:
     return (
         f"{facts}: no more than scenarios and chance give, so this does not show that the component matters"
     )
-
-
-class Measure(StrEnum):
-    """A measure of a campaign's result."""
-
-    DBS = "dbs"
-    STRICT = "strict"
-
-    def of(self, figures: Figures) -> FloatArray:
-        """Return the values of this measure, shape ``(fractions, len(PAPER_T_BS), len(PAPER_D_THS))``."""
-        return figures.dbs if self is Measure.DBS else figures.strict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -21,7 +21,8 @@ from typing import Final, Self
 
 import numpy as np
 
-from brink.search.analysis.boundary import PAPER_FRACTIONS, dbs_by_budget
+from brink.search.analysis.boundary import dbs_by_budget
+from brink.search.analysis.paper import PAPER_FRACTIONS
 from brink.search.archive import Archive
 from brink.search.metric import Metric
 from brink.search.space import FloatArray, IntArray, SearchSpace, frozen_array

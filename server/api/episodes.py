@@ -17,8 +17,8 @@ from sqlalchemy import Connection
 from brink.server.api.context import Context, Services, client_gone
 from brink.server.api.episode_views import EpisodeView, episode_view
 from brink.server.api.schemas import MAX_NUMBER, BeingMade, ProblemDetail
+from brink.server.campaigns.store import Campaign
 from brink.server.campaigns.traces import TraceStatus, trace_status
-from brink.server.campaigns.values import Campaign
 from brink.server.db.engine import read
 from brink.server.errors import Conflict, NotFound, NoWorker
 from brink.server.queue.workers import can_run

@@ -1,4 +1,4 @@
-"""Routes of what a campaign found: solutions, their neighbours, boundary, distances, the archive."""
+"""Routes of solutions: pages, neighbours, the boundary, distances, the archive."""
 
 import asyncio
 import io
@@ -34,7 +34,7 @@ from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.plan import looks_for_boundary
-from brink.server.campaigns.values import Campaign
+from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import read
 from brink.server.errors import FieldError, InvalidInput, NotFound
 from brink.server.problems.base import Problem, words_of
@@ -58,7 +58,7 @@ async def get_solutions(
     unsafe: bool | None = None,
     max_fitness: Annotated[float | None, Query(ge=0, le=1)] = None,
 ) -> SolutionPage:
-    """Return complete solutions, ascending by number."""
+    """List complete solutions in ascending order of number."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     archive = found.archive
@@ -79,7 +79,7 @@ async def get_solutions(
 
 @router.get("/solutions/{number}")
 async def get_solution(campaign_id: str, number: Number, services: Services) -> SolutionView:
-    """Return one solution with all that is known of it."""
+    """Return one solution with all details: verdicts, features, provenance, episode."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     rows = await read(services.engines, lambda c: view_store.read_solutions(c, campaign.id, [number]))
@@ -99,7 +99,7 @@ async def get_boundary(
     d_th: Threshold = DEFAULT_D_TH,
     format: Literal["json", "csv", "jsonl", "parquet"] = "json",  # noqa: A002  (the name of the query parameter)
 ) -> Boundary:
-    """Return the distinct boundary solutions, DBS and strict DBS; as a table, one row a solution."""
+    """Return the distinct boundary solutions, DBS and strict DBS; table formats have one row for each solution."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     view = await read(services.engines, lambda c: boundary_view(c, campaign, found, t_b, d_th))
@@ -113,9 +113,11 @@ async def get_boundary(
 
 @router.get("/distances", response_model=DistanceBlock)
 async def get_distances(
-    campaign_id: str, services: Services, numbers: Annotated[str, Query(description="Comma-separated.")]
+    campaign_id: str,
+    services: Services,
+    numbers: Annotated[str, Query(description="Comma-separated numbers.")],
 ) -> Response:
-    """Return the distances between some evaluated solutions."""
+    """Return the pairwise distances between evaluated solutions."""
     campaign = await services.campaigns.get(campaign_id)
     archive = (await services.archives.get(campaign)).archive
     try:
@@ -139,10 +141,10 @@ async def get_distances(
 
 @router.get("/archive.npz", response_class=Response)
 async def get_archive(campaign_id: str, services: Services) -> Response:
-    """Return all evaluated solutions as numpy arrays: numbers, vectors, verdicts, counts, fitness.
+    """Return all evaluated solutions as numpy arrays: numbers, vectors, verdicts, neighbour counts, fitness.
 
-    `columns` names the columns of `vectors`; `choices` has, for each that is categorical, its choices as a JSON list
-    in the order of their indices, and an empty text for the others.
+    `columns` names the columns of `vectors`. `choices` has one entry for each column: a JSON list of the choices of a
+    categorical parameter, in the order of their indices; an empty string for any other parameter.
     """
     campaign = await services.campaigns.get(campaign_id)
     plan, stored, archive = await asyncio.get_running_loop().run_in_executor(
@@ -177,10 +179,10 @@ def _choices(space: SearchSpace) -> list[str]:
 def solution_views(
     rows: Iterable[Row[*tuple[Any, ...]]], read: ReadArchive, *, full: bool = False
 ) -> list[SolutionView]:
-    """Return solutions with decoded parameters and their place in the archive.
+    """Return the response schemas of solutions: decoded parameters and values from the archive.
 
     Args:
-        rows: From the store.
+        rows: Database rows of the solutions.
         read: The campaign's archive.
         full: Whether to add all verdicts, features, provenance and the episode.
     """
@@ -213,7 +215,15 @@ def _solution(
 def boundary_view(
     connection: Connection, campaign: Campaign, read: ReadArchive, t_b: float, d_th: float
 ) -> Boundary:
-    """Return the distinct boundary solutions of a campaign, best first."""
+    """Return the distinct boundary solutions of a campaign, best fitness first.
+
+    Args:
+        connection: Read connection.
+        campaign: The campaign.
+        read: Its archive.
+        t_b: Largest fitness of a boundary solution.
+        d_th: Smallest distance between two boundary solutions.
+    """
     archive = read.archive
     chosen = distinct_boundary(archive, t_b, d_th)
     strict = distinct_boundary(archive, t_b, d_th, strict=True)
@@ -237,54 +247,59 @@ def boundary_view(
 
 
 def _note(read: ReadArchive, t_b: float) -> str:
-    """Say what a figure of this threshold can and cannot mean."""
+    """Explain how to read DBS at this threshold."""
     p_th = read.plan.neighbourhood.p_th
     all_safe = p_th / max(p_th, 1 - p_th)
     if t_b >= all_safe:
         return (
-            f"t_b {t_b:g} counts neighbourhoods without a single unsafe solution as boundary (their fitness falls "
-            f"to {all_safe:.3f}); strict_dbs does not."
+            f"At t_b {t_b:g}, DBS also counts neighbourhoods without a single unsafe solution (their fitness falls "
+            f"to {all_safe:.3f}); strict DBS does not."
         )
-    return "strict_dbs counts only solutions whose interval holds p_th and whose neighbourhood holds both verdicts."
+    return "Strict DBS counts only solutions whose interval contains p_th and whose neighbourhood has both verdicts."
 
 
-Most = Annotated[int, Query(ge=0, le=1000, description="How many of the nearest to return.")]
+NeighbourLimit = Annotated[int, Query(ge=0, le=1000, description="Maximum number of neighbours to return.")]
 
 
 class Neighbour(View):
-    """An evaluated solution near another one."""
+    """An evaluated solution close to another one."""
 
     number: int
     distance: float
-    within: Annotated[bool, Field(description="Whether it counts as a neighbour: within the radius.")]
+    within: Annotated[
+        bool, Field(description="Whether it counts as a neighbour, that is, lies within the radius.")
+    ]
     unsafe: bool
     robustness: float
     fitness: float
 
 
 class Neighbours(View):
-    """The neighbourhood of a solution, and the solutions nearest to it."""
+    """The neighbourhood of a solution and the solutions closest to it."""
 
     number: int
     radius: Annotated[float, Field(description="Largest distance of a neighbour.")]
-    p_th: Annotated[float, Field(description="Share of unsafe solutions that the boundary is at.")]
-    confidence: Annotated[float, Field(description="Of the interval, such as 0.95.")]
+    p_th: Annotated[float, Field(description="Unsafe share that defines the boundary.")]
+    confidence: Annotated[float, Field(description="Confidence level of the interval, such as 0.95.")]
     looks_for_boundary: Annotated[
-        bool, Field(description="Whether the search looks for that boundary; if not, it says little.")
+        bool,
+        Field(description="Whether the algorithm searches for this boundary; if not, fitness says little."),
     ]
-    neighbours: Annotated[int, Field(description="Solutions within the radius, itself included.")]
+    neighbours: Annotated[int, Field(description="Solutions within the radius, including this one.")]
     unsafe_neighbours: int
     interval: Annotated[
         tuple[float, float], Field(description="Wilson interval of the unsafe share within the radius.")
     ]
-    fitness: Annotated[float, Field(description="How far that interval is from p_th; 0 on the boundary.")]
-    evaluated: Annotated[int, Field(description="All evaluated solutions of the campaign.")]
-    nearest: Annotated[list[Neighbour], Field(description="The nearest first, itself left out.")]
+    fitness: Annotated[float, Field(description="Distance of that interval from p_th; 0 on the boundary.")]
+    evaluated: Annotated[int, Field(description="Evaluated solutions of the campaign.")]
+    nearest: Annotated[list[Neighbour], Field(description="Closest first, without this one.")]
 
 
 @router.get("/solutions/{number}/neighbours")
-async def get_neighbours(campaign_id: str, number: Number, services: Services, most: Most = 12) -> Neighbours:
-    """Return the evaluated solutions nearest to one of them."""
+async def get_neighbours(
+    campaign_id: str, number: Number, services: Services, most: NeighbourLimit = 12
+) -> Neighbours:
+    """Return the neighbourhood of an evaluated solution and the solutions closest to it."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     boundary = looks_for_boundary(campaign.body.algorithm.id)

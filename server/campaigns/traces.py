@@ -4,15 +4,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeAlias
 
-from sqlalchemy import Connection, Row, select
+from sqlalchemy import Connection, select
 from sqlalchemy.orm import InstrumentedAttribute
 
-from brink.server.campaigns.step_store import enqueue_traces
-from brink.server.campaigns.values import Campaign
+from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import Engines, read
-from brink.server.db.models import JobRow, SolutionRow, TraceRow
+from brink.server.db.models import SolutionRow, TraceRow
 from brink.server.errors import NotFound
-from brink.server.single_flight import Latest
+from brink.server.queue import job_store
+from brink.server.single_flight import SingleFlightCache
 from brink.server.states import JobKind, JobStatus
 from brink.sim.errors import SimulatorError
 from brink.sim.trace import Trace
@@ -50,13 +50,11 @@ def trace_status(connection: Connection, campaign_id: str, number: int) -> Trace
         campaign_id: The solution's campaign.
         number: The solution.
     """
-    needs = select(JobRow.needs).where(
-        JobRow.campaign_id == campaign_id, JobRow.number == number, JobRow.kind == JobKind.EPISODE
-    )
-    job = _trace_job(connection, campaign_id, number)
+    episode = job_store.find_job_of(connection, campaign_id, number, JobKind.EPISODE)
+    job = job_store.find_job_of(connection, campaign_id, number, JobKind.TRACE)
     return TraceStatus(
         document=_kept(connection, TraceRow.data, campaign_id, number),
-        needs=connection.execute(needs).scalar_one_or_none(),
+        needs=None if episode is None else episode.needs,
         job=None if job is None else job.status,
         last_error=None if job is None else job.last_error,
     )
@@ -70,15 +68,8 @@ def request_trace(connection: Connection, campaign: Campaign, number: int) -> bo
         campaign: The solution's campaign.
         number: The solution.
     """
-    enqueue_traces(connection, campaign, [number])
-    return _trace_job(connection, campaign.id, number) is not None
-
-
-def _trace_job(connection: Connection, campaign_id: str, number: int) -> Row[*tuple[Any, ...]] | None:
-    query = select(JobRow.status, JobRow.last_error).where(
-        JobRow.campaign_id == campaign_id, JobRow.number == number, JobRow.kind == JobKind.TRACE
-    )
-    return connection.execute(query).one_or_none()
+    job_store.enqueue_traces(connection, campaign.id, [number], campaign.job_settings)
+    return job_store.find_job_of(connection, campaign.id, number, JobKind.TRACE) is not None
 
 
 def _kept(connection: Connection, column: InstrumentedAttribute[Any], campaign_id: str, number: int) -> Any:
@@ -100,7 +91,7 @@ class Films:
     """
 
     engines: Engines
-    _latest: Latest[Pictures] = field(default_factory=lambda: Latest(FILMS_KEPT))
+    _cache: SingleFlightCache[Pictures] = field(default_factory=lambda: SingleFlightCache(FILMS_KEPT))
 
     async def picture(self, campaign: Campaign, number: int, index: int) -> bytes:
         """Return a picture of a solution's film, as JPEG.
@@ -119,14 +110,14 @@ class Films:
             raise NotFound(
                 f"campaign {campaign.id}: no trace of solution {number} is kept; request its episode first"
             )
-        pictures = await self._latest.get(key, 0, lambda: self._pictures(campaign.id, number))
+        pictures = await self._cache.get(key, 0, lambda: self._pictures(campaign.id, number))
         if index >= len(pictures):
             raise NotFound(
                 f"solution {number}: its film has {len(pictures)} pictures, and no picture {index}"
             )
         picture = pictures[index]
         if not picture.startswith(JPEG_MAGIC):
-            raise NotFound(f"solution {number}: picture {index} of its film is no JPEG")
+            raise NotFound(f"solution {number}: picture {index} of its film is not a JPEG")
         return picture
 
     def _pictures(self, campaign_id: str, number: int) -> Pictures:

@@ -6,7 +6,7 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from brink.sim.aeb.words import words_of_perturbations, words_of_street
+from brink.sim.aeb.specification import describe_perturbations, describe_street
 from brink.sim.replay.scene import LABELS, PERSON, ReplayError, plain_name, spec_part
 from brink.sim.trace import ACTION, Event, Trace
 from brink.sim.world.scenario import words_of_scenario
@@ -201,7 +201,7 @@ def scenario_words(trace: Trace) -> str:
     scenario = spec_part(trace, "scenario")
     words = ""
     if scenario:
-        words = words_of_street(scenario) if "crossing_m" in scenario else words_of_scenario(scenario)
+        words = describe_street(scenario) if "crossing_m" in scenario else words_of_scenario(scenario)
     if spec_part(trace, "behaviour").get("trajectories") and not len(trace.given_boxes.rows):
         words += "; ends before the first injection"
     return words
@@ -212,7 +212,7 @@ def perturbation_words(trace: Trace) -> str:
     steps = spec_part(trace, "behaviour").get("perturbations")
     if not isinstance(steps, list):
         return ""
-    return words_of_perturbations([step for step in steps if isinstance(step, Mapping)])
+    return describe_perturbations([step for step in steps if isinstance(step, Mapping)])
 
 
 def report_word(trace: Trace) -> str:

@@ -23,7 +23,7 @@ from support.api import (
 )
 from typer.testing import CliRunner
 
-from brink.api.client import CoordinatorSaid
+from brink.api.client import CoordinatorError
 from brink.cli.commands import app
 from brink.server.db.engine import Engines
 from brink.server.db.models import WorkerRow
@@ -162,7 +162,7 @@ def test_replay_command_fails_at_once_if_no_worker_can_make_the_trace(
     campaign = submit(client, ball())
     given = ["replay", campaign, "3", "--out", str(tmp_path / "x.png"), "--server", str(client.base_url)]
     said = CliRunner().invoke(app, given)
-    assert isinstance(said.exception, CoordinatorSaid)
+    assert isinstance(said.exception, CoordinatorError)
     assert "no live worker can run faulty@1" in str(said.exception)
 
 

@@ -19,15 +19,9 @@ from brink.plots import (
     figure_parameters,
 )
 from brink.plots.style import WIDTH_PX
-from brink.search.analysis.boundary import (
-    PAPER_D_THS,
-    PAPER_T_BS,
-    dbs,
-    dbs_grid,
-    distinct_boundary,
-    strict_dbs,
-)
+from brink.search.analysis.boundary import dbs, dbs_grid, distinct_boundary, strict_dbs
 from brink.search.analysis.dependence import dependences
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
 from brink.search.analysis.similarity import embedded
 from brink.search.fitness import wilson_interval
 from brink.search.problems import MTQ_SPACE

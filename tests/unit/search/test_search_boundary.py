@@ -8,9 +8,6 @@ import pytest
 from numpy.typing import NDArray
 
 from brink.search.analysis.boundary import (
-    PAPER_D_THS,
-    PAPER_FRACTIONS,
-    PAPER_T_BS,
     by_p_th,
     by_radius,
     dbs,
@@ -21,6 +18,7 @@ from brink.search.analysis.boundary import (
     rescored,
     strict_dbs,
 )
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.analysis.scores import ScenarioRisk, blind_archive
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.metric import Metric

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from brink.search.analysis.boundary import PAPER_D_THS, PAPER_T_BS
-from brink.search.analysis.comparison import Duel, Line, Measure, Row, conclusion, control_summaries
+from brink.search.analysis.comparison import Duel, Line, Row, conclusion, control_summaries
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS, Measure
 from brink.search.analysis.statistics import Comparison
 
 SHAPE = (len(PAPER_T_BS), len(PAPER_D_THS))

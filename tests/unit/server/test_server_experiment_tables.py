@@ -11,8 +11,9 @@ from scipy import stats
 
 from brink.plots.experiment import EXPERIMENT_FIGURES
 from brink.report.experiment import html_report, markdown_report
-from brink.search.analysis.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, dbs, strict_dbs
-from brink.search.analysis.comparison import Line, Measure, Repeat, duels, standings
+from brink.search.analysis.boundary import dbs, strict_dbs
+from brink.search.analysis.comparison import Line, Repeat, duels, standings
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import Control, Figures, Scores, scored
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.testing import example_spaces

@@ -1,11 +1,10 @@
 /** One solution: its description, its verdicts, its neighbourhood, and the replay of its episode. */
 
+import { isOpen } from "../api.js";
 import { h, replace } from "../dom.js";
 import { count, figure, plainId, spaced } from "../format.js";
-import { badge } from "../parts/badge.js";
-import { facts } from "../parts/facts.js";
 import { link } from "../router.js";
-import { isOpen } from "../status.js";
+import { badge, facts } from "../parts/elements.js";
 import { judgedBy, neighbourhood, parameters, repeats, verdicts, withUnit } from "./solution/cards.js";
 import { downloads, loading, replay } from "./solution/replay.js";
 

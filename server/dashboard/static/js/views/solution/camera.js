@@ -2,7 +2,7 @@
 
 import { ApiError, request } from "../../api.js";
 import { h, text } from "../../dom.js";
-import { canvas } from "../../parts/canvas.js";
+import { canvas } from "../../parts/charts.js";
 import { key, labelBox, palette } from "./drawing.js";
 import { eachRow, rowCount } from "./episode.js";
 

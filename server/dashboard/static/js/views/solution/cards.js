@@ -1,10 +1,10 @@
 /** The cards of a solution besides its replay: verdicts, parameters, neighbourhood, repeats with other seeds. */
 
+import { isOpen } from "../../api.js";
 import { h, replace, text } from "../../dom.js";
 import { capital, count, figure, percent, plainId, plural, spaced, value } from "../../format.js";
-import { badge } from "../../parts/badge.js";
 import { link } from "../../router.js";
-import { isOpen } from "../../status.js";
+import { badge } from "../../parts/elements.js";
 import { seconds } from "./episode.js";
 
 const USUAL_REPEATS = 20;

@@ -2,10 +2,9 @@
 
 import { h, text } from "../../dom.js";
 import { figure, plainId, spaced } from "../../format.js";
-import { canvas } from "../../parts/canvas.js";
-import { chart } from "../../parts/chart.js";
-import { segments } from "../../parts/segments.js";
 import { colour } from "../../theme.js";
+import { canvas, chart } from "../../parts/charts.js";
+import { segments } from "../../parts/elements.js";
 import { BOLD, drawLine, FONT, palette, writeHaloed } from "./drawing.js";
 import { eachRow, rowCount } from "./episode.js";
 

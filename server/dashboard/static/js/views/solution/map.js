@@ -1,7 +1,7 @@
 /** The episode from above: the scene, the road users in it, and the obstacles that the driving system perceives. */
 
 import { h } from "../../dom.js";
-import { canvas } from "../../parts/canvas.js";
+import { canvas } from "../../parts/charts.js";
 import { BOLD, FONT, key, palette, tracePath, writeHaloed } from "./drawing.js";
 import { eachRow } from "./episode.js";
 

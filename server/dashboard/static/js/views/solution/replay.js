@@ -3,10 +3,8 @@
 import { ApiError, saveBlob } from "../../api.js";
 import { attribute, h, replace, text } from "../../dom.js";
 import { minus, plainId, sentence, spaced } from "../../format.js";
-import { callout, workerCommand } from "../../parts/callout.js";
-import { facts } from "../../parts/facts.js";
-import { segments } from "../../parts/segments.js";
-import { whenMade } from "../../patience.js";
+import { whenMade } from "../../polling.js";
+import { callout, facts, segments, workerCommand } from "../../parts/elements.js";
 import { camera } from "./camera.js";
 import { boxes, robustness } from "./charts.js";
 import { Episode, Player, seconds } from "./episode.js";
@@ -31,7 +29,7 @@ export function loading(context, path, take) {
   async function load() {
     say(h("p", null, "Loading the episode …"));
     try {
-      const data = await whenMade(`${path}/episode`, { ...context.patience, making });
+      const data = await whenMade(`${path}/episode`, { ...context.retrying, making });
       node.remove();
       take(data);
     } catch (error) {
@@ -77,7 +75,7 @@ function drawn(context, path, file, words) {
     text(button, "Drawing …");
     try {
       await context.tell(async () => {
-        saveBlob(await whenMade(path, { ...context.patience, as: "blob" }), file);
+        saveBlob(await whenMade(path, { ...context.retrying, as: "blob" }), file);
       });
     } finally {
       button.disabled = false;
