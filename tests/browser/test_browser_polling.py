@@ -69,7 +69,7 @@ def test_what_takes_a_while_is_not_asked_for_while_nobody_looks(site: Served, vi
 
     page.route("**/episode?*", still_made)
     page.reload()
-    shown(page.get_by_text("a worker simulates the episode again")).to_be_visible()
+    shown(page.get_by_text("a worker is simulating the episode again")).to_be_visible()
     with page.expect_response("**/episode?*"):
         page.clock.run_for(5_000)
     page.evaluate(HIDE, True)
