@@ -12,9 +12,10 @@ import numpy as np
 
 from brink.bench.urban_candidates import draw_candidate
 from brink.search.algorithm import Evaluation
-from brink.search.boundary import PAPER_T_BS, dbs_grid
-from brink.search.component import FloatArray
-from brink.search.control import ScenarioRisk, blind_archive
+from brink.search.analysis.boundary import dbs_grid
+from brink.search.analysis.paper import PAPER_T_BS
+from brink.search.analysis.scores import ScenarioRisk, blind_archive
+from brink.search.space import FloatArray
 from brink.search.streams import episode_seed
 from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import make_plan

@@ -1,7 +1,7 @@
 """The commands of `brink`, and the options that come before a command.
 
-The table below is all that `brink --help` needs. A command's module is imported when the command is called: most
-commands only talk to a server, and should not wait for numpy, scipy and a web server.
+`brink --help` needs only the table below. The module of a command is imported when the command is called, because
+most commands only talk to a server and should not wait for numpy, scipy and a web server to load.
 """
 
 import logging
@@ -20,14 +20,14 @@ from brink.worker.log import LogLevel, configure_logging, environment_format
 SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
     "Run": {
         "run": ("brink.cli.run:run", "Run a campaign: coordinator, workers, results, pictures"),
-        "submit": ("brink.cli.submit:submit", "Submit a campaign to a coordinator"),
+        "submit": ("brink.cli.campaigns:submit", "Submit a campaign to a coordinator"),
         "experiment": ("brink.cli.experiment:experiment", "Compare algorithms over problems and seeds"),
     },
     "Inspect": {
-        "status": ("brink.cli.inspect:status", "Show campaigns, or the progress of one"),
-        "results": ("brink.cli.inspect:results", "Show or export distinct boundary solutions"),
-        "violations": ("brink.cli.findings.violations:violations", "Show the types of violations found"),
-        "combinations": ("brink.cli.findings.combinations:combinations", "Show hazardous chains of perturbations"),
+        "status": ("brink.cli.campaigns:status", "Show campaigns, or the progress of one"),
+        "results": ("brink.cli.campaigns:results", "Show or export distinct boundary solutions"),
+        "violations": ("brink.cli.findings:violations", "Show the types of violations found"),
+        "combinations": ("brink.cli.findings:combinations", "Show hazardous chains of perturbations"),
         "compare": ("brink.cli.compare:compare", "Compare campaigns, each beside its control"),
         "plot": ("brink.cli.draw:plot", "Draw the figures of a campaign"),
         "replay": ("brink.cli.draw:replay", "Draw one episode as PNG, GIF or MP4"),
@@ -39,20 +39,20 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "monitor": ("brink.cli.monitor:monitor", "Turn a campaign into a safety monitor"),
     },
     "Control": {
-        "pause": ("brink.cli.steer:pause", "Pause a campaign"),
-        "resume": ("brink.cli.steer:resume", "Resume a paused campaign"),
-        "cancel": ("brink.cli.steer:cancel", "Cancel a campaign and keep its results"),
-        "retry": ("brink.cli.steer:retry", "Retry the quarantined jobs of a campaign"),
-        "delete": ("brink.cli.steer:delete", "Delete a campaign and its results"),
+        "pause": ("brink.cli.campaigns:pause", "Pause a campaign"),
+        "resume": ("brink.cli.campaigns:resume", "Resume a paused campaign"),
+        "cancel": ("brink.cli.campaigns:cancel", "Cancel a campaign and keep its results"),
+        "retry": ("brink.cli.campaigns:retry", "Retry the quarantined jobs of a campaign"),
+        "delete": ("brink.cli.campaigns:delete", "Delete a campaign and its results"),
     },
     "Operate": {
         "serve": ("brink.cli.operate:serve", "Run a coordinator"),
         "worker": ("brink.cli.operate:worker", "Run a worker"),
-        "token": ("brink.cli.tokens:token", "Create, list and revoke tokens"),
-        "db": ("brink.cli.operations:db", "Upgrade or prune the database"),
-        "doctor": ("brink.cli.operations:doctor", "Check the database, campaigns, jobs and workers"),
-        "export": ("brink.cli.operations:export", "Write a campaign to a file"),
-        "import": ("brink.cli.operations:import_", "Read a campaign from a file"),
+        "token": ("brink.cli.database:token", "Create, list and revoke tokens"),
+        "db": ("brink.cli.database:db", "Upgrade or prune the database"),
+        "doctor": ("brink.cli.database:doctor", "Check the database, campaigns, jobs and workers"),
+        "export": ("brink.cli.database:export", "Write a campaign to a file"),
+        "import": ("brink.cli.database:import_", "Read a campaign from a file"),
     },
     "Tools": {
         "perturbations": ("brink.cli.perturbations:perturbations", "List and show image perturbations"),
@@ -60,18 +60,18 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "bench": ("brink.cli.bench:bench", "Measure this installation"),
     },
 }  # fmt: skip
-"""By section and name: where the command is defined, ``module:attribute``, and its line in ``brink --help``."""
+"""By section and name: the ``module:attribute`` that defines the command, and its line in ``brink --help``."""
 
 
 class LazyGroup(TyperGroup):
-    """Imports the module of a command when the command is called."""
+    """A command group that imports the module of a command when the command is called."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of all commands."""
         return [name for section in SECTIONS.values() for name in section]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command, or None if there is none of that name."""
+        """Return a command by name; None if it does not exist."""
         for section in SECTIONS.values():
             if cmd_name in section:
                 return load(cmd_name, section[cmd_name][0])
@@ -85,11 +85,11 @@ class LazyGroup(TyperGroup):
 
 
 def load(name: str, target: str) -> Any:
-    """Return a command or a group of commands.
+    """Import a command or a group of commands.
 
     Args:
-        name: What it is called by.
-        target: Where it is defined, ``module:attribute``: a function, or a `typer.Typer`.
+        name: Name of the command.
+        target: The ``module:attribute`` that defines it: a function or a `typer.Typer`.
     """
     module, _, attribute = target.partition(":")
     found = getattr(import_module(module), attribute)
@@ -124,7 +124,7 @@ def options(
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log to stderr.")] = False,
     plugin: Annotated[
         list[str] | None,
-        typer.Option(help="Module with plug-ins, importable from here; may be repeated.", metavar="MODULE"),
+        typer.Option(help="Python module with plug-ins; may be repeated.", metavar="MODULE"),
     ] = None,
     show_version: Annotated[
         bool,
@@ -136,7 +136,7 @@ def options(
         from brink.sim.catalogue import PLUGINS_VARIABLE
 
         named = [*filter(None, os.environ.get(PLUGINS_VARIABLE, "").split(",")), *plugin]
-        os.environ[PLUGINS_VARIABLE] = ",".join(named)  # for the workers that this command starts, too
+        os.environ[PLUGINS_VARIABLE] = ",".join(named)  # read by the workers of this command as well
         sys.path.insert(0, os.getcwd())
     if not logging.getLogger().handlers:
         configure_logging(LogLevel.INFO if verbose else LogLevel.WARNING, environment_format())

@@ -1,20 +1,33 @@
-"""Commands that draw: plot, replay; and how other commands draw a campaign."""
+"""`brink plot` and `brink replay`, and how other commands fetch and draw archives and traces."""
 
 import asyncio
 import contextlib
 import io
-import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
 from rich.progress import Progress
 
-from brink.api.client import Api, CoordinatorSaid
-from brink.cli.options import AsJson, CampaignId, Database, Server, Threshold, console, print_json, with_api
+from brink.api.client import Api, CoordinatorError
+from brink.cli.options import (
+    RESULTS,
+    AsJson,
+    CampaignId,
+    Database,
+    DistanceThreshold,
+    FitnessThreshold,
+    Server,
+    console,
+    print_json,
+    with_api,
+    write_json,
+)
 from brink.search.archive import Archive
+from brink.server.api.schemas import Boundary, CampaignView, SolutionView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody
 from brink.server.campaigns.plan import Plan, make_plan
 from brink.server.errors import FieldError, InvalidInput, ServerError
@@ -23,179 +36,32 @@ from brink.sim.trace import Trace
 from brink.worker.process import EpisodeProcess, episode_result
 from brink.worker.wire import JobFailed
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FetchedArchive:
-    """A campaign's archive, fetched over the API."""
-
-    id: str
-    body: CampaignBody
-    plan: Plan
-    archive: Archive
-    generations: tuple[int, ...]
-
-
-async def fetch_archive(api: Api, campaign_id: str) -> FetchedArchive:
-    """Return the archive of a campaign.
-
-    Raises:
-        CoordinatorSaid: There is no such campaign.
-    """
-    campaign = await api.get(f"/campaigns/{campaign_id}")
-    body = CampaignBody.model_validate(campaign["body"])
-    response = await api.request("GET", f"/campaigns/{campaign_id}/archive.npz")
-    with np.load(io.BytesIO(response.content), allow_pickle=False) as npz:
-        arrays = {name: npz[name] for name in npz.files}
-    plan = make_plan(body)
-    archive = Archive.restore(
-        plan.problem.space,
-        plan.neighbourhood,
-        **{
-            name: arrays[name]
-            for name in ("numbers", "vectors", "unsafe", "robustness", "neighbours", "unsafe_neighbours")
-        },
-    )
-    generations = arrays["generations"]
-    ends = np.searchsorted(generations, np.unique(generations), side="right")
-    return FetchedArchive(
-        id=campaign["id"], body=body, plan=plan, archive=archive, generations=tuple(int(end) for end in ends)
-    )
-
-
-def draw_figures(
-    fetched: FetchedArchive, folder: Path, *, t_b: float, d_th: float, formats: tuple[str, ...] = ("png",)
-) -> list[Path]:
-    """Write all figures of a campaign; return their files."""
-    # matplotlib takes half a second to load: only those who draw wait for it.
-    from brink.plots import CampaignFigures, write_campaign_figures
-
-    figures = CampaignFigures(
-        archive=fetched.archive,
-        space=fetched.plan.problem.space,
-        title=fetched.body.name,
-        generation_ends=fetched.generations,
-        t_b=t_b,
-        d_th=d_th,
-    )
-    return write_campaign_figures(figures, folder, formats=formats)
-
-
-async def write_results(
-    api: Api, campaign_id: str, folder: Path, *, t_b: float, d_th: float
-) -> dict[str, Any]:
-    """Write boundary (CSV and JSON) and archive of a campaign; return the boundary."""
-    folder.mkdir(parents=True, exist_ok=True)
-    params = {"t_b": t_b, "d_th": d_th}
-    boundary: dict[str, Any] = await api.get(f"/campaigns/{campaign_id}/boundary", params)
-    (folder / "boundary.json").write_text(json.dumps(boundary, indent=2) + "\n", encoding="utf-8")
-    table = await api.request("GET", f"/campaigns/{campaign_id}/boundary", params={**params, "format": "csv"})
-    (folder / "boundary.csv").write_bytes(table.content)
-    archive = await api.request("GET", f"/campaigns/{campaign_id}/archive.npz")
-    (folder / "archive.npz").write_bytes(archive.content)
-    return boundary
-
-
-ASK_AGAIN_S = 0.5
-EPISODE_S = 120.0
-
-
-class NoTrace(ServerError):
-    """The trace of a solution cannot be had."""
-
-
-async def fetch_trace(api: Api, campaign_id: str, number: int, patience_s: float) -> Trace:
-    """Return the trace of a solution, which workers make if it was not kept.
-
-    Raises:
-        NoTrace: No worker made it in time.
-        CoordinatorSaid: There is no such solution, or its trace cannot be made.
-    """
-    deadline = asyncio.get_running_loop().time() + patience_s
-    path = f"/campaigns/{campaign_id}/solutions/{number}/trace"
-    while True:
-        response = await api.request("GET", path, params={"wait_s": min(20.0, patience_s)})
-        if response.status_code == 200:
-            return Trace.from_bytes(response.content)
-        if asyncio.get_running_loop().time() >= deadline:
-            raise NoTrace(
-                f"no worker made the trace of solution {number} in {patience_s:g} s; is one running?"
-            )
-        await asyncio.sleep(ASK_AGAIN_S)
-
-
-async def run_again(api: Api, campaign_id: str, number: int) -> Trace:
-    """Return the trace of a solution by running its episode on this machine.
-
-    Raises:
-        NoTrace: The problem has no episodes, or this one failed here.
-    """
-    solution: dict[str, Any] = await api.get(f"/campaigns/{campaign_id}/solutions/{number}")
-    if solution["spec"] is None:
-        raise NoTrace(f"solution {number} was not simulated: there is nothing to replay")
-
-    def run() -> Trace:
-        with contextlib.closing(EpisodeProcess()) as process:
-            process.start()
-            outcome = process.run(solution["spec"], record=True, timeout_s=EPISODE_S)
-        if isinstance(outcome, JobFailed):
-            raise NoTrace(f"the episode of solution {number} failed here: {outcome.message}")
-        trace = episode_result(outcome).trace
-        if trace is None:
-            raise NoTrace(f"the simulator of solution {number} records no trace")
-        return Trace.from_bytes(trace)
-
-    return await asyncio.to_thread(run)
-
-
-async def write_replays(
-    api: Api, campaign_id: str, numbers: list[int], folder: Path, *, stop: asyncio.Event, patience_s: float
-) -> list[Path]:
-    """Draw the replays of some solutions as PNG; those that cannot be had are left out."""
-    files = []
-    requirement = await requirement_of(api, campaign_id)
-    for number in numbers:
-        if stop.is_set():
-            break
-        try:
-            trace = await fetch_trace(api, campaign_id, number, patience_s)
-        except (NoTrace, CoordinatorSaid):
-            continue
-        path = folder / f"replay-{number}.png"
-        await asyncio.to_thread(render, trace, path, requirement=requirement)
-        files.append(path)
-    return files
-
-
-async def requirement_of(api: Api, campaign_id: str) -> str | None:
-    """Return the requirement that gives a campaign's verdict; None if several do."""
-    params = (await api.get(f"/campaigns/{campaign_id}"))["body"]["problem"]["params"]
-    return str(params["requirement"]) if "requirement" in params else None
-
-
-PATIENCE_S = 120.0
+POLL_S = 0.5
+EPISODE_TIMEOUT_S = 120.0
+TRACE_TIMEOUT_S = 120.0
 
 
 def plot(
     campaign: CampaignId,
     out: Annotated[Path | None, typer.Option(help="Folder for the figures.")] = None,
-    t_b: Threshold = DEFAULT_T_B,
-    d_th: Threshold = DEFAULT_D_TH,
+    t_b: FitnessThreshold = DEFAULT_T_B,
+    d_th: DistanceThreshold = DEFAULT_D_TH,
     svg: Annotated[bool, typer.Option("--svg", help="Write SVG too.")] = False,
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Draw a campaign: its boundary, its embedding, its course, its parameters.
+    """Draw the figures of a campaign.
 
-    DBS over simulations for several thresholds, the archive embedded in two dimensions, fitness over generations,
-    and how the verdict depends on each parameter.
+    They show DBS over simulations for several thresholds, the archive embedded in two dimensions, fitness over
+    generations, and how the verdict depends on each parameter.
 
     Example: brink plot 3f2a --out figures
     """
 
     async def work(api: Api) -> list[Path]:
         fetched = await fetch_archive(api, campaign)
-        folder = out or Path("brink-results") / f"plots-{campaign}"
+        folder = out or RESULTS / f"plots-{campaign}"
         folder.mkdir(parents=True, exist_ok=True)
         formats = ("png", "svg") if svg else ("png",)
         return await asyncio.to_thread(draw_figures, fetched, folder, t_b=t_b, d_th=d_th, formats=formats)
@@ -215,9 +81,9 @@ def replay(
     database: Database = None,
     server: Server = None,
 ) -> None:
-    """Draw one episode from above, with what the camera saw and what the detector was made to say.
+    """Draw one episode from above, with the camera image and the detections given to the driving system.
 
-    Without --server the episode is run again on this machine; with it, the coordinator's workers run it.
+    Without --server, this machine runs the episode again; with it, the coordinator's workers do.
 
     Example: brink replay 3f2a 17 --out replay.mp4
     """
@@ -228,11 +94,11 @@ def replay(
         raise InvalidInput([FieldError(pointer="--out", message=f"{out.parent}: no such folder")])
 
     async def work(api: Api) -> None:
-        requirement = await requirement_of(api, campaign)
+        requirement = await fetch_requirement(api, campaign)
         if server is None:
-            trace = await run_again(api, campaign, number)
+            trace = await run_episode(api, campaign, number)
         else:
-            trace = await fetch_trace(api, campaign, number, PATIENCE_S)
+            trace = await fetch_trace(api, campaign, number, TRACE_TIMEOUT_S)
         with Progress(console=console(), transient=True) as progress:
             task = progress.add_task(f"drawing {out}", total=None)
             await asyncio.to_thread(
@@ -245,3 +111,204 @@ def replay(
 
     with_api(server, database, work)
     typer.echo(out)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FetchedArchive:
+    """The archive of a campaign, fetched over the API.
+
+    Attributes:
+        id: Full id of the campaign.
+        body: The campaign file.
+        plan: Problem and algorithm of the campaign.
+        archive: All evaluated solutions.
+        generations: Size of the archive after each generation.
+    """
+
+    id: str
+    body: CampaignBody
+    plan: Plan
+    archive: Archive
+    generations: tuple[int, ...]
+
+
+async def fetch_archive(api: Api, campaign: str) -> FetchedArchive:
+    """Return the archive of a campaign.
+
+    Raises:
+        CoordinatorError: The campaign does not exist.
+    """
+    view = await api.read(CampaignView, f"/campaigns/{campaign}")
+    response = await api.request("GET", f"/campaigns/{campaign}/archive.npz")
+    with np.load(io.BytesIO(response.content), allow_pickle=False) as npz:
+        arrays = {name: npz[name] for name in npz.files}
+    plan = make_plan(view.body)
+    columns = ("numbers", "vectors", "unsafe", "robustness", "neighbours", "unsafe_neighbours")
+    archive = Archive.restore(
+        plan.problem.space, plan.neighbourhood, **{name: arrays[name] for name in columns}
+    )
+    generations = arrays["generations"]
+    ends = np.searchsorted(generations, np.unique(generations), side="right")
+    return FetchedArchive(
+        id=view.id, body=view.body, plan=plan, archive=archive, generations=tuple(int(end) for end in ends)
+    )
+
+
+async def write_results(api: Api, campaign: str, folder: Path, *, t_b: float, d_th: float) -> Boundary:
+    """Write the boundary (CSV and JSON) and the archive of a campaign.
+
+    Args:
+        api: Coordinator of the campaign.
+        campaign: Id of the campaign.
+        folder: Folder to write to; created if missing.
+        t_b: Highest fitness of boundary solutions.
+        d_th: Smallest distance between two of them.
+
+    Returns:
+        The boundary.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    path, params = f"/campaigns/{campaign}/boundary", {"t_b": t_b, "d_th": d_th}
+    document = await api.get(path, params)
+    write_json(folder / "boundary.json", document)
+    table = await api.request("GET", path, params={**params, "format": "csv"})
+    (folder / "boundary.csv").write_bytes(table.content)
+    archive = await api.request("GET", f"/campaigns/{campaign}/archive.npz")
+    (folder / "archive.npz").write_bytes(archive.content)
+    return Boundary.model_validate(document)
+
+
+def draw_figures(
+    fetched: FetchedArchive, folder: Path, *, t_b: float, d_th: float, formats: tuple[str, ...] = ("png",)
+) -> list[Path]:
+    """Draw all figures of a campaign.
+
+    Args:
+        fetched: The campaign.
+        folder: Folder to write to.
+        t_b: Highest fitness of boundary solutions.
+        d_th: Smallest distance between two of them.
+        formats: File formats.
+
+    Returns:
+        The files.
+    """
+    # matplotlib takes half a second to load: only commands that draw wait for it.
+    from brink.plots import CampaignFigures, write_campaign_figures
+
+    figures = CampaignFigures(
+        archive=fetched.archive,
+        space=fetched.plan.problem.space,
+        title=fetched.body.name,
+        generation_ends=fetched.generations,
+        t_b=t_b,
+        d_th=d_th,
+    )
+    return write_campaign_figures(figures, folder, formats=formats)
+
+
+class NoTrace(ServerError):
+    """The trace of a solution is not available."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drawing:
+    """The source and the destination of pictures of episodes.
+
+    Attributes:
+        api: Coordinator of the campaign.
+        campaign: Id of the campaign.
+        folder: Folder for the pictures.
+        stop: Once set, no further picture is drawn.
+        timeout_s: How long to wait for a trace.
+    """
+
+    api: Api
+    campaign: str
+    folder: Path
+    stop: asyncio.Event
+    timeout_s: float
+
+    async def trace(self, number: int) -> Trace | None:
+        """Return the trace of a solution; None if it is not available."""
+        try:
+            return await fetch_trace(self.api, self.campaign, number, self.timeout_s)
+        except (NoTrace, CoordinatorError):
+            return None
+
+
+async def fetch_trace(api: Api, campaign: str, number: int, timeout_s: float) -> Trace:
+    """Return the trace of a solution. If it was not kept, a worker runs the episode again.
+
+    Args:
+        api: Coordinator of the campaign.
+        campaign: Id of the campaign.
+        number: Number of the solution.
+        timeout_s: How long to wait for a worker.
+
+    Raises:
+        NoTrace: No worker ran the episode in time.
+        CoordinatorError: The solution does not exist, or its episode cannot be run again.
+    """
+    deadline = asyncio.get_running_loop().time() + timeout_s
+    path = f"/campaigns/{campaign}/solutions/{number}/trace"
+    while True:
+        response = await api.request("GET", path, params={"wait_s": min(20.0, timeout_s)})
+        if response.status_code == 200:
+            return Trace.from_bytes(response.content)
+        if asyncio.get_running_loop().time() >= deadline:
+            raise NoTrace(
+                f"no worker provided the trace of solution {number} within {timeout_s:g} s; is a worker running?"
+            )
+        await asyncio.sleep(POLL_S)
+
+
+async def run_episode(api: Api, campaign: str, number: int) -> Trace:
+    """Return the trace of a solution by running its episode on this machine.
+
+    Args:
+        api: Coordinator of the campaign.
+        campaign: Id of the campaign.
+        number: Number of the solution.
+
+    Raises:
+        NoTrace: The solution was not simulated, or its episode failed on this machine.
+    """
+    spec = (await api.read(SolutionView, f"/campaigns/{campaign}/solutions/{number}")).spec
+    if spec is None:
+        raise NoTrace(f"solution {number} was not simulated: it has no replay")
+
+    def run() -> Trace:
+        with contextlib.closing(EpisodeProcess()) as process:
+            process.start()
+            outcome = process.run(spec, record=True, timeout_s=EPISODE_TIMEOUT_S)
+        if isinstance(outcome, JobFailed):
+            raise NoTrace(f"the episode of solution {number} failed on this machine: {outcome.message}")
+        trace = episode_result(outcome).trace
+        if trace is None:
+            raise NoTrace(f"the simulator of solution {number} records no traces")
+        return Trace.from_bytes(trace)
+
+    return await asyncio.to_thread(run)
+
+
+async def write_replays(drawing: Drawing, numbers: Sequence[int]) -> list[Path]:
+    """Draw replays of some solutions as PNG, skipping those without a trace; return the files."""
+    files = []
+    requirement = await fetch_requirement(drawing.api, drawing.campaign)
+    for number in numbers:
+        if drawing.stop.is_set():
+            break
+        trace = await drawing.trace(number)
+        if trace is None:
+            continue
+        path = drawing.folder / f"replay-{number}.png"
+        await asyncio.to_thread(render, trace, path, requirement=requirement)
+        files.append(path)
+    return files
+
+
+async def fetch_requirement(api: Api, campaign: str) -> str | None:
+    """Return the requirement that gives the verdict of a campaign; None if several do."""
+    params = (await api.read(CampaignView, f"/campaigns/{campaign}")).body.problem.params
+    return str(params["requirement"]) if "requirement" in params else None

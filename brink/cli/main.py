@@ -1,4 +1,4 @@
-"""The command `brink`. Exits 0, 1 if something failed, 2 if it was called wrongly, 130 after Ctrl-C."""
+"""The command `brink`. Exit codes: 0 success, 1 failure, 2 wrong usage, 130 after Ctrl-C."""
 
 import sys
 
@@ -6,7 +6,7 @@ INTERRUPTED = 130
 
 
 def main() -> None:
-    """Run the command line; what goes wrong is said in a line, not in a traceback."""
+    """Run the command line; print expected errors as one line each, without a traceback."""
     try:
         sys.exit(_run())
     except KeyboardInterrupt:
@@ -15,13 +15,13 @@ def main() -> None:
 
 
 def _run() -> int:
-    # Imported here: Ctrl-C may come while the command loads.
+    # Imported here, so that Ctrl-C is handled while the command loads.
     from brink.cli.commands import app
 
     try:
         app()
     except Exception as error:
-        lines = _explained(error)
+        lines = _describe(error)
         if lines is None:
             raise
         for line in lines:
@@ -29,8 +29,8 @@ def _run() -> int:
     return 1
 
 
-def _explained(error: Exception) -> list[str] | None:
-    """Return an expected error in lines for people; None for a fault of ours, which deserves its traceback."""
+def _describe(error: Exception) -> list[str] | None:
+    """Return the lines that describe an expected error; None for a bug, which deserves its traceback."""
     from brink.search.errors import MissingExtra
     from brink.server.errors import InvalidInput, ServerError
     from brink.sim.errors import SimulatorError
@@ -46,6 +46,6 @@ def _explained(error: Exception) -> list[str] | None:
     from sqlalchemy.exc import DBAPIError
 
     if isinstance(error, DBAPIError):
-        words = str(error.orig).strip().splitlines()
-        return [f"database: {words[0] if words else type(error.orig).__name__}"]
+        reason = str(error.orig).strip().splitlines()
+        return [f"database: {reason[0] if reason else type(error.orig).__name__}"]
     return None

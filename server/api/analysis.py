@@ -1,98 +1,104 @@
-"""Routes of what can be said of a campaign: map, convergence, dependence on parameters, scores beside a control."""
+"""Routes of analyses: map, convergence curve, parameter dependence, scores, safety monitor."""
 
 import asyncio
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
-from fastapi.responses import JSONResponse
 from numpy.typing import NDArray
 from pydantic import Field
 
-from brink.search.analysis.comparison import rows_of, said
-from brink.search.analysis.dependence import Dependence
-from brink.search.analysis.parameters import ParameterColumn, parameter_columns
+from brink.search.analysis.comparison import control_summary, rows_of
+from brink.search.analysis.dependence import Dependence, ParameterColumn, parameter_columns
+from brink.search.analysis.monitor import Answer
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.analysis.scores import DRAWS, Scores
-from brink.search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
+from brink.search.errors import SpaceError
+from brink.search.fitness import wilson_interval
 from brink.search.space import Categorical
-from brink.server.api.conditional import NOTHING_NEW, is_known, nothing_new, tag_of
 from brink.server.api.context import Services
-from brink.server.api.experiment_schemas import ControlView
 from brink.server.api.experiments import control_view
-from brink.server.api.schemas import MAX_NUMBER, BeingMade, View
+from brink.server.api.responses import COMPUTING, NOT_MODIFIED, computing, etag_of, matches, not_modified
+from brink.server.api.schemas import MAX_NUMBER, ControlView, View
 from brink.server.api.solutions import Threshold
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.campaigns.store import ENDED
-from brink.server.campaigns.values import Campaign
-from brink.server.dashboard import course as courses
+from brink.server.campaigns.store import ENDED, Campaign
+from brink.server.dashboard import figures
 from brink.server.dashboard.solution_map import SolutionMap
 from brink.server.db.engine import read
+from brink.server.documents import Body
 from brink.server.errors import Conflict, FieldError, InvalidInput, nearest
 from brink.server.states import CampaignStatus
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["figures"])
 
 DIGITS = 4
-"""After the point, of places and fitness: a map is not read more exactly."""
+"""Decimal places of coordinates and fitness on the map."""
 
 
 class ColourBy(View):
-    """The values of a parameter, one a solution."""
+    """The values of one parameter, one for each drawn solution."""
 
-    parameter: Annotated[str, Field(description="component.parameter.")]
+    parameter: Annotated[str, Field(description="Name as component.parameter.")]
     unit: str
     choices: Annotated[
-        list[str] | None, Field(description="Of a categorical one; its values are their indices.")
+        list[str] | None,
+        Field(description="Choices of a categorical parameter; its values are indices into them."),
     ]
     low: float | None
     high: float | None
-    values: Annotated[list[float | None], Field(description="None where it means nothing in that solution.")]
+    values: Annotated[
+        list[float | None], Field(description="Null where the parameter is inactive in that solution.")
+    ]
 
 
 class MapView(View):
-    """Where solutions lie, columnar, in the order in which they came."""
+    """Positions of solutions on the map, in columns, in order of evaluation."""
 
     version: Annotated[
-        str, Field(description="Points of one version stay where they are; pass it with `after`.")
+        str, Field(description="Points of one layout version do not move; pass it with `after`.")
     ]
-    generation: Annotated[int, Field(description="Generations told.")]
-    evaluated: Annotated[int, Field(description="Solutions that have a verdict.")]
-    drawn: Annotated[int, Field(description="Of them, on the map.")]
-    explained: Annotated[float, Field(description="Share of the squared distances that the map shows.")]
-    across: Annotated[str | None, Field(description="What lies behind the axis across, in words.")]
-    up: str | None
-    first: Annotated[int, Field(description="How many solutions before those that follow were told before.")]
+    generation: Annotated[int, Field(description="Generations completed.")]
+    evaluated: Annotated[int, Field(description="Evaluated solutions.")]
+    drawn: Annotated[int, Field(description="How many of them are on the map.")]
+    explained: Annotated[float, Field(description="Share of the squared distances that the map preserves.")]
+    across: Annotated[str | None, Field(description="What the horizontal axis correlates with, in words.")]
+    up: Annotated[str | None, Field(description="What the vertical axis correlates with, in words.")]
+    first: Annotated[int, Field(description="Solutions left out because the client already has them.")]
     number: list[int]
-    told_in: Annotated[list[int], Field(description="Generation of each.")]
+    told_in: Annotated[list[int], Field(description="Generation of each solution.")]
     unsafe: Annotated[list[int], Field(description="1 or 0.")]
     robustness: list[float]
     x: list[float]
     y: list[float]
     fitness: Annotated[
-        list[float], Field(description="Of all that are drawn: it changes with every generation.")
+        list[float],
+        Field(description="Fitness of all drawn solutions, since it changes with every generation."),
     ]
     by: ColourBy | None
 
 
-@router.get("/map", response_model=MapView, responses=NOTHING_NEW)
+@router.get("/map", response_model=MapView, responses=NOT_MODIFIED)
 async def get_map(
     campaign_id: str,
     services: Services,
     request: Request,
-    version: Annotated[str, Query(max_length=40, description="Of the map that is known.")] = "",
-    after: Annotated[int, Query(ge=0, le=MAX_NUMBER, description="How many of its solutions are known.")] = 0,
+    version: Annotated[str, Query(max_length=40, description="Version of the map that the client has.")] = "",
+    after: Annotated[
+        int, Query(ge=0, le=MAX_NUMBER, description="How many of its solutions the client has.")
+    ] = 0,
     parameter: Annotated[
         str, Query(max_length=200, description="Add the values of component.parameter.")
     ] = "",
 ) -> Response:
-    """Return where the solutions of a campaign lie on its map; thinned, if there are more than can be drawn."""
+    """Return the positions of a campaign's solutions on its map; large campaigns are thinned out."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
-    etag = _tag(campaign, found.generation, version, after, parameter)
-    if is_known(request, etag):
-        return nothing_new(etag)  # type: ignore[no-any-return]
+    etag = _etag(campaign, found.generation, version, after, parameter)
+    if matches(request, etag):
+        return not_modified(etag)  # type: ignore[no-any-return]
     column = None
     if parameter:
         column = await asyncio.get_running_loop().run_in_executor(None, _column, found, parameter)
@@ -109,8 +115,8 @@ async def get_map(
     return Response(text, media_type="application/json", headers={"ETag": etag})
 
 
-def _tag(campaign: Campaign, *told: object) -> str:
-    return tag_of(campaign.id, campaign.sequence, campaign.status in ENDED, *told)
+def _etag(campaign: Campaign, *parts: object) -> str:
+    return etag_of(campaign.id, campaign.sequence, campaign.status in ENDED, *parts)
 
 
 def _column(found: ReadArchive, parameter: str) -> ParameterColumn:
@@ -150,7 +156,7 @@ def _rounded(values: NDArray[np.float64]) -> list[float]:
 
 
 def _colour_by(column: ParameterColumn, rows: NDArray[np.intp]) -> ColourBy:
-    parameter, awake = column.parameter, column.awake[rows].tolist()
+    parameter, awake = column.parameter, column.active[rows].tolist()
     scale = None if isinstance(parameter, Categorical) else parameter
     return ColourBy.model_construct(
         parameter=column.name, unit=scale.unit if scale else "",
@@ -164,7 +170,7 @@ def _colour_by(column: ParameterColumn, rows: NDArray[np.intp]) -> ColourBy:
 
 
 class CourseView(View):
-    """Distinct boundary solutions over simulations, columnar, each point scored with only what was known then."""
+    """Convergence curve in columns: each point counts only what had been evaluated by then."""
 
     t_b: float
     d_th: float
@@ -172,10 +178,10 @@ class CourseView(View):
     evaluated: list[int]
     dbs: list[int]
     strict_dbs: list[int]
-    note: Annotated[str | None, Field(description="Why there is no course, if there is none.")]
+    note: Annotated[str | None, Field(description="Why there is no curve, if there is none.")]
 
 
-@router.get("/course", responses=NOTHING_NEW)
+@router.get("/course", responses=NOT_MODIFIED)
 async def get_course(
     campaign_id: str,
     services: Services,
@@ -184,13 +190,13 @@ async def get_course(
     t_b: Threshold = DEFAULT_T_B,
     d_th: Threshold = DEFAULT_D_TH,
 ) -> CourseView:
-    """Return how the number of distinct boundary solutions grew with the simulations spent, at any thresholds."""
+    """Return the convergence curve: the number of distinct boundary solutions over simulations, at any thresholds."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
-    etag = _tag(campaign, found.generation, t_b, d_th)
-    if is_known(request, etag):
-        return nothing_new(etag)  # type: ignore[no-any-return]
-    points = await services.figures.courses.get(campaign.id, found, t_b, d_th)
+    etag = _etag(campaign, found.generation, t_b, d_th)
+    if matches(request, etag):
+        return not_modified(etag)  # type: ignore[no-any-return]
+    points = await services.figures.convergence.get(campaign.id, found, t_b, d_th)
     response.headers["ETag"] = etag
     return CourseView(
         t_b=t_b, d_th=d_th,
@@ -198,37 +204,43 @@ async def get_course(
         evaluated=[point.evaluated for point in points],
         dbs=[int(point.grid.dbs[0, 0]) for point in points],
         strict_dbs=[int(point.grid.strict[0, 0]) for point in points],
-        note=_no_course(len(found.archive)),
+        note=_no_curve(len(found.archive)),
     )  # fmt: skip
 
 
-def _no_course(evaluated: int) -> str | None:
-    if evaluated <= courses.MOST:
+def _no_curve(evaluated: int) -> str | None:
+    if evaluated <= figures.MAX_SOLUTIONS:
         return None
     return (
-        f"with more than {courses.MOST:,} solutions the course is known at the default thresholds only, "
+        f"with more than {figures.MAX_SOLUTIONS:,} solutions, the curve is available only at the default thresholds, "
         f"t_b {DEFAULT_T_B:g} and d_th {DEFAULT_D_TH:g}"
     )
 
 
 class DependenceView(View):
-    """The unsafe share over the values of one parameter."""
+    """The unsafe share of solutions over the values of one parameter."""
 
     component: str
     parameter: str
     unit: str
     places: Annotated[
-        list[float], Field(description="Index of the choice, the value, or the median of the bin.")
+        list[float],
+        Field(description="Position of each group: index of a choice, a value, or the median of a bin."),
     ]
-    labels: Annotated[list[str], Field(description="Names of the groups; empty if the axis is a scale.")]
+    labels: Annotated[list[str], Field(description="Names of the groups; empty on a numeric axis.")]
     low: float | None
     high: float | None
     counts: list[int]
     unsafe: list[int]
+    intervals: Annotated[
+        list[tuple[float, float]],
+        Field(description="95% Wilson intervals of the unsafe shares."),
+    ]
     strength: Annotated[float, Field(description="Cramér's V between group and verdict.")]
     p_value: float
     detectable: Annotated[
-        bool, Field(description="Whether it stands out among all parameters by more than chance.")
+        bool,
+        Field(description="Whether the dependence is significant, corrected for the number of parameters."),
     ]
 
 
@@ -241,16 +253,16 @@ class Dependences(View):
     parameters: Annotated[list[DependenceView], Field(description="Strongest first.")]
 
 
-@router.get("/dependence", responses=NOTHING_NEW)
+@router.get("/dependence", responses=NOT_MODIFIED)
 async def get_dependence(
     campaign_id: str, services: Services, request: Request, response: Response
 ) -> Dependences:
-    """Return the unsafe share over each parameter: where unsafe solutions were found, which is no random sample."""
+    """Return the unsafe share over the values of each parameter. No risk estimate: searches sample unevenly."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
-    etag = _tag(campaign, found.generation)
-    if is_known(request, etag):
-        return nothing_new(etag)  # type: ignore[no-any-return]
+    etag = _etag(campaign, found.generation)
+    if matches(request, etag):
+        return not_modified(etag)  # type: ignore[no-any-return]
     known = await services.figures.dependences(campaign.id, found)
     response.headers["ETag"] = etag
     return Dependences(
@@ -262,58 +274,65 @@ async def get_dependence(
 def _dependence(one: Dependence, parameters: int) -> DependenceView:
     parameter = one.column.parameter
     scale = None if isinstance(parameter, Categorical) else parameter
+    low, high = wilson_interval(
+        one.unsafe, np.maximum(one.counts, 1)
+    )  # groups without solutions are not drawn
     return DependenceView(
         component=one.column.component, parameter=parameter.name, unit=scale.unit if scale else "",
         places=one.places.tolist(), labels=list(one.labels),
         low=float(scale.low) if scale else None, high=float(scale.high) if scale else None,
-        counts=one.counts.tolist(), unsafe=one.unsafe.tolist(), strength=one.strength, p_value=one.p_value,
+        counts=one.counts.tolist(), unsafe=one.unsafe.tolist(),
+        intervals=list(zip(low.tolist(), high.tolist(), strict=True)),
+        strength=one.strength, p_value=one.p_value,
         detectable=one.detectable(parameters),
     )  # fmt: skip
 
 
 class ScoresView(View):
-    """What a campaign reached within its budget: a figure for each share of it, each t_b and each d_th."""
+    """DBS that a campaign reached: one value for each fraction of its budget, each t_b and each d_th."""
 
     id: str
     name: str
     status: CampaignStatus
-    evaluated: Annotated[int, Field(description="Solutions within the budget that have a verdict.")]
+    evaluated: Annotated[int, Field(description="Solutions evaluated within the budget.")]
     unsafe: int
     unsafe_share: float
-    fractions: Annotated[list[float], Field(description="Shares of the budget.")]
+    fractions: Annotated[list[float], Field(description="Fractions of the budget.")]
     t_bs: list[float]
     d_ths: list[float]
     dbs: list[list[list[float]]]
     strict: list[list[list[float]]]
-    control: Annotated[ControlView | None, Field(description="None where no component is a scenario.")]
-    draws: Annotated[int, Field(description="Draws that the control's figures are means of.")]
+    control: Annotated[
+        ControlView | None, Field(description="Null if no component of the problem is a scenario.")
+    ]
+    draws: Annotated[int, Field(description="Number of draws that the control's values are averaged over.")]
     says: Annotated[
         list[list[str]],
         Field(
-            description="What it and its control say together at the whole budget, a t_b, a d_th; else empty."
+            description="Conclusion from the comparison with the control at the whole budget, for each t_b and d_th; "
+            "empty without a control."
         ),
     ]
 
 
 @router.get(
     "/scores",
-    responses={202: {"model": BeingMade, "description": "Being computed; ask again after `Retry-After`."}},
+    responses=COMPUTING,
 )
 async def get_scores(
     campaign_id: str,
     services: Services,
-    wait_s: Annotated[float, Query(ge=0, le=60, description="How long to wait for scores.")] = 10.0,
+    wait_s: Annotated[
+        float, Query(ge=0, le=60, description="How long to wait for the scores, in seconds.")
+    ] = 10.0,
 ) -> ScoresView:
-    """Return the DBS and strict DBS that a campaign reached by its end and before, beside those of its control."""
+    """Return the DBS and strict DBS of an ended campaign at fractions of its budget, next to those of its control."""
     campaign = await services.campaigns.get(campaign_id)
     if campaign.status not in ENDED:
-        raise Conflict(
-            f"campaign {campaign.id} is {campaign.status}: what it reaches is known when it has ended"
-        )
+        raise Conflict(f"campaign {campaign.id} is {campaign.status}: scores are available once it has ended")
     scores = await services.scorebook.scores(campaign, wait_s)
     if scores is None:
-        view = BeingMade(detail="the campaign is being scored; ask again soon")
-        return JSONResponse(view.model_dump(), status_code=202, headers={"Retry-After": "2"})  # type: ignore[return-value]
+        return computing("the campaign is being scored; try again soon")  # type: ignore[no-any-return]
     return _scores_view(campaign, scores)
 
 
@@ -325,8 +344,81 @@ def _scores_view(campaign: Campaign, scores: Scores) -> ScoresView:
         t_bs=list(PAPER_T_BS), d_ths=list(PAPER_D_THS), dbs=scores.figures.dbs.tolist(),
         strict=scores.figures.strict.tolist(), control=control_view(scores.control), draws=DRAWS,
         says=[
-            [said(own, blind, (i, j)) for j in range(len(PAPER_D_THS))]
+            [control_summary(own, blind, (i, j)) for j in range(len(PAPER_D_THS))]
             for blind in control
             for i in range(len(PAPER_T_BS))
         ],
     )  # fmt: skip
+
+
+monitors_router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["monitors"])
+
+MAX_SOLUTIONS = 1_000
+
+
+class Questions(Body):
+    """Solutions to score."""
+
+    solutions: Annotated[
+        list[dict[str, dict[str, Any]]],
+        Field(
+            min_length=1, max_length=MAX_SOLUTIONS,
+            description="Parameters of each solution by component and name, as in the response for a solution.",
+        ),
+    ]  # fmt: skip
+    threshold: Annotated[
+        float | None,
+        Field(
+            gt=0,
+            lt=1,
+            description="Probability above which a solution is called unsafe; p_th by default.",
+        ),
+    ] = None
+
+
+class RiskView(View):
+    """Estimated probability that a solution is unsafe."""
+
+    probability: float
+    low: Annotated[float, Field(description="Lower limit of the interval.")]
+    high: float
+    neighbours: Annotated[
+        float, Field(description="Weight of the evaluations near it, as a number of evaluations.")
+    ]
+    answer: Annotated[Answer, Field(description="Unknown if the interval contains the threshold.")]
+
+
+class Scored(View):
+    """Risk estimates of a campaign's safety monitor."""
+
+    campaign: str
+    learned_from: Annotated[int, Field(description="Number of solutions that the monitor was fitted to.")]
+    threshold: float
+    risks: Annotated[list[RiskView], Field(description="In the order of the solutions.")]
+
+
+@monitors_router.post("/monitor/score")
+async def score_solutions(campaign_id: str, questions: Questions, services: Services) -> Scored:
+    """Estimate the probability that solutions are unsafe; intervals are wide where few solutions were evaluated."""
+    campaign = await services.campaigns.get(campaign_id)
+    monitor = await services.monitors.get(campaign)
+    rows = []
+    for place, values in enumerate(questions.solutions):
+        try:
+            rows.append(monitor.space.join(monitor.space.encode(values)))
+        except SpaceError as error:
+            raise InvalidInput([FieldError(pointer=f"/solutions/{place}", message=str(error))]) from None
+    risks = await asyncio.get_running_loop().run_in_executor(None, monitor.score, np.array(rows))
+    threshold = questions.threshold if questions.threshold is not None else monitor.threshold
+    columns = (risks.probability, risks.low, risks.high, risks.neighbours)
+    return Scored(
+        campaign=campaign.id,
+        learned_from=len(monitor),
+        threshold=threshold,
+        risks=[
+            RiskView(probability=p, low=low, high=high, neighbours=n, answer=answer)
+            for p, low, high, n, answer in zip(
+                *(column.tolist() for column in columns), risks.answers(threshold), strict=True
+            )
+        ],
+    )

@@ -1,4 +1,4 @@
-"""Routes of jobs and workers: the three messages of a worker, and what operators look at."""
+"""Routes of jobs and workers: the worker protocol, and the views for operators."""
 
 from collections import Counter
 from collections.abc import Callable, Coroutine
@@ -10,15 +10,14 @@ from pydantic import BaseModel, ValidationError
 from sqlalchemy import Connection
 from starlette.requests import ClientDisconnect
 
-from brink.server.api.conditional import NOTHING_NEW, tag
 from brink.server.api.context import Services, client_gone
+from brink.server.api.responses import NOT_MODIFIED, set_etag
 from brink.server.api.schemas import MAX_NUMBER, JobCounts, JobList, JobViewModel, WorkerView
-from brink.server.campaigns.jobs import list_jobs
 from brink.server.campaigns.store import ENDED
 from brink.server.db.engine import read
-from brink.server.queue.census import count_jobs
-from brink.server.queue.workers import capabilities_of_live, list_seen
-from brink.server.states import JobKind, JobStatus
+from brink.server.queue.job_store import count_jobs, list_jobs
+from brink.server.queue.workers import list_workers, live_capabilities
+from brink.server.states import CampaignStatus, JobKind, JobStatus
 from brink.worker.wire import (
     HeartbeatReply,
     HeartbeatRequest,
@@ -32,10 +31,10 @@ JSON = "application/json"
 
 
 class WireRoute(APIRoute):
-    """A route whose function takes ``message``, ``request`` and ``services``, and returns a message."""
+    """A fast route for functions that take ``message``, ``request`` and ``services`` and return a message."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
-        """Return what serves a request."""
+        """Return the request handler, which parses and writes JSON without the framework's overhead."""
         serve, usual = self.endpoint, super().get_route_handler()
         model: type[BaseModel] = self.endpoint.__annotations__["message"]
 
@@ -44,10 +43,10 @@ class WireRoute(APIRoute):
                 return await usual(request)
             try:
                 message = model.model_validate_json(await request.body())
-            except ClientDisconnect:  # or a body that is too large, or late, which the guards answer
+            except ClientDisconnect:  # or the body was too large or too slow, which the middleware answers
                 return Response(status_code=400)
             except ValidationError:
-                return await usual(request)  # which says what is wrong
+                return await usual(request)  # renders the errors
             reply = await serve(message=message, request=request, services=request.app.state.context)
             return Response(reply.model_dump_json(), media_type=JSON)
 
@@ -60,25 +59,25 @@ wire = APIRouter(tags=["jobs"], route_class=WireRoute)
 
 @wire.post("/jobs/lease")
 async def lease_jobs(message: LeaseRequest, request: Request, services: Services) -> LeaseReply:
-    """Lease jobs, waiting up to `wait_s` for some."""
+    """Lease jobs, waiting up to `wait_s` seconds for them."""
     async with client_gone(request) as gone:
         return await services.queue.lease(message, gone)
 
 
 @wire.post("/jobs/heartbeat")
 async def renew_leases(message: HeartbeatRequest, request: Request, services: Services) -> HeartbeatReply:
-    """Renew leases; the reply names the jobs that are still held."""
+    """Renew leases; the reply lists the jobs that the worker still holds."""
     return await services.queue.heartbeat(message)
 
 
 @wire.post("/jobs/results")
 async def report_results(message: ResultsRequest, request: Request, services: Services) -> ResultsReply:
-    """Report outcomes, and lease the next jobs in the same request if asked to."""
+    """Report results and, if requested, lease the next jobs."""
     async with client_gone(request) as gone:
         return await services.queue.results(message, gone)
 
 
-@router.get("/jobs", responses=NOTHING_NEW)
+@router.get("/jobs", responses=NOT_MODIFIED)
 async def get_jobs(
     services: Services,
     request: Request,
@@ -88,7 +87,7 @@ async def get_jobs(
     after: Annotated[int, Query(ge=0, le=MAX_NUMBER)] = 0,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> JobList:
-    """List jobs, ascending by id. Answers 304 to a known ETag."""
+    """List jobs in ascending order of id. Supports conditional requests with ETag."""
     jobs = await read(
         services.engines,
         lambda connection: list_jobs(
@@ -97,16 +96,16 @@ async def get_jobs(
     )
     views = [JobViewModel.model_validate(job, from_attributes=True) for job in jobs]
     view = JobList(jobs=views, next=views[-1].id if len(views) == limit else None)
-    tag(request, response, view)
+    set_etag(request, response, view)
     return view
 
 
-@router.get("/jobs/counts", responses=NOTHING_NEW)
+@router.get("/jobs/counts", responses=NOT_MODIFIED)
 async def get_job_counts(services: Services, request: Request, response: Response) -> JobCounts:
-    """Count the jobs that are not done, by campaign and by what they need. Answers 304 to a known ETag."""
+    """Count unfinished jobs by campaign and need. Supports conditional requests with ETag."""
     seen_s = services.settings.worker_seen_s
     view = await read(services.engines, lambda connection: job_counts(connection, seen_s))
-    tag(request, response, view)
+    set_etag(request, response, view)
     return view
 
 
@@ -116,10 +115,10 @@ async def retry_job(job: Annotated[int, Path(ge=0, le=MAX_NUMBER)], services: Se
     await services.campaigns.retry_job(job)
 
 
-@router.get("/workers", tags=["workers"], responses=NOTHING_NEW)
+@router.get("/workers", tags=["workers"], responses=NOT_MODIFIED)
 async def get_workers(services: Services, request: Request, response: Response) -> list[WorkerView]:
-    """List workers, the latest heard of first. Answers 304 to a known ETag."""
-    seen = await read(services.engines, lambda connection: list_seen(connection))
+    """List workers, most recently seen first. Supports conditional requests with ETag."""
+    seen = await read(services.engines, lambda connection: list_workers(connection))
     horizon = services.settings.worker_seen_s
     views = [
         WorkerView(
@@ -130,18 +129,19 @@ async def get_workers(services: Services, request: Request, response: Response) 
         )
         for w in seen
     ]  # fmt: skip
-    tag(request, response, views, leave_out=("seen_s_ago",))
+    set_etag(request, response, views, leave_out=("seen_s_ago",))
     return views
 
 
 def job_counts(connection: Connection, worker_seen_s: float) -> JobCounts:
-    """Return how many jobs are not done, by what they have in common."""
+    """Return the counts of unfinished jobs, and which of them cannot run now."""
     counts = sorted(count_jobs(connection), key=lambda one: (one.campaign, one.status, one.needs, one.kind))
-    able = set().union(*capabilities_of_live(connection, worker_seen_s).values())
+    able = set().union(*live_capabilities(connection, worker_seen_s).values())
     unrunnable: Counter[str] = Counter()
     paused = set()
     for one in counts:
-        handed_out = one.running or one.kind == JobKind.TRACE  # traces are made after the end, too
+        # Traces are recorded after a campaign has ended, too.
+        handed_out = one.campaign_status is CampaignStatus.RUNNING or one.kind == JobKind.TRACE
         if one.status is JobStatus.QUEUED and not handed_out:
             paused.add(one.campaign)
         elif one.status is JobStatus.QUEUED and one.needs not in able:
@@ -151,6 +151,6 @@ def job_counts(connection: Connection, worker_seen_s: float) -> JobCounts:
         kind=[one.kind for one in counts], needs=[one.needs for one in counts],
         jobs=[one.jobs for one in counts],
         campaigns={one.campaign: one.name for one in counts},
-        paused=sorted(paused), ended=sorted({one.campaign for one in counts if one.of in ENDED}),
+        paused=sorted(paused), ended=sorted({one.campaign for one in counts if one.campaign_status in ENDED}),
         unrunnable=dict(unrunnable),
     )  # fmt: skip

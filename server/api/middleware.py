@@ -1,4 +1,4 @@
-"""Middleware in front of every request: who may do what, how often and how much, and how long it took."""
+"""Middleware for every request: authentication, rate and size limits, security headers, metrics, access log."""
 
 import asyncio
 import logging
@@ -13,7 +13,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from brink.server.access.gate import Gate
+from brink.server.access.authentication import Authenticator
 from brink.server.access.tokens import allows
 from brink.server.api.context import CALLER
 from brink.server.api.problem_details import problem
@@ -24,10 +24,10 @@ from brink.server.settings import LOOPBACK
 from brink.worker.log import log_fields
 
 OPEN_PATHS = ("/", "/healthz", "/readyz", "/docs", "/openapi.json")
-"""What says nothing of any campaign: whether the coordinator lives, what its API is, a page that asks for a token."""
+"""Paths that need no token, since they reveal nothing about campaigns."""
 OPEN_FOLDERS = (f"{DOCS_FOLDER}/", f"{page.FOLDER}/")
-SLOWEST_BYTES_PER_S = 10_000.0
-"""What a body that takes longer than a stall must come with on the whole."""
+MIN_BODY_BYTES_PER_S = 10_000.0
+"""Average rate at which a body must arrive once it takes longer than the request timeout."""
 
 HEADERS = {
     "X-Content-Type-Options": "nosniff",
@@ -35,22 +35,31 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Content-Security-Policy": "default-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'self'",
 }
-"""Of every answer. There are none for other origins: no page of another one may read anything."""
+"""Headers of every response. There are no CORS headers: pages of other origins may not read anything."""
 _DOCS_POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
     "frame-ancestors 'none'"
 )
-"""The page of the API is another's, and starts itself by a script within."""
+"""Policy for Swagger UI, which starts with an inline script."""
 
 log = logging.getLogger(__name__)
 
 
 class AccessMiddleware:
-    """Refuses who may not, and bodies past the bound, before anything reads them."""
+    """Authenticates requests, limits their rate and size, and sets security headers.
 
-    def __init__(self, app: ASGIApp, gate: Gate | None, max_body_bytes: int, stall_s: float) -> None:
+    Args:
+        app: The inner application.
+        authenticator: Checks tokens and rates; None serves everybody.
+        max_body_bytes: Largest accepted body.
+        stall_s: How long a body may take to arrive, unless it is large.
+    """
+
+    def __init__(
+        self, app: ASGIApp, authenticator: Authenticator | None, max_body_bytes: int, stall_s: float
+    ) -> None:
         self._app = app
-        self._gate = gate
+        self._authenticator = authenticator
         self._max_body_bytes = max_body_bytes
         self._stall_s = stall_s
 
@@ -61,7 +70,7 @@ class AccessMiddleware:
             return
         policy = _DOCS_POLICY if scope["path"] == "/docs" else None
 
-        async def safer(message: Message) -> None:
+        async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
                 for name, value in HEADERS.items():
@@ -70,64 +79,66 @@ class AccessMiddleware:
                     headers["Content-Security-Policy"] = policy
             await send(message)
 
-        refusal = _unheard_of(scope)
+        refusal = _unprintable_path(scope)
         if refusal is None and not _is_open(scope["path"]):
             refusal = await self._refusal(scope)
         if refusal is not None:
-            await refusal(scope, receive, safer)
+            await refusal(scope, receive, send_with_headers)
             return
-        await self._bounded(scope, receive, safer)
+        await self._serve_limited(scope, receive, send_with_headers)
 
     async def _refusal(self, scope: Scope) -> Response | None:
-        """Return the answer to a request that may not be served, or None."""
-        if self._gate is None:
+        """Return the response that rejects a request, or None if it may be served."""
+        if self._authenticator is None:
             return None
         try:
-            if not await self._gate.closed():
-                return from_elsewhere(scope)
+            if not await self._authenticator.requires_token():
+                return cross_site_refusal(scope)
             given = Headers(scope=scope).get("authorization", "")
-            caller = await self._gate.caller(given.encode("latin-1"))
+            caller = await self._authenticator.caller(given.encode("latin-1"))
         except SQLAlchemyError as error:
-            log.warning("tokens cannot be read: %s", error)
-            return problem(503, "Unavailable", "tokens cannot be read from the database now; try again")
+            log.warning("cannot read tokens: %s", error)
+            return problem(
+                503, "Unavailable", "the database is unavailable, so tokens cannot be checked; try again"
+            )
         if caller is None:
             address = scope["client"][0] if scope.get("client") else "unknown"
-            if wait_s := self._gate.stranger_wait_s(address):
-                return _too_many(wait_s)
+            if wait_s := self._authenticator.unauthenticated_wait_s(address):
+                return _rate_limited(wait_s)
             return problem(
                 401,
                 "Unauthorised",
-                "expected the header 'Authorization: Bearer TOKEN' with a token of this coordinator that holds",
+                "expected the header 'Authorization: Bearer TOKEN' with a valid token of this coordinator",
                 headers={"WWW-Authenticate": "Bearer"},
             )
-        if wait_s := self._gate.wait_s(caller):
-            return _too_many(wait_s)
+        if wait_s := self._authenticator.wait_s(caller):
+            return _rate_limited(wait_s)
         scope[CALLER] = caller
         if not allows(caller.scope, scope["method"], scope["path"]):
             return problem(
                 403, "Forbidden",
-                f"this token's scope is {caller.scope}; expected one that covers {scope['method']} {scope['path']}",
+                f"this token's scope is {caller.scope}, which does not allow {scope['method']} {scope['path']}",
             )  # fmt: skip
         return None
 
-    async def _bounded(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def _serve_limited(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = {name.lower(): value for name, value in scope["headers"]}
         length = headers.get(b"content-length", b"0")
         if not length.isdigit() or int(length) > self._max_body_bytes:
             await self._too_large(scope, receive, send)
             return
-        body = _Bounded(receive, self._max_body_bytes, self._stall_s)
+        body = _LimitedBody(receive, self._max_body_bytes, self._stall_s)
 
-        async def answer(message: Message) -> None:
+        async def send_unless_cut(message: Message) -> None:
             if not (body.exceeded or body.late):
                 await send(message)
 
-        await self._app(scope, body.receive, answer)
+        await self._app(scope, body.receive, send_unless_cut)
         if body.exceeded:
             await self._too_large(scope, receive, send)
         elif body.late:
             await problem(
-                408, "Request timeout", "expected the whole body sooner", headers={"Connection": "close"}
+                408, "Request timeout", "the body took too long to arrive", headers={"Connection": "close"}
             )(scope, receive, send)
 
     async def _too_large(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -136,16 +147,16 @@ class AccessMiddleware:
         )
 
 
-def _unheard_of(scope: Scope) -> Response | None:
-    """Refuse a path with control characters: a route may match one that ends in a line feed, a scope would not."""
+def _unprintable_path(scope: Scope) -> Response | None:
+    """Reject control characters: a route may match a path that ends in a line feed, a scope check does not."""
     if scope["path"].isprintable():
         return None
     return problem(404, "Not found", "expected a path of printable characters")
 
 
-def _too_many(wait_s: float) -> Response:
+def _rate_limited(wait_s: float) -> Response:
     return problem(
-        429, "Too many requests", "expected fewer requests a second",
+        429, "Too many requests", "rate limit exceeded; see the header Retry-After",
         headers={"Retry-After": str(max(1, math.ceil(wait_s)))},
     )  # fmt: skip
 
@@ -154,36 +165,36 @@ def _is_open(path: str) -> bool:
     return path in OPEN_PATHS or path.startswith(OPEN_FOLDERS)
 
 
-class _Bounded:
-    """A body that ends at the bound, or when it takes too long to come, as if the client had gone."""
+class _LimitedBody:
+    """A request body that looks like a disconnect once it is too large or takes too long to arrive."""
 
     def __init__(self, receive: Receive, max_bytes: int, stall_s: float) -> None:
         self._receive = receive
         self._max_bytes = max_bytes
-        self._come = 0
+        self._received_bytes = 0
         self._ended = False
         self._began_s = time.monotonic()
         self._stall_s = stall_s
         self.late = False
-        """Whether it took too long."""
+        """Whether the body took too long to arrive."""
 
     @property
     def exceeded(self) -> bool:
-        """Whether the body went past the bound."""
-        return self._come > self._max_bytes
+        """Whether the body is larger than the limit."""
+        return self._received_bytes > self._max_bytes
 
     async def receive(self) -> Message:
-        """Return the next part of the request; after its last one, wait for the client to go."""
+        """Return the next part of the body; after the last one, wait for the client to disconnect."""
         if self._ended:
             return await self._receive()
-        due_s = self._began_s + self._stall_s + self._come / SLOWEST_BYTES_PER_S
+        due_s = self._began_s + self._stall_s + self._received_bytes / MIN_BODY_BYTES_PER_S
         try:
             async with asyncio.timeout(max(0.0, due_s - time.monotonic())):
                 message = await self._receive()
         except TimeoutError:
             self.late = True
             return {"type": "http.disconnect"}
-        self._come += len(message.get("body", b""))
+        self._received_bytes += len(message.get("body", b""))
         self._ended = not message.get("more_body", False)
         return {"type": "http.disconnect"} if self.exceeded else message
 
@@ -192,28 +203,26 @@ _READS: Final = frozenset({"GET", "HEAD"})
 _OWN_SITE: Final = frozenset({"same-origin", "none"})
 
 
-def from_elsewhere(scope: Scope) -> Response | None:
-    """Return the refusal of a request that another site's page had a browser make, or None."""
+def cross_site_refusal(scope: Scope) -> Response | None:
+    """Return the response that rejects a browser's request on behalf of another site, or None."""
     headers = Headers(scope=scope)
     host = headers.get("host", "").lower()
-    if _name(host) not in LOOPBACK:
+    if _host_name(host) not in LOOPBACK:
         return problem(
             421, "Misdirected request",
-            "expected a name of this machine, such as 127.0.0.1 or localhost; a coordinator without tokens serves "
-            "under no other",
+            "expected a loopback host name such as 127.0.0.1 or localhost; a coordinator without tokens accepts no "
+            "other",
         )  # fmt: skip
     origin = headers.get("origin")
     foreign = origin is not None and origin.partition("://")[2].lower() != host
     fetched = headers.get("sec-fetch-site", "none") not in _OWN_SITE
     opened = headers.get("sec-fetch-mode") == "navigate"
     if (foreign and scope["method"] not in _READS) or (fetched and not opened):
-        return problem(
-            403, "Forbidden", "expected no request for a page of another site; make a token for that"
-        )
+        return problem(403, "Forbidden", "cross-site requests are not allowed without a token")
     return None
 
 
-def _name(host: str) -> str:
+def _host_name(host: str) -> str:
     if host.startswith("["):
         return host[1:].partition("]")[0]
     return host.partition(":")[0]
@@ -225,16 +234,15 @@ _PLAIN_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 
 
 class MetricsMiddleware:
-    """Measures what happens within.
+    """Measures and logs requests, and gives each an id.
 
-    Every request has an id: that of its ``X-Request-ID`` if it looks like one, such as a proxy gives, else one of
-    its own. The answer carries it, and so does whatever is logged meanwhile. Headers, queries and bodies are never
-    logged.
+    The id is taken from a well-formed ``X-Request-ID``, such as a proxy sets, or generated. The response carries it,
+    and so do all log records of the request. Headers, queries and bodies are never logged.
 
     Args:
-        app: What happens within.
-        metrics: Where times are counted.
-        access_log: Whether requests are logged as what happened (INFO), not as a detail (DEBUG).
+        app: The inner application.
+        metrics: Where durations are recorded.
+        access_log: Whether requests are logged at INFO instead of DEBUG.
     """
 
     def __init__(self, app: ASGIApp, metrics: Metrics, *, access_log: bool = False) -> None:
@@ -250,7 +258,7 @@ class MetricsMiddleware:
         began, status = time.perf_counter(), 0
         request_id = _request_id(scope)
 
-        async def noted(message: Message) -> None:
+        async def send_with_id(message: Message) -> None:
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]
@@ -260,10 +268,10 @@ class MetricsMiddleware:
 
         with log_fields(request=request_id):
             try:
-                await self._app(scope, receive, noted)
+                await self._app(scope, receive, send_with_id)
             finally:
                 method = scope["method"] if scope["method"] in _METHODS else "other"
-                # Not the path: it has ids in it, and strangers could make up any number of them.
+                # Not the path: it contains ids, so clients could create any number of label values.
                 route = getattr(scope.get("route"), "path", "none")
                 taken_s = time.perf_counter() - began
                 self._metrics.requests.labels(method, route, f"{status // 100}xx").observe(taken_s)
@@ -278,7 +286,7 @@ def _request_id(scope: Scope) -> str:
 
 
 def _ids(scope: Scope) -> dict[str, object]:
-    """Return which campaign and job a path names."""
+    """Return the log fields for the campaign and job that a path names."""
     named = scope.get("path_params", {})
     return {
         field: named[parameter]

@@ -11,8 +11,8 @@ from typing import Any, ClassVar
 
 from brink.search.algorithm import Evaluation, Measured, Scored
 from brink.search.errors import ConfigError
-from brink.search.levels import Slots
 from brink.search.settings import check_settings, setting
+from brink.search.slots import Slots
 from brink.search.space import Categorical, Component, Real, SearchSpace
 from brink.server.errors import nearest
 from brink.server.problems.base import Vectors

@@ -1,22 +1,22 @@
-"""The database of a coordinator before it serves: there, of this version's schema, without leases of dead workers."""
+"""Preparation of the database before a coordinator serves: existence, schema version, leases of dead workers."""
 
 from sqlalchemy import inspect
 
-from brink.server.access.store import any_token
+from brink.server.access.tokens import any_token
 from brink.server.db.engine import open_engines, parse_url
 from brink.server.db.models import TokenRow
 from brink.server.db.upgrade import check_known, current_revision, head_revision, upgrade
 from brink.server.errors import DatabaseError
-from brink.server.queue.holding_store import release
-from brink.server.queue.workers import leases_of, process_is_gone
+from brink.server.queue.lease_store import release
+from brink.server.queue.workers import leases_of_dead
 from brink.server.settings import Settings
 
 
 def prepare_database(settings: Settings) -> tuple[str | None, str]:
-    """Bring the database to this version's schema; return the revisions before and after.
+    """Upgrade the database to this version's schema; return the revisions before and after.
 
     Raises:
-        DatabaseError: It cannot be reached, or its schema is newer than this version knows.
+        DatabaseError: The database cannot be reached, or its schema is newer than this version.
     """
     engines = open_engines(settings.database)
     try:
@@ -25,27 +25,27 @@ def prepare_database(settings: Settings) -> tuple[str | None, str]:
         engines.dispose()
 
 
-def check_there(settings: Settings) -> None:
-    """Raise unless the database is there, where it is a file; looking at one makes it.
+def check_exists(settings: Settings) -> None:
+    """Check that the database file exists, if it is a file; opening it would create it.
 
     Raises:
-        DatabaseError: It is not, with what to do.
+        DatabaseError: The file does not exist.
     """
     path = settings.sqlite_file
     if path is not None and not path.exists():
         raise DatabaseError(
-            f"no database at {path}: run a campaign first (brink run FILE), name another one with --database, "
-            "or name a coordinator with --server"
+            f"no database at {path}: run a campaign first (brink run FILE), choose another database with --database, "
+            "or a coordinator with --server"
         )
 
 
 def check_database(settings: Settings) -> None:
-    """Raise unless the database is there and has this version's schema.
+    """Check that the database exists and has this version's schema.
 
     Raises:
-        DatabaseError: It is not, with what to do.
+        DatabaseError: It does not exist, or it needs an upgrade.
     """
-    check_there(settings)
+    check_exists(settings)
     engines = open_engines(settings.database)
     try:
         revision = current_revision(engines)
@@ -59,34 +59,34 @@ def check_database(settings: Settings) -> None:
         )
 
 
-def release_leases_of_the_dead(settings: Settings) -> int:
-    """Put back what workers of this machine held that are no more, uncharged; return how many jobs.
+def release_leases_of_dead_workers(settings: Settings) -> int:
+    """Return jobs leased by dead workers of this machine to the queue, without counting a loss; return their number.
 
-    For the start after a crash of everything, which is no fault of the jobs. Only for SQLite, where the coordinator
-    and its database share a machine; should a worker be mistaken for dead, its results are `stale` and run again.
+    For a start after everything crashed, which is not the fault of the jobs. Only for SQLite, where coordinator and
+    database share a machine. If a live worker is mistaken for dead, its results are `stale`, and the jobs run again.
     """
     if settings.sqlite_file is None:
         return 0
     engines = open_engines(settings.database)
     try:
         with engines.writer.begin() as connection:
-            leases = leases_of(connection, process_is_gone)
+            leases = leases_of_dead(connection)
             return release(connection, leases)
     finally:
         engines.dispose()
 
 
-def has_tokens(settings: Settings, *, that_hold: bool = True) -> bool:
-    """Return whether tokens are stored: such that hold, or any, so that nobody is served without one."""
+def has_tokens(settings: Settings, *, valid_only: bool = True) -> bool:
+    """Return whether the database has valid tokens or, with ``valid_only`` off, any tokens."""
     file = settings.sqlite_file
     if file is not None and not file.exists():
         return False
     engines = open_engines(settings.database)
     try:
         with engines.reader.connect() as connection:
-            # An older schema knows no tokens.
+            # An older schema has no such table.
             return inspect(connection).has_table(TokenRow.__tablename__) and any_token(
-                connection, that_holds=that_hold
+                connection, valid_only=valid_only
             )
     finally:
         engines.dispose()

@@ -1,4 +1,4 @@
-"""The static scenery of a road: buildings, parked cars and trees, and the surfaces of the scene in drawing order.
+"""The static scenery of a road: buildings, parked cars, trees, and the surfaces of the scene in drawing order.
 
 The same road always has the same scenery; nothing here is random.
 """

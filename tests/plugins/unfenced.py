@@ -10,4 +10,4 @@ def judge(row: Any, *_: Any) -> str:
     return "stale" if row is None else "accepted"
 
 
-vars(report_store)["_judge"] = judge
+vars(report_store)["_status_of"] = judge

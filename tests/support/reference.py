@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from brink.search.digest import archive_digest
+from brink.search.archive import archive_digest
 from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import make_plan, new_solutions
 from support.problems import Ball, simulated

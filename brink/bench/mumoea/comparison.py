@@ -20,8 +20,8 @@ from brink.bench.mumoea.measures import Measures, first_of_each_type, measured, 
 from brink.bench.mumoea.runs import ADAPTIVE, ALWAYS, METHODS, SearchRun, Task, run_or_read
 from brink.bench.telling import Told
 from brink.bench.trials import code_fingerprint, single_threaded
-from brink.search.seeding import Origin
-from brink.search.statistics import compared
+from brink.search.algorithm import Origin
+from brink.search.analysis.statistics import compared
 from brink.server.problems.npc_actions import NpcActionsParams
 
 """Called with what is being measured, how much of it is done, and how much there is."""

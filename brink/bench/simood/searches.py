@@ -15,7 +15,7 @@ from brink.bench.telling import Told
 from brink.bench.trials import Records
 from brink.search.algorithm import Evaluation, Measured
 from brink.search.algorithms.simood import Simood, SimoodConfig, SimoodState, Stage, finalists_of
-from brink.search.statistics import compared
+from brink.search.analysis.statistics import compared
 from brink.sim.perturbations import CATALOGUE
 
 SEEDS: Final = range(10)

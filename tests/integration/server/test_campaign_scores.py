@@ -7,7 +7,7 @@ import pytest
 from support.api import FakeWorker, ball, expect, progress, submit
 from support.problems import REQUIREMENT
 
-from brink.search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.worker.wire import Completed, LeasedJob, WireVerdict
 
 SLOTS: dict[str, Any] = {

@@ -17,7 +17,7 @@ from support.api import FakeWorker, ball, coordinator, submit
 from support.databases import Databases
 from typer.testing import CliRunner
 
-from brink.cli import commands, steer
+from brink.cli import campaigns, commands
 from brink.cli.commands import app
 from brink.cli.main import main
 from brink.cli.options import database_option
@@ -217,7 +217,7 @@ def test_a_database_without_a_schema_says_how_to_get_one(brink: Command, databas
         said = brink("db", "upgrade", "--database", url)
         assert (said.status, "upgraded from schema none" in said.out) == (0, True)
         assert brink("db", "status", "--database", url).status == 0
-        assert "no campaign yet" in brink("status", "--database", url).out
+        assert "no campaigns yet" in brink("status", "--database", url).out
 
 
 def test_a_newer_schema_is_one_line(brink: Command, databases: Databases, tmp_path: Path) -> None:
@@ -283,7 +283,7 @@ def test_commands_say_the_same_from_the_database_and_from_afar(
 def test_campaigns_are_steered_by_command(
     brink: Command, databases: Databases, small_problems: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(steer, "PAGE", 7)
+    monkeypatch.setattr(campaigns, "RETRY_PAGE", 7)
     with databases.database("steered") as url, coordinator(url) as client:
         campaign = submit(client, ball(simulations=100))
         afar, near = ("--server", str(client.base_url)), ("--database", url)
@@ -292,10 +292,10 @@ def test_campaigns_are_steered_by_command(
         assert "is running" in brink("resume", campaign, *near).out
         FakeWorker(client, judge=lambda _: JobFailed(reason="invalid", message="no")).work(campaign)
         assert "paused" in brink("status", campaign, *afar).out
-        assert "20 jobs are in the queue again" in brink("retry", campaign, *afar).out
+        assert "20 jobs are back in the queue" in brink("retry", campaign, *afar).out
         assert "0 jobs" in brink("retry", campaign, *afar).out
         assert "cancel it before deleting it" in brink("delete", campaign, "--yes", *afar).line
-        assert "what it found stays" in brink("cancel", campaign, *near).out
+        assert "its results are kept" in brink("cancel", campaign, *near).out
         assert "to pause it, it must be running" in brink("pause", campaign, *near).line
         assert "is deleted" in brink("delete", campaign, "--yes", *afar).out
         assert "no such campaign" in brink("status", campaign, *afar).line

@@ -8,7 +8,7 @@ import httpx
 import pytest
 from support.api import coordinator, expect
 
-from brink.server.access.store import create_token
+from brink.server.access.tokens import create_token
 from brink.server.dashboard.page import STATIC
 from brink.server.db.engine import Engines
 from brink.server.states import Scope
@@ -57,7 +57,7 @@ def test_files_beside_the_pages_are_not_served(guarded: httpx.Client) -> None:
 def test_a_token_learns_what_it_may_do(
     guarded: httpx.Client, engines: Engines, scope: str, status: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("brink.server.access.gate.REMEMBERED_S", 0.0)
+    monkeypatch.setattr("brink.server.access.authentication.TOKEN_CACHE_S", 0.0)
     with engines.writer.begin() as connection:
         token = create_token(connection, Scope(scope), "somebody")
     told = expect(guarded.get("/api/v1/access", headers={"Authorization": f"Bearer {token}"}), status)

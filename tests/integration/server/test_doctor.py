@@ -13,9 +13,9 @@ from support.queue import Queue
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
-from brink.server.db.clock import database_now
 from brink.server.db.engine import Engines
 from brink.server.db.models import CampaignRow, CheckpointRow, DistanceBlockRow, JobRow
+from brink.server.db.sql import database_now
 from brink.server.operations.doctor import State, examine
 from brink.server.settings import Settings
 
@@ -37,7 +37,7 @@ def test_a_sound_database_is_called_so(database_url: str, engines: Engines, fini
     checks = found(database_url, engines)
     assert {state for state, _ in checks.values()} == {State.FINE}
     assert {"database", "schema", "clock", "workers", "leases", "jobs", "campaigns", "stored"} <= set(checks)
-    assert "64 solutions' distances computed again" in checks["stored"][1]
+    assert "distances of 64 solutions verified" in checks["stored"][1]
 
 
 def test_what_is_stuck_or_lacking_is_named(database_url: str, engines: Engines, finished: str) -> None:
@@ -52,7 +52,7 @@ def test_what_is_stuck_or_lacking_is_named(database_url: str, engines: Engines, 
     checks = found(database_url, engines)
     assert checks["workers"][0] is State.WRONG
     assert "2 queued jobs need rare@1" in checks["workers"][1]
-    assert checks["leases"] == (State.WRONG, "1 of 1 ran out over 30 s ago, and nobody took them back")
+    assert checks["leases"] == (State.WRONG, "1 of 1 expired over 30 s ago and were not taken back")
     assert checks["campaigns"][0] is State.WRONG
     assert idle in checks["campaigns"][1]
 

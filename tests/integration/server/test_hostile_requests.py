@@ -20,9 +20,8 @@ from support.databases import Databases
 from support.hostile import Attack, Target, everything, outcome_of, prepare, results
 from support.problems import small_problems
 
-import brink.server.access.gate
-from brink.server.access.store import create_token
-from brink.server.access.tokens import id_within
+import brink.server.access.authentication
+from brink.server.access.tokens import create_token, parse_token_id
 from brink.server.db.engine import Engines, open_engines
 from brink.server.states import Scope
 
@@ -44,8 +43,8 @@ def named(name: str, *gets: int) -> Callable[[Callable[..., None]], Callable[...
 def target(databases_of_file: Databases) -> Iterator[Target]:
     """A coordinator with tokens and campaigns, for the whole list."""
     with pytest.MonkeyPatch.context() as patched, small_problems(), databases_of_file.database() as url:
-        patched.setattr(brink.server.access.gate, "REMEMBERED_S", 0.0)
-        patched.setattr(brink.server.access.gate, "STRANGERS_PER_S", 1e6)
+        patched.setattr(brink.server.access.authentication, "TOKEN_CACHE_S", 0.0)
+        patched.setattr(brink.server.access.authentication, "UNAUTHENTICATED_PER_S", 1e6)
         engines = open_engines(url)
         try:
             with coordinator(
@@ -124,9 +123,9 @@ def test_a_flood_is_told_to_come_again_later(guarded: tuple[httpx.Client, str]) 
 def test_guesses_are_told_to_come_again_later(
     guarded: tuple[httpx.Client, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(brink.server.access.gate, "STRANGERS_PER_S", 20.0)
+    monkeypatch.setattr(brink.server.access.authentication, "UNAUTHENTICATED_PER_S", 20.0)
     client, token = guarded
-    guesses = [f"brink_admin_{id_within(token)}_{number:048x}" for number in range(100)]
+    guesses = [f"brink_admin_{parse_token_id(token)}_{number:048x}" for number in range(100)]
     answers = [client.get("/api/v1/jobs", headers={"Authorization": f"Bearer {guess}"}) for guess in guesses]
     assert {answer.status_code for answer in answers} == {401, 429}
     late = [answer for answer in answers if answer.status_code == 429]

@@ -30,7 +30,7 @@ from typer.testing import CliRunner
 
 import brink.server.llm.seeds
 from brink.cli.commands import app
-from brink.search.seeding import SeedRequest
+from brink.search.algorithm import SeedRequest
 from brink.server.campaigns.body import CampaignBody
 from brink.server.db.engine import Engines
 from brink.server.db.models import SeedClaimRow
@@ -327,7 +327,7 @@ def test_the_command_line_tries_shows_and_tells(
     endpoint.then(*[says(reply_text(items(1)))] * len(Mode))
     tried = run(app, ["llm", "check", str(file)])
     assert tried.exit_code == 0, tried.output
-    assert "replies will be asked for as json_schema" in tried.stdout
+    assert "reply format: json_schema" in tried.stdout
     endpoint.then(*[says("no")] * len(Mode))
     assert run(app, ["llm", "check", str(file)]).exit_code == 1
     endpoint.reset()

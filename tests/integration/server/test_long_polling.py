@@ -18,10 +18,10 @@ from support.queue import Queue
 
 from brink.server.api.context import Context
 from brink.server.app import create_app
-from brink.server.db.clock import database_now
 from brink.server.db.engine import Engines
 from brink.server.db.models import JobRow
-from brink.server.queue import holding_store, service
+from brink.server.db.sql import database_now
+from brink.server.queue import lease_store, service
 from brink.worker.wire import HeldLease, LeaseRequest, ResultsRequest, WorkerIdentity
 
 PATIENCE_S = 30.0
@@ -208,7 +208,7 @@ def test_a_wake_up_of_a_client_that_has_gone_goes_to_the_next(database_url: str)
         await waiters(context, 2)
         release = [HeldLease(job=held[0].job, token=held[0].token)]
         with context.engines.writer.begin() as connection:
-            assert holding_store.release(connection, release) == 1
+            assert lease_store.release(connection, release) == 1
         context.queue.wakeups.wake(1)  # is the first one's, who goes before it looks
         gone.set()
         async with asyncio.timeout(NEWS_S):

@@ -10,7 +10,7 @@ from support.api import FakeWorker, ball, eventually, expect, submit
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
-from brink.search.monitor import Monitor
+from brink.search.analysis.monitor import Monitor
 
 
 def finished(client: httpx.Client, **changes: Any) -> str:
@@ -105,7 +105,7 @@ def test_a_monitor_is_a_file_that_needs_no_server(client: httpx.Client, tmp_path
     assert witnesses["monitor"]["brier"] < witnesses["majority"]["brier"] / 2
     assert picture.stat().st_size > 10_000
     said = run(app, ["monitor", "judge", str(file), fresh, *server])
-    assert "judged by 400 others" in said.output
+    assert "evaluated on 400 others" in said.output
 
     known = run(app, ["monitor", "judge", str(file), learned, *server])
     assert known.exit_code == 1

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from support.api import FakeWorker, ball, expect, submit
 
-from brink.search.analysis.nearest import nearest
+from brink.search.analysis.similarity import nearest_solutions
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.fitness import wilson_interval
 from brink.search.metric import Metric
@@ -75,7 +75,7 @@ def test_of_those_equally_near_the_lower_number_comes_first() -> None:
     archive = Archive.empty(metric, Neighbourhood(radius=0.1, p_th=0.1)).grown(
         numbers, rows, np.zeros(6, bool), np.ones(6)
     )
-    found = nearest(archive, 0, 3)
-    assert archive.numbers[found.places].tolist() == [0, 1, 2]
+    found = nearest_solutions(archive, 0, 3)
+    assert archive.numbers[found.positions].tolist() == [0, 1, 2]
     assert found.distances == pytest.approx([0.0, 0.25, 0.25])
-    assert archive.numbers[nearest(archive, 0, 10).places].tolist() == [0, 1, 2, 8, 9]
+    assert archive.numbers[nearest_solutions(archive, 0, 10).positions].tolist() == [0, 1, 2, 8, 9]

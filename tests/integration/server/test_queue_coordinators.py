@@ -9,13 +9,12 @@ from typing import Any
 import pytest
 from sqlalchemy import Connection, event
 from support.postgres import PostgresDatabases
-from support.queue import RESULT, TERMS, Queue
+from support.queue import RESULT, TERMS, Queue, lease, report
 
 from brink.server.campaigns import store
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.writer import Unit, Writer
-from brink.server.queue import lease_store, report_store
-from brink.server.queue.values import Outcome, Report
+from brink.server.queue.report_store import Outcome, Report
 from brink.server.states import CampaignStatus
 from brink.worker.wire import LeasedJob
 
@@ -34,11 +33,11 @@ def two(postgres_databases: PostgresDatabases) -> Iterator[tuple[Engines, Engine
 
 
 def leases(worker: str, needs: str, max_jobs: int = 1) -> Unit[list[LeasedJob]]:
-    return lambda connection: lease_store.lease(connection, worker, [needs], max_jobs, TERMS)
+    return lambda connection: lease(connection, worker, [needs], max_jobs, TERMS)
 
 
 def reports(outcomes: list[Outcome]) -> Unit[Report]:
-    return lambda connection: report_store.report(connection, outcomes, TERMS)
+    return lambda connection: report(connection, outcomes, TERMS)
 
 
 def in_one_transaction(engines: Engines, units: list[Callable[[Connection], Any]]) -> list[Any]:
@@ -74,7 +73,7 @@ def test_a_lease_does_not_wait_for_the_one_who_cancels_its_campaign(two: tuple[E
     locked, leased = threading.Event(), threading.Event()
 
     def cancel(connection: Connection) -> None:
-        store.find_campaign(connection, campaign, lock=True)
+        store.CAMPAIGNS.find(connection, campaign, lock=True)
         locked.set()
         assert leased.wait(WAIT_S)
         store.set_status(connection, campaign, CampaignStatus.CANCELLED, "")

@@ -40,7 +40,7 @@ def test_an_archive_is_scored_otherwise(client: httpx.Client, tmp_path: Path) ->
     with Image.open(picture) as drawn:
         assert drawn.width == 1600
     people = CliRunner().invoke(app, command)
-    assert "the campaign's" in people.output
+    assert "this campaign" in people.output
 
 
 @pytest.mark.parametrize("databases", ["sqlite"], indirect=True)

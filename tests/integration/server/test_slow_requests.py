@@ -10,7 +10,7 @@ import pytest
 from support.api import FakeWorker, ball, eventually, expect, submit
 from test_traces_over_the_api import finished, traces
 
-import brink.server.campaigns.submission
+import brink.server.campaigns.plan
 from brink.server.campaigns.service import SLOW_AT_ONCE
 from brink.sim.errors import InvalidEpisode
 from brink.sim.trace import Trace
@@ -94,8 +94,8 @@ def test_a_submission_that_is_checked_keeps_nobody_waiting(
         except InvalidEpisode:
             return usual(*given)
 
-    usual = brink.server.campaigns.submission.check_submission
-    monkeypatch.setattr(brink.server.campaigns.submission, "check_submission", checked)
+    usual = brink.server.campaigns.plan.check_submission
+    monkeypatch.setattr(brink.server.campaigns.plan, "check_submission", checked)
     with asking(client, "POST", "/api/v1/campaigns", json=ball(seed=2, simulations=20)) as statuses:
         try:
             eventually(lambda: stuck.within == SLOW_AT_ONCE, "some are checked")

@@ -22,8 +22,8 @@ from brink.bench.urban_candidates import (
 )
 from brink.bench.urban_costs import Cost, episode_cpu_s, measure_costs, process_memory_mb, resident_mb
 from brink.bench.urban_difficulty import Sizes, consistent_effect_p, measure
-from brink.search.component import FloatArray
 from brink.search.metric import Metric
+from brink.search.space import FloatArray
 from brink.server.problems.base import SimulatedProblem
 from brink.server.problems.catalogue import make_problem
 from brink.sim.episode import EpisodeSpec

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from brink.search.algorithm import Measured, Scored
 from brink.search.errors import ConfigError
 from brink.server.campaigns.body import parse_body
-from brink.server.campaigns.submission import check_submission
+from brink.server.campaigns.plan import check_submission
 from brink.server.errors import InvalidInput
 from brink.server.problems.aeb_crossing import ACCIDENT, DANGEROUS_STOP, AebCrossing, AebCrossingParams
 from brink.server.problems.base import MeasuresOnData, SimulatedProblem

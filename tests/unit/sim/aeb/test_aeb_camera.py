@@ -22,11 +22,10 @@ from brink.sim.perception.boxes import Detections, LabelledFrame
 from brink.sim.perception.detector import DETECTORS
 from brink.sim.perception.user_files import read_coco
 from brink.sim.perturbations import Pipeline, parse_perturbations
-from brink.sim.replay import render
-from brink.sim.replay.errors import ReplayError
-from brink.sim.replay.palette import FOUND_ON_PICTURE, SEEN_ON_PICTURE
-from brink.sim.replay.side_by_side import HEADER_PX, MARGIN, TILE_PX, Row, side_by_side
-from brink.sim.replay.top_down import FramePainter
+from brink.sim.replay import ReplayError, render
+from brink.sim.replay.frame import FramePainter
+from brink.sim.replay.sheets import HEADER_PX, MARGIN, TILE_PX, Row, side_by_side
+from brink.sim.replay.style import FOUND_ON_PICTURE, SEEN_ON_PICTURE
 from brink.sim.trace import Film, Trace
 
 SIMULATOR, EVALUATOR = BrinkAeb(), DatasetEvaluator()
