@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from brink.sim.aeb.braking import PERSON, Detection, EmergencyBrake, Region
@@ -75,6 +75,7 @@ def test_a_disabled_brake_never_brakes() -> None:
     assert not brake.decide(0.0, [box(600, 300, 680, 600)])
 
 
+@settings(deadline=None)
 @given(COLUMN, COLUMN, ROW, ROW)
 def test_a_box_intersects_the_region_if_any_of_its_rows_does(a: float, b: float, c: float, d: float) -> None:
     box = Detection(PERSON, min(a, b), min(c, d), max(a, b), max(c, d))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -98,6 +98,7 @@ def test_the_numbers_of_pictures_must_agree() -> None:
         curves([truth(A)], [])
 
 
+@settings(deadline=None)
 @given(st.lists(st.booleans(), min_size=1, max_size=30), st.integers(0, 20))
 def test_average_precision_equals_its_definition(hits: list[bool], missed: int) -> None:
     places = [(20.0 * i, 0.0, 20.0 * i + 10.0, 10.0) for i in range(len(hits))]

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from perturbed_pictures import perturb, street
 
@@ -93,6 +93,7 @@ def test_mean_intensity_averages_over_the_genes() -> None:
     assert mean_intensity([]) == 0
 
 
+@settings(deadline=None)
 @given(st.sampled_from(list(CATALOGUE.values())), st.data())
 def test_a_perturbation_survives_json_and_text(gene: Gene, data: st.DataObject) -> None:
     perturbation = Perturbation(gene.name, data.draw(st.integers(0, gene.levels - 1)))
@@ -176,6 +177,7 @@ def test_every_size_works_at_representative_levels(size: tuple[int, int]) -> Non
             assert not np.array_equal(perturbed, frame), (gene.name, level)
 
 
+@settings(deadline=None)
 @given(
     st.integers(16, 90),
     st.integers(16, 120),
