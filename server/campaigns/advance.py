@@ -128,7 +128,7 @@ class Stepper:
         self._lock = threading.Lock()
 
     def adopt(self, campaign_id: str, live: LiveSearch) -> None:
-        """Keep the search of a campaign that was just submitted."""
+        """Keep the search of a new campaign in memory."""
         self._live[campaign_id] = live
 
     def forget(self, campaign_id: str) -> None:
@@ -391,7 +391,7 @@ def _is_open(outcomes: Iterable[JobOutcome]) -> bool:
 
 
 def _checkpoint(plan: Plan, state: Any, generation: int) -> Checkpoint:
-    """Return a checkpoint of a state that has not asked yet."""
+    """Return the checkpoint of a state from before the next `ask`."""
     archive: Archive = state.archive
     return Checkpoint(
         generation=generation,
@@ -406,7 +406,7 @@ def _finite(value: float) -> float | None:
 
 
 def _check_same(campaign: Campaign, candidates: Sequence[Candidate], stored: Mapping[int, bytes]) -> None:
-    """Check that the candidates asked for again are those that are being simulated.
+    """Check that the algorithm asked for the same candidates again that are being simulated.
 
     Raises:
         InvalidInput: They are not.

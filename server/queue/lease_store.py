@@ -203,7 +203,7 @@ class Grants:
 
 
 def lease_together(connection: Connection, demands: Sequence[LeaseDemand], now: datetime) -> Grants:
-    """Grant jobs to several workers as if one came after the other, but reading fresh jobs only once.
+    """Grant jobs to several workers as if they asked one after another, but read fresh jobs only once.
 
     Args:
         connection: In a write transaction.
@@ -226,7 +226,7 @@ def lease_together(connection: Connection, demands: Sequence[LeaseDemand], now: 
 
 
 def count_due_retries(connection: Connection, capabilities: Iterable[str]) -> int:
-    """Return how many retries are due that these capabilities can run, at most `MOST_WOKEN`."""
+    """Count the due retries that these capabilities can run, up to `MOST_WOKEN`."""
     known = {"now": database_now(connection), "capabilities": sorted(capabilities), "most": MOST_WOKEN}
     return connection.execute(_DUE_RETRIES, known).scalar_one()
 
@@ -282,7 +282,7 @@ def end_now(connection: Connection, leases: Iterable[HeldLease]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _View:
-    """The queue as a write transaction sees it: a `lease_policy.QueueView`. Its jobs are rows of the table."""
+    """A `lease_policy.QueueView` of a write transaction; its jobs are database rows."""
 
     connection: Connection
     now: datetime
@@ -332,7 +332,7 @@ class _View:
 def _read_backlog(
     connection: Connection, demands: Sequence[LeaseDemand], now: datetime
 ) -> tuple[Backlog, dict[str, list[int]]]:
-    """Return what is queued, and the attempt numbers of the jobs that workers hold if these matter."""
+    """Return a summary of the queue, and the attempt numbers of held jobs where they matter."""
     workers = [demand.worker for demand in demands]
     enough = max(map(lease_policy.enough_jobs, demands)) + sum(demand.max_jobs for demand in demands[1:])
     capabilities = sorted({name for demand in demands for name in demand.capabilities})
