@@ -337,9 +337,8 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
             raise Conflict(f"campaign {campaign.id} has no boundary solutions at t_b {t_b:g}, d_th {d_th:g}")
 
         def unit(connection: Connection) -> tuple[Campaign, bool, Sequence[str]]:
-            self.table.get(
-                connection, campaign.id, lock=True
-            )  # equal repeats must not be stored at the same time
+            # Locked, so that equal repeats are not stored at the same time.
+            self.table.get(connection, campaign.id, lock=True)
             found, new = store_repeats(connection, planned)
             return found, new, idle_campaigns(connection, [found.id])
 

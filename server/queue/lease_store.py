@@ -56,9 +56,7 @@ _TWIN_RUNS = exists(
     .where(
         _TWIN.c.spec_hash == JobRow.spec_hash, _TWIN.c.kind == JobRow.kind, _TWIN.c.status == JobStatus.LEASED
     )
-    .offset(
-        0
-    )  # one lookup for each job; a join would start by collecting all running jobs of all jobs ever stored
+    .offset(0)  # forces one lookup for each job: a join would first collect all running jobs
 )
 _DUE = or_(JobRow.not_before.is_(None), JobRow.not_before <= bindparam("now"))
 _ELIGIBLE = (
