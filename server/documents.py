@@ -131,7 +131,7 @@ def invalid_input(error: ValidationError, model: type[BaseModel], prefix: str = 
 
 
 def field_errors(items: Iterable[Any], model: type[BaseModel] | None) -> list[FieldError]:
-    """Return the validation errors of a request, whose locations start with ``body``, ``query`` and the like."""
+    """Return a request's validation errors, whose locations start with ``body``, ``query`` or ``path``."""
     errors = []
     for item in items:
         part, *location = item["loc"]

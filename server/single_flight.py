@@ -1,4 +1,4 @@
-"""A single-flight cache: a value that takes long to compute is computed once for all requests that ask for it."""
+"""A single-flight cache: concurrent requests for a value share one computation."""
 
 import asyncio
 from collections import OrderedDict
@@ -29,7 +29,7 @@ class SingleFlightCache(Generic[V]):
     _values: OrderedDict[Hashable, tuple[int, asyncio.Future[V]]] = field(default_factory=OrderedDict)
 
     def start(self, key: Hashable, version: int, compute: Callable[[], V]) -> asyncio.Future[V]:
-        """Return a future for a value, and start to compute it unless it is known or pending. Retries failures.
+        """Return a future for a value, starting the computation unless it is cached or pending. Failures are retried.
 
         Args:
             key: What the value belongs to.

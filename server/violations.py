@@ -1,4 +1,4 @@
-"""The violations that a campaign found: read from the results of its unsafe solutions, and named by people."""
+"""The violations of a campaign's unsafe solutions, read from their results, and the names people gave them."""
 
 import logging
 from collections.abc import Mapping

@@ -128,7 +128,7 @@ class Stepper:
         self._lock = threading.Lock()
 
     def adopt(self, campaign_id: str, live: LiveSearch) -> None:
-        """Keep the search of a campaign that was just submitted."""
+        """Keep the search of a new campaign in memory."""
         self._live[campaign_id] = live
 
     def forget(self, campaign_id: str) -> None:
@@ -172,12 +172,12 @@ class Stepper:
         try:
             live = self._state(campaign)
             if outcomes and seed_request(live.plan, live.state) is not None:
-                # Another coordinator has received the seeds and asked since this state was made.
+                # Since this state was made, another coordinator has received the seeds and asked.
                 live = self._restore(campaign)
             if seed_request(live.plan, live.state) is not None:
                 return self._seed(campaign, live)
             if not outcomes:
-                # Another coordinator may have done so after the outcomes were read and before the state was made.
+                # Another coordinator may have done so between reading the outcomes and making the state.
                 with self._engines.reader.connect() as connection:
                     outcomes = job_store.generation_outcomes(connection, campaign_id, campaign.generation)
                 if _is_open(outcomes):
@@ -186,17 +186,15 @@ class Stepper:
         except _MovedOn:
             return False
         except InvalidInput as error:
-            reason = (
-                f"generation {campaign.generation} cannot be told here: {error}. Resume when this is fixed."
-            )
-            self._end(campaign, CampaignStatus.PAUSED, reason)
+            reason = f"generation {campaign.generation} cannot be completed here: {error}"
+            self._end(campaign, CampaignStatus.PAUSED, f"{reason}. Resume when this is fixed.")
             return False
         except Exception as error:
             if _is_transient(error):
                 self._live.pop(campaign_id, None)
                 raise
-            log.exception("generation cannot be told", extra=_about(campaign))
-            reason = f"generation {campaign.generation} cannot be told: {type(error).__name__}: {error}"
+            log.exception("generation cannot be completed", extra=_about(campaign))
+            reason = f"generation {campaign.generation} cannot be completed: {type(error).__name__}: {error}"
             if isinstance(error, Damaged):
                 self._end(campaign, CampaignStatus.FAILED, reason)
             else:  # nothing is lost, and the cause may be fixed
@@ -391,7 +389,7 @@ def _is_open(outcomes: Iterable[JobOutcome]) -> bool:
 
 
 def _checkpoint(plan: Plan, state: Any, generation: int) -> Checkpoint:
-    """Return a checkpoint of a state that has not asked yet."""
+    """Return the checkpoint of a state from before the next `ask`."""
     archive: Archive = state.archive
     return Checkpoint(
         generation=generation,
@@ -406,7 +404,7 @@ def _finite(value: float) -> float | None:
 
 
 def _check_same(campaign: Campaign, candidates: Sequence[Candidate], stored: Mapping[int, bytes]) -> None:
-    """Check that the candidates asked for again are those that are being simulated.
+    """Check that the algorithm asked for the same candidates again that are being simulated.
 
     Raises:
         InvalidInput: They are not.
@@ -446,7 +444,7 @@ def _evaluation(problem: SimulatedProblem, question: Question, result: str) -> E
             return problem.measurement(outcome)
         return problem.evaluation(outcome)
     except (LookupError, ValueError, TypeError, ArithmeticError) as error:
-        return Failed(reason=f"error: the result cannot be judged: {type(error).__name__}: {error}")
+        return Failed(reason=f"error: the result cannot be evaluated: {type(error).__name__}: {error}")
 
 
 def _is_transient(error: Exception) -> bool:

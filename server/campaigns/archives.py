@@ -1,4 +1,4 @@
-"""Archives for reading, and the monitors fitted to them: each loaded once, however many requests ask for it."""
+"""Caches of archives and of the monitors fitted to them: concurrent requests share one computation."""
 
 import asyncio
 from collections.abc import Mapping, Sequence
@@ -28,7 +28,7 @@ MOST_FITTED = 20_000
 
 @dataclass(frozen=True, kw_only=True)
 class ReadArchive:
-    """A campaign's archive as of its last completed generation, with derived values that are often needed."""
+    """A campaign's archive as of its last completed generation, with values derived from it."""
 
     plan: Plan
     archive: Archive
@@ -70,7 +70,7 @@ class Archives:
         return plan, stored, restored_archive(plan, stored)
 
     async def distances(self, campaign: Campaign, archive: Archive, rows: Sequence[int]) -> FloatArray:
-        """Return the distances between some solutions, read from the stored matrix or else computed.
+        """Return the distances between some solutions, from the stored matrix or else computed.
 
         Args:
             campaign: The campaign.

@@ -1,4 +1,4 @@
-"""What a user submits: the body of ``POST /campaigns``, and campaign files, which have the same fields."""
+"""The body of ``POST /campaigns``, and campaign files, which have the same fields."""
 
 from pathlib import Path
 from typing import Annotated

@@ -61,7 +61,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveSearch:
-    """The state of a campaign's search in memory, with the pending generation asked."""
+    """A campaign's search in memory, whose state has already asked for the pending generation."""
 
     plan: Plan
     generation: int

@@ -241,7 +241,7 @@ def read_repeats(connection: Connection, campaign_id: str) -> list[StoredRepeats
 
 
 def check_no_open_repeats(connection: Connection, campaign_id: str) -> None:
-    """Check that the repeats of a campaign, which are deleted with it, have ended, and theirs too.
+    """Check that all repeats of a campaign, which are deleted with it, have ended.
 
     Raises:
         Conflict: One of them has not.

@@ -1,4 +1,4 @@
-"""What users do with campaigns: submit, view, pause, resume, cancel, delete, repeat, retry.
+"""Serves users' requests about campaigns: submit, view, pause, resume, cancel, delete, repeat, retry.
 
 `DocumentService` is the part that campaigns share with experiments.
 """
@@ -50,7 +50,7 @@ _CHANGES = {
     CampaignStatus.RUNNING: "resumed",
     CampaignStatus.CANCELLED: "cancelled",
 }
-"""What the log calls a change to a status."""
+"""How the log describes a change to a status."""
 
 
 class Document(Protocol):
@@ -104,14 +104,14 @@ class DocumentService(ABC, Generic[B, S]):
 
     @abstractmethod
     def _delete(self, connection: Connection, stored: S) -> None:
-        """Delete it, unless repeats of its campaigns have not ended."""
+        """Delete a row with everything that belongs to it, unless repeats of its campaigns have not ended."""
 
     async def submit(self, body: B, key: str | None = None) -> tuple[S, bool]:
         """Check and store a submission with all of its campaigns, or nothing.
 
         Args:
             body: The submission.
-            key: Idempotency key: submitted again with the same key, it is returned instead of stored again.
+            key: Idempotency key; a second submission with the same key returns the first one.
 
         Returns:
             What was stored, and whether it is new.
@@ -143,7 +143,7 @@ class DocumentService(ABC, Generic[B, S]):
         return stored, idle is not None
 
     async def get(self, name: str) -> S:
-        """Return it by its id or by a unique prefix of it.
+        """Return a campaign or an experiment by its id or a unique prefix of the id.
 
         Raises:
             NotFound: No id matches, or several do.
@@ -158,7 +158,7 @@ class DocumentService(ABC, Generic[B, S]):
         document_hash: str | None = None,
         statuses: tuple[CampaignStatus, ...] = (),
     ) -> list[S]:
-        """Return one page, newest first.
+        """Return one page of campaigns or experiments, newest first.
 
         Args:
             limit: Maximum length of the page.
@@ -174,7 +174,7 @@ class DocumentService(ABC, Generic[B, S]):
         )
 
     async def delete(self, name: str) -> None:
-        """Delete it with everything that belongs to it.
+        """Delete a campaign or an experiment with everything that belongs to it.
 
         Raises:
             NotFound: No id matches, or several do.
@@ -337,9 +337,8 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
             raise Conflict(f"campaign {campaign.id} has no boundary solutions at t_b {t_b:g}, d_th {d_th:g}")
 
         def unit(connection: Connection) -> tuple[Campaign, bool, Sequence[str]]:
-            self.table.get(
-                connection, campaign.id, lock=True
-            )  # equal repeats must not be stored at the same time
+            # Locked, so that equal repeats are not stored at the same time.
+            self.table.get(connection, campaign.id, lock=True)
             found, new = store_repeats(connection, planned)
             return found, new, idle_campaigns(connection, [found.id])
 

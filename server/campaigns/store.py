@@ -1,4 +1,4 @@
-"""Campaigns in the database: their rows, their status, their deletion.
+"""The SQL of campaigns: rows, status, deletion.
 
 Functions that write are units for `brink.server.db.writer.Writer`; functions that read take a connection of the
 reader, which sees one snapshot.
@@ -62,7 +62,7 @@ class Campaign:
 
     @property
     def job_settings(self) -> JobSettings:
-        """Settings for its jobs."""
+        """The settings of its jobs."""
         execution = self.body.execution
         return JobSettings(cache=execution.cache, max_attempts=execution.max_attempts)
 
@@ -107,7 +107,7 @@ def insert_campaign(
 
 
 def running_among(connection: Connection, campaigns: Sequence[str]) -> frozenset[str]:
-    """Return those of some campaigns that are running."""
+    """Return which of the given campaigns are running."""
     if not campaigns:
         return frozenset()
     query = select(CampaignRow.id).where(

@@ -1,4 +1,4 @@
-"""The SQL of what users see of campaigns: progress, series, solutions."""
+"""Read-only SQL for views of campaigns: progress, series, solutions."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ _VERSION = select(CampaignRow.sequence, CampaignRow.finished_at).where(
 
 
 class CampaignSummary(Protocol):
-    """What the progress of a campaign is computed from: see `Campaign`."""
+    """The attributes of a campaign that its progress is computed from; see `Campaign`."""
 
     @property
     def id(self) -> str: ...  # noqa: D102
@@ -42,7 +42,7 @@ class CampaignSummary(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CampaignProgress:
-    """How far a campaign is.
+    """The progress of a campaign.
 
     Attributes:
         done: Completed candidates, including those of the current generation.
@@ -64,7 +64,7 @@ class CampaignProgress:
 
 
 def read_campaign_progress(connection: Connection, campaign: CampaignSummary) -> CampaignProgress:
-    """Return how far a campaign is, and how long the rest will take."""
+    """Return the progress of a campaign, with an estimate of the remaining time."""
     jobs = count_unfinished(connection, campaign.id)
     queued, leased = jobs.get(JobStatus.QUEUED, 0), jobs.get(JobStatus.LEASED, 0)
     ended = campaign.finished_at is not None
@@ -94,7 +94,7 @@ def _rate(
 
 
 def read_version(connection: Connection, campaign_id: str) -> tuple[object, ...] | None:
-    """Return a value that differs after every change to a campaign and its jobs, or None if it does not exist.
+    """Return a value that changes whenever a campaign or its jobs change; None if there is no such campaign.
 
     Args:
         connection: Sees one snapshot.

@@ -70,7 +70,7 @@ def parse_url(database: str) -> URL:
 
 
 def _without_password(database: str) -> str:
-    """Return a malformed URL with everything masked that may be a password: all before the last ``@``."""
+    """Return a malformed URL without its password, which may be anywhere before the last ``@``."""
     before, at, after = database.rpartition("@")
     shown = f"{before.partition(':')[0]}:***@{after}" if at else database
     return re.sub(r"(?<=password=)[^&]*", "***", shown)

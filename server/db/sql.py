@@ -53,7 +53,7 @@ def database_now(connection: Connection) -> datetime:
 def lock_rows(
     query: Select[*tuple[Any, ...]], connection: Connection, table: Any, *, skip_locked: bool = False
 ) -> Select[*tuple[Any, ...]]:
-    """Return the query with its rows of one table locked until the transaction ends.
+    """Return a query that also locks its rows of one table until the transaction ends.
 
     SQLite has no row locks and needs none: its only writer holds the write lock from BEGIN on.
 
@@ -106,7 +106,7 @@ def newest_first(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DocumentTable(Generic[V]):
-    """Finds what users submit and name: campaigns, experiments.
+    """Finds submitted documents: campaigns or experiments.
 
     Attributes:
         kind: What a row is called in messages, such as "campaign".

@@ -1,4 +1,4 @@
-"""What users do with experiments: submit, view, pause, resume, cancel, delete, compare."""
+"""Serves users' requests about experiments: submit, view, pause, resume, cancel, delete, compare."""
 
 import asyncio
 import logging
@@ -89,7 +89,7 @@ class ExperimentService(DocumentService[ExperimentBody, Experiment]):
     async def _each(
         self, name: str, status: CampaignStatus, change: Callable[[str], Awaitable[Campaign]]
     ) -> Experiment:
-        """Change the campaigns with a status, except those whose status has changed meanwhile."""
+        """Change the campaigns that have a status, and skip those whose status changes first."""
         experiment = await self.get(name)
         for member in experiment.members:
             if member.campaign.status is status:

@@ -1,4 +1,4 @@
-"""Experiments in the database: rows in, plain values out."""
+"""The SQL of experiments."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ class Experiment:
 
     @property
     def status(self) -> CampaignStatus:
-        """The first of running, paused, failed and cancelled that one of its campaigns is; else finished."""
+        """The first of running, paused, failed, cancelled that applies to one of its campaigns; else finished."""
         statuses = {member.campaign.status for member in self.members}
         for status in (
             CampaignStatus.RUNNING,
@@ -142,7 +142,7 @@ def insert_experiment(
 
 
 def count_current_generations(connection: Connection, campaigns: Sequence[str]) -> int:
-    """Return the number of solutions in the current generations of some campaigns."""
+    """Return the number of solutions in the current generations of the given campaigns."""
     query = (
         select(func.count())
         .select_from(SolutionRow)
@@ -156,7 +156,7 @@ def count_current_generations(connection: Connection, campaigns: Sequence[str]) 
 
 
 def completed_by(connection: Connection, campaigns: Sequence[str], moment: datetime) -> int:
-    """Return how many candidates of some campaigns had been completed at a moment."""
+    """Return how many candidates of the given campaigns were completed by a point in time."""
     completed = GenerationRow.evaluated + GenerationRow.failed + GenerationRow.measured
     latest = (
         select(func.max(completed).label("completed"))

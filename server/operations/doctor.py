@@ -46,7 +46,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A finding of a check.
+    """One finding.
 
     Attributes:
         check: Name of the check.

@@ -62,7 +62,7 @@ def prune(
 
 
 def _repeated_since(moment: datetime) -> ColumnElement[bool]:
-    """Return the condition that a campaign has repeats, which are deleted with it, that ended later or not yet."""
+    """Return the condition that a campaign has repeats that have not ended or ended later: they would go with it."""
     again = aliased(CampaignRow)
     recent = again.finished_at.is_(None) | (again.finished_at >= moment)
     return (

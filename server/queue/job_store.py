@@ -1,6 +1,6 @@
-"""What the rest of the server asks of jobs: enqueue, cancel, retry, list, count, and read their outcomes.
+"""Jobs for the rest of the server: enqueue, cancel, retry, list, count them, and read their outcomes.
 
-Leases and reports, the busy half of the queue, are in `lease_store` and `report_store`. Functions that write take a
+Leases and reports are in `lease_store` and `report_store`. Functions that write take a
 connection in a write transaction.
 """
 
@@ -105,7 +105,7 @@ class Job:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JobOutcome:
-    """What became of a job that evaluates a solution.
+    """The outcome of a job that evaluates a solution.
 
     Attributes:
         number: The number of the solution.
@@ -123,7 +123,7 @@ class JobOutcome:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JobCount:
-    """How many jobs of one campaign share a status, a kind and a required capability.
+    """The number of jobs of one campaign with the same status, kind and required capability.
 
     Attributes:
         name: The name of the campaign.
@@ -195,7 +195,7 @@ def _chunks(values: Sequence[Any]) -> Iterator[Sequence[Any]]:
 def enqueue_traces(
     connection: Connection, campaign_id: str, numbers: Sequence[int], settings: JobSettings
 ) -> None:
-    """Enqueue a repetition of some episodes that records their traces, unless there is one already.
+    """Enqueue jobs that run episodes again to record their traces, except those enqueued before.
 
     Args:
         connection: In a write transaction.
@@ -306,7 +306,7 @@ def has_open_jobs(connection: Connection, campaign_id: str) -> bool:
 
 
 def idle_campaigns(connection: Connection, campaigns: Iterable[str] | None = None) -> tuple[str, ...]:
-    """Return the running campaigns without open evaluations, of some campaigns or of all."""
+    """Return the running campaigns without open evaluations: all of them, or those among `campaigns`."""
     if campaigns is None:
         return tuple(connection.execute(_IDLE).scalars())
     names = list(campaigns)
@@ -371,7 +371,7 @@ def find_job(connection: Connection, job_id: int) -> Job | None:
 
 
 def find_job_of(connection: Connection, campaign_id: str, number: int, kind: JobKind) -> Job | None:
-    """Return the job of one kind for a solution, or None.
+    """Return a solution's job of the given kind, or None.
 
     Args:
         connection: Sees one snapshot.
@@ -438,7 +438,7 @@ def list_jobs(
 def _ids(
     connection: Connection, status: JobStatus, campaign: str | None, after: int, limit: int
 ) -> list[int]:
-    """Return the ids of the first jobs with a status, of one campaign or of all."""
+    """Return the ids of the first jobs with the given status, in one campaign or in all."""
     jobs = _JOBS_WITH_STATUS[connection.dialect.name].format(status=status)
     whose = "" if campaign is None else "AND campaigns.id = :campaign"
     statement = text(f"SELECT jobs.id FROM {jobs} AND jobs.id > :after {whose} ORDER BY jobs.id LIMIT :limit")
@@ -467,13 +467,13 @@ _UNFINISHED = (
 
 
 def count_unfinished(connection: Connection, *campaigns: str) -> dict[str, int]:
-    """Return how many evaluations of some campaigns have each status other than done."""
+    """Count the evaluations of the given campaigns by status, except those that are done."""
     counts = connection.execute(_UNFINISHED, {"campaigns": campaigns})
     return {str(row[0]): int(row[1]) for row in counts}
 
 
 def count_by_status(connection: Connection, campaign_statuses: Sequence[CampaignStatus]) -> dict[str, int]:
-    """Return how many jobs have each status, in campaigns with one of some statuses. Reads all of their jobs."""
+    """Count the jobs of all campaigns with the given statuses, by job status. Slow: it reads every job."""
     query = (
         select(JobRow.status, func.count())
         .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
@@ -484,7 +484,7 @@ def count_by_status(connection: Connection, campaign_statuses: Sequence[Campaign
 
 
 def queued_needs(connection: Connection, campaign_id: str) -> dict[str, int]:
-    """Return how many queued jobs of a campaign need each capability."""
+    """Count a campaign's queued jobs by the capability that they need."""
     query = (
         select(JobRow.needs, func.count())
         .where(JobRow.campaign_id == campaign_id, JobRow.status == JobStatus.QUEUED)
@@ -494,19 +494,19 @@ def queued_needs(connection: Connection, campaign_id: str) -> dict[str, int]:
 
 
 def count_leases(connection: Connection, expired_before: datetime) -> tuple[int, int]:
-    """Return how many leases expired before a moment and are still held, and how many are held in all."""
+    """Return the number of leases that expired before the given time, and of all leases."""
     overdue = func.count().filter(JobRow.lease_expires_at < expired_before)
     row = connection.execute(select(overdue, func.count()).where(IS_LEASED)).one()
     return int(row[0]), int(row[1])
 
 
 def next_expiry(connection: Connection) -> datetime | None:
-    """Return when the first lease expires, or None without leases."""
+    """Return when the next lease expires, or None if no job is leased."""
     return connection.execute(select(func.min(JobRow.lease_expires_at)).where(IS_LEASED)).scalar_one()
 
 
 def last_finished_at(connection: Connection, campaign_id: str) -> datetime | None:
-    """Return when a job of a campaign last finished, or None."""
+    """Return when a campaign's latest finished job finished, or None."""
     query = select(func.max(JobRow.finished_at)).where(JobRow.campaign_id == campaign_id)
     return connection.execute(query).scalar_one()
 
@@ -521,7 +521,7 @@ def delete_own_traces(connection: Connection, campaign_id: str) -> None:
 
 
 def delete_traces(connection: Connection, before: datetime, *, dry_run: bool) -> int:
-    """Delete the traces recorded before a moment; return how many.
+    """Delete old traces; return how many.
 
     Args:
         connection: In a write transaction.

@@ -111,7 +111,7 @@ class Backlog:
 
 
 class QueueView(Protocol):
-    """The queue as one transaction sees it."""
+    """Reads the queue, within one transaction."""
 
     def first_retry(self, demand: LeaseDemand) -> Retry | None:
         """Return the due retry that a worker should run first, or None."""
@@ -139,7 +139,7 @@ class QueueView(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Assignment:
-    """Who gets what.
+    """The result of `assign_jobs`.
 
     Attributes:
         jobs: The jobs for each demand.
@@ -174,7 +174,7 @@ def assign_jobs(
 
 
 def enough_jobs(demand: LeaseDemand) -> int:
-    """Return the number of queued jobs from which on the grant is as large as it can be."""
+    """Return how many queued jobs are enough for the largest possible grant."""
     return demand.terms.live_workers * (demand.max_jobs + 1) * 3 // 2
 
 
@@ -241,12 +241,12 @@ class _Line:
 
     @property
     def is_unread(self) -> bool:
-        """Whether no job was read yet. There is one, since the campaign is listed."""
+        """Whether no job was read yet. At least one is there, since the campaign is listed."""
         return self.last < 0 and not self.ended
 
 
 class _Dealer:
-    """Deals fresh jobs to one worker after the other, as if each had come alone.
+    """Deals fresh jobs to one worker after another, as if each had asked alone.
 
     Args:
         view: The queue.
@@ -293,7 +293,7 @@ class _Dealer:
         return jobs
 
     def note_granted(self, jobs: Sequence[QueuedJob]) -> None:
-        """Keep jobs that one worker gets, and equal simulations, from all others."""
+        """Withhold granted jobs, and equal simulations, from the other workers."""
         self._granted |= {job.id for job in jobs}
         self._running |= {(job.spec_hash, job.kind) for job in jobs}
 

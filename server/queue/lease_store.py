@@ -56,9 +56,7 @@ _TWIN_RUNS = exists(
     .where(
         _TWIN.c.spec_hash == JobRow.spec_hash, _TWIN.c.kind == JobRow.kind, _TWIN.c.status == JobStatus.LEASED
     )
-    .offset(
-        0
-    )  # one lookup for each job; a join would start by collecting all running jobs of all jobs ever stored
+    .offset(0)  # forces one lookup for each job: a join would first collect all running jobs
 )
 _DUE = or_(JobRow.not_before.is_(None), JobRow.not_before <= bindparam("now"))
 _ELIGIBLE = (
@@ -203,7 +201,7 @@ class Grants:
 
 
 def lease_together(connection: Connection, demands: Sequence[LeaseDemand], now: datetime) -> Grants:
-    """Grant jobs to several workers as if one came after the other, but reading fresh jobs only once.
+    """Grant jobs to several workers as if they asked one after another, but read fresh jobs only once.
 
     Args:
         connection: In a write transaction.
@@ -226,7 +224,7 @@ def lease_together(connection: Connection, demands: Sequence[LeaseDemand], now: 
 
 
 def count_due_retries(connection: Connection, capabilities: Iterable[str]) -> int:
-    """Return how many retries are due that these capabilities can run, at most `MOST_WOKEN`."""
+    """Count the due retries that these capabilities can run, up to `MOST_WOKEN`."""
     known = {"now": database_now(connection), "capabilities": sorted(capabilities), "most": MOST_WOKEN}
     return connection.execute(_DUE_RETRIES, known).scalar_one()
 
@@ -282,7 +280,7 @@ def end_now(connection: Connection, leases: Iterable[HeldLease]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _View:
-    """The queue as a write transaction sees it: a `lease_policy.QueueView`. Its jobs are rows of the table."""
+    """A `lease_policy.QueueView` of a write transaction; its jobs are database rows."""
 
     connection: Connection
     now: datetime
@@ -332,7 +330,7 @@ class _View:
 def _read_backlog(
     connection: Connection, demands: Sequence[LeaseDemand], now: datetime
 ) -> tuple[Backlog, dict[str, list[int]]]:
-    """Return what is queued, and the attempt numbers of the jobs that workers hold if these matter."""
+    """Return a summary of the queue, and the attempt numbers of held jobs where they matter."""
     workers = [demand.worker for demand in demands]
     enough = max(map(lease_policy.enough_jobs, demands)) + sum(demand.max_jobs for demand in demands[1:])
     capabilities = sorted({name for demand in demands for name in demand.capabilities})

@@ -171,7 +171,7 @@ def store_outcomes(
 
 
 def expire(connection: Connection, terms: LeaseTerms) -> tuple[tuple[str, ...], list[FailedAttempt]]:
-    """Take back expired leases, the oldest `MAX_EXPIRED`: to be retried after a backoff, or into quarantine.
+    """Take back the oldest `MAX_EXPIRED` expired leases; their jobs are retried later or put into quarantine.
 
     Returns:
         The campaigns that have no open evaluation left because of it, and the failed attempts.

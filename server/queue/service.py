@@ -1,4 +1,4 @@
-"""What workers ask of the coordinator: leases, heartbeats, results.
+"""Serves workers: leases, heartbeats, results.
 
 All changes to jobs go through the writer. Waiting requests are woken on the event loop whenever jobs are enqueued,
 and `on_idle` is called with the campaigns that have no open job left.
@@ -87,7 +87,7 @@ class ExchangeReply:
 
 
 def run_exchanges(connection: Connection, exchanges: Sequence[Exchange]) -> list[ExchangeReply]:
-    """Run the exchanges that wait for one commit: first store what all of them bring, then grant jobs in order."""
+    """Run all exchanges that share a commit: first store their outcomes, then grant jobs in order."""
     for exchange in exchanges:
         for record in exchange.contacts:
             record(connection)
@@ -117,7 +117,7 @@ def run_exchanges(connection: Connection, exchanges: Sequence[Exchange]) -> list
 
 @dataclass(slots=True)
 class _WorkerRecord:
-    """What this process remembers of a worker.
+    """A worker as this process knows it.
 
     Attributes:
         contact_s: Time of the last contact.
@@ -175,7 +175,7 @@ class QueueService:
         self.wakeups.wake()
 
     def terms(self, worker: str | None = None) -> LeaseTerms:
-        """Return the current terms of leases, for a certain worker if its id is given."""
+        """Return the current terms of leases, for the given worker or for any."""
         live = self._live_workers()
         own = live.capabilities.get(worker, ()) if worker is not None else ()
         return LeaseTerms(
@@ -186,7 +186,7 @@ class QueueService:
         )
 
     def _live_workers(self) -> _LiveWorkers:
-        """Return the live workers, cached: with a thousand of them, counting takes too long for each request."""
+        """Return the live workers, cached because counting a thousand of them for each request is too slow."""
         now = self.clock()
         if self._live is None or now - self._live.at_s >= LIVE_WORKERS_S:
             horizon = now - self.settings.worker_seen_s

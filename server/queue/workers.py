@@ -1,4 +1,4 @@
-"""The workers that contacted a coordinator: what they can run, what they hold, which of them are gone."""
+"""Workers that contacted a coordinator: their capabilities, their jobs, and whether they are gone."""
 
 import os
 from collections.abc import Sequence
@@ -119,7 +119,7 @@ def live_capabilities(connection: Connection, within_s: float) -> dict[str, tupl
 
 
 def can_run(connection: Connection, needs: str, within_s: float) -> bool:
-    """Return whether a worker offers a capability that is live or holds a lease that has not expired."""
+    """Return whether a capability is offered by a worker that is live or holds an unexpired lease."""
     now = database_now(connection)
     holds_a_lease = exists(
         select(JobRow.id).where(
