@@ -1,14 +1,14 @@
 PYTHON ?= python3.11
 VENV   := .venv
 BIN    := $(VENV)/bin
-# Many tests wait for processes, sockets and disks: one more than there are cores keeps all of these busy.
+# Many tests wait for processes, sockets and disks, so one process more than there are cores keeps them all busy.
 PROCESSES = $(shell $(BIN)/python -c 'import os; print(min(4, 1 + (os.cpu_count() or 1)))')
 PIP    := $(BIN)/python -m pip --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .PHONY: help run test check install dev chromium screenshots clean
 
-help:  ## list the commands
+help:  ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
 $(BIN)/python:
@@ -22,14 +22,14 @@ $(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) install --quiet -c constraints.txt -e '.[dev,analysis,postgres,vision,torch,ray]'
 	touch $@ $(VENV)/.base
 
-install: $(VENV)/.base  ## set up .venv with what `brink run` needs
+install: $(VENV)/.base  ## create .venv with everything that `brink run` needs
 
-dev: $(VENV)/.dev  ## set up .venv with the test tools too
+dev: $(VENV)/.dev  ## create .venv with the test tools as well
 
-run: $(VENV)/.base  ## find a hazard boundary: the quickstart campaign, coordinator and two workers
+run: $(VENV)/.base  ## run the quickstart campaign with a coordinator and two workers
 	$(BIN)/brink run examples/quickstart.yaml --workers 2 --resume
 
-check: $(VENV)/.dev  ## linter, strict types, import layers
+check: $(VENV)/.dev  ## run the linter, the type checker and the layer check
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -38,10 +38,10 @@ check: $(VENV)/.dev  ## linter, strict types, import layers
 test: chromium check  ## check, then every test, on SQLite and on a real Postgres, in a process more than there are cores (up to four)
 	$(BIN)/python -m pytest --numprocesses $(PROCESSES) --dist loadfile
 
-screenshots: $(VENV)/.dev  ## take the documentation's pictures of the dashboard anew, in Chromium
+screenshots: $(VENV)/.dev  ## retake the documentation's pictures of the dashboard in Chromium
 	PYTHONPATH=tests:tests/plugins $(BIN)/python -m browser.screenshots
 
-chromium:  ## install the browser that the dashboard is tested in, unless there is one
+chromium:  ## install Chromium for the tests of the dashboard, unless it is installed
 	@sh tests/browser/install_chromium.sh
 
 clean:  ## remove .venv and caches

@@ -6,8 +6,8 @@ import time
 
 import numpy as np
 
-from brink.search.benchmark import mixed_space
-from brink.search.monitor import Monitor
+from brink.bench.distances import mixed_space
+from brink.search.analysis.monitor import Monitor
 from brink.search.streams import Stream, generator
 
 SIZES = (300, 1_300, 5_000, 20_000)

@@ -2,7 +2,7 @@
 
 import argparse
 
-from brink.search.benchmark import SIZES, measure
+from brink.bench.distances import SIZES, measure
 
 
 def main() -> None:

@@ -1,1 +1,1 @@
-"""Search on numpy and scipy alone: spaces, distance, archives, algorithms, metrics."""
+"""Search algorithms for hazard boundaries, and the analysis of their archives; needs only numpy and scipy."""

@@ -1,33 +1,34 @@
 """The contract of a search algorithm: pure functions over a frozen state.
 
-`start` makes a state, `ask` proposes a generation, `tell` takes its evaluations. Nothing is changed in place,
-nothing is global, every random draw comes from a generator addressed by position (`brink.search.streams`), so equal
-calls give equal states, bit for bit. The coordinator stores a state between `tell` and the next `ask` as a
-`Document`; evaluated complete solutions are stored apart, as an `Archive`.
+`start` creates a state, `ask` proposes a generation, `tell` takes its evaluations. Nothing is changed in place,
+nothing is global, and every random draw comes from a generator addressed by position (`brink.search.streams`): equal
+calls give equal states, bit for bit. Between `tell` and the next `ask` the coordinator stores the state as a
+`Document`, and evaluated complete solutions separately, as an `Archive`.
+
+An algorithm may also request seeds from outside, for example from a language model (`Seeded`). The coordinator then
+calls `Seeded.wanted` before every `ask`; as long as that returns a request, no generation can be asked, and
+`Seeded.seeded` passes in the proposals, possibly none. Proposals are never trusted: the constraints of the space
+repair them, and the algorithm decides which to accept.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Protocol, TypeAlias
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 from brink.search.archive import Archive
 from brink.search.document import Document
-from brink.search.space import SearchSpace
-
-FloatArray: TypeAlias = NDArray[np.float64]
+from brink.search.space import FloatArray, SearchSpace
+from brink.search.traffic.participants import Solution
 
 
 class Question(StrEnum):
-    """What is asked about a candidate."""
+    """How a candidate is evaluated."""
 
     EPISODE = "episode"
-    """Simulate it and give a verdict: the answer is `Scored`."""
+    """Simulate it for a verdict; the evaluation is `Scored`."""
     DATASET = "dataset-evaluation"
-    """Measure it on a data set, without a simulation and without a verdict: the answer is `Measured`."""
+    """Measure it on a data set, without a simulation or a verdict; the evaluation is `Measured`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,10 +36,10 @@ class Candidate:
     """A complete solution to evaluate.
 
     Attributes:
-        number: Stable in its campaign, counting from 0 in the order of asking.
-        vectors: One read-only float64 vector a component, in the space's order.
-        question: What is to be found out.
-        seed_number: Whose episode seed it has, its own if None; candidates that share one meet the same chance.
+        number: Unique and stable in its campaign, counted from 0 in the order of asking.
+        vectors: One read-only float64 vector per component, in the space's order.
+        question: How to evaluate it.
+        seed_number: Number of the candidate whose episode seed it shares; None for its own seed.
     """
 
     number: int
@@ -49,13 +50,13 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scored:
-    """The evaluation of a candidate that was simulated.
+    """Evaluation of a simulated candidate.
 
     Attributes:
         unsafe: Whether the campaign's requirement is violated.
         robustness: Distance to violation, negative if violated.
-        objectives: Measures to search on, all minimised, by name.
-        kinds: Of failure that it showed, by the rules of a problem that tells them apart.
+        objectives: Values to optimise, all minimised, by name.
+        kinds: Kinds of failure that it exposed, for problems that classify them.
     """
 
     unsafe: bool
@@ -66,10 +67,10 @@ class Scored:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measured:
-    """The evaluation of a candidate that was measured on a data set: neither safe nor unsafe, so not archived.
+    """Evaluation of a candidate on a data set: neither safe nor unsafe, so it is not archived.
 
     Attributes:
-        objectives: Measures to search on, all minimised, by name.
+        objectives: Values to optimise, all minimised, by name.
     """
 
     objectives: Mapping[str, float]
@@ -77,7 +78,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failed:
-    """The evaluation of a candidate of which no verdict could be had: neither safe nor unsafe."""
+    """Evaluation of a candidate without a verdict: neither safe nor unsafe."""
 
     reason: str
 
@@ -86,36 +87,36 @@ Evaluation: TypeAlias = Scored | Measured | Failed
 
 
 class State(Protocol):
-    """What every algorithm's state shows."""
+    """The properties that every algorithm's state has."""
 
     @property
     def generation(self) -> int:
-        """Generations told so far."""
+        """Number of generations told so far."""
         ...
 
     @property
     def archive(self) -> Archive:
-        """All complete solutions that were simulated and did not fail."""
+        """All complete solutions with a verdict."""
         ...
 
     @property
     def fitness(self) -> FloatArray:
-        """What the search minimises, of those that it looks at now, shape ``(n,)``; for progress."""
+        """Values that the search currently minimises, shape ``(n,)``; shown as progress."""
         ...
 
     @property
     def pending(self) -> tuple[Candidate, ...]:
-        """Candidates asked and not yet told, ascending by number."""
+        """Candidates asked but not yet told, ascending by number."""
         ...
 
 
 class Algorithm(Protocol):
-    """A search algorithm. Instances hold no state and cost nothing to make.
+    """A search algorithm. Instances hold no state and are cheap to create.
 
     Attributes:
         id: Versioned plug-in id, such as ``mlcshe@1``.
         summary: One line for catalogues.
-        config_type: Frozen dataclass whose fields come from `brink.search.settings.setting`.
+        config_type: Frozen dataclass whose fields are declared with `brink.search.settings.setting`.
     """
 
     id: str
@@ -123,20 +124,32 @@ class Algorithm(Protocol):
     config_type: type[Any]
 
     def check(self, space: SearchSpace, config: Any, *, budget: int) -> None:
-        """Raise what is wrong with this combination.
+        """Check that the algorithm can run with these arguments.
+
+        Args:
+            space: The search space.
+            config: Settings, of type `config_type`.
+            budget: Number of simulations.
 
         Raises:
-            UnsupportedSpace: The algorithm cannot work on that space.
-            ConfigError: A setting does not go with the space or with the budget.
+            UnsupportedSpace: The algorithm does not support the space.
+            ConfigError: A setting does not fit the space, the other settings or the budget.
         """
         ...
 
     def start(self, space: SearchSpace, config: Any, *, seed: int, budget: int) -> Any:
-        """Return the first state, with nothing asked yet."""
+        """Return the initial state, with nothing asked yet.
+
+        Args:
+            space: The search space.
+            config: Settings, of type `config_type`.
+            seed: The campaign's seed.
+            budget: Number of simulations.
+        """
         ...
 
     def ask(self, state: Any) -> tuple[Any, tuple[Candidate, ...]]:
-        """Return a state with a pending generation, and that generation.
+        """Return the state with a pending generation, and that generation.
 
         Raises:
             OrderError: The last generation has not been told yet, or the search is finished.
@@ -156,17 +169,85 @@ class Algorithm(Protocol):
         ...
 
     def finished(self, state: Any) -> bool:
-        """Return whether the search is over: its budget is spent, or nothing new can be asked."""
+        """Return whether the search is over: the budget is spent, or nothing new is left to ask."""
         ...
 
     def dump(self, state: Any) -> Document:
-        """Return the state without its archive, as a versioned document."""
+        """Return the state, without its archive, as a versioned document."""
         ...
 
     def load(self, space: SearchSpace, config: Any, document: Document, archive: Archive) -> Any:
-        """Return the state that `dump` wrote, with the archive that it had then.
+        """Return the state that `dump` stored.
+
+        Args:
+            space: The search space.
+            config: Settings, of type `config_type`.
+            document: The document that `dump` returned.
+            archive: The archive of the state at that time.
 
         Raises:
-            DocumentError: The document is broken, of another algorithm, or of an unknown version.
+            DocumentError: The document is corrupt, of another algorithm, or of an unknown version.
+        """
+        ...
+
+
+class Origin(StrEnum):
+    """Where a solution comes from."""
+
+    RANDOM = "random"
+    HEURISTIC = "heuristic"
+    MUTATION = "mutation"
+    CROSSOVER = "crossover"
+    LLM = "llm"
+    LLM_REPAIR = "llm_repair"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SeedRequest:
+    """A request for seeds.
+
+    Attributes:
+        number: Counts the requests of a campaign from 0; identifies the request when it is repeated.
+        count: Number of solutions wanted.
+        exposed: Solutions that exposed a violation, latest first; none at the start of a search.
+        silent: Solutions that exposed none, latest first.
+        rejected: Proposals of the previous round that were not different enough.
+        round: How many times the request has been sent back; 0 for a new one.
+    """
+
+    number: int
+    count: int
+    exposed: tuple[Solution, ...] = ()
+    silent: tuple[Solution, ...] = ()
+    rejected: tuple[Solution, ...] = ()
+    round: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Proposal:
+    """A proposed solution.
+
+    Attributes:
+        solution: The participants.
+        origin: Who proposed it, and whether it had to be repaired.
+    """
+
+    solution: Solution
+    origin: Origin
+
+
+@runtime_checkable
+class Seeded(Protocol):
+    """An algorithm that may request seeds from outside."""
+
+    def wanted(self, state: Any) -> SeedRequest | None:
+        """Return the seeds needed before the next generation can be asked, or None."""
+        ...
+
+    def seeded(self, state: Any, proposals: Sequence[Proposal]) -> Any:
+        """Return the state after receiving the requested proposals, possibly none.
+
+        Raises:
+            OrderError: No seeds were requested.
         """
         ...

@@ -1,12 +1,13 @@
-"""All evaluated complete solutions of a campaign, with neighbour counts and fitness, grown incrementally.
+"""All evaluated complete solutions of a campaign, with neighbour counts and fitness, updated incrementally.
 
-An archive is immutable: growing returns a new one. Adding m solutions to n costs the m x (n + m) distances that
-are new and nothing else; no matrix of all distances is kept. A neighbourhood holds the solutions at a distance of
-at most the radius, itself included, decided on the float64 distance.
+An archive is immutable: `Archive.grown` returns a new one. Adding m solutions to n computes only the m x (n + m) new
+distances; no matrix of all distances is kept. The neighbourhood of a solution holds all solutions at a distance of at
+most the radius, including itself. The comparison uses the float64 distance.
 
-Source: Sharifi et al. 2023, section on fitness; re-scoring of the whole archive each generation.
+Source: Sharifi et al. 2023, section on fitness (the whole archive is rescored each generation).
 """
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, Self, TypeAlias
@@ -14,16 +15,15 @@ from typing import Any, Protocol, Self, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from brink.search.component import BoolArray, FloatArray, frozen_array
-from brink.search.fitness import Z_95, IntArray, fitness_of_interval, wilson_interval
+from brink.search.fitness import Z_95, fitness_of_interval, wilson_interval
 from brink.search.metric import Metric, Points
-from brink.search.space import SearchSpace
+from brink.search.space import BoolArray, FloatArray, IntArray, SearchSpace, frozen_array
 
 Float32Array: TypeAlias = NDArray[np.float32]
 
 
 class HasNeighbourhood(Protocol):
-    """A configuration with the settings of a neighbourhood."""
+    """A configuration that includes the settings of a neighbourhood."""
 
     @property
     def radius(self) -> float: ...  # noqa: D102  (see Neighbourhood)
@@ -35,12 +35,12 @@ class HasNeighbourhood(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Neighbourhood:
-    """What counts as near, and which boundary is sought.
+    """Settings of neighbourhoods and of the boundary.
 
     Attributes:
         radius: Largest distance of a neighbour (delta), >= 0.
         p_th: Threshold probability of the unsafe region, in (0, 1).
-        z: Quantile of the standard normal for the interval, > 0.
+        z: Quantile of the standard normal for the Wilson interval, > 0.
     """
 
     radius: float
@@ -57,7 +57,7 @@ class Neighbourhood:
 
     @classmethod
     def of(cls, config: HasNeighbourhood) -> Self:
-        """Return the neighbourhood that a configuration sets."""
+        """Return the neighbourhood settings of a configuration."""
         return cls(radius=config.radius, p_th=config.p_th, z=config.z)
 
 
@@ -67,7 +67,7 @@ def _metric(of: SearchSpace | Metric) -> Metric:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Archive:
-    """Evaluated complete solutions, in the order in which they were added. All arrays are read-only.
+    """Evaluated complete solutions in the order of insertion; all arrays are read-only.
 
     Attributes:
         metric: Distance between complete solutions.
@@ -76,12 +76,12 @@ class Archive:
         vectors: Complete solutions as rows, shape ``(n, d)``.
         unsafe: Verdicts, shape ``(n,)``.
         robustness: Distance to violation, shape ``(n,)``.
-        neighbours: Solutions in each neighbourhood, itself included, int64, shape ``(n,)``.
-        unsafe_neighbours: Unsafe ones among them, int64, shape ``(n,)``.
+        neighbours: Solutions in each neighbourhood, including the solution itself, int64, shape ``(n,)``.
+        unsafe_neighbours: Unsafe solutions in each neighbourhood, int64, shape ``(n,)``.
         interval: Wilson interval of the unsafe share in each neighbourhood, shape ``(n, 2)``.
-        fitness: Distance to the boundary in [0, 1], shape ``(n,)``.
-        latest_rows: Distances that the last growth computed: a row for each of its m solutions, a column for each
-            of all n, float32, shape ``(m, n)``; None in an archive that was not just grown.
+        fitness: Boundary fitness in [0, 1], shape ``(n,)``.
+        latest_rows: Distances of the m solutions added last to all n, float32, shape ``(m, n)``; None in an archive
+            that was restored or grown with ``keep_rows=False``.
     """
 
     metric: Metric
@@ -102,7 +102,7 @@ class Archive:
 
     @classmethod
     def empty(cls, of: SearchSpace | Metric, neighbourhood: Neighbourhood) -> Self:
-        """Return an archive without solutions."""
+        """Return an empty archive."""
         metric = _metric(of)
         nothing = np.empty(0)
         return cls.restore(
@@ -129,10 +129,20 @@ class Archive:
         neighbours: ArrayLike,
         unsafe_neighbours: ArrayLike,
     ) -> Self:
-        """Return the archive that was stored as these arrays, without measuring a distance.
+        """Return the archive stored as these arrays, without computing any distance.
+
+        Args:
+            of: The archive's space, or its metric.
+            neighbourhood: Settings of the neighbourhood.
+            numbers: Candidate numbers, shape ``(n,)``.
+            vectors: Complete solutions as rows, shape ``(n, d)``.
+            unsafe: Verdicts, shape ``(n,)``.
+            robustness: Distances to violation, shape ``(n,)``.
+            neighbours: Solutions in each neighbourhood, shape ``(n,)``.
+            unsafe_neighbours: Unsafe solutions in each neighbourhood, shape ``(n,)``.
 
         Raises:
-            ValueError: The arrays do not belong together.
+            ValueError: The shapes differ, or a count exceeds n.
         """
         metric = _metric(of)
         rows = frozen_array(vectors)
@@ -147,7 +157,7 @@ class Archive:
             if column.shape != rows.shape[:1]:
                 raise ValueError(f"{name}: expected shape {rows.shape[:1]}, got {column.shape}")
         if (columns["neighbours"] > len(rows)).any():
-            raise ValueError("neighbours: expected no more than there are solutions")
+            raise ValueError("neighbours: expected at most the number of solutions")
         interval, fitness = _scores(columns["unsafe_neighbours"], columns["neighbours"], neighbourhood)
         return cls(
             metric=metric,
@@ -169,17 +179,17 @@ class Archive:
         *,
         keep_rows: bool = True,
     ) -> "Archive":
-        """Return this archive with m more solutions, all counts and all fitness up to date.
+        """Return an archive with m more solutions and with all counts and fitness updated.
 
         Args:
             numbers: Candidate numbers, shape ``(m,)``.
             vectors: Rows, shape ``(m, d)``.
             unsafe: Verdicts, shape ``(m,)``.
             robustness: Distances to violation, shape ``(m,)``.
-            keep_rows: Whether `latest_rows` keeps the distances; leave it out for large m.
+            keep_rows: Whether to keep the new distances in `latest_rows`; pass False for large m.
 
         Raises:
-            ValueError: The shapes do not belong together, or a number is there already.
+            ValueError: The shapes differ, or a number is already in the archive.
             SpaceError: The rows do not fit the metric.
         """
         new_numbers = np.asarray(numbers, np.int64)
@@ -188,17 +198,17 @@ class Archive:
         rows = np.asarray(vectors, np.float64)
         if {new_numbers.shape, new_unsafe.shape, new_robustness.shape} != {rows.shape[:1]}:
             raise ValueError(
-                f"expected one number, verdict and robustness a row, got {new_numbers.shape}, "
+                f"expected one number, verdict and robustness per row, got {new_numbers.shape}, "
                 f"{new_unsafe.shape}, {new_robustness.shape} for {rows.shape}"
             )
         all_numbers = np.concatenate([self.numbers, new_numbers])
         if np.unique(new_numbers).size < new_numbers.size or np.isin(new_numbers, self.numbers).any():
-            raise ValueError("numbers: expected each candidate once; some are in the archive already")
+            raise ValueError("numbers: expected each candidate once; some are already in the archive")
         all_unsafe = np.concatenate([self.unsafe, new_unsafe])
         new_points = self.metric.points(rows)
         points = self._points.followed_by(new_points)
         kept = np.empty((len(new_points), len(points)), np.float32) if keep_rows else None
-        neighbours, unsafe_neighbours = self._counted(new_points, points, all_unsafe, kept)
+        neighbours, unsafe_neighbours = self._neighbour_counts(new_points, points, all_unsafe, kept)
         interval, fitness = _scores(unsafe_neighbours, neighbours, self.neighbourhood)
         if kept is not None:
             kept.flags.writeable = False
@@ -217,41 +227,41 @@ class Archive:
             _points=points,
         )
 
-    def _counted(
+    def _neighbour_counts(
         self, new: Points, everything: Points, unsafe: BoolArray, kept: Float32Array | None
     ) -> tuple[IntArray, IntArray]:
-        """Return all neighbour counts after the new points came, and file the distances in `kept`."""
+        """Return the neighbour and unsafe counts of all points; store the new distances in `kept`."""
         known = len(self)
         totals = np.zeros((len(everything), 2), np.int64)
         totals[:known] = np.stack([self.neighbours, self.unsafe_neighbours], axis=1)
-        # One column counts everybody, the other the unsafe. A product of zeros and ones in float32 is exact as
-        # long as no count of a block exceeds 2**24, whatever the order of summation.
+        # The first column counts all solutions, the second the unsafe ones. Products of zeros and ones in float32 are
+        # exact, whatever the order of summation, as long as no count within a block exceeds 2**24.
         weights = np.stack([np.ones(len(everything)), unsafe], axis=1).astype(np.float32)
         for rows, columns, block in self.metric.blocks(new, everything):
             near = (block <= self.neighbourhood.radius).astype(np.float32)
             if kept is not None:
                 kept[rows, columns] = block
-            mine = slice(known + rows.start, known + rows.stop)
-            totals[mine] += (near @ weights[columns]).astype(np.int64)
+            added = slice(known + rows.start, known + rows.stop)
+            totals[added] += (near @ weights[columns]).astype(np.int64)
             old = slice(columns.start, min(columns.stop, known))
             if old.stop > old.start:
-                totals[old] += (near[:, : old.stop - old.start].T @ weights[mine]).astype(np.int64)
+                totals[old] += (near[:, : old.stop - old.start].T @ weights[added]).astype(np.int64)
         return np.ascontiguousarray(totals[:, 0]), np.ascontiguousarray(totals[:, 1])
 
     def distances(
         self, rows: Sequence[int] | NDArray[np.intp], columns: Sequence[int] | NDArray[np.intp]
     ) -> FloatArray:
-        """Return the distances between solutions at some positions and at others, shape ``(rows, columns)``."""
+        """Return the distances between the solutions at two lists of positions, shape ``(rows, columns)``."""
         return self.metric.between(
             self.vectors[np.asarray(rows, np.intp)], self.vectors[np.asarray(columns, np.intp)]
         )
 
     def first(self, count: int) -> "Archive":
-        """Return the archive as it was when it held its first `count` solutions: what was known then."""
+        """Return the archive as it was after its first `count` solutions."""
         return self._rebuilt(slice(count), self.unsafe[:count], self.robustness[:count])
 
-    def judged(self, unsafe: ArrayLike, robustness: ArrayLike) -> "Archive":
-        """Return the archive of the same solutions with other verdicts."""
+    def with_verdicts(self, unsafe: ArrayLike, robustness: ArrayLike) -> "Archive":
+        """Return an archive of the same solutions with other verdicts and robustness, both shape ``(n,)``."""
         return self._rebuilt(slice(None), unsafe, robustness)
 
     def _rebuilt(self, part: slice, unsafe: ArrayLike, robustness: ArrayLike) -> "Archive":
@@ -261,7 +271,7 @@ class Archive:
 
 
 def _sealed(array: NDArray[Any]) -> NDArray[Any]:
-    """Make an array that nobody else holds read-only."""
+    """Make a newly created array read-only, and return it."""
     array.flags.writeable = False
     return array
 
@@ -269,7 +279,25 @@ def _sealed(array: NDArray[Any]) -> NDArray[Any]:
 def _scores(
     unsafe_neighbours: IntArray, neighbours: IntArray, neighbourhood: Neighbourhood
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the intervals, shape ``(n, 2)``, and the fitness of all solutions."""
+    """Return the intervals, shape ``(n, 2)``, and the fitness, shape ``(n,)``, of all solutions."""
     lower, upper = wilson_interval(unsafe_neighbours, neighbours, neighbourhood.z)
     fitness = fitness_of_interval(lower, upper, neighbourhood.p_th)
     return _sealed(np.stack([lower, upper], axis=1)), _sealed(fitness)
+
+
+def archive_digest(archive: Archive) -> str:
+    """Return the SHA-256 of an archive as 64 hexadecimal digits; equal digests prove equal campaigns, bit for bit.
+
+    The hash covers, in this order and little-endian: the text ``brink-archive-1`` and a newline; the numbers of
+    solutions n and of parameters d, each int64; the candidate numbers, n int64; the vectors, n x d float64 row by
+    row; the verdicts, n bytes, 1 for unsafe; the fitness, n float64. Counts are left out because they determine the
+    fitness, and robustness because the search does not use it.
+    """
+    rows, columns = archive.vectors.shape
+    digest = hashlib.sha256(b"brink-archive-1\n")
+    digest.update(np.array([rows, columns], "<i8").tobytes())
+    digest.update(archive.numbers.astype("<i8").tobytes())
+    digest.update(archive.vectors.astype("<f8").tobytes())
+    digest.update(archive.unsafe.astype("u1").tobytes())
+    digest.update(archive.fitness.astype("<f8").tobytes())
+    return digest.hexdigest()

@@ -1,7 +1,6 @@
-"""Stored states: a JSON header and named arrays in one npz file, without pickles.
+"""File format of stored states: a JSON header and named arrays in one npz file, without pickles.
 
-Equal documents have equal bytes. A checksum over the content guards it, so that a damaged file is refused before
-anything in it is believed.
+Equal documents have equal bytes. A checksum over the content is verified before anything else is read.
 """
 
 import hashlib
@@ -26,8 +25,8 @@ class Document:
     """A versioned record.
 
     Attributes:
-        kind: What it is a state of, such as ``mlcshe@1``.
-        version: Version of its layout, >= 1.
+        kind: Owner of the state, such as ``mlcshe@1``.
+        version: Version of the layout, >= 1.
         header: JSON object.
         arrays: Arrays of numbers or booleans, by name.
     """
@@ -41,7 +40,7 @@ class Document:
         """Return the document as bytes.
 
         Raises:
-            DocumentError: The header is no JSON, or an array holds objects.
+            DocumentError: The header is not plain JSON, or an array holds objects.
         """
         try:
             header = json.dumps(
@@ -65,14 +64,14 @@ class Document:
         """Read a document.
 
         Raises:
-            DocumentError: The bytes are no document, or damaged.
+            DocumentError: The bytes are not a document, or are corrupt.
         """
         if not data.startswith(_MAGIC):
-            raise DocumentError(f"expected bytes that begin with {_MAGIC!r}, got {bytes(data[:20])!r}")
+            raise DocumentError(f"expected bytes starting with {_MAGIC!r}, got {bytes(data[:20])!r}")
         start = len(_MAGIC) + hashlib.sha256().digest_size
         payload = bytes(data[start:])
         if hashlib.sha256(payload).digest() != data[len(_MAGIC) : start]:
-            raise DocumentError("damaged document: its checksum does not match; restore it from a copy")
+            raise DocumentError("corrupt document: the checksum does not match; restore it from a backup")
         try:
             with np.load(io.BytesIO(payload), allow_pickle=False) as stored:
                 arrays = {name: stored[name] for name in stored.files}
@@ -84,13 +83,13 @@ class Document:
                 arrays={name.removeprefix("array_"): array for name, array in arrays.items()},
             )
         except (ValueError, KeyError, TypeError, OSError, EOFError, zipfile.BadZipFile) as error:
-            raise DocumentError(f"broken document: {error}") from error
+            raise DocumentError(f"corrupt document: {error}") from error
 
     def expect(self, kind: str, version: int) -> Self:
-        """Return the document if it is of a kind and version.
+        """Return the document itself, after checking its kind and version.
 
         Raises:
-            DocumentError: It is of another.
+            DocumentError: Either differs.
         """
         if (self.kind, self.version) != (kind, version):
             raise DocumentError(

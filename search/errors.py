@@ -2,16 +2,16 @@
 
 SearchError
 ├── SpaceError          a vector or a value does not fit the search space
-├── ConfigError         a setting of an algorithm is out of range
-├── UnsupportedSpace    the algorithm cannot work on that search space
+├── ConfigError         a setting of an algorithm is invalid
+├── UnsupportedSpace    the algorithm does not support the search space
 ├── OrderError          ask and tell were called out of order, or with the wrong candidates
-├── DocumentError       a stored state is broken, or of a version that this code does not know
+├── DocumentError       a stored document is corrupt, or of an unknown version
 └── MissingExtra        an optional dependency is not installed
 """
 
 
 class SearchError(Exception):
-    """Root of everything that the search package raises on purpose."""
+    """Root of all errors that the search package raises deliberately."""
 
 
 class SpaceError(SearchError, ValueError):
@@ -19,11 +19,11 @@ class SpaceError(SearchError, ValueError):
 
 
 class ConfigError(SearchError, ValueError):
-    """A setting of an algorithm is out of range.
+    """A setting of an algorithm is invalid.
 
     Attributes:
         field: Name of the setting.
-        nearest: The valid value that is most like the one that came, if there is one.
+        nearest: The valid value closest to the given one, if there is one.
     """
 
     def __init__(self, field: str, message: str, *, nearest: str | None = None) -> None:
@@ -33,7 +33,7 @@ class ConfigError(SearchError, ValueError):
 
 
 class UnsupportedSpace(SearchError, ValueError):
-    """The algorithm cannot work on that search space."""
+    """The algorithm does not support the search space."""
 
 
 class OrderError(SearchError, RuntimeError):
@@ -41,7 +41,7 @@ class OrderError(SearchError, RuntimeError):
 
 
 class DocumentError(SearchError, ValueError):
-    """A stored state is broken, or of a version that this code does not know."""
+    """A stored document is corrupt, or of an unknown version."""
 
 
 class MissingExtra(SearchError):

@@ -1,18 +1,15 @@
-"""How close a neighbourhood lies to the boundary of the p_th-unsafe region.
+"""Boundary fitness: how far a neighbourhood is from the boundary of the p_th-unsafe region.
 
 Source: Sharifi et al. 2023, eqs. 3-5 (Wilson interval of the unsafe share, boundary fitness).
 """
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray: TypeAlias = NDArray[np.float64]
-IntArray: TypeAlias = NDArray[np.int64]
+from brink.search.space import FloatArray, IntArray
 
 Z_95 = 1.96
-"""Quantile of the standard normal for a 95% interval, to the digits that the paper uses."""
+"""Quantile of the standard normal for a 95% interval, with the digits used in the paper."""
 
 
 def _counts(unsafe: ArrayLike, evaluated: ArrayLike) -> tuple[IntArray, IntArray]:
@@ -55,7 +52,7 @@ def wilson_interval(
 
 
 def boundary_fitness(unsafe: ArrayLike, evaluated: ArrayLike, p_th: float, z: float = Z_95) -> FloatArray:
-    """Return how far each neighbourhood lies from the p_th-unsafe boundary, in [0, 1].
+    """Return how far each neighbourhood is from the boundary of the p_th-unsafe region, in [0, 1].
 
     Args:
         unsafe: Unsafe solutions in each neighbourhood, integers, shape ``(n,)``.
@@ -78,6 +75,12 @@ def boundary_fitness(unsafe: ArrayLike, evaluated: ArrayLike, p_th: float, z: fl
 
 
 def fitness_of_interval(lower: FloatArray, upper: FloatArray, p_th: float) -> FloatArray:
-    """Return the boundary fitness of given intervals (eq. 5)."""
+    """Return the boundary fitness of given intervals (eq. 5).
+
+    Args:
+        lower: Lower limits, shape ``(n,)``.
+        upper: Upper limits, shape ``(n,)``.
+        p_th: Threshold probability of the unsafe region, in (0, 1).
+    """
     furthest: FloatArray = np.maximum(np.abs(upper - p_th), np.abs(lower - p_th))
     return furthest / max(p_th, 1 - p_th)

@@ -1,12 +1,13 @@
 """The distance between complete solutions, or between vectors of one component.
 
-The distance is half the mean share of range by which numbers differ plus half the share of categories that
-differ; where there are only numbers or only categories, that term alone. In [0, 1] for values in their ranges.
+The distance has two terms of equal weight: the mean difference of the numbers, each divided by its range, and the
+share of categories that differ. If there are only numbers or only categories, it is that term alone. It lies in
+[0, 1] for values in their ranges.
 
-The value of a pair depends on nothing but the pair: not on the other rows of the call nor on block sizes, and it
-is the same both ways round, bit for bit. So every sum runs one parameter after the other in the order of the
-vector. scipy's city-block kernel does just that (a test compares it with a plain loop, bit for bit); a matrix
-product would not do, since its order of summation changes with the shape.
+The distance of a pair is symmetric and depends on that pair alone, bit for bit: not on the other rows of the call,
+nor on block sizes. Every sum therefore adds the parameters in the order of the vector. scipy's city-block kernel
+does so (a test compares it with a plain loop); a matrix product does not, as its order of summation depends on the
+shape.
 
 Source: Sharifi et al. 2023, heterogeneous distance of complete solutions.
 """
@@ -17,29 +18,27 @@ from typing import Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.distance import cdist
 
-from brink.search.component import BoolArray, FloatArray, frozen_array
 from brink.search.errors import SpaceError
-from brink.search.space import SearchSpace
+from brink.search.space import BoolArray, FloatArray, SearchSpace, frozen_array
 
 METRIC_VERSION = 1
-"""Version of the distance; stored beside every block of distances, to be raised with any change of a bit."""
+"""Version of the distance, stored with every block of distances. Increment it with any change, even of one bit."""
 
 CodeArray: TypeAlias = NDArray[np.int16]
 
 BLOCK_ROWS = 64
 BLOCK_COLUMNS = 1024
-"""Pairs a block: a float64 block of this size (512 KB) stays in a core's second-level cache."""
+"""Block size: 64 x 1024 float64 distances (512 KB) fit into a core's second-level cache."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Points:
-    """Rows made ready for a metric.
+    """Rows preprocessed for a metric.
 
     Attributes:
-        numbers: Numbers in units of their range, a row a point, shape ``(n, numeric)``.
-        codes: Categories, a row a parameter, shape ``(categorical, n)``.
+        numbers: Numbers divided by their ranges, one row per point, shape ``(n, numeric)``.
+        codes: Categories, one row per parameter, shape ``(categorical, n)``.
     """
 
     numbers: FloatArray
@@ -49,23 +48,23 @@ class Points:
         return int(self.numbers.shape[0])
 
     def followed_by(self, other: "Points") -> "Points":
-        """Return these points and then the others."""
+        """Return these points followed by the others."""
         return Points(
             numbers=np.concatenate([self.numbers, other.numbers]),
             codes=np.concatenate([self.codes, other.codes], axis=1),
         )
 
     def take(self, positions: NDArray[np.intp] | slice) -> "Points":
-        """Return the points at some positions."""
+        """Return the points at the given positions."""
         return Points(numbers=self.numbers[positions], codes=self.codes[:, positions])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Metric:
-    """A heterogeneous distance.
+    """A distance over numbers and categories.
 
     Attributes:
-        ranges: Range of each parameter, > 0 where it is a number, shape ``(d,)``.
+        ranges: Range of each parameter, > 0 for numbers, shape ``(d,)``.
         categorical: Which parameters are categorical, shape ``(d,)``.
     """
 
@@ -79,7 +78,7 @@ class Metric:
         object.__setattr__(self, "categorical", frozen_array(categorical, np.bool_))
         if self.ranges.ndim != 1 or self.ranges.shape != self.categorical.shape or not self.ranges.size:
             raise SpaceError(
-                f"expected one range and one mark a parameter, got {self.ranges.shape}, {self.categorical.shape}"
+                f"expected one range and one flag per parameter, got {self.ranges.shape}, {self.categorical.shape}"
             )
         widths = self.ranges[~self.categorical]
         if not (np.isfinite(widths).all() and (widths > 0).all()):
@@ -94,7 +93,7 @@ class Metric:
 
     @classmethod
     def of_component(cls, space: SearchSpace, index: int) -> Self:
-        """Return the distance inside one component's population."""
+        """Return the distance between vectors of one component."""
         part = space.slices[index]
         return cls(space.ranges[part], space.categorical[part])
 
@@ -104,13 +103,10 @@ class Metric:
         return int(self.ranges.size)
 
     def points(self, rows: FloatArray) -> Points:
-        """Make rows ready to be measured; do it once for rows that are measured often.
-
-        Args:
-            rows: Shape ``(n, d)``.
+        """Preprocess rows of shape ``(n, d)``; do it once for rows that are measured repeatedly.
 
         Raises:
-            SpaceError: The shape is wrong, or a category is no small whole number.
+            SpaceError: The shape is wrong, or a category is not a small integer.
         """
         if rows.ndim != 2 or rows.shape[1] != self.dimension:
             raise SpaceError(f"expected rows of {self.dimension} numbers, got shape {rows.shape}")
@@ -123,13 +119,9 @@ class Metric:
         )
 
     def between(self, a_rows: FloatArray, b_rows: FloatArray) -> FloatArray:
-        """Return the distance of each row to each other row, shape ``(len(a_rows), len(b_rows))``.
+        """Return the distances between two sets of rows, shapes ``(m, d)`` and ``(n, d)`` to ``(m, n)``.
 
-        Works in blocks: besides the result and the prepared rows it holds under 2 MB.
-
-        Args:
-            a_rows: Shape ``(m, d)``.
-            b_rows: Shape ``(n, d)``.
+        Works in blocks: besides the result and the preprocessed rows it needs less than 2 MB.
         """
         a, b = self.points(a_rows), self.points(b_rows)
         distances = np.empty((len(a), len(b)))
@@ -138,7 +130,7 @@ class Metric:
         return distances
 
     def blocks(self, a: Points, b: Points) -> Iterator[tuple[slice, slice, FloatArray]]:
-        """Yield all distances in blocks: which rows, which columns, and the distances between them."""
+        """Yield all distances in blocks: rows, columns, and the distances between them."""
         for top in range(0, len(a), BLOCK_ROWS):
             rows = slice(top, min(top + BLOCK_ROWS, len(a)))
             part = a.take(rows)
@@ -152,7 +144,7 @@ class Metric:
         differing = np.zeros((len(a), len(b)), np.uint8 if self._categories.size < 256 else np.uint16)
         for mine, theirs in zip(a.codes, b.codes, strict=True):
             np.add(differing, (mine[:, None] != theirs).view(np.uint8), out=differing)
-        # A true division: a share of 3 in 10 must compare as 0.3 does.
+        # A true division, not a product with 1 / size: 3 of 10 must equal 0.3.
         share: FloatArray = differing / float(self._categories.size)
         if self._numeric.size:
             share += self._numeric_share(a, b)
@@ -160,6 +152,8 @@ class Metric:
         return share
 
     def _numeric_share(self, a: Points, b: Points) -> FloatArray:
+        from scipy.spatial.distance import cdist  # slow to import
+
         share: FloatArray = cdist(a.numbers, b.numbers, "cityblock")
         share /= self._numeric.size
         return share

@@ -1,24 +1,22 @@
-"""Variation and selection: tournament, uniform crossover, mutation. Pure: parents are never touched.
+"""Selection and variation: tournament, uniform crossover and mutation. Pure: parents are never modified.
 
-A sleeping block has no numbers to give. Its zeros become NaN before variation, so that crossover cannot mix them
-into a block that is awake and mutation cannot shift them; repair then draws afresh what an awake block misses and
-puts everything else back to sleep.
+The zeros of a dormant block become NaN before variation, so that crossover cannot mix them into an active block and
+mutation cannot shift them. Repair then draws the missing numbers of active blocks and sets dormant ones back to 0.
 
 Source: Sharifi et al. 2023, breeding of populations.
 """
 
 import numpy as np
 
-from brink.search.component import Component, FloatArray
-from brink.search.parameters import Categorical
+from brink.search.space import Categorical, Component, FloatArray
 
 
 def tournament(fitness: FloatArray, size: int, rng: np.random.Generator) -> int:
-    """Return the position of the best of `size` random contestants, the first drawn among equals.
+    """Return the position of the best of `size` random contestants; on ties, the first drawn.
 
     Args:
-        fitness: Minimised, infinite for the unranked, shape ``(n,)``.
-        size: Contestants, drawn with replacement; a ranked one is always preferred to an unranked one.
+        fitness: Minimised, infinite for unranked individuals, shape ``(n,)``.
+        size: Number of contestants, drawn with replacement.
         rng: Draws the contestants.
     """
     contestants = rng.integers(fitness.size, size=size)
@@ -28,7 +26,14 @@ def tournament(fitness: FloatArray, size: int, rng: np.random.Generator) -> int:
 def crossed(
     mother: FloatArray, father: FloatArray, probability: float, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Return two children that have swapped each gene with a probability (uniform crossover)."""
+    """Return two children with each gene swapped with a probability (uniform crossover).
+
+    Args:
+        mother: Shape ``(d,)``.
+        father: Shape ``(d,)``.
+        probability: Probability that a gene is swapped.
+        rng: Source of all randomness.
+    """
     swap = rng.random(mother.size) < probability
     return np.where(swap, father, mother), np.where(swap, mother, father)
 
@@ -36,9 +41,16 @@ def crossed(
 def mutated(
     component: Component, vector: FloatArray, probability: float, rng: np.random.Generator
 ) -> FloatArray:
-    """Return a copy in which each gene has mutated with a probability; it may need repair.
+    """Return a copy with each gene mutated with a probability; it may need repair.
 
-    Numbers get a Gaussian step of their parameter's sigma, categories are redrawn uniformly (and may stay).
+    Numbers get a Gaussian step with their parameter's sigma. Categories are redrawn uniformly, so one may stay the
+    same.
+
+    Args:
+        component: The component of the vector.
+        vector: Shape ``(d,)``.
+        probability: Probability that a gene mutates.
+        rng: Source of all randomness.
     """
     hit = rng.random(vector.size) < probability
     steps = rng.standard_normal(vector.size)
@@ -65,12 +77,12 @@ def offspring(
     """Return two children of two parents, repaired and read-only.
 
     Args:
-        component: What the vectors belong to.
-        mother: Complies with the component.
-        father: Complies with the component.
+        component: The component of the vectors.
+        mother: A valid vector, shape ``(d,)``.
+        father: A valid vector, shape ``(d,)``.
         crossover: Probability that a gene is swapped.
         mutation: Probability that a gene mutates.
-        rng: All chance comes from it.
+        rng: Source of all randomness.
     """
     parents = component.unset_dormant(mother), component.unset_dormant(father)
     children = crossed(*parents, crossover, rng)

@@ -1,73 +1,69 @@
-"""Parameters of a search space: real, integer and categorical, each with its range and unit.
+"""Parameters of a search space and the constraints between them.
 
 A parameter's value in a vector is one float64: the number itself, or the index of the choice. NaN stands for
-"no value yet": whatever repairs a vector draws a fresh one in its place.
+"no value yet"; repair draws a fresh one.
+
+A constraint ties several parameters together, checks them, and repairs vectors that violate it. Each number belongs
+to at most one constraint, so repairing one constraint never violates another. `Dormant` is the exception: it switches
+a block of numbers off while its label has the null choice, and the constraints of those numbers with it.
+
+Source of `Extent`: the case study of Sharifi et al. 2023; the order of the repair is that of the authors' code.
 """
 
 import difflib
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, Protocol, TypeAlias
 
 import numpy as np
 
 from brink.search.errors import SpaceError
 
 Value: TypeAlias = float | int | str
+"""A parameter's value as people read and write it."""
+
+Values: TypeAlias = dict[str, float]
+"""Stored values of a component's parameters, by name."""
 
 DEFAULT_SIGMA_SHARE = 0.1
-"""Standard deviation of a Gaussian mutation, as a share of the parameter's range, unless one is given."""
+"""Default standard deviation of a Gaussian mutation, as a share of the parameter's range."""
 
 MAX_CHOICES = 2**15 - 1
 MAX_INTEGER = 2**53
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]*")
 
 
-def nearest(word: object, known: Iterable[str]) -> str:
-    """Return ``; did you mean 'x'?`` for the known word closest to this one, or the list of all known words."""
+def did_you_mean(word: object, known: Iterable[str]) -> str:
+    """Return ``; did you mean 'x'?`` for the closest known word, or a list of all known words."""
     names = list(known)
     close = difflib.get_close_matches(str(word), names, n=1, cutoff=0.5)
     return f"; did you mean {close[0]!r}?" if close else f"; known: {', '.join(names) or 'none'}"
 
 
 def check_name(what: str, name: object) -> None:
-    """Raise SpaceError unless a name is a word that reads well in paths, columns and messages."""
+    """Check that a name can be used in paths, column names and messages.
+
+    Raises:
+        SpaceError: It has other characters, or does not begin with a letter.
+    """
     if not (isinstance(name, str) and _NAME.fullmatch(name)):
         raise SpaceError(
             f"{what}: expected a name of letters, digits, '_', '-' and '.', first a letter, got {name!r}"
         )
 
 
-def _check_range(name: str, low: float, high: float, sigma: float | None) -> None:
-    if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise SpaceError(f"{name}: expected finite low < high, got {low!r} and {high!r}")
-    if not math.isfinite(high - low):
-        raise SpaceError(f"{name}: expected a range that a float can hold, got {low!r} to {high!r}")
-    if sigma is not None and not (math.isfinite(sigma) and sigma > 0):
-        raise SpaceError(f"{name}: expected sigma > 0, got {sigma!r}")
-
-
-def _number(name: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-        raise SpaceError(f"{name}: expected a number, got {value!r}")
-    try:
-        return float(value)
-    except OverflowError:
-        raise SpaceError(f"{name}: expected a number that a float can hold") from None
-
-
 @dataclass(frozen=True, slots=True)
-class Real:
-    """A real number in [low, high].
+class Number:
+    """A number in [low, high]: the common base of `Real` and `Integer`.
 
     Attributes:
         name: Unique in its component.
         low: Smallest value.
         high: Largest value, > low.
-        unit: ``px``, ``m/s``, …; empty for a pure number.
-        sigma: Standard deviation of its Gaussian mutation; a tenth of the range unless given.
+        unit: ``px``, ``m/s``, …; empty for a dimensionless number.
+        sigma: Standard deviation of the Gaussian mutation, before rounding; defaults to a tenth of the range.
     """
 
     name: str
@@ -75,12 +71,17 @@ class Real:
     high: float
     unit: str = ""
     sigma: float | None = None
+    _type: ClassVar[str]
 
     def __post_init__(self) -> None:
         check_name("parameter", self.name)
-        _check_range(self.name, self.low, self.high, self.sigma)
-        object.__setattr__(self, "low", float(self.low))
-        object.__setattr__(self, "high", float(self.high))
+        low, high = self.low, self.high
+        if not (math.isfinite(low) and math.isfinite(high) and low < high):
+            raise SpaceError(f"{self.name}: expected finite low < high, got {low!r} and {high!r}")
+        if not math.isfinite(high - low):
+            raise SpaceError(f"{self.name}: expected a range that a float can hold, got {low!r} to {high!r}")
+        if self.sigma is not None and not (math.isfinite(self.sigma) and self.sigma > 0):
+            raise SpaceError(f"{self.name}: expected sigma > 0, got {self.sigma!r}")
 
     @property
     def range(self) -> float:
@@ -93,15 +94,63 @@ class Real:
         return DEFAULT_SIGMA_SHARE * self.range if self.sigma is None else self.sigma
 
     def draw(self, rng: np.random.Generator) -> float:
-        """Return a uniform value."""
-        return min(float(rng.uniform(self.low, self.high)), self.high)
-
-    def clipped(self, value: float) -> float:
-        """Return the admissible value nearest to a number."""
-        return float(min(max(value, self.low), self.high))
+        """Draw a uniform value."""
+        raise NotImplementedError
 
     def rounded(self, value: float) -> float:
-        """Return the number as it may be stored, whatever the range: for a real, itself."""
+        """Return the nearest number of the parameter's kind, ignoring its range."""
+        raise NotImplementedError
+
+    def clipped(self, value: float) -> float:
+        """Return the valid value nearest to a number."""
+        return self.rounded(float(min(max(value, self.low), self.high)))
+
+    def problem(self, value: float) -> str | None:
+        """Return what is wrong with a stored value, or None."""
+        raise NotImplementedError
+
+    def decode(self, value: float) -> Value:
+        """Return the human-readable form of a stored value."""
+        raise NotImplementedError
+
+    def encode(self, value: object) -> float:
+        """Return the stored form of a human-readable value.
+
+        Raises:
+            SpaceError: It is not a valid number of this parameter.
+        """
+        if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
+            raise SpaceError(f"{self.name}: expected a number, got {value!r}")
+        try:
+            number = float(value)
+        except OverflowError:
+            raise SpaceError(f"{self.name}: expected a number that a float can hold") from None
+        if problem := self.problem(number):
+            raise SpaceError(f"{self.name}: {problem}")
+        return number
+
+    def describe(self) -> dict[str, Any]:
+        """Return name, type, range and unit as a JSON object."""
+        return {"name": self.name, "type": self._type, "low": self.low, "high": self.high, "unit": self.unit}
+
+
+@dataclass(frozen=True, slots=True)
+class Real(Number):
+    """A real number in [low, high]."""
+
+    _type: ClassVar[str] = "real"
+
+    def __post_init__(self) -> None:
+        Number.__post_init__(self)
+        object.__setattr__(self, "low", float(self.low))
+        object.__setattr__(self, "high", float(self.high))
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """Draw a uniform value."""
+        return min(float(rng.uniform(self.low, self.high)), self.high)
+
+    def rounded(self, value: float) -> float:
+        """Return the number itself."""
         return value
 
     def problem(self, value: float) -> str | None:
@@ -111,70 +160,31 @@ class Real:
         return f"expected a number in [{self.low:g}, {self.high:g}], got {value!r}"
 
     def decode(self, value: float) -> Value:
-        """Return the value that people read for a stored one."""
+        """Return the human-readable form of a stored value."""
         return float(value)
-
-    def encode(self, value: object) -> float:
-        """Return the stored value for one that people write.
-
-        Raises:
-            SpaceError: It is not a number in the range.
-        """
-        number = _number(self.name, value)
-        if problem := self.problem(number):
-            raise SpaceError(f"{self.name}: {problem}")
-        return number
-
-    def describe(self) -> dict[str, Any]:
-        """Return name, type, range and unit as a JSON object."""
-        return {"name": self.name, "type": "real", "low": self.low, "high": self.high, "unit": self.unit}
 
 
 @dataclass(frozen=True, slots=True)
-class Integer:
-    """A whole number in [low, high], both included.
+class Integer(Number):
+    """An integer in [low, high], both ends included."""
 
-    Attributes:
-        name: Unique in its component.
-        low: Smallest value.
-        high: Largest value, > low.
-        unit: ``step``, …; empty for a pure number.
-        sigma: Standard deviation of its Gaussian mutation, before rounding; a tenth of the range unless given.
-    """
-
-    name: str
     low: int
     high: int
-    unit: str = ""
-    sigma: float | None = None
+    _type: ClassVar[str] = "integer"
 
     def __post_init__(self) -> None:
         check_name("parameter", self.name)
         for bound in (self.low, self.high):
             if isinstance(bound, bool) or not isinstance(bound, int) or abs(bound) > MAX_INTEGER:
                 raise SpaceError(f"{self.name}: expected whole bounds within ±2**53, got {bound!r}")
-        _check_range(self.name, self.low, self.high, self.sigma)
-
-    @property
-    def range(self) -> float:
-        """Width of the range; distances are measured in it."""
-        return float(self.high - self.low)
-
-    @property
-    def mutation_sigma(self) -> float:
-        """Standard deviation of the Gaussian mutation, > 0."""
-        return DEFAULT_SIGMA_SHARE * self.range if self.sigma is None else self.sigma
+        Number.__post_init__(self)
 
     def draw(self, rng: np.random.Generator) -> float:
-        """Return a uniform value."""
+        """Draw a uniform value."""
         return float(rng.integers(self.low, self.high, endpoint=True))
 
-    def clipped(self, value: float) -> float:
-        """Return the admissible value nearest to a number."""
-        return self.rounded(float(min(max(value, self.low), self.high)))
-
     def rounded(self, value: float) -> float:
-        """Return the number as it may be stored, whatever the range: the nearest whole one."""
+        """Return the nearest integer, as a float."""
         return float(np.rint(value))
 
     def problem(self, value: float) -> str | None:
@@ -184,23 +194,8 @@ class Integer:
         return f"expected a whole number in [{self.low}, {self.high}], got {value!r}"
 
     def decode(self, value: float) -> Value:
-        """Return the value that people read for a stored one."""
+        """Return the human-readable form of a stored value."""
         return int(value)
-
-    def encode(self, value: object) -> float:
-        """Return the stored value for one that people write.
-
-        Raises:
-            SpaceError: It is not a whole number in the range.
-        """
-        number = _number(self.name, value)
-        if problem := self.problem(number):
-            raise SpaceError(f"{self.name}: {problem}")
-        return number
-
-    def describe(self) -> dict[str, Any]:
-        """Return name, type, range and unit as a JSON object."""
-        return {"name": self.name, "type": "integer", "low": self.low, "high": self.high, "unit": self.unit}
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +204,7 @@ class Categorical:
 
     Attributes:
         name: Unique in its component.
-        choices: At least one, all different.
+        choices: One or more, all different.
     """
 
     name: str
@@ -224,11 +219,11 @@ class Categorical:
             raise SpaceError(f"{self.name}: expected different choices, got {self.choices!r}")
 
     def draw(self, rng: np.random.Generator) -> float:
-        """Return the index of a uniform choice."""
+        """Draw the index of a choice, uniformly."""
         return float(rng.integers(len(self.choices)))
 
     def clipped(self, value: float) -> float:
-        """Return the index nearest to a number."""
+        """Return the valid index nearest to a number."""
         return float(np.rint(min(max(value, 0.0), len(self.choices) - 1.0)))
 
     def problem(self, value: float) -> str | None:
@@ -238,11 +233,11 @@ class Categorical:
         return f"expected the index of one of {len(self.choices)} choices, got {value!r}"
 
     def decode(self, value: float) -> Value:
-        """Return the choice of a stored value."""
+        """Return the choice that a stored value stands for."""
         return self.choices[int(value)]
 
     def encode(self, value: object) -> float:
-        """Return the stored value of a choice.
+        """Return the stored form of a choice.
 
         Raises:
             SpaceError: There is no such choice.
@@ -250,7 +245,7 @@ class Categorical:
         if value not in self.choices:
             expected = ", ".join(self.choices[:12]) + (", …" if len(self.choices) > 12 else "")
             raise SpaceError(
-                f"{self.name}: expected one of {expected}, got {value!r}{nearest(value, self.choices)}"
+                f"{self.name}: expected one of {expected}, got {value!r}{did_you_mean(value, self.choices)}"
             )
         return float(self.choices.index(str(value)))
 
@@ -259,5 +254,238 @@ class Categorical:
         return {"name": self.name, "type": "categorical", "choices": list(self.choices)}
 
 
-Number: TypeAlias = Real | Integer
 Parameter: TypeAlias = Real | Integer | Categorical
+
+
+class Constraint(Protocol):
+    """A constraint on the parameters that it owns."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters that it owns."""
+        ...
+
+    def fit(self, parameters: Mapping[str, Parameter]) -> None:
+        """Raise SpaceError if the constraint does not fit the component's parameters."""
+        ...
+
+    def repair(self, values: Values, parameters: Mapping[str, Parameter]) -> None:
+        """Repair the owned values in place, ranges included; leave valid values unchanged."""
+        ...
+
+    def problem(self, values: Values, parameters: Mapping[str, Parameter]) -> str | None:
+        """Return what is wrong with the values, or None."""
+        ...
+
+    def describe(self) -> dict[str, Any]:
+        """Return the constraint as a JSON object."""
+        ...
+
+
+def _number(parameters: Mapping[str, Parameter], name: str, kind: str) -> Number:
+    parameter = parameters.get(name)
+    if parameter is None:
+        raise SpaceError(f"{kind}: unknown parameter {name!r}{did_you_mean(name, parameters)}")
+    if not isinstance(parameter, Number):
+        raise SpaceError(f"{kind}: expected {name} to be a number, got a categorical parameter")
+    return parameter
+
+
+class _Pair:
+    """Two numbers in [0, size] of which the second exceeds the first by at least a minimum."""
+
+    __slots__ = ()
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """Names of the parameters that it owns."""
+        raise NotImplementedError
+
+    @property
+    def _bounds(self) -> tuple[float, float]:
+        """The minimum difference, and the upper end of both ranges."""
+        raise NotImplementedError
+
+    def fit(self, parameters: Mapping[str, Parameter]) -> None:
+        """Raise SpaceError if the constraint does not fit the component's parameters."""
+        kind, names, (minimum, size) = type(self).__name__, self.names, self._bounds
+        if names[0] == names[1]:
+            raise SpaceError(f"{kind}: expected two parameters, got {names[0]!r} twice")
+        numbers = [_number(parameters, name, kind) for name in names]
+        if type(numbers[0]) is not type(numbers[1]):
+            raise SpaceError(f"{kind}: expected {names[0]} and {names[1]} both real or both integer")
+        for name, number in zip(names, numbers, strict=True):
+            if number.low != 0 or number.high != size:
+                raise SpaceError(
+                    f"{kind}: expected {name} in [0, {size:g}], got [{number.low:g}, {number.high:g}]"
+                )
+        if not 0 < self._gap(parameters) <= size:
+            raise SpaceError(f"{kind}: expected a minimum in (0, {size:g}], got {minimum!r}")
+
+    def problem(self, values: Values, parameters: Mapping[str, Parameter]) -> str | None:
+        """Return what is wrong with the values, or None."""
+        low, high = (values[name] for name in self.names)
+        gap = self._gap(parameters)
+        if _are_apart(low, high, gap):
+            return None
+        return f"expected {self.names[1]} at least {gap:g} above {self.names[0]}, got {low!r} and {high!r}"
+
+    def _gap(self, parameters: Mapping[str, Parameter]) -> float:
+        """Return the minimum, rounded up for integers."""
+        minimum, _ = self._bounds
+        return float(math.ceil(minimum)) if isinstance(parameters[self.names[0]], Integer) else minimum
+
+
+def _are_apart(low: float, high: float, gap: float) -> bool:
+    # Repair sets one number to the other plus or minus the gap. Rounding decides which of these three hold exactly.
+    return high - low >= gap or high >= low + gap or low <= high - gap
+
+
+def _stretched(low: float, high: float, gap: float, size: float) -> tuple[float, float]:
+    """Return the pair at least a gap apart: raise the upper number if that fits, else lower the lower one."""
+    if _are_apart(low, high, gap):
+        return low, high
+    if low + gap <= size:
+        return low, low + gap
+    if high - gap >= 0:
+        return high - gap, high
+    return 0.0, gap
+
+
+@dataclass(frozen=True, slots=True)
+class Extent(_Pair):
+    """One axis of a box: ``high`` at least ``minimum`` above ``low``, both in [0, size].
+
+    Attributes:
+        low: Name of the parameter of the lower side, with range [0, size].
+        high: Name of the parameter of the upper side, with the same range.
+        minimum: Smallest extent, in (0, size].
+        size: Size of the frame along this axis.
+    """
+
+    low: str
+    high: str
+    minimum: float
+    size: float
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """Names of the parameters that it owns."""
+        return self.low, self.high
+
+    @property
+    def _bounds(self) -> tuple[float, float]:
+        return self.minimum, float(self.size)
+
+    def repair(self, values: Values, parameters: Mapping[str, Parameter]) -> None:
+        """Repair the sides in place: order them, clip them to the frame, then stretch the extent."""
+        low, high = values[self.low], values[self.high]
+        gap, size = self._gap(parameters), float(self.size)
+        if high < low:
+            high = low + gap
+        values[self.low], values[self.high] = _stretched(max(low, 0.0), min(high, size), gap, size)
+
+    def describe(self) -> dict[str, Any]:
+        """Return the constraint as a JSON object."""
+        return {
+            "type": "extent",
+            "low": self.low,
+            "high": self.high,
+            "minimum": self.minimum,
+            "size": self.size,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Duration(_Pair):
+    """A time span: ``end`` at least ``minimum`` after ``start``, both in [0, horizon].
+
+    Repair first swaps times that are in the wrong order, so the span stays in place.
+
+    Attributes:
+        start: Name of the parameter of the start, with range [0, horizon].
+        end: Name of the parameter of the end, with the same range.
+        minimum: Shortest duration, in (0, horizon]; rounded up for integer times.
+        horizon: Latest time.
+    """
+
+    start: str
+    end: str
+    minimum: float
+    horizon: float
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """Names of the parameters that it owns."""
+        return self.start, self.end
+
+    @property
+    def _bounds(self) -> tuple[float, float]:
+        return self.minimum, float(self.horizon)
+
+    def repair(self, values: Values, parameters: Mapping[str, Parameter]) -> None:
+        """Repair the times in place: sort them, clip them to the horizon, then stretch the span."""
+        horizon = float(self.horizon)
+        start, end = sorted(min(max(values[name], 0.0), horizon) for name in self.names)
+        values[self.start], values[self.end] = _stretched(start, end, self._gap(parameters), horizon)
+
+    def describe(self) -> dict[str, Any]:
+        """Return the constraint as a JSON object."""
+        return {
+            "type": "duration",
+            "start": self.start,
+            "end": self.end,
+            "minimum": self.minimum,
+            "horizon": self.horizon,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Dormant:
+    """A block of numbers that is dormant, stored as 0, while its label has the null choice.
+
+    When the label changes to another choice, the numbers are drawn afresh.
+
+    Attributes:
+        label: Name of the categorical parameter that switches the block.
+        null_choice: The choice that makes the block dormant.
+        members: Names of the block's numbers; the range of each includes 0.
+    """
+
+    label: str
+    null_choice: str
+    members: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "members", tuple(self.members))
+
+    def fit(self, parameters: Mapping[str, Parameter]) -> None:
+        """Raise SpaceError if the constraint does not fit the component's parameters."""
+        label = parameters.get(self.label)
+        if not isinstance(label, Categorical):
+            raise SpaceError(f"Dormant: expected {self.label!r} to name a categorical parameter")
+        if self.null_choice not in label.choices:
+            known = did_you_mean(self.null_choice, label.choices)
+            raise SpaceError(f"Dormant: {self.label} has no choice {self.null_choice!r}{known}")
+        if not self.members or len(set(self.members)) < len(self.members):
+            raise SpaceError(f"Dormant: expected different members, got {self.members!r}")
+        for name in self.members:
+            number = _number(parameters, name, "Dormant")
+            if not number.low <= 0 <= number.high:
+                raise SpaceError(
+                    f"Dormant: expected 0 in the range of {name}, got [{number.low:g}, {number.high:g}]"
+                )
+
+    def is_dormant(self, values: Mapping[str, float], parameters: Mapping[str, Parameter]) -> bool:
+        """Return whether the block is dormant."""
+        label = parameters[self.label]
+        return label.decode(values[self.label]) == self.null_choice
+
+    def describe(self) -> dict[str, Any]:
+        """Return the constraint as a JSON object."""
+        return {
+            "type": "dormant",
+            "label": self.label,
+            "null_choice": self.null_choice,
+            "members": list(self.members),
+        }

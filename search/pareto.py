@@ -1,24 +1,19 @@
-"""Pareto dominance: ranks, crowding distances, the survivors of a generation. All objectives are minimised.
+"""Pareto dominance: fronts, crowding distances and survival. All objectives are minimised.
 
 Source: Deb, Pratap, Agarwal, Meyarivan, "A Fast and Elitist Multiobjective Genetic Algorithm: NSGA-II",
 IEEE Transactions on Evolutionary Computation 6(2), 2002.
 """
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 
-from brink.search.component import BoolArray, FloatArray
-
-IntArray: TypeAlias = NDArray[np.int64]
+from brink.search.space import BoolArray, FloatArray, IntArray
 
 
 def dominates(objectives: FloatArray) -> BoolArray:
-    """Return whether row i dominates row j: nowhere worse, somewhere better.
+    """Return whether row i dominates row j: no objective is worse, and at least one is better.
 
     Args:
-        objectives: Shape ``(n, m)``, no NaN; infinity stands for the worst.
+        objectives: Shape ``(n, m)``, no NaN; infinity is the worst value.
 
     Returns:
         Shape ``(n, n)``.
@@ -40,6 +35,9 @@ def ranks(objectives: FloatArray) -> IntArray:
 
     Returns:
         Shape ``(n,)``.
+
+    Raises:
+        ValueError: The shape is wrong, or there is a NaN.
     """
     beats = dominates(objectives)
     beaten_by = beats.sum(axis=0)
@@ -54,9 +52,9 @@ def ranks(objectives: FloatArray) -> IntArray:
 
 
 def first_front(first: FloatArray, second: FloatArray) -> IntArray:
-    """Return the positions of the points that nobody dominates, ascending by the first of two objectives.
+    """Return the positions of the non-dominated points of two objectives, ascending by the first.
 
-    Sorts and sweeps, so that it does for any number of points.
+    Sorts and sweeps, so it scales to any number of points.
 
     Args:
         first: Minimised, no NaN, shape ``(n,)``.
@@ -74,7 +72,7 @@ def first_front(first: FloatArray, second: FloatArray) -> IntArray:
 def crowding(objectives: FloatArray) -> FloatArray:
     """Return the crowding distance of each row of one front; infinite at the ends of every objective.
 
-    An objective in which all rows agree, or that is infinite somewhere, tells nothing apart and adds nothing.
+    An objective that is constant, or infinite in any row, adds nothing.
 
     Args:
         objectives: Shape ``(n, m)``.
@@ -99,7 +97,7 @@ def crowding(objectives: FloatArray) -> FloatArray:
 
 
 def ranks_and_crowding(objectives: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return the front of each row, and its crowding distance in that front."""
+    """Return the front of each row and its crowding distance within that front, both of shape ``(n,)``."""
     front = ranks(objectives)
     distances = np.zeros(len(objectives))
     for rank in range(int(front.max(initial=-1)) + 1):
@@ -109,11 +107,11 @@ def ranks_and_crowding(objectives: FloatArray) -> tuple[IntArray, FloatArray]:
 
 
 def survivors(objectives: FloatArray, count: int) -> IntArray:
-    """Return the positions of the best rows, best first: by front, then the least crowded, then the elder.
+    """Return the positions of the best rows, best first: by front, then least crowded, then lowest position.
 
     Args:
         objectives: Shape ``(n, m)``.
-        count: How many; all if there are fewer.
+        count: Number of survivors; all rows if there are fewer.
     """
     front, distances = ranks_and_crowding(objectives)
     return np.lexsort((-distances, front))[:count]

@@ -1,7 +1,7 @@
-"""Settings of algorithms and problems: fields of frozen dataclasses that carry their help, bounds and unit.
+"""Settings of algorithms and problems: fields of frozen dataclasses with help, bounds and unit.
 
-A catalogue turns such a dataclass into a JSON schema from `dataclasses.fields`: the metadata of each field holds
-``help``, ``unit`` and whichever of ``ge``, ``gt``, ``le``, ``lt`` and ``choices`` bound it.
+The metadata of each field holds ``help``, ``unit``, and those of ``ge``, ``gt``, ``le``, ``lt`` and ``choices`` that
+limit it. A catalogue builds a JSON schema from them with `dataclasses.fields`.
 """
 
 import dataclasses
@@ -13,15 +13,15 @@ from brink.search.errors import ConfigError
 T = TypeVar("T")
 
 BOUNDS = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
-"""Names of the bounds in a field's metadata, with the sign that messages print."""
+"""Keys of the bounds in a field's metadata, and their signs in messages."""
 
-_NOUNS: dict[Any, str] = {float: "a number", int: "a whole number", bool: "true or false", str: "a text"}
+_NOUNS: dict[Any, str] = {float: "a number", int: "a whole number", bool: "true or false", str: "a string"}
 
 
 def setting(
     default: T,
     *,
-    help: str,  # noqa: A002  (the word that catalogues and command lines use for it)
+    help: str,  # noqa: A002  (the word of catalogues and command lines)
     ge: float | None = None,
     gt: float | None = None,
     le: float | None = None,
@@ -29,17 +29,17 @@ def setting(
     unit: str = "",
     choices: tuple[T, ...] | None = None,
 ) -> T:
-    """Return a dataclass field with a default, a line of help, bounds and a unit.
+    """Declare a dataclass field annotated ``float``, ``int``, ``bool`` or ``str``.
 
     Args:
-        default: The value if none is given; its field is annotated ``float``, ``int``, ``bool`` or ``str``.
+        default: Default value.
         help: One line that says what the setting does.
-        ge: Smallest value.
-        gt: Value that it must exceed.
-        le: Largest value.
-        lt: Value that it must stay below.
+        ge: Inclusive lower bound.
+        gt: Exclusive lower bound.
+        le: Inclusive upper bound.
+        lt: Exclusive upper bound.
         unit: Unit of the value.
-        choices: The only values that it may have.
+        choices: The allowed values.
     """
     bounds = {"ge": ge, "gt": gt, "le": le, "lt": lt}
     metadata: dict[str, Any] = {"help": help, "unit": unit} | {
@@ -50,9 +50,9 @@ def setting(
     return dataclasses.field(default=default, metadata=metadata)
 
 
-def _is_of(kind: Any, value: object) -> bool:
+def _has_type(kind: Any, value: object) -> bool:
     if kind is float:
-        # NaN fails the comparison; so do infinities and whole numbers that no float can hold.
+        # NaN fails the comparison, and so do infinities and integers too large for a float.
         number = isinstance(value, int | float) and not isinstance(value, bool)
         return number and -sys.float_info.max <= cast(float, value) <= sys.float_info.max
     if kind is int:
@@ -73,10 +73,10 @@ def _holds(bound: str, value: float, limit: float) -> bool:
 
 
 def check_settings(config: Any) -> None:
-    """Check every setting of a config dataclass; call it from ``__post_init__``.
+    """Check every setting of a config dataclass; call this from its ``__post_init__``.
 
     Raises:
-        ConfigError: A setting is of the wrong type or out of its bounds; names the field.
+        ConfigError: A setting has the wrong type or is out of bounds; names the field.
     """
     kinds = get_type_hints(type(config))
     for field in dataclasses.fields(config):
@@ -89,7 +89,7 @@ def check_settings(config: Any) -> None:
         expected = f"{_NOUNS[kind]} {wanted}".strip() + (
             f" ({field.metadata['unit']})" if field.metadata.get("unit") else ""
         )
-        if not _is_of(kind, value) or not all(_holds(b, value, limit) for b, limit in limits.items()):
+        if not _has_type(kind, value) or not all(_holds(b, value, limit) for b, limit in limits.items()):
             raise ConfigError(field.name, f"expected {expected}, got {value!r}")
         choices = field.metadata.get("choices")
         if choices is not None and value not in choices:

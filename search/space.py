@@ -1,32 +1,302 @@
-"""The search space: named components whose vectors together make a complete solution.
+"""The search space: named components whose vectors together make up a complete solution.
 
-A complete solution is a tuple of vectors, one a component, or the same numbers in one row; `SearchSpace.join` and
-`SearchSpace.split` turn one into the other. Everything here is immutable.
+A complete solution is a tuple of vectors, one for each component, or the same numbers concatenated into one row.
+`SearchSpace.join` and `SearchSpace.split` convert between the two. Everything here is immutable.
+
+Two invariants hold for every component: what `Component.repair` returns passes `Component.problems`, and repair
+leaves a valid vector unchanged.
 """
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from brink.search.component import BoolArray, Component, FloatArray, frozen_array
-from brink.search.constraints import Constraint, Dormant, Duration, Extent
 from brink.search.errors import SpaceError
-from brink.search.parameters import Categorical, Integer, Parameter, Real, Value, nearest
+from brink.search.parameters import (
+    Categorical,
+    Constraint,
+    Dormant,
+    Duration,
+    Extent,
+    Integer,
+    Number,
+    Parameter,
+    Real,
+    Value,
+    Values,
+    check_name,
+    did_you_mean,
+)
 
 __all__ = [
+    "BoolArray",
     "Categorical",
     "Component",
     "Constraint",
     "Dormant",
     "Duration",
     "Extent",
+    "FloatArray",
+    "IntArray",
     "Integer",
     "Parameter",
     "Real",
     "SearchSpace",
+    "frozen_array",
 ]
+
+FloatArray: TypeAlias = NDArray[np.float64]
+IntArray: TypeAlias = NDArray[np.int64]
+BoolArray: TypeAlias = NDArray[np.bool_]
+
+
+def frozen_array(values: Any, dtype: Any = np.float64) -> NDArray[Any]:
+    """Return a read-only array of the same entries; an array that is already read-only is not copied."""
+    array = np.asarray(values, dtype=dtype)
+    if array.flags.writeable:
+        array = array.copy()
+        array.flags.writeable = False
+    return array
+
+
+@dataclass(frozen=True, slots=True)
+class Component:
+    """A named part of the genome.
+
+    Attributes:
+        name: Unique in its space, such as ``scenario``.
+        parameters: In the order of the vector, with unique names.
+        constraints: In the order in which repair applies them, except that `Dormant` always comes first: the
+            constraints of dormant numbers do not apply, and those of reactivated numbers repair the fresh draws.
+        by_name: The parameters by name.
+    """
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    constraints: tuple[Constraint | Dormant, ...] = ()
+    by_name: Mapping[str, Parameter] = field(init=False, repr=False, compare=False)
+    _blocks: tuple[Dormant, ...] = field(init=False, repr=False, compare=False)
+    _rules: tuple[Constraint, ...] = field(init=False, repr=False, compare=False)
+    _free: tuple[Number, ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        check_name("component", self.name)
+        object.__setattr__(self, "parameters", tuple(self.parameters))
+        object.__setattr__(self, "constraints", tuple(self.constraints))
+        names = [parameter.name for parameter in self.parameters]
+        if not names:
+            raise SpaceError(f"component {self.name}: expected at least one parameter")
+        if len(set(names)) < len(names):
+            raise SpaceError(
+                f"component {self.name}: expected different parameter names, got {', '.join(names)}"
+            )
+        blocks = tuple(c for c in self.constraints if isinstance(c, Dormant))
+        rules = tuple(c for c in self.constraints if not isinstance(c, Dormant))
+        object.__setattr__(self, "by_name", {p.name: p for p in self.parameters})
+        self._check_constraints(blocks, rules)
+        owned = {name for rule in rules for name in rule.names}
+        free = tuple(p for p in self.parameters if isinstance(p, Number) and p.name not in owned)
+        object.__setattr__(self, "_blocks", blocks)
+        object.__setattr__(self, "_rules", rules)
+        object.__setattr__(self, "_free", free)
+
+    def _check_constraints(self, blocks: tuple[Dormant, ...], rules: tuple[Constraint, ...]) -> None:
+        everything: tuple[Constraint | Dormant, ...] = (*blocks, *rules)
+        for constraint in everything:
+            try:
+                constraint.fit(self.by_name)
+            except SpaceError as error:
+                raise SpaceError(f"component {self.name}: {error}") from None
+        for what, owners in (
+            ("constraint", [name for rule in rules for name in rule.names]),
+            ("dormant block", [name for block in blocks for name in block.members]),
+        ):
+            twice = sorted({name for name in owners if owners.count(name) > 1})
+            if twice:
+                raise SpaceError(f"component {self.name}: {twice[0]} belongs to more than one {what}")
+
+    @property
+    def dimension(self) -> int:
+        """Number of parameters."""
+        return len(self.parameters)
+
+    @property
+    def size(self) -> float:
+        """Number of different vectors before constraints; infinite with a real parameter."""
+        size = 1.0
+        for parameter in self.parameters:
+            match parameter:
+                case Real():
+                    return float("inf")
+                case Integer():
+                    size *= parameter.high - parameter.low + 1
+                case Categorical():
+                    size *= len(parameter.choices)
+        return size
+
+    def sample(self, rng: np.random.Generator) -> FloatArray:
+        """Draw a random valid vector: uniform values, repaired by the constraints."""
+        return self.repair(np.full(self.dimension, np.nan), rng)
+
+    def repair(self, vector: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Return the nearest valid vector, read-only; the argument is not modified.
+
+        The steps, in order: round labels to a choice; clip numbers without a constraint to their ranges; set dormant
+        blocks to 0 and draw reactivated ones; apply the other constraints as listed. NaN means "draw afresh".
+
+        Args:
+            vector: Any numbers, infinities and NaN included, shape ``(dimension,)``.
+            rng: Draws fresh numbers; not used if none are needed.
+
+        Raises:
+            SpaceError: The vector has the wrong shape.
+        """
+        values = self._values(vector)
+        for parameter in self.parameters:
+            if isinstance(parameter, Categorical):
+                value = values[parameter.name]
+                values[parameter.name] = (
+                    parameter.draw(rng) if math.isnan(value) else parameter.clipped(value)
+                )
+            elif isinstance(parameter, Integer):
+                values[parameter.name] = parameter.rounded(values[parameter.name])
+        for number in self._free:
+            if not math.isnan(values[number.name]):
+                values[number.name] = number.clipped(values[number.name])
+        dormant = self._dormant(values)
+        values.update(dict.fromkeys(dormant, 0.0))
+        self._draw_missing(values, dormant, rng)
+        for rule in self._rules:
+            if dormant.isdisjoint(rule.names):
+                rule.repair(values, self.by_name)
+        # Adding 0.0 turns -0.0 into 0.0: equal solutions must have equal bytes.
+        return frozen_array(np.fromiter(values.values(), np.float64, self.dimension) + 0.0)
+
+    def _values(self, vector: FloatArray) -> Values:
+        array = np.asarray(vector, dtype=np.float64)
+        if array.shape != (self.dimension,):
+            raise SpaceError(
+                f"{self.name}: expected a vector of {self.dimension} numbers, got shape {array.shape}"
+            )
+        return {p.name: value for p, value in zip(self.parameters, array.tolist(), strict=True)}
+
+    def _dormant(self, values: Values) -> set[str]:
+        """Return the names of all dormant numbers."""
+        return {
+            name for block in self._blocks if block.is_dormant(values, self.by_name) for name in block.members
+        }
+
+    def _draw_missing(self, values: Values, dormant: set[str], rng: np.random.Generator) -> None:
+        """Draw every number that is missing or whose block was just reactivated, in place."""
+        fresh = {name for name, value in values.items() if math.isnan(value) and name not in dormant}
+        for block in self._blocks:
+            active = block.members[0] not in dormant
+            if active and all(values[name] == 0 for name in block.members):
+                fresh.update(block.members)
+        for parameter in self.parameters:
+            if parameter.name in fresh:
+                values[parameter.name] = parameter.draw(rng)
+        for block in self._blocks:
+            # All zeros would read as dormant; only blocks of a few integers can draw them.
+            while fresh.issuperset(block.members) and all(values[name] == 0 for name in block.members):
+                for name in block.members:
+                    values[name] = self.by_name[name].draw(rng)
+
+    def problems(self, vector: FloatArray) -> Iterator[str]:
+        """Yield what is wrong with a vector, each problem with the parameter's path; nothing if it is valid.
+
+        Raises:
+            SpaceError: The vector has the wrong shape.
+        """
+        values = self._values(vector)
+        labels = [p for p in self.parameters if isinstance(p, Categorical)]
+        found = [(p.name, problem) for p in labels if (problem := p.problem(values[p.name]))]
+        if not found:
+            found = list(self._value_problems(values)) or list(self._constraint_problems(values))
+        for name, problem in found:
+            yield f"{self.name}.{name}: {problem}"
+
+    def _value_problems(self, values: Values) -> Iterator[tuple[str, str]]:
+        dormant = self._dormant(values)
+        for parameter in self.parameters:
+            value = values[parameter.name]
+            if parameter.name in dormant:
+                problem = None if value == 0 else f"expected 0 while its block is dormant, got {value!r}"
+            else:
+                problem = parameter.problem(value)
+            if problem:
+                yield parameter.name, problem
+
+    def _constraint_problems(self, values: Values) -> Iterator[tuple[str, str]]:
+        dormant = self._dormant(values)
+        for block in self._blocks:
+            if block.members[0] not in dormant and all(values[name] == 0 for name in block.members):
+                yield block.label, "expected numbers for an active block, got only zeros"
+        for rule in self._rules:
+            if dormant.isdisjoint(rule.names) and (problem := rule.problem(values, self.by_name)):
+                yield rule.names[0], problem
+
+    def unset_dormant(self, vector: FloatArray) -> FloatArray:
+        """Return a copy with NaN for dormant numbers, so that variation neither mixes nor shifts them.
+
+        Raises:
+            SpaceError: The vector has the wrong shape.
+        """
+        values = self._values(vector)
+        values.update(dict.fromkeys(self._dormant(values), math.nan))
+        return np.fromiter(values.values(), np.float64, self.dimension)
+
+    def decode(self, vector: FloatArray) -> dict[str, Value]:
+        """Return the human-readable values, by parameter.
+
+        Raises:
+            SpaceError: The vector has the wrong shape.
+        """
+        values = self._values(vector)
+        return {p.name: p.decode(values[p.name]) for p in self.parameters}
+
+    def encode(self, values: Mapping[str, object]) -> FloatArray:
+        """Return the vector of human-readable values.
+
+        Raises:
+            SpaceError: A parameter is missing, unknown, out of range, or violates a constraint.
+        """
+        for name in values:
+            if name not in self.by_name:
+                raise SpaceError(f"{self.name}.{name}: unknown parameter{did_you_mean(name, self.by_name)}")
+        vector = np.zeros(self.dimension)
+        for position, parameter in enumerate(self.parameters):
+            if parameter.name not in values:
+                raise SpaceError(f"{self.name}.{parameter.name}: missing; expected {parameter.describe()}")
+            vector[position] = self._encode(parameter, values)
+        for problem in self.problems(vector):
+            raise SpaceError(problem)
+        return frozen_array(vector + 0.0)
+
+    def _encode(self, parameter: Parameter, values: Mapping[str, object]) -> float:
+        value = values[parameter.name]
+        dormant = any(
+            parameter.name in block.members and values.get(block.label) == block.null_choice
+            for block in self._blocks
+        )
+        if dormant and not isinstance(value, bool | str) and value == 0:
+            return 0.0
+        try:
+            return parameter.encode(value)
+        except SpaceError as error:
+            raise SpaceError(f"{self.name}.{error}") from None
+
+    def describe(self) -> dict[str, Any]:
+        """Return the component as a JSON object."""
+        return {
+            "name": self.name,
+            "parameters": [parameter.describe() for parameter in self.parameters],
+            "constraints": [constraint.describe() for constraint in self.constraints],
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +304,11 @@ class SearchSpace:
     """A typed genome.
 
     Attributes:
-        components: In the order of a solution's vectors; names differ.
+        components: In the order of a solution's vectors, with unique names.
         dimension: Number of all parameters.
         categorical: Which parameters are categorical, shape ``(dimension,)``.
         ranges: Range of each number, 1 for a category, shape ``(dimension,)``.
-        slices: Where each component lies in a row.
+        slices: Position of each component in a row.
     """
 
     components: tuple[Component, ...]
@@ -64,7 +334,7 @@ class SearchSpace:
 
     @property
     def size(self) -> float:
-        """Number of different solutions before constraints; infinite as soon as one parameter is real."""
+        """Number of different solutions before constraints; infinite with a real parameter."""
         return float(np.prod([component.size for component in self.components]))
 
     def column_names(self) -> tuple[str, ...]:
@@ -79,19 +349,19 @@ class SearchSpace:
         """
         names = [part.name for part in self.components]
         if component not in names:
-            raise SpaceError(f"{component}: unknown component{nearest(component, names)}")
+            raise SpaceError(f"{component}: unknown component{did_you_mean(component, names)}")
         return names.index(component)
 
     def sample(self, rng: np.random.Generator) -> tuple[FloatArray, ...]:
-        """Return a random complete solution that complies with all constraints."""
+        """Draw a random valid complete solution."""
         return tuple(component.sample(rng) for component in self.components)
 
     def sample_component(self, index: int, rng: np.random.Generator) -> FloatArray:
-        """Return a random vector of one component that complies with its constraints."""
+        """Draw a random valid vector of one component."""
         return self.components[index].sample(rng)
 
     def repair(self, vectors: Sequence[FloatArray], rng: np.random.Generator) -> tuple[FloatArray, ...]:
-        """Return the nearest complete solution that complies; the given one is not touched.
+        """Return the nearest valid complete solution; the argument is not modified.
 
         Raises:
             SpaceError: A vector is missing or has the wrong shape.
@@ -99,7 +369,12 @@ class SearchSpace:
         return tuple(c.repair(v, rng) for c, v in zip(self.components, self._counted(vectors), strict=True))
 
     def repair_component(self, index: int, vector: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return the nearest vector of one component that complies; the given one is not touched.
+        """Return the nearest valid vector of one component; the argument is not modified.
+
+        Args:
+            index: Position of the component.
+            vector: Any numbers, infinities and NaN included, shape ``(component.dimension,)``.
+            rng: Draws fresh numbers; not used if none are needed.
 
         Raises:
             SpaceError: The vector has the wrong shape.
@@ -107,10 +382,10 @@ class SearchSpace:
         return self.components[index].repair(vector, rng)
 
     def check(self, vectors: Sequence[FloatArray]) -> None:
-        """Check a complete solution.
+        """Check that a complete solution is valid.
 
         Raises:
-            SpaceError: It does not comply; names the first parameter that is wrong.
+            SpaceError: It is not; names the first wrong parameter.
         """
         for component, vector in zip(self.components, self._counted(vectors), strict=True):
             for problem in component.problems(vector):
@@ -123,7 +398,7 @@ class SearchSpace:
         return vectors
 
     def join(self, vectors: Sequence[FloatArray]) -> FloatArray:
-        """Return a complete solution as one row, shape ``(dimension,)``.
+        """Return a complete solution as one row, shape ``(dimension,)``, read-only.
 
         Raises:
             SpaceError: A vector is missing or has the wrong shape.
@@ -134,7 +409,7 @@ class SearchSpace:
         return frozen_array(row)
 
     def split(self, row: FloatArray) -> tuple[FloatArray, ...]:
-        """Return the vectors of a row, read-only.
+        """Return the vectors of a row of shape ``(dimension,)``, read-only.
 
         Raises:
             SpaceError: The row has the wrong shape.
@@ -144,7 +419,11 @@ class SearchSpace:
         return tuple(frozen_array(row[part]) for part in self.slices)
 
     def decode(self, vectors: Sequence[FloatArray]) -> dict[str, dict[str, Value]]:
-        """Return the values that people read, ready for JSON: ``{component: {parameter: value}}``."""
+        """Return the human-readable values, ready for JSON: ``{component: {parameter: value}}``.
+
+        Raises:
+            SpaceError: A vector is missing or has the wrong shape.
+        """
         parts = zip(self.components, self._counted(vectors), strict=True)
         return {component.name: component.decode(vector) for component, vector in parts}
 
@@ -152,7 +431,7 @@ class SearchSpace:
         """Return the vectors of ``{component: {parameter: value}}``.
 
         Raises:
-            SpaceError: A value is missing, unknown, out of range, or breaks a constraint; names the parameter.
+            SpaceError: A value is missing, unknown, out of range, or violates a constraint; names the parameter.
         """
         for name, content in values.items():
             self.index(name)

@@ -1,7 +1,7 @@
-"""Random generators, addressed by position; the one place in which the search package makes them.
+"""Random generators addressed by position; the only place where the search package creates them.
 
-A generator is a function of (seed, stream, index) and of nothing else: not of what was drawn before, in which
-process, or in which order results arrived.
+A generator depends on (seed, stream, index) alone: not on earlier draws, on the process, or on the order in which
+results arrive.
 """
 
 from enum import IntEnum
@@ -10,7 +10,7 @@ import numpy as np
 
 
 class Stream(IntEnum):
-    """What a generator is for. The numbers are part of what makes a campaign reproducible: never reuse one."""
+    """Purpose of a generator. Never change or reuse a number, or stored campaigns cannot be reproduced."""
 
     EPISODE = 0
     START = 1
@@ -36,14 +36,21 @@ def generator(seed: int, stream: Stream | int, *index: int) -> np.random.Generat
 
     Args:
         seed: The campaign's seed, >= 0.
-        stream: What the numbers are for. Plug-ins take numbers from 1,000 up.
-        index: Where in the stream, such as the generation; any number of parts >= 0.
+        stream: Purpose of the numbers. Plug-ins use 1,000 and above.
+        index: Position in the stream, such as the generation; any number of integers >= 0.
+
+    Raises:
+        ValueError: A number is negative.
     """
-    # PCG64 by name: default_rng may change its bit generator from one numpy to the next.
+    # PCG64 by name: numpy may change the bit generator of default_rng.
     return np.random.Generator(np.random.PCG64(_sequence(seed, stream, index)))
 
 
 def episode_seed(campaign_seed: int, number: int) -> int:
-    """Return the seed of a candidate's episode, in [0, 2**53): JSON readers keep it exactly."""
+    """Return the seed of a candidate's episode, in [0, 2**53) so that every JSON reader keeps it exactly.
+
+    Raises:
+        ValueError: A number is negative.
+    """
     state = _sequence(campaign_seed, Stream.EPISODE, (number,)).generate_state(1, np.uint64)
     return int(state[0]) >> 11

@@ -1,7 +1,7 @@
-"""The contract of an algorithm as checks that ship with the project: run them on every plug-in.
+"""Contract tests for search algorithms, to be run on every plug-in.
 
-`check_algorithm` plays whole campaigns against made-up verdicts, some of them failures, and raises
-`ContractBroken` with what was expected at the first broken promise.
+`check_algorithm` plays whole campaigns against synthetic verdicts, some of them failures. It raises `ContractBroken`
+at the first clause that does not hold.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -10,24 +10,23 @@ from typing import Any
 
 import numpy as np
 
-from brink.search.actions.road import RoadLimits
-from brink.search.actions.rule import participants_component
 from brink.search.algorithm import Algorithm, Candidate, Evaluation, Failed, Measured, Question, Scored
-from brink.search.archive import Archive
-from brink.search.digest import archive_digest
+from brink.search.archive import Archive, archive_digest
 from brink.search.document import Document
 from brink.search.errors import OrderError, SearchError
-from brink.search.levels import Slots
+from brink.search.slots import Slots
 from brink.search.space import Categorical, Component, Dormant, Duration, Extent, Integer, Real, SearchSpace
 from brink.search.streams import Stream, generator
+from brink.search.traffic.constraint import participants_component
+from brink.search.traffic.participants import RoadLimits
 
 Evaluate = Callable[[Candidate], Evaluation]
 
-_MOST_GENERATIONS = 100_000
+_MAX_GENERATIONS = 100_000
 
 
 def example_spaces() -> dict[str, SearchSpace]:
-    """Return spaces of two components that between them hold every kind of parameter and constraint."""
+    """Return spaces of two components that together cover every kind of parameter and constraint."""
     mixed = SearchSpace(
         (
             Component("scenario", (Categorical("weather", ("dry", "wet", "fog")), Integer("cars", 0, 4))),
@@ -89,17 +88,17 @@ def example_spaces() -> dict[str, SearchSpace]:
 
 
 class ContractBroken(SearchError, AssertionError):
-    """An algorithm does not keep its contract."""
+    """An algorithm violates its contract."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Run:
-    """A campaign that was played.
+    """A campaign played to its end.
 
     Attributes:
-        generations: What was asked, generation by generation.
-        archive: What was evaluated.
-        documents: The state after each tell, as bytes.
+        generations: Candidates of each generation, in the order of asking.
+        archive: The final archive.
+        documents: The state after each `tell`, as bytes.
     """
 
     generations: tuple[tuple[Candidate, ...], ...]
@@ -112,25 +111,25 @@ class Run:
         return tuple(candidate for generation in self.generations for candidate in generation)
 
 
-def made_up_verdicts(space: SearchSpace, failing: float = 0.1, seed: int = 0) -> Evaluate:
-    """Return verdicts for any space, by candidate: unsafe below a plane through it; some fail.
+def synthetic_verdicts(space: SearchSpace, failing: float = 0.1, seed: int = 0) -> Evaluate:
+    """Return a function that evaluates candidates of any space: unsafe on one side of a random plane.
 
-    What is asked of a data set gets the objective ``alpha``; episodes have it, too, and how critical they are.
+    Data-set evaluations have the objective ``alpha``; episodes have ``alpha``, ``robustness`` and ``criticality_m``.
 
     Args:
-        space: What the candidates come from.
+        space: Space of the candidates.
         failing: Share of candidates that fail, in [0, 1].
-        seed: Decides slant and failures.
+        seed: Determines the plane and the failures.
     """
     rng = generator(seed, Stream.CONTRACT)
-    slant = rng.standard_normal(space.dimension) / space.ranges
-    heights = [float((space.join(space.sample(rng)) * slant).sum()) for _ in range(100)]
+    normal = rng.standard_normal(space.dimension) / space.ranges
+    heights = [float((space.join(space.sample(rng)) * normal).sum()) for _ in range(100)]
     threshold = float(np.quantile(heights, 0.4))
 
     def evaluate(candidate: Candidate) -> Evaluation:
         if generator(seed, Stream.CONTRACT, candidate.number).random() < failing:
-            return Failed(reason="made up")
-        robustness = float((space.join(candidate.vectors) * slant).sum()) - threshold
+            return Failed(reason="synthetic")
+        robustness = float((space.join(candidate.vectors) * normal).sum()) - threshold
         alpha = float(1 / (1 + np.exp(-robustness)))
         if candidate.question is Question.DATASET:
             return Measured(objectives={"alpha": alpha})
@@ -154,34 +153,34 @@ def check_algorithm(
     """Check that an algorithm keeps its contract on a space; return the campaign that it played.
 
     Args:
-        algorithm: What to check.
-        space: One that it supports.
-        budget: Simulations a campaign; large enough for a few generations.
-        config: Its settings; the defaults if None.
-        evaluate: Verdicts, a function of the candidate alone; made up if None.
+        algorithm: The algorithm to check.
+        space: A space that it supports.
+        budget: Simulations per campaign; enough for a few generations.
+        config: Its settings; None for the defaults.
+        evaluate: Evaluates a candidate, deterministically; None for synthetic verdicts.
         seed: The campaign's seed.
-        ends_itself: Whether the algorithm has an end of its own before the budget is spent.
-        repeats: Whether it asks the same solutions again on purpose.
+        ends_itself: Whether the algorithm may finish before the budget is spent.
+        repeats: Whether it asks the same solutions repeatedly on purpose.
 
     Raises:
-        ContractBroken: It does not.
+        ContractBroken: A clause of the contract does not hold.
     """
     settings = algorithm.config_type() if config is None else config
-    verdicts = made_up_verdicts(space) if evaluate is None else evaluate
+    verdicts = synthetic_verdicts(space) if evaluate is None else evaluate
     _expect(isinstance(algorithm.id, str) and "@" in algorithm.id, "id: expected a versioned id, name@1")
     _expect(bool(algorithm.summary), "summary: expected one line")
     algorithm.check(space, settings, budget=budget)
 
-    def played(order: int = 1) -> Run:
+    def campaign(order: int = 1) -> Run:
         return play(algorithm, space, settings, verdicts, seed=seed, budget=budget, order=order)
 
-    run = played()
+    run = campaign()
     _check_candidates(space, run, repeats=repeats)
     _check_archive(run, verdicts)
     spent = len(run.candidates) >= budget or budget > space.size / 10 or ends_itself
-    _expect(spent, "budget: expected all of it to be spent on a space with room for more")
-    _check_same(run, played(), "the same seed must give the same campaign")
-    _check_same(run, played(order=-1), "the order in which evaluations arrive must not matter")
+    _expect(spent, "budget: expected the whole budget to be spent on a space with enough solutions")
+    _check_same(run, campaign(), "the same seed must give the same campaign")
+    _check_same(run, campaign(order=-1), "the order in which evaluations arrive must not matter")
     _check_order_errors(algorithm, space, settings, verdicts, seed, budget)
     _check_reload(algorithm, space, settings, verdicts, run, seed, budget)
     return run
@@ -200,37 +199,37 @@ def play(
     """Play a campaign to its end.
 
     Args:
-        algorithm: What to play.
-        space: What it searches.
-        config: Its settings.
-        evaluate: Gives the verdicts.
+        algorithm: The algorithm.
+        space: The search space.
+        config: The algorithm's settings.
+        evaluate: Evaluates a candidate.
         seed: The campaign's seed.
-        budget: Its simulations.
-        order: 1 to tell evaluations in the order of asking, -1 to tell them backwards.
+        budget: Number of simulations.
+        order: 1 to tell evaluations in the order of asking, -1 in reverse.
 
     Raises:
-        ContractBroken: It does not end.
+        ContractBroken: The campaign does not end, or its states are inconsistent.
     """
     state = algorithm.start(space, config, seed=seed, budget=budget)
     _expect(not state.pending and state.generation == 0, "start: expected nothing asked yet")
     generations: list[tuple[Candidate, ...]] = []
     documents: list[bytes] = []
     while not algorithm.finished(state):
-        _expect(len(generations) < _MOST_GENERATIONS, "finished: expected an end")
+        _expect(len(generations) < _MAX_GENERATIONS, "finished: expected the search to end")
         state, candidates = algorithm.ask(state)
-        _expect(bool(candidates), "ask: expected candidates, since the search was not finished")
-        _expect(state.pending == candidates, "ask: expected what was asked to be pending")
+        _expect(bool(candidates), "ask: expected candidates, as the search was not finished")
+        _expect(state.pending == candidates, "ask: expected the asked candidates to be pending")
         state = algorithm.tell(state, _evaluations(candidates, evaluate, order))
         generations.append(candidates)
         documents.append(algorithm.dump(state).to_bytes())
-        _expect(state.generation == len(generations), "tell: expected one generation more")
+        _expect(state.generation == len(generations), "tell: expected the generation to increase by one")
         _expect(not state.pending, "tell: expected nothing pending")
     return Run(generations=tuple(generations), archive=state.archive, documents=tuple(documents))
 
 
-def _expect(holds: bool, promise: str) -> None:
+def _expect(holds: bool, clause: str) -> None:
     if not holds:
-        raise ContractBroken(promise)
+        raise ContractBroken(clause)
 
 
 def _evaluations(
@@ -247,8 +246,8 @@ def _check_candidates(space: SearchSpace, run: Run, *, repeats: bool) -> None:
         frozen = not any(vector.flags.writeable for vector in candidate.vectors)
         _expect(frozen, f"candidate {candidate.number}: expected read-only vectors")
     asked = {(candidate.question, space.join(candidate.vectors).tobytes()) for candidate in run.candidates}
-    alone = repeats or len(asked) == len(numbers)
-    _expect(alone, "duplicates: expected no solution to be asked the same thing twice")
+    unique = repeats or len(asked) == len(numbers)
+    _expect(unique, "duplicates: expected no solution to be evaluated twice in the same way")
 
 
 def _check_archive(run: Run, evaluate: Evaluate) -> None:
@@ -256,22 +255,25 @@ def _check_archive(run: Run, evaluate: Evaluate) -> None:
     archive = run.archive
     _expect(
         archive.numbers.tolist() == sorted(scored),
-        "archive: expected every solution that did not fail, and no other, ascending by number",
+        "archive: expected every solution that did not fail, and no others, ascending by number",
     )
     for position, number in enumerate(archive.numbers.tolist()):
         candidate, evaluation = scored[number]
         same = np.array_equal(archive.vectors[position], np.concatenate(candidate.vectors))
-        _expect(same, f"archive: expected the vectors of candidate {number} as they were asked")
-        _expect(bool(archive.unsafe[position]) == evaluation.unsafe, f"archive: wrong verdict of {number}")
-    again = archive.judged(archive.unsafe, archive.robustness)
+        _expect(same, f"archive: expected the vectors of candidate {number} unchanged")
+        _expect(
+            bool(archive.unsafe[position]) == evaluation.unsafe,
+            f"archive: wrong verdict of candidate {number}",
+        )
+    again = archive.with_verdicts(archive.unsafe, archive.robustness)
     counted = np.array_equal(archive.neighbours, again.neighbours)
     counted &= np.array_equal(archive.unsafe_neighbours, again.unsafe_neighbours)
-    _expect(counted, "archive: expected the counts that all distances at once give")
+    _expect(counted, "archive: expected the same counts as computed from scratch")
 
 
-def _check_same(run: Run, other: Run, promise: str) -> None:
-    _expect(archive_digest(run.archive) == archive_digest(other.archive), promise)
-    _expect(run.documents == other.documents, promise)
+def _check_same(run: Run, other: Run, clause: str) -> None:
+    _expect(archive_digest(run.archive) == archive_digest(other.archive), clause)
+    _expect(run.documents == other.documents, clause)
 
 
 def _check_order_errors(
@@ -285,8 +287,10 @@ def _check_order_errors(
     _expect(not algorithm.finished(asked), "finished: expected False while evaluations are pending")
     incomplete = dict(list(evaluations.items())[1:])
     _expect(_refuses(lambda: algorithm.tell(asked, incomplete)), "incomplete tell: expected OrderError")
-    foreign = evaluations | {candidates[-1].number + 1: Failed(reason="made up")}
-    _expect(_refuses(lambda: algorithm.tell(asked, foreign)), "tell of a stranger: expected OrderError")
+    foreign = evaluations | {candidates[-1].number + 1: Failed(reason="synthetic")}
+    _expect(
+        _refuses(lambda: algorithm.tell(asked, foreign)), "tell of an unknown candidate: expected OrderError"
+    )
     first, second = algorithm.tell(asked, evaluations), algorithm.tell(asked, evaluations)
     same = algorithm.dump(first).to_bytes() == algorithm.dump(second).to_bytes()
     _expect(same, "purity: expected equal states from equal calls")
@@ -309,13 +313,16 @@ def _check_reload(
     seed: int,
     budget: int,
 ) -> None:
-    """Go on from the stored state of every generation and expect the next one to be the same."""
+    """Resume from the stored state of every generation; the next one must be the same."""
     archive = run.archive
     asked, candidates = algorithm.ask(algorithm.start(space, config, seed=seed, budget=budget))
     waiting = algorithm.load(
         space, config, Document.from_bytes(algorithm.dump(asked).to_bytes()), asked.archive
     )
-    _expect(_same_candidates(waiting.pending, candidates), "load: expected a waiting state to go on waiting")
+    _expect(
+        _same_candidates(waiting.pending, candidates),
+        "load: expected the pending candidates of a stored state",
+    )
     told = 0
     for position, stored in enumerate(run.documents):
         told += sum(isinstance(evaluate(c), Scored) for c in run.generations[position])
@@ -323,16 +330,18 @@ def _check_reload(
             space, config, Document.from_bytes(stored), stored_and_restored(archive.first(told))
         )
         same = algorithm.dump(state).to_bytes() == stored
-        _expect(same, f"load: expected the state after generation {position + 1} back")
+        _expect(same, f"load: expected the same state as stored after generation {position + 1}")
         if position + 1 == len(run.documents):
             _expect(algorithm.finished(state), "load: expected a finished search to stay finished")
             continue
         state, candidates = algorithm.ask(state)
         same = _same_candidates(candidates, run.generations[position + 1])
-        _expect(same, f"load: expected generation {position + 2} as it was without the break")
+        _expect(
+            same, f"load: expected the same candidates in generation {position + 2} as without the restart"
+        )
         state = algorithm.tell(state, _evaluations(candidates, evaluate))
         same = algorithm.dump(state).to_bytes() == run.documents[position + 1]
-        _expect(same, f"load: expected generation {position + 2} told as it was without the break")
+        _expect(same, f"load: expected the same state after generation {position + 2} as without the restart")
 
 
 def _same_candidates(first: Sequence[Candidate], second: Sequence[Candidate]) -> bool:
@@ -343,7 +352,7 @@ def _same_candidates(first: Sequence[Candidate], second: Sequence[Candidate]) ->
 
 
 def stored_and_restored(archive: Archive) -> Archive:
-    """Return an archive as it comes back from its stored arrays."""
+    """Return an archive restored from its own arrays."""
     return Archive.restore(
         archive.metric,
         archive.neighbourhood,

@@ -1,4 +1,4 @@
-"""The composition root: `create_app` puts a coordinator together."""
+"""The composition root: `create_app` assembles a coordinator."""
 
 import asyncio
 import logging
@@ -11,58 +11,46 @@ from fastapi import APIRouter, FastAPI
 from starlette.routing import BaseRoute
 
 from brink import __version__
-from brink.server.access.gate import Gate
+from brink.server.access.authentication import Authenticator
 from brink.server.api import (
-    access,
+    analysis,
     campaigns,
-    catalogue,
     episodes,
     experiments,
-    figures,
-    health,
+    findings,
     jobs,
-    llm,
-    monitors,
-    neighbours,
-    overview,
     repeats,
-    scores,
+    service,
     solutions,
-    violations,
 )
 from brink.server.api.context import Context
-from brink.server.api.docs_page import add_docs
-from brink.server.api.guards import Guards
-from brink.server.api.measured import Measured
+from brink.server.api.middleware import AccessMiddleware, MetricsMiddleware
 from brink.server.api.problem_details import describe, install
 from brink.server.api.schemas import ProblemDetail
-from brink.server.campaigns.advance import Stepper
-from brink.server.campaigns.archives import Archives
-from brink.server.campaigns.films import Films
-from brink.server.campaigns.monitors import Monitors
-from brink.server.campaigns.scheduler import Scheduler
+from brink.server.api.service import add_docs
+from brink.server.campaigns.advance import Scheduler, Stepper
+from brink.server.campaigns.archives import Archives, Monitors
 from brink.server.campaigns.service import SLOW_AT_ONCE, CampaignService
+from brink.server.campaigns.traces import Films
 from brink.server.dashboard.figures import Figures
 from brink.server.dashboard.page import add_dashboard
 from brink.server.db.engine import Engines, open_engines
-from brink.server.db.news import listen
 from brink.server.db.writer import Writer
 from brink.server.errors import Unavailable
-from brink.server.experiments.scorebook import Scorebook
-from brink.server.experiments.service import ExperimentService
+from brink.server.experiments.service import ExperimentService, ScoreCache
 from brink.server.llm.seeds import LlmSeeds
 from brink.server.metrics import Metrics
 from brink.server.queue.service import QueueService
-from brink.server.queue.wakeups import Wakeups
+from brink.server.queue.wakeups import Wakeups, listen
 from brink.server.settings import LOOPBACK, Settings
 
 log = logging.getLogger(__name__)
 
 DESCRIPTION = """
-Finds where a driving system with a machine-learned component stops being safe.
+Brink finds where a driving system with a machine-learned component stops being safe.
 
-Submit a campaign, let workers lease its simulations, and read the distinct solutions on the hazard boundary.
-Writing a worker takes three requests: `POST /api/v1/jobs/lease`, `/heartbeat` and `/results`.
+Submit a campaign, let workers run its simulations, and read the distinct solutions on the hazard boundary.
+A worker needs three requests: `POST /api/v1/jobs/lease`, `/heartbeat` and `/results`.
 """
 
 
@@ -70,9 +58,9 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
     """Return the coordinator's app.
 
     Args:
-        settings: What the coordinator is told.
-        sweeping: Whether it serves others: takes back lost leases, advances campaigns, asks for tokens; off for an
-            app that a command has to itself, which could read the database just as well.
+        settings: Settings of the coordinator.
+        sweeping: Whether it is a full coordinator, which reclaims lost leases, advances campaigns and checks tokens.
+            Off for the private app of a command that has access to the database anyway.
 
     Raises:
         DatabaseError: The database URL cannot be used.
@@ -97,7 +85,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
             if listener is not None:
                 listener.cancel()
                 await asyncio.wait([listener])
-            if sweeper is not None:  # cancelled, its thread would hold a connection of engines that are gone
+            if sweeper is not None:  # not cancelled: its thread could hold a connection of disposed engines
                 await sweeper
             loop = asyncio.get_running_loop()
             await loop.run_in_executor(None, context.seeds.close)
@@ -119,56 +107,52 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
     add_dashboard(app)
     token = settings.token.get_secret_value() if settings.token else None
     exposed = settings.host not in LOOPBACK
-    gate = Gate(engines, token=token, exposed=exposed, rate_limit=settings.rate_limit) if sweeping else None
-    app.add_middleware(Guards, gate=gate, max_body_bytes=settings.max_body_bytes, stall_s=settings.stall_s)
-    app.add_middleware(Measured, metrics=metrics, access_log=settings.access_log)
+    authenticator = (
+        Authenticator(engines, token=token, exposed=exposed, rate_limit=settings.rate_limit)
+        if sweeping
+        else None
+    )
+    app.add_middleware(
+        AccessMiddleware,
+        authenticator=authenticator,
+        max_body_bytes=settings.max_body_bytes,
+        stall_s=settings.stall_s,
+    )
+    app.add_middleware(MetricsMiddleware, metrics=metrics, access_log=settings.access_log)
     return app
 
 
 @cache
 def _routes() -> list[BaseRoute]:
-    """Return the routes of the API, which every app of this process shares: building them takes most of its start."""
+    """Return the API's routes, which all apps of a process share: building them takes most of an app's start."""
     api = APIRouter()
-    # The busiest first: routes are tried in order.
+    # Routes are tried in order, so the busiest come first.
     for router in (
-        jobs.wire,
-        jobs.router,
-        campaigns.router,
-        solutions.router,
-        episodes.router,
-        neighbours.router,
-        violations.router,
-        llm.router,
-        monitors.router,
-        repeats.router,
-        scores.router,
-        experiments.router,
-        catalogue.router,
-        access.router,
-        overview.router,
-        figures.router,
-    ):
+        jobs.wire, jobs.router, campaigns.router, findings.combinations_router, solutions.router, episodes.router,
+        findings.violations_router, campaigns.llm_router, analysis.monitors_router, repeats.router,
+        experiments.router, service.router, campaigns.overview_router, analysis.router,
+    ):  # fmt: skip
         api.include_router(router)
     everything = APIRouter(
         responses={
-            "4XX": {"model": ProblemDetail, "description": "What is wrong with the request."},
-            "5XX": {"model": ProblemDetail, "description": "What keeps the coordinator from answering; try again."},
+            "4XX": {"model": ProblemDetail, "description": "The request is wrong; `detail` says how."},
+            "5XX": {"model": ProblemDetail, "description": "The coordinator cannot respond now; try again."},
         }
     )
     everything.include_router(api, prefix="/api/v1")
-    everything.include_router(health.router)
+    everything.include_router(service.root)
     return everything.routes
 
 
 def _context(
     settings: Settings, engines: Engines, metrics: Metrics, loop: asyncio.AbstractEventLoop
 ) -> Context:
-    def came(campaign_id: str) -> None:
-        with suppress(RuntimeError):  # the coordinator has stopped meanwhile
+    def on_seeds(campaign_id: str) -> None:
+        with suppress(RuntimeError):  # the coordinator has stopped in the meantime
             loop.call_soon_threadsafe(scheduler.advance_soon, [campaign_id])
 
-    writer = Writer(engines.writer, took=metrics.commits.observe)
-    seeds = LlmSeeds(engines, writer, came)
+    writer = Writer(engines.writer, on_commit=metrics.commits.observe)
+    seeds = LlmSeeds(engines, writer, on_seeds)
     stepper = Stepper(
         engines, writer, max_stored_distances=settings.max_stored_distances, seeds=seeds, metrics=metrics
     )
@@ -192,8 +176,10 @@ def _context(
         queue=queue,
         scheduler=scheduler,
         campaigns=campaigns,
-        experiments=ExperimentService(campaigns=campaigns),
-        scorebook=Scorebook(archives=archives, threads=drawing),
+        experiments=ExperimentService(
+            engines=engines, writer=writer, checks=campaigns.checks, campaigns=campaigns
+        ),
+        scorebook=ScoreCache(archives=archives, threads=drawing),
         monitors=Monitors(archives=archives, threads=drawing),
         archives=archives,
         films=Films(engines=engines),
@@ -205,14 +191,14 @@ def _context(
 
 
 async def _sweep(context: Context, stopping: asyncio.Event) -> None:
-    """Mend what a crash left: lost leases, and campaigns whose next step is due."""
+    """Repair the effects of crashes at intervals: reclaim lost leases, and advance campaigns that are due."""
     while not stopping.is_set():
         try:
             await context.queue.sweep()
             await context.scheduler.sweep()
         except Unavailable as error:
-            log.warning("sweeper: %s; the next round will look again", error)
+            log.warning("sweeper: %s; retrying in the next round", error)
         except Exception:
-            log.exception("sweeper: this round failed; the next one will look again")
+            log.exception("sweeper: this round failed; retrying in the next round")
         with suppress(TimeoutError):
             await asyncio.wait_for(stopping.wait(), context.settings.sweep_s)

@@ -1,6 +1,6 @@
-"""Documents that come in: strict models, YAML files, and errors that point to each wrong field.
+"""Reads documents from users: strict models, YAML, and an error for each invalid field.
 
-Every error names the field by a JSON pointer, says what was expected and what came, and the nearest valid name.
+Every error has a JSON pointer to the field, what was expected, what was given, and the most similar valid name.
 """
 
 import hashlib
@@ -20,38 +20,38 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 class Body(BaseModel):
-    """Base of what comes in: strict types, no unknown field."""
+    """Base of all request bodies: strict types, no unknown fields."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
-def without_controls(text: str) -> str:
-    """Return a text that can be shown on one line.
+def check_printable(text: str) -> str:
+    """Return a text if it can be printed on one line.
 
     Raises:
-        ValueError: It cannot.
+        ValueError: The text contains control characters.
     """
     if not text.isprintable():
         raise ValueError("expected text without control characters")
     return text
 
 
-def hash_of(document: object) -> str:
-    """Return the SHA-256 of a JSON document, whatever the order of its keys."""
+def hash_document(document: object) -> str:
+    """Return the SHA-256 of a JSON document, independent of the order of its keys."""
     text = json.dumps(document, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def parsed(document: object, model: type[Model], expected: str) -> Model:
-    """Read a document.
+def parse_document(document: object, model: type[Model], expected: str) -> Model:
+    """Validate a document.
 
     Args:
-        document: What was written.
-        model: What it should be.
-        expected: The same, in words.
+        document: The document, as read from JSON or YAML.
+        model: The model it must satisfy.
+        expected: A description of the model for the error message.
 
     Raises:
-        InvalidInput: With a pointer to each wrong field.
+        InvalidInput: With a pointer to each invalid field.
     """
     if not isinstance(document, Mapping):
         came = "nothing" if document is None else f"a {type(document).__name__}"
@@ -63,10 +63,10 @@ def parsed(document: object, model: type[Model], expected: str) -> Model:
 
 
 def read_yaml(path: Path) -> object:
-    """Read a file of YAML, of which JSON is a part.
+    """Read a YAML or JSON file.
 
     Raises:
-        InvalidInput: The file cannot be read, or is no YAML.
+        InvalidInput: The file cannot be read, or is not YAML.
     """
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
@@ -77,27 +77,27 @@ def read_yaml(path: Path) -> object:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise InvalidInput([FieldError(pointer="", message=f"{path}: {reason}")]) from None
-    return yaml_document(text, f"{path}: ")
+    return parse_yaml(text, f"{path}: ")
 
 
-def yaml_document(text: str, prefix: str = "") -> object:
-    """Read a text of YAML, of which JSON is a part.
+def parse_yaml(text: str, prefix: str = "") -> object:
+    """Parse YAML or JSON.
 
     Raises:
-        InvalidInput: It is no YAML; the message begins with the prefix.
+        InvalidInput: The text is not YAML; the message starts with the prefix.
     """
     try:
         document: object = yaml.load(text, _Loader)
     except yaml.YAMLError as error:
-        raise InvalidInput([FieldError(pointer="", message=f"{prefix}{_yaml_trouble(error)}")]) from None
-    except (ValueError, RecursionError) as error:  # a date that is none; nested without end
+        raise InvalidInput([FieldError(pointer="", message=f"{prefix}{_yaml_problem(error)}")]) from None
+    except (ValueError, RecursionError) as error:  # an invalid date; unlimited nesting
         reason = str(error) if isinstance(error, ValueError) else "nested too deeply"
         raise InvalidInput([FieldError(pointer="", message=f"{prefix}not YAML: {reason}")]) from None
     return document
 
 
 class _Loader(yaml.SafeLoader):
-    """Takes no key twice: the second one would silently win."""
+    """Rejects duplicate keys, where YAML would silently use the last one."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
@@ -109,23 +109,29 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def _yaml_trouble(error: yaml.YAMLError) -> str:
+def _yaml_problem(error: yaml.YAMLError) -> str:
     mark = getattr(error, "problem_mark", None)
     if mark is None:
         return f"not YAML: {' '.join(str(error).split())}"
     problem = str(getattr(error, "problem", None) or "cannot be read")
     if "\\t" in problem:
-        problem = "a tab; YAML is indented by spaces"
+        problem = "a tab; YAML is indented with spaces"
     return f"line {mark.line + 1}, column {mark.column + 1}: {problem}"
 
 
 def invalid_input(error: ValidationError, model: type[BaseModel], prefix: str = "") -> InvalidInput:
-    """Translate a validation error into pointers, expectations and nearest names."""
+    """Return a validation error as `InvalidInput`.
+
+    Args:
+        error: The validation error.
+        model: The model that was violated.
+        prefix: JSON pointer to the validated part of the document.
+    """
     return InvalidInput(_field_error(item, model, prefix) for item in error.errors(include_url=False))
 
 
 def field_errors(items: Iterable[Any], model: type[BaseModel] | None) -> list[FieldError]:
-    """Translate the errors of a request, whose locations begin with the part of the request."""
+    """Return a request's validation errors, whose locations start with ``body``, ``query`` or ``path``."""
     errors = []
     for item in items:
         part, *location = item["loc"]
@@ -177,11 +183,11 @@ def _escaped(part: str) -> str:
 
 def _fields_at(model: type[BaseModel], location: list[Any]) -> set[str]:
     for part in location:
-        if isinstance(part, int):  # one of a list, whose model is known
+        if isinstance(part, int):  # an element of a list, whose model is known
             continue
         field = model.model_fields.get(str(part))
         inner = field.annotation if field else None
-        for choice in get_args(inner):  # a model that may be left out, or a list of them
+        for choice in get_args(inner):  # an optional model, or a list of models
             inner = choice if isinstance(choice, type) and issubclass(choice, BaseModel) else inner
         if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
             return set()

@@ -1,32 +1,36 @@
-"""Errors of the coordinator, each with the HTTP status that it becomes.
+"""Errors of the coordinator, with the HTTP status that each becomes.
 
 ServerError
-├── InvalidInput      422  input does not say something that can be done; carries a pointer to each field
-├── NotFound          404  no such resource
-├── Conflict          409  the resource is in a state that does not allow this
+├── InvalidInput      422  the input is invalid; has a pointer to each invalid field
+├── NotFound          404  there is no such resource
+├── Conflict          409  the state of the resource does not allow the request
 ├── Unavailable       503  try again later: the database is away, the coordinator is stopping
-│   └── NoWorker           no live worker can do it
-└── DatabaseError     1    command line only: the database cannot be used as it is
-    └── Damaged            of one campaign, which ends with it
+│   └── NoWorker           no live worker can do the work
+└── DatabaseError          command line only, exit code 1: the database cannot be used as it is
+    └── Damaged            the stored data of one campaign is inconsistent
 """
 
 import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Final
+
+TOKEN_FORM: Final = "expected printable ASCII characters without spaces, such as: openssl rand -hex 24"
+"""What a bearer token must look like, to fit a header."""
 
 
 class ServerError(Exception):
-    """Root of everything that the coordinator raises on purpose."""
+    """Base of all errors that the coordinator raises on purpose."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FieldError:
-    """What is wrong with one field.
+    """An error in one field.
 
     Attributes:
         pointer: JSON pointer to the field, such as ``/algorithm/params/radius``.
-        message: What was expected, and what came.
-        nearest: The valid name that is most like the one that came, if there is one.
+        message: What was expected, and what was given.
+        nearest: The most similar valid name, if any.
     """
 
     pointer: str
@@ -40,10 +44,10 @@ class FieldError:
 
 
 class InvalidInput(ServerError):
-    """Input does not say something that can be done.
+    """The input is invalid.
 
     Attributes:
-        errors: One for each field that is wrong.
+        errors: One error for each invalid field.
     """
 
     def __init__(self, errors: Iterable[FieldError]) -> None:
@@ -52,18 +56,18 @@ class InvalidInput(ServerError):
 
 
 class NotFound(ServerError):
-    """No such resource."""
+    """There is no such resource."""
 
 
 class Conflict(ServerError):
-    """The resource is in a state that does not allow this."""
+    """The state of the resource does not allow the request."""
 
 
 class Unavailable(ServerError):
-    """Try again later.
+    """The request may succeed later.
 
     Attributes:
-        retry_after_s: After how many seconds.
+        retry_after_s: Suggested delay before the next try.
     """
 
     def __init__(self, message: str, *, retry_after_s: int = 1) -> None:
@@ -72,7 +76,7 @@ class Unavailable(ServerError):
 
 
 class NoWorker(Unavailable):
-    """No live worker can do it: somebody has to start one."""
+    """No live worker can do the work; one has to be started."""
 
 
 class DatabaseError(ServerError):
@@ -80,10 +84,10 @@ class DatabaseError(ServerError):
 
 
 class Damaged(DatabaseError):
-    """What is stored of a campaign does not fit together."""
+    """The stored data of a campaign is inconsistent."""
 
 
 def nearest(name: str, valid: Iterable[str]) -> str | None:
-    """Return the valid name most like the given one, or None if none is like it."""
+    """Return the valid name most similar to the given one, or None if none is similar."""
     matches = difflib.get_close_matches(name, list(valid), n=1, cutoff=0.5)
     return matches[0] if matches else None

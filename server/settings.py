@@ -1,4 +1,4 @@
-"""Settings of a coordinator, from the environment (``BRINK_…``) and the command line."""
+"""The settings of a coordinator, from environment variables (``BRINK_…``) and the command line."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,15 +6,16 @@ from typing import Annotated
 from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from brink.server.errors import TOKEN_FORM
 from brink.worker.log import LogFormat, LogLevel
 
 DEFAULT_DATABASE = "sqlite:///brink.db"
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
-"""Names of this machine that no other one can reach."""
+"""Host names that no other machine can reach."""
 
 
 class Settings(BaseSettings):
-    """Everything that a coordinator can be told."""
+    """All settings of a coordinator."""
 
     model_config = SettingsConfigDict(env_prefix="BRINK_", frozen=True, extra="ignore")
 
@@ -24,15 +25,17 @@ class Settings(BaseSettings):
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 8700
     token: Annotated[
-        SecretStr | None, Field(description="Bearer token that every request must carry; none on loopback.")
+        SecretStr | None,
+        Field(description="Bearer token that every request must carry; not needed on loopback."),
     ] = None
-    lease_s: Annotated[float, Field(gt=0, le=3600, description="How long a lease holds.")] = 60.0
+    lease_s: Annotated[float, Field(gt=0, le=3600, description="Duration of a lease.")] = 60.0
     retry_backoff_s: Annotated[
-        float, Field(ge=0, le=3600, description="Wait before the first retry of a job; doubles each time.")
+        float,
+        Field(ge=0, le=3600, description="Delay before the first retry of a job; doubles with each attempt."),
     ] = 1.0
-    sweep_s: Annotated[float, Field(gt=0, le=60, description="Pause between two sweeps.")] = 1.0
+    sweep_s: Annotated[float, Field(gt=0, le=60, description="Interval between two sweeps.")] = 1.0
     worker_seen_s: Annotated[
-        float, Field(gt=0, description="A worker not heard of for this long counts as gone.")
+        float, Field(gt=0, description="A worker without contact for this long counts as gone.")
     ] = 45.0
     max_body_bytes: Annotated[int, Field(gt=0)] = 64 * 1024 * 1024
     stall_s: Annotated[
@@ -40,27 +43,25 @@ class Settings(BaseSettings):
         Field(
             gt=0,
             le=3600,
-            description="How long a request may take to come; its body a second more for each 10 kB.",
+            description="Time limit for receiving a request, plus a second for each 10 kB of its body.",
         ),
     ] = 30.0
     max_stored_distances: Annotated[
-        int, Field(ge=0, description="Solutions past which distance blocks are no longer stored.")
+        int, Field(ge=0, description="Number of solutions above which distances are not stored.")
     ] = 20_000
     rate_limit: Annotated[
-        float, Field(ge=0, description="Requests a second that one token may make; 0 for no limit.")
+        float, Field(ge=0, description="Requests per second allowed for each token; 0 for no limit.")
     ] = 1000.0
     llm_endpoints: Annotated[
         str,
         Field(
-            description="Where campaigns may ask language models: base URLs, separated by commas; * for any. "
-            "Without it: this machine alone, and without a key."
+            description="Language models that campaigns may use: base URLs separated by commas, or * for any. "
+            "By default only models on this machine, without a key."
         ),
     ] = ""
-    log_level: Annotated[LogLevel, Field(description="Least severe lines of the log.")] = LogLevel.INFO
-    log_format: Annotated[LogFormat, Field(description="Lines of text, or of JSON.")] = LogFormat.TEXT
-    access_log: Annotated[bool, Field(description="Log every request, not only in a log of level debug.")] = (
-        False
-    )
+    log_level: Annotated[LogLevel, Field(description="Minimum severity of log lines.")] = LogLevel.INFO
+    log_format: Annotated[LogFormat, Field(description="Log lines as text or as JSON.")] = LogFormat.TEXT
+    access_log: Annotated[bool, Field(description="Log every request, not only at level debug.")] = False
 
     @field_validator("log_level", "log_format", mode="before")
     @classmethod
@@ -70,16 +71,18 @@ class Settings(BaseSettings):
     @field_validator("token")
     @classmethod
     def _fits_a_header(cls, token: SecretStr | None) -> SecretStr | None:
-        """Take an empty token for what it is: no token, with which nobody may listen to other machines."""
+        """Check the token; an empty one counts as none.
+
+        Raises:
+            ValueError: The token contains characters that do not fit into a header.
+        """
         text = token.get_secret_value() if token is not None else ""
         if not all("!" <= letter <= "~" for letter in text):
-            raise ValueError(
-                "expected printable ASCII characters without spaces, such as: openssl rand -hex 24"
-            )
+            raise ValueError(TOKEN_FORM)
         return token if text else None
 
     @property
     def sqlite_file(self) -> Path | None:
-        """The database file, if the database is one."""
+        """The database file, or None if the database is not SQLite."""
         prefix = "sqlite:///"
         return Path(self.database.removeprefix(prefix)) if self.database.startswith(prefix) else None

@@ -1,4 +1,4 @@
-"""Values that take long to compute and are asked for again and again: computed once for all who ask."""
+"""A single-flight cache: concurrent requests for a value share one computation."""
 
 import asyncio
 from collections import OrderedDict
@@ -13,56 +13,63 @@ V = TypeVar("V")
 
 
 @dataclass(slots=True)
-class Latest(Generic[V]):
-    """The values that were asked for last, each of one version of one thing.
+class SingleFlightCache(Generic[V]):
+    """The most recently used values, one version for each key.
 
     Attributes:
-        most: How many are kept.
-        threads: Where they are computed; the event loop's own threads if there are none.
-        most_waiting: How many may be under way, those that wait for a thread included; any number if it is None.
+        capacity: Maximum number of values.
+        threads: Where values are computed; the default threads of the event loop if None.
+        max_pending: Maximum number of computations, queued ones included; unlimited if None.
     """
 
-    most: int
+    capacity: int
     threads: Executor | None = None
-    most_waiting: int | None = None
-    _under_way: int = 0
-    _kept: OrderedDict[Hashable, tuple[int, asyncio.Future[V]]] = field(default_factory=OrderedDict)
+    max_pending: int | None = None
+    _pending: int = 0
+    _values: OrderedDict[Hashable, tuple[int, asyncio.Future[V]]] = field(default_factory=OrderedDict)
 
-    def soon(self, name: Hashable, version: int, compute: Callable[[], V]) -> asyncio.Future[V]:
-        """Return the value of one version of a thing, which is being computed if nobody asked for it before.
-
-        What failed is computed again when it is asked for again.
+    def start(self, key: Hashable, version: int, compute: Callable[[], V]) -> asyncio.Future[V]:
+        """Return a future for a value, starting the computation unless it is cached or pending. Failures are retried.
 
         Args:
-            name: The thing.
-            version: Of it; a value of another version is dropped.
-            compute: Returns the value, in a thread.
+            key: What the value belongs to.
+            version: The version of the value; the value of any other version is dropped.
+            compute: Returns the value; called in a thread.
 
         Raises:
-            Unavailable: Too many are under way.
+            Unavailable: Too many computations are pending.
         """
-        kept = self._kept.get(name)
-        if kept is None or kept[0] != version or _failed(kept[1]):
-            self._kept[name] = kept = version, self._begin(compute)
-        self._kept.move_to_end(name)
-        while len(self._kept) > self.most:
-            self._kept.popitem(last=False)
-        return kept[1]
+        entry = self._values.get(key)
+        if entry is None or entry[0] != version or _failed(entry[1]):
+            self._values[key] = entry = version, self._compute(compute)
+        self._values.move_to_end(key)
+        while len(self._values) > self.capacity:
+            self._values.popitem(last=False)
+        return entry[1]
 
-    def _begin(self, compute: Callable[[], V]) -> asyncio.Future[V]:
-        if self.most_waiting is not None and self._under_way >= self.most_waiting:
-            raise Unavailable(f"{self._under_way} others are being computed; ask again soon", retry_after_s=2)
-        found = asyncio.get_running_loop().run_in_executor(self.threads, compute)
-        self._under_way += 1
-        found.add_done_callback(self._ended)
-        return found
+    def _compute(self, compute: Callable[[], V]) -> asyncio.Future[V]:
+        if self.max_pending is not None and self._pending >= self.max_pending:
+            raise Unavailable(f"{self._pending} others are being computed; ask again soon", retry_after_s=2)
+        value = asyncio.get_running_loop().run_in_executor(self.threads, compute)
+        self._pending += 1
+        value.add_done_callback(self._on_done)
+        return value
 
-    def _ended(self, _: asyncio.Future[V]) -> None:
-        self._under_way -= 1
+    def _on_done(self, _: asyncio.Future[V]) -> None:
+        self._pending -= 1
 
-    async def get(self, name: Hashable, version: int, compute: Callable[[], V]) -> V:
-        """Return what `soon` promises; who goes away meanwhile leaves it to the others."""
-        return await asyncio.shield(self.soon(name, version, compute))
+    async def get(self, key: Hashable, version: int, compute: Callable[[], V]) -> V:
+        """Return a value as `start` does, once it is computed. Cancelling this does not cancel the computation.
+
+        Args:
+            key: What the value belongs to.
+            version: The version of the value.
+            compute: Returns the value; called in a thread.
+
+        Raises:
+            Unavailable: Too many computations are pending.
+        """
+        return await asyncio.shield(self.start(key, version, compute))
 
 
 def _failed(future: asyncio.Future[V]) -> bool:

@@ -4,7 +4,7 @@ from enum import StrEnum
 
 
 class CampaignStatus(StrEnum):
-    """Where a campaign stands."""
+    """The status of a campaign."""
 
     RUNNING = "running"
     PAUSED = "paused"
@@ -14,7 +14,7 @@ class CampaignStatus(StrEnum):
 
 
 class JobStatus(StrEnum):
-    """Where a job stands. `queued` and `leased` are open; the others are final."""
+    """The status of a job. `queued` and `leased` jobs are open; the other states are final."""
 
     QUEUED = "queued"
     LEASED = "leased"
@@ -32,7 +32,7 @@ class JobKind(StrEnum):
 
 
 class SolutionVerdict(StrEnum):
-    """What is known of a solution."""
+    """The verdict on a solution."""
 
     PENDING = "pending"
     SAFE = "safe"
@@ -42,12 +42,12 @@ class SolutionVerdict(StrEnum):
 
 
 class Scope(StrEnum):
-    """What a token permits.
+    """What a token allows.
 
     Attributes:
-        READ: Read everything.
-        USER: Read everything, submit and control campaigns.
-        WORKER: Lease and report jobs, and nothing else.
+        READ: Read access.
+        USER: Read access, and submitting and controlling campaigns.
+        WORKER: Leasing and reporting jobs, nothing else.
         ADMIN: Everything, including deletion.
     """
 

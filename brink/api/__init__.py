@@ -1,1 +1,1 @@
-"""Python access to a coordinator."""
+"""Access to a coordinator from Python."""

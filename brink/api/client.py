@@ -1,74 +1,130 @@
-"""How commands reach a coordinator: over HTTP, or in this process on the same database.
+"""The REST client of a coordinator, over HTTP or in this process on the same database.
 
-Either way a command speaks the REST API, so that what works here works from afar.
+Either way the client speaks the REST API, so whatever works on this machine also works against a remote coordinator.
 """
 
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
-from typing import Any
+from functools import cache
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import httpx
+from pydantic import TypeAdapter, ValidationError
 
-from brink.server.app import create_app
-from brink.server.db.engine import open_engines
-from brink.server.db.upgrade import check_known, current_revision, head_revision
-from brink.server.errors import DatabaseError, FieldError, InvalidInput, ServerError
-from brink.server.settings import Settings
+from brink.server.errors import TOKEN_FORM, FieldError, InvalidInput, ServerError
+
+if TYPE_CHECKING:
+    from brink.server.settings import Settings
+
+T = TypeVar("T")
 
 TIMEOUT = httpx.Timeout(90.0, connect=5.0)
 
 
-class CoordinatorSaid(ServerError):
-    """A coordinator refused a request, or none answered; the message is for people."""
+class CoordinatorError(ServerError):
+    """The coordinator rejected a request or could not be reached; the message is meant for people."""
 
 
 class Api:
-    """The REST API of one coordinator."""
+    """The REST API of one coordinator.
+
+    `read` and `send` validate an answer against its schema; `get` and `post` return the JSON document unchanged.
+    """
 
     def __init__(self, client: httpx.AsyncClient, where: str) -> None:
         self._client = client
         self.where = where
 
-    async def get(self, path: str, params: Mapping[str, Any] | None = None) -> Any:
-        """Return what a GET answers, decoded.
+    async def read(self, schema: type[T], path: str, params: Mapping[str, Any] | None = None) -> T:
+        """Return the answer to a GET request.
+
+        Args:
+            schema: Type of the answer: a model, or a list of models.
+            path: Path below ``/api/v1``.
+            params: Query parameters.
 
         Raises:
-            CoordinatorSaid: It was refused.
+            CoordinatorError: The request failed, or the answer does not match the schema.
+        """
+        answer: T = self._validated(schema, await self.request("GET", path, params=params))
+        return answer
+
+    async def send(self, schema: type[T], path: str, content: Any = None) -> T:
+        """Return the answer to a POST request.
+
+        Args:
+            schema: Type of the answer.
+            path: Path below ``/api/v1``.
+            content: JSON body; None sends no body.
+
+        Raises:
+            CoordinatorError: The request failed, or the answer does not match the schema.
+        """
+        answer: T = self._validated(schema, await self.request("POST", path, json=content))
+        return answer
+
+    async def get(self, path: str, params: Mapping[str, Any] | None = None) -> Any:
+        """Return the decoded JSON answer to a GET request.
+
+        Raises:
+            CoordinatorError: The request failed.
         """
         return (await self.request("GET", path, params=params)).json()
 
     async def post(self, path: str, content: Any = None) -> Any:
-        """Return what a POST answers, decoded.
+        """Return the decoded JSON answer to a POST request; None if the answer is empty.
 
         Raises:
-            CoordinatorSaid: It was refused.
+            CoordinatorError: The request failed.
         """
         response = await self.request("POST", path, json=content)
         return response.json() if response.content else None
 
     async def request(self, method: str, path: str, **options: Any) -> httpx.Response:
-        """Return the response to a request under ``/api/v1``.
+        """Return the response to a request.
+
+        Args:
+            method: HTTP method.
+            path: Path below ``/api/v1``.
+            options: Passed on to httpx.
 
         Raises:
-            CoordinatorSaid: It was refused.
+            CoordinatorError: The request failed.
         """
         try:
             response = await self._client.request(method, f"/api/v1{path}", **options)
         except httpx.HTTPError as error:
             reason = str(error) or type(error).__name__
-            raise CoordinatorSaid(
+            raise CoordinatorError(
                 f"no coordinator answers at {self.where} ({reason}); start one with: brink serve"
             ) from None
         if response.is_success:
             return response
         if response.status_code == httpx.codes.UNAUTHORIZED:
-            raise CoordinatorSaid(
-                f"the coordinator at {self.where} wants its token: set the environment variable BRINK_TOKEN to it"
+            raise CoordinatorError(
+                f"the coordinator at {self.where} requires a token: set the environment variable BRINK_TOKEN"
             )
-        raise CoordinatorSaid(_what_it_said(response))
+        raise CoordinatorError(_error_message(response))
+
+    def _validated(self, schema: Any, response: httpx.Response) -> Any:
+        try:
+            return _adapter(schema).validate_json(response.content)
+        except ValidationError as error:
+            fault = error.errors(include_url=False)[0]
+            place = "/".join(map(str, fault["loc"])) or "the answer"
+            raise CoordinatorError(
+                f"unexpected answer from {self.where}: {place}: {fault['msg']}; "
+                "is it a coordinator of the same version of Brink?"
+            ) from None
 
 
-def _what_it_said(response: httpx.Response) -> str:
+@cache
+def _adapter(schema: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(schema)
+
+
+def _error_message(response: httpx.Response) -> str:
+    """Return the message of an error response, one line for each wrong field."""
     try:
         document = response.json()
     except ValueError:
@@ -84,67 +140,51 @@ def _what_it_said(response: httpx.Response) -> str:
 
 
 @asynccontextmanager
-async def open_api(server: str | None, settings: Settings) -> AsyncIterator[Api]:
-    """Give the API of a coordinator.
+async def connect(server: str, token: str | None) -> AsyncIterator[Api]:
+    """Yield the API of a coordinator, over HTTP.
 
     Args:
-        server: Its URL; None to work on the database in this process.
-        settings: Which database, and the token.
+        server: URL of the coordinator.
+        token: Bearer token; None sends none.
 
     Raises:
-        DatabaseError: There is no database, or it cannot be used as it is.
-        InvalidInput: The URL is none.
+        InvalidInput: The URL or the token is malformed.
     """
-    token = settings.token.get_secret_value() if settings.token else None
-    headers = {"Authorization": f"Bearer {token}"} if token else {}
-    if server is not None:
-        if not server.startswith(("http://", "https://")):
-            message = f"expected a URL such as http://127.0.0.1:8700, got {server!r}"
-            raise InvalidInput([FieldError(pointer="--server", message=message)])
-        async with httpx.AsyncClient(base_url=server, timeout=TIMEOUT, headers=headers) as client:
-            yield Api(client, server)
-        return
+    if not server.startswith(("http://", "https://")):
+        message = f"expected a URL such as http://127.0.0.1:8700, got {server!r}"
+        raise InvalidInput([FieldError(pointer="--server", message=message)])
+    if token is not None and not all("!" <= letter <= "~" for letter in token):
+        raise InvalidInput([FieldError(pointer="BRINK_TOKEN", message=TOKEN_FORM)])
+    async with httpx.AsyncClient(base_url=server, timeout=TIMEOUT, headers=_headers(token)) as client:
+        yield Api(client, server)
+
+
+@asynccontextmanager
+async def in_process(settings: "Settings") -> AsyncIterator[Api]:
+    """Yield the API of a coordinator in this process; another coordinator may use the same database.
+
+    Args:
+        settings: Settings of the coordinator; they name the database.
+
+    Raises:
+        DatabaseError: The database is missing or unusable.
+    """
+    # Imported here: clients of a running coordinator need neither a web server nor a database.
+    from brink.server.app import create_app
+    from brink.server.runtime.database import check_database
+
     check_database(settings)
     app = create_app(settings, sweeping=False)
-    transport = httpx.ASGITransport(app=app)
+    token = settings.token.get_secret_value() if settings.token else None
     async with (
         app.router.lifespan_context(app),
         httpx.AsyncClient(
-            transport=transport, base_url="http://brink", timeout=TIMEOUT, headers=headers
+            transport=httpx.ASGITransport(app=app), base_url="http://brink", timeout=TIMEOUT,
+            headers=_headers(token),
         ) as client,
-    ):
+    ):  # fmt: skip
         yield Api(client, settings.database)
 
 
-def check_there(settings: Settings) -> None:
-    """Raise unless the database is there, where it is a file; looking at one makes it.
-
-    Raises:
-        DatabaseError: It is not, with what to do.
-    """
-    path = settings.sqlite_file
-    if path is not None and not path.exists():
-        raise DatabaseError(
-            f"no database at {path}: run a campaign first (brink run FILE), name another one with --database, "
-            "or name a coordinator with --server"
-        )
-
-
-def check_database(settings: Settings) -> None:
-    """Raise unless the database is there and has this version's schema.
-
-    Raises:
-        DatabaseError: It is not, with what to do.
-    """
-    check_there(settings)
-    engines = open_engines(settings.database)
-    try:
-        revision = current_revision(engines)
-    finally:
-        engines.dispose()
-    check_known(revision)
-    if revision != head_revision():
-        raise DatabaseError(
-            f"the database has schema {revision or 'none'}, this version needs {head_revision()}; "
-            "upgrade it with: brink db upgrade"
-        )
+def _headers(token: str | None) -> dict[str, str]:
+    return {"Authorization": f"Bearer {token}"} if token else {}

@@ -23,7 +23,8 @@ import httpx
 from brink.api.client import TIMEOUT, Api
 from brink.bench.processes import children_of, cpu_of
 from brink.server.campaigns.body import CampaignBody, parse_body
-from brink.server.runtime.coordinator import EmbeddedCoordinator, WorkerProcesses, prepare_database
+from brink.server.runtime.coordinator import EmbeddedCoordinator, WorkerProcesses
+from brink.server.runtime.database import prepare_database
 from brink.server.settings import Settings
 from brink.sim.catalogue import make_simulator
 from brink.sim.episode import EpisodeSpec

@@ -1,67 +1,116 @@
-"""All commands of `brink`, and the options that they share."""
+"""The commands of `brink`, and the options that come before a command.
+
+`brink --help` needs only the table below. The module of a command is imported when the command is called, because
+most commands only talk to a server and should not wait for numpy, scipy and a web server to load.
+"""
 
 import logging
 import os
 import sys
-from typing import Annotated
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Annotated, Any, Final
 
 import typer
+from typer.core import TyperGroup
 
 from brink import __version__
-from brink.cli import inspect, llm, operate, perturbations, steer
-from brink.cli.benchmarks import methods, service
-from brink.cli.benchmarks.figures import bench
-from brink.cli.compare import compare
-from brink.cli.evidence import evidence
-from brink.cli.experiments.commands import experiment
-from brink.cli.findings.combinations import combinations
-from brink.cli.findings.violations import violations
-from brink.cli.monitor import monitor
-from brink.cli.operations import doctor, export, import_, prune_
-from brink.cli.repeats import repeats
-from brink.cli.run import run
-from brink.cli.sensitivity import sensitivity
-from brink.cli.tokens import token
-from brink.sim.catalogue import PLUGINS_VARIABLE
 from brink.worker.log import LogLevel, configure_logging, environment_format
+
+SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
+    "Run": {
+        "run": ("brink.cli.run:run", "Run a campaign: coordinator, workers, results, pictures"),
+        "submit": ("brink.cli.campaigns:submit", "Submit a campaign to a coordinator"),
+        "experiment": ("brink.cli.experiment:experiment", "Compare algorithms over problems and seeds"),
+    },
+    "Inspect": {
+        "status": ("brink.cli.campaigns:status", "Show campaigns, or the progress of one"),
+        "results": ("brink.cli.campaigns:results", "Show or export distinct boundary solutions"),
+        "violations": ("brink.cli.findings:violations", "Show the types of violations found"),
+        "combinations": ("brink.cli.findings:combinations", "Show hazardous chains of perturbations"),
+        "compare": ("brink.cli.compare:compare", "Compare campaigns, each beside its control"),
+        "plot": ("brink.cli.draw:plot", "Draw the figures of a campaign"),
+        "replay": ("brink.cli.draw:replay", "Draw one episode as PNG, GIF or MP4"),
+    },
+    "Trust": {
+        "evidence": ("brink.cli.evidence:evidence", "Export a boundary as tables, rules and replays"),
+        "repeats": ("brink.cli.repeats:repeats", "Simulate boundary solutions again with other seeds"),
+        "sensitivity": ("brink.cli.sensitivity:sensitivity", "Measure how settings change a boundary"),
+        "monitor": ("brink.cli.monitor:monitor", "Turn a campaign into a safety monitor"),
+    },
+    "Control": {
+        "pause": ("brink.cli.campaigns:pause", "Pause a campaign"),
+        "resume": ("brink.cli.campaigns:resume", "Resume a paused campaign"),
+        "cancel": ("brink.cli.campaigns:cancel", "Cancel a campaign and keep its results"),
+        "retry": ("brink.cli.campaigns:retry", "Retry the quarantined jobs of a campaign"),
+        "delete": ("brink.cli.campaigns:delete", "Delete a campaign and its results"),
+    },
+    "Operate": {
+        "serve": ("brink.cli.operate:serve", "Run a coordinator"),
+        "worker": ("brink.cli.operate:worker", "Run a worker"),
+        "token": ("brink.cli.database:token", "Create, list and revoke tokens"),
+        "db": ("brink.cli.database:db", "Upgrade or prune the database"),
+        "doctor": ("brink.cli.database:doctor", "Check the database, campaigns, jobs and workers"),
+        "export": ("brink.cli.database:export", "Write a campaign to a file"),
+        "import": ("brink.cli.database:import_", "Read a campaign from a file"),
+    },
+    "Tools": {
+        "perturbations": ("brink.cli.perturbations:perturbations", "List and show image perturbations"),
+        "llm": ("brink.cli.llm:llm", "Check and preview language models"),
+        "bench": ("brink.cli.bench:bench", "Measure this installation"),
+    },
+}  # fmt: skip
+"""By section and name: the ``module:attribute`` that defines the command, and its line in ``brink --help``."""
+
+
+class LazyGroup(TyperGroup):
+    """A command group that imports the module of a command when the command is called."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of all commands."""
+        return [name for section in SECTIONS.values() for name in section]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command by name; None if it does not exist."""
+        for section in SECTIONS.values():
+            if cmd_name in section:
+                return load(cmd_name, section[cmd_name][0])
+        return None
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """List the commands by section, without importing them."""
+        for title, section in SECTIONS.items():
+            with formatter.section(title):
+                formatter.write_dl([(f"{name:13}", line) for name, (_, line) in section.items()])
+
+
+def load(name: str, target: str) -> Any:
+    """Import a command or a group of commands.
+
+    Args:
+        name: Name of the command.
+        target: The ``module:attribute`` that defines it: a function or a `typer.Typer`.
+    """
+    module, _, attribute = target.partition(":")
+    found = getattr(import_module(module), attribute)
+    if not isinstance(found, typer.Typer):
+        single = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+        single.command(name)(found)
+        found = single
+    command = typer.main.get_command(found)
+    command.name = name
+    return command
+
 
 app = typer.Typer(
     name="brink",
+    cls=LazyGroup,
     help="Find where a driving system with a machine-learned component stops being safe.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-app.command()(run)
-app.command()(operate.serve)
-app.command()(operate.worker)
-app.command()(operate.submit)
-app.command()(inspect.status)
-app.command()(inspect.results)
-for steering in (steer.pause, steer.resume, steer.cancel, steer.retry, steer.delete):
-    app.command()(steering)
-app.command()(combinations)
-app.command()(violations)
-app.command()(evidence)
-app.command()(repeats)
-app.command()(inspect.plot)
-app.command()(inspect.replay)
-app.command()(compare)
-app.command()(doctor)
-app.command()(export)
-app.command("import")(import_)
-operate.db.command("prune")(prune_)
-app.add_typer(operate.db, name="db")
-app.add_typer(token, name="token")
-for measurement in (*methods.COMMANDS, *service.COMMANDS):
-    bench.command()(measurement)
-app.add_typer(experiment, name="experiment")
-app.add_typer(monitor, name="monitor")
-app.add_typer(sensitivity, name="sensitivity")
-app.add_typer(bench, name="bench")
-app.add_typer(perturbations.perturbations, name="perturbations")
-app.add_typer(llm.llm, name="llm")
 
 
 def _print_version(wanted: bool) -> None:
@@ -72,22 +121,22 @@ def _print_version(wanted: bool) -> None:
 
 @app.callback()
 def options(
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log what happens to stderr.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log to stderr.")] = False,
     plugin: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Module with plug-ins, importable from here; may be given again.", metavar="MODULE"
-        ),
+        typer.Option(help="Python module with plug-ins; may be repeated.", metavar="MODULE"),
     ] = None,
     show_version: Annotated[
         bool,
-        typer.Option("--version", help="Say which version this is.", callback=_print_version, is_eager=True),
+        typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True),
     ] = False,
 ) -> None:
     """Find where a driving system with a machine-learned component stops being safe."""
     if plugin:
+        from brink.sim.catalogue import PLUGINS_VARIABLE
+
         named = [*filter(None, os.environ.get(PLUGINS_VARIABLE, "").split(",")), *plugin]
-        os.environ[PLUGINS_VARIABLE] = ",".join(named)  # for the workers that this command starts, too
+        os.environ[PLUGINS_VARIABLE] = ",".join(named)  # read by the workers of this command as well
         sys.path.insert(0, os.getcwd())
     if not logging.getLogger().handlers:
         configure_logging(LogLevel.INFO if verbose else LogLevel.WARNING, environment_format())

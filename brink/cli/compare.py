@@ -1,32 +1,31 @@
-"""`brink compare`: DBS tables of campaigns side by side, with their controls."""
+"""`brink compare`: DBS tables of campaigns side by side, each with its control."""
 
 from collections.abc import Sequence
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
 from brink.api.client import Api
-from brink.cli.options import AsJson, Database, Server, console, print_json, with_api
-from brink.cli.pictures import FetchedArchive, fetch_archive
-from brink.search.analysis.comparison import ComparedCampaign, Row, in_words
+from brink.cli.draw import FetchedArchive, fetch_archive
+from brink.cli.options import AsJson, Database, Server, console, plain_table, print_json, with_api
+from brink.search.analysis.comparison import ComparedCampaign, Row, control_summaries
 from brink.search.analysis.comparison import compare as compare_campaigns
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
 from brink.search.analysis.scores import DRAWS
-from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
-from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 
 
 def compare(
-    campaigns: Annotated[list[str], typer.Argument(metavar="ID...", help="Campaigns to compare.")],
+    campaigns: Annotated[list[str], typer.Argument(metavar="ID...", help="Ids of the campaigns.")],
     control: Annotated[
-        bool, typer.Option(help="Add controls: verdicts that ignore the component's behaviour.")
+        bool, typer.Option(help="Add controls: verdicts redrawn independently of the component's behaviour.")
     ] = True,
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Compare campaigns: DBS and strict DBS for the paper's thresholds, beside controls.
+    """Compare campaigns: DBS and strict DBS at the paper's thresholds, each beside its control.
 
     Example: brink compare 3f2a 91bc 77d0
     """
@@ -39,12 +38,12 @@ def compare(
 
 
 async def compared(api: Api, campaigns: Sequence[str], *, control: bool) -> list[Row]:
-    """Return the comparison of some campaigns."""
+    """Fetch campaigns and compare them."""
     return compared_archives([await fetch_archive(api, campaign) for campaign in campaigns], control=control)
 
 
 def compared_archives(fetched: Sequence[FetchedArchive], *, control: bool) -> list[Row]:
-    """Return the comparison of some archives, each campaign once."""
+    """Compare archives, each campaign once."""
     fetched = list({item.id: item for item in fetched}.values())
     names = [item.body.name for item in fetched]
     return compare_campaigns(
@@ -64,7 +63,7 @@ def compared_archives(fetched: Sequence[FetchedArchive], *, control: bool) -> li
 
 
 def rows_json(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return a comparison for programs."""
+    """Return a comparison as a JSON document."""
     return [
         {
             "campaign": row.campaign,
@@ -83,15 +82,10 @@ def rows_json(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def print_rows(screen: Console, rows: Sequence[Row]) -> None:
-    """Print a comparison for people: one table a d_th."""
+    """Print a comparison, with one table for each d_th."""
     for column, d_th in enumerate(PAPER_D_THS):
-        table = Table(
-            title=f"d_th {d_th:g}: DBS (strict DBS)", title_justify="left", box=None, pad_edge=False
-        )
-        table.add_column("")
-        table.add_column("unsafe", justify="right", header_style="dim")
-        for t_b in PAPER_T_BS:
-            table.add_column(f"t_b {t_b:g}", justify="right", header_style="dim")
+        columns = ("unsafe", *(f"t_b {t_b:g}" for t_b in PAPER_T_BS))
+        table = plain_table("", *columns, right=columns, title=f"d_th {d_th:g}: DBS (strict DBS)")
         for row in rows:
             cells = [
                 f"{row.dbs[i, column]:.4g} ({row.strict[i, column]:.4g})" for i in range(len(PAPER_T_BS))
@@ -102,12 +96,12 @@ def print_rows(screen: Console, rows: Sequence[Row]) -> None:
         screen.print()
     if any(row.repeats is not None for row in rows):
         screen.print(f"At t_b {DEFAULT_T_B:g}, d_th {DEFAULT_D_TH:g}:")
-        for sentence in in_words(rows, DEFAULT_T_B, DEFAULT_D_TH):
+        for sentence in control_summaries(rows, DEFAULT_T_B, DEFAULT_D_TH):
             screen.print(f"  {sentence}")
         screen.print(
-            f"[dim]Controls: verdicts redrawn without regard to behaviour; means of {DRAWS} draws.[/dim]"
+            f"[dim]Controls: verdicts redrawn independently of behaviour; means of {DRAWS} draws.[/dim]"
         )
     screen.print(
-        "[dim]t_b >= 1/9 counts all-safe neighbourhoods as boundary; strict DBS does not. "
-        "Both are greedy counts, so that either may be larger by a few.[/dim]"
+        "[dim]At t_b >= 1/9, DBS counts all-safe neighbourhoods as boundary; strict DBS does not. "
+        "Both are greedy counts, so either may be slightly larger.[/dim]"
     )

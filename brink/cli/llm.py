@@ -1,4 +1,4 @@
-"""`brink llm`: try an endpoint, see what a campaign would ask, see what one asked."""
+"""`brink llm`: check an endpoint, preview the prompts of a campaign, list the calls of a campaign."""
 
 import asyncio
 from pathlib import Path
@@ -6,7 +6,6 @@ from typing import Annotated, Any, Final
 
 import typer
 from rich.markup import escape
-from rich.table import Table
 
 from brink.api.client import Api
 from brink.cli.options import (
@@ -16,12 +15,15 @@ from brink.cli.options import (
     Database,
     Server,
     console,
+    fields,
+    plain_table,
     print_json,
     with_api,
 )
-from brink.search.seeding import SeedRequest
+from brink.search.algorithm import SeedRequest
+from brink.server.api.schemas import LlmCalls
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
-from brink.server.campaigns.submission import checked_plan
+from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.llm.check import EndpointReport, check_endpoint
 from brink.server.llm.estimate import estimate
@@ -29,27 +31,26 @@ from brink.server.llm.prompts import example, question
 from brink.server.llm.settings import LlmSettings
 from brink.server.problems.base import Describes
 
-llm = typer.Typer(help="Language models that seed searches.", no_args_is_help=True)
+llm = typer.Typer(help="Check and preview language models that seed searches.", no_args_is_help=True)
 
 ASSUMED_REQUESTS: Final = 5
-"""Differential requests that an estimate assumes: one in four generations of a thousand simulations."""
+"""Differential requests that an estimate assumes: one every four generations, for a thousand simulations."""
 
 
 @llm.command()
 def check(file: CampaignFile, as_json: AsJson = False) -> None:
-    """Try the language model of a campaign file, and say what it supports. Asks it up to three small questions.
+    """Check the language model of a campaign file and what it supports, with up to three small requests.
 
     Example: brink llm check examples/traffic-llm.yaml
     """
     settings = _settings(read_campaign_file(file))
-    with console().status(f"asking {settings.model}"):
+    with console().status(f"querying {settings.model}"):
         report = asyncio.run(check_endpoint(settings))
     if as_json:
         print_json(
             {
-                "works": report.works, "mode": report.mode, "reachable": report.reachable,
-                "models": report.models, "model_listed": report.model_listed, "trouble": report.trouble,
-                "modes": [{name: getattr(one, name) for name in one.__slots__} for one in report.modes],
+                **fields(report, "works", "mode", "reachable", "models", "model_listed", "trouble"),
+                "modes": [fields(one) for one in report.modes],
             }
         )  # fmt: skip
     else:
@@ -66,26 +67,18 @@ def _print_report(settings: LlmSettings, report: EndpointReport) -> None:
     if report.model_listed is False:
         known = escape(", ".join((report.models or ())[:10]))
         screen.print(
-            f"[yellow]{escape(settings.model)} is not among the models that it lists: {known}[/yellow]"
+            f"[yellow]{escape(settings.model)} is not among the models that the endpoint lists: {known}[/yellow]"
         )
-    table = Table(box=None, pad_edge=False, header_style="dim")
-    for name in (
-        "form of a reply",
-        "taken",
-        "usable",
-        "states tokens",
-        "finish reason",
-        "seconds",
-        "trouble",
-    ):
-        table.add_column(name)
+    table = plain_table(
+        "reply format", "accepted", "usable", "reports tokens", "finish reason", "seconds", "trouble"
+    )
     for one in report.modes:
         table.add_row(
             one.mode, _yes(one.accepted), _yes(one.usable), _yes(one.usage_stated), escape(one.finish_reason or "–"),
             "–" if one.latency_s is None else f"{one.latency_s:.1f}", escape(one.trouble or ""),
         )  # fmt: skip
     screen.print(table)
-    works = f"works: replies will be asked for as {report.mode}" if report.works else "gives no usable reply"
+    works = f"works; reply format: {report.mode}" if report.works else "gives no usable reply"
     screen.print(f"{settings.model} at {settings.endpoint} {works}", markup=False)
 
 
@@ -101,17 +94,17 @@ def dry_run(
     ] = ASSUMED_REQUESTS,
     as_json: AsJson = False,
 ) -> None:
-    """Print the prompts of a campaign, and estimate what its calls will take. Asks nobody.
+    """Print the prompts of a campaign and estimate the cost of its calls, without calling the model.
 
-    The later prompt shows made-up solutions where those stand that the search knows by then.
+    In the differential prompt, made-up solutions stand for those that the search will have found by then.
 
     Example: brink llm dry-run examples/traffic-llm.yaml
     """
     body = read_campaign_file(file)
     settings = _settings(body)
-    plan = checked_plan(body)
+    plan = make_checked_plan(body)
     problem = plan.problem
-    assert isinstance(problem, Describes)  # checked
+    assert isinstance(problem, Describes)  # checked with the plan
     config: Any = plan.config
     initial = config.population_size if getattr(config, "initial", "") == "seeds" else 0
     request = SeedRequest(number=0, count=initial or config.seeds)
@@ -128,8 +121,8 @@ def dry_run(
     if as_json:
         print_json(
             {
-                "messages": [{"role": one.role, "content": one.content} for one in messages],
-                "differential": [{"role": one.role, "content": one.content} for one in differential],
+                "messages": [fields(one, "role", "content") for one in messages],
+                "differential": [fields(one, "role", "content") for one in differential],
                 "calls": found.calls, "most_calls": found.most_calls, "tokens": found.usage.total,
                 "most_tokens": found.most_usage.total, "cost": found.cost, "most_cost": found.most_cost,
             }
@@ -144,8 +137,8 @@ def dry_run(
     screen.print(f"with {requests} differential requests: {found.words}", soft_wrap=True)
     if asks_later:
         screen.print(
-            f"seeds that do not differ enough go back up to {config.rounds} times, each a request of its own; "
-            f"max_calls {settings.max_calls} bounds them all",
+            f"seeds that do not differ enough are requested again up to {config.rounds} times, one request each; "
+            f"max_calls {settings.max_calls} limits the total",
             soft_wrap=True,
         )
 
@@ -154,48 +147,50 @@ def dry_run(
 def log(
     campaign: CampaignId,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for the raw replies, a file each.", file_okay=False)
+        Path | None, typer.Option(help="Folder for the raw replies, one file each.", file_okay=False)
     ] = None,
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Say what a campaign asked its language model, what came of it and what it took.
+    """List the language model calls of a campaign, with their outcomes and costs.
 
     Example: brink llm log 3f2a --out replies
     """
 
     async def work(api: Api) -> None:
-        found = await api.get(f"/campaigns/{campaign}/llm-calls", {"replies": out is not None or as_json})
+        params = {"replies": out is not None or as_json}
+        document = await api.get(f"/campaigns/{campaign}/llm-calls", params)
+        found = LlmCalls.model_validate(document)
         if out is not None:
             out.mkdir(parents=True, exist_ok=True)
-            for call in found["calls"]:
-                path = out / f"reply-{call['request']}-{call['turn']}.json"
-                path.write_text(call["reply"] or "", encoding="utf-8")
+            for call in found.calls:
+                path = out / f"reply-{call.request}-{call.turn}.json"
+                path.write_text(call.reply or "", encoding="utf-8")
         if as_json:
-            print_json(found)
+            print_json(document)
         else:
             _print_calls(found)
 
     with_api(server, database, work)
 
 
-def _print_calls(found: dict[str, Any]) -> None:
-    table = Table(box=None, pad_edge=False, header_style="dim")
-    for name in ("request", "turn", "outcome", "tokens", "cost", "seconds", "what was wrong"):
-        table.add_column(name)
-    for call in found["calls"]:
-        tokens = None if call["prompt_tokens"] is None else call["prompt_tokens"] + call["completion_tokens"]
+def _print_calls(found: LlmCalls) -> None:
+    table = plain_table("request", "turn", "outcome", "tokens", "cost", "seconds", "error")
+    for call in found.calls:
+        tokens = "–"
+        if call.prompt_tokens is not None and call.completion_tokens is not None:
+            estimate = " (estimate)" if call.estimated else ""
+            tokens = f"{call.prompt_tokens + call.completion_tokens}{estimate}"
         table.add_row(
-            str(call["request"]), str(call["turn"]), call["outcome"],
-            "–" if tokens is None else f"{tokens}{' (estimate)' if call['estimated'] else ''}",
-            _money(call["cost"]), f"{call['latency_s']:.1f}", escape(call["error"] or ""),
+            str(call.request), str(call.turn), call.outcome, tokens, _money(call.cost),
+            f"{call.latency_s:.1f}", escape(call.error or ""),
         )  # fmt: skip
     screen = console()
     screen.print(table)
     screen.print(
-        f"{found['total_calls']} calls, {found['total_tokens']} tokens "
-        f"({found['estimated_tokens']} of them estimated), cost {_money(found['cost'])}"
+        f"{found.total_calls} calls, {found.total_tokens} tokens "
+        f"({found.estimated_tokens} of them estimated), cost {_money(found.cost)}"
     )
 
 
@@ -207,7 +202,7 @@ def _settings(body: CampaignBody) -> LlmSettings:
     """Return the language model of a campaign file.
 
     Raises:
-        InvalidInput: It has none.
+        InvalidInput: The file names none.
     """
     if body.llm is None:
         message = "expected a language model, such as {endpoint: http://127.0.0.1:8000/v1, model: ...}"

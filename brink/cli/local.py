@@ -1,86 +1,208 @@
-"""A coordinator and workers on this machine for as long as a command runs."""
+"""Running a campaign or an experiment to its end on this machine, with an embedded coordinator and workers.
+
+`run_locally` starts the coordinator, gives a command its `Session` and stops everything afterwards; `run_to_end`
+submits a `Workload` or resumes it, watches it, and pauses it on Ctrl-C.
+"""
 
 import asyncio
 import contextlib
 import secrets
 import signal
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Protocol, TypeVar
 
 import httpx
 from pydantic import SecretStr
 from rich.console import Console
 
-from brink.api.client import TIMEOUT, Api
+from brink.api.client import TIMEOUT, Api, CoordinatorError
 from brink.cli.live import CampaignDisplay
+from brink.cli.options import database_option, program, settings_with
 from brink.search.errors import install_command
-from brink.server.errors import FieldError, InvalidInput, Unavailable
+from brink.server.api.schemas import ExperimentProgress, Progress
+from brink.server.errors import Conflict, FieldError, InvalidInput, Unavailable
 from brink.server.problems.base import NeedsExtra, Problem
-from brink.server.runtime.coordinator import (
-    EmbeddedCoordinator,
-    WorkerProcesses,
-    has_tokens,
-    prepare_database,
-    release_leases_of_the_dead,
-)
+from brink.server.runtime.coordinator import EmbeddedCoordinator, WorkerProcesses
+from brink.server.runtime.database import has_tokens, prepare_database, release_leases_of_dead_workers
 from brink.server.settings import Settings
+from brink.server.states import CampaignStatus
 
-RESULTS = Path("brink-results")
-"""Where commands that run something write what was found."""
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-LOOK_EVERY_S = 0.3
-TROUBLE_S = 5.0
-"""How long a database may take no writes before a run gives up."""
+POLL_S = 0.3
+MAX_TROUBLE_S = 5.0
+"""How long the database may reject writes before a run gives up."""
+
+T = TypeVar("T")
+ProgressT = TypeVar("ProgressT", Progress, ExperimentProgress)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Local:
-    """What runs.
+class Session:
+    """An embedded coordinator while a command uses it.
 
     Attributes:
-        url: Where the coordinator listens.
-        token: What it wants from everybody, if anything.
-        processes: The workers, of which none is started yet.
+        api: Its API.
+        url: Its address.
+        needs_token: Whether it rejects requests without a token.
+        database: The option that names its database in hints; empty for the default one.
+        processes: Its workers; none is started yet.
+        stop: Set on Ctrl-C or SIGTERM.
+        screen: Console for progress and hints.
     """
 
+    api: Api
     url: str
-    token: str | None
+    needs_token: bool
+    database: str
     processes: WorkerProcesses
+    stop: asyncio.Event
+    screen: Console
 
-    @contextlib.asynccontextmanager
-    async def api(self) -> AsyncIterator[Api]:
-        """Give its API."""
-        headers = {"Authorization": f"Bearer {self.token}"} if self.token else {}
-        async with httpx.AsyncClient(base_url=self.url, timeout=TIMEOUT, headers=headers) as client:
-            yield Api(client, self.url)
+    def hint(self, text: str, command: str) -> None:
+        """Print a hint with a command that can be pasted."""
+        self.screen.print(f"{text}: {program()} {command}{self.database}", soft_wrap=True)
+
+    async def watch(self, poll: Callable[[], Awaitable[ProgressT]]) -> ProgressT:
+        """Poll until the work ends or is stopped, and replace workers that died.
+
+        Args:
+            poll: Fetches and shows the progress.
+
+        Returns:
+            The last progress.
+
+        Raises:
+            Unavailable: The database has rejected writes for too long.
+        """
+        while True:
+            progress = await poll()
+            if progress.status is not CampaignStatus.RUNNING or self.stop.is_set():
+                return progress
+            if progress.trouble_s > MAX_TROUBLE_S:
+                raise Unavailable(
+                    f"{progress.trouble}; acknowledged results are stored, continue later with --resume"
+                )
+            self.processes.replace_dead()
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self.stop.wait(), POLL_S)
+
+    async def watch_campaign(self, campaign: str) -> Progress:
+        """Show the progress of a campaign until it ends or is stopped; return the last progress."""
+        with CampaignDisplay(self.screen) as display:
+
+            async def poll() -> Progress:
+                since = {"since": display.generations}
+                progress = await self.api.read(Progress, f"/campaigns/{campaign}/progress", since)
+                display.show(progress)
+                return progress
+
+            return await self.watch(poll)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunOptions:
+    """Options of the commands that run a campaign or an experiment.
+
+    Attributes:
+        file: The campaign or experiment file, for hints.
+        workers: Number of worker processes.
+        out: Folder for results.
+        resume: Whether to resume the latest run of the file.
+        new: Whether to start a new run even if an earlier one is unfinished.
+        json: Whether to print the results as JSON.
+        database: Database URL; None takes the default one.
+        port: Port of the coordinator; 0 picks a free port.
+    """
+
+    file: Path
+    workers: int
+    out: Path
+    resume: bool
+    new: bool
+    json: bool
+    database: str | None = None
+    port: int = 0
+
+
+class Workload(Protocol[ProgressT]):
+    """A campaign or an experiment to run to its end.
+
+    Attributes:
+        noun: "campaign" or "experiment"; its plural is the REST resource.
+        command: Command group of its own commands, with a trailing space; empty for campaigns.
+    """
+
+    noun: str
+    command: str
+
+    async def latest(self, api: Api, statuses: Sequence[CampaignStatus]) -> ProgressT | None:
+        """Return the latest run of the file that has one of these statuses."""
+        ...
+
+    async def resume(self, api: Api, found: ProgressT) -> None:
+        """Resume an unfinished run."""
+        ...
+
+    async def submit(self, api: Api) -> tuple[str, str]:
+        """Submit a new run; return its id and a summary of it in words."""
+        ...
+
+    async def watch(self, session: Session, name: str) -> ProgressT:
+        """Show the progress until the work ends or is stopped; return the last progress."""
+        ...
+
+    def reasons(self, progress: ProgressT) -> Sequence[str]:
+        """Return why the work ended unfinished."""
+        ...
+
+
+def run_locally(
+    settings: Settings, worker_log: Path, screen: Console, work: Callable[[Session], Awaitable[T]]
+) -> T:
+    """Start a coordinator, run some work against it, and stop the coordinator and its workers.
+
+    Args:
+        settings: Settings of the coordinator. Its database is created or upgraded.
+        worker_log: Log file of the workers. Its folder is created first, so an unwritable one fails early.
+        screen: Console for progress and hints.
+        work: Called with the session.
+
+    Raises:
+        DatabaseError: The database is unusable.
+        CannotListen: The coordinator failed to start.
+    """
+    worker_log.parent.mkdir(parents=True, exist_ok=True)
+
+    async def run(url: str, token: str | None, processes: WorkerProcesses) -> T:
+        headers = {"Authorization": f"Bearer {token}"} if token else {}
+        async with httpx.AsyncClient(base_url=url, timeout=TIMEOUT, headers=headers) as client:
+            session = Session(
+                api=Api(client, url), url=url, needs_token=token is not None,
+                database=database_option(settings), processes=processes, stop=asyncio.Event(), screen=screen,
+            )  # fmt: skip
+            return await work(session)
+
+    with _coordinator(settings, worker_log) as (url, token, processes):
+        return asyncio.run(run(url, token, processes))
 
 
 @contextlib.contextmanager
-def local_service(settings: Settings, worker_log: Path) -> Iterator[Local]:
-    """Give a coordinator that serves, and stop it and its workers in the end.
-
-    Args:
-        settings: Of the coordinator. Its database is made or upgraded.
-        worker_log: Where workers write what they say.
-
-    Raises:
-        DatabaseError: The database cannot be used.
-        CannotListen: The coordinator did not come up.
-    """
+def _coordinator(settings: Settings, worker_log: Path) -> Iterator[tuple[str, str | None, WorkerProcesses]]:
+    """Yield URL, token and workers of a coordinator that is stopped in the end."""
     prepare_database(settings)
-    if settings.token is None and has_tokens(settings, that_hold=False):
-        # The database is that of a coordinator with tokens: this command and its workers have one of their own.
+    if settings.token is None and has_tokens(settings, valid_only=False):
+        # The database belongs to a coordinator with tokens: this command and its workers share a token of their own.
         settings = settings.model_copy(update={"token": SecretStr(secrets.token_hex(24))})
-    release_leases_of_the_dead(settings)
+    release_leases_of_dead_workers(settings)
     coordinator = EmbeddedCoordinator(settings)
     coordinator.start()
     token = settings.token.get_secret_value() if settings.token else None
     processes = WorkerProcesses(url=coordinator.url, log_file=worker_log, token=token)
     try:
-        yield Local(url=coordinator.url, token=token, processes=processes)
+        yield coordinator.url, token, processes
     finally:
         processes.stop()
         coordinator.stop()
@@ -88,53 +210,83 @@ def local_service(settings: Settings, worker_log: Path) -> Iterator[Local]:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
-async def watched(
-    look: Callable[[], Awaitable[dict[str, Any]]], processes: WorkerProcesses, stop: asyncio.Event
-) -> dict[str, Any]:
-    """Look again and again how far something is, and keep its workers alive, until it ends or is stopped.
+def run_to_end(
+    workload: Workload[ProgressT],
+    options: RunOptions,
+    screen: Console,
+    finish: Callable[[Session, ProgressT], Awaitable[T]],
+) -> T | None:
+    """Run a campaign or an experiment to its end on this machine.
 
     Args:
-        look: Returns its progress document, and shows it.
-        processes: The workers.
-        stop: Set when the user wants no more.
+        workload: The campaign or experiment.
+        options: Options of the command.
+        screen: Console for progress and hints.
+        finish: Called when the work has finished, while coordinator and workers still run.
 
     Returns:
-        The last progress.
+        The value of `finish`; None if the work was stopped or ended unfinished.
 
     Raises:
-        Unavailable: The database has taken no writes for a while.
+        Conflict: An earlier run is unfinished, and neither `resume` nor `new` is set.
     """
-    while True:
-        progress = await look()
-        if progress["status"] != "running" or stop.is_set():
-            return progress
-        if progress["trouble_s"] > TROUBLE_S:
-            raise Unavailable(
-                f"{progress['trouble']}; what was acknowledged is stored, go on later with --resume"
-            )
-        processes.replace_dead()
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(stop.wait(), LOOK_EVERY_S)
+    # The user runs both the file and the coordinator, so every language model that the file names is allowed.
+    settings = settings_with(database=options.database, port=options.port, llm_endpoints="*")
+
+    async def work(session: Session) -> T | None:
+        name = await _start(workload, options, session)
+        if workload.noun == "campaign" and not session.needs_token:  # nobody else knows the token
+            screen.print(f"watch it in a browser: {session.url}/#/campaigns/{name}", soft_wrap=True)
+        async with stopping(session.stop):
+            session.processes.start(options.workers)
+            progress = await workload.watch(session, name)
+            if session.stop.is_set():
+                # A paused run takes no workers until somebody resumes it.
+                with contextlib.suppress(CoordinatorError):
+                    await session.api.post(f"/{workload.noun}s/{name}/pause")
+                screen.print(
+                    f"stopped at {progress.simulations:,} of {progress.budget:,} simulations; nothing is lost"
+                )
+                session.hint("continue with", f"{workload.command}run {options.file} --resume")
+                return None
+            if progress.status is not CampaignStatus.FINISHED:
+                screen.print(f"{workload.noun} {name} is {progress.status}")
+                for reason in workload.reasons(progress):
+                    screen.print(f"  {reason}", markup=False)
+                session.hint("see details with", f"{workload.command}status {name}")
+                return None
+            return await finish(session, progress)
+
+    return run_locally(settings, options.out / "worker.log", screen, work)
 
 
-async def watch_campaign(
-    api: Api, campaign: str, processes: WorkerProcesses, stop: asyncio.Event, screen: Console
-) -> dict[str, Any]:
-    """Show how far a campaign is until it ends or is stopped; return its last progress."""
-    with CampaignDisplay(screen) as display:
+async def _start(workload: Workload[ProgressT], options: RunOptions, session: Session) -> str:
+    """Return the id of the run to watch: the latest one of this file, or a new one."""
+    statuses = [CampaignStatus.RUNNING, CampaignStatus.PAUSED]
+    if options.resume:
+        statuses.append(CampaignStatus.FINISHED)
+    found = None if options.new else await workload.latest(session.api, statuses)
+    if found is None:
+        name, summary = await workload.submit(session.api)
+        session.screen.print(f"{workload.noun} {name}: {summary}")
+        return name
+    done = f"{found.simulations:,} of {found.budget:,} simulations"
+    if not options.resume:
+        raise Conflict(
+            f"{workload.noun} {found.id} of this file is unfinished, at {done}: "
+            "continue it with --resume, or start another with --new"
+        )
+    if found.status is CampaignStatus.FINISHED:
+        session.screen.print(f"{workload.noun} {found.id} of this file has finished; --new starts another")
+    else:
+        await workload.resume(session.api, found)
+        session.screen.print(f"{workload.noun} {found.id}: continuing at {done}")
+    return found.id
 
-        async def look() -> dict[str, Any]:
-            since = {"since": display.generations}
-            progress: dict[str, Any] = await api.get(f"/campaigns/{campaign}/progress", since)
-            display.show(progress)
-            return progress
 
-        return await watched(look, processes, stop)
-
-
-@contextlib.contextmanager
-def stopping(stop: asyncio.Event) -> Iterator[None]:
-    """Set the event on Ctrl-C or SIGTERM instead of dying; afterwards, while all is being stopped, ignore both."""
+@contextlib.asynccontextmanager
+async def stopping(stop: asyncio.Event) -> AsyncIterator[None]:
+    """Set the event on Ctrl-C or SIGTERM; afterwards ignore both, until the coordinator has stopped."""
     loop = asyncio.get_running_loop()
     for number in STOP_SIGNALS:
         loop.add_signal_handler(number, stop.set)
@@ -147,14 +299,14 @@ def stopping(stop: asyncio.Event) -> Iterator[None]:
 
 
 def check_extra(problem: Problem) -> None:
-    """Refuse a problem that the workers of this machine cannot simulate.
+    """Check that the workers of this machine can simulate a problem.
 
     Raises:
-        InvalidInput: An optional part of Brink is missing here.
+        InvalidInput: An optional dependency is not installed.
     """
     if isinstance(problem, NeedsExtra) and any(find_spec(module) is None for module in problem.modules):
         message = (
-            f"{problem.id} needs the {problem.extra} extra, which is not installed here: "
+            f"{problem.id} needs the {problem.extra} extra, which is not installed: "
             f"{install_command(problem.extra)}"
         )
         raise InvalidInput([FieldError(pointer="/problem/id", message=message)])

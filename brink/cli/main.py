@@ -1,4 +1,4 @@
-"""The command `brink`. Exits 0, 1 if something failed, 2 if it was called wrongly, 130 after Ctrl-C."""
+"""The command `brink`. Exit codes: 0 success, 1 failure, 2 wrong usage, 130 after Ctrl-C."""
 
 import sys
 
@@ -6,7 +6,7 @@ INTERRUPTED = 130
 
 
 def main() -> None:
-    """Run the command line; what goes wrong is said in a line, not in a traceback."""
+    """Run the command line; print expected errors as one line each, without a traceback."""
     try:
         sys.exit(_run())
     except KeyboardInterrupt:
@@ -15,26 +15,37 @@ def main() -> None:
 
 
 def _run() -> int:
-    # The commands load numpy, scipy and a web server, which takes a second: Ctrl-C may come meanwhile.
-    from sqlalchemy.exc import DBAPIError
-
+    # Imported here, so that Ctrl-C is handled while the command loads.
     from brink.cli.commands import app
+
+    try:
+        app()
+    except Exception as error:
+        lines = _describe(error)
+        if lines is None:
+            raise
+        for line in lines:
+            print(f"brink: {line}", file=sys.stderr)
+    return 1
+
+
+def _describe(error: Exception) -> list[str] | None:
+    """Return the lines that describe an expected error; None for a bug, which deserves its traceback."""
     from brink.search.errors import MissingExtra
     from brink.server.errors import InvalidInput, ServerError
     from brink.sim.errors import SimulatorError
     from brink.worker.errors import WorkerError
 
-    try:
-        app()
-    except InvalidInput as error:
-        for item in error.errors:
-            print(f"brink: {item}", file=sys.stderr)
-    except (ServerError, WorkerError, SimulatorError, MissingExtra) as error:
-        print(f"brink: {error}", file=sys.stderr)
-    except DBAPIError as error:
-        words = str(error.orig).strip().splitlines()
-        print(f"brink: database: {words[0] if words else type(error.orig).__name__}", file=sys.stderr)
-    except OSError as error:
+    if isinstance(error, InvalidInput):
+        return [str(item) for item in error.errors]
+    if isinstance(error, ServerError | WorkerError | SimulatorError | MissingExtra):
+        return [str(error)]
+    if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
-        print(f"brink: {where}{error.strerror or error}", file=sys.stderr)
-    return 1
+        return [f"{where}{error.strerror or error}"]
+    from sqlalchemy.exc import DBAPIError
+
+    if isinstance(error, DBAPIError):
+        reason = str(error.orig).strip().splitlines()
+        return [f"database: {reason[0] if reason else type(error.orig).__name__}"]
+    return None

@@ -1,6 +1,5 @@
-"""`brink monitor fit | score | judge`: a campaign as a safety monitor."""
+"""`brink monitor fit | score | judge`: a safety monitor fitted to the results of campaigns."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -8,59 +7,72 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.table import Table
 
 from brink import __version__
 from brink.api.client import Api
-from brink.cli.options import AsJson, Database, Server, check_picture, console, print_json, with_api
-from brink.cli.pictures import FetchedArchive, fetch_archive
-from brink.search.analysis.monitor_trial import Trial, try_monitor
+from brink.cli.draw import FetchedArchive, fetch_archive
+from brink.cli.options import (
+    AsJson,
+    Database,
+    Server,
+    check_picture,
+    console,
+    plain_table,
+    print_json,
+    with_api,
+)
+from brink.search.analysis.monitor import Answer, Monitor
+from brink.search.analysis.monitor_evaluation import MonitorEvaluation, evaluate_monitor, fewest_false_alarms
 from brink.search.archive import Archive
 from brink.search.errors import DocumentError, SpaceError
-from brink.search.judging import false_alarms_at
-from brink.search.monitor import Answer, Monitor
 from brink.server.documents import read_yaml
 from brink.server.errors import Conflict, FieldError, InvalidInput
 
 MISSED = (0.01, 0.05, 0.1)
-"""Shares of missed hazards at which false alarms are shown."""
+"""Shares of missed hazards for which false alarm rates are shown."""
 
 monitor = typer.Typer(
     name="monitor",
-    help="Use what was simulated as a safety monitor: how likely is a solution unsafe?",
+    help="Estimate the probability that a solution is unsafe, from the simulations of campaigns.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
 MonitorFile = Annotated[
-    Path, typer.Argument(metavar="MONITOR", help="File that `brink monitor fit` wrote.", show_default=False)
+    Path,
+    typer.Argument(
+        metavar="MONITOR", help="Monitor file written by `brink monitor fit`.", show_default=False
+    ),
 ]
-Campaigns = Annotated[list[str], typer.Argument(metavar="ID...", help="Campaigns.", show_default=False)]
+Campaigns = Annotated[
+    list[str], typer.Argument(metavar="ID...", help="Ids of campaigns.", show_default=False)
+]
 
 
+@monitor.command()
 def fit(
     campaigns: Campaigns,
     out: Annotated[Path, typer.Option(help="File to write.")] = Path("monitor.json"),
     threshold: Annotated[
         float | None,
         typer.Option(
-            min=0.001, max=0.999, help="Probability above which unsafe is the answer (default: p_th)."
+            min=0.001, max=0.999, help="Probability above which the monitor answers unsafe (default: p_th)."
         ),
     ] = None,
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Make a safety monitor of campaigns on the same problem.
+    """Fit a safety monitor to campaigns on the same problem.
 
     Example: brink monitor fit 3f2a --out monitor.json
     """
     fetched = with_api(server, database, lambda api: _fetched(api, campaigns))
-    vectors, unsafe = _together(fetched)
+    vectors, unsafe = _evaluated(fetched)
     if len(vectors) < 2:
-        raise Conflict(f"a monitor needs two evaluated solutions, there are {len(vectors)}")
+        raise Conflict(f"a monitor needs at least two evaluated solutions, got {len(vectors)}")
     plan = fetched[0].plan
     level = threshold if threshold is not None else plan.neighbourhood.p_th
-    made = Monitor.fitted(
+    fitted = Monitor.fitted(
         plan.problem.space,
         vectors,
         unsafe,
@@ -68,24 +80,26 @@ def fit(
         z=plan.neighbourhood.z,
         seed=fetched[0].body.seed,
     )
+    weights = fitted.informative_weights
     about = {
         "campaigns": [one.id for one in fetched],
         "problem": fetched[0].body.problem.model_dump(mode="json"),
         "brink": __version__,
     }
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(made.to_json(about) + "\n", encoding="utf-8")
+    out.write_text(fitted.to_json(about) + "\n", encoding="utf-8")
     if as_json:
-        print_json({"file": str(out), "solutions": len(made), "threshold": level, "weights": made.telling})
+        print_json({"file": str(out), "solutions": len(fitted), "threshold": level, "weights": weights})
         return
-    tell = ", ".join(f"{name} {weight:g}" for name, weight in made.telling.items()) or "nothing"
+    parameters = ", ".join(f"{name} {weight:g}" for name, weight in weights.items()) or "none"
     console().print(
-        f"{out}: {len(made):,} solutions, {made.unsafe_share:.0%} unsafe; unsafe above {level:g}\n"
-        f"what tells, by weight: {tell}",
+        f"{out}: {len(fitted):,} solutions, {fitted.unsafe_share:.0%} unsafe; unsafe above {level:g}\n"
+        f"parameters by weight: {parameters}",
         soft_wrap=True, markup=False,
     )  # fmt: skip
 
 
+@monitor.command()
 def score(
     file: MonitorFile,
     solutions: Annotated[
@@ -93,32 +107,31 @@ def score(
         typer.Argument(
             metavar="FILE",
             show_default=False,
-            help="A solution, or a list of them (JSON or YAML): {component: {parameter: value}}.",
+            help="One solution or a list of solutions (JSON or YAML): {component: {parameter: value}}.",
         ),
     ],
     as_json: AsJson = False,
 ) -> None:
-    """Say how likely solutions are unsafe, without any server.
+    """Estimate how likely solutions are unsafe. Needs no server.
 
     Example: brink monitor score monitor.json solutions.json
-    """  # fmt: skip
-    known = _read(file)
+    """
+    fitted = _read(file)
     document = read_yaml(solutions)
-    asked = document if isinstance(document, list) else [document]
+    given = document if isinstance(document, list) else [document]
     risks = []
-    for place, values in enumerate(asked):
+    for place, values in enumerate(given):
         if not isinstance(values, dict):
             raise _wrong(place, f"expected parameters by component, got {values!r}"[:200])
         try:
-            risks.append(known.ask(values.get("parameters", values)))
+            risks.append(fitted.ask(values.get("parameters", values)))
         except (SpaceError, AttributeError) as error:
             raise _wrong(place, str(error)) from None
     if as_json:
         print_json([asdict(risk) for risk in risks])
         return
-    table = Table(box=None, pad_edge=False)
-    for name in ("", "unsafe", "interval", "neighbours", "answer"):
-        table.add_column(name, justify="left" if name == "answer" else "right", header_style="dim")
+    columns = ("", "unsafe", "interval", "neighbours")
+    table = plain_table(*columns, "answer", right=columns)
     for place, risk in enumerate(risks):
         table.add_row(
             str(place), f"{risk.probability:.2f}", f"{risk.low:.2f} to {risk.high:.2f}",
@@ -127,40 +140,41 @@ def score(
     console().print(table)
 
 
+@monitor.command()
 def judge(
     file: MonitorFile,
     campaigns: Campaigns,
     picture: Annotated[
-        Path | None, typer.Option("--picture", help="PNG or SVG to draw calibration and alarms into.")
+        Path | None, typer.Option("--picture", help="PNG or SVG file for a plot of calibration and alarms.")
     ] = None,
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Judge a monitor by campaigns that it has not seen, best a random search with a seed of its own.
+    """Evaluate a monitor on campaigns that it was not fitted to, ideally a random search with a different seed.
 
     Example: brink monitor judge monitor.json 91bc --picture monitor.png
     """
     check_picture(picture)
-    known = _read(file)
+    fitted = _read(file)
     fetched = with_api(server, database, lambda api: _fetched(api, campaigns))
-    vectors, unsafe = _together(fetched)
-    if fetched[0].plan.problem.space.column_names() != known.space.column_names():
-        raise Conflict(f"{file} knows another search space than campaign {fetched[0].id}")
+    vectors, unsafe = _evaluated(fetched)
+    if fetched[0].plan.problem.space.column_names() != fitted.space.column_names():
+        raise Conflict(f"the search space of {file} differs from that of campaign {fetched[0].id}")
     try:
-        trial = try_monitor(known, vectors, unsafe)
+        evaluation = evaluate_monitor(fitted, vectors, unsafe)
     except ValueError as error:
         raise Conflict(str(error)) from None
     if picture is not None:
-        # matplotlib takes half a second to load: only those who draw wait for it.
+        # matplotlib takes half a second to load: only commands that draw wait for it.
         from brink.plots.monitor import figure_monitor
 
         picture.parent.mkdir(parents=True, exist_ok=True)
-        figure_monitor(trial, f"Monitor of {trial.learned:,} simulations").savefig(picture)
+        figure_monitor(evaluation, f"Monitor of {evaluation.learned:,} simulations").savefig(picture)
     if as_json:
-        print_json(_document(trial))
+        print_json(evaluation.to_json())
         return
-    _print(trial)
+    _print(evaluation)
     if picture is not None:
         console().print(f"picture: {picture}", soft_wrap=True)
 
@@ -182,12 +196,12 @@ async def _fetched(api: Api, campaigns: Sequence[str]) -> list[FetchedArchive]:
     for other in found[1:]:
         if other.body.problem != first.body.problem:
             raise Conflict(
-                f"campaigns {first.id} and {other.id} have different problems; a monitor is of one"
+                f"campaigns {first.id} and {other.id} have different problems; a monitor covers one"
             )
     return list({one.id: one for one in found}.values())
 
 
-def _together(fetched: Sequence[FetchedArchive]) -> tuple[Any, Any]:
+def _evaluated(fetched: Sequence[FetchedArchive]) -> tuple[Any, Any]:
     archives: list[Archive] = [one.archive for one in fetched]
     return (
         np.concatenate([archive.vectors for archive in archives]),
@@ -195,41 +209,28 @@ def _together(fetched: Sequence[FetchedArchive]) -> tuple[Any, Any]:
     )
 
 
-def _document(trial: Trial) -> dict[str, Any]:
-    document: dict[str, Any] = json.loads(json.dumps(asdict(trial)))
-    return document
-
-
-def _print(trial: Trial) -> None:
+def _print(evaluation: MonitorEvaluation) -> None:
     screen = console()
-    screen.print(f"learned from {trial.learned:,} simulations, judged by {trial.fresh:,} others")
-    table = Table(box=None, pad_edge=False)
-    for name in ("", "AUROC", "Brier", *(f"false alarms at {missed:.0%} missed" for missed in MISSED)):
-        table.add_column(name, justify="right" if name else "left", header_style="dim")
-    for witness in trial.witnesses:
-        costs = [f"{false_alarms_at(witness.alarms, missed).false:.0%}" for missed in MISSED]
-        table.add_row(
-            witness.name, f"{witness.judgement.auroc:.3f}", f"{witness.judgement.brier:.3f}", *costs
-        )
+    screen.print(f"fitted to {evaluation.learned:,} simulations, evaluated on {evaluation.fresh:,} others")
+    columns = ("AUROC", "Brier", *(f"false alarms at {missed:.0%} missed" for missed in MISSED))
+    table = plain_table("", *columns, right=columns)
+    for one in evaluation.predictors:
+        costs = [f"{fewest_false_alarms(one.operating_points, missed).false:.0%}" for missed in MISSED]
+        table.add_row(one.name, f"{one.metrics.auroc:.3f}", f"{one.metrics.brier:.3f}", *costs)
     screen.print(table, "")
-    bins = trial.witnesses[0].judgement.bins
-    table = Table(title="the monitor's calibration", title_justify="left", box=None, pad_edge=False)
-    for name in ("solutions", "foretold", "stated", "unsafe share", "within"):
-        table.add_column(name, justify="right", header_style="dim")
-    for one in bins:
+    bins = evaluation.predictors[0].metrics.bins
+    columns = ("solutions", "predicted", "interval", "unsafe share", "within")
+    table = plain_table(*columns, right=columns, title="calibration of the monitor")
+    for bin_ in bins:
         table.add_row(
-            f"{one.solutions:,}", f"{one.foretold:.2f}", f"{one.low:.2f} to {one.high:.2f}", f"{one.observed:.2f}",
-            "yes" if one.within else "no",
+            f"{bin_.solutions:,}", f"{bin_.predicted:.2f}", f"{bin_.low:.2f} to {bin_.high:.2f}",
+            f"{bin_.observed:.2f}", "yes" if bin_.within else "no",
         )  # fmt: skip
     screen.print(table, "")
-    for verdicts in trial.answers:
+    for verdicts in evaluation.answers:
         share = f", {verdicts.unsafe / verdicts.solutions:.0%} of them unsafe" if verdicts.solutions else ""
         unknown = verdicts.answer is Answer.UNKNOWN
-        reason = ": too little was simulated around them, or it is too mixed" if unknown else ""
+        reason = ": too few simulations around them, or too mixed" if unknown else ""
         screen.print(f"  {verdicts.answer}: {verdicts.solutions:,}{share}{reason}")
-    for name, reason in trial.left_out.items():
-        screen.print(f"[yellow]{name} are left out: {reason}[/yellow]")
-
-
-for command in (fit, score, judge):
-    monitor.command()(command)
+    for name, reason in evaluation.left_out.items():
+        screen.print(f"[yellow]left out: {name}, {reason}[/yellow]")

@@ -1,27 +1,31 @@
-"""Options that several commands share, and how a command runs."""
+"""Options that several commands share, access to the API, and output for people and programs."""
 
 import asyncio
 import json
 import os
 import shutil
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Collection
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
-from pydantic import ValidationError
 from rich.console import Console
+from rich.table import Table
 
-from brink.api.client import Api, open_api
+from brink.api.client import Api, connect, in_process
 from brink.server.errors import FieldError, InvalidInput
-from brink.server.runtime.coordinator import shown_url
-from brink.server.settings import Settings
-from brink.sim.catalogue import PLUGINS_VARIABLE
 from brink.worker.log import LogFormat, LogLevel
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
+
+    from brink.server.settings import Settings
 
 T = TypeVar("T")
 PLAIN_WIDTH = 140
+RESULTS = Path("brink-results")
+"""Default folder for results."""
 
 Database = Annotated[
     str | None,
@@ -36,19 +40,19 @@ Server = Annotated[
     typer.Option(
         "--server",
         envvar="BRINK_SERVER",
-        help="URL of a coordinator; without it the database is read directly.",
+        help="URL of a coordinator. Without it, the command opens the database itself.",
         show_default=False,
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-CampaignId = Annotated[str, typer.Argument(metavar="ID", help="Campaign id, or the beginning of one.")]
+CampaignId = Annotated[str, typer.Argument(metavar="ID", help="Campaign id or a unique prefix of it.")]
 CampaignFile = Annotated[
     Path, typer.Argument(metavar="FILE", help="Campaign file (YAML or JSON).", show_default=False)
 ]
 LogFormatOption = Annotated[
     LogFormat | None,
     typer.Option(
-        "--log-format", case_sensitive=False, help="Of the log (default: BRINK_LOG_FORMAT, else text).",
+        "--log-format", case_sensitive=False, help="Log format (default: BRINK_LOG_FORMAT, else text).",
         show_default=False,
     ),
 ]  # fmt: skip
@@ -56,33 +60,44 @@ LogLevelOption = Annotated[
     LogLevel | None,
     typer.Option(
         "--log-level", case_sensitive=False, show_default=False,
-        help="Least severe lines of the log (default: BRINK_LOG_LEVEL, else info).",
+        help="Lowest level to log (default: BRINK_LOG_LEVEL, else info).",
     ),
 ]  # fmt: skip
-Sure = Annotated[bool, typer.Option("--yes", help="Do not ask.")]
-Workers = Annotated[int, typer.Option(min=1, max=256, help="Worker processes.")]
+Confirmed = Annotated[bool, typer.Option("--yes", help="Do not ask for confirmation.")]
+Workers = Annotated[int, typer.Option(min=1, max=256, help="Number of worker processes.")]
 Resume = Annotated[
-    bool,
-    typer.Option("--resume", help="Go on with what this file started last, or show it if it is finished."),
+    bool, typer.Option("--resume", help="Resume the latest run of this file, or show it if it has finished.")
 ]
-New = Annotated[bool, typer.Option("--new", help="Start anew even if this file was started before.")]
-Port = Annotated[int, typer.Option(min=0, max=65535, help="Port of the coordinator; 0 takes a free one.")]
-Threshold = Annotated[float, typer.Option(min=0.0, max=1.0)]
+New = Annotated[bool, typer.Option("--new", help="Start a new run even if an earlier one is unfinished.")]
+Port = Annotated[int, typer.Option(min=0, max=65535, help="Port of the coordinator; 0 picks a free port.")]
+FitnessThreshold = Annotated[
+    float,
+    typer.Option("--t-b", min=0.0, max=1.0, help="Highest fitness that still counts as on the boundary."),
+]
+DistanceThreshold = Annotated[
+    float,
+    typer.Option("--d-th", min=0.0, max=1.0, help="Smallest distance between two distinct solutions."),
+]
 
 
-def settings_with(**given: Any) -> Settings:
-    """Return settings from the environment, with what was given on the command line.
+def settings_with(**given: Any) -> "Settings":
+    """Return settings from the environment, overridden by command-line options.
 
     Raises:
-        InvalidInput: A setting is not what was expected; names its variable, and never shows a secret.
+        InvalidInput: A setting is invalid. The message names its variable and never shows a secret.
     """
+    # Imported here: clients of a running coordinator do not need its settings.
+    from pydantic import ValidationError
+
+    from brink.server.settings import Settings
+
     try:
         return Settings(**{name: value for name, value in given.items() if value is not None})
     except ValidationError as error:
         raise InvalidInput(_setting_errors(error, given)) from None
 
 
-def _setting_errors(error: ValidationError, given: dict[str, Any]) -> list[FieldError]:
+def _setting_errors(error: "ValidationError", given: dict[str, Any]) -> list[FieldError]:
     errors = []
     for item in error.errors(include_url=False):
         name = str(item["loc"][0])
@@ -93,65 +108,76 @@ def _setting_errors(error: ValidationError, given: dict[str, Any]) -> list[Field
     return errors
 
 
-def brink() -> str:
-    """Return how this command was called, for hints that can be pasted: its path if it is not found without."""
+def program() -> str:
+    """Return how to call `brink` in a hint that can be pasted: by path if it is not on PATH, with its plug-ins."""
+    from brink.sim.catalogue import PLUGINS_VARIABLE
+
     called = Path(sys.argv[0])
     found = shutil.which(called.name)
     if called.name != "brink" or (found and Path(found).resolve() == called.resolve()):
-        name = "brink"  # otherwise called from Python
+        name = "brink"  # also when called from Python
     else:
         name = min(os.path.relpath(called), str(called.absolute()), key=len)
     plugins = filter(None, os.environ.get(PLUGINS_VARIABLE, "").split(","))
     return " ".join([name, *(f"--plugin {plugin}" for plugin in plugins)])
 
 
-def database_option(settings: Settings) -> str:
+def database_option(settings: "Settings") -> str:
     """Return the option that names the database in a hint, without its password.
 
-    Empty for the default one, and for that of the environment, which the next command has as well.
+    Empty for the default database and for that of the environment: the next command finds those by itself.
     """
+    from brink.server.runtime.database import shown_url
+    from brink.server.settings import Settings
+
     usual = {Settings.model_fields["database"].default, os.environ.get("BRINK_DATABASE")}
     return "" if settings.database in usual else f" --database {shown_url(settings)}"
 
 
 def with_api(server: str | None, database: str | None, work: Callable[[Api], Awaitable[T]]) -> T:
-    """Run a command's work against a coordinator, or against the database in this process."""
+    """Return what `work` returns, given the API of a coordinator.
+
+    Args:
+        server: URL of the coordinator; None opens the database in this process.
+        database: URL of the database; None takes the default one.
+        work: Called with the API.
+
+    Raises:
+        CoordinatorError: A request failed.
+        DatabaseError: The database is missing or unusable.
+        InvalidInput: The URL or the token is malformed.
+    """
 
     async def run() -> T:
-        async with open_api(server, settings_with(database=database)) as api:
+        if server is None:
+            opened = in_process(settings_with(database=database))
+        else:
+            opened = connect(server, os.environ.get("BRINK_TOKEN") or None)
+        async with opened as api:
             return await work(api)
 
     return asyncio.run(run())
 
 
-def look_at(path: str, server: str | None, database: str | None) -> dict[str, Any]:
-    """Return what a route answers."""
-
-    async def work(api: Api) -> dict[str, Any]:
-        found: dict[str, Any] = await api.get(path)
-        return found
-
-    return with_api(server, database, work)
-
-
-def change(path: str, verb: str, server: str | None, database: str | None) -> dict[str, Any]:
-    """Have something done with what a path names, and return how it stands then."""
-
-    async def work(api: Api) -> dict[str, Any]:
-        found: dict[str, Any] = await api.post(f"{path}/{verb}")
-        return found
-
-    return with_api(server, database, work)
-
-
-def delete_after_asking(
-    path: str, what: str, *, sure: bool, server: str | None, database: str | None
+def delete_confirmed(
+    path: str, what: str, *, confirmed: bool, server: str | None, database: str | None
 ) -> None:
-    """Delete what a path names, unless the user is asked and says no."""
-    if not sure:
-        typer.confirm(f"delete {what}? Nothing brings it back", abort=True)
+    """Delete a resource after the user has confirmed it.
+
+    Args:
+        path: Path of the resource.
+        what: Name of the resource, for people.
+        confirmed: Delete without asking.
+        server: URL of the coordinator; None opens the database in this process.
+        database: URL of the database; None takes the default one.
+
+    Raises:
+        CoordinatorError: The resource cannot be deleted.
+    """
+    if not confirmed:
+        typer.confirm(f"delete {what}? This cannot be undone", abort=True)
     with_api(server, database, lambda api: api.request("DELETE", path))
-    say(f"{what} is deleted")
+    print_line(f"{what} is deleted")
 
 
 def print_json(document: Any) -> None:
@@ -159,28 +185,54 @@ def print_json(document: Any) -> None:
     typer.echo(json.dumps(document, indent=2))
 
 
-def console() -> Console:
-    """Return the console for people; where no terminal says how wide it is, wide enough for our tables."""
-    screen = Console(highlight=False)
-    return screen if screen.is_terminal else Console(highlight=False, width=PLAIN_WIDTH)
+def write_json(file: Path, document: Any) -> None:
+    """Write a document for programs."""
+    file.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+
+
+def fields(value: Any, *names: str) -> dict[str, Any]:
+    """Return some attributes of an object by name; without names, all slots of a dataclass."""
+    return {name: getattr(value, name) for name in names or value.__slots__}
+
+
+def console(*, stderr: bool = False) -> Console:
+    """Return a console; one that is no terminal is wide enough for the tables of all commands."""
+    screen = Console(stderr=stderr, highlight=False)
+    if screen.is_terminal or stderr:
+        return screen
+    return Console(highlight=False, width=PLAIN_WIDTH)
+
+
+def print_line(text: str) -> None:
+    """Print a line without wrapping or markup."""
+    console().print(text, soft_wrap=True, markup=False)
+
+
+def plain_table(*columns: str, right: Collection[str] = (), title: str | None = None) -> Table:
+    """Return an empty table without borders.
+
+    Args:
+        columns: Column headers.
+        right: Columns aligned to the right.
+        title: Title above the table.
+    """
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False, header_style="dim")
+    for name in columns:
+        table.add_column(name, justify="right" if name in right else "left")
+    return table
 
 
 def check_picture(file: Path | None) -> None:
-    """Refuse a file that no picture can be drawn into, before anything takes long.
+    """Check the file name of a picture before anything slow starts.
 
     Raises:
-        InvalidInput: Its name has another ending than .png, .svg or .pdf.
+        InvalidInput: The name ends in something other than .png, .svg or .pdf.
     """
     if file is not None and file.suffix.lower() not in (".png", ".svg", ".pdf"):
         message = f"{file}: expected a file name that ends in .png, .svg or .pdf"
         raise InvalidInput([FieldError(pointer="--picture", message=message)])
 
 
-def say(words: str) -> None:
-    """Print a sentence as it is, however long."""
-    console().print(words, soft_wrap=True, markup=False)
-
-
 def file_name(name: str) -> str:
-    """Return a campaign's name as a part of a file's name."""
+    """Return the name of a campaign or an experiment in a form that is safe in file names."""
     return "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in name)[:60]

@@ -1,41 +1,40 @@
-"""`brink perturbations`: the catalogue of image perturbations, and what they do to a picture."""
+"""`brink perturbations`: the catalogue of image perturbations, and their effect on an image."""
 
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
 
-from brink.cli.options import AsJson, console, print_json
+from brink.cli.options import AsJson, console, plain_table, print_json
 from brink.server.errors import FieldError, InvalidInput, nearest
-from brink.sim.perturbations.catalogue import CATALOGUE
-from brink.sim.perturbations.errors import VisionMissing
-from brink.sim.perturbations.gene import Gene
+from brink.sim.perturbations.catalogue import CATALOGUE, Gene, VisionMissing
 
-perturbations = typer.Typer(help="List image perturbations, and show what they do.", no_args_is_help=True)
+perturbations = typer.Typer(
+    help="List image perturbations, and show their effect on an image.", no_args_is_help=True
+)
 
 SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 @perturbations.command("list")
 def list_genes(as_json: AsJson = False) -> None:
-    """List the genes: what each does, and its levels from weakest to strongest beside "no effect".
+    """List the genes with their effects and their levels, from weakest to strongest.
 
     Example: brink perturbations list
     """
     if as_json:
         print_json([_as_json(gene) for gene in CATALOGUE.values()])
         return
-    table = Table(box=None, pad_edge=False, header_style="dim")
-    for name in ("gene", "levels", "values", "unit", "effect"):
-        table.add_column(name, justify="right" if name == "levels" else "left", overflow="fold")
+    table = plain_table("gene", "levels", "values", "unit", "effect", right=("levels",))
+    for column in table.columns:
+        column.overflow = "fold"
     for gene in CATALOGUE.values():
         table.add_row(gene.name, str(gene.levels), _values(gene), gene.unit, gene.effect)
     screen = console()
     screen.print(table)
     levels = sum(gene.levels for gene in CATALOGUE.values())
-    screen.print(f'{len(CATALOGUE)} genes, {levels} levels; level 0 of each is "no effect"')
+    screen.print(f"{len(CATALOGUE)} genes, {levels} levels; level 0 of each has no effect")
 
 
 def _as_json(gene: Gene) -> dict[str, Any]:
@@ -49,7 +48,7 @@ def _as_json(gene: Gene) -> dict[str, Any]:
 
 
 def _values(gene: Gene) -> str:
-    """Return few values in full, many by their ends."""
+    """Return up to five values, or the first two and the last."""
     shown = [f"{value:g}" for value in gene.values]
     return ", ".join(shown) if len(shown) <= 5 else f"{shown[0]}, {shown[1]} … {shown[-1]}"
 
@@ -58,16 +57,16 @@ def _values(gene: Gene) -> str:
 def show(
     out: Annotated[Path, typer.Option(help="File to write: .png or .jpg.")],
     image: Annotated[
-        Path | None, typer.Option(help="Picture to perturb; a drawn street without it.", show_default=False)
+        Path | None, typer.Option(help="Image to perturb; a drawn street without it.", show_default=False)
     ] = None,
     gene: Annotated[
         list[str] | None,
-        typer.Option(help="Gene to show; may be given again. All without it.", show_default=False),
+        typer.Option(help="Gene to show; may be repeated. All genes without it.", show_default=False),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seeds the random fields.")] = 0,
-    tile_width: Annotated[int, typer.Option(min=80, max=1920, help="Width of a tile in px.")] = 320,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random perturbations.")] = 0,
+    tile_width: Annotated[int, typer.Option(min=80, max=1920, help="Width of a tile in pixels.")] = 320,
 ) -> None:
-    """Draw a contact sheet: each gene at its lowest, middle and highest level on a picture.
+    """Draw a contact sheet: each gene at its lowest, middle and highest level on an image.
 
     Example: brink perturbations show --image street.jpg --out sheet.png --gene rain --gene smoke
     """
@@ -82,13 +81,11 @@ def show(
         raise InvalidInput([FieldError(pointer="--image", message=message)])
     if find_spec("cv2") is None:
         raise VisionMissing(
-            "drawing pictures needs OpenCV; install it with: "
+            "drawing images needs OpenCV; install it with: "
             ".venv/bin/pip install -c constraints.txt -e '.[vision]'"
         )
-    # Imported here: they load OpenCV, which a coordinator need not have.
-    from brink.sim.perturbations.files import read_picture, write_picture
-    from brink.sim.perturbations.sheet import contact_sheet
-    from brink.sim.perturbations.street import draw_street
+    # Imported here: it loads OpenCV, which is optional.
+    from brink.sim.perturbations.pictures import contact_sheet, draw_street, read_picture, write_picture
 
     picture = draw_street() if image is None else read_picture(image)
     write_picture(contact_sheet(picture, genes, seed=seed, tile_width=tile_width), out)
@@ -96,15 +93,15 @@ def show(
 
 
 def _genes(names: list[str] | None) -> list[Gene]:
-    """Return the named genes, each once, in the order given; all of them without a name.
+    """Return the named genes in the given order without repetitions; all genes without a name.
 
     Raises:
-        InvalidInput: There is no gene of a name.
+        InvalidInput: A gene is unknown.
     """
     unknown = [
         FieldError(
             pointer="--gene",
-            message=f"unknown perturbation {name!r}; brink perturbations list shows all",
+            message=f"unknown perturbation {name!r}; list all with: brink perturbations list",
             nearest=nearest(name, CATALOGUE),
         )
         for name in names or ()

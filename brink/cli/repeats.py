@@ -1,38 +1,38 @@
-"""`brink repeats`: does the boundary of a campaign hold up when it is simulated with other seeds?"""
+"""`brink repeats`: simulate the boundary of a campaign again with other seeds."""
 
-import asyncio
 import contextlib
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
-from brink.api.client import Api, CoordinatorSaid
-from brink.cli.local import RESULTS, check_extra, local_service, stopping, watch_campaign
+from brink.api.client import Api, CoordinatorError
+from brink.cli.local import Session, check_extra, run_locally, stopping
 from brink.cli.options import (
+    RESULTS,
     AsJson,
     CampaignId,
     Database,
+    DistanceThreshold,
+    FitnessThreshold,
     Server,
     Workers,
-    brink,
     check_picture,
     console,
-    database_option,
+    plain_table,
     print_json,
     settings_with,
     with_api,
+    write_json,
 )
-from brink.server.api.repeats import DEFAULT_REPEATS
-from brink.server.campaigns.body import CampaignBody
-from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B, make_plan
-from brink.server.runtime.coordinator import WorkerProcesses
-from brink.server.settings import Settings
+from brink.server.api.repeats import DEFAULT_REPEATS, RepeatedSolution, RepeatsView
+from brink.server.api.schemas import CampaignView
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.plan import make_plan
+from brink.server.states import CampaignStatus
 
-SHOWN = 20
+SOLUTIONS_SHOWN = 20
 
 
 def repeats(
@@ -40,204 +40,195 @@ def repeats(
     times: Annotated[
         int, typer.Option("--repeats", min=2, max=10_000, help="Simulations of each boundary solution.")
     ] = DEFAULT_REPEATS,
-    t_b: Annotated[float, typer.Option("--t-b", min=0.0, max=1.0, help="Largest fitness.")] = DEFAULT_T_B,
-    d_th: Annotated[
-        float, typer.Option("--d-th", min=0.0, max=1.0, help="Least distance apart.")
-    ] = DEFAULT_D_TH,
+    t_b: FitnessThreshold = DEFAULT_T_B,
+    d_th: DistanceThreshold = DEFAULT_D_TH,
     workers: Workers = 2,
     picture: Annotated[
-        Path | None, typer.Option("--picture", help="PNG or SVG to draw every solution's interval into.")
+        Path | None, typer.Option("--picture", help="PNG or SVG file for a plot of the intervals.")
     ] = None,
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Simulate a campaign's boundary solutions again with other seeds: how likely is each of them unsafe?
+    """Simulate boundary solutions again with other seeds, to estimate how likely each of them is unsafe.
 
-    Without --server it starts a coordinator and workers for as long as it takes. The same command again goes on, or
-    shows what came of it.
+    Without --server, the command runs a coordinator and workers until the simulations are done. Calling it again
+    continues them, or shows the result.
 
     Example: brink repeats 3f2a --repeats 50 --picture repeats.png
     """
     check_picture(picture)
-    asked = {"repeats": times, "t_b": t_b, "d_th": d_th}
-    screen = Console(stderr=True, highlight=False) if as_json else console()
+    request = {"repeats": times, "t_b": t_b, "d_th": d_th}
+    screen = console(stderr=as_json)
     if server:
-        view = with_api(server, database, lambda api: _asked_for(api, campaign, asked))
-        if view["status"] in ("running", "paused"):
+        view = with_api(server, database, lambda api: _find_or_submit(api, campaign, request))
+        if view.status in (CampaignStatus.RUNNING, CampaignStatus.PAUSED):
             screen.print(
-                f"campaign {view['campaign']} repeats them; the same command shows how far it is",
+                f"campaign {view.campaign} simulates them; the same command shows its progress",
                 soft_wrap=True,
             )
     else:
-        view = _run(campaign, asked, workers, settings_with(database=database, port=0), screen)
+        view = run_locally(
+            settings_with(database=database, port=0), RESULTS / "worker.log", screen,
+            lambda session: _run(session, campaign, request, workers),
+        )  # fmt: skip
     if as_json:
-        print_json(view)
+        print_json(view.model_dump(mode="json"))
     else:
-        print_repeats(screen, view)
-    if picture is not None and view["evaluated"]:
-        draw_repeats(view, picture)
+        _print_repeats(screen, view)
+    if picture is not None and view.evaluated:
+        _draw_repeats(view, picture)
         screen.print(f"picture: {picture}", soft_wrap=True)
-    raise typer.Exit(int(not server and view["status"] != "finished"))
+    raise typer.Exit(int(not server and view.status is not CampaignStatus.FINISHED))
 
 
-def _run(
-    campaign: str, asked: dict[str, Any], workers: int, settings: Settings, screen: Console
-) -> dict[str, Any]:
-    RESULTS.mkdir(parents=True, exist_ok=True)
-    with local_service(settings, RESULTS / "worker.log") as local:
-
-        async def work() -> dict[str, Any]:
-            stop = asyncio.Event()
-            async with local.api() as api:
-                body = CampaignBody.model_validate((await api.get(f"/campaigns/{campaign}"))["body"])
-                check_extra(make_plan(body).problem)
-                view = await _asked_for(api, campaign, asked)
-                with stopping(stop):
-                    if view["status"] != "finished":
-                        local.processes.start(workers)
-                        view = await watch_repeats(api, view, local.processes, stop, screen)
-                    if stop.is_set() and view["status"] != "finished":
-                        hint = f"--repeats {asked['repeats']} --t-b {asked['t_b']:g} --d-th {asked['d_th']:g}"
-                        screen.print(
-                            f"stopped; nothing is lost. Go on with: {brink()} repeats {campaign} {hint}"
-                            f"{database_option(settings)}",
-                            soft_wrap=True,
-                        )
-            return view
-
-        return asyncio.run(work())
-
-
-async def _asked_for(api: Api, campaign: str, asked: dict[str, Any]) -> dict[str, Any]:
-    """Return these repeats, asked for now unless they were before."""
-    known = await _latest(api, campaign, asked)
-    if known is not None:
-        return known
-    view: dict[str, Any] = await api.post(f"/campaigns/{campaign}/repeats", asked)
+async def _run(session: Session, campaign: str, request: dict[str, Any], workers: int) -> RepeatsView:
+    found = await session.api.read(CampaignView, f"/campaigns/{campaign}")
+    check_extra(make_plan(found.body).problem)
+    view = await _find_or_submit(session.api, campaign, request)
+    if view.status is CampaignStatus.FINISHED:
+        return view
+    async with stopping(session.stop):
+        session.processes.start(workers)
+        view = await _watch(session, view)
+        if session.stop.is_set() and view.status is not CampaignStatus.FINISHED:
+            options = " ".join(f"--{name.replace('_', '-')} {value:g}" for name, value in request.items())
+            session.hint("stopped; nothing is lost. Continue with", f"repeats {campaign} {options}")
     return view
 
 
-async def _latest(api: Api, campaign: str, asked: dict[str, Any]) -> dict[str, Any] | None:
-    """Return the latest of these repeats of a boundary that were not given up."""
-    found: list[dict[str, Any]] = await api.get(f"/campaigns/{campaign}/repeats")
-    same = [
-        one for one in found if one["boundary"] and all(one[name] == value for name, value in asked.items())
-    ]
-    return next((one for one in reversed(same) if one["status"] not in ("cancelled", "failed")), None)
+async def _find_or_submit(api: Api, campaign: str, request: dict[str, Any]) -> RepeatsView:
+    """Return the repeats of a boundary, submitted now unless they were before."""
+    known = await _latest(api, campaign, request)
+    if known is not None:
+        return known
+    return await api.send(RepeatsView, f"/campaigns/{campaign}/repeats", request)
 
 
-async def watch_repeats(
-    api: Api, view: dict[str, Any], processes: WorkerProcesses, stop: asyncio.Event, screen: Console
-) -> dict[str, Any]:
-    """Show how far repeats are until they end or are stopped, which pauses them; return what came of them.
+async def _latest(api: Api, campaign: str, request: dict[str, Any]) -> RepeatsView | None:
+    """Return the latest such repeats of a boundary that were neither cancelled nor failed."""
+    given_up = (CampaignStatus.CANCELLED, CampaignStatus.FAILED)
+    for one in reversed(await api.read(list[RepeatsView], f"/campaigns/{campaign}/repeats")):
+        same = all(getattr(one, name) == value for name, value in request.items())
+        if one.boundary and same and one.status not in given_up:
+            return one
+    return None
 
-    Those that were paused by hand, or by being stopped, go on; those that were paused for a reason do not.
+
+async def _watch(session: Session, view: RepeatsView) -> RepeatsView:
+    """Show the progress of repeats until they end or are stopped, which pauses them; return the result.
+
+    Repeats that a user or Ctrl-C paused are resumed first; those that the coordinator paused, with a reason, are not.
     """
-    path = f"/campaigns/{view['campaign']}"
-    if view["status"] == "paused" and not view["status_reason"]:
-        await api.post(f"{path}/resume")
-    progress = await watch_campaign(api, view["campaign"], processes, stop, screen)
-    if progress["status"] == "running":
-        with contextlib.suppress(CoordinatorSaid):
-            await api.post(f"{path}/pause")
-    found: list[dict[str, Any]] = await api.get(f"/campaigns/{view['of']}/repeats")
-    return next(one for one in found if one["campaign"] == view["campaign"])
+    path = f"/campaigns/{view.campaign}"
+    if view.status is CampaignStatus.PAUSED and not view.status_reason:
+        await session.api.post(f"{path}/resume")
+    progress = await session.watch_campaign(view.campaign)
+    if progress.status is CampaignStatus.RUNNING:
+        with contextlib.suppress(CoordinatorError):
+            await session.api.post(f"{path}/pause")
+    found = await session.api.read(list[RepeatsView], f"/campaigns/{view.of}/repeats")
+    return next(one for one in found if one.campaign == view.campaign)
 
 
-async def finished_repeats(
-    api: Api, campaign: str, times: int, processes: WorkerProcesses, stop: asyncio.Event, screen: Console
-) -> dict[str, Any] | None:
-    """Wait for the repeats that a campaign asked for itself; return what came of them.
+async def repeat_finished(session: Session, campaign: str, times: int) -> RepeatsView | None:
+    """Wait for the repeats that a campaign file asks for.
 
     Args:
-        api: Of the coordinator.
-        campaign: The campaign, which has finished.
-        times: How many repeats it asked for.
-        processes: The workers.
-        stop: Set when the user wants no more.
-        screen: Where to say how far it is.
+        session: The coordinator and its workers.
+        campaign: Id of the campaign, which has finished.
+        times: Number of repeats in the campaign file.
 
     Returns:
-        None if it asked for none, or has no boundary.
+        The result; None if `times` is 0 or the campaign has no boundary.
     """
-    asked = {"repeats": times, "t_b": DEFAULT_T_B, "d_th": DEFAULT_D_TH}
-    view = await _latest(api, campaign, asked) if times else None
-    if view is None or view["status"] == "finished" or stop.is_set():
+    request = {"repeats": times, "t_b": DEFAULT_T_B, "d_th": DEFAULT_D_TH}
+    view = await _latest(session.api, campaign, request) if times else None
+    if view is None or view.status is CampaignStatus.FINISHED or session.stop.is_set():
         return view
-    screen.print("simulating the boundary again with other seeds")
-    return await watch_repeats(api, view, processes, stop, screen)
+    session.screen.print("simulating the boundary again with other seeds")
+    return await _watch(session, view)
 
 
-def print_repeats(screen: Console, view: dict[str, Any]) -> None:
-    """Print how many boundary solutions hold up, and those with the largest probabilities."""
-    screen.print(sentence(view), soft_wrap=True)
-    judged = [one for one in view["solutions"] if one["evaluated"]]
-    if not judged:
+def _print_repeats(screen: Console, view: RepeatsView) -> None:
+    """Print how many boundary solutions were confirmed, and those most likely to be unsafe."""
+    screen.print(repeats_sentence(view), soft_wrap=True)
+    evaluated = [one for one in view.solutions if one.evaluated]
+    if not evaluated:
         return
-    table = Table(box=None, pad_edge=False)
-    for name in ("solution", "simulated", "unsafe", "probability", "interval", "around it", ""):
-        table.add_column(name, justify="right" if name else "left", header_style="dim")
-    for one in sorted(judged, key=lambda one: -one["probability"])[:SHOWN]:
-        around = "–" if one["around"] is None else f"{one['around_low']:.2f} to {one['around_high']:.2f}"
-        words = "" if one["holds"] else "above" if one["low"] > view["p_th"] else "below"
+    columns = ("solution", "simulated", "unsafe", "probability", "interval", "neighbourhood")
+    table = plain_table(*columns, "", right=columns)
+    for one in sorted(evaluated, key=_probability, reverse=True)[:SOLUTIONS_SHOWN]:
+        around = "–" if one.around is None else f"{one.around_low:.2f} to {one.around_high:.2f}"
+        side = "" if one.holds else "above" if one.low > view.p_th else "below"
         table.add_row(
-            str(one["number"]), str(one["evaluated"]), str(one["unsafe"]), f"{one['probability']:.2f}",
-            f"{one['low']:.2f} to {one['high']:.2f}", around, words,
+            str(one.number), str(one.evaluated), str(one.unsafe), f"{one.probability:.2f}",
+            f"{one.low:.2f} to {one.high:.2f}", around, side,
         )  # fmt: skip
     screen.print(table)
-    if len(judged) > SHOWN:
-        screen.print(f"and {len(judged) - SHOWN} less likely ones: --json has them all")
+    if len(evaluated) > SOLUTIONS_SHOWN:
+        screen.print(f"and {len(evaluated) - SOLUTIONS_SHOWN} less likely ones: --json prints them all")
 
 
-def sentence(view: dict[str, Any]) -> str:
-    """Return how many boundary solutions hold up, in words."""
-    solutions = len(view["solutions"])
-    reason = f" ({view['status_reason']})" if view["status_reason"] else ""
-    if not view["evaluated"]:
-        return f"none of {solutions} boundary solutions is simulated again yet: {view['status']}{reason}"
+def _probability(one: RepeatedSolution) -> float:
+    return 0.0 if one.probability is None else one.probability
+
+
+def repeats_sentence(view: RepeatsView) -> str:
+    """Return in a sentence how many boundary solutions have an interval that contains p_th."""
+    solutions = len(view.solutions)
+    reason = f" ({view.status_reason})" if view.status_reason else ""
+    if not view.evaluated:
+        return f"none of {solutions} boundary solutions has been simulated again yet: {view.status}{reason}"
     what = (
-        f"{solutions} distinct boundary solutions (fitness at most {view['t_b']:g}, {view['d_th']:g} apart), "
+        f"{solutions} distinct boundary solutions (fitness at most {view.t_b:g}, {view.d_th:g} apart), "
         f"simulated again {_times(view)} times each"
     )
-    share = f"all together {view['unsafe'] / view['evaluated']:.1%} unsafe"
-    if view["status"] != "finished":
-        return f"not yet {view['repeats']} times: {what}, {share}; {view['status']}{reason}"
-    judged = sum(one["evaluated"] > 0 for one in view["solutions"])
+    share = f"in total {view.unsafe / view.evaluated:.1%} unsafe"
+    if view.status is not CampaignStatus.FINISHED:
+        return f"not yet {view.repeats} times: {what}, {share}; {view.status}{reason}"
+    evaluated = sum(one.evaluated > 0 for one in view.solutions)
     return (
-        f"of {what}, {view['holding']} ({view['holding'] / judged:.0%}) have an interval that contains p_th = "
-        f"{view['p_th']:g}; {view['below']} lie below it, {view['above']} above; {share}"
+        f"of {what}, {view.holding} ({view.holding / evaluated:.0%}) have an interval that contains p_th = "
+        f"{view.p_th:g}; {view.below} lie below it, {view.above} above; {share}"
     )
 
 
-def _times(view: dict[str, Any]) -> str:
-    counts = sorted({one["evaluated"] for one in view["solutions"]})
+def _times(view: RepeatsView) -> str:
+    counts = sorted({one.evaluated for one in view.solutions})
     return f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
 
 
-def write_repeats(view: dict[str, Any], folder: Path, *, picture: bool) -> list[Path]:
-    """Write what came of repeats into a folder, as JSON and as a picture."""
+def write_repeats(view: RepeatsView, folder: Path, *, picture: bool) -> list[Path]:
+    """Write the result of repeats as JSON and, if wanted, as a picture; return the files."""
     files = [folder / "repeats.json"]
-    files[0].write_text(json.dumps(view, indent=2) + "\n", encoding="utf-8")
-    if picture and view["evaluated"]:
+    write_json(files[0], view.model_dump(mode="json"))
+    if picture and view.evaluated:
         files.append(folder / "repeats.png")
-        draw_repeats(view, files[1])
+        _draw_repeats(view, files[1])
     return files
 
 
-def draw_repeats(view: dict[str, Any], file: Path) -> None:
-    """Draw every solution's interval."""
-    # matplotlib takes half a second to load: only those who draw wait for it.
+def _draw_repeats(view: RepeatsView, file: Path) -> None:
+    """Plot the interval of each solution."""
+    # matplotlib takes half a second to load: only commands that draw wait for it.
     from brink.plots.repeats import RepeatedPoint, figure_repeats
 
     points = [
         RepeatedPoint(
-            number=one["number"], probability=one["probability"], low=one["low"], high=one["high"],
-            around=None if one["around"] is None else (one["around"], one["around_low"], one["around_high"]),
+            number=one.number, probability=_probability(one), low=one.low, high=one.high,
+            around=_around(one),
         )
-        for one in view["solutions"]
-        if one["evaluated"]
+        for one in view.solutions
+        if one.evaluated
     ]  # fmt: skip
     file.parent.mkdir(parents=True, exist_ok=True)
-    title = f"Does the boundary hold up? {view['name']}"
-    figure_repeats(points, p_th=view["p_th"], times=_times(view), title=title).savefig(file)
+    title = f"Does the boundary hold up? {view.name}"
+    figure_repeats(points, p_th=view.p_th, times=_times(view), title=title).savefig(file)
+
+
+def _around(one: RepeatedSolution) -> tuple[float, float, float] | None:
+    """Return unsafe share and interval of the neighbourhood of a solution."""
+    if one.around is None or one.around_low is None or one.around_high is None:
+        return None
+    return one.around, one.around_low, one.around_high

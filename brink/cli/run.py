@@ -1,7 +1,6 @@
-"""`brink run`: a coordinator, workers and one campaign in one command."""
+"""`brink run`: a coordinator, workers and one campaign in one command, with a summary at the end."""
 
 import asyncio
-import contextlib
 import logging
 import time
 from collections.abc import Sequence
@@ -11,56 +10,40 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
 
-from brink.api.client import Api, CoordinatorSaid
+from brink.api.client import Api
+from brink.cli.campaigns import grid_table, solution_table
 from brink.cli.compare import compared_archives
-from brink.cli.findings.drawing import Drawing
-from brink.cli.findings.finding import Findings, fetch_findings
-from brink.cli.local import RESULTS, Local, check_extra, local_service, stopping, watch_campaign
+from brink.cli.draw import Drawing, draw_figures, fetch_archive, write_replays, write_results
+from brink.cli.findings import Findings, fetch_findings
+from brink.cli.local import RunOptions, Session, check_extra, run_to_end
 from brink.cli.options import (
+    RESULTS,
     CampaignFile,
     Database,
     New,
     Port,
     Resume,
     Workers,
-    brink,
     console,
-    database_option,
     file_name,
     print_json,
-    settings_with,
+    program,
 )
-from brink.cli.pictures import draw_figures, fetch_archive, write_results
-from brink.cli.repeats import finished_repeats, sentence, write_repeats
-from brink.cli.replays import write_replays
-from brink.cli.summary import print_summary
-from brink.search.analysis.comparison import in_words
-from brink.server.campaigns.body import CampaignBody, read_campaign_file
-from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.campaigns.submission import check_submission
-from brink.server.errors import Conflict
-from brink.server.settings import Settings
+from brink.cli.repeats import repeat_finished, repeats_sentence, write_repeats
+from brink.search.analysis.comparison import control_summaries
+from brink.server.api.repeats import RepeatsView
+from brink.server.api.schemas import Boundary, CampaignList, CampaignView, Progress
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
+from brink.server.campaigns.plan import check_submission
+from brink.server.states import CampaignStatus
 
-TRACES_S = 30.0
-UNFINISHED = ("running", "paused")
+PAPER_BUDGET = 1300
+TRACE_TIMEOUT_S = 30.0
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunPlan:
-    """What `brink run` was asked for."""
-
-    body: CampaignBody
-    file: Path
-    workers: int
-    out: Path
-    resume: bool
-    new: bool
-    pictures: bool
-    replays: int
-    json: bool
 
 
 def run(
@@ -69,176 +52,272 @@ def run(
     database: Database = None,
     resume: Resume = False,
     new: New = False,
-    out: Annotated[Path, typer.Option(help="Folder for results and pictures.")] = RESULTS,
+    out: Annotated[Path, typer.Option(help="Folder for results and figures.")] = RESULTS,
     pictures: Annotated[bool, typer.Option(help="Draw figures and replays at the end.")] = True,
     replays: Annotated[int, typer.Option(min=0, max=50, help="Replays of the best boundary solutions.")] = 3,
     port: Port = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
-    """Run one campaign: starts a coordinator and workers, shows progress, writes results and pictures.
+    """Run one campaign: start a coordinator and workers, show progress, write results and figures.
 
-    Ctrl-C stops cleanly; the same command with --resume goes on from there.
+    Ctrl-C stops cleanly; the same command with --resume continues.
 
     Example: brink run examples/quickstart.yaml --workers 2
     """
-    plan = RunPlan(
-        body=read_campaign_file(file), file=file, workers=workers, out=out, resume=resume, new=new,
-        pictures=pictures, replays=replays, json=as_json,
+    body = read_campaign_file(file)
+    options = RunOptions(
+        file=file,
+        workers=workers,
+        out=out,
+        resume=resume,
+        new=new,
+        json=as_json,
+        database=database,
+        port=port,
+    )
+    checked, _ = check_submission(body)
+    check_extra(checked.plan.problem)
+    screen = console(stderr=as_json)
+    workload = CampaignRun(body)
+    complete = run_to_end(
+        workload, options, screen,
+        lambda session, progress: _finish(session, progress, body, options, pictures=pictures, replays=replays),
     )  # fmt: skip
-    live, _ = check_submission(plan.body)
-    check_extra(live.plan.problem)
-    # The campaign is the user's own, and so is the coordinator: it may ask whom the file names.
-    settings = settings_with(database=database, port=port, llm_endpoints="*")
-    screen = Console(stderr=True, highlight=False) if as_json else console()
-    out.mkdir(parents=True, exist_ok=True)  # what cannot be written is known before an hour of simulations
-    with local_service(settings, out / "worker.log") as local:
-        status = asyncio.run(_run(plan, settings, local, screen))
-    raise typer.Exit(status)
+    raise typer.Exit(int(not complete))
 
 
-async def _run(plan: RunPlan, settings: Settings, local: Local, screen: Console) -> int:
-    """Return the exit status: 0 only if everything that was asked for is there."""
-    stop = asyncio.Event()
-    database = database_option(settings)
-    async with local.api() as api:
-        campaign_id = await _campaign(api, plan, screen)
-        if local.token is None:  # else the page would ask for one that nobody was told
-            screen.print(f"watch it in a browser: {local.url}/#/campaigns/{campaign_id}", soft_wrap=True)
-        with stopping(stop):
-            local.processes.start(plan.workers)
-            progress = await watch_campaign(api, campaign_id, local.processes, stop, screen)
-            if stop.is_set():
-                await _set_aside(api, campaign_id, plan, progress, screen, database)
-                return 1
-            if progress["status"] != "finished":
-                screen.print(f"campaign {campaign_id} is {progress['status']}: {progress['status_reason']}")
-                screen.print(f"look closer with: {brink()} status {campaign_id}{database}", soft_wrap=True)
-                return 1
-            folder = plan.out / f"{file_name(plan.body.name)}-{campaign_id}"
-            written = await _write_all(api, campaign_id, plan, folder, stop, screen)
-            again = await finished_repeats(api, campaign_id, plan.body.repeats, local.processes, stop, screen)
-            if again is not None:
-                written.files.extend(write_repeats(again, folder, picture=plan.pictures))
-    boundary = written.boundary
-    summary = {
-        "campaign": campaign_id,
-        "digest": progress["digest"],
-        "simulations": progress["simulations"],
-        "evaluated": progress["evaluated"],
-        "unsafe": progress["unsafe"],
-        "failed": progress["failed"],
-        "elapsed_s": progress["elapsed_s"],
-        "t_b": DEFAULT_T_B,
-        "d_th": DEFAULT_D_TH,
-        "dbs": boundary["dbs"],
-        "strict_dbs": boundary["strict_dbs"],
-        "grid": boundary["grid"],
-        "control": written.control,
-        "looks_for_boundary": progress["looks_for_boundary"],
-        "origins": progress["origins"],
-        "findings": {findings.name: findings.sentence() for findings in written.findings},
-        "repeats": again,
-        "folder": str(folder),
-        "files": [str(path) for path in written.files],
-    }
-    if plan.json:
+class CampaignRun:
+    """A campaign to run to its end on this machine."""
+
+    noun = "campaign"
+    command = ""
+
+    def __init__(self, body: CampaignBody) -> None:
+        self.body = body
+
+    async def latest(self, api: Api, statuses: Sequence[CampaignStatus]) -> Progress | None:
+        """Return the latest campaign of the file that has one of these statuses."""
+        params = {"document_hash": self.body.document_hash(), "status": list(statuses), "limit": 1}
+        found = (await api.read(CampaignList, "/campaigns", params)).campaigns
+        return await api.read(Progress, f"/campaigns/{found[0].id}/progress") if found else None
+
+    async def resume(self, api: Api, found: Progress) -> None:
+        """Resume the campaign if it is paused."""
+        if found.status is CampaignStatus.PAUSED:
+            await api.post(f"/campaigns/{found.id}/resume")
+
+    async def submit(self, api: Api) -> tuple[str, str]:
+        """Submit the campaign; return its id and a summary of it."""
+        body = self.body
+        campaign = await api.send(CampaignView, "/campaigns", body.model_dump(mode="json"))
+        return campaign.id, (
+            f"{body.algorithm.id} on {body.problem.id}, {body.budget.simulations} simulations, seed {body.seed}"
+        )
+
+    async def watch(self, session: Session, name: str) -> Progress:
+        """Show the progress until the campaign ends or is stopped; return the last progress."""
+        return await session.watch_campaign(name)
+
+    def reasons(self, progress: Progress) -> Sequence[str]:
+        """Return why the campaign ended unfinished."""
+        return [progress.status_reason] if progress.status_reason else []
+
+
+async def _finish(
+    session: Session,
+    progress: Progress,
+    body: CampaignBody,
+    options: RunOptions,
+    *,
+    pictures: bool,
+    replays: int,
+) -> bool:
+    """Write and print the results of a finished campaign; return whether they are complete."""
+    folder = options.out / f"{file_name(body.name)}-{progress.id}"
+    report = await _write_all(session, progress, body, folder, pictures=pictures, replays=replays)
+    repeated = await repeat_finished(session, progress.id, body.repeats)
+    if repeated is not None:
+        report.files.extend(write_repeats(repeated, folder, picture=pictures))
+    summary = _summary(progress, report, repeated, folder)
+    if options.json:
         print_json(summary)
     else:
-        if again is not None:
-            screen.print(sentence(again), soft_wrap=True)
-        print_summary(
-            screen, plan.body, summary, boundary, written.findings, brink=brink(), database=database
-        )
-    if again is not None and again["status"] != "finished" and not stop.is_set():
-        return 1
-    if not stop.is_set():
-        return 0
-    screen.print("[yellow]interrupted: not all pictures are drawn[/yellow]")
-    screen.print(f"draw them with: {brink()} run {plan.file} --resume{database}", soft_wrap=True)
-    return 1
-
-
-async def _campaign(api: Api, plan: RunPlan, screen: Console) -> str:
-    """Return the campaign to watch: the latest one of this file that was not cancelled, or a new one."""
-    states = [*UNFINISHED, "finished"] if plan.resume else UNFINISHED
-    params = {"document_hash": plan.body.document_hash(), "status": list(states), "limit": 1}
-    known = (await api.get("/campaigns", params))["campaigns"]
-    if known and not plan.new:
-        found = await api.get(f"/campaigns/{known[0]['id']}/progress")
-        stands = f"{found['simulations']} of {found['budget']} simulations"
-        if not plan.resume:
-            raise Conflict(
-                f"campaign {found['id']} of this file stands at {stands}: "
-                f"go on with it by --resume, or start another by --new"
-            )
-        if found["status"] == "paused":
-            await api.post(f"/campaigns/{found['id']}/resume")
-        if found["status"] == "finished":
-            screen.print(f"campaign {found['id']} of this file is finished; --new starts another")
-        else:
-            screen.print(f"campaign {found['id']}: going on at {stands}")
-        return str(found["id"])
-    campaign = await api.post("/campaigns", plan.body.model_dump(mode="json"))
-    screen.print(
-        f"campaign {campaign['id']}: {plan.body.algorithm.id} on {plan.body.problem.id}, "
-        f"{plan.body.budget.simulations} simulations, seed {plan.body.seed}"
-    )
-    return str(campaign["id"])
-
-
-async def _set_aside(
-    api: Api, campaign_id: str, plan: RunPlan, progress: dict[str, Any], screen: Console, database: str
-) -> None:
-    """Pause a campaign that was stopped, so that it takes no workers until somebody goes on with it."""
-    with contextlib.suppress(CoordinatorSaid):
-        await api.post(f"/campaigns/{campaign_id}/pause")
-    screen.print(f"stopped at {progress['simulations']} of {progress['budget']} simulations; nothing is lost")
-    screen.print(f"go on with: {brink()} run {plan.file} --resume{database}", soft_wrap=True)
+        if repeated is not None:
+            session.screen.print(repeats_sentence(repeated), soft_wrap=True)
+        _print_summary(session.screen, body, progress, report, summary, session.database)
+    if session.stop.is_set():
+        session.screen.print("[yellow]interrupted: some figures are missing[/yellow]")
+        session.hint("draw them with", f"run {options.file} --resume")
+        return False
+    return repeated is None or repeated.status is CampaignStatus.FINISHED
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Written:
-    """What a run found, as it was written.
+class Report:
+    """The results of a campaign.
 
     Attributes:
         boundary: The distinct boundary solutions.
-        files: Everything that was written.
-        control: What the control says, in words.
-        findings: What was found besides the boundary.
+        files: All files written so far.
+        control: One sentence for each comparison with a control.
+        findings: Findings besides the boundary.
     """
 
-    boundary: dict[str, Any]
+    boundary: Boundary
     files: list[Path]
     control: list[str]
     findings: Sequence[Findings]
 
 
 async def _write_all(
-    api: Api, campaign_id: str, plan: RunPlan, folder: Path, stop: asyncio.Event, screen: Console
-) -> Written:
-    """Write results and pictures, and compare with the control; Ctrl-C leaves out what is not drawn yet."""
-    boundary = await write_results(api, campaign_id, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH)
+    session: Session, progress: Progress, body: CampaignBody, folder: Path, *, pictures: bool, replays: int
+) -> Report:
+    """Write results, comparison and figures of a campaign; Ctrl-C skips the figures that are not drawn yet."""
+    api, campaign = session.api, progress.id
+    boundary = await write_results(api, campaign, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH)
     files = [folder / name for name in ("boundary.csv", "boundary.json", "archive.npz")]
-    with screen.status("comparing with a control") as status:
-        fetched = await fetch_archive(api, campaign_id)
+    with session.screen.status("comparing with a control") as status:
+        fetched = await fetch_archive(api, campaign)
         found = await fetch_findings(api, fetched)
         for findings in found:
             files += findings.write(folder)
-        control = in_words(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)
-        written = Written(boundary=boundary, files=files, control=control, findings=found)
-        if not plan.pictures or stop.is_set():
-            return written
+        control = control_summaries(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)
+        report = Report(boundary=boundary, files=files, control=control, findings=found)
+        if not pictures or session.stop.is_set():
+            return report
         began = time.monotonic()
         status.update("drawing the boundary")
         files += await asyncio.to_thread(draw_figures, fetched, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH)
-        drawing = Drawing(api=api, campaign=campaign_id, folder=folder, stop=stop, patience_s=TRACES_S)
+        drawing = Drawing(
+            api=api, campaign=campaign, folder=folder, stop=session.stop, timeout_s=TRACE_TIMEOUT_S
+        )
         for findings in found:
             status.update(f"drawing {findings.name}")
             files += await findings.draw(drawing)
-        numbers = [s["number"] for s in boundary["solutions"] if s["spec"] is not None]
+        numbers = [solution.number for solution in boundary.solutions if solution.spec is not None]
         status.update("drawing replays")
-        files += await write_replays(
-            api, campaign_id, numbers[: plan.replays], folder, stop=stop, patience_s=TRACES_S
+        files += await write_replays(drawing, numbers[:replays])
+    log.info("drawing figures took %.1f s", time.monotonic() - began)
+    return report
+
+
+def _summary(
+    progress: Progress, report: Report, repeated: RepeatsView | None, folder: Path
+) -> dict[str, Any]:
+    """Return what ``brink run --json`` prints."""
+    boundary = report.boundary.model_dump(mode="json", include={"dbs", "strict_dbs", "grid"})
+    return {
+        "campaign": progress.id,
+        "digest": progress.digest,
+        "simulations": progress.simulations,
+        "evaluated": progress.evaluated,
+        "unsafe": progress.unsafe,
+        "failed": progress.failed,
+        "elapsed_s": progress.elapsed_s,
+        "t_b": DEFAULT_T_B,
+        "d_th": DEFAULT_D_TH,
+        "dbs": boundary["dbs"],
+        "strict_dbs": boundary["strict_dbs"],
+        "grid": boundary["grid"],
+        "control": report.control,
+        "looks_for_boundary": progress.looks_for_boundary,
+        "origins": progress.origins,
+        "findings": {findings.name: findings.sentence() for findings in report.findings},
+        "repeats": None if repeated is None else repeated.model_dump(mode="json"),
+        "folder": str(folder),
+        "files": [str(path) for path in report.files],
+    }
+
+
+def _print_summary(
+    screen: Console,
+    body: CampaignBody,
+    progress: Progress,
+    report: Report,
+    summary: dict[str, Any],
+    database: str,
+) -> None:
+    boundary, folder = report.boundary, summary["folder"]
+    share = progress.unsafe / progress.evaluated if progress.evaluated else 0.0
+    extra = progress.simulations - body.budget.simulations
+    beyond = f" ({extra} extra to complete the last generation)" if extra > 0 else ""
+    screen.print()
+    screen.print(
+        f"[bold]{body.name}[/bold]: {progress.simulations} simulations{beyond} in {progress.elapsed_s:.0f} s, "
+        f"{share:.0%} unsafe, {progress.failed} failed"
+    )
+    if progress.origins:
+        origins = ", ".join(f"{count} {origin}" for origin, count in progress.origins.items())
+        screen.print(f"origins of the solutions: {origins}")
+    if body.llm is not None and not any(origin.startswith("llm") for origin in progress.origins):
+        screen.print(
+            f"[yellow]{escape(body.llm.model)} provided none of the seeds; patterns were used instead. "
+            f"See why with: {program()} llm log {progress.id}{database}[/yellow]",
+            soft_wrap=True,
         )
-    log.info("pictures took %.1f s", time.monotonic() - began)
-    return written
+    for findings in report.findings:
+        findings.show(screen)
+        screen.print()
+    if _about_the_boundary(progress, boundary):
+        screen.print(
+            f"[bold]{boundary.dbs} distinct boundary solutions[/bold] (fitness at most {DEFAULT_T_B:g}, at "
+            f"least {DEFAULT_D_TH:g} apart), {boundary.strict_dbs} of them strict"
+        )
+        if boundary.solutions:
+            screen.print(solution_table(boundary))
+        screen.print(grid_table(boundary.grid))
+        screen.print(f"[dim]{boundary.note}[/dim]")
+    for line in report.control:
+        screen.print(line)
+    screen.print(f"archive sha256 {progress.digest}")
+    screen.print()
+    screen.print(f"files in {folder}:")
+    for path in summary["files"]:
+        screen.print(f"  {path.removeprefix(folder + '/')}")
+    _print_next(screen, body, progress, report, repeated=summary["repeats"] is not None, database=database)
+
+
+def _print_next(
+    screen: Console,
+    body: CampaignBody,
+    progress: Progress,
+    report: Report,
+    *,
+    repeated: bool,
+    database: str,
+) -> None:
+    """Print commands to continue with."""
+    campaign, boundary = progress.id, report.boundary
+    about_boundary = _about_the_boundary(progress, boundary)
+    replayed = any("replay-" in path.name for path in report.files)
+    hints = [hint for findings in report.findings for hint in findings.hints(campaign, database)]
+    hints.append((f"serve{database}", "open the dashboard, with replays"))
+    if replayed:
+        best = boundary.solutions[0].number
+        hints.append((f"replay {campaign} {best} --out replay.mp4{database}", "watch the best solution"))
+    if about_boundary:
+        hints.append((f"results {campaign} --t-b 0.15 --d-th 0.1{database}", "try other thresholds"))
+    if replayed:
+        if not repeated:
+            what = "simulate the boundary again with other seeds"
+            hints.append((f"repeats {campaign} --picture repeats.png{database}", what))
+        hints.append((f"evidence {campaign} --out evidence{database}", "export tables, rules and replays"))
+    if report.control:
+        hints.append((f"compare {campaign}{database}", "see how much the component accounts for"))
+    if body.problem.id == "urban-injected@1" and body.budget.simulations < PAPER_BUDGET:
+        hints.append(("run examples/paper-mlcshe.yaml", "use the paper's budget of 1,300 simulations"))
+    table = Table.grid(padding=(0, 2))
+    for command, what in hints:
+        table.add_row(f"  {program()} {command}", f"[dim]{what}[/dim]")
+    screen.print()
+    screen.print("next:")
+    screen.print(table)
+    if boundary.strict_dbs == 0 and not report.findings:
+        screen.print(
+            "  raise budget.simulations: a fitness of .10 takes at least 35 neighbours, .05 takes 165"
+        )
+
+
+def _about_the_boundary(progress: Progress, boundary: Boundary) -> bool:
+    """Return whether the search looked for the boundary or found some of it, rather than diverse violations."""
+    return progress.looks_for_boundary or boundary.dbs > 0

@@ -1,4 +1,4 @@
-"""`brink sensitivity rescore | rerun`: how much does a boundary depend on settings?"""
+"""`brink sensitivity rescore | rerun`: how much a boundary depends on the settings of its search."""
 
 import json
 from dataclasses import asdict
@@ -9,14 +9,17 @@ import typer
 import yaml
 from rich.table import Table
 
-from brink.cli.experiments.results import repeats_of
-from brink.cli.experiments.running import run_experiment
-from brink.cli.local import RESULTS
+from brink.cli.draw import fetch_archive
+from brink.cli.experiment_run import repeats_of, run_experiment
+from brink.cli.local import RunOptions
 from brink.cli.options import (
+    RESULTS,
     AsJson,
     CampaignFile,
     CampaignId,
     Database,
+    DistanceThreshold,
+    FitnessThreshold,
     New,
     Resume,
     Server,
@@ -24,15 +27,15 @@ from brink.cli.options import (
     check_picture,
     console,
     file_name,
+    plain_table,
     print_json,
     with_api,
+    write_json,
 )
-from brink.cli.pictures import fetch_archive
-from brink.search.analysis.experiment_tables import Measure, lines_of
-from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
-from brink.search.sensitivity import P_THS, RADII, Rescored, by_p_th, by_radius
-from brink.server.campaigns.body import CampaignBody, read_campaign_file
-from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.search.analysis.boundary import P_THS, RADII, Rescored, by_p_th, by_radius
+from brink.search.analysis.comparison import lines_of
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS, Measure
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
 from brink.server.errors import Conflict, FieldError, InvalidInput
 from brink.server.experiments.body import ExperimentBody, parse_experiment
 
@@ -41,30 +44,31 @@ _USUAL_P_THS = ",".join(map(str, P_THS))
 
 sensitivity = typer.Typer(
     name="sensitivity",
-    help="How much does a boundary depend on the settings that it was searched and scored with?",
+    help="Measure how much a boundary depends on the settings of its search and its scores.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
 
 
+@sensitivity.command()
 def rescore(
     campaign: CampaignId,
-    t_b: Annotated[float, typer.Option("--t-b", min=0.0, max=1.0, help="Largest fitness.")] = DEFAULT_T_B,
-    d_th: Annotated[
-        float, typer.Option("--d-th", min=0.0, max=1.0, help="Least distance apart.")
-    ] = DEFAULT_D_TH,
+    t_b: FitnessThreshold = DEFAULT_T_B,
+    d_th: DistanceThreshold = DEFAULT_D_TH,
     radii: Annotated[
-        str, typer.Option("--radius", help="Radii of neighbourhoods, with commas between.")
+        str, typer.Option("--radius", help="Neighbourhood radii, separated by commas.")
     ] = _USUAL_RADII,
     p_ths: Annotated[
-        str, typer.Option("--p-th", help="Probabilities on the boundary, with commas between.")
+        str, typer.Option("--p-th", help="Threshold probabilities, separated by commas.")
     ] = _USUAL_P_THS,
-    picture: Annotated[Path | None, typer.Option("--picture", help="PNG or SVG to draw it into.")] = None,
+    picture: Annotated[Path | None, typer.Option("--picture", help="PNG or SVG file for a plot.")] = None,
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Score what a campaign evaluated with other radii (delta) and probabilities (p_th): nothing is simulated.
+    """Score a campaign again with other neighbourhood radii (delta) and threshold probabilities (p_th).
+
+    It simulates nothing.
 
     Example: brink sensitivity rescore 3f2a --picture sensitivity.png
     """
@@ -73,12 +77,12 @@ def rescore(
     wanted_p_ths = _numbers("--p-th", p_ths, low=0.0, high=1.0, closed=False)
     fetched = with_api(server, database, lambda api: fetch_archive(api, campaign))
     if not len(fetched.archive):
-        raise Conflict(f"campaign {fetched.id} has evaluated nothing yet")
+        raise Conflict(f"campaign {fetched.id} has no evaluated solutions yet")
     near = fetched.archive.neighbourhood
     found_radii = by_radius(fetched.archive, sorted({*wanted_radii, near.radius}), t_b=t_b, d_th=d_th)
     found_p_ths = by_p_th(fetched.archive, sorted({*wanted_p_ths, near.p_th}), t_b=t_b, d_th=d_th)
     if picture is not None:
-        # matplotlib takes half a second to load: only those who draw wait for it.
+        # matplotlib takes half a second to load: only commands that draw wait for it.
         from brink.plots.sensitivity import figure_rescored
 
         picture.parent.mkdir(parents=True, exist_ok=True)
@@ -101,25 +105,32 @@ def rescore(
         console().print(f"picture: {picture}", soft_wrap=True)
 
 
+@sensitivity.command()
 def rerun(
     file: CampaignFile,
     parameter: Annotated[
-        str, typer.Option(help="Setting of the algorithm to vary, such as population_size or archive_size.")
+        str, typer.Option(help="Algorithm parameter to vary, such as population_size or archive_size.")
     ],
-    values: Annotated[str, typer.Option(help="Its values, with commas between.")],
-    seeds: Annotated[int, typer.Option(min=2, max=100, help="Searches for each value.")] = 5,
-    t_b: Annotated[float, typer.Option("--t-b", help="Largest fitness, one of the paper's.")] = DEFAULT_T_B,
+    values: Annotated[str, typer.Option(help="Values of the parameter, separated by commas.")],
+    seeds: Annotated[int, typer.Option(min=2, max=100, help="Number of searches with each value.")] = 5,
+    t_b: Annotated[
+        float,
+        typer.Option("--t-b", help="Highest fitness of boundary solutions, from the paper."),
+    ] = DEFAULT_T_B,
     d_th: Annotated[
-        float, typer.Option("--d-th", help="Least distance apart, one of the paper's.")
+        float,
+        typer.Option("--d-th", help="Smallest distance of distinct solutions, from the paper."),
     ] = DEFAULT_D_TH,
     workers: Workers = 2,
     database: Database = None,
     resume: Resume = False,
     new: New = False,
-    out: Annotated[Path, typer.Option(help="Folder for experiment file, report and picture.")] = RESULTS,
+    out: Annotated[
+        Path, typer.Option(help="Folder for the experiment file, the report and the plot.")
+    ] = RESULTS,
     as_json: AsJson = False,
 ) -> None:
-    """Search again with other values of a setting and several seeds, as an experiment, and compare.
+    """Search again with several values of a parameter and several seeds, as an experiment, and compare.
 
     Example: brink sensitivity rerun examples/quickstart.yaml --parameter population_size --values 5,10,20 --seeds 5
     """
@@ -132,40 +143,41 @@ def rerun(
     experiment = out / f"{file_name(body.name)}.yaml"
     document = body.model_dump(mode="json", exclude_defaults=True)
     experiment.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
-    ran = run_experiment(
-        body, experiment, workers=workers, database=database, resume=resume, new=new, out=out, as_json=as_json
+    options = RunOptions(
+        file=experiment, workers=workers, out=out, resume=resume, new=new, json=as_json, database=database
     )
-    if ran is None:
+    finished = run_experiment(body, options)
+    if finished is None:
         raise typer.Exit(1)
     i, j = PAPER_T_BS.index(t_b), PAPER_D_THS.index(d_th)
     found: dict[str, dict[str, list[float]]] = {}
-    for line, figures in lines_of(repeats_of(ran.results)).items():
+    for line, figures in lines_of(repeats_of(finished.results)).items():
         if not line.control:
             found[line.method] = {
                 str(measure): [float(measure.of(one)[-1, i, j]) for _, one in figures] for measure in Measure
             }
-    # matplotlib takes half a second to load: only those who draw wait for it.
+    # matplotlib takes half a second to load: only commands that draw wait for it.
     from brink.plots.sensitivity import figure_rerun
 
-    picture = ran.folder / "sensitivity.png"
+    picture = finished.folder / "sensitivity.png"
     title = f"How much the boundary depends on {parameter}: {body.name}"
     figure_rerun(found, parameter=parameter, t_b=t_b, d_th=d_th, title=title).savefig(picture)
-    (ran.folder / "sensitivity.json").write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    write_json(finished.folder / "sensitivity.json", found)
     if not as_json:
         console().print(f"picture: {picture}", soft_wrap=True)
 
 
 def varied(body: CampaignBody, parameter: str, values: list[Any], seeds: int) -> ExperimentBody:
-    """Return the experiment that varies one setting of a campaign's algorithm.
+    """Return an experiment that varies one parameter of a campaign's algorithm.
 
     Args:
         body: The campaign.
-        parameter: Which setting.
-        values: Its values.
-        seeds: Searches for each; the first has the campaign's seed.
+        parameter: Name of the parameter.
+        values: Values of the parameter.
+        seeds: Number of searches with each value; the first uses the campaign's seed.
 
     Raises:
-        InvalidInput: They make no experiment.
+        InvalidInput: The experiment is invalid.
     """
     document = {
         "name": f"{body.name}: {parameter}"[:100],
@@ -187,7 +199,7 @@ def varied(body: CampaignBody, parameter: str, values: list[Any], seeds: int) ->
 
 
 def _values(text: str) -> list[Any]:
-    """Return values as they are written: numbers, true and false, texts."""
+    """Return values in their JSON types: numbers, booleans, otherwise strings."""
     found: list[Any] = []
     for part in filter(None, map(str.strip, text.split(","))):
         try:
@@ -204,23 +216,18 @@ def _numbers(option: str, text: str, *, low: float, high: float, closed: bool) -
     except ValueError:
         found = []
     if not found or not all(low < value < high or (closed and value == high) for value in found):
-        message = f"expected numbers in {bound} with commas between, got {text!r}"
+        message = f"expected numbers in {bound}, separated by commas, got {text!r}"
         raise InvalidInput([FieldError(pointer=option, message=message)])
     return found
 
 
 def _table(name: str, found: list[Rescored], own: float) -> Table:
-    table = Table(box=None, pad_edge=False)
-    for column in (name, "neighbours", "on the boundary", "distinct", "strict", ""):
-        table.add_column(column, justify="right" if column else "left", header_style="dim")
+    columns = (name, "neighbours", "on the boundary", "distinct", "strict")
+    table = plain_table(*columns, "", right=columns)
     for one in found:
         value = one.radius if name == "radius" else one.p_th
         table.add_row(
             f"{value:g}", f"{one.neighbours:g}", f"{one.near:,}", f"{one.dbs:,}", f"{one.strict_dbs:,}",
-            "the campaign's" if value == own else "",
+            "this campaign" if value == own else "",
         )  # fmt: skip
     return table
-
-
-for command in (rescore, rerun):
-    sensitivity.command()(command)

@@ -21,7 +21,8 @@ from brink.plots.style import (
     new_figure,
     say,
 )
-from brink.search.boundary import PAPER_D_THS, PAPER_T_BS, BudgetPoint, dbs_by_budget
+from brink.search.analysis.boundary import BudgetPoint, dbs_by_budget
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
 
 FRACTIONS: Final = tuple(np.round(np.arange(0.05, 1.001, 0.05), 2).tolist())
 RAMP: Final = ("#a6cbe3", "#6fb0d6", "#3a93c4", "#0072b2", "#00527f", "#10304a")

@@ -25,10 +25,10 @@ from brink.plots.style import (
     say,
     share_text,
 )
-from brink.search.analysis.axes import AxisMeaning, axis_meanings
-from brink.search.boundary import IndexArray, distinct_boundary
-from brink.search.component import FloatArray
-from brink.search.embedding import embedded
+from brink.search.analysis.boundary import IndexArray, distinct_boundary
+from brink.search.analysis.dependence import AxisMeaning, axis_meanings
+from brink.search.analysis.similarity import embedded
+from brink.search.space import FloatArray
 
 HEIGHT_PX: Final = 1060
 MAP_LEFT_PX, MAP_RIGHT_PX, MAP_TOP_PX, MAP_BOTTOM_PX = 76, 1170, 140, 64

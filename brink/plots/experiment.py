@@ -13,10 +13,10 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, MaxNLocator, PercentFormatter
 
 from brink.plots.style import INK, LABEL_PT, WIDTH_PX, frame, new_figure, say
-from brink.search.analysis.experiment_tables import Line, Measure, Repeat, lines_of
+from brink.search.analysis.comparison import Line, Repeat, lines_of
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import Figures
-from brink.search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
-from brink.search.statistics import mean_interval
+from brink.search.analysis.statistics import mean_interval
 
 HUES: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#68727b")
 """Of methods, in their order; the eighth begins again."""

@@ -22,7 +22,7 @@ from brink.plots.style import (
     say,
     share_text,
 )
-from brink.search.fitness import IntArray
+from brink.search.space import IntArray
 
 HEIGHT_PX: Final = 760
 

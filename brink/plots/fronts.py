@@ -7,11 +7,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from brink.plots.style import MUTED, UNSAFE, WIDTH_PX, frame, new_figure, say
-from brink.search.actions.genome import Genome
-from brink.search.algorithms.multi_objective import Book, MultiObjectiveConfig, diversities
-from brink.search.component import FloatArray
+from brink.search.algorithms.multi_objective import History, MultiObjectiveConfig, diversities
 from brink.search.pareto import first_front
-from brink.search.space import SearchSpace
+from brink.search.space import FloatArray, SearchSpace
+from brink.search.traffic.variation import TrafficGenome
 
 HEIGHT_PX: Final = 760
 SHOWN: Final = 5
@@ -74,7 +73,7 @@ def told_diversities(
     space: SearchSpace, vectors: FloatArray, ends: Sequence[int], config: MultiObjectiveConfig
 ) -> FloatArray:
     """Return how far each solution was from what had been tried lately when it was told, in m, shape ``(n,)``."""
-    genome = Genome.of(space)
+    genome = TrafficGenome.of(space)
     generations = np.searchsorted(ends, np.arange(len(vectors)), side="right").astype(np.float64)
     found = np.zeros(len(vectors))
     start = 0
@@ -82,8 +81,8 @@ def told_diversities(
         numbers = list(range(start, end))
         if numbers:
             none = np.zeros(end)
-            book = Book(
-                rows=vectors[:end], criticality=none, gaps=np.zeros((end, genome.most)), unsafe=none,
+            book = History(
+                rows=vectors[:end], criticality=none, gaps=np.zeros((end, genome.max_participants)), unsafe=none,
                 generations=generations[:end], origins=none,
             )  # fmt: skip
             found[numbers] = diversities(genome, book, numbers, config)

@@ -9,13 +9,13 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
 
 from brink.plots.style import HAIRLINE, INK, LABEL_PT, MUTED, SAFE, UNSAFE, WIDTH_PX, frame, new_figure
-from brink.search.analysis.monitor_trial import MAJORITY, MONITOR, Trial, Witness
+from brink.search.analysis.monitor_evaluation import MAJORITY, MONITOR, MonitorEvaluation, Predictor
 
 HEIGHT_PX: Final = 760
 _HUES: Final = {MONITOR: SAFE, MAJORITY: MUTED}
 
 
-def figure_monitor(trial: Trial, title: str) -> Figure:
+def figure_monitor(trial: MonitorEvaluation, title: str) -> Figure:
     """Return calibration and the trade of missed hazards against false alarms, side by side.
 
     Args:
@@ -42,7 +42,7 @@ def figure_monitor(trial: Trial, title: str) -> Figure:
     _trade(figure.add_subplot(grid[1]), trial)
     keys = [
         Line2D([], [], color=_hue(witness), linewidth=2.2, label=f"{witness.name}: {_figures(witness)}")
-        for witness in trial.witnesses
+        for witness in trial.predictors
     ]
     figure.legend(
         handles=keys, loc="upper left", bbox_to_anchor=(64 / WIDTH_PX, 1 - 122 / HEIGHT_PX), ncols=len(keys),
@@ -51,21 +51,21 @@ def figure_monitor(trial: Trial, title: str) -> Figure:
     return figure
 
 
-def _figures(witness: Witness) -> str:
-    return f"AUROC {witness.judgement.auroc:.3f}, Brier {witness.judgement.brier:.3f}"
+def _figures(witness: Predictor) -> str:
+    return f"AUROC {witness.metrics.auroc:.3f}, Brier {witness.metrics.brier:.3f}"
 
 
-def _hue(witness: Witness) -> str:
+def _hue(witness: Predictor) -> str:
     return _HUES.get(witness.name, UNSAFE)
 
 
-def _calibration(axes: Axes, trial: Trial) -> None:
+def _calibration(axes: Axes, trial: MonitorEvaluation) -> None:
     axes.plot([0, 1], [0, 1], color=HAIRLINE, linewidth=1.2, zorder=0)
-    for witness in trial.witnesses:
+    for witness in trial.predictors:
         if witness.name == MAJORITY:
             continue
-        bins = witness.judgement.bins
-        x = np.array([one.foretold for one in bins])
+        bins = witness.metrics.bins
+        x = np.array([one.predicted for one in bins])
         y = np.array([one.observed for one in bins])
         if witness.name == MONITOR:
             axes.fill_between(
@@ -85,10 +85,10 @@ def _calibration(axes: Axes, trial: Trial) -> None:
     frame(axes, grid="both")
 
 
-def _trade(axes: Axes, trial: Trial) -> None:
-    for witness in trial.witnesses:
+def _trade(axes: Axes, trial: MonitorEvaluation) -> None:
+    for witness in trial.predictors:
         axes.plot(
-            [alarm.missed for alarm in witness.alarms], [alarm.false for alarm in witness.alarms],
+            [alarm.missed for alarm in witness.operating_points], [alarm.false for alarm in witness.operating_points],
             color=_hue(witness), linewidth=2.2, linestyle="--" if witness.name == MAJORITY else "-",
         )  # fmt: skip
     axes.set_xlim(0, 1)

@@ -24,8 +24,7 @@ from brink.plots.style import (
     say,
     share_text,
 )
-from brink.search.analysis.dependence import FEWEST_IN_BIN, Dependence, dependences
-from brink.search.analysis.parameters import ParameterColumn
+from brink.search.analysis.dependence import FEWEST_IN_BIN, Dependence, ParameterColumn, dependences
 from brink.search.fitness import wilson_interval
 from brink.search.space import Categorical
 

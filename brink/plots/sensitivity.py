@@ -10,8 +10,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from brink.plots.style import INK, LABEL_PT, MUTED, SAFE, UNSAFE, WIDTH_PX, frame, new_figure
-from brink.search.sensitivity import Rescored
-from brink.search.statistics import mean_interval
+from brink.search.analysis.boundary import Rescored
+from brink.search.analysis.statistics import mean_interval
 
 HEIGHT_PX: Final = 640
 _TOP_PX: Final = 176

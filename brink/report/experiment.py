@@ -12,12 +12,21 @@ from pathlib import Path
 from markdown_it import MarkdownIt
 
 from brink import __version__
-from brink.search.analysis.conclusions import LEVEL, conclusion, with_low_controls
-from brink.search.analysis.experiment_tables import Duel, Line, Measure, Repeat, Standing, duels, standings
+from brink.search.analysis.comparison import (
+    LEVEL,
+    Duel,
+    Line,
+    Repeat,
+    Standing,
+    conclusion,
+    duels,
+    standings,
+    with_low_controls,
+)
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import DRAWS, ENOUGH_REPEATS
-from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
-from brink.search.statistics import MeanInterval
-from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.search.analysis.statistics import MeanInterval
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.experiments.body import ExperimentBody
 
 NAMES = {Measure.DBS: "DBS", Measure.STRICT: "strict DBS"}

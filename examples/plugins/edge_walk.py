@@ -1,13 +1,13 @@
-"""An own algorithm: mutate the solutions that came closest to changing their verdict. Run it with
+"""A custom algorithm: mutate the solutions that came closest to changing their verdict. Run it with
 
 cd examples/plugins && brink --plugin edge_walk run edge_walk.yaml
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from brink.search.algorithms.ledger import BoundaryConfig, Ledger, check_budget
+from brink.search.algorithms.ledger import BoundaryConfig, LedgerAlgorithm, LedgerState
 from brink.search.operators import mutated
 from brink.search.settings import setting
 from brink.search.streams import Stream, generator
@@ -19,52 +19,34 @@ from brink.sim.catalogue import register
 class EdgeWalkConfig(BoundaryConfig):
     """Settings of the walk."""
 
-    step: int = setting(40, help="Candidates a generation.", ge=1, le=10_000)
+    step: int = setting(40, help="Candidates per generation.", ge=1, le=10_000)
     rate: float = setting(0.2, help="Probability that a gene mutates.", gt=0, le=1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class EdgeWalkState:
-    """The ledger of candidates is all there is to remember."""
+class EdgeWalkState(LedgerState):
+    """State of the walk: the ledger of candidates alone."""
 
     config: EdgeWalkConfig
-    ledger: Ledger
-    generation = property(lambda self: self.ledger.generation)
-    archive = property(lambda self: self.ledger.archive)
-    fitness = property(lambda self: self.ledger.archive.fitness)
-    pending = property(lambda self: self.ledger.pending)
 
 
-class EdgeWalk:
-    """Half a generation around the smallest absolute robustness, half anywhere."""
+class EdgeWalk(LedgerAlgorithm[EdgeWalkConfig, EdgeWalkState]):
+    """Half of a generation around the smallest absolute robustness, half at random."""
 
-    id, summary, config_type = (
-        "edge-walk@1",
-        "Mutates what came closest to changing its verdict.",
-        EdgeWalkConfig,
-    )
+    id = "edge-walk@1"
+    summary = "Mutates what came closest to changing its verdict."
+    config_type = EdgeWalkConfig
 
-    def check(self, space, config, *, budget):
-        check_budget(budget, config.step)
+    def _min_budget(self, space, config):
+        return config.step
 
-    def start(self, space, config, *, seed, budget):
-        return self._plan(config, Ledger.opened(space, config, seed=seed, budget=budget))
-
-    def ask(self, state):
-        ledger = state.ledger.handed_out()
-        return replace(state, ledger=ledger), ledger.pending
+    def _first_state(self, ledger, config):
+        return self._plan(config, ledger)
 
     def tell(self, state, evaluations):
-        return self._plan(state.config, state.ledger.told(evaluations))
+        return self._plan(state.config, state.ledger.tell(evaluations))
 
-    def finished(self, state):
-        return not state.ledger.queue
-
-    def dump(self, state):
-        return state.ledger.dump(self.id, 1, {}, {})
-
-    def load(self, space, config, document, archive):
-        ledger = Ledger.load(space, config, document.expect(self.id, 1), archive)
+    def _restored(self, ledger, config, document):
         return EdgeWalkState(config=config, ledger=ledger)
 
     def _plan(self, config, ledger):
@@ -79,7 +61,7 @@ class EdgeWalk:
         ]  # fmt: skip
         rows += [space.join(space.sample(rng)) for _ in range(config.step - len(rows))]
         wanted = int(max(0, min(config.step, ledger.left)))
-        return EdgeWalkState(config=config, ledger=ledger.planned(ledger.unseen(rows)[:wanted]))
+        return EdgeWalkState(config=config, ledger=ledger.plan(ledger.unseen(rows)[:wanted]))
 
 
 register(ALGORITHMS, "edge-walk@1", EdgeWalk)

@@ -1,1 +1,1 @@
-"""The search algorithms that come with Brink."""
+"""The built-in search algorithms."""

@@ -1,48 +1,45 @@
-"""What the algorithms that seek the hazard boundary share: their common settings, and the ledger of candidates.
+"""Common base of the built-in algorithms: the ledger of all candidates, shared settings, and most of the contract.
 
-The ledger knows every solution that was ever asked: the archive, those that failed, and the queue of the next or
-pending generation. Numbers count from 0 in the order of asking, so none is stored twice: whatever is in the
-archive, failed or queued has used up one number. A generation is planned as soon as the last one is told; when
-there is none, the search is over.
+The ledger records every solution that was ever asked: the archive, failed and measured solutions, and the queue. The
+queue is the next or the pending generation. Numbers count from 0 in the order of asking and are not stored: every
+archived, failed or queued solution has used up one. The next generation is planned as soon as the last one is told;
+an empty queue means that the search is over.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any, Final, Generic, Self, TypeVar
 
 import numpy as np
 
 from brink.search.algorithm import Candidate, Evaluation, Failed, Measured, Question, Scored
 from brink.search.archive import Archive, Neighbourhood
-from brink.search.component import FloatArray, frozen_array
 from brink.search.document import Document
 from brink.search.errors import ConfigError, DocumentError, OrderError
 from brink.search.settings import check_settings, setting
-from brink.search.space import SearchSpace
+from brink.search.space import FloatArray, SearchSpace, frozen_array
+
+MAX_BREEDINGS: Final = 10
+"""Populations bred without a new solution before a search restarts from a random one."""
+
+MAX_RESTARTS: Final = 90
+"""Random populations without a new solution before a finite space counts as exhausted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoundaryConfig:
-    """Settings of every algorithm that seeks the boundary of the p_th-unsafe region."""
+    """Settings of every algorithm that searches for the boundary of the p_th-unsafe region."""
 
     radius: float = setting(0.3, help="Largest distance of a neighbour (delta).", gt=0, le=1)
-    p_th: float = setting(0.1, help="Probability of unsafe on the boundary that is sought.", gt=0, lt=1)
+    p_th: float = setting(0.1, help="Probability of unsafe on the boundary.", gt=0, lt=1)
     z: float = setting(1.96, help="Quantile of the standard normal for the Wilson interval.", gt=0, le=10)
 
     def __post_init__(self) -> None:
         check_settings(self)
 
 
-def check_budget(budget: int, first_generation: int) -> None:
-    """Raise ConfigError if the budget does not cover the first generation."""
-    if budget < first_generation:
-        raise ConfigError(
-            "budget", f"expected at least the {first_generation} simulations of one generation, got {budget}"
-        )
-
-
 def row_keys(rows: FloatArray) -> list[bytes]:
-    """Return the bytes of each row: equal solutions, and only those, have equal keys."""
+    """Return the bytes of each row, shape ``(n, d)``; two keys are equal if and only if the rows are."""
     blob = np.ascontiguousarray(rows).tobytes()
     width = rows.shape[1] * rows.itemsize
     return [blob[start : start + width] for start in range(0, len(blob), width)]
@@ -50,18 +47,18 @@ def row_keys(rows: FloatArray) -> list[bytes]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ledger:
-    """Every candidate of a search.
+    """All candidates of a search.
 
     Attributes:
-        space: What is searched.
+        space: The search space.
         seed: The campaign's seed.
-        budget: Simulations after which nothing more is planned.
-        generation: Generations told so far.
+        budget: Number of evaluations after which no generation is planned.
+        generation: Number of generations told so far.
         archive: Evaluated solutions.
-        failed: Solutions of which no verdict could be had, as rows, shape ``(f, d)``.
-        measured: Solutions that were measured on a data set, as rows, shape ``(m, d)``; they may be simulated yet.
+        failed: Solutions without a verdict, as rows, shape ``(f, d)``.
+        measured: Solutions measured on a data set, as rows, shape ``(m, d)``; they may still be simulated.
         queue: The planned generation, ascending by number; empty when the search is over.
-        asked: Whether the queue has been asked and not been told.
+        asked: Whether the queue was asked but not told yet.
     """
 
     space: SearchSpace
@@ -75,8 +72,15 @@ class Ledger:
     asked: bool
 
     @classmethod
-    def opened(cls, space: SearchSpace, config: BoundaryConfig, *, seed: int, budget: int) -> Self:
-        """Return the ledger of a search that has not begun."""
+    def start(cls, space: SearchSpace, config: BoundaryConfig, *, seed: int, budget: int) -> Self:
+        """Return an empty ledger.
+
+        Args:
+            space: The search space.
+            config: Settings of the neighbourhood.
+            seed: The campaign's seed.
+            budget: Number of evaluations.
+        """
         return cls(
             space=space,
             seed=seed,
@@ -91,21 +95,21 @@ class Ledger:
 
     @property
     def spent(self) -> int:
-        """Evaluations that were told, failed ones included."""
+        """Number of evaluations told so far, including failed ones."""
         return len(self.archive) + len(self.failed) + len(self.measured)
 
     @property
     def left(self) -> float:
-        """New solutions that budget and space leave room for; not positive when the search is over."""
+        """Number of further solutions that budget and space allow; zero or less when the search is over."""
         return min(self.budget, self.space.size) - self.spent
 
     @property
     def pending(self) -> tuple[Candidate, ...]:
-        """Candidates asked and not yet told."""
+        """Candidates asked but not yet told."""
         return self.queue if self.asked else ()
 
     def unseen(self, rows: Iterable[FloatArray]) -> tuple[FloatArray, ...]:
-        """Return those rows that were never asked, each once, in their order."""
+        """Return the rows that were never asked, without duplicates, in their order."""
         seen = {*row_keys(self.archive.vectors), *row_keys(self.failed)}
         fresh = []
         for row in rows:
@@ -115,7 +119,7 @@ class Ledger:
                 fresh.append(row)
         return tuple(fresh)
 
-    def planned(
+    def plan(
         self,
         rows: Iterable[FloatArray],
         question: Question = Question.EPISODE,
@@ -124,9 +128,9 @@ class Ledger:
         """Return the ledger with the next generation queued.
 
         Args:
-            rows: Unseen solutions.
-            question: What is asked about them.
-            seed_numbers: Numbers whose episode seeds they have; their own if None.
+            rows: New solutions, each of shape ``(d,)``.
+            question: How to evaluate them.
+            seed_numbers: For each, the number of the candidate whose episode seed it shares; None for its own seed.
         """
         rows = list(rows)
         seeds: Sequence[int | None] = [None] * len(rows) if seed_numbers is None else seed_numbers
@@ -136,11 +140,11 @@ class Ledger:
         )
         return replace(self, queue=queue)
 
-    def handed_out(self) -> Self:
+    def ask(self) -> Self:
         """Return the ledger with its queue pending.
 
         Raises:
-            OrderError: It is pending already, or there is none.
+            OrderError: The queue is already pending, or empty.
         """
         if self.asked:
             raise OrderError(f"ask: tell the {len(self.queue)} pending evaluations first")
@@ -148,20 +152,13 @@ class Ledger:
             raise OrderError("ask: the search is finished; check `finished` before asking")
         return replace(self, asked=True)
 
-    def told(self, evaluations: Mapping[int, Evaluation]) -> Self:
-        """Return the ledger with the pending generation evaluated and nothing queued.
+    def tell(self, evaluations: Mapping[int, Evaluation]) -> Self:
+        """Return the ledger with the pending generation evaluated and an empty queue.
 
         Raises:
             OrderError: Nothing is pending, or the numbers are not the pending ones.
         """
-        if not self.asked:
-            raise OrderError("tell: nothing is pending; ask first")
-        expected, got = {candidate.number for candidate in self.queue}, set(evaluations)
-        if expected != got:
-            raise OrderError(
-                f"tell: expected evaluations of the {len(expected)} pending candidates; "
-                f"missing {sorted(expected - got)[:5]}, not pending {sorted(got - expected)[:5]}"
-            )
+        self._check_pending(evaluations)
         scored: list[tuple[Candidate, Scored]] = []
         failed, measured = [self.failed], [self.measured]
         for candidate in self.queue:
@@ -189,15 +186,25 @@ class Ledger:
             asked=False,
         )
 
+    def _check_pending(self, evaluations: Mapping[int, Evaluation]) -> None:
+        if not self.asked:
+            raise OrderError("tell: nothing is pending; ask first")
+        expected, got = {candidate.number for candidate in self.queue}, set(evaluations)
+        if expected != got:
+            raise OrderError(
+                f"tell: expected evaluations of the {len(expected)} pending candidates; "
+                f"missing {sorted(expected - got)[:5]}, not pending {sorted(got - expected)[:5]}"
+            )
+
     def fitness_of(self, index: slice, individuals: FloatArray) -> FloatArray:
         """Return the smallest fitness of all archived solutions that contain each individual.
 
         Args:
-            index: Where the individuals lie in a row.
+            index: Columns of the individuals in a row.
             individuals: Shape ``(n, index.stop - index.start)``.
 
         Returns:
-            Shape ``(n,)``; infinite for an individual that no evaluated solution contains.
+            Shape ``(n,)``; infinite for an individual without an evaluated solution.
         """
         best = dict.fromkeys(row_keys(individuals), np.inf)
         for key, fitness in zip(
@@ -208,7 +215,14 @@ class Ledger:
         return np.array([best[key] for key in row_keys(individuals)])
 
     def dump(self, kind: str, version: int, header: Mapping[str, Any], arrays: Mapping[str, Any]) -> Document:
-        """Return the ledger without its archive, with what else the algorithm's state holds."""
+        """Return the ledger, without its archive, together with the rest of an algorithm's state.
+
+        Args:
+            kind: Id of the algorithm.
+            version: Version of its layout.
+            header: Further entries of the header.
+            arrays: Further arrays.
+        """
         rows = [self.space.join(candidate.vectors) for candidate in self.queue]
         seeds = [candidate.seed_number for candidate in self.queue]
         return Document(
@@ -234,57 +248,72 @@ class Ledger:
 
     @classmethod
     def load(cls, space: SearchSpace, config: BoundaryConfig, document: Document, archive: Archive) -> Self:
-        """Return the ledger that `dump` wrote.
+        """Return the ledger that `dump` stored.
+
+        Args:
+            space: The search space.
+            config: Settings of the neighbourhood.
+            document: The document that `dump` returned.
+            archive: The archive of the ledger at that time.
 
         Raises:
-            DocumentError: The document is broken, or does not belong to the space, settings or archive.
+            DocumentError: The document is corrupt, or does not match the space, settings or archive.
         """
         header = document.header
-        failed = stored_rows(document, "failed", space.dimension)
-        measured = (
-            stored_rows(document, "measured", space.dimension)
-            if "measured" in document.arrays
-            else np.empty((0, space.dimension))  # written before there were data sets
-        )
-        question = header.get("question", Question.EPISODE.value)
         queue = stored_rows(document, "queue", space.dimension)
-        for name in ("seed", "budget", "generation", "archived"):
-            if not isinstance(header.get(name), int):
-                raise DocumentError(f"{name}: expected a whole number, got {header.get(name)!r}")
-        if not isinstance(header.get("asked"), bool):
-            raise DocumentError(f"asked: expected true or false, got {header.get('asked')!r}")
-        seeds = header.get("seed_numbers")
-        if seeds is not None and not (
-            isinstance(seeds, list) and len(seeds) == len(queue) and all(isinstance(s, int) for s in seeds)
-        ):
-            raise DocumentError(f"seed_numbers: expected one a candidate, got {seeds!r}")
-        if question not in set(Question):
-            raise DocumentError(f"question: expected a known one, got {question!r}")
+        _check_header(header, len(queue))
         if len(archive) != header["archived"]:
             raise DocumentError(f"expected the archive of {header['archived']} solutions, got {len(archive)}")
         if archive.neighbourhood != Neighbourhood.of(config):
             raise DocumentError(
                 f"expected an archive of {Neighbourhood.of(config)}, got {archive.neighbourhood}"
             )
+        measured = (
+            stored_rows(document, "measured", space.dimension)
+            if "measured" in document.arrays
+            else frozen_array(np.empty((0, space.dimension)))  # written before data-set evaluations existed
+        )
         ledger = cls(
             space=space,
             seed=header["seed"],
             budget=header["budget"],
             generation=header["generation"],
             archive=archive,
-            failed=frozen_array(failed),
-            measured=frozen_array(measured),
+            failed=stored_rows(document, "failed", space.dimension),
+            measured=measured,
             queue=(),
             asked=header["asked"],
         )
-        return ledger.planned(queue, Question(question), seeds)
+        question = Question(header.get("question", Question.EPISODE.value))
+        return ledger.plan(queue, question, header.get("seed_numbers"))
+
+
+def _check_header(header: Mapping[str, Any], queued: int) -> None:
+    for name in ("seed", "budget", "generation", "archived"):
+        if not isinstance(header.get(name), int):
+            raise DocumentError(f"{name}: expected a whole number, got {header.get(name)!r}")
+    if not isinstance(header.get("asked"), bool):
+        raise DocumentError(f"asked: expected true or false, got {header.get('asked')!r}")
+    seeds = header.get("seed_numbers")
+    if seeds is not None and not (
+        isinstance(seeds, list) and len(seeds) == queued and all(isinstance(s, int) for s in seeds)
+    ):
+        raise DocumentError(f"seed_numbers: expected one for each candidate, got {seeds!r}")
+    question = header.get("question", Question.EPISODE.value)
+    if question not in set(Question):
+        raise DocumentError(f"question: expected one of {', '.join(Question)}, got {question!r}")
 
 
 def stored_rows(document: Document, name: str, width: int) -> FloatArray:
-    """Return one matrix of a document, read-only.
+    """Return an array of a document, shape ``(n, width)``, read-only.
+
+    Args:
+        document: The document.
+        name: Name of the array.
+        width: Expected number of columns.
 
     Raises:
-        DocumentError: It is missing or has another shape.
+        DocumentError: The array is missing or has another shape or type.
     """
     rows = document.arrays.get(name)
     if rows is None or rows.ndim != 2 or rows.shape[1] != width or rows.dtype != np.float64:
@@ -295,7 +324,7 @@ def stored_rows(document: Document, name: str, width: int) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LedgerState:
-    """What the states of all these algorithms have in common.
+    """Base of the states of all these algorithms.
 
     Attributes:
         ledger: All candidates.
@@ -305,20 +334,123 @@ class LedgerState:
 
     @property
     def generation(self) -> int:
-        """Generations told so far."""
+        """Number of generations told so far."""
         return self.ledger.generation
 
     @property
     def archive(self) -> Archive:
-        """All complete solutions that were evaluated and did not fail."""
+        """All complete solutions with a verdict."""
         return self.ledger.archive
 
     @property
     def fitness(self) -> FloatArray:
-        """Boundary fitness of all archived solutions."""
+        """Boundary fitness of all archived solutions, shape ``(n,)``."""
         return self.archive.fitness
 
     @property
     def pending(self) -> tuple[Candidate, ...]:
-        """Candidates asked and not yet told, ascending by number."""
+        """Candidates asked but not yet told, ascending by number."""
         return self.ledger.pending
+
+
+C = TypeVar("C", bound=BoundaryConfig)
+S = TypeVar("S", bound=LedgerState)
+
+
+class LedgerAlgorithm(Generic[C, S]):
+    """Base of all these algorithms; a subclass implements `tell` and the four hooks.
+
+    Attributes:
+        id: Versioned plug-in id.
+        summary: One line for catalogues.
+        config_type: Type of the settings.
+        layout: Version of the layout of stored states.
+    """
+
+    id: str
+    summary: str
+    config_type: type[Any]
+    layout: int = 1
+
+    def _min_budget(self, space: SearchSpace, config: C) -> int:
+        """Check space and settings, and return the smallest budget."""
+        raise NotImplementedError
+
+    def _first_state(self, ledger: Ledger, config: C) -> S:
+        """Return the initial state, with its first generation planned in an empty ledger."""
+        raise NotImplementedError
+
+    def _content(self, state: S) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Return header and arrays of a state, without its ledger."""
+        return {}, {}
+
+    def _restored(self, ledger: Ledger, config: C, document: Document) -> S:
+        """Return the state of a restored ledger and the document with its `_content`."""
+        raise NotImplementedError
+
+    def check(self, space: SearchSpace, config: C, *, budget: int) -> None:
+        """Check that the algorithm can run with these arguments.
+
+        Args:
+            space: The search space.
+            config: Settings.
+            budget: Number of simulations.
+
+        Raises:
+            UnsupportedSpace: The algorithm does not support the space.
+            ConfigError: A setting does not fit the space, the other settings or the budget.
+        """
+        least = self._min_budget(space, config)
+        if budget < least:
+            raise ConfigError(
+                "budget", f"expected at least the {least} simulations of one generation, got {budget}"
+            )
+
+    def start(self, space: SearchSpace, config: C, *, seed: int, budget: int) -> S:
+        """Return the initial state, with nothing asked yet.
+
+        Args:
+            space: The search space.
+            config: Settings.
+            seed: The campaign's seed.
+            budget: Number of simulations.
+
+        Raises:
+            UnsupportedSpace: The algorithm does not support the space.
+            ConfigError: A setting does not fit the space, the other settings or the budget.
+        """
+        self.check(space, config, budget=budget)
+        return self._first_state(Ledger.start(space, config, seed=seed, budget=budget), config)
+
+    def ask(self, state: S) -> tuple[S, tuple[Candidate, ...]]:
+        """Return the state with a pending generation, and that generation.
+
+        Raises:
+            OrderError: The last generation has not been told yet, or the search is finished.
+        """
+        ledger = state.ledger.ask()
+        return replace(state, ledger=ledger), ledger.pending
+
+    def finished(self, state: S) -> bool:
+        """Return whether no further generation is planned."""
+        return not state.ledger.queue
+
+    def dump(self, state: S) -> Document:
+        """Return the state, without its archive, as a versioned document."""
+        header, arrays = self._content(state)
+        return state.ledger.dump(self.id, self.layout, header, arrays)
+
+    def load(self, space: SearchSpace, config: C, document: Document, archive: Archive) -> S:
+        """Return the state that `dump` stored.
+
+        Args:
+            space: The search space.
+            config: Settings.
+            document: The document that `dump` returned.
+            archive: The archive of the state at that time.
+
+        Raises:
+            DocumentError: The document is corrupt, of another algorithm, or of an unknown version.
+        """
+        ledger = Ledger.load(space, config, document.expect(self.id, self.layout), archive)
+        return self._restored(ledger, config, document)

@@ -1,50 +1,55 @@
 """MLCSHE: cooperative co-evolution of scenarios and behaviours towards the hazard boundary.
 
-Two populations evolve side by side; an individual is judged by the best complete solution that contains it.
-Each keeps a small archive of individuals that represent it in joining with the other.
+Two populations evolve side by side. The fitness of an individual is that of the best complete solution containing it.
+Each population keeps a small archive of individuals that represent it in collaborations with the other one.
 
-Source: Sharifi et al. 2023, Algorithms 1 (co-evolution), 2 (collaboration), 3 (population archive). Departures of
-the authors' code from the paper are not followed.
+With the default mutation probability of 1 per gene, every category of a child is an independent uniform draw, so
+selection and crossover act only on numbers.
+
+Source: Sharifi et al. 2023, Algorithms 1 (co-evolution), 2 (collaboration), 3 (population archive). Where the
+authors' code departs from the paper, this follows the paper.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from brink.search.algorithm import Candidate, Evaluation
-from brink.search.algorithms.ledger import BoundaryConfig, Ledger, LedgerState, check_budget, stored_rows
-from brink.search.archive import Archive
-from brink.search.component import FloatArray, frozen_array
+from brink.search.algorithm import Evaluation
+from brink.search.algorithms.ledger import (
+    MAX_BREEDINGS,
+    MAX_RESTARTS,
+    BoundaryConfig,
+    Ledger,
+    LedgerAlgorithm,
+    LedgerState,
+    stored_rows,
+)
 from brink.search.document import Document
 from brink.search.errors import ConfigError, DocumentError, UnsupportedSpace
 from brink.search.metric import Metric
 from brink.search.operators import offspring, tournament
 from brink.search.settings import setting
-from brink.search.space import SearchSpace
+from brink.search.space import FloatArray, SearchSpace, frozen_array
 from brink.search.streams import Stream, generator
-
-_VERSION = 1
-_BREEDINGS = 10
-"""Generations bred without one new solution after which the search starts afresh from random populations."""
-
-_RESTARTS = 90
-"""Random populations without one new solution after which a finite space counts as exhausted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MlcsheConfig(BoundaryConfig):
-    """Settings of MLCSHE; the defaults are the paper's."""
+    """Settings of MLCSHE; the defaults are those of the paper or, where it gives none, of its authors' code."""
 
     population_size: int = setting(10, help="Individuals in each of the two populations.", ge=2, le=1_000)
-    archive_size: int = setting(3, help="Most individuals in a population archive (l).", ge=1, le=1_000)
+    archive_size: int = setting(
+        3, help="Largest number of individuals in a population archive (l).", ge=1, le=1_000
+    )
     archive_distance: float = setting(
         0.4, help="Least distance between members of a population archive (d_a).", ge=0, le=1
     )
-    partners: int = setting(1, help="Fewest partners that an individual is joined with (k).", ge=1, le=1_000)
+    partners: int = setting(1, help="Smallest number of partners for each individual (k).", ge=1, le=1_000)
     gene_swap_probability: float = setting(0.5, help="Probability that crossover swaps a gene.", ge=0, le=1)
     mutation_probability: float = setting(1.0, help="Probability that a gene mutates.", gt=0, le=1)
-    tournament_size: int = setting(3, help="Contestants for one place as a parent.", ge=1, le=100)
+    tournament_size: int = setting(3, help="Contestants in each parent selection.", ge=1, le=100)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,8 +57,8 @@ class Population:
     """The individuals of one component.
 
     Attributes:
-        individuals: Vectors, shape ``(n, d)``; the archived ones last.
-        archived: How many of them make up the population archive.
+        individuals: Vectors, shape ``(n, d)``; those of the population archive last.
+        archived: Size of the population archive.
     """
 
     individuals: FloatArray
@@ -64,7 +69,7 @@ class Population:
 
     @property
     def outside(self) -> int:
-        """How many individuals are not archived; they come first."""
+        """Number of individuals outside the population archive; they come first."""
         return len(self) - self.archived
 
 
@@ -74,27 +79,21 @@ class MlcsheState(LedgerState):
 
     Attributes:
         config: Settings.
-        populations: Of the first and of the second component.
+        populations: Populations of the first and the second component.
     """
 
     config: MlcsheConfig
     populations: tuple[Population, Population]
 
 
-class Mlcshe:
+class Mlcshe(LedgerAlgorithm[MlcsheConfig, MlcsheState]):
     """Cooperative co-evolutionary search for the hazard boundary."""
 
     id = "mlcshe@1"
     summary = "Cooperative co-evolution of scenarios and behaviours, towards the hazard boundary."
     config_type = MlcsheConfig
 
-    def check(self, space: SearchSpace, config: MlcsheConfig, *, budget: int) -> None:
-        """Raise what is wrong with this combination.
-
-        Raises:
-            UnsupportedSpace: The space does not have exactly two components.
-            ConfigError: A setting does not go with the others or with the budget.
-        """
+    def _min_budget(self, space: SearchSpace, config: MlcsheConfig) -> int:
         if len(space.components) != 2:
             names = ", ".join(component.name for component in space.components)
             raise UnsupportedSpace(
@@ -112,66 +111,49 @@ class Mlcshe:
                 "partners",
                 f"expected at most population_size, {config.population_size}, got {config.partners}",
             )
-        check_budget(budget, config.population_size**2)
+        return config.population_size**2
 
-    def start(self, space: SearchSpace, config: MlcsheConfig, *, seed: int, budget: int) -> MlcsheState:
-        """Return the first state, with nothing asked yet: the archives are the whole populations."""
-        self.check(space, config, budget=budget)
-        ledger = Ledger.opened(space, config, seed=seed, budget=budget)
+    def _first_state(self, ledger: Ledger, config: MlcsheConfig) -> MlcsheState:
+        # The whole populations are their own archives, so the first generation joins all pairs.
         first, second = (_random_population(ledger, config, index, attempt=0) for index in range(2))
         rows = ledger.unseen(_collaborations(ledger, config, (first, second), attempt=0))
-        return MlcsheState(config=config, ledger=ledger.planned(rows), populations=(first, second))
-
-    def ask(self, state: MlcsheState) -> tuple[MlcsheState, tuple[Candidate, ...]]:
-        """Return a state with a pending generation, and that generation."""
-        ledger = state.ledger.handed_out()
-        return replace(state, ledger=ledger), ledger.pending
+        return MlcsheState(config=config, ledger=ledger.plan(rows), populations=(first, second))
 
     def tell(self, state: MlcsheState, evaluations: Mapping[int, Evaluation]) -> MlcsheState:
         """Return the state after the pending generation was evaluated."""
-        ledger = state.ledger.told(evaluations)
+        ledger = state.ledger.tell(evaluations)
         told = replace(state, ledger=ledger)
         if ledger.left <= 0:
             return told
         stocks = [_breeding_stock(told, index) for index in range(2)]
-        for attempt in range(_BREEDINGS + _RESTARTS):
+        for attempt in range(MAX_BREEDINGS + MAX_RESTARTS):
             first, second = (
                 _next_population(told, stock, attempt)
-                if attempt < _BREEDINGS
+                if attempt < MAX_BREEDINGS
                 else _random_population(ledger, state.config, stock.index, attempt)
                 for stock in stocks
             )
             if rows := ledger.unseen(_collaborations(ledger, state.config, (first, second), attempt)):
-                return replace(told, ledger=ledger.planned(rows), populations=(first, second))
+                return replace(told, ledger=ledger.plan(rows), populations=(first, second))
         return told
 
-    def finished(self, state: MlcsheState) -> bool:
-        """Return whether the budget is spent, or the space is."""
-        return not state.ledger.queue
-
-    def dump(self, state: MlcsheState) -> Document:
-        """Return the state without its archive, as a versioned document."""
+    def _content(self, state: MlcsheState) -> tuple[dict[str, Any], dict[str, Any]]:
         first, second = state.populations
-        return state.ledger.dump(
-            self.id,
-            _VERSION,
+        return (
             {"population_archives": [first.archived, second.archived]},
             {"population_0": first.individuals, "population_1": second.individuals},
         )
 
-    def load(
-        self, space: SearchSpace, config: MlcsheConfig, document: Document, archive: Archive
-    ) -> MlcsheState:
-        """Return the state that `dump` wrote, with the archive that it had then."""
-        ledger = Ledger.load(space, config, document.expect(self.id, _VERSION), archive)
+    def _restored(self, ledger: Ledger, config: MlcsheConfig, document: Document) -> MlcsheState:
+        components = ledger.space.components
         match document.header.get("population_archives"):
-            case [int(), int()] as archived if len(space.components) == 2:
+            case [int(), int()] as archived if len(components) == 2:
                 first, second = (
                     Population(
                         individuals=stored_rows(document, f"population_{index}", component.dimension),
                         archived=archived[index],
                     )
-                    for index, component in enumerate(space.components)
+                    for index, component in enumerate(components)
                 )
                 return MlcsheState(config=config, ledger=ledger, populations=(first, second))
             case got:
@@ -179,7 +161,7 @@ class Mlcshe:
 
 
 def _random_population(ledger: Ledger, config: MlcsheConfig, index: int, attempt: int) -> Population:
-    """Return a random population that is its own archive, so that all pairs are joined."""
+    """Return a random population that is its own archive."""
     rng = generator(ledger.seed, Stream.START, ledger.generation, attempt, index)
     rows = [ledger.space.sample_component(index, rng) for _ in range(config.population_size)]
     return Population(individuals=frozen_array(np.array(rows)), archived=config.population_size)
@@ -188,7 +170,7 @@ def _random_population(ledger: Ledger, config: MlcsheConfig, index: int, attempt
 def _collaborations(
     ledger: Ledger, config: MlcsheConfig, populations: tuple[Population, Population], attempt: int
 ) -> list[FloatArray]:
-    """Return all complete solutions of a generation as rows, first component first (Algorithm 2)."""
+    """Return all complete solutions of a generation as rows (Algorithm 2)."""
     rng = generator(ledger.seed, Stream.COLLABORATION, ledger.generation, attempt)
     first, second = populations
     pairs = {(i, j) for i in range(len(first)) for j in range(second.outside, len(second))}
@@ -201,7 +183,7 @@ def _collaborations(
 
 
 def _further_partners(population: Population, wanted: int, rng: np.random.Generator) -> list[int]:
-    """Return random individuals outside the archive, as many as the archive lacks."""
+    """Return random individuals outside the archive to make up the wanted number of partners."""
     lacking = wanted - population.archived
     if lacking <= 0:
         return []
@@ -210,13 +192,13 @@ def _further_partners(population: Population, wanted: int, rng: np.random.Genera
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BreedingStock:
-    """A population after its generation was evaluated.
+    """An evaluated population, ready to breed.
 
     Attributes:
-        index: Of its component.
+        index: Position of its component.
         individuals: Vectors, shape ``(n, d)``.
-        fitness: Smallest fitness of the complete solutions that contain each, shape ``(n,)``.
-        archived: Positions of the individuals that represent the population from now on, the best first.
+        fitness: Smallest fitness of the complete solutions containing each individual, shape ``(n,)``.
+        archived: Positions of the new population archive, best first.
     """
 
     index: int
@@ -235,7 +217,7 @@ def _breeding_stock(state: MlcsheState, index: int) -> BreedingStock:
 def _representatives(state: MlcsheState, index: int, fitness: FloatArray) -> tuple[int, ...]:
     """Return the positions of the new population archive (Algorithm 3).
 
-    An individual of which every solution failed represents nobody, unless there is no other.
+    An individual whose solutions all failed is left out, unless all individuals are like that.
     """
     config, ledger = state.config, state.ledger
     individuals = state.populations[index].individuals
@@ -252,7 +234,7 @@ def _representatives(state: MlcsheState, index: int, fitness: FloatArray) -> tup
 
 
 def _next_population(state: MlcsheState, stock: BreedingStock, attempt: int) -> Population:
-    """Return the offspring of a population and, behind them, its archive."""
+    """Return the offspring of a population, followed by its archive."""
     config, ledger = state.config, state.ledger
     rng = generator(ledger.seed, Stream.BREEDING, ledger.generation, attempt, stock.index)
     wanted = len(stock.individuals) - len(stock.archived)

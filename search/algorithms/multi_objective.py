@@ -1,69 +1,66 @@
-"""What multi-objective searches over traffic participants have in common: a book of all solutions, and survival.
+"""Common base of multi-objective searches over traffic participants: the history of all solutions, and survival.
 
-Two objectives, both minimised: how near a solution comes to a violation (criticality, measured by the problem), and
-minus how far it is from what was tried lately (diversity, computed from roll-outs). Survival is NSGA-II's, over
-parents and children alike. How children are bred is each algorithm's own.
+There are two objectives, both minimised: the criticality, which is the distance to a violation as measured by the
+problem, and the negative diversity, which is the distance to recently tried solutions as computed from roll-outs.
+Survival is that of NSGA-II, over parents and children together. Each algorithm breeds its children in its own way.
 
 Source: Tian et al., "An LLM-Empowered Adaptive Evolutionary Algorithm for Multi-Component Deep Learning Systems".
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Self, TypeAlias, TypeVar
+from typing import Any, Final, Self, TypeAlias, TypeVar
 
 import numpy as np
 
-from brink.search.actions.distance import encounter_distances
-from brink.search.actions.genome import Genome
-from brink.search.actions.variation import Solution
-from brink.search.algorithm import Candidate, Evaluation, Scored
+from brink.search.algorithm import Candidate, Evaluation, Origin, Scored
 from brink.search.algorithms.ledger import BoundaryConfig, Ledger, LedgerState, stored_rows
-from brink.search.archive import Archive
-from brink.search.component import BoolArray, FloatArray, frozen_array
 from brink.search.document import Document
 from brink.search.errors import DocumentError
 from brink.search.pareto import ranks_and_crowding, survivors
-from brink.search.seeding import Origin
 from brink.search.settings import setting
-from brink.search.space import SearchSpace
+from brink.search.space import BoolArray, FloatArray, frozen_array
 from brink.search.streams import Stream, generator
+from brink.search.traffic.motion import encounter_distances
+from brink.search.traffic.participants import Solution
+from brink.search.traffic.variation import TrafficGenome
 
 CRITICALITY: Final = "criticality_m"
 """Objective that a problem must measure: the smallest distance to a violation, negative if violated."""
 ORIGINS: Final = tuple(Origin)
-_FILLS: Final = 30
-"""Rounds of random draws for a generation that breeding could not fill."""
+_MAX_FILLS: Final = 30
+"""Rounds of random draws to fill a generation that breeding could not fill."""
 
 
-def gap_of(participant: int) -> str:
-    """Return the objective that says how near a participant came to the ego; they count from 1."""
+def gap_objective(participant: int) -> str:
+    """Return the name of the objective for a participant's smallest gap to the ego; participants count from 1."""
     return f"gap_{participant}_m"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MultiObjectiveConfig(BoundaryConfig):
-    """Settings of all of them."""
+    """Settings of all multi-objective searches."""
 
     population_size: int = setting(
-        50, help="Solutions in the population, and children a generation.", ge=4, le=1_000
+        50, help="Solutions in the population, and children per generation.", ge=4, le=1_000
     )
     diversity: str = setting(
-        "mean", help="Diversity is the mean or the least distance to what was tried lately.",
+        "mean", help="Diversity is the mean or the smallest distance to recently tried solutions.",
         choices=("mean", "min"),
     )  # fmt: skip
-    lately: int = setting(5, help="Generations that count as lately.", ge=1, le=100)
+    lately: int = setting(5, help="Number of generations that count as recent.", ge=1, le=100)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Book:
-    """Every solution that was told, by its number.
+class History:
+    """Every solution told so far, by number.
 
     Attributes:
-        rows: Shape ``(a, d)``.
-        criticality: Infinite if there is no verdict, shape ``(a,)``.
-        gaps: How near each participant came to the ego, infinite if unknown, shape ``(a, p)``.
-        unsafe: Shape ``(a,)``.
-        generations: In which each was told, from 0, shape ``(a,)``.
+        rows: Solutions, shape ``(a, d)``.
+        criticality: Infinite without a verdict, shape ``(a,)``.
+        gaps: Smallest gap of each participant to the ego, infinite if unknown, shape ``(a, p)``.
+        unsafe: Verdicts, shape ``(a,)``.
+        generations: Generation of each, from 0, shape ``(a,)``.
         origins: Positions in `ORIGINS`, shape ``(a,)``.
     """
 
@@ -75,25 +72,31 @@ class Book:
     origins: FloatArray
 
     @classmethod
-    def empty(cls, genome: Genome) -> Self:
-        """Return a book without entries."""
+    def empty(cls, genome: TrafficGenome) -> Self:
+        """Return an empty history."""
         none = frozen_array(np.empty(0))
         return cls(
             rows=frozen_array(np.empty((0, genome.space.dimension))), criticality=none,
-            gaps=frozen_array(np.empty((0, genome.most))), unsafe=none, generations=none, origins=none,
+            gaps=frozen_array(np.empty((0, genome.max_participants))), unsafe=none, generations=none, origins=none,
         )  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.rows)
 
-    def told(
+    def extended(
         self,
         candidates: Sequence[Candidate],
         evaluations: Mapping[int, Evaluation],
         origins: Sequence[Origin],
         generation: int,
     ) -> Self:
-        """Return the book with a generation added.
+        """Return the history with one more generation.
+
+        Args:
+            candidates: Candidates of the generation.
+            evaluations: Their evaluations, by number.
+            origins: Where each comes from.
+            generation: Number of the generation.
 
         Raises:
             KeyError: An evaluation lacks an objective.
@@ -104,41 +107,39 @@ class Book:
             evaluation = evaluations[candidate.number]
             rows.append(np.concatenate(candidate.vectors))
             if isinstance(evaluation, Scored):
-                criticality.append(evaluation.objectives[CRITICALITY])
-                gaps.append(
-                    [evaluation.objectives.get(gap_of(p), np.inf) for p in range(1, participants + 1)]
-                )
+                objectives = evaluation.objectives
+                criticality.append(objectives[CRITICALITY])
+                gaps.append([objectives.get(gap_objective(p), np.inf) for p in range(1, participants + 1)])
                 unsafe.append(evaluation.unsafe)
             else:
                 criticality.append(np.inf)
                 gaps.append([np.inf] * participants)
                 unsafe.append(False)
-        codes = [ORIGINS.index(origin) for origin in origins]
 
-        def more(before: FloatArray, after: object) -> FloatArray:
+        def joined(before: FloatArray, after: object) -> FloatArray:
             return frozen_array(np.concatenate([before, np.asarray(after, np.float64)]))
 
         return replace(
             self,
-            rows=more(self.rows, rows),
-            criticality=more(self.criticality, criticality),
-            gaps=more(self.gaps, gaps),
-            unsafe=more(self.unsafe, unsafe),
-            generations=more(self.generations, [generation] * len(rows)),
-            origins=more(self.origins, codes),
+            rows=joined(self.rows, rows),
+            criticality=joined(self.criticality, criticality),
+            gaps=joined(self.gaps, gaps),
+            unsafe=joined(self.unsafe, unsafe),
+            generations=joined(self.generations, [generation] * len(rows)),
+            origins=joined(self.origins, [ORIGINS.index(origin) for origin in origins]),
         )
 
     @property
-    def judged(self) -> BoolArray:
+    def has_verdict(self) -> BoolArray:
         """Which solutions have a verdict, shape ``(a,)``."""
         return np.isfinite(self.criticality)
 
-    def lately(self, generations: int) -> list[int]:
-        """Return the numbers of judged solutions of the last generations."""
+    def recent(self, generations: int) -> list[int]:
+        """Return the numbers of the solutions with a verdict in the last generations."""
         if not len(self):
             return []
         recent = self.generations > self.generations[-1] - generations
-        return [int(number) for number in np.flatnonzero(self.judged & recent)]
+        return [int(number) for number in np.flatnonzero(self.has_verdict & recent)]
 
     def origin(self, number: int) -> Origin:
         """Return where a solution comes from."""
@@ -147,13 +148,13 @@ class Book:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bounds:
-    """The least and the greatest of an objective that were ever seen; infinite before there are any."""
+    """The smallest and largest value of an objective so far; infinite before the first value."""
 
     low: float = np.inf
     high: float = -np.inf
 
-    def seen(self, values: FloatArray) -> "Bounds":
-        """Return the bounds after more values."""
+    def widened(self, values: FloatArray) -> "Bounds":
+        """Return the bounds extended to the finite numbers among the given values, shape ``(n,)``."""
         finite = values[np.isfinite(values)]
         return Bounds(
             low=float(min(self.low, finite.min(initial=np.inf))),
@@ -167,16 +168,16 @@ class MultiObjectiveState(LedgerState):
 
     Attributes:
         config: Settings.
-        book: All solutions that were told.
-        population: Their numbers, best first.
-        diversity: Of the population, in m, shape ``(n,)``.
-        queue_origins: Where the queued solutions come from.
-        criticality_bounds: Ever seen.
-        diversity_bounds: Ever seen.
+        history: All solutions told so far.
+        population: Numbers of the solutions in the population, best first.
+        diversity: Diversity of the population in m, shape ``(n,)``.
+        queue_origins: Where each queued solution comes from.
+        criticality_bounds: Bounds of the criticality over the whole history.
+        diversity_bounds: Bounds of the diversity over the whole history.
     """
 
     config: MultiObjectiveConfig
-    book: Book
+    history: History
     population: tuple[int, ...]
     diversity: FloatArray
     queue_origins: tuple[Origin, ...]
@@ -186,34 +187,38 @@ class MultiObjectiveState(LedgerState):
     @property
     def fitness(self) -> FloatArray:
         """Criticality of the population, shape ``(n,)``."""
-        return self.book.criticality[list(self.population)]
+        return self.history.criticality[list(self.population)]
 
     @property
     def objectives(self) -> FloatArray:
-        """Criticality and minus diversity of the population, both minimised, shape ``(n, 2)``."""
+        """Criticality and negative diversity of the population, both minimised, shape ``(n, 2)``."""
         return np.stack([self.fitness, -self.diversity], axis=1)
 
     @property
     def front(self) -> tuple[int, ...]:
-        """Numbers of those in the population that nobody dominates."""
+        """Numbers of the non-dominated solutions of the population."""
         if not self.population:
             return ()
         first = ranks_and_crowding(self.objectives)[0] == 0
         return tuple(number for number, best in zip(self.population, first.tolist(), strict=True) if best)
 
 
-def opened(
-    space: SearchSpace, config: MultiObjectiveConfig, *, seed: int, budget: int
-) -> MultiObjectiveState:
-    """Return the state of a search that has not begun.
+S = TypeVar("S", bound=MultiObjectiveState)
+
+Child: TypeAlias = tuple[FloatArray, Origin]
+"""A row of the space, and where it comes from."""
+
+
+def empty_state(ledger: Ledger, config: MultiObjectiveConfig) -> MultiObjectiveState:
+    """Return a state without a population.
 
     Raises:
         UnsupportedSpace: The space has no participants.
     """
     return MultiObjectiveState(
         config=config,
-        ledger=Ledger.opened(space, config, seed=seed, budget=budget),
-        book=Book.empty(Genome.of(space)),
+        ledger=ledger,
+        history=History.empty(TrafficGenome.of(ledger.space)),
         population=(),
         diversity=frozen_array(np.empty(0)),
         queue_origins=(),
@@ -222,138 +227,169 @@ def opened(
     )
 
 
-S = TypeVar("S", bound=MultiObjectiveState)
+def select_survivors(state: S, evaluations: Mapping[int, Evaluation], genome: TrafficGenome) -> S:
+    """Return the state after a generation, with the best of parents and children as its population.
 
-Child: TypeAlias = tuple[FloatArray, Origin]
-"""A row and where it comes from."""
+    Args:
+        state: A state with a pending generation.
+        evaluations: Evaluations of that generation, by number.
+        genome: Genome of the space.
 
-
-def survived(state: S, evaluations: Mapping[int, Evaluation], genome: Genome) -> S:
-    """Return the state after a generation was told: the best of parents and children are its population."""
+    Raises:
+        OrderError: Nothing is pending, or the numbers are not the pending ones.
+        KeyError: An evaluation lacks the criticality.
+    """
     pending = state.ledger.pending
-    ledger = state.ledger.told(evaluations)
-    book = state.book.told(pending, evaluations, state.queue_origins, state.ledger.generation)
-    fresh = [number for number in range(len(state.book), len(book)) if book.judged[number]]
+    ledger = state.ledger.tell(evaluations)
+    history = state.history.extended(pending, evaluations, state.queue_origins, state.ledger.generation)
+    fresh = [number for number in range(len(state.history), len(history)) if history.has_verdict[number]]
     pool = [*state.population, *fresh]
-    diversity = diversities(genome, book, pool, state.config)
-    objectives = np.stack([book.criticality[pool], -diversity], axis=1)
+    diversity = diversities(genome, history, pool, state.config)
+    objectives = np.stack([history.criticality[pool], -diversity], axis=1)
     kept = survivors(objectives, state.config.population_size).tolist()
     return replace(
         state,
         ledger=ledger,
-        book=book,
+        history=history,
         population=tuple(pool[place] for place in kept),
         diversity=frozen_array(diversity[kept]),
         queue_origins=(),
-        criticality_bounds=state.criticality_bounds.seen(book.criticality[fresh]),
-        diversity_bounds=state.diversity_bounds.seen(diversity),
+        criticality_bounds=state.criticality_bounds.widened(history.criticality[fresh]),
+        diversity_bounds=state.diversity_bounds.widened(diversity),
     )
 
 
 def diversities(
-    genome: Genome, book: Book, numbers: Sequence[int], config: MultiObjectiveConfig
+    genome: TrafficGenome, history: History, numbers: Sequence[int], config: MultiObjectiveConfig
 ) -> FloatArray:
-    """Return how far solutions are from what was tried lately, themselves excepted, in m.
+    """Return the distance of solutions to recently tried ones, excluding themselves.
+
+    Args:
+        genome: Genome of the space.
+        history: All solutions told so far.
+        numbers: Numbers of the n solutions.
+        config: Settings: which solutions count as recent, and whether to take the mean or the minimum.
 
     Returns:
-        Shape ``(n,)``; 0 where there is nothing to compare with.
+        Distances in m, shape ``(n,)``; 0 for a solution without others to compare with.
     """
-    lately = book.lately(config.lately)
-    every = sorted({*numbers, *lately})
-    place = {number: index for index, number in enumerate(every)}
-    rolled = genome.rolled_out(genome.solution(book.rows[number]) for number in every)
-    apart = encounter_distances(
-        rolled.take([place[number] for number in numbers]), rolled.take([place[n] for n in lately])
+    recent = history.recent(config.lately)
+    compared = sorted({*numbers, *recent})
+    place = {number: index for index, number in enumerate(compared)}
+    rollouts = genome.roll_out_rows(history.rows[number] for number in compared)
+    distances = encounter_distances(
+        rollouts.take([place[number] for number in numbers]), rollouts.take([place[n] for n in recent])
     )
-    itself = np.asarray(numbers)[:, None] == np.asarray(lately)[None, :]
+    itself = np.asarray(numbers)[:, None] == np.asarray(recent)[None, :]
     found = np.zeros(len(numbers))
     for row in range(len(numbers)):
-        others = apart[row][~itself[row]]
+        others = distances[row][~itself[row]]
         if others.size:
             found[row] = others.mean() if config.diversity == "mean" else others.min()
     return found
 
 
-def random_children(genome: Genome, count: int, rng: np.random.Generator) -> list[Child]:
-    """Return random solutions."""
-    return [(genome.row(genome.random(rng), None, rng), Origin.RANDOM) for _ in range(count)]
+def random_children(genome: TrafficGenome, count: int, rng: np.random.Generator) -> list[Child]:
+    """Draw random solutions.
+
+    Args:
+        genome: Genome of the space.
+        count: Number of solutions.
+        rng: Source of all randomness.
+    """
+    return [(genome.row(genome.sample(rng), None, rng), Origin.RANDOM) for _ in range(count)]
 
 
-def queued(state: S, children: Sequence[Child], genome: Genome, rng: np.random.Generator) -> S:
-    """Return the state with a generation queued: children that are new, then random ones until it is full."""
+def plan_generation(
+    state: S, children: Sequence[Child], genome: TrafficGenome, rng: np.random.Generator
+) -> S:
+    """Return the state with the next generation queued: new children, then random solutions until it is full.
+
+    Args:
+        state: A state with an empty queue.
+        children: Children in order of preference; known solutions among them are skipped.
+        genome: Genome of the space.
+        rng: Source of all randomness.
+    """
     ledger = state.ledger
     wanted = int(min(state.config.population_size, max(0, ledger.left)))
-    found: dict[bytes, Child] = {}
+    chosen: dict[bytes, Child] = {}
 
-    def take(more: Sequence[Child]) -> None:
-        origins = {row.tobytes(): origin for row, origin in reversed(more)}
-        for row in ledger.unseen([row for row, _ in more]):
-            found.setdefault(row.tobytes(), (row, origins[row.tobytes()]))
+    def take(candidates: Sequence[Child]) -> None:
+        origins = {row.tobytes(): origin for row, origin in reversed(candidates)}
+        for row in ledger.unseen([row for row, _ in candidates]):
+            chosen.setdefault(row.tobytes(), (row, origins[row.tobytes()]))
 
     take(children)
-    for _ in range(_FILLS):
-        if len(found) >= wanted:
+    for _ in range(_MAX_FILLS):
+        if len(chosen) >= wanted:
             break
-        take(random_children(genome, wanted - len(found), rng))
-    chosen = list(found.values())[:wanted]
+        take(random_children(genome, wanted - len(chosen), rng))
+    generation = list(chosen.values())[:wanted]
     return replace(
         state,
-        ledger=ledger.planned([row for row, _ in chosen]),
-        queue_origins=tuple(origin for _, origin in chosen),
+        ledger=ledger.plan([row for row, _ in generation]),
+        queue_origins=tuple(origin for _, origin in generation),
     )
 
 
 def breeding_rng(state: MultiObjectiveState) -> np.random.Generator:
-    """Return the generator of the next generation's children."""
+    """Return the random generator for breeding the next generation."""
     return generator(state.ledger.seed, Stream.BREEDING, state.ledger.generation)
 
 
 def child_of(
     state: MultiObjectiveState,
-    genome: Genome,
+    genome: TrafficGenome,
     solution: Solution,
     parent: int,
     origin: Origin,
     rng: np.random.Generator,
 ) -> Child:
-    """Return a child of a solution, by its number."""
-    return genome.row(solution, state.book.rows[parent], rng), origin
+    """Return a child with the given participants and the other components of its parent.
+
+    Args:
+        state: State with the parent in its history.
+        genome: Genome of the space.
+        solution: Participants of the child.
+        parent: Number of the parent.
+        origin: How the participants were made.
+        rng: Source of all randomness.
+    """
+    return genome.row(solution, state.history.rows[parent], rng), origin
 
 
-def dump_state(state: MultiObjectiveState, kind: str, version: int, header: Mapping[str, object]) -> Document:
-    """Return a state without its archive."""
-    book = state.book
+def state_content(state: MultiObjectiveState) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return header and arrays of a state, without its ledger."""
+    history = state.history
     bounds = [state.criticality_bounds, state.diversity_bounds]
-    columns = np.stack([book.criticality, book.unsafe, book.generations, book.origins, *book.gaps.T], axis=1)
-    return state.ledger.dump(
-        kind,
-        version,
-        {
-            "population": list(state.population),
-            "queue_origins": [origin.value for origin in state.queue_origins],
-            **header,
-        },
-        {
-            "rows": book.rows,
-            "columns": columns,
-            "diversity": state.diversity[:, None],
-            "bounds": np.array([[bound.low, bound.high] for bound in bounds]),
-        },
-    )
+    columns = [history.criticality, history.unsafe, history.generations, history.origins, *history.gaps.T]
+    header = {
+        "population": list(state.population),
+        "queue_origins": [origin.value for origin in state.queue_origins],
+    }
+    arrays = {
+        "rows": history.rows,
+        "columns": np.stack(columns, axis=1),
+        "diversity": state.diversity[:, None],
+        "bounds": np.array([[bound.low, bound.high] for bound in bounds]),
+    }
+    return header, arrays
 
 
-def load_state(
-    space: SearchSpace, config: MultiObjectiveConfig, document: Document, archive: Archive
-) -> MultiObjectiveState:
-    """Return the state that `dump_state` wrote.
+def restored_state(ledger: Ledger, config: MultiObjectiveConfig, document: Document) -> MultiObjectiveState:
+    """Return the state of a restored ledger and a document with its `state_content`.
+
+    Args:
+        ledger: The ledger.
+        config: Settings.
+        document: The document.
 
     Raises:
-        DocumentError: The document is broken, or does not belong to the space, settings or archive.
+        DocumentError: The document is corrupt, or does not match the space.
     """
-    genome = Genome.of(space)
-    ledger = Ledger.load(space, config, document, archive)
-    rows = stored_rows(document, "rows", space.dimension)
-    columns = stored_rows(document, "columns", 4 + genome.most)
+    rows = stored_rows(document, "rows", ledger.space.dimension)
+    columns = stored_rows(document, "columns", 4 + TrafficGenome.of(ledger.space).max_participants)
     diversity = stored_rows(document, "diversity", 1)[:, 0]
     bounds = stored_rows(document, "bounds", 2)
     population = document.header.get("population")
@@ -362,14 +398,14 @@ def load_state(
     ):
         raise DocumentError(f"population: expected numbers of solutions, got {population!r}")
     if len(diversity) != len(population) or len(columns) != len(rows) or len(bounds) != 2:
-        raise DocumentError("expected as many entries in every table of the search")
+        raise DocumentError("expected the same number of entries in every table of the search")
     origins = document.header.get("queue_origins")
     if not isinstance(origins, list) or not set(origins) <= set(Origin) or len(origins) != len(ledger.queue):
-        raise DocumentError(f"queue_origins: expected one of each queued solution, got {origins!r}")
+        raise DocumentError(f"queue_origins: expected one for each queued solution, got {origins!r}")
     return MultiObjectiveState(
         config=config,
         ledger=ledger,
-        book=Book(
+        history=History(
             rows=rows, criticality=frozen_array(columns[:, 0]), unsafe=frozen_array(columns[:, 1]),
             generations=frozen_array(columns[:, 2]), origins=frozen_array(columns[:, 3]),
             gaps=frozen_array(columns[:, 4:]),

@@ -1,1 +1,1 @@
-"""What can be said of an archive: pure functions of archives and plain values."""
+"""Analysis of archives: boundaries, tables, statistics, comparisons, monitors and maps, as pure functions."""

@@ -1,25 +1,39 @@
-"""DBS and strict DBS of campaigns side by side, each with its control.
+"""Comparisons in tables and in words: campaigns with their controls, and methods over repeated campaigns.
 
-A control has verdicts that ignore behaviour (`brink.search.control`), so what it reaches is owed to scenarios
-and chance.
+A control has verdicts that ignore the behaviour (`brink.search.analysis.scores`), so its figures are due to scenarios
+and chance. A control that reads low proves nothing, whatever the test says, and a p-value that does not survive its
+correction shows no difference.
+
+Source: Sharifi et al. 2023, Tables 1 and 2. Beyond the paper: strict DBS, controls, and Holm's correction over all
+comparisons of one table, which are those of one problem and one measure in which values differ at all.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from brink.search.analysis.scores import ENOUGH_REPEATS, Scores, scored
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS, Measure
+from brink.search.analysis.scores import ENOUGH_REPEATS, Figures, Scores, scored
+from brink.search.analysis.statistics import (
+    Comparison,
+    MeanInterval,
+    compared,
+    effect_size,
+    holm,
+    mean_interval,
+)
 from brink.search.archive import Archive
-from brink.search.boundary import PAPER_D_THS, PAPER_T_BS
-from brink.search.space import SearchSpace
+from brink.search.space import FloatArray, SearchSpace
 
-SPREADS = 2.0
-"""Standard deviations of its draws by which a campaign must exceed its control, to owe anything to behaviour."""
-CALIBRATION = 0.15
-"""Share of a control by which it can read low though behaviour has no effect (docs/mlcshe.md)."""
+SPREADS: Final = 2.0
+"""Standard deviations of its draws by which a campaign must exceed its control to show an effect of behaviour."""
+CALIBRATION: Final = 0.15
+"""Share by which a control can read low although behaviour has no effect (docs/explanation/mlcshe-results.md)."""
+LEVEL: Final = 0.05
+"""Adjusted p-value up to which a difference is significant."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,10 +43,10 @@ class ComparedCampaign:
     Attributes:
         id: Its id.
         label: Its name in the table.
-        space: What it searched.
+        space: Its search space.
         archive: All its evaluated solutions.
         simulations: Its budget.
-        seed: Its seed, which decides the draws of its control.
+        seed: Its seed, which determines its controls.
     """
 
     id: str
@@ -45,29 +59,29 @@ class ComparedCampaign:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Row:
-    """One line of the comparison.
+    """One row of a comparison: a campaign or its control, at the whole budget.
 
     Attributes:
-        label: What the figures are of.
-        campaign: Id of the campaign, its own or that of its control.
+        label: Name of the row.
+        campaign: Id of the campaign.
         unsafe_share: Unsafe share of the archive.
-        dbs: Shape ``(len(PAPER_T_BS), len(PAPER_D_THS))``; means for a control.
-        strict: The same for strict DBS.
-        strict_spread: Standard deviation of strict DBS over a control's draws, same shape; zero for a campaign.
-        repeats: Evaluated behaviours a scenario, for a control; None for a campaign.
+        dbs: DBS, shape ``(len(PAPER_T_BS), len(PAPER_D_THS))``; means for a control.
+        strict: Strict DBS, same shape.
+        strict_spread: Standard deviation of strict DBS over the draws of a control, same shape; 0 for a campaign.
+        repeats: Mean number of evaluated behaviours per scenario for a control; None for a campaign.
     """
 
     label: str
     campaign: str
     unsafe_share: float
-    dbs: NDArray[np.float64]
-    strict: NDArray[np.float64]
-    strict_spread: NDArray[np.float64]
+    dbs: FloatArray
+    strict: FloatArray
+    strict_spread: FloatArray
     repeats: float | None
 
     @property
     def reads_low(self) -> bool:
-        """Whether this is a control that too few behaviours a scenario make too low."""
+        """Whether this is a control with too few behaviours per scenario, and so with too low figures."""
         return self.repeats is not None and self.repeats < ENOUGH_REPEATS
 
 
@@ -84,7 +98,13 @@ def compare(campaigns: Sequence[ComparedCampaign], *, control: bool = True) -> l
 
 
 def rows_of(scores: Scores, *, campaign: str, label: str) -> list[Row]:
-    """Return the row of a campaign at its whole budget, followed by that of its control if it has one."""
+    """Return the row of a campaign, followed by that of its control if it has one.
+
+    Args:
+        scores: The campaign's scores.
+        campaign: Its id.
+        label: Its name in the table.
+    """
     figures = scores.figures
     own = Row(
         label=label, campaign=campaign, unsafe_share=scores.unsafe / scores.evaluated if scores.evaluated else 0.0,
@@ -101,39 +121,208 @@ def rows_of(scores: Scores, *, campaign: str, label: str) -> list[Row]:
     return [own, control]
 
 
-def in_words(rows: Sequence[Row], t_b: float, d_th: float) -> list[str]:
-    """Return, for each campaign that has a control, what the two say together, in a sentence.
+def control_summaries(rows: Sequence[Row], t_b: float, d_th: float) -> list[str]:
+    """Return a sentence on each campaign with a control.
 
     Args:
-        rows: From `compare`.
+        rows: The result of `compare`.
         t_b: One of the paper's thresholds.
         d_th: One of the paper's thresholds.
     """
     place = PAPER_T_BS.index(t_b), PAPER_D_THS.index(d_th)
     return [
-        f"{row.label}: {said(row, control, place)}"
+        f"{row.label}: {control_summary(row, control, place)}"
         for row, control in itertools.pairwise(rows)
         if row.repeats is None and control.repeats is not None
     ]
 
 
-def said(row: Row, control: Row, place: tuple[int, int]) -> str:
-    """Return what a campaign and its control say together.
+def control_summary(row: Row, control: Row, place: tuple[int, int]) -> str:
+    """Return what a campaign and its control show together, as a sentence.
 
     Args:
-        row: Of the campaign.
-        control: Of its control.
-        place: Of t_b in `PAPER_T_BS`, of d_th in `PAPER_D_THS`.
+        row: Row of the campaign.
+        control: Row of its control.
+        place: Positions of t_b in `PAPER_T_BS` and of d_th in `PAPER_D_THS`.
     """
     found, blind = float(row.strict[place]), float(control.strict[place])
-    facts = (
-        f"strict DBS {found:g} within its budget, {blind:.3g} if verdicts ignored the component's behaviour"
-    )
+    facts = f"strict DBS {found:g} within the budget, {blind:.3g} for verdicts that ignore the component's behaviour"
     if control.reads_low:
-        return f"{facts}; with {control.repeats:.1f} behaviours a scenario that figure reads low and proves nothing"
+        return f"{facts}; with {control.repeats:.1f} behaviours per scenario the control reads low and proves nothing"
     if not found:
-        return f"{facts}: nothing that could be owed to it"
+        return f"{facts}: nothing to attribute to the component"
     beyond = found - blind
     if beyond > max(SPREADS * float(control.strict_spread[place]), CALIBRATION * blind):
-        return f"{facts}: about {beyond:.0f} of {found:g} are owed to how the component behaves"
-    return f"{facts}: no more than scenarios and chance give, so it does not show that the component matters"
+        return f"{facts}: the component's behaviour accounts for about {beyond:.0f} of {found:g}"
+    return (
+        f"{facts}: no more than scenarios and chance give, so this does not show that the component matters"
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Repeat:
+    """A finished campaign of an experiment, with its scores."""
+
+    problem: str
+    method: str
+    seed: int
+    campaign: str
+    scores: Scores
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Line:
+    """A method, or its control, on one problem."""
+
+    problem: str
+    method: str
+    control: bool
+
+    @property
+    def label(self) -> str:
+        """Name of the line."""
+        return f"{self.method}, control" if self.control else self.method
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Standing:
+    """An entry of Table 1: mean and interval of a line for one pair of thresholds."""
+
+    line: Line
+    measure: Measure
+    t_b: float
+    d_th: float
+    value: MeanInterval
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Duel:
+    """An entry of Table 2: one line compared with another for one pair of thresholds.
+
+    Attributes:
+        first: The line whose larger values give an A12 above one half.
+        second: The other line.
+        measure: The measure compared.
+        t_b: Largest fitness of a boundary solution.
+        d_th: Smallest distance between two distinct solutions.
+        result: U, p-value and A12.
+        adjusted: The p-value, corrected for all comparisons of the table.
+    """
+
+    first: Line
+    second: Line
+    measure: Measure
+    t_b: float
+    d_th: float
+    result: Comparison
+    adjusted: float
+
+    @property
+    def size(self) -> str:
+        """The effect size in a word."""
+        return effect_size(self.result.a12)
+
+
+def lines_of(repeats: Sequence[Repeat]) -> dict[Line, list[tuple[int, Figures]]]:
+    """Return seeds and figures by line: all methods, then all controls."""
+    found: dict[Line, list[tuple[int, Figures]]] = {}
+    for repeat in repeats:
+        line = Line(problem=repeat.problem, method=repeat.method, control=False)
+        found.setdefault(line, []).append((repeat.seed, repeat.scores.figures))
+    for repeat in repeats:
+        if repeat.scores.control is not None:
+            line = Line(problem=repeat.problem, method=repeat.method, control=True)
+            found.setdefault(line, []).append((repeat.seed, repeat.scores.control.figures))
+    return found
+
+
+def standings(repeats: Sequence[Repeat]) -> list[Standing]:
+    """Return Table 1: means and 95% intervals for all lines, measures and thresholds."""
+    return [
+        Standing(
+            line=line, measure=measure, t_b=t_b, d_th=d_th,
+            value=mean_interval([float(measure.of(figures)[-1, i, j]) for _, figures in values]),
+        )
+        for line, values in lines_of(repeats).items()
+        for measure in Measure
+        for i, t_b in enumerate(PAPER_T_BS)
+        for j, d_th in enumerate(PAPER_D_THS)
+    ]  # fmt: skip
+
+
+def duels(repeats: Sequence[Repeat]) -> list[Duel]:
+    """Return Table 2: every pair of methods on a problem, and every method against its control."""
+    lines = lines_of(repeats)
+    found: list[Duel] = []
+    for problem in dict.fromkeys(line.problem for line in lines):
+        for measure in Measure:
+            found += _table(lines, list(_pairs(lines, problem)), measure)
+    return found
+
+
+def _pairs(lines: Mapping[Line, object], problem: str) -> Iterator[tuple[Line, Line]]:
+    methods = [line for line in lines if line.problem == problem and not line.control]
+    yield from itertools.combinations(methods, 2)
+    for line in methods:
+        control = Line(problem=problem, method=line.method, control=True)
+        if control in lines:
+            yield line, control
+
+
+def _table(
+    lines: Mapping[Line, list[tuple[int, Figures]]], pairs: Sequence[tuple[Line, Line]], measure: Measure
+) -> list[Duel]:
+    results = []
+    for first, second in pairs:
+        for i, t_b in enumerate(PAPER_T_BS):
+            for j, d_th in enumerate(PAPER_D_THS):
+                a, b = (
+                    [float(measure.of(figures)[-1, i, j]) for _, figures in lines[line]]
+                    for line in (first, second)
+                )
+                results.append((first, second, t_b, d_th, compared(a, b), len({*a, *b}) > 1))
+    # If all values are equal, there is nothing to test or to correct for (Tarone 1990).
+    tested = iter(holm([result.p_value for *_, result, differ in results if differ]))
+    return [
+        Duel(
+            first=first, second=second, measure=measure, t_b=t_b, d_th=d_th, result=result,
+            adjusted=next(tested) if differ else 1.0,
+        )
+        for first, second, t_b, d_th, result, differ in results
+    ]  # fmt: skip
+
+
+def conclusion(duel: Duel, first: float, second: float, low: Collection[str]) -> str:
+    """Return the conclusion from a comparison, as the end of a sentence about its figures.
+
+    Args:
+        duel: The comparison.
+        first: Mean of the first line.
+        second: Mean of the second line.
+        low: Methods of this problem whose control reads low.
+    """
+    significant, uncorrected = duel.adjusted <= LEVEL, duel.result.p_value <= LEVEL
+    chance = "significant by itself, but among so many comparisons it may be chance"
+    if duel.second.control:
+        if duel.first.method in low:
+            return "the control reads low here, so this proves nothing"
+        if significant and first > second:
+            return f"more than scenarios and chance give: behaviour accounts for {first - second:.1f}"
+        if uncorrected and first > second:
+            return f"perhaps more than scenarios and chance give: {chance}"
+        return "no more than scenarios and chance give, as far as these repeats show"
+    if not significant:
+        return chance if uncorrected else "these repeats show no difference"
+    better = duel.first.method if duel.result.a12 > 0.5 else duel.second.method
+    return f"{better} finds more"
+
+
+def with_low_controls(repeats: Sequence[Repeat], problem: str | None = None) -> list[str]:
+    """Return the methods whose control reads low with any seed, on one problem or (None) on any."""
+    return sorted(
+        {
+            one.method
+            for one in repeats
+            if one.scores.control and one.scores.control.reads_low and problem in (None, one.problem)
+        }
+    )

@@ -1,27 +1,95 @@
-"""How the verdict depends on each parameter: the unsafe share over its values, and whether that is more than chance.
+"""How verdicts, and the axes of a map, depend on single parameters.
 
-A search does not sample evenly: this shows where unsafe solutions were found, not how likely they are.
+A search does not sample evenly: the unsafe share over a parameter shows where unsafe solutions were found, not how
+likely they are.
 """
 
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import scipy  # its statistics take half a second to load: at the first use
 from numpy.typing import NDArray
 
-from brink.search.analysis.parameters import ParameterColumn, parameter_columns
 from brink.search.archive import Archive
-from brink.search.component import BoolArray, FloatArray
-from brink.search.fitness import IntArray
-from brink.search.space import Categorical, Integer, SearchSpace
+from brink.search.space import (
+    BoolArray,
+    Categorical,
+    Component,
+    Dormant,
+    FloatArray,
+    IntArray,
+    Integer,
+    Parameter,
+    SearchSpace,
+)
 
 FEWEST_IN_BIN: Final = 15
-MOST_BINS: Final = 8
+MAX_BINS: Final = 8
 FEW_INTEGERS: Final = 9
-"""Integers with at most this many values are shown value by value."""
+"""Largest number of values of an integer that is shown value by value."""
 DETECTABLE: Final = 0.05
-"""Probability, over all parameters together, that one without effect stands out."""
+"""Probability that, over all parameters together, one without an effect stands out."""
+LEAST_EXPLAINED: Final = 0.25
+"""Smallest share of the variance along an axis that the named parameter must explain."""
+LEAST_ACTIVE: Final = 0.8
+"""Smallest share of solutions in which a number must be active to explain an axis."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ParameterColumn:
+    """The values of one parameter over an archive.
+
+    Attributes:
+        component: Name of its component.
+        parameter: The parameter.
+        values: Stored values, numbers or indices of choices, shape ``(n,)``.
+        active: Where the value is meaningful, shape ``(n,)``; numbers of a dormant block are stored as 0.
+    """
+
+    component: str
+    parameter: Parameter
+    values: FloatArray
+    active: BoolArray
+
+    @property
+    def name(self) -> str:
+        """``component.parameter``."""
+        return f"{self.component}.{self.parameter.name}"
+
+
+def parameter_columns(space: SearchSpace, vectors: FloatArray) -> list[ParameterColumn]:
+    """Return the columns of all parameters, in the order of the genome.
+
+    Args:
+        space: The search space.
+        vectors: Complete solutions as rows, shape ``(n, d)``.
+    """
+    columns: list[ParameterColumn] = []
+    for component, part in zip(space.components, space.slices, strict=True):
+        rows = vectors[:, part]
+        active = _active(component, rows)
+        columns += [
+            ParameterColumn(
+                component=component.name, parameter=parameter, values=rows[:, index], active=active[:, index]
+            )
+            for index, parameter in enumerate(component.parameters)
+        ]
+    return columns
+
+
+def _active(component: Component, rows: FloatArray) -> BoolArray:
+    """Return which entries of a component's rows are active, shape ``(n, d)``."""
+    active = np.ones(rows.shape, dtype=np.bool_)
+    place = {parameter.name: index for index, parameter in enumerate(component.parameters)}
+    for block in component.constraints:
+        if not isinstance(block, Dormant):
+            continue
+        label = component.by_name[block.label]
+        if isinstance(label, Categorical):
+            dormant = rows[:, place[block.label]] == label.choices.index(block.null_choice)
+            for member in block.members:
+                active[dormant, place[member]] = False
+    return active
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -30,12 +98,12 @@ class Dependence:
 
     Attributes:
         column: The parameter.
-        places: Where each group lies on the axis: index of the choice or value, or the median of the bin.
-        labels: Names of the groups; empty if the axis is a scale.
-        counts: Solutions in each group.
-        unsafe: Unsafe ones among them.
+        places: Position of each of g groups on the axis: index of the choice or value, or median of the bin.
+        labels: Names of the groups; empty for a numeric scale.
+        counts: Solutions in each group, shape ``(g,)``.
+        unsafe: Unsafe solutions in each group, shape ``(g,)``.
         strength: Cramér's V between group and verdict, in [0, 1].
-        p_value: Of the chi-squared test that the verdict does not depend on the group; 1 if there is one group.
+        p_value: p-value of the chi-squared test of independence; 1 with a single group.
     """
 
     column: ParameterColumn
@@ -47,18 +115,18 @@ class Dependence:
     p_value: float
 
     def detectable(self, parameters: int) -> bool:
-        """Return whether it stands out among so many parameters by more than chance."""
+        """Return whether the dependence is significant, corrected for the number of parameters (Bonferroni)."""
         return self.p_value < DETECTABLE / parameters
 
 
 def dependences(space: SearchSpace, archive: Archive) -> list[Dependence]:
-    """Return how the verdict depends on each parameter, strongest first, those without two groups last."""
+    """Return the dependence of the verdict on each parameter, strongest first."""
     found = [_dependence(column, archive.unsafe) for column in parameter_columns(space, archive.vectors)]
     return sorted(found, key=lambda dependence: -dependence.strength)
 
 
 def _dependence(column: ParameterColumn, verdicts: BoolArray) -> Dependence:
-    values, unsafe = column.values[column.awake], verdicts[column.awake]
+    values, unsafe = column.values[column.active], verdicts[column.active]
     places, labels, group = _grouped(column, values)
     counts = np.bincount(group, minlength=places.size).astype(np.int64)
     bad = np.bincount(group[unsafe], minlength=places.size).astype(np.int64)
@@ -77,7 +145,7 @@ def _dependence(column: ParameterColumn, verdicts: BoolArray) -> Dependence:
 def _grouped(
     column: ParameterColumn, values: FloatArray
 ) -> tuple[FloatArray, tuple[str, ...], NDArray[np.intp]]:
-    """Return the groups' places and labels, and each value's group."""
+    """Return positions and labels of the groups, and the group of each value."""
     parameter = column.parameter
     if isinstance(parameter, Categorical):
         labels = tuple(choice.replace("_", " ") for choice in parameter.choices)
@@ -91,19 +159,76 @@ def _grouped(
         )
     if values.size == 0:
         return np.empty(0), (), np.empty(0, np.intp)
-    bins = int(np.clip(values.size // FEWEST_IN_BIN, 1, MOST_BINS))
+    bins = int(np.clip(values.size // FEWEST_IN_BIN, 1, MAX_BINS))
     edges = np.unique(np.quantile(values, np.linspace(0, 1, bins + 1)))
     group = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, max(edges.size - 2, 0))
-    kept, group = np.unique(group, return_inverse=True)
-    places = np.array([np.median(values[group == index]) for index in range(kept.size)])
+    filled, group = np.unique(group, return_inverse=True)
+    places = np.array([np.median(values[group == index]) for index in range(filled.size)])
     return places, (), group.reshape(-1)
 
 
 def _association(counts: IntArray, unsafe: IntArray) -> tuple[float, float]:
-    """Return Cramér's V and the p-value of groups by verdict; (0, 1) if either has one value only."""
+    """Return Cramér's V and the p-value of groups by verdict; (0, 1) with a single group or verdict."""
     filled = counts > 0
     table = np.stack([unsafe[filled], (counts - unsafe)[filled]])
     if table.shape[1] < 2 or (table.sum(axis=1) == 0).any():
         return 0.0, 1.0
-    result = scipy.stats.chi2_contingency(table, correction=False)
+    from scipy.stats import chi2_contingency  # slow to import
+
+    result = chi2_contingency(table, correction=False)
     return float(np.sqrt(result.statistic / table.sum())), float(result.pvalue)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AxisMeaning:
+    """The parameter that explains most of an axis of a map.
+
+    Attributes:
+        name: ``component.parameter``.
+        explained: Share of the variance along the axis, in (0, 1].
+    """
+
+    name: str
+    explained: float
+
+    @property
+    def text(self) -> str:
+        """The meaning in words, such as ``mostly scenario.weather (explains 81% of this axis)``."""
+        how = "mostly" if self.explained >= 0.5 else "partly"
+        return f"{how} {self.name} (explains {self.explained:.0%} of this axis)"
+
+
+def axis_meanings(
+    space: SearchSpace, vectors: FloatArray, points: FloatArray
+) -> tuple[AxisMeaning | None, AxisMeaning | None]:
+    """Return the parameter that explains most of each axis of a map, or None if none explains a quarter.
+
+    A category explains the variance between its groups (correlation ratio), a number the squared correlation.
+
+    Args:
+        space: The search space.
+        vectors: Complete solutions as rows, shape ``(n, d)``.
+        points: Their points on the map, shape ``(n, 2)``.
+    """
+    columns = parameter_columns(space, vectors)
+    found: list[AxisMeaning | None] = []
+    for axis in (0, 1):
+        scored = [AxisMeaning(name=c.name, explained=_explained(c, points[:, axis])) for c in columns]
+        best = max(scored, key=lambda meaning: meaning.explained, default=None)
+        found.append(best if best is not None and best.explained >= LEAST_EXPLAINED else None)
+    return found[0], found[1]
+
+
+def _explained(column: ParameterColumn, place: FloatArray) -> float:
+    if column.active.mean() < LEAST_ACTIVE or not column.active.any():
+        return 0.0
+    values, place = column.values[column.active], place[column.active]
+    total = float(((place - place.mean()) ** 2).sum())
+    if total <= 0 or np.ptp(values) == 0:
+        return 0.0
+    if isinstance(column.parameter, Categorical):
+        means = np.zeros(len(place))
+        for value in np.unique(values):
+            means[values == value] = place[values == value].mean()
+        return min(1.0, float(((means - place.mean()) ** 2).sum()) / total)
+    return float(np.corrcoef(values, place)[0, 1] ** 2)

@@ -1,11 +1,11 @@
-"""The region in words: rules of a shallow decision tree over decoded parameters, and how far to trust them.
+"""A region of solutions in words: the rules of a shallow decision tree over the parameters, and their accuracy.
 
-Two trees are grown on all evaluated solutions of a campaign: one for what is unsafe, one for what lies on the
-boundary. Their accuracy is cross-validated by scenario (or whatever the first component is): solutions with the same
-scenario are never on both sides, or a tree would be praised for knowing scenarios by heart. A rule is worth its share
-beside the share of all; an accuracy is worth its distance from that of always saying the more frequent.
+The region is, for example, the unsafe solutions or those on the boundary. The accuracy is cross-validated by scenario
+(the first component): solutions with the same scenario are never in both training and test set, so that a tree gains
+nothing by memorising scenarios. Compare the share of a rule with the share of the whole region, and an accuracy with
+that of always predicting the majority.
 
-Source: Breiman et al. 1984 (CART), as scikit-learn grows it (extra `analysis`).
+Source: Breiman et al. 1984 (CART), with scikit-learn's implementation (extra `analysis`).
 """
 
 import math
@@ -17,18 +17,17 @@ from typing import Any, Final
 import numpy as np
 
 from brink.search.archive import Archive
-from brink.search.component import BoolArray, FloatArray
 from brink.search.errors import MissingExtra, install_command
 from brink.search.fitness import wilson_interval
 from brink.search.parameters import Categorical, Integer, Parameter
-from brink.search.space import SearchSpace
+from brink.search.space import BoolArray, FloatArray, SearchSpace
 
 DEPTH: Final = 4
 FOLDS: Final = 5
-NOTHING: Final = 0.55
-"""Balanced accuracy up to which rules say next to nothing: guessing is .50."""
+USELESS: Final = 0.55
+"""Balanced accuracy up to which rules are useless; guessing gives .50."""
 LEAST_LEAF: Final = 15
-"""Solutions of a rule, at least: fewer say too little."""
+"""Smallest number of solutions of a rule."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,11 +35,11 @@ class Rule:
     """A leaf of the tree.
 
     Attributes:
-        conditions: In words; all must hold. None: always.
+        conditions: Conditions in words, all of which must hold; empty if the rule always applies.
         solutions: Evaluated solutions for which they hold.
-        inside: Of them, in the region.
-        low: Lower limit of the Wilson interval of that share.
-        high: Upper limit.
+        inside: Solutions among them in the region.
+        low: Lower limit of the Wilson interval of their share.
+        high: Upper limit of the Wilson interval of their share.
     """
 
     conditions: tuple[str, ...]
@@ -51,24 +50,24 @@ class Rule:
 
     @property
     def share(self) -> float:
-        """Share that is in the region."""
+        """Share of its solutions in the region."""
         return self.inside / self.solutions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rules:
-    """A region, in rules.
+    """The rules of a region.
 
     Attributes:
-        region: Which, in words.
-        solutions: Evaluated solutions that they are made of.
-        inside: Of them, in the region.
-        rules: By share in the region, largest first.
-        accuracy: Cross-validated mean of the folds; None if there is too little to cross-validate.
-        accuracy_sd: Its standard deviation over the folds.
-        balanced: Cross-validated mean of the accuracies inside and outside of the region; .5 is guessing.
-        usual: Accuracy of always saying the more frequent.
-        folds: Folds of the cross-validation.
+        region: The region in words.
+        solutions: Number of evaluated solutions.
+        inside: Number of solutions in the region.
+        rules: The rules, by share in the region, largest first.
+        accuracy: Cross-validated accuracy, mean over the folds; None if the data are too few.
+        accuracy_sd: Standard deviation of the accuracy over the folds.
+        balanced: Cross-validated balanced accuracy, the mean of those inside and outside; guessing gives .5.
+        usual: Accuracy of always predicting the majority.
+        folds: Number of folds.
     """
 
     region: str
@@ -84,7 +83,7 @@ class Rules:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Feature:
-    """A column that a tree may split: a number, or whether a category is one of its choices."""
+    """A column that a tree may split: a number, or whether a category has a certain choice."""
 
     name: str
     parameter: Parameter
@@ -99,25 +98,24 @@ class _Feature:
 
 
 def region_rules(archive: Archive, space: SearchSpace, inside: BoolArray, region: str, *, seed: int) -> Rules:
-    """Return rules for a region of the evaluated solutions.
+    """Return the rules of a region of the evaluated solutions.
 
     Args:
-        archive: Evaluated solutions.
-        space: Theirs.
-        inside: Which are in the region, shape ``(n,)``; some must be, and some must not.
-        region: Which it is, in words.
-        seed: Of the tree and of the folds.
+        archive: The evaluated solutions.
+        space: The search space.
+        inside: Which solutions are in the region, shape ``(n,)``; neither all nor none.
+        region: The region in words.
+        seed: Seed of the tree and of the folds.
 
     Raises:
         MissingExtra: scikit-learn is not installed.
-        ValueError: All solutions are in the region, or none.
+        ValueError: All solutions are in the region, or none is.
     """
     if find_spec("sklearn") is None:
         raise MissingExtra(f"rules need scikit-learn, which is not installed: {install_command('analysis')}")
     if inside.all() or not inside.any():
         raise ValueError(f"{region}: expected some solutions inside and some outside")
-    # Imported here: an optional extra that takes a second to load.
-    from sklearn.tree import DecisionTreeClassifier
+    from sklearn.tree import DecisionTreeClassifier  # optional, and slow to import
 
     features = _features(space)
     columns = dict(zip(space.column_names(), archive.vectors.T, strict=True))
@@ -159,7 +157,7 @@ def _features(space: SearchSpace) -> list[_Feature]:
 def _cross_validated(
     tree: Any, table: FloatArray, inside: BoolArray, groups: Any, seed: int
 ) -> tuple[list[float], list[float]]:
-    """Return accuracy and balanced accuracy of each fold; none where groups or regions are too few."""
+    """Return accuracy and balanced accuracy of each fold; no folds if there are too few groups or solutions."""
     from sklearn.model_selection import StratifiedGroupKFold
 
     folds = min(FOLDS, int(groups.max()) + 1, int(inside.sum()), int((~inside).sum()))
@@ -167,11 +165,11 @@ def _cross_validated(
         return [], []
     accuracies, balanced = [], []
     split = StratifiedGroupKFold(folds, shuffle=True, random_state=seed)
-    for learned, judged in split.split(table, inside, groups):
-        truth = inside[judged]
-        if inside[learned].all() or not inside[learned].any():
+    for train, test in split.split(table, inside, groups):
+        truth = inside[test]
+        if inside[train].all() or not inside[train].any():
             continue
-        right = tree().fit(table[learned], inside[learned]).predict(table[judged]) == truth
+        right = tree().fit(table[train], inside[train]).predict(table[test]) == truth
         accuracies.append(float(right.mean()))
         balanced.append(float(np.mean([right[truth == which].mean() for which in np.unique(truth)])))
     return accuracies, balanced
@@ -189,7 +187,7 @@ def _leaves(
             low, high = wilson_interval(k, n)
             found.append(
                 Rule(
-                    conditions=_in_words(bounds, features),
+                    conditions=_conditions(bounds, features),
                     solutions=n,
                     inside=k,
                     low=float(low),
@@ -199,7 +197,7 @@ def _leaves(
             return
         column, level = int(tree.feature[node]), float(tree.threshold[node])
         least, most = bounds.get(column, (-math.inf, math.inf))
-        below = table[:, column].astype(np.float32) <= level  # trees compare in float32
+        below = table[:, column].astype(np.float32) <= level  # as scikit-learn compares
         walk(left, rows & below, {**bounds, column: (least, min(most, level))})
         walk(right, rows & ~below, {**bounds, column: (max(least, level), most)})
 
@@ -207,41 +205,40 @@ def _leaves(
     return tuple(sorted(found, key=lambda rule: (-rule.share, -rule.solutions)))
 
 
-def _in_words(bounds: Mapping[int, tuple[float, float]], features: Sequence[_Feature]) -> tuple[str, ...]:
-    """Return conditions, one for each parameter that is bounded."""
-    said: dict[str, str] = {}
+def _conditions(bounds: Mapping[int, tuple[float, float]], features: Sequence[_Feature]) -> tuple[str, ...]:
+    """Return the conditions, one for each restricted parameter."""
+    conditions: dict[str, str] = {}
     excluded: dict[str, list[str]] = {}
     for column, (low, high) in bounds.items():
         feature = features[column]
         if feature.choice is None:
-            said[feature.name] = _range_in_words(feature, low, high)
+            conditions[feature.name] = _range_condition(feature, low, high)
         elif low > 0:
-            said[feature.name] = f"{feature.name} is {feature.choice}"
+            conditions[feature.name] = f"{feature.name} is {feature.choice}"
         else:
             excluded.setdefault(feature.name, []).append(feature.choice)
     for name, choices in excluded.items():
-        if name not in said:
+        if name not in conditions:
             parameter = next(feature.parameter for feature in features if feature.name == name)
             assert isinstance(parameter, Categorical)
             left = [str(choice) for choice in parameter.choices if choice not in choices]
-            one_of = (
+            conditions[name] = (
                 f"{name} is {' or '.join(left)}"
                 if len(left) <= 3
                 else f"{name} is not {' or '.join(choices)}"
             )
-            said[name] = one_of
-    return tuple(said[features[column].name] for column in _firsts(bounds, features))
+    return tuple(conditions[features[column].name] for column in _first_columns(bounds, features))
 
 
-def _firsts(bounds: Mapping[int, tuple[float, float]], features: Sequence[_Feature]) -> list[int]:
-    """Return one column for each parameter, in the order of the tree."""
+def _first_columns(bounds: Mapping[int, tuple[float, float]], features: Sequence[_Feature]) -> list[int]:
+    """Return the first column of each parameter, in the order of the tree."""
     first: dict[str, int] = {}
     for column in bounds:
         first.setdefault(features[column].name, column)
     return list(first.values())
 
 
-def _range_in_words(feature: _Feature, low: float, high: float) -> str:
+def _range_condition(feature: _Feature, low: float, high: float) -> str:
     unit = getattr(feature.parameter, "unit", "")
     after = f" {unit}" if unit else ""
     if isinstance(feature.parameter, Integer):
@@ -276,13 +273,13 @@ def rules_markdown(found: Sequence[Rules]) -> str:
 
 
 def trust(one: Rules) -> str:
-    """Return how far rules can be trusted, in words."""
+    """Return how far the rules can be trusted, in words."""
     if one.accuracy is None:
-        return "Too few of them to say how well the rules foretell others."
-    helps = one.balanced is not None and one.balanced > NOTHING
-    verdict = "" if helps else " **They say next to nothing of scenarios that they have not seen.**"
+        return "Too few solutions to cross-validate the rules."
+    useful = one.balanced is not None and one.balanced > USELESS
+    verdict = "" if useful else " **They say almost nothing about scenarios that they were not trained on.**"
     return (
-        f"Cross-validated over {one.folds} folds of other scenarios, the rules are right for {one.accuracy:.1%} "
-        f"(standard deviation {one.accuracy_sd:.1%}), where always saying the more frequent is right for "
-        f"{one.usual:.1%}; balanced accuracy {one.balanced:.2f}, where guessing is .50.{verdict}"
+        f"Cross-validated over {one.folds} folds of unseen scenarios, the rules are right for {one.accuracy:.1%} "
+        f"(standard deviation {one.accuracy_sd:.1%}); always predicting the majority is right for {one.usual:.1%}. "
+        f"The balanced accuracy is {one.balanced:.2f}; guessing gives .50.{verdict}"
     )

@@ -1,1 +1,1 @@
-"""Who may do what: bearer tokens with scopes."""
+"""Access control: bearer tokens with scopes, and rate limits."""

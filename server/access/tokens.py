@@ -1,12 +1,17 @@
-"""Bearer tokens: how they look, what is kept of them, what each scope may do."""
+"""Bearer tokens: their format, their scopes, and how they are stored."""
 
 import hashlib
 import re
 import secrets
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Final
 
+from sqlalchemy import Connection, insert, or_, select, update
+
+from brink.server.db.models import TokenRow
+from brink.server.db.sql import database_now
+from brink.server.errors import NotFound
 from brink.server.states import Scope
 
 ID_BYTES: Final = 4
@@ -41,16 +46,16 @@ def _deletes_for_good(method: str, path: str) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredToken:
-    """What is kept of a token: never the token itself.
+    """The stored record of a token, which never contains the token itself.
 
     Attributes:
-        id: A part of the token that may be shown.
-        name: What somebody calls it.
-        scope: What it is for.
-        digest: SHA-256 of the token, in hexadecimal digits.
-        created_at: When.
-        expires_at: When it ends by itself; None if it does not.
-        revoked_at: When it was revoked; None if it was not.
+        id: Public part of the token.
+        name: Name given by its creator.
+        scope: What the token may be used for.
+        digest: SHA-256 of the token in hexadecimal.
+        created_at: Time of creation.
+        expires_at: Time of expiry; None if the token does not expire.
+        revoked_at: Time of revocation; None if the token was not revoked.
     """
 
     id: str
@@ -61,23 +66,80 @@ class StoredToken:
     expires_at: datetime | None
     revoked_at: datetime | None
 
-    def holds(self, now: datetime) -> bool:
-        """Return whether it may be used."""
+    def is_valid(self, now: datetime) -> bool:
+        """Return whether the token is neither revoked nor expired."""
         return self.revoked_at is None and (self.expires_at is None or self.expires_at > now)
 
 
 def new_token(scope: Scope) -> tuple[str, str]:
-    """Return a new token's id, and the token, to be shown once."""
+    """Generate a token; return its id, and the token itself, which is shown only once."""
     token_id = secrets.token_hex(ID_BYTES)
     return token_id, f"brink_{scope}_{token_id}_{secrets.token_hex(SECRET_BYTES)}"
 
 
-def id_within(token: str) -> str | None:
-    """Return the id in a token, or None if it has not the form of one."""
+def parse_token_id(token: str) -> str | None:
+    """Return the id in a token, or None if the token is malformed."""
     found = _FORM.fullmatch(token)
     return found["id"] if found is not None else None
 
 
-def digest_of(token: str) -> str:
-    """Return what is kept of a token. It is random enough that a slow hash would add nothing."""
+def token_digest(token: str) -> str:
+    """Return the digest that is stored of a token. Tokens are random enough that a slow hash would add nothing."""
     return hashlib.sha256(token.encode()).hexdigest()
+
+
+def create_token(connection: Connection, scope: Scope, name: str, expires_in: timedelta | None = None) -> str:
+    """Store a new token and return it; it cannot be read again later.
+
+    Args:
+        connection: Write connection.
+        scope: What the token may be used for.
+        name: Name for people.
+        expires_in: Lifetime; None for a token that does not expire.
+    """
+    token_id, token = new_token(scope)
+    now = database_now(connection)
+    connection.execute(
+        insert(TokenRow).values(
+            id=token_id, name=name, scope=scope, digest=token_digest(token), created_at=now,
+            expires_at=None if expires_in is None else now + expires_in, revoked_at=None,
+        )
+    )  # fmt: skip
+    return token
+
+
+def list_tokens(connection: Connection) -> list[StoredToken]:
+    """Return all tokens, oldest first."""
+    query = select(TokenRow.__table__).order_by(TokenRow.created_at, TokenRow.id)
+    return [
+        StoredToken(
+            id=row.id, name=row.name, scope=Scope(row.scope), digest=row.digest, created_at=row.created_at,
+            expires_at=row.expires_at, revoked_at=row.revoked_at,
+        )
+        for row in connection.execute(query)
+    ]  # fmt: skip
+
+
+def revoke_token(connection: Connection, token_id: str) -> None:
+    """Revoke a token.
+
+    Raises:
+        NotFound: No token has this id, or it is already revoked.
+    """
+    changed = connection.execute(
+        update(TokenRow)
+        .where(TokenRow.id == token_id, TokenRow.revoked_at.is_(None))
+        .values(revoked_at=database_now(connection))
+    )
+    if changed.rowcount == 0:
+        raise NotFound(f"token {token_id}: no such token, or already revoked; see: brink token list")
+
+
+def any_token(connection: Connection, *, valid_only: bool = True) -> bool:
+    """Return whether a valid token exists or, with ``valid_only`` off, whether any token was ever stored."""
+    query = select(TokenRow.id).limit(1)
+    if valid_only:
+        now = database_now(connection)
+        unexpired = or_(TokenRow.expires_at.is_(None), TokenRow.expires_at > now)
+        query = query.where(TokenRow.revoked_at.is_(None), unexpired)
+    return connection.execute(query).first() is not None

@@ -1,4 +1,4 @@
-"""Boundary solutions as a table: one row a solution, for spreadsheets, programs and data frames."""
+"""Boundary solutions as a table with one row for each solution: CSV, JSON Lines or Parquet."""
 
 import csv
 import io
@@ -17,39 +17,39 @@ Row: TypeAlias = dict[str, Cell]
 
 FORMATS: Final = ("csv", "jsonl", "parquet")
 MEANINGS: Final = {
-    "number": "of the solution in its campaign",
-    "verdict": "safe or unsafe, of its one simulation in the search",
-    "robustness": "of the campaign's requirement: distance to violation, negative if violated",
-    "fitness": "distance of its neighbourhood from the boundary, 0 on it",
-    "neighbours": "evaluated solutions within the radius, itself included",
-    "unsafe_neighbours": "unsafe ones among them",
+    "number": "number of the solution in its campaign",
+    "verdict": "safe or unsafe, from its simulation during the search",
+    "robustness": "robustness of the campaign's requirement: distance to violation, negative if violated",
+    "fitness": "distance of its neighbourhood from the boundary; 0 on the boundary",
+    "neighbours": "evaluated solutions within the radius, including itself",
+    "unsafe_neighbours": "unsafe solutions among the neighbours",
     "interval_low": "lower limit of the Wilson interval of the unsafe share of its neighbourhood",
-    "interval_high": "upper limit",
-    "strict": "whether the interval contains p_th and the neighbourhood holds both verdicts",
-    "seed": "of its episode: the same seed gives the same episode, bit for bit",
-    "words": "what it is, for people",
+    "interval_high": "upper limit of that interval",
+    "strict": "whether the interval contains p_th and the neighbourhood has both verdicts",
+    "seed": "seed of its episode: the same seed gives the same episode, bit for bit",
+    "words": "description of the solution in words",
     "campaign": "id of the campaign",
-    "problem": "what was searched",
-    "algorithm": "what searched",
-    "campaign_seed": "of the search",
-    "generation": "in which it was asked for",
-    "robustness.*": "of each requirement, in its unit",
-    "feature.*": "what else the simulator says of the episode",
-    "version.*": "of everything that the simulation ran with",
-    "*.*": "parameters of a component of the solution, as people read them",
-    "component.*": "what the component saw beside what it said: see seen and said",
+    "problem": "problem that was searched",
+    "algorithm": "algorithm that searched it",
+    "campaign_seed": "seed of the search",
+    "generation": "generation of the solution",
+    "robustness.*": "robustness of each requirement, in its unit",
+    "feature.*": "other measurements of the episode",
+    "version.*": "version of each part that the simulation ran with",
+    "*.*": "parameter of a component of the solution, decoded",
+    "component.*": "what the component saw and what it reported: see seen and said",
 }
-"""What columns mean; a star stands for any name."""
+"""Meaning of the columns; a star stands for any name."""
 _TIMINGS: Final = ("cpu_s", "simulated_s")
 
 
 def boundary_rows(boundary: Boundary, campaign: str, body: CampaignBody) -> list[Row]:
-    """Return boundary solutions as rows with the same columns.
+    """Return boundary solutions as rows that all have the same columns.
 
     Args:
-        boundary: The solutions with all that is known of them.
-        campaign: Its id.
-        body: What the campaign was.
+        boundary: The solutions with all details.
+        campaign: Id of the campaign.
+        body: Body of the campaign.
     """
     strict = set(boundary.strict)
     rows: list[Row] = []
@@ -73,28 +73,28 @@ def boundary_rows(boundary: Boundary, campaign: str, body: CampaignBody) -> list
         provenance = solution.provenance or {}
         row.update({f"version.{name}": _cell(v) for name, v in provenance.items() if name not in _TIMINGS})
         rows.append(row)
-    return _squared(rows)
+    return _with_all_columns(rows)
 
 
 def _cell(value: Any) -> Cell:
     return value if value is None or isinstance(value, str | int | float | bool) else json.dumps(value)
 
 
-def _squared(rows: Sequence[Mapping[str, Cell]]) -> list[Row]:
-    """Return rows with the same columns, in the order in which they come first."""
+def _with_all_columns(rows: Sequence[Mapping[str, Cell]]) -> list[Row]:
+    """Return rows that all have the same columns, in order of first appearance."""
     columns = list(dict.fromkeys(name for row in rows for name in row))
     return [{name: row.get(name) for name in columns} for row in rows]
 
 
 def table_bytes(rows: Sequence[Row], form: str) -> bytes:
-    """Return rows as a file.
+    """Encode rows as a file.
 
     Args:
-        rows: With the same columns.
+        rows: Rows that all have the same columns.
         form: One of `FORMATS`.
 
     Raises:
-        InvalidInput: Parquet was asked for, and pyarrow is not installed.
+        InvalidInput: The format is Parquet, and pyarrow is not installed.
     """
     if form == "parquet":
         return _parquet(rows)
@@ -109,13 +109,13 @@ def table_bytes(rows: Sequence[Row], form: str) -> bytes:
 
 
 def has_parquet() -> bool:
-    """Return whether tables can be written as Parquet here."""
+    """Return whether pyarrow is installed, which Parquet needs."""
     return find_spec("pyarrow") is not None
 
 
 def _parquet(rows: Sequence[Row]) -> bytes:
     if not has_parquet():
-        message = f"parquet needs pyarrow, which is not installed here: {install_command('analysis')}"
+        message = f"Parquet needs pyarrow, which is not installed: {install_command('analysis')}"
         raise InvalidInput([FieldError(pointer="/query/format", message=message)])
     # Imported here: an optional extra that takes a second to load.
     import pyarrow as pa
@@ -128,7 +128,7 @@ def _parquet(rows: Sequence[Row]) -> bytes:
 
 
 def _mixed(rows: Sequence[Row]) -> frozenset[str]:
-    """Return columns whose values are of several types, whole numbers and others counting as one."""
+    """Return the columns whose values have several types; int and float count as one."""
     kinds: dict[str, set[type]] = {}
     for row in rows:
         for name, value in row.items():

@@ -1,25 +1,53 @@
-"""Routes of campaigns: submit, list, look, control, progress."""
+"""Routes of campaigns: submission, control, progress, the overview of all, and language-model calls."""
 
+from datetime import datetime
 from functools import partial
 from typing import Annotated
 
-from fastapi import APIRouter, Body, Header, Query, Request, Response
+from fastapi import APIRouter, Body, Query, Request, Response
+from pydantic import Field
 from sqlalchemy import Connection
 
-from brink.server.api.conditional import NOTHING_NEW, is_known, nothing_new, tag_of
 from brink.server.api.context import Context, Services
-from brink.server.api.cursor import cursor_of, read_cursor
-from brink.server.api.schemas import MAX_NUMBER, CampaignList, CampaignView, Progress
-from brink.server.api.views import campaign_view, read_progress
+from brink.server.api.responses import (
+    NOT_MODIFIED,
+    THRESHOLDS,
+    Cursor,
+    DocumentHash,
+    IdempotencyKey,
+    etag_of,
+    existing,
+    matches,
+    next_cursor,
+    not_modified,
+    read_cursor,
+    set_created,
+)
+from brink.server.api.schemas import (
+    MAX_NUMBER,
+    CampaignList,
+    CampaignView,
+    GenerationView,
+    LlmCall,
+    LlmCalls,
+    Progress,
+    View,
+)
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
-from brink.server.campaigns.body import CampaignBody, parse_body
-from brink.server.campaigns.store import ENDED
-from brink.server.campaigns.values import Campaign
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, parse_body
+from brink.server.campaigns.plan import looks_for_boundary
+from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
+from brink.server.campaigns.view_store import read_campaign_progress
+from brink.server.dashboard.overview import Outline, list_outlines
 from brink.server.db.engine import read
-from brink.server.documents import MAX_FILE_BYTES, yaml_document
-from brink.server.errors import InvalidInput
-from brink.server.queue.workers import capabilities_of_live
+from brink.server.db.writer import Trouble
+from brink.server.documents import MAX_FILE_BYTES, parse_yaml
+from brink.server.errors import InvalidInput, NotFound
+from brink.server.llm.calls import StoredCall, spent_on
+from brink.server.llm.store import list_calls
+from brink.server.queue.job_store import count_unfinished, queued_needs
+from brink.server.queue.workers import live_capabilities
 from brink.server.states import CampaignStatus
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"])
@@ -28,21 +56,17 @@ router = APIRouter(prefix="/campaigns", tags=["campaigns"])
 @router.post(
     "",
     status_code=201,
-    responses={
-        200: {"model": CampaignView, "description": "The campaign of the first time, by its Idempotency-Key."}
-    },
+    responses=existing(CampaignView, "campaign"),
 )
 async def submit_campaign(
     body: CampaignBody,
     services: Services,
     response: Response,
-    idempotency_key: Annotated[str | None, Header(max_length=200, pattern="^[ -~]+$")] = None,
+    idempotency_key: IdempotencyKey = None,
 ) -> CampaignView:
-    """Submit a campaign. The same `Idempotency-Key` again returns the campaign of the first time, with 200."""
+    """Submit a campaign. Repeating the request with the same `Idempotency-Key` returns that campaign, with 200."""
     campaign, new = await services.campaigns.submit(body, idempotency_key)
-    response.headers["Location"] = f"/api/v1/campaigns/{campaign.id}"
-    if not new:
-        response.status_code = 200
+    set_created(response, f"campaigns/{campaign.id}", new=new)
     return campaign_view(campaign)
 
 
@@ -53,13 +77,13 @@ async def check_campaign(
         Body(
             media_type="application/yaml",
             max_length=MAX_FILE_BYTES,
-            description="A campaign file: YAML, of which JSON is a part.",
+            description="A campaign file in YAML or JSON.",
         ),
     ],
     services: Services,
 ) -> CampaignBody:
-    """Return the campaign of a file if it could be submitted, with the same errors if it could not; store nothing."""
-    body = parse_body(yaml_document(text))
+    """Validate a campaign file without submitting it: return the parsed campaign, or the errors of a submission."""
+    body = parse_body(parse_yaml(text))
     await services.campaigns.check(body)
     return body
 
@@ -68,55 +92,53 @@ async def check_campaign(
 async def list_campaigns(
     services: Services,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
-    cursor: Annotated[str | None, Query(max_length=200)] = None,
+    cursor: Cursor = None,
     status: Annotated[list[CampaignStatus] | None, Query()] = None,
-    document_hash: Annotated[str | None, Query(max_length=64, pattern="^[0-9a-f]*$")] = None,
+    document_hash: DocumentHash = None,
 ) -> CampaignList:
     """List campaigns, newest first."""
     campaigns = await services.campaigns.list(
         limit=limit,
-        before=read_cursor(cursor) if cursor else None,
+        before=read_cursor(cursor),
         statuses=tuple(status or ()),
         document_hash=document_hash,
     )
-    last = campaigns[-1] if len(campaigns) == limit else None
     return CampaignList(
-        campaigns=[campaign_view(campaign) for campaign in campaigns],
-        next=cursor_of(last.created_at, last.id) if last else None,
+        campaigns=[campaign_view(campaign) for campaign in campaigns], next=next_cursor(campaigns, limit)
     )
 
 
 @router.get("/{campaign_id}")
 async def get_campaign(campaign_id: str, services: Services) -> CampaignView:
-    """Return a campaign by its id, or by the beginning of its id if that is unique."""
+    """Return a campaign by its id or a unique prefix of it."""
     return campaign_view(await services.campaigns.get(campaign_id))
 
 
 @router.post("/{campaign_id}/pause")
 async def pause_campaign(campaign_id: str, services: Services) -> CampaignView:
-    """Hand out no more of its jobs; what is running is still taken in."""
+    """Pause a campaign: workers get no more of its jobs; results of running jobs are still accepted."""
     return campaign_view(await services.campaigns.pause(campaign_id))
 
 
 @router.post("/{campaign_id}/resume")
 async def resume_campaign(campaign_id: str, services: Services) -> CampaignView:
-    """Go on with a paused campaign, without the candidates that failed so far."""
+    """Resume a paused campaign, without the candidates that have failed so far."""
     return campaign_view(await services.campaigns.resume(campaign_id))
 
 
 @router.post("/{campaign_id}/cancel")
 async def cancel_campaign(campaign_id: str, services: Services) -> CampaignView:
-    """End a campaign; what it found stays."""
+    """Cancel a campaign; its results are kept."""
     return campaign_view(await services.campaigns.cancel(campaign_id))
 
 
 @router.delete("/{campaign_id}", status_code=204)
 async def delete_campaign(campaign_id: str, services: Services) -> None:
-    """Delete a campaign that has ended, with everything that belongs to it."""
+    """Delete an ended campaign and all of its data."""
     await services.campaigns.delete(campaign_id)
 
 
-@router.get("/{campaign_id}/progress", responses=NOTHING_NEW)
+@router.get("/{campaign_id}/progress", responses=NOT_MODIFIED)
 async def get_progress(
     campaign_id: str,
     services: Services,
@@ -126,34 +148,34 @@ async def get_progress(
         int, Query(ge=0, le=MAX_NUMBER, description="Number of the first generation to return.")
     ] = 0,
 ) -> Progress:
-    """Return counts and rates, and the series of generations from `since` on. Answers 304 to a known ETag."""
-    etag = await _pulse(services, campaign_id, since)
-    if etag is None:  # the beginning of an id, or none
+    """Return counts, rates and the generations from `since` on. Supports conditional requests with ETag."""
+    etag = await _progress_etag(services, campaign_id, since)
+    if etag is None:  # a prefix of an id, or an unknown id
         campaign_id = (await services.campaigns.get(campaign_id)).id
-        etag = await _pulse(services, campaign_id, since)
-    if etag is not None and is_known(request, etag):
-        return nothing_new(etag)  # type: ignore[no-any-return]
-    # What is read now is as new as the tag, or newer: no change can be missed.
+        etag = await _progress_etag(services, campaign_id, since)
+    if etag is not None and matches(request, etag):
+        return not_modified(etag)  # type: ignore[no-any-return]
+    # The data is read after the tag, so it is at least as new: no change can be missed.
     progress = await _progress(services, campaign_id, since)
     response.headers["ETag"] = etag or ""
     return progress
 
 
-async def _pulse(services: Context, campaign_id: str, since: int) -> str | None:
-    """Return the tag of a campaign's progress; None without a campaign of that whole id."""
+async def _progress_etag(services: Context, campaign_id: str, since: int) -> str | None:
+    """Return the ETag of a campaign's progress, or None if no campaign has exactly this id."""
     trouble = services.queue.writer.trouble
 
     def look(connection: Connection) -> tuple[object, ...] | None:
-        pulse = view_store.read_pulse(connection, campaign_id)
+        pulse = view_store.read_version(connection, campaign_id)
         if pulse is None:
             return None
-        live = capabilities_of_live(connection, services.settings.worker_seen_s)
+        live = live_capabilities(connection, services.settings.worker_seen_s)
         return (*pulse, sorted((worker, sorted(able)) for worker, able in live.items()))
 
     pulse = await read(services.engines, look)
     if pulse is None:
         return None
-    return tag_of(pulse, since, services.seeds.doing(campaign_id), trouble.reason if trouble else None)
+    return etag_of(pulse, since, services.seeds.doing(campaign_id), trouble.reason if trouble else None)
 
 
 async def _progress(services: Context, campaign_id: str, since: int) -> Progress:
@@ -171,14 +193,231 @@ async def _progress(services: Context, campaign_id: str, since: int) -> Progress
         )
         progress = await read(services.engines, look)
         if progress.status is campaign.status:
-            return progress  # else it ended in between, and its digest must not be missing
+            return progress  # otherwise it ended between the two reads, and the digest would be missing
 
 
 async def _final_archive(services: Context, campaign: Campaign) -> ReadArchive | None:
-    """Return the archive of a campaign that has ended; None if it runs, or its plug-ins are not installed here."""
+    """Return the archive of an ended campaign; None while it runs, or if its plug-ins are not installed here."""
     if campaign.status not in ENDED:
         return None
     try:
         return await services.archives.get(campaign)
     except InvalidInput:
         return None
+
+
+def campaign_view(campaign: Campaign) -> CampaignView:
+    """Return the response schema of a campaign."""
+    return CampaignView(
+        id=campaign.id, name=campaign.body.name, status=campaign.status,
+        status_reason=campaign.status_reason, sequence=campaign.sequence, simulations=campaign.completed,
+        budget=campaign.budget, unsafe=campaign.unsafe, failed=campaign.failed,
+        measured=campaign.measured, generation=campaign.generation, created_at=campaign.created_at,
+        finished_at=campaign.finished_at,
+        body=campaign.body, thresholds=THRESHOLDS,
+    )  # fmt: skip
+
+
+def read_progress(
+    connection: Connection,
+    campaign_id: str,
+    since: int,
+    worker_seen_s: float,
+    archive: ReadArchive | None,
+    asking: str | None,
+    trouble: Trouble | None,
+) -> Progress:
+    """Return counts and rates of a campaign, and its generations from `since` on.
+
+    Args:
+        connection: Read connection.
+        campaign_id: Full id of the campaign.
+        since: Number of the first generation to return.
+        worker_seen_s: A worker last seen longer ago than this is not live, in seconds.
+        archive: Archive of an ended campaign, if it could be read.
+        asking: What a language model is being asked for this campaign, if anything.
+        trouble: Why the database rejects writes, if it does.
+
+    Raises:
+        NotFound: The campaign does not exist.
+    """
+    campaign = CAMPAIGNS.find(connection, campaign_id)
+    if campaign is None:
+        raise NotFound(f"campaign {campaign_id}: no such campaign")
+    standing = read_campaign_progress(connection, campaign)
+    live = live_capabilities(connection, worker_seen_s)
+    capabilities = set().union(*live.values())
+    waiting = queued_needs(connection, campaign.id) if standing.queued else {}
+    return Progress(
+        id=campaign.id, name=campaign.body.name, status=campaign.status,
+        status_reason=campaign.status_reason, sequence=campaign.sequence, budget=campaign.budget,
+        simulations=standing.done, evaluated=campaign.evaluated, unsafe=campaign.unsafe, failed=campaign.failed,
+        measured=campaign.measured, quarantined=standing.quarantined, queued=standing.queued,
+        leased=standing.leased, generation=campaign.generation, rate_per_s=standing.rate_per_s,
+        remaining_s=standing.remaining_s, elapsed_s=standing.elapsed_s, workers=len(live),
+        unrunnable={needs: n for needs, n in waiting.items() if needs not in capabilities},
+        digest=archive.digest if archive is not None else None,
+        looks_for_boundary=looks_for_boundary(campaign.body.algorithm.id),
+        origins=view_store.count_origins(connection, campaign.id) if campaign.finished_at else {},
+        asking=asking,
+        trouble=trouble.reason if trouble else None,
+        trouble_s=trouble.span_s if trouble else 0.0,
+        t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH,
+        generations=[
+            GenerationView.model_validate(item, from_attributes=True)
+            for item in view_store.list_generations(connection, campaign.id, since)
+        ],
+    )  # fmt: skip
+
+
+overview_router = APIRouter(tags=["campaigns"])
+
+
+class Overview(View):
+    """Campaigns, newest first, in columns."""
+
+    id: list[str]
+    name: list[str]
+    problem: list[str]
+    algorithm: list[str]
+    seed: list[int]
+    status: list[CampaignStatus]
+    status_reason: list[str]
+    sequence: Annotated[list[int], Field(description="Increases with every change to the campaign.")]
+    budget: list[int]
+    simulations: Annotated[list[int], Field(description="Finished so far, including the current generation.")]
+    evaluated: list[int]
+    unsafe: list[int]
+    failed: list[int]
+    quarantined: Annotated[
+        list[int | None], Field(description="Jobs in quarantine; null once the campaign has ended.")
+    ]
+    generation: list[int]
+    rate_per_s: list[float | None]
+    remaining_s: list[float | None]
+    dbs: Annotated[
+        list[list[int]],
+        Field(
+            description="Distinct boundary solutions at the default thresholds, at evenly spaced generations."
+        ),
+    ]
+    looks_for_boundary: Annotated[
+        list[bool],
+        Field(
+            description="Whether it searches for the hazard boundary rather than for different violations."
+        ),
+    ]
+    created_at: list[datetime]
+    finished_at: list[datetime | None]
+    experiment: Annotated[list[str | None], Field(description="Experiment that the campaign belongs to.")]
+    repeats_of: Annotated[list[str | None], Field(description="Campaign whose solutions this one repeats.")]
+    workers: Annotated[int, Field(description="Live workers.")]
+    trouble: Annotated[
+        str | None, Field(description="Why the database currently rejects writes, if it does.")
+    ]
+    next: Annotated[str | None, Field(description="Pass as `cursor` to get the next page.")]
+
+
+@overview_router.get("/overview", responses=NOT_MODIFIED)
+async def get_overview(
+    services: Services,
+    request: Request,
+    response: Response,
+    limit: Annotated[int, Query(ge=1, le=200)] = 50,
+    cursor: Cursor = None,
+    status: Annotated[list[CampaignStatus] | None, Query()] = None,
+    name: Annotated[str, Query(max_length=200, description="Part of a name, or prefix of an id.")] = "",
+    experiment: Annotated[str | None, Query(max_length=16)] = None,
+) -> Overview:
+    """Return a summary of campaigns, newest first. Supports conditional requests with ETag."""
+    before = read_cursor(cursor)
+    trouble = services.queue.writer.trouble
+
+    def look(connection: Connection) -> tuple[str, Overview | None]:
+        outlines = list_outlines(
+            connection,
+            limit=limit,
+            before=before,
+            statuses=tuple(status or ()),
+            named=name,
+            experiment=experiment,
+        )
+        states = [_outline_state(connection, one) for one in outlines]
+        workers = sorted(live_capabilities(connection, services.settings.worker_seen_s))
+        etag = etag_of(states, workers, limit, trouble.reason if trouble else None)
+        if matches(request, etag):
+            return etag, None
+        return etag, _overview(services, connection, outlines, limit, len(workers))
+
+    etag, overview = await read(services.engines, look)
+    if overview is None:
+        return not_modified(etag)  # type: ignore[no-any-return]
+    response.headers["ETag"] = etag
+    return overview
+
+
+def _outline_state(connection: Connection, one: Outline) -> tuple[object, ...]:
+    if one.finished_at is not None:
+        return (one.id, one.sequence)
+    return (one.id, one.sequence, *sorted(count_unfinished(connection, one.id).items()))
+
+
+def _overview(
+    services: Services, connection: Connection, outlines: list[Outline], limit: int, workers: int
+) -> Overview:
+    standings = [
+        read_campaign_progress(connection, one) if one.finished_at is None else None for one in outlines
+    ]
+    both = list(zip(outlines, standings, strict=True))
+    sparks = services.figures.sparks.of(connection, outlines)
+    trouble = services.queue.writer.trouble
+    columns = {
+        name: [getattr(one, name) for one in outlines]
+        for name in (
+            "id", "name", "problem", "algorithm", "seed", "status", "status_reason", "sequence", "budget",
+            "evaluated", "unsafe", "failed", "generation", "created_at", "finished_at", "experiment", "repeats_of",
+        )
+    }  # fmt: skip
+    return Overview(
+        **columns,
+        simulations=[standing.done if standing else one.completed for one, standing in both],
+        quarantined=[standing.quarantined if standing else None for _, standing in both],
+        rate_per_s=[standing.rate_per_s if standing else None for _, standing in both],
+        remaining_s=[standing.remaining_s if standing else None for _, standing in both],
+        dbs=[list(sparks[one.id]) for one in outlines],
+        looks_for_boundary=[looks_for_boundary(one.algorithm) for one in outlines],
+        workers=workers,
+        trouble=trouble.reason if trouble else None,
+        next=next_cursor(outlines, limit),
+    )
+
+
+llm_router = APIRouter(prefix="/campaigns/{campaign_id}/llm-calls", tags=["language models"])
+
+
+@llm_router.get("")
+async def get_llm_calls(
+    campaign_id: str,
+    services: Services,
+    replies: Annotated[bool, Query(description="Whether to include the raw replies.")] = False,
+) -> LlmCalls:
+    """Return the language-model calls of a campaign and what they cost."""
+    campaign = await services.campaigns.get(campaign_id)
+    calls = await read(services.engines, lambda connection: list_calls(connection, campaign.id))
+    spent = spent_on(calls)
+    return LlmCalls(
+        calls=[_llm_call(call, replies=replies) for call in calls], total_calls=spent.calls,
+        total_tokens=spent.tokens, estimated_tokens=spent.estimated_tokens, cost=spent.cost,
+    )  # fmt: skip
+
+
+def _llm_call(call: StoredCall, *, replies: bool) -> LlmCall:
+    usage = call.usage
+    return LlmCall(
+        request=call.key.request, turn=call.key.turn, outcome=call.outcome,
+        mode=call.mode, prompt_hash=call.prompt_hash, calls=call.calls,
+        prompt_tokens=None if usage is None else usage.prompt_tokens,
+        completion_tokens=None if usage is None else usage.completion_tokens,
+        estimated=usage is not None and usage.estimated, cost=call.cost, latency_s=call.latency_s,
+        error=call.error, reply=call.raw if replies else None,
+    )  # fmt: skip

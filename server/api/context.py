@@ -1,4 +1,4 @@
-"""What the routes need: the services of this process, handed to each route."""
+"""The services of this process, injected into the routes, and facts about the client of a request."""
 
 import asyncio
 from collections.abc import AsyncIterator
@@ -9,19 +9,21 @@ from typing import Annotated, cast
 
 from fastapi import Depends, Request
 
-from brink.server.campaigns.archives import Archives
-from brink.server.campaigns.films import Films
-from brink.server.campaigns.monitors import Monitors
-from brink.server.campaigns.scheduler import Scheduler
+from brink.server.access.authentication import Caller
+from brink.server.campaigns.advance import Scheduler
+from brink.server.campaigns.archives import Archives, Monitors
 from brink.server.campaigns.service import CampaignService
+from brink.server.campaigns.traces import Films
 from brink.server.dashboard.figures import Figures
 from brink.server.db.engine import Engines
-from brink.server.experiments.scorebook import Scorebook
-from brink.server.experiments.service import ExperimentService
+from brink.server.experiments.service import ExperimentService, ScoreCache
 from brink.server.llm.seeds import LlmSeeds
 from brink.server.metrics import Metrics
 from brink.server.queue.service import QueueService
 from brink.server.settings import Settings
+
+CALLER = "brink.caller"
+"""Key of the caller in the ASGI scope of a request."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +34,7 @@ class Context:
     engines: Engines
     campaigns: CampaignService
     experiments: ExperimentService
-    scorebook: Scorebook
+    scorebook: ScoreCache
     monitors: Monitors
     queue: QueueService
     scheduler: Scheduler
@@ -42,11 +44,11 @@ class Context:
     metrics: Metrics
     figures: Figures
     drawing: ThreadPoolExecutor
-    """Threads of their own: a film takes seconds, and all else must not wait for that."""
+    """Threads for rendering: a film takes seconds, which nothing else should wait for."""
 
 
-async def context_of(request: Request) -> Context:  # async: another thread would cost more than this does
-    """Return the services of the app that serves a request."""
+async def context_of(request: Request) -> Context:  # async: a thread switch would cost more than the lookup
+    """Return the services of the app that handles a request."""
     return cast(Context, request.app.state.context)
 
 
@@ -55,7 +57,7 @@ Services = Annotated[Context, Depends(context_of)]
 
 @asynccontextmanager
 async def client_gone(request: Request) -> AsyncIterator[asyncio.Event]:
-    """Give an event that is set as soon as the client of a request has gone."""
+    """Provide an event that is set as soon as the client disconnects."""
     gone = asyncio.Event()
 
     async def watch() -> None:
@@ -68,3 +70,8 @@ async def client_gone(request: Request) -> AsyncIterator[asyncio.Event]:
         yield gone
     finally:
         watching.cancel()
+
+
+def caller_of(request: Request) -> Caller | None:
+    """Return the authenticated caller of a request, or None on a coordinator without tokens."""
+    return cast(Caller | None, request.scope.get(CALLER))

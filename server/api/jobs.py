@@ -1,18 +1,23 @@
-"""Routes for workers, and for those who look after jobs."""
+"""Routes of jobs and workers: the worker protocol, and the views for operators."""
 
-from typing import Annotated
+from collections import Counter
+from collections.abc import Callable, Coroutine
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi.routing import APIRoute
+from pydantic import BaseModel, ValidationError
+from sqlalchemy import Connection
+from starlette.requests import ClientDisconnect
 
-from brink.server.api.conditional import NOTHING_NEW, tag
 from brink.server.api.context import Services, client_gone
-from brink.server.api.job_views import job_counts
+from brink.server.api.responses import NOT_MODIFIED, set_etag
 from brink.server.api.schemas import MAX_NUMBER, JobCounts, JobList, JobViewModel, WorkerView
-from brink.server.api.wire_route import WireRoute
-from brink.server.campaigns.jobs import list_jobs
+from brink.server.campaigns.store import ENDED
 from brink.server.db.engine import read
-from brink.server.queue.workers import list_seen
-from brink.server.states import JobStatus
+from brink.server.queue.job_store import count_jobs, list_jobs
+from brink.server.queue.workers import list_workers, live_capabilities
+from brink.server.states import CampaignStatus, JobKind, JobStatus
 from brink.worker.wire import (
     HeartbeatReply,
     HeartbeatRequest,
@@ -22,31 +27,57 @@ from brink.worker.wire import (
     ResultsRequest,
 )
 
+JSON = "application/json"
+
+
+class WireRoute(APIRoute):
+    """A fast route for functions that take ``message``, ``request`` and ``services`` and return a message."""
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """Return the request handler, which parses and writes JSON without the framework's overhead."""
+        serve, usual = self.endpoint, super().get_route_handler()
+        model: type[BaseModel] = self.endpoint.__annotations__["message"]
+
+        async def handle(request: Request) -> Response:
+            if request.headers.get("content-type") != JSON:
+                return await usual(request)
+            try:
+                message = model.model_validate_json(await request.body())
+            except ClientDisconnect:  # or the body was too large or too slow, which the middleware answers
+                return Response(status_code=400)
+            except ValidationError:
+                return await usual(request)  # renders the errors
+            reply = await serve(message=message, request=request, services=request.app.state.context)
+            return Response(reply.model_dump_json(), media_type=JSON)
+
+        return handle
+
+
 router = APIRouter(tags=["jobs"])
 wire = APIRouter(tags=["jobs"], route_class=WireRoute)
 
 
 @wire.post("/jobs/lease")
 async def lease_jobs(message: LeaseRequest, request: Request, services: Services) -> LeaseReply:
-    """Lease jobs, waiting up to `wait_s` for some."""
+    """Lease jobs, waiting up to `wait_s` seconds for them."""
     async with client_gone(request) as gone:
         return await services.queue.lease(message, gone)
 
 
 @wire.post("/jobs/heartbeat")
 async def renew_leases(message: HeartbeatRequest, request: Request, services: Services) -> HeartbeatReply:
-    """Renew leases; the reply names the jobs that are still held."""
+    """Renew leases; the reply lists the jobs that the worker still holds."""
     return await services.queue.heartbeat(message)
 
 
 @wire.post("/jobs/results")
 async def report_results(message: ResultsRequest, request: Request, services: Services) -> ResultsReply:
-    """Report outcomes, and lease the next jobs in the same request if asked to."""
+    """Report results and, if requested, lease the next jobs."""
     async with client_gone(request) as gone:
         return await services.queue.results(message, gone)
 
 
-@router.get("/jobs", responses=NOTHING_NEW)
+@router.get("/jobs", responses=NOT_MODIFIED)
 async def get_jobs(
     services: Services,
     request: Request,
@@ -56,7 +87,7 @@ async def get_jobs(
     after: Annotated[int, Query(ge=0, le=MAX_NUMBER)] = 0,
     limit: Annotated[int, Query(ge=1, le=1000)] = 100,
 ) -> JobList:
-    """List jobs, ascending by id. Answers 304 to a known ETag."""
+    """List jobs in ascending order of id. Supports conditional requests with ETag."""
     jobs = await read(
         services.engines,
         lambda connection: list_jobs(
@@ -65,16 +96,16 @@ async def get_jobs(
     )
     views = [JobViewModel.model_validate(job, from_attributes=True) for job in jobs]
     view = JobList(jobs=views, next=views[-1].id if len(views) == limit else None)
-    tag(request, response, view)
+    set_etag(request, response, view)
     return view
 
 
-@router.get("/jobs/counts", responses=NOTHING_NEW)
+@router.get("/jobs/counts", responses=NOT_MODIFIED)
 async def get_job_counts(services: Services, request: Request, response: Response) -> JobCounts:
-    """Count the jobs that are not done, by campaign and by what they need. Answers 304 to a known ETag."""
+    """Count unfinished jobs by campaign and need. Supports conditional requests with ETag."""
     seen_s = services.settings.worker_seen_s
     view = await read(services.engines, lambda connection: job_counts(connection, seen_s))
-    tag(request, response, view)
+    set_etag(request, response, view)
     return view
 
 
@@ -84,10 +115,10 @@ async def retry_job(job: Annotated[int, Path(ge=0, le=MAX_NUMBER)], services: Se
     await services.campaigns.retry_job(job)
 
 
-@router.get("/workers", tags=["workers"], responses=NOTHING_NEW)
+@router.get("/workers", tags=["workers"], responses=NOT_MODIFIED)
 async def get_workers(services: Services, request: Request, response: Response) -> list[WorkerView]:
-    """List workers, the latest heard of first. Answers 304 to a known ETag."""
-    seen = await read(services.engines, lambda connection: list_seen(connection))
+    """List workers, most recently seen first. Supports conditional requests with ETag."""
+    seen = await read(services.engines, lambda connection: list_workers(connection))
     horizon = services.settings.worker_seen_s
     views = [
         WorkerView(
@@ -98,5 +129,28 @@ async def get_workers(services: Services, request: Request, response: Response) 
         )
         for w in seen
     ]  # fmt: skip
-    tag(request, response, views, leave_out=("seen_s_ago",))
+    set_etag(request, response, views, leave_out=("seen_s_ago",))
     return views
+
+
+def job_counts(connection: Connection, worker_seen_s: float) -> JobCounts:
+    """Return the counts of unfinished jobs, and which of them cannot run now."""
+    counts = sorted(count_jobs(connection), key=lambda one: (one.campaign, one.status, one.needs, one.kind))
+    able = set().union(*live_capabilities(connection, worker_seen_s).values())
+    unrunnable: Counter[str] = Counter()
+    paused = set()
+    for one in counts:
+        # Traces are recorded after a campaign has ended, too.
+        handed_out = one.campaign_status is CampaignStatus.RUNNING or one.kind == JobKind.TRACE
+        if one.status is JobStatus.QUEUED and not handed_out:
+            paused.add(one.campaign)
+        elif one.status is JobStatus.QUEUED and one.needs not in able:
+            unrunnable[one.needs] += one.jobs
+    return JobCounts(
+        status=[one.status for one in counts], campaign=[one.campaign for one in counts],
+        kind=[one.kind for one in counts], needs=[one.needs for one in counts],
+        jobs=[one.jobs for one in counts],
+        campaigns={one.campaign: one.name for one in counts},
+        paused=sorted(paused), ended=sorted({one.campaign for one in counts if one.campaign_status in ENDED}),
+        unrunnable=dict(unrunnable),
+    )  # fmt: skip

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from sqlalchemy.exc import DBAPIError
 from starlette.exceptions import HTTPException
 
-from brink.server.db.writer import passes
+from brink.server.db.writer import is_transient
 from brink.server.documents import field_errors
 from brink.server.errors import Conflict, FieldError, InvalidInput, NotFound, NoWorker, Unavailable
 
@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 
 
 NO_WORKER = "No worker"
-"""What is in the way: a page then says how to start one."""
+"""Title of errors that pass once somebody starts a worker; the dashboard then shows how."""
 
 
 def problem(
@@ -30,7 +30,15 @@ def problem(
     errors: Sequence[FieldError] = (),
     headers: dict[str, str] | None = None,
 ) -> JSONResponse:
-    """Return an error response."""
+    """Return an error response.
+
+    Args:
+        status: HTTP status.
+        title: Kind of error.
+        detail: What is wrong and what to do.
+        errors: Errors of single input fields.
+        headers: Additional response headers.
+    """
     content: dict[str, Any] = {"type": "about:blank", "title": title, "status": status, "detail": detail}
     if errors:
         content["errors"] = [
@@ -40,7 +48,7 @@ def problem(
 
 
 def install(app: FastAPI) -> None:
-    """Have every error of an app rendered as problem+json."""
+    """Render every error of an app as problem+json."""
 
     @app.exception_handler(InvalidInput)
     async def invalid(_: Request, error: InvalidInput) -> JSONResponse:
@@ -66,7 +74,7 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(DBAPIError)
     async def database_away(request: Request, error: DBAPIError) -> JSONResponse:
-        if not passes(error):
+        if not is_transient(error):
             return await unexpected(request, error)
         log.error("database: %s", error.orig)
         return problem(503, "Unavailable", "the database did not answer", headers={"Retry-After": "1"})
@@ -78,18 +86,18 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(Exception)
     async def unexpected(request: Request, error: Exception) -> JSONResponse:
         log.exception("%s %s failed", request.method, request.url.path, exc_info=error)
-        return problem(500, "Internal error", "the coordinator failed; its log says why")
+        return problem(500, "Internal error", "internal error in the coordinator; see its log")
 
 
 def describe(app: FastAPI) -> None:
-    """Have the app's description name errors as what they are: problem+json, whatever their status."""
-    undescribed = app.openapi
+    """Document all errors in the OpenAPI document as problem+json."""
+    original = app.openapi
 
     def openapi() -> dict[str, Any]:
-        document = undescribed()
+        document = original()
         for operations in document["paths"].values():
             for operation in operations.values():
-                # Of the framework: an error of input as it would write one.
+                # The framework documents its own format of validation errors, which is never sent.
                 operation["responses"].pop("422", None)
                 for status, answer in operation["responses"].items():
                     content = answer.get("content", {})

@@ -1,4 +1,4 @@
-"""Routes of repeats: does the boundary hold up when its solutions are simulated with other seeds?"""
+"""Routes of repeats: simulations of boundary solutions with other seeds, to see whether the boundary holds up."""
 
 from collections import Counter
 from typing import Annotated, Self
@@ -7,9 +7,10 @@ from fastapi import APIRouter, Response
 from pydantic import Field, model_validator
 
 from brink.server.api.context import Services
+from brink.server.api.responses import set_created
 from brink.server.api.schemas import MAX_NUMBER, View
 from brink.server.campaigns.archives import ReadArchive
-from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.repeats import MOST, StoredRepeats, read_repeats
 from brink.server.db.engine import read
 from brink.server.documents import Body
@@ -21,28 +22,34 @@ DEFAULT_REPEATS = 50
 
 
 class RepeatsBody(Body):
-    """What is repeated, and how often."""
+    """Which solutions to simulate again, and how often."""
 
-    repeats: Annotated[int, Field(ge=2, le=10_000, description="Simulations of each solution.")] = (
+    repeats: Annotated[int, Field(ge=2, le=10_000, description="Simulations for each solution.")] = (
         DEFAULT_REPEATS
     )
-    t_b: Annotated[float, Field(ge=0, le=1, description="Largest fitness of the solutions.")] = DEFAULT_T_B
-    d_th: Annotated[float, Field(ge=0, le=1, description="Least distance between two.")] = DEFAULT_D_TH
+    t_b: Annotated[float, Field(ge=0, le=1, description="Largest fitness of a boundary solution.")] = (
+        DEFAULT_T_B
+    )
+    d_th: Annotated[float, Field(ge=0, le=1, description="Smallest distance between two of them.")] = (
+        DEFAULT_D_TH
+    )
     numbers: Annotated[
         list[Annotated[int, Field(ge=0, le=MAX_NUMBER)]] | None,
         Field(
             min_length=1,
             max_length=MOST,
-            description="Evaluated solutions, each once, in place of the distinct boundary at t_b and d_th.",
+            description="Evaluated solutions to repeat instead of the distinct boundary at t_b and d_th.",
         ),
     ] = None
 
     @model_validator(mode="after")
-    def _names_a_boundary_or_solutions(self) -> Self:
+    def _check_boundary_or_numbers(self) -> Self:
         if self.numbers is None:
             return self
         if given := sorted({"t_b", "d_th"} & self.model_fields_set):
-            raise ValueError(f"expected numbers or {given[0]}, not both: t_b and d_th choose the boundary")
+            raise ValueError(
+                f"expected either numbers or {given[0]}, not both: t_b and d_th select the boundary"
+            )
         twice = [number for number, times in Counter(self.numbers).items() if times > 1]
         if twice:
             raise ValueError(f"numbers: expected each once, got {twice[0]} more than once")
@@ -50,36 +57,36 @@ class RepeatsBody(Body):
 
 
 class RepeatedSolution(View):
-    """How likely a solution is unsafe."""
+    """Estimated probability that a repeated solution is unsafe."""
 
     number: int
-    evaluated: Annotated[int, Field(description="Simulations with other seeds that gave a verdict.")]
+    evaluated: Annotated[int, Field(description="Simulations with other seeds that returned a verdict.")]
     unsafe: int
-    probability: Annotated[float | None, Field(description="Unsafe share of these.")]
+    probability: Annotated[float | None, Field(description="Unsafe share of these simulations.")]
     low: Annotated[float, Field(description="Lower limit of its Wilson interval.")]
     high: float
     holds: Annotated[bool | None, Field(description="Whether the interval contains p_th.")]
     around: Annotated[
-        float | None, Field(description="Unsafe share of its neighbourhood in the archive, itself included.")
+        float | None, Field(description="Unsafe share of its neighbourhood in the archive, including itself.")
     ]
-    around_low: Annotated[float | None, Field(description="Lower limit of that one's interval.")]
+    around_low: Annotated[float | None, Field(description="Lower limit of the neighbourhood's interval.")]
     around_high: float | None
 
 
 class RepeatsView(View):
-    """Solutions of a campaign, simulated again."""
+    """Results of simulating solutions of a campaign again."""
 
-    campaign: Annotated[str, Field(description="That simulates them.")]
-    of: Annotated[str, Field(description="Whose solutions they are.")]
-    name: Annotated[str, Field(description="Of the latter.")]
+    campaign: Annotated[str, Field(description="Campaign that simulates them.")]
+    of: Annotated[str, Field(description="Campaign whose solutions they are.")]
+    name: Annotated[str, Field(description="Name of the latter campaign.")]
     status: CampaignStatus
     status_reason: str
     repeats: int
     boundary: Annotated[
         bool,
         Field(
-            description="Whether they are the distinct boundary at t_b and d_th. If not, they were named, and "
-            "these leave nothing out: t_b is 1 and d_th 0."
+            description="Whether they are the distinct boundary at t_b and d_th. If not, they were given by number, "
+            "and t_b is 1 and d_th 0, which excludes nothing."
         ),
     ]
     t_b: float
@@ -88,9 +95,9 @@ class RepeatsView(View):
     simulations: int
     budget: int
     holding: Annotated[int, Field(description="Solutions whose interval contains p_th.")]
-    below: Annotated[int, Field(description="Solutions whose interval lies below it: safer than reported.")]
-    above: Annotated[int, Field(description="Solutions whose interval lies above it.")]
-    evaluated: Annotated[int, Field(description="Simulations of all of them.")]
+    below: Annotated[int, Field(description="Solutions whose interval lies below p_th: safer than reported.")]
+    above: Annotated[int, Field(description="Solutions whose interval lies above p_th.")]
+    evaluated: Annotated[int, Field(description="Simulations over all solutions.")]
     unsafe: int
     solutions: Annotated[list[RepeatedSolution], Field(description="Best fitness first.")]
 
@@ -98,12 +105,12 @@ class RepeatsView(View):
 @router.post(
     "/repeats",
     status_code=201,
-    responses={200: {"model": RepeatsView, "description": "The same were asked for before."}},
+    responses={200: {"model": RepeatsView, "description": "These repeats had already been requested."}},
 )
 async def repeat_boundary(
     campaign_id: str, body: RepeatsBody, services: Services, response: Response
 ) -> RepeatsView:
-    """Simulate the distinct boundary solutions, or named ones, again with other seeds, in a campaign of their own."""
+    """Simulate the distinct boundary solutions, or given ones, again with other seeds, as a new campaign."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     repeats, new = await services.campaigns.repeat(
@@ -115,16 +122,14 @@ async def repeat_boundary(
         d_th=body.d_th,
         numbers=body.numbers,
     )
-    response.headers["Location"] = f"/api/v1/campaigns/{repeats.id}"
-    if not new:
-        response.status_code = 200
+    set_created(response, f"campaigns/{repeats.id}", new=new)
     views = await _views(services, campaign_id)
     return next(view for view in views if view.campaign == repeats.id)
 
 
 @router.get("/repeats")
 async def get_repeats(campaign_id: str, services: Services) -> list[RepeatsView]:
-    """Return what came of the solutions that were simulated again; one entry for each time."""
+    """List the results of all repeats of a campaign's solutions, one entry for each request."""
     return await _views(services, campaign_id)
 
 
@@ -140,7 +145,7 @@ async def _views(services: Services, campaign_id: str) -> list[RepeatsView]:
 def _view(of: str, name: str, stored: StoredRepeats, read_archive: ReadArchive) -> RepeatsView:
     near = read_archive.plan.neighbourhood
     tallies = stored.tallies(near.z)
-    known, holds = tallies.evaluated > 0, tallies.holds(near.p_th)
+    known, holds = tallies.evaluated > 0, tallies.contains(near.p_th)
     solutions = []
     for place, number in enumerate(stored.numbers):
         index = read_archive.places.get(number)
@@ -163,7 +168,7 @@ def _view(of: str, name: str, stored: StoredRepeats, read_archive: ReadArchive) 
         campaign=stored.campaign.id, of=of, name=name, status=stored.campaign.status,
         status_reason=stored.campaign.status_reason, repeats=stored.repeats, boundary=stored.boundary,
         t_b=stored.t_b, d_th=stored.d_th,
-        p_th=near.p_th, simulations=stored.campaign.told, budget=stored.campaign.body.budget.simulations,
+        p_th=near.p_th, simulations=stored.campaign.completed, budget=stored.campaign.body.budget.simulations,
         holding=int((holds & known).sum()), below=int((tallies.high < near.p_th).sum()),
         above=int((tallies.low > near.p_th).sum()), evaluated=int(tallies.evaluated.sum()),
         unsafe=int(tallies.unsafe.sum()), solutions=solutions,

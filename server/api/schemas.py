@@ -1,4 +1,4 @@
-"""What the REST API answers with."""
+"""Response schemas of the REST API that several routes or the command line share."""
 
 from datetime import datetime
 from typing import Annotated, Any
@@ -6,39 +6,50 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from brink.server.campaigns.body import CampaignBody
+from brink.server.experiments.body import ExperimentBody
 from brink.server.states import CampaignStatus, JobStatus, SolutionVerdict
 
 MAX_NUMBER = 2**53
-"""Largest number of a job or a solution that is looked up: JSON readers keep it exactly."""
+"""Largest number of a job or solution that is looked up; every JSON parser reads it exactly."""
 
 
 class View(BaseModel):
-    """Base of all answers."""
+    """Base of all response schemas. Validators are built at first use, since the command line needs few of them."""
 
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(frozen=True, defer_build=True)
+
+
+class Thresholds(View):
+    """Thresholds at which boundary solutions are counted."""
+
+    t_b: Annotated[float, Field(description="Default of the largest fitness of a boundary solution.")]
+    d_th: Annotated[float, Field(description="Default of the smallest distance between boundary solutions.")]
+    t_bs: Annotated[list[float], Field(description="Values of t_b in tables of scores.")]
+    d_ths: Annotated[list[float], Field(description="Values of d_th in tables of scores.")]
 
 
 class CampaignView(View):
-    """A campaign and where it stands."""
+    """A campaign and its status."""
 
     id: str
     name: str
     status: CampaignStatus
     status_reason: str
     sequence: Annotated[
-        int, Field(description="Grows with every change of the campaign but its jobs' states.")
+        int, Field(description="Increases with every change to the campaign except changes of job states.")
     ]
     simulations: Annotated[
-        int, Field(description="Candidates evaluated so far, measured and failed ones included.")
+        int, Field(description="Candidates finished so far, including measured and failed ones.")
     ]
     budget: int
     unsafe: int
     failed: int
-    measured: Annotated[int, Field(description="Of them, measured on a data set and not simulated.")]
+    measured: Annotated[int, Field(description="Candidates measured on a data set instead of simulated.")]
     generation: int
     created_at: datetime
     finished_at: datetime | None
     body: CampaignBody
+    thresholds: Thresholds
 
 
 class CampaignList(View):
@@ -49,14 +60,14 @@ class CampaignList(View):
 
 
 class GenerationView(View):
-    """Where the archive stood after a generation."""
+    """State of the archive after a generation."""
 
     number: int
     evaluated: int
     unsafe: int
     failed: int
     measured: int
-    best_fitness: Annotated[float | None, Field(description="Of what the algorithm minimises.")]
+    best_fitness: Annotated[float | None, Field(description="Best value of what the algorithm minimises.")]
     median_fitness: float | None
     dbs: int
     strict_dbs: int
@@ -65,21 +76,21 @@ class GenerationView(View):
 
 
 class Progress(View):
-    """Counts, series since a cursor, rates."""
+    """Counts, rates, and the generations since a cursor."""
 
     id: str
     name: str
     status: CampaignStatus
     status_reason: str
     sequence: Annotated[
-        int, Field(description="Grows with every change of the campaign but its jobs' states.")
+        int, Field(description="Increases with every change to the campaign except changes of job states.")
     ]
     budget: int
-    simulations: Annotated[int, Field(description="Done so far, this generation's included.")]
+    simulations: Annotated[int, Field(description="Finished so far, including the current generation.")]
     evaluated: int
     unsafe: int
     failed: int
-    measured: Annotated[int, Field(description="Measured on a data set and not simulated.")]
+    measured: Annotated[int, Field(description="Candidates measured on a data set instead of simulated.")]
     quarantined: int
     queued: int
     leased: int
@@ -87,22 +98,25 @@ class Progress(View):
     rate_per_s: float | None
     remaining_s: float | None
     elapsed_s: float
-    workers: Annotated[int, Field(description="Workers heard of lately.")]
+    workers: Annotated[int, Field(description="Live workers.")]
     unrunnable: Annotated[
-        dict[str, int], Field(description="Queued jobs by a capability that no live worker has.")
+        dict[str, int], Field(description="Queued jobs by the capability they need and no live worker has.")
     ]
     looks_for_boundary: Annotated[
-        bool, Field(description="Whether it looks for the hazard boundary, rather than different violations.")
+        bool,
+        Field(
+            description="Whether it searches for the hazard boundary rather than for different violations."
+        ),
     ]
     origins: Annotated[
         dict[str, int],
-        Field(description="Where solutions come from, once the campaign has ended; empty if unknown."),
+        Field(description="Number of solutions by origin, once the campaign has ended; empty if unknown."),
     ]
-    asking: Annotated[
-        str | None, Field(description="What is being asked of a language model, if anything is.")
+    asking: Annotated[str | None, Field(description="What a language model is being asked, if anything.")]
+    trouble: Annotated[
+        str | None, Field(description="Why the database currently rejects writes, if it does.")
     ]
-    trouble: Annotated[str | None, Field(description="Why the database takes no writes now, if it does not.")]
-    trouble_s: Annotated[float, Field(description="For how long.")]
+    trouble_s: Annotated[float, Field(description="How long it has rejected writes, in seconds.")]
     digest: Annotated[str | None, Field(description="SHA-256 of the archive, once the campaign has ended.")]
     t_b: float
     d_th: float
@@ -120,33 +134,36 @@ class SolutionView(View):
     failure: str | None
     origin: Annotated[
         str | None,
-        Field(description="Where it comes from: random, heuristic, mutation, crossover, llm, llm_repair."),
+        Field(description="How it was generated: random, heuristic, mutation, crossover, llm, llm_repair."),
     ]
     fitness: float | None
     neighbours: int | None
     unsafe_neighbours: int | None
     interval: Annotated[
-        tuple[float, float] | None, Field(description="Wilson interval of the unsafe share around it.")
+        tuple[float, float] | None,
+        Field(description="Wilson interval of the unsafe share in its neighbourhood."),
     ]
     seed: int
     attempts: int | None
-    words: Annotated[str, Field(description="What it is, for people.")]
-    parameters: Annotated[dict[str, dict[str, Any]], Field(description="By component, then by name.")]
-    verdicts: Annotated[dict[str, Any] | None, Field(description="All requirements.")] = None
+    words: Annotated[str, Field(description="Description in words.")]
+    parameters: Annotated[dict[str, dict[str, Any]], Field(description="Values by component, then by name.")]
+    verdicts: Annotated[dict[str, Any] | None, Field(description="Verdicts of all requirements.")] = None
     features: dict[str, Any] | None = None
     provenance: dict[str, Any] | None = None
-    spec: Annotated[dict[str, Any] | None, Field(description="The episode, to run it again.")] = None
+    spec: Annotated[
+        dict[str, Any] | None, Field(description="Specification of the episode, for simulating it again.")
+    ] = None
 
 
 class SolutionPage(View):
-    """Solutions, ascending by number."""
+    """A page of solutions, in ascending order of number."""
 
     solutions: list[SolutionView]
     next: Annotated[int | None, Field(description="Pass as `after` to get the next page.")]
 
 
 class DbsCell(View):
-    """How many distinct boundary solutions there are for one pair of thresholds."""
+    """DBS and strict DBS for one pair of thresholds."""
 
     t_b: float
     d_th: float
@@ -155,14 +172,14 @@ class DbsCell(View):
 
 
 class Boundary(View):
-    """The distinct boundary solutions."""
+    """The distinct boundary solutions of a campaign."""
 
     t_b: float
     d_th: float
     dbs: int
     strict_dbs: int
     note: str
-    grid: Annotated[list[DbsCell], Field(description="The paper's grid of thresholds.")]
+    grid: Annotated[list[DbsCell], Field(description="DBS on the thresholds of the paper.")]
     solutions: list[SolutionView]
     strict: Annotated[list[int], Field(description="Numbers of the strict distinct boundary solutions.")]
 
@@ -172,11 +189,11 @@ class TechniqueLevel(View):
 
     technique: str
     level: int
-    levels: Annotated[int, Field(description="The highest level it has.")]
+    levels: Annotated[int, Field(description="Highest level of the technique.")]
 
 
 class ChainTally(View):
-    """How often a chain was unsafe."""
+    """How often a chain of techniques was unsafe."""
 
     chain: list[TechniqueLevel]
     words: str
@@ -185,26 +202,31 @@ class ChainTally(View):
 
 
 class CombinationView(ChainTally):
-    """A chain of techniques, and what became of its parts and other orders in the same places."""
+    """A chain of techniques with the tallies of its parts and reorderings in the same scenarios."""
 
     parts: Annotated[
-        list[ChainTally], Field(description="Where both were simulated; an empty chain is nothing at all.")
+        list[ChainTally],
+        Field(
+            description="Tallies over the scenarios where both were simulated. The empty chain applies no technique."
+        ),
     ]
     orders: list[ChainTally]
-    hazardous: Annotated[bool, Field(description="Unsafe in at least four places of five.")]
-    minimal: Annotated[bool, Field(description="Hazardous, and no part is.")]
+    hazardous: Annotated[bool, Field(description="Unsafe in at least four of five scenarios.")]
+    minimal: Annotated[bool, Field(description="Hazardous, and no part of it is.")]
     only_together: Annotated[
-        bool, Field(description="Hazardous, and every part is safe in four places of five.")
+        bool, Field(description="Hazardous, and every part is safe in at least four of five scenarios.")
     ]
     order_matters: Annotated[
-        bool, Field(description="Hazardous, and another order is safe in four places of five.")
+        bool, Field(description="Hazardous, and another order is safe in at least four of five scenarios.")
     ]
-    together: Annotated[list[int], Field(description="Its unsafe solutions where every part is safe.")]
-    turned: Annotated[list[int], Field(description="Its unsafe solutions where another order is safe.")]
+    together: Annotated[list[int], Field(description="Numbers of unsafe solutions whose parts are all safe.")]
+    turned: Annotated[
+        list[int], Field(description="Numbers of unsafe solutions that are safe in another order.")
+    ]
 
 
 class StepTally(View):
-    """A technique at a level: how often unsafe alone, and how often with others."""
+    """How often a technique at a level was unsafe alone, and how often together with others."""
 
     step: TechniqueLevel
     words: str
@@ -215,7 +237,7 @@ class StepTally(View):
 
 
 class Variant(View):
-    """A solution in the same place as another, with a part of its techniques or another order."""
+    """A solution with the same scenario as another, and a part of its techniques or another order of them."""
 
     number: int
     unsafe: bool
@@ -224,40 +246,44 @@ class Variant(View):
 
 
 class Combinations(View):
-    """What a campaign on ordered techniques found."""
+    """Results of a campaign on ordered perturbation techniques."""
 
     steps: list[StepTally]
-    combinations: Annotated[list[CombinationView], Field(description="The most telling first.")]
+    combinations: Annotated[list[CombinationView], Field(description="Most informative first.")]
 
 
 class LlmCall(View):
-    """A call of a language model."""
+    """A call to a language model."""
 
-    request: Annotated[int, Field(description="Which request for seeds.")]
-    turn: Annotated[int, Field(description="0 for the question, 1 for the repair turn.")]
+    request: Annotated[int, Field(description="Number of the request for seeds.")]
+    turn: Annotated[int, Field(description="0 for the first prompt, 1 for the repair prompt.")]
     outcome: str
-    mode: Annotated[str, Field(description="How the form of the reply was asked for.")]
+    mode: Annotated[str, Field(description="How structured output was requested.")]
     prompt_hash: str
-    calls: Annotated[int, Field(description="Requests that the endpoint worked on, or may have.")]
+    calls: Annotated[
+        int, Field(description="HTTP requests that the endpoint processed or may have processed.")
+    ]
     prompt_tokens: int | None
     completion_tokens: int | None
-    estimated: Annotated[bool, Field(description="Whether tokens are an estimate: the endpoint stated none.")]
-    cost: Annotated[float | None, Field(description="Unknown without prices; never 0 for that.")]
+    estimated: Annotated[
+        bool, Field(description="Whether tokens are estimated because the endpoint reported none.")
+    ]
+    cost: Annotated[float | None, Field(description="Null if no prices are configured.")]
     latency_s: float
     error: str | None
     reply: Annotated[
-        str | None, Field(description="The raw body of the reply, but for the key, if asked for.")
+        str | None, Field(description="Raw body of the reply with the API key removed, if requested.")
     ]
 
 
 class LlmCalls(View):
-    """The calls of a campaign."""
+    """Language-model calls of a campaign."""
 
-    calls: Annotated[list[LlmCall], Field(description="In the order of asking.")]
+    calls: Annotated[list[LlmCall], Field(description="In the order in which they were made.")]
     total_calls: int
     total_tokens: int
     estimated_tokens: int
-    cost: Annotated[float | None, Field(description="Of all; None if any is unknown.")]
+    cost: Annotated[float | None, Field(description="Total cost; null if the cost of any call is unknown.")]
 
 
 class DistanceBlock(View):
@@ -268,7 +294,7 @@ class DistanceBlock(View):
 
 
 class JobViewModel(View):
-    """A job as it stands."""
+    """A job and its state."""
 
     id: int
     campaign: str
@@ -285,35 +311,33 @@ class JobViewModel(View):
 
 
 class JobList(View):
-    """Jobs, ascending by id."""
+    """A page of jobs, in ascending order of id."""
 
     jobs: list[JobViewModel]
     next: int | None
 
 
 class JobCounts(View):
-    """How many jobs are not done: one entry a list for those that are alike."""
+    """Counts of unfinished jobs in columns: one row for each combination of state, campaign, kind and need."""
 
     status: Annotated[list[JobStatus], Field(description="Queued, leased or quarantined.")]
     campaign: list[str]
     kind: list[str]
-    needs: Annotated[list[str], Field(description="What a worker must be able to run.")]
+    needs: Annotated[list[str], Field(description="Capability that a worker must have.")]
     jobs: list[int]
-    campaigns: Annotated[dict[str, str], Field(description="Names of the campaigns by their ids.")]
-    paused: Annotated[list[str], Field(description="Of them, those that are paused with jobs in the queue.")]
-    ended: Annotated[
-        list[str], Field(description="Of them, those that have ended: nobody waits for their jobs.")
-    ]
+    campaigns: Annotated[dict[str, str], Field(description="Campaign names by id.")]
+    paused: Annotated[list[str], Field(description="Ids of paused campaigns with queued jobs.")]
+    ended: Annotated[list[str], Field(description="Ids of ended campaigns, whose jobs no longer matter.")]
     unrunnable: Annotated[
         dict[str, int],
         Field(
-            description="Queued jobs, but for those of paused campaigns, by a need that no live worker meets."
+            description="Queued jobs of unpaused campaigns, by the capability they need and no live worker has."
         ),
     ]
 
 
 class WorkerView(View):
-    """A worker that was heard of."""
+    """A worker that has contacted the coordinator."""
 
     id: str
     host: str
@@ -335,14 +359,15 @@ class ProblemView(View):
     id: str
     summary: str
     params: Annotated[dict[str, Any], Field(description="JSON schema of its parameters.")]
-    space: Annotated[dict[str, Any], Field(description="Its search space with default parameters.")]
+    space: Annotated[dict[str, Any], Field(description="Search space with default parameters.")]
     simulator: str | None
     finds: Annotated[
         list[str],
-        Field(description="What a campaign on it tells besides a boundary: violations, combinations."),
+        Field(description="What a campaign finds besides a boundary: violations, combinations."),
     ]
     algorithm_defaults: Annotated[
-        dict[str, Any], Field(description="Defaults of algorithms' parameters on it, in place of their own.")
+        dict[str, Any],
+        Field(description="Defaults for parameters of algorithms that replace their own on this problem."),
     ]
 
 
@@ -352,16 +377,17 @@ class AlgorithmView(View):
     id: str
     summary: str
     params: Annotated[dict[str, Any], Field(description="JSON schema of its parameters.")]
+    internal: Annotated[bool, Field(description="Whether only Brink itself starts campaigns with it.")]
 
 
 class BeingMade(View):
-    """A trace that is not there yet."""
+    """A result that is not available yet."""
 
     detail: str
 
 
 class ProblemDetail(BaseModel):
-    """An error, as RFC 9457 has it."""
+    """An error as defined by RFC 9457."""
 
     type: str = "about:blank"
     title: str
@@ -369,5 +395,100 @@ class ProblemDetail(BaseModel):
     detail: str
     errors: Annotated[
         list[dict[str, str | None]],
-        Field(description="For input errors: pointer, message and nearest valid name of each wrong field."),
+        Field(description="For invalid input: pointer, message and closest valid name of each wrong field."),
     ] = []
+
+
+class MemberView(View):
+    """A campaign of an experiment."""
+
+    campaign: str
+    method: str
+    problem: str
+    seed: int
+    status: CampaignStatus
+    status_reason: str
+    simulations: int
+    unsafe: int
+    failed: int
+
+
+class ExperimentSummary(View):
+    """An experiment and its status."""
+
+    id: str
+    name: str
+    status: Annotated[
+        CampaignStatus,
+        Field(
+            description="Running while any campaign is; otherwise paused, failed, cancelled, or finished if all are."
+        ),
+    ]
+    campaigns: Annotated[int, Field(description="Number of campaigns.")]
+    deleted: Annotated[int, Field(description="Number of campaigns deleted since.")]
+    finished: int
+    simulations: int
+    budget: Annotated[int, Field(description="Simulations over all campaigns.")]
+    failed: Annotated[int, Field(description="Failed candidates.")]
+    created_at: datetime
+
+
+class ExperimentView(ExperimentSummary):
+    """An experiment with its campaigns."""
+
+    body: ExperimentBody
+    thresholds: Thresholds
+    members: list[MemberView]
+
+
+class ExperimentList(View):
+    """A page of experiments, newest first."""
+
+    experiments: list[ExperimentSummary]
+    next: Annotated[str | None, Field(description="Pass as `cursor` to get the next page.")]
+
+
+class ExperimentProgress(ExperimentSummary):
+    """Counts and rates over all campaigns of an experiment."""
+
+    rate_per_s: Annotated[float | None, Field(description="Average over the last minute.")]
+    remaining_s: float | None
+    elapsed_s: float
+    queued: int
+    leased: int
+    quarantined: int
+    workers: Annotated[int, Field(description="Live workers.")]
+    paused: Annotated[list[str], Field(description="Ids of paused campaigns, each with the reason.")]
+    trouble: Annotated[
+        str | None, Field(description="Why the database currently rejects writes, if it does.")
+    ]
+    trouble_s: Annotated[float, Field(description="How long it has rejected writes, in seconds.")]
+
+
+class RepeatView(View):
+    """Scores of a finished campaign: a value for each fraction of the budget, each t_b and each d_th."""
+
+    problem: str
+    method: str
+    seed: int
+    campaign: str
+    evaluated: int
+    unsafe: int
+    dbs: list[list[list[float]]]
+    strict: list[list[list[float]]]
+    control: Annotated[
+        "ControlView | None", Field(description="Null if no component of the problem is a scenario.")
+    ]
+
+
+class ControlView(View):
+    """Scores of a campaign's control, averaged over its draws."""
+
+    unsafe_share: float
+    behaviours_a_scenario: float
+    reads_low: bool
+    dbs: list[list[list[float]]]
+    strict: list[list[list[float]]]
+    spread: Annotated[
+        list[list[float]], Field(description="Standard deviation of strict DBS over the draws.")
+    ]

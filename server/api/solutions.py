@@ -1,38 +1,43 @@
-"""Routes of what a campaign found: solutions, boundary, distances, the archive, traces and replays."""
+"""Routes of solutions: pages, neighbours, the boundary, distances, the archive."""
 
 import asyncio
 import io
 import json
-from typing import Annotated, Literal
+import math
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Query, Response
 from fastapi import Path as PathParameter
+from pydantic import Field
+from sqlalchemy import Connection, Row
 from starlette.responses import Response as PlainResponse
 
-from brink.search.errors import UnsupportedSpace
+from brink.search.analysis.boundary import distinct_boundary
+from brink.search.analysis.similarity import Nearest, nearest_solutions
+from brink.search.archive import Archive
 from brink.search.parameters import Categorical
 from brink.search.space import SearchSpace
 from brink.server.api.boundary_table import boundary_rows, table_bytes
-from brink.server.api.combination_views import combinations_view, variants_view
 from brink.server.api.context import Services
 from brink.server.api.schemas import (
     MAX_NUMBER,
     Boundary,
-    Combinations,
+    DbsCell,
     DistanceBlock,
     SolutionPage,
     SolutionView,
-    Variant,
+    View,
 )
-from brink.server.api.traces import NOT_YET, UNREADABLE, Wait, being_made, trace_of
-from brink.server.api.views import boundary_view, solution_views
 from brink.server.campaigns import view_store
-from brink.server.campaigns.plan import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.plan import looks_for_boundary
+from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import read
-from brink.server.errors import Conflict, FieldError, InvalidInput, NotFound
-from brink.sim.replay import render_bytes
-from brink.sim.trace import Trace
+from brink.server.errors import FieldError, InvalidInput, NotFound
+from brink.server.problems.base import Problem, words_of
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
 
@@ -53,7 +58,7 @@ async def get_solutions(
     unsafe: bool | None = None,
     max_fitness: Annotated[float | None, Query(ge=0, le=1)] = None,
 ) -> SolutionPage:
-    """Return complete solutions, ascending by number."""
+    """List complete solutions in ascending order of number."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     archive = found.archive
@@ -74,7 +79,7 @@ async def get_solutions(
 
 @router.get("/solutions/{number}")
 async def get_solution(campaign_id: str, number: Number, services: Services) -> SolutionView:
-    """Return one solution with all that is known of it."""
+    """Return one solution with all details: verdicts, features, provenance, episode."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     rows = await read(services.engines, lambda c: view_store.read_solutions(c, campaign.id, [number]))
@@ -94,7 +99,7 @@ async def get_boundary(
     d_th: Threshold = DEFAULT_D_TH,
     format: Literal["json", "csv", "jsonl", "parquet"] = "json",  # noqa: A002  (the name of the query parameter)
 ) -> Boundary:
-    """Return the distinct boundary solutions, DBS and strict DBS; as a table, one row a solution."""
+    """Return the distinct boundary solutions, DBS and strict DBS; table formats have one row for each solution."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     view = await read(services.engines, lambda c: boundary_view(c, campaign, found, t_b, d_th))
@@ -106,39 +111,13 @@ async def get_boundary(
     return PlainResponse(table, media_type=MEDIA[format], headers=headers)  # type: ignore[return-value]
 
 
-@router.get("/combinations")
-async def get_combinations(campaign_id: str, services: Services) -> Combinations:
-    """Return which chains of techniques are hazardous, and which only together or in one order."""
-    campaign = await services.campaigns.get(campaign_id)
-    found = await services.archives.get(campaign)
-    try:
-        return combinations_view(found.plan.problem.space, found.archive)
-    except UnsupportedSpace:
-        raise NotFound(
-            f"campaign {campaign.id}: {campaign.body.problem.id} has no ordered techniques"
-        ) from None
-
-
-@router.get("/solutions/{number}/variants")
-async def get_variants(campaign_id: str, number: Number, services: Services) -> list[Variant]:
-    """Return a solution's parts and other orders that were simulated in its place, itself last."""
-    campaign = await services.campaigns.get(campaign_id)
-    found = await services.archives.get(campaign)
-    try:
-        return variants_view(found.plan.problem.space, found.archive, number)
-    except UnsupportedSpace:
-        raise NotFound(
-            f"campaign {campaign.id}: {campaign.body.problem.id} has no ordered techniques"
-        ) from None
-    except KeyError:
-        raise NotFound(f"campaign {campaign.id} has no evaluated solution {number}") from None
-
-
 @router.get("/distances", response_model=DistanceBlock)
 async def get_distances(
-    campaign_id: str, services: Services, numbers: Annotated[str, Query(description="Comma-separated.")]
+    campaign_id: str,
+    services: Services,
+    numbers: Annotated[str, Query(description="Comma-separated numbers.")],
 ) -> Response:
-    """Return the distances between some evaluated solutions."""
+    """Return the pairwise distances between evaluated solutions."""
     campaign = await services.campaigns.get(campaign_id)
     archive = (await services.archives.get(campaign)).archive
     try:
@@ -162,10 +141,10 @@ async def get_distances(
 
 @router.get("/archive.npz", response_class=Response)
 async def get_archive(campaign_id: str, services: Services) -> Response:
-    """Return all evaluated solutions as numpy arrays: numbers, vectors, verdicts, counts, fitness.
+    """Return all evaluated solutions as numpy arrays: numbers, vectors, verdicts, neighbour counts, fitness.
 
-    `columns` names the columns of `vectors`; `choices` has, for each that is categorical, its choices as a JSON list
-    in the order of their indices, and an empty text for the others.
+    `columns` names the columns of `vectors`. `choices` has one entry for each column: a JSON list of the choices of a
+    categorical parameter, in the order of their indices; an empty string for any other parameter.
     """
     campaign = await services.campaigns.get(campaign_id)
     plan, stored, archive = await asyncio.get_running_loop().run_in_executor(
@@ -197,48 +176,160 @@ def _choices(space: SearchSpace) -> list[str]:
     ]
 
 
-@router.get(
-    "/solutions/{number}/trace",
-    response_class=Response,
-    responses={200: {"content": {"application/x-npz": {}}}, **NOT_YET},
-)
-async def get_trace(
-    campaign_id: str, number: Number, request: Request, services: Services, wait_s: Wait = 20.0
-) -> Response:
-    """Return the trace of a solution's episode as npz; workers re-run the episode if it was not kept."""
+def solution_views(
+    rows: Iterable[Row[*tuple[Any, ...]]], read: ReadArchive, *, full: bool = False
+) -> list[SolutionView]:
+    """Return the response schemas of solutions: decoded parameters and values from the archive.
+
+    Args:
+        rows: Database rows of the solutions.
+        read: The campaign's archive.
+        full: Whether to add all verdicts, features, provenance and the episode.
+    """
+    return [
+        _solution(row, read.plan.problem, read.archive, read.places.get(row.number), full=full)
+        for row in rows
+    ]
+
+
+def _solution(
+    row: Row[*tuple[Any, ...]], problem: Problem, archive: Archive, index: int | None, *, full: bool
+) -> SolutionView:
+    result: Mapping[str, Any] = json.loads(row.result) if full and row.result else {}
+    vectors = problem.space.split(np.frombuffer(row.vector, dtype="<f8"))
+    return SolutionView(
+        number=row.number, generation=row.generation, verdict=row.verdict, robustness=row.robustness,
+        objectives=row.objectives, failure=row.failure, origin=row.origin,
+        fitness=None if index is None else float(archive.fitness[index]),
+        neighbours=None if index is None else int(archive.neighbours[index]),
+        unsafe_neighbours=None if index is None else int(archive.unsafe_neighbours[index]),
+        interval=None if index is None else (float(archive.interval[index, 0]), float(archive.interval[index, 1])),
+        seed=row.seed, attempts=row.attempt,
+        words=words_of(problem, vectors), parameters=problem.space.decode(vectors),
+        verdicts=result.get("verdicts"), features=result.get("features"),
+        provenance=result.get("provenance"),
+        spec=json.loads(row.spec) if full and row.spec else None,
+    )  # fmt: skip
+
+
+def boundary_view(
+    connection: Connection, campaign: Campaign, read: ReadArchive, t_b: float, d_th: float
+) -> Boundary:
+    """Return the distinct boundary solutions of a campaign, best fitness first.
+
+    Args:
+        connection: Read connection.
+        campaign: The campaign.
+        read: Its archive.
+        t_b: Largest fitness of a boundary solution.
+        d_th: Smallest distance between two boundary solutions.
+    """
+    archive = read.archive
+    chosen = distinct_boundary(archive, t_b, d_th)
+    strict = distinct_boundary(archive, t_b, d_th, strict=True)
+    grid = read.grid
+    numbers = [int(number) for number in archive.numbers[chosen]]
+    rows = {row.number: row for row in view_store.read_solutions(connection, campaign.id, numbers)}
+    return Boundary(
+        t_b=t_b,
+        d_th=d_th,
+        dbs=len(chosen),
+        strict_dbs=len(strict),
+        note=_note(read, t_b),
+        grid=[
+            DbsCell(t_b=t, d_th=d, dbs=int(grid.dbs[row, column]), strict_dbs=int(grid.strict[row, column]))
+            for row, t in enumerate(grid.t_bs)
+            for column, d in enumerate(grid.d_ths)
+        ],
+        solutions=solution_views([rows[number] for number in numbers], read, full=True),
+        strict=[int(number) for number in archive.numbers[strict]],
+    )
+
+
+def _note(read: ReadArchive, t_b: float) -> str:
+    """Explain how to read DBS at this threshold."""
+    p_th = read.plan.neighbourhood.p_th
+    all_safe = p_th / max(p_th, 1 - p_th)
+    if t_b >= all_safe:
+        return (
+            f"At t_b {t_b:g}, DBS also counts neighbourhoods without a single unsafe solution (their fitness falls "
+            f"to {all_safe:.3f}); strict DBS does not."
+        )
+    return "Strict DBS counts only solutions whose interval contains p_th and whose neighbourhood has both verdicts."
+
+
+NeighbourLimit = Annotated[int, Query(ge=0, le=1000, description="Maximum number of neighbours to return.")]
+
+
+class Neighbour(View):
+    """An evaluated solution close to another one."""
+
+    number: int
+    distance: float
+    within: Annotated[
+        bool, Field(description="Whether it counts as a neighbour, that is, lies within the radius.")
+    ]
+    unsafe: bool
+    robustness: float
+    fitness: float
+
+
+class Neighbours(View):
+    """The neighbourhood of a solution and the solutions closest to it."""
+
+    number: int
+    radius: Annotated[float, Field(description="Largest distance of a neighbour.")]
+    p_th: Annotated[float, Field(description="Unsafe share that defines the boundary.")]
+    confidence: Annotated[float, Field(description="Confidence level of the interval, such as 0.95.")]
+    looks_for_boundary: Annotated[
+        bool,
+        Field(description="Whether the algorithm searches for this boundary; if not, fitness says little."),
+    ]
+    neighbours: Annotated[int, Field(description="Solutions within the radius, including this one.")]
+    unsafe_neighbours: int
+    interval: Annotated[
+        tuple[float, float], Field(description="Wilson interval of the unsafe share within the radius.")
+    ]
+    fitness: Annotated[float, Field(description="Distance of that interval from p_th; 0 on the boundary.")]
+    evaluated: Annotated[int, Field(description="Evaluated solutions of the campaign.")]
+    nearest: Annotated[list[Neighbour], Field(description="Closest first, without this one.")]
+
+
+@router.get("/solutions/{number}/neighbours")
+async def get_neighbours(
+    campaign_id: str, number: Number, services: Services, most: NeighbourLimit = 12
+) -> Neighbours:
+    """Return the neighbourhood of an evaluated solution and the solutions closest to it."""
     campaign = await services.campaigns.get(campaign_id)
-    data = await trace_of(services, campaign, number, request, wait_s)
-    return being_made() if data is None else Response(data, media_type="application/x-npz")
+    found = await services.archives.get(campaign)
+    boundary = looks_for_boundary(campaign.body.algorithm.id)
+
+    def look() -> Neighbours:
+        place = found.places.get(number)
+        if place is None:
+            raise NotFound(f"campaign {campaign.id} has no evaluated solution {number}")
+        near = nearest_solutions(found.archive, place, most)
+        return _neighbours_view(found, number, place, near, boundary=boundary)
+
+    return await asyncio.get_running_loop().run_in_executor(None, look)
 
 
-@router.get(
-    "/solutions/{number}/replay.{extension}",
-    response_class=Response,
-    responses={200: {"content": {"image/png": {}, "image/gif": {}, "video/mp4": {}}}, **NOT_YET},
-)
-async def get_replay(
-    campaign_id: str,
-    number: Number,
-    extension: Literal["png", "gif", "mp4"],
-    request: Request,
-    services: Services,
-    wait_s: Wait = 20.0,
-) -> Response:
-    """Return a picture or an animation of a solution's episode, seen from above."""
-    campaign = await services.campaigns.get(campaign_id)
-    data = await trace_of(services, campaign, number, request, wait_s)
-    if data is None:
-        return being_made()
-    requirement = campaign.body.problem.params.get("requirement")
-
-    def draw() -> bytes:
-        return render_bytes(Trace.from_bytes(data), f".{extension}", requirement=requirement)
-
-    try:
-        picture = await asyncio.get_running_loop().run_in_executor(services.drawing, draw)
-    except UNREADABLE as error:
-        raise Conflict(
-            f"solution {number}: its trace cannot be drawn: {type(error).__name__}: {error}"
-        ) from None
-    media = {"png": "image/png", "gif": "image/gif", "mp4": "video/mp4"}[extension]
-    return Response(picture, media_type=media)
+def _neighbours_view(
+    found: ReadArchive, number: int, place: int, near: Nearest, *, boundary: bool
+) -> Neighbours:
+    archive, settings = found.archive, found.plan.neighbourhood
+    low, high = archive.interval[place].tolist()
+    return Neighbours(
+        number=number, radius=settings.radius, p_th=settings.p_th,
+        confidence=math.erf(settings.z / math.sqrt(2)), looks_for_boundary=boundary,
+        neighbours=int(archive.neighbours[place]), unsafe_neighbours=int(archive.unsafe_neighbours[place]),
+        interval=(low, high), fitness=float(archive.fitness[place]), evaluated=len(archive),
+        nearest=[
+            Neighbour(
+                number=int(archive.numbers[other]), distance=distance, within=distance <= settings.radius,
+                unsafe=bool(archive.unsafe[other]), robustness=float(archive.robustness[other]),
+                fitness=float(archive.fitness[other]),
+            )
+            for other, distance in zip(near.positions.tolist(), near.distances.tolist(), strict=True)
+        ],
+    )  # fmt: skip

@@ -1,73 +1,114 @@
-"""The generation step: tell, grow, ask, store, enqueue.
+"""Advances campaigns: the generation step (evaluate, tell, ask, store), and when it is taken.
 
-`Stepper.advance` may run at any time, any number of times, in any process: a step is written only if the campaign
-stands where the step began, so a crash anywhere is mended by running it again, and no generation is told twice.
-The live state is kept in memory between steps; after a restart it is restored from the checkpoint and the stored
-solutions, and is the same, bit for bit.
+A step may be taken at any time, any number of times, in any process: it is only written if the campaign is still
+where the step began. So no generation is told twice, and after a crash the step is simply taken again. The state of a
+search is kept in memory between steps; after a restart it is restored from the checkpoint and the stored solutions,
+bit for bit.
 """
 
+import asyncio
 import logging
 import threading
 import time
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import numpy as np
-from sqlalchemy import Connection, Row
+from sqlalchemy import Connection
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 
-from brink.search.algorithm import Candidate, Evaluation, Failed, Measured, Question, Scored
+from brink.search.algorithm import (
+    Candidate,
+    Evaluation,
+    Failed,
+    Measured,
+    Proposal,
+    Question,
+    Scored,
+    Seeded,
+    SeedRequest,
+)
+from brink.search.analysis.boundary import distinct_boundary
 from brink.search.archive import Archive
-from brink.search.boundary import distinct_boundary
 from brink.search.document import Document
 from brink.search.metric import METRIC_VERSION
-from brink.search.seeding import Seeded
 from brink.server.campaigns import step_store, store
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.plan import (
-    DEFAULT_D_TH,
-    DEFAULT_T_B,
-    Live,
+    LiveSearch,
     Plan,
-    asked,
+    ask_next,
     first_generation,
     make_plan,
     new_solutions,
     restored_archive,
+    seed_request,
     vector_bytes,
-    wanted_seeds,
 )
-from brink.server.campaigns.repeats import PlannedRepeats, plan_repeats, store_repeats
-from brink.server.campaigns.seeding import SeedSource
-from brink.server.campaigns.values import (
-    Block,
-    Campaign,
+from brink.server.campaigns.repeats import PlannedRepeats, plan_boundary_repeats, store_repeats
+from brink.server.campaigns.step_store import (
     Checkpoint,
+    DistanceBlock,
     GenerationSummary,
-    Judged,
     NewSolution,
+    SolutionResult,
     Step,
 )
-from brink.server.db.engine import Engines
-from brink.server.db.writer import Writer, passes
+from brink.server.campaigns.store import CAMPAIGNS, Campaign
+from brink.server.db.engine import Engines, read
+from brink.server.db.writer import Writer, is_transient
 from brink.server.errors import Damaged, FieldError, InvalidInput, Unavailable
+from brink.server.llm.settings import LlmSettings
 from brink.server.metrics import Metrics
 from brink.server.problems.base import InProcessProblem, MeasuresOnData, Problem, SimulatedProblem
+from brink.server.queue import job_store
+from brink.server.queue.job_store import JobOutcome
+from brink.server.queue.wakeups import Wakeups
 from brink.server.states import CampaignStatus, JobStatus, SolutionVerdict
 from brink.worker.wire import Completed
 
 FEW_FAILURES = 3
-"""A campaign is not paused for this many failures or fewer."""
+"""This many failures or fewer never pause a campaign."""
 
 log = logging.getLogger(__name__)
 
 
+class SeedSource(Protocol):
+    """Provides seeds for algorithms that wait for them: always the same for the same request of a campaign."""
+
+    def proposals(
+        self, campaign_id: str, settings: LlmSettings | None, problem: Problem, request: SeedRequest
+    ) -> Sequence[Proposal] | None:
+        """Return the seeds, possibly none at all, or None while they are not known yet.
+
+        The first call starts the request, which may take minutes. The campaign is advanced when the seeds arrive.
+
+        Args:
+            campaign_id: The campaign.
+            settings: Its language model.
+            problem: Its problem.
+            request: What the algorithm asks for.
+        """
+        ...
+
+
 class _MovedOn(Exception):
-    """Another coordinator took the step meanwhile."""
+    """Another coordinator has taken the step."""
 
 
 class Stepper:
-    """Advances campaigns, one at a time."""
+    """Takes generation steps, one at a time.
+
+    Args:
+        engines: The database.
+        writer: Its writer.
+        max_stored_distances: Number of solutions above which distances are not stored.
+        seeds: Where seeds come from.
+        metrics: Where step times are recorded.
+    """
 
     def __init__(
         self,
@@ -83,20 +124,20 @@ class Stepper:
         self._writer = writer
         self._seeds = seeds
         self._max_stored_distances = max_stored_distances
-        self._live: dict[str, Live] = {}
+        self._live: dict[str, LiveSearch] = {}
         self._lock = threading.Lock()
 
-    def adopt(self, campaign_id: str, live: Live) -> None:
-        """Keep the state of a campaign that was just submitted."""
+    def adopt(self, campaign_id: str, live: LiveSearch) -> None:
+        """Keep the search of a new campaign in memory."""
         self._live[campaign_id] = live
 
     def forget(self, campaign_id: str) -> None:
-        """Drop the state of a campaign that has ended, or waits."""
+        """Drop the search of a campaign that has ended or is paused."""
         self._live.pop(campaign_id, None)
 
     @property
-    def kept(self) -> tuple[str, ...]:
-        """The campaigns whose states are in memory."""
+    def live_campaigns(self) -> tuple[str, ...]:
+        """Ids of the campaigns whose searches are in memory."""
         return tuple(self._live)
 
     def archive(self, campaign_id: str, generation: int) -> Archive | None:
@@ -108,7 +149,11 @@ class Stepper:
         return archive
 
     def advance(self, campaign_id: str) -> bool:
-        """Take as many steps as can be taken now; return whether any was."""
+        """Take all steps of a campaign that are due; return whether there were any.
+
+        Raises:
+            Exception: A step failed. If the cause is not transient, the campaign was paused or has failed.
+        """
         moved = False
         with self._lock:
             while self._step(campaign_id):
@@ -117,54 +162,52 @@ class Stepper:
 
     def _step(self, campaign_id: str) -> bool:
         with self._engines.reader.connect() as connection:
-            campaign = store.find_campaign(connection, campaign_id)
+            campaign = CAMPAIGNS.find(connection, campaign_id)
             if campaign is None or campaign.status is not CampaignStatus.RUNNING:
                 self._live.pop(campaign_id, None)
                 return False
-            jobs = step_store.generation_jobs(connection, campaign_id, campaign.generation)
-        if _open(jobs):
+            outcomes = job_store.generation_outcomes(connection, campaign_id, campaign.generation)
+        if _is_open(outcomes):
             return False
         try:
             live = self._state(campaign)
-            if jobs and wanted_seeds(live.plan, live.state) is not None:
-                # Another coordinator had its seeds, and asked, since this state was made.
+            if outcomes and seed_request(live.plan, live.state) is not None:
+                # Since this state was made, another coordinator has received the seeds and asked.
                 live = self._restore(campaign)
-            if wanted_seeds(live.plan, live.state) is not None:
+            if seed_request(live.plan, live.state) is not None:
                 return self._seed(campaign, live)
-            if not jobs:
-                # Another coordinator may have had its seeds, and asked, between the look at the jobs and the state.
+            if not outcomes:
+                # Another coordinator may have done so between reading the outcomes and making the state.
                 with self._engines.reader.connect() as connection:
-                    jobs = step_store.generation_jobs(connection, campaign_id, campaign.generation)
-                if _open(jobs):
+                    outcomes = job_store.generation_outcomes(connection, campaign_id, campaign.generation)
+                if _is_open(outcomes):
                     return False
-            return self._tell(campaign, live, jobs)
+            return self._tell(campaign, live, outcomes)
         except _MovedOn:
             return False
         except InvalidInput as error:
-            reason = (
-                f"generation {campaign.generation} cannot be told here: {error}. Resume once that is mended."
-            )
-            self._end(campaign, CampaignStatus.PAUSED, reason)
+            reason = f"generation {campaign.generation} cannot be completed here: {error}"
+            self._end(campaign, CampaignStatus.PAUSED, f"{reason}. Resume when this is fixed.")
             return False
         except Exception as error:
-            if _passes(error):
+            if _is_transient(error):
                 self._live.pop(campaign_id, None)
                 raise
-            log.exception("generation cannot be told", extra=_about(campaign))
-            reason = f"generation {campaign.generation} cannot be told: {type(error).__name__}: {error}"
+            log.exception("generation cannot be completed", extra=_about(campaign))
+            reason = f"generation {campaign.generation} cannot be completed: {type(error).__name__}: {error}"
             if isinstance(error, Damaged):
                 self._end(campaign, CampaignStatus.FAILED, reason)
-            else:  # nothing is lost; whatever it was may be mended
-                self._end(campaign, CampaignStatus.PAUSED, f"{reason}. Resume once that is mended.")
+            else:  # nothing is lost, and the cause may be fixed
+                self._end(campaign, CampaignStatus.PAUSED, f"{reason}. Resume when this is fixed.")
             raise
 
-    def _seed(self, campaign: Campaign, live: Live) -> bool:
-        """Take the seeds that the algorithm waits for, if they have come; return whether they had.
+    def _seed(self, campaign: Campaign, live: LiveSearch) -> bool:
+        """Pass on the seeds that the algorithm waits for; return whether they have arrived.
 
-        The state with them is the new checkpoint: whatever happens then, nobody needs to be asked again.
+        The state with the seeds is stored as the new checkpoint, so that they are never requested again.
         """
         plan, algorithm = live.plan, live.plan.algorithm
-        request = wanted_seeds(plan, live.state)
+        request = seed_request(plan, live.state)
         assert isinstance(algorithm, Seeded)
         assert request is not None
         proposals = self._seeds.proposals(campaign.id, campaign.body.llm, plan.problem, request)
@@ -172,7 +215,7 @@ class Stepper:
             return False
         seeded = algorithm.seeded(live.state, proposals)
         checkpoint = _checkpoint(plan, seeded, campaign.generation)
-        state, candidates = asked(plan, seeded)
+        state, candidates = ask_next(plan, seeded)
         solutions = new_solutions(plan.problem, candidates, state, campaign.body.seed)
         written = self._writer.submit(
             lambda connection: step_store.write_seeded(connection, campaign, checkpoint, solutions)
@@ -180,13 +223,13 @@ class Stepper:
         if not written:
             self._live.pop(campaign.id, None)
             return False
-        self._live[campaign.id] = Live(plan=plan, generation=campaign.generation, state=state)
+        self._live[campaign.id] = LiveSearch(plan=plan, generation=campaign.generation, state=state)
         log.info("generation seeded", extra=_about(campaign))
         return True
 
-    def _tell(self, campaign: Campaign, live: Live, jobs: Sequence[Row[*tuple[Any, ...]]]) -> bool:
+    def _tell(self, campaign: Campaign, live: LiveSearch, outcomes: Sequence[JobOutcome]) -> bool:
         began = time.perf_counter()
-        evaluations = _evaluations(live.plan.problem, live.state.pending, jobs)
+        evaluations = _evaluations(live.plan.problem, live.state.pending, outcomes)
         failed = campaign.failed + sum(isinstance(e, Failed) for e in evaluations.values())
         pause = _too_many_failures(campaign, evaluations, failed, len(live.state.pending))
         if pause:
@@ -195,15 +238,15 @@ class Stepper:
         algorithm = live.plan.algorithm
         told = algorithm.tell(live.state, evaluations)
         finished = algorithm.finished(told)
-        asked_state, candidates = asked(live.plan, told)
-        solutions = new_solutions(live.plan.problem, candidates, asked_state, campaign.body.seed)
-        step = self._write_up(campaign, live.plan, evaluations, told, solutions, finished, began)
-        again = self._repeats(campaign, live.plan, told.archive) if finished else None
+        next_state, candidates = ask_next(live.plan, told)
+        solutions = new_solutions(live.plan.problem, candidates, next_state, campaign.body.seed)
+        step = self._make_step(campaign, live.plan, evaluations, told, solutions, finished, began)
+        repeats = self._repeats(campaign, live.plan, told.archive) if finished else None
 
         def unit(connection: Connection) -> bool:
             written = step_store.write_step(connection, step)
-            if written and again is not None:
-                store_repeats(connection, again)
+            if written and repeats is not None:
+                store_repeats(connection, repeats)
             return written
 
         if not self._writer.submit(unit).result():
@@ -213,17 +256,17 @@ class Stepper:
         if finished:
             self._live.pop(campaign.id, None)
         else:
-            self._live[campaign.id] = Live(
-                plan=live.plan, generation=campaign.generation + 1, state=asked_state
+            self._live[campaign.id] = LiveSearch(
+                plan=live.plan, generation=campaign.generation + 1, state=next_state
             )
-        told_about = {"evaluated": step.summary.evaluated, "unsafe": step.summary.unsafe, "failed": failed}
+        counts = {"evaluated": step.summary.evaluated, "unsafe": step.summary.unsafe, "failed": failed}
         step_ms = round(1000 * step.summary.step_s, 1)
-        log.info("generation told", extra={**_about(campaign), **told_about, "step_ms": step_ms})
+        log.info("generation told", extra={**_about(campaign), **counts, "step_ms": step_ms})
         if finished:
-            log.info("campaign finished", extra={**_about(campaign), **told_about})
-        return True  # also when it was the last one: repeats may have begun
+            log.info("campaign finished", extra={**_about(campaign), **counts})
+        return True  # also for the last step, which may have started repeats
 
-    def _write_up(
+    def _make_step(
         self,
         campaign: Campaign,
         plan: Plan,
@@ -234,40 +277,39 @@ class Stepper:
         began: float,
     ) -> Step:
         archive: Archive = told.archive
-        failed = campaign.failed + sum(isinstance(e, Failed) for e in evaluations.values())
-        measured = campaign.measured + sum(isinstance(e, Measured) for e in evaluations.values())
         boundary = distinct_boundary(archive, DEFAULT_T_B, DEFAULT_D_TH)
         strict = distinct_boundary(archive, DEFAULT_T_B, DEFAULT_D_TH, strict=True)
         fitness = told.fitness
         return Step(
             campaign=campaign.id,
             generation=campaign.generation,
-            judged=[_judged(number, evaluation) for number, evaluation in sorted(evaluations.items())],
+            results=[
+                _solution_result(number, evaluation) for number, evaluation in sorted(evaluations.items())
+            ],
             summary=GenerationSummary(
                 number=campaign.generation,
                 evaluated=len(archive),
                 unsafe=int(np.count_nonzero(archive.unsafe)),
-                failed=failed,
-                measured=measured,
+                failed=campaign.failed + sum(isinstance(e, Failed) for e in evaluations.values()),
+                measured=campaign.measured + sum(isinstance(e, Measured) for e in evaluations.values()),
                 best_fitness=_finite(fitness.min()) if fitness.size else None,
                 median_fitness=_finite(np.median(fitness)) if fitness.size else None,
                 dbs=len(boundary),
                 strict_dbs=len(strict),
                 step_s=time.perf_counter() - began,
             ),
-            block=self._block(archive),
+            block=self._distance_block(archive),
             checkpoint=_checkpoint(plan, told, campaign.generation + 1),
-            asked=solutions,
+            solutions=solutions,
             traces=self._evidence(campaign, plan, archive, boundary) if finished else (),
             status=CampaignStatus.FINISHED if finished else CampaignStatus.RUNNING,
-            reason="",
         )
 
-    def _block(self, archive: Archive) -> Block | None:
+    def _distance_block(self, archive: Archive) -> DistanceBlock | None:
         rows = archive.latest_rows
         if rows is None or len(archive) > self._max_stored_distances:
             return None
-        return Block(
+        return DistanceBlock(
             first_row=len(archive) - rows.shape[0],
             rows=rows.shape[0],
             columns=rows.shape[1],
@@ -276,34 +318,35 @@ class Stepper:
         )
 
     def _evidence(self, campaign: Campaign, plan: Plan, archive: Archive, boundary: Any) -> list[int]:
-        """Return the numbers of the solutions whose traces are kept: the best distinct boundary solutions."""
+        """Return the numbers of the best distinct boundary solutions, whose traces are recorded."""
         if isinstance(plan.problem, InProcessProblem):
             return []
         return [int(number) for number in archive.numbers[boundary][: campaign.body.execution.keep_traces]]
 
     def _repeats(self, campaign: Campaign, plan: Plan, archive: Archive) -> PlannedRepeats | None:
-        """Return the repeats that the campaign asks for after its search, if any."""
-        if not campaign.body.repeats:
+        """Return the repeats that the campaign's body asks for after the search, if any."""
+        repeats = campaign.body.repeats
+        if not repeats:
             return None
         try:
-            return plan_repeats(
-                campaign, plan, archive, repeats=campaign.body.repeats, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH
+            return plan_boundary_repeats(
+                campaign, plan, archive, repeats=repeats, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH
             )
-        except InvalidInput as error:  # the search has ended all the same
+        except InvalidInput as error:  # the search has ended nevertheless
             log.warning("its boundary cannot be repeated: %s", error, extra=_about(campaign))
             return None
 
-    def _state(self, campaign: Campaign) -> Live:
+    def _state(self, campaign: Campaign) -> LiveSearch:
         live = self._live.get(campaign.id)
         if live is not None and live.generation == campaign.generation:
             return live
         return self._restore(campaign)
 
-    def _restore(self, campaign: Campaign) -> Live:
-        """Return the state from the database, with its pending generation asked again."""
+    def _restore(self, campaign: Campaign) -> LiveSearch:
+        """Restore a search from the database, and ask for its pending generation again."""
         plan = make_plan(campaign.body)
         with self._engines.reader.connect() as connection:
-            now = store.find_campaign(connection, campaign.id)
+            now = CAMPAIGNS.find(connection, campaign.id)
             checkpoint = step_store.find_checkpoint(connection, campaign.id)
             stored = step_store.read_archive(connection, campaign.id, plan.problem.space.dimension)
             stored_vectors = step_store.read_vectors(connection, campaign.id, campaign.generation)
@@ -320,7 +363,7 @@ class Stepper:
                 Document.from_bytes(checkpoint.document),
                 restored_archive(plan, stored),
             )
-            live = Live(plan=plan, generation=campaign.generation, state=asked(plan, state)[0])
+            live = LiveSearch(plan=plan, generation=campaign.generation, state=ask_next(plan, state)[0])
         _check_same(campaign, live.state.pending, stored_vectors)
         log.info("campaign restored", extra=_about(campaign))
         return live
@@ -341,12 +384,12 @@ def _about(campaign: Campaign) -> dict[str, object]:
     return {"campaign": campaign.id, "generation": campaign.generation}
 
 
-def _open(jobs: Sequence[Row[*tuple[Any, ...]]]) -> bool:
-    return any(job.status in (JobStatus.QUEUED, JobStatus.LEASED) for job in jobs)
+def _is_open(outcomes: Iterable[JobOutcome]) -> bool:
+    return any(outcome.status in (JobStatus.QUEUED, JobStatus.LEASED) for outcome in outcomes)
 
 
 def _checkpoint(plan: Plan, state: Any, generation: int) -> Checkpoint:
-    """Return a state that has asked nothing yet, as it is stored."""
+    """Return the checkpoint of a state from before the next `ask`."""
     archive: Archive = state.archive
     return Checkpoint(
         generation=generation,
@@ -360,88 +403,147 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _check_same(campaign: Campaign, candidates: Sequence[Candidate], asked: Mapping[int, bytes]) -> None:
-    """Raise InvalidInput unless the candidates asked again are those that are being simulated."""
-    if {candidate.number: vector_bytes(candidate) for candidate in candidates} != asked:
+def _check_same(campaign: Campaign, candidates: Sequence[Candidate], stored: Mapping[int, bytes]) -> None:
+    """Check that the algorithm asked for the same candidates again that are being simulated.
+
+    Raises:
+        InvalidInput: They are not.
+    """
+    if {candidate.number: vector_bytes(candidate) for candidate in candidates} != stored:
         message = (
-            f"expected the candidates that were asked for, got others: {campaign.body.algorithm.id} or "
-            f"{campaign.body.problem.id} has changed since, or the stored replies that its seeds were read from; "
-            "go on with the version that the campaign began with"
+            f"the algorithm asked for other candidates than before: {campaign.body.algorithm.id} or "
+            f"{campaign.body.problem.id} has changed since, or the stored replies with its seeds have; continue with "
+            "the version that started the campaign"
         )
         raise InvalidInput([FieldError(pointer="/algorithm/id", message=message)])
 
 
 def _evaluations(
-    problem: Problem, pending: Sequence[Candidate], jobs: Sequence[Row[*tuple[Any, ...]]]
+    problem: Problem, pending: Sequence[Candidate], outcomes: Sequence[JobOutcome]
 ) -> dict[int, Evaluation]:
     if isinstance(problem, InProcessProblem):
         return {candidate.number: problem.evaluate(candidate.vectors) for candidate in pending}
     questions = {candidate.number: candidate.question for candidate in pending}
     evaluations: dict[int, Evaluation] = {}
-    for job in jobs:
-        if job.status == JobStatus.DONE:
-            evaluations[job.number] = _evaluation(problem, questions[job.number], job.result)
+    for outcome in outcomes:
+        if outcome.status is JobStatus.DONE:
+            evaluations[outcome.number] = _evaluation(
+                problem, questions[outcome.number], outcome.result or ""
+            )
         else:
-            evaluations[job.number] = Failed(reason=job.last_error or str(job.status))
+            evaluations[outcome.number] = Failed(reason=outcome.error or str(outcome.status))
     return evaluations
 
 
 def _evaluation(problem: SimulatedProblem, question: Question, result: str) -> Evaluation:
-    """Return what a result says; one that the problem cannot read says nothing, and must not stop the others."""
+    """Return the evaluation of a result; a result that the problem cannot read fails only its own candidate."""
     try:
         outcome = Completed.model_validate_json(result)
         if question is Question.DATASET:
-            assert isinstance(problem, MeasuresOnData)  # checked when it was asked
+            assert isinstance(problem, MeasuresOnData)  # checked when the candidate was asked for
             return problem.measurement(outcome)
         return problem.evaluation(outcome)
     except (LookupError, ValueError, TypeError, ArithmeticError) as error:
-        return Failed(reason=f"error: the result cannot be judged: {type(error).__name__}: {error}")
+        return Failed(reason=f"error: the result cannot be evaluated: {type(error).__name__}: {error}")
 
 
-def _passes(error: Exception) -> bool:
-    """Whether a step failed for the database's sake: away, locked, busy, stopping. It is then taken again."""
+def _is_transient(error: Exception) -> bool:
+    """Return whether a step failed because the database is away, locked or busy, and can be taken again."""
     cause = error.__cause__ if isinstance(error, Unavailable) else error
     if isinstance(cause, DBAPIError):
-        return passes(cause)
+        return is_transient(cause)
     return cause is None or isinstance(cause, PoolTimeout)
 
 
-def _judged(number: int, evaluation: Evaluation) -> Judged:
+def _solution_result(number: int, evaluation: Evaluation) -> SolutionResult:
     if isinstance(evaluation, Scored):
-        return Judged(
+        return SolutionResult(
             number=number,
             verdict=SolutionVerdict.UNSAFE if evaluation.unsafe else SolutionVerdict.SAFE,
             robustness=evaluation.robustness,
             objectives=evaluation.objectives,
-            failure=None,
         )
     if isinstance(evaluation, Measured):
-        return Judged(
-            number=number,
-            verdict=SolutionVerdict.MEASURED,
-            robustness=None,
-            objectives=evaluation.objectives,
-            failure=None,
+        return SolutionResult(
+            number=number, verdict=SolutionVerdict.MEASURED, objectives=evaluation.objectives
         )
-    return Judged(
-        number=number,
-        verdict=SolutionVerdict.FAILED,
-        robustness=None,
-        objectives=None,
-        failure=evaluation.reason,
-    )
+    return SolutionResult(number=number, verdict=SolutionVerdict.FAILED, failure=evaluation.reason)
 
 
 def _too_many_failures(
     campaign: Campaign, evaluations: Mapping[int, Evaluation], failed: int, pending: int
 ) -> str | None:
-    """Return why a campaign must pause for its failures, or None."""
-    asked = campaign.told + pending
+    """Return why a campaign must pause because of its failures, or None."""
+    candidates = campaign.completed + pending
     limit = campaign.body.execution.max_failed_share
-    if failed <= max(FEW_FAILURES, campaign.failures_accepted) or failed <= limit * asked:
+    if failed <= max(FEW_FAILURES, campaign.failures_accepted) or failed <= limit * candidates:
         return None
     last = next(e.reason for e in reversed(list(evaluations.values())) if isinstance(e, Failed))
     return (
-        f"{failed} of {asked} candidates failed, more than max_failed_share {limit:g} allows. Retry their jobs, "
+        f"{failed} of {candidates} candidates failed, more than max_failed_share {limit:g} allows. Retry their jobs, "
         f"or resume to go on without them. Last error: {last.strip().splitlines()[0] if last.strip() else last}"
     )
+
+
+@dataclass(slots=True)
+class Scheduler:
+    """Decides when the campaigns of one coordinator process advance.
+
+    Steps run one at a time on a separate thread, off the event loop. A campaign is in line at most once.
+
+    Attributes:
+        engines: The database.
+        stepper: Takes the steps.
+        wakeups: The requests that wait for jobs, woken when a step has enqueued some.
+    """
+
+    engines: Engines
+    stepper: Stepper
+    wakeups: Wakeups
+    _due: set[str] = field(default_factory=set)
+    _tasks: set[asyncio.Task[None]] = field(default_factory=set)
+    _steps: ThreadPoolExecutor = field(
+        default_factory=lambda: ThreadPoolExecutor(max_workers=1, thread_name_prefix="brink-step")
+    )
+
+    def advance_soon(self, campaigns: Iterable[str]) -> None:
+        """Put campaigns in line to be advanced, unless they are in line already."""
+        for campaign in campaigns:
+            if campaign in self._due:
+                continue
+            self._due.add(campaign)
+            task = asyncio.get_running_loop().create_task(self._advance(campaign))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
+    async def _advance(self, campaign: str) -> None:
+        loop = asyncio.get_running_loop()
+
+        def step() -> bool:
+            # A campaign that becomes due from here on must be looked at again.
+            loop.call_soon_threadsafe(self._due.discard, campaign)
+            return self.stepper.advance(campaign)
+
+        try:
+            moved = await loop.run_in_executor(self._steps, step)
+        except Exception:
+            log.exception("the step failed; the sweeper will try again", extra={"campaign": campaign})
+            return
+        if moved:
+            self.wakeups.wake()
+
+    async def sweep(self) -> None:
+        """Advance campaigns whose step is due, and drop searches that ended or were paused elsewhere."""
+        live = self.stepper.live_campaigns
+
+        def look(connection: Connection) -> tuple[Sequence[str], frozenset[str]]:
+            return job_store.idle_campaigns(connection), store.running_among(connection, live)
+
+        idle, running = await read(self.engines, look)
+        for campaign in set(live) - running:
+            self.stepper.forget(campaign)
+        self.advance_soon(idle)
+
+    def close(self) -> None:
+        """Finish the running step and start no other."""
+        self._steps.shutdown(wait=True, cancel_futures=True)

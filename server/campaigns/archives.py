@@ -1,29 +1,34 @@
-"""Archives for reading: from the live state where it is in memory, else restored from the database."""
+"""Caches of archives and of the monitors fitted to them: concurrent requests share one computation."""
 
 import asyncio
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from concurrent.futures import Executor
+from dataclasses import InitVar, dataclass, field
 from functools import cached_property
 
-from sqlalchemy import Connection
-
-from brink.search.archive import Archive
-from brink.search.boundary import PAPER_D_THS, PAPER_T_BS, DbsGrid, dbs_grid
-from brink.search.component import FloatArray
-from brink.search.digest import archive_digest
+from brink.search.analysis.boundary import DbsGrid, dbs_grid
+from brink.search.analysis.monitor import Monitor
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
+from brink.search.archive import Archive, archive_digest
+from brink.search.space import FloatArray
 from brink.server.campaigns import step_store
 from brink.server.campaigns.advance import Stepper
 from brink.server.campaigns.plan import Plan, make_plan, restored_archive
-from brink.server.campaigns.values import Campaign, StoredArchive
+from brink.server.campaigns.step_store import StoredArchive
+from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import Engines
-from brink.server.single_flight import Latest
+from brink.server.errors import Conflict
+from brink.server.single_flight import SingleFlightCache
 
-KEPT = 8
+CACHED = 8
+"""Archives, and monitors, in memory."""
+MOST_FITTED = 20_000
+"""Solutions that a monitor is fitted to, the latest ones: it bounds the time for the fit."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReadArchive:
-    """A campaign's archive as of its last generation told, with what is asked of it again and again."""
+    """A campaign's archive as of its last completed generation, with values derived from it."""
 
     plan: Plan
     archive: Archive
@@ -36,7 +41,7 @@ class ReadArchive:
 
     @cached_property
     def places(self) -> Mapping[int, int]:
-        """Where in the archive each solution is, by its number."""
+        """The position of each solution in the archive, by its number."""
         return {number: place for place, number in enumerate(self.archive.numbers.tolist())}
 
     @cached_property
@@ -47,27 +52,33 @@ class ReadArchive:
 
 @dataclass(slots=True)
 class Archives:
-    """The latest archives that were asked for."""
+    """The archives of campaigns: from the live search if it is in memory, otherwise restored from the database."""
 
     engines: Engines
     stepper: Stepper
-    _latest: Latest[ReadArchive] = field(default_factory=lambda: Latest(KEPT))
+    _cache: SingleFlightCache[ReadArchive] = field(default_factory=lambda: SingleFlightCache(CACHED))
 
     async def get(self, campaign: Campaign) -> ReadArchive:
         """Return the archive of a campaign."""
-        return await self._latest.get(campaign.id, campaign.generation, lambda: self._load(campaign))
+        return await self._cache.get(campaign.id, campaign.generation, lambda: self._load(campaign))
 
     def stored(self, campaign: Campaign) -> tuple[Plan, StoredArchive, Archive]:
-        """Return a campaign's plan, the stored rows of its archive, and the archive that they make."""
+        """Return a campaign's plan, the stored rows of its archive, and the archive restored from them."""
         plan = make_plan(campaign.body)
         with self.engines.reader.connect() as connection:
             stored = step_store.read_archive(connection, campaign.id, plan.problem.space.dimension)
         return plan, stored, restored_archive(plan, stored)
 
     async def distances(self, campaign: Campaign, archive: Archive, rows: Sequence[int]) -> FloatArray:
-        """Return the distances between solutions at some positions of an archive, shape ``(rows, rows)``.
+        """Return the distances between some solutions, from the stored matrix or else computed.
 
-        They come from the stored matrix as far as it goes, and are computed where it does not.
+        Args:
+            campaign: The campaign.
+            archive: Its archive.
+            rows: Positions of n solutions in the archive.
+
+        Returns:
+            Distances of shape ``(n, n)``.
         """
 
         def look() -> FloatArray:
@@ -78,14 +89,44 @@ class Archives:
         return await asyncio.get_running_loop().run_in_executor(None, look)
 
     def _load(self, campaign: Campaign) -> ReadArchive:
-        plan = make_plan(campaign.body)
         live = self.stepper.archive(campaign.id, campaign.generation)
         if live is not None:
-            return ReadArchive(plan=plan, archive=live, generation=campaign.generation)
+            return ReadArchive(plan=make_plan(campaign.body), archive=live, generation=campaign.generation)
+        plan, stored, archive = self.stored(campaign)
+        return ReadArchive(plan=plan, archive=archive, generation=stored.generation)
 
-        def read(connection: Connection) -> StoredArchive:
-            return step_store.read_archive(connection, campaign.id, plan.problem.space.dimension)
 
-        with self.engines.reader.connect() as connection:
-            stored = read(connection)
-        return ReadArchive(plan=plan, archive=restored_archive(plan, stored), generation=stored.generation)
+@dataclass(slots=True)
+class Monitors:
+    """The runtime monitors of campaigns.
+
+    Attributes:
+        archives: Where campaigns are read.
+        threads: Where monitors are fitted, so that other requests do not wait.
+    """
+
+    archives: Archives
+    threads: InitVar[Executor]
+    _cache: SingleFlightCache[Monitor] = field(init=False)
+
+    def __post_init__(self, threads: Executor) -> None:
+        self._cache = SingleFlightCache(CACHED, threads)
+
+    async def get(self, campaign: Campaign) -> Monitor:
+        """Return the monitor fitted to a campaign's solutions so far.
+
+        Raises:
+            Conflict: The campaign has fewer than two evaluated solutions.
+        """
+        return await self._cache.get(campaign.id, campaign.generation, lambda: self._fit(campaign))
+
+    def _fit(self, campaign: Campaign) -> Monitor:
+        plan, _, archive = self.archives.stored(campaign)
+        if len(archive) < 2:
+            raise Conflict(
+                f"campaign {campaign.id}: a monitor needs two evaluated solutions, there are {len(archive)}"
+            )
+        return Monitor.fitted(
+            plan.problem.space, archive.vectors[-MOST_FITTED:], archive.unsafe[-MOST_FITTED:],
+            threshold=plan.neighbourhood.p_th, z=plan.neighbourhood.z, seed=campaign.body.seed,
+        )  # fmt: skip

@@ -1,16 +1,18 @@
-"""What a user submits: the body of ``POST /campaigns``, and a campaign file with the same fields.
-
-Bad input is answered with a pointer to each wrong field, what was expected, and the nearest valid name.
-"""
+"""The body of ``POST /campaigns``, and campaign files, which have the same fields."""
 
 from pathlib import Path
 from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-from brink.server.documents import Body, hash_of, parsed, read_yaml, without_controls
+from brink.server.documents import Body, check_printable, hash_document, parse_document, read_yaml
 from brink.server.llm.settings import LlmSettings
 from brink.worker.wire import JsonValues
+
+DEFAULT_T_B = 0.10
+"""Default threshold: solutions with at most this fitness count as boundary solutions."""
+DEFAULT_D_TH = 0.20
+"""Default threshold: boundary solutions at least this far apart count as distinct."""
 
 
 class PluginChoice(Body):
@@ -21,18 +23,18 @@ class PluginChoice(Body):
 
 
 class Budget(Body):
-    """What a campaign may cost."""
+    """Limits on the cost of a campaign."""
 
     simulations: Annotated[int, Field(ge=1, le=10_000_000)]
 
 
 class Execution(Body):
-    """How a campaign's simulations are run."""
+    """How a campaign's simulations are executed."""
 
-    cache: Annotated[bool, Field(description="Take over results of the same simulation done before.")] = True
-    max_attempts: Annotated[int, Field(ge=1, le=20, description="Tries before quarantine.")] = 3
+    cache: Annotated[bool, Field(description="Reuse results of equal simulations.")] = True
+    max_attempts: Annotated[int, Field(ge=1, le=20, description="Attempts before quarantine.")] = 3
     max_failed_share: Annotated[
-        float, Field(ge=0, le=1, description="Share of failed candidates past which the campaign pauses.")
+        float, Field(ge=0, le=1, description="Share of failed candidates above which the campaign pauses.")
     ] = 0.2
     keep_traces: Annotated[
         int,
@@ -44,7 +46,7 @@ class CampaignBody(Body):
     """A campaign: a problem, an algorithm, a budget, a seed."""
 
     name: Annotated[
-        str, Field(min_length=1, max_length=200, examples=["night-rain"]), AfterValidator(without_controls)
+        str, Field(min_length=1, max_length=200, examples=["night-rain"]), AfterValidator(check_printable)
     ]
     problem: PluginChoice
     algorithm: PluginChoice
@@ -61,32 +63,32 @@ class CampaignBody(Body):
         ),
     ] = 0
     llm: Annotated[
-        LlmSettings | None, Field(description="Language model that seeds an algorithm which asks for seeds.")
+        LlmSettings | None, Field(description="Language model for algorithms that request seeds.")
     ] = None
 
     def document_hash(self) -> str:
-        """Return a hash by which the same submission is known again."""
+        """Return a hash that identifies equal submissions."""
         document = self.model_dump(mode="json")
         if self.llm is None:
-            del document["llm"]  # as it was before there were language models
+            del document["llm"]  # the hashes of older submissions stay valid
         if not self.repeats:
-            del document["repeats"]  # and repeats
-        return hash_of(document)
+            del document["repeats"]
+        return hash_document(document)
 
 
 def parse_body(document: object) -> CampaignBody:
-    """Read a campaign.
+    """Validate the document of a campaign.
 
     Raises:
-        InvalidInput: With a pointer to each wrong field.
+        InvalidInput: With a pointer to each invalid field.
     """
-    return parsed(document, CampaignBody, "a campaign with name, problem, algorithm and budget")
+    return parse_document(document, CampaignBody, "a campaign with name, problem, algorithm and budget")
 
 
 def read_campaign_file(path: Path) -> CampaignBody:
     """Read a campaign file.
 
     Raises:
-        InvalidInput: The file cannot be read, is no YAML, or is no campaign.
+        InvalidInput: The file cannot be read, is not YAML, or is not a campaign.
     """
     return parse_body(read_yaml(path))

@@ -1,47 +1,94 @@
-"""What a campaign's body asks for: its problem, its algorithm, its first generation, its archive."""
+"""Turns a campaign's body into a search: makes problem and algorithm, checks them, asks for the first generation."""
 
+import secrets
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+from sqlalchemy import Connection
 
-from brink.search.algorithm import Algorithm, Candidate, Question
+from brink.search.algorithm import Algorithm, Candidate, Question, Seeded, SeedRequest
 from brink.search.algorithms.multi_objective import MultiObjectiveConfig
 from brink.search.algorithms.repeats import RepeatsConfig
 from brink.search.archive import Archive, Neighbourhood
-from brink.search.seeding import Seeded, SeedRequest
+from brink.search.errors import ConfigError, UnsupportedSpace
 from brink.search.streams import episode_seed
+from brink.server.campaigns import step_store, store
 from brink.server.campaigns.body import CampaignBody, PluginChoice
-from brink.server.campaigns.values import NewJob, NewSolution, StoredArchive
+from brink.server.campaigns.step_store import NewSolution, StoredArchive
+from brink.server.campaigns.store import CAMPAIGNS, Campaign
 from brink.server.errors import FieldError, InvalidInput
-from brink.server.problems.base import InProcessProblem, MeasuresOnData, Problem, SimulatedProblem
-from brink.server.problems.catalogue import make_algorithm, make_params, make_problem, read_problem_params
+from brink.server.llm.settings import LlmSettings
+from brink.server.problems.base import (
+    ChecksInputs,
+    Describes,
+    InProcessProblem,
+    MeasuresOnData,
+    Problem,
+    SimulatedProblem,
+)
+from brink.server.problems.catalogue import (
+    config_field_error,
+    make_algorithm,
+    make_params,
+    make_problem,
+    read_problem_params,
+)
+from brink.server.queue.job_store import NewJob
 from brink.server.states import JobKind
 
-DEFAULT_T_B = 0.10
-"""Fitness up to which a solution counts as boundary, where nobody says otherwise."""
-DEFAULT_D_TH = 0.20
-"""Distance from which boundary solutions count as distinct, where nobody says otherwise."""
+LLM_SEEDER = "llm"
+"""Value of the algorithm parameter `seeder` that requests seeds from a language model."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """A campaign's problem and algorithm, made from its body."""
+    """The problem and the algorithm of a campaign.
+
+    Attributes:
+        config: The algorithm's parameters.
+        body: The body with every parameter spelled out. It is stored in this form, so that new defaults in later
+            versions do not change the campaign.
+    """
 
     problem: Problem
     algorithm: Algorithm
     config: Any
     neighbourhood: Neighbourhood
     body: CampaignBody
-    """With every parameter spelled out: what is stored, so that no later default changes a campaign."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LiveSearch:
+    """A campaign's search in memory, whose state has already asked for the pending generation."""
+
+    plan: Plan
+    generation: int
+    state: Any
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PreparedCampaign:
+    """A checked campaign that is not stored yet.
+
+    Attributes:
+        body: The body as it was submitted.
+        live: The state of its search.
+        solutions: Its first generation.
+    """
+
+    id: str
+    body: CampaignBody
+    live: LiveSearch
+    solutions: Sequence[NewSolution]
 
 
 def make_plan(body: CampaignBody) -> Plan:
-    """Return the problem and the algorithm of a campaign, checked against each other.
+    """Make the problem and the algorithm of a campaign.
 
     Raises:
-        InvalidInput: With a pointer to each wrong field.
+        InvalidInput: With a pointer to each invalid field.
     """
     problem_params = read_problem_params(body.problem.id, body.problem.params)
     problem = make_problem(body.problem.id, asdict(problem_params))
@@ -49,7 +96,6 @@ def make_plan(body: CampaignBody) -> Plan:
     known = set(algorithm.config_type.__dataclass_fields__)
     defaults = {name: value for name, value in problem.algorithm_defaults.items() if name in known}
     config = make_params(algorithm.config_type, {**defaults, **body.algorithm.params}, "/algorithm/params")
-    neighbourhood = Neighbourhood.of(config)
     resolved = body.model_copy(
         update={
             "problem": PluginChoice(id=body.problem.id, params=asdict(problem_params)),
@@ -57,71 +103,182 @@ def make_plan(body: CampaignBody) -> Plan:
         }
     )
     return Plan(
-        problem=problem, algorithm=algorithm, config=config, neighbourhood=neighbourhood, body=resolved
+        problem=problem,
+        algorithm=algorithm,
+        config=config,
+        neighbourhood=Neighbourhood.of(config),
+        body=resolved,
     )
+
+
+def make_checked_plan(body: CampaignBody) -> Plan:
+    """Make the plan of a campaign, and check that the campaign can run.
+
+    Raises:
+        InvalidInput: With a pointer to each invalid field.
+    """
+    plan = make_plan(body)
+    if isinstance(plan.problem, ChecksInputs) and (wrong := plan.problem.wrong_inputs()):
+        raise InvalidInput(
+            [FieldError(pointer=f"/problem/params/{name}", message=message) for name, message in wrong]
+        )
+    _check_seeder(plan)
+    if body.repeats:
+        check_repeatable(plan)
+    try:
+        plan.algorithm.check(plan.problem.space, plan.config, budget=body.budget.simulations)
+    except UnsupportedSpace as error:
+        message = f"{body.algorithm.id} cannot search the space of {body.problem.id}: {error}"
+        raise InvalidInput([FieldError(pointer="/algorithm/id", message=message)]) from None
+    except ConfigError as error:
+        if error.field == "budget":
+            message = str(error).removeprefix("budget: ")
+            raise InvalidInput([FieldError(pointer="/budget/simulations", message=message)]) from None
+        raise InvalidInput([config_field_error(error, "/algorithm/params")]) from None
+    return plan
+
+
+def check_repeatable(plan: Plan) -> None:
+    """Check that other seeds can change the verdict on a solution.
+
+    Raises:
+        InvalidInput: The problem is computed, not simulated.
+    """
+    if isinstance(plan.problem, InProcessProblem):
+        message = f"{plan.body.problem.id} is computed, not simulated: other seeds give the same verdicts"
+        raise InvalidInput([FieldError(pointer="/repeats", message=message)])
+
+
+def _check_seeder(plan: Plan) -> None:
+    """Check that a language model is configured if and only if the algorithm requests seeds from one.
+
+    Raises:
+        InvalidInput: One of the two is missing.
+    """
+    uses_model = getattr(plan.config, "seeder", None) == LLM_SEEDER
+    if uses_model and plan.body.llm is None:
+        message = "expected a language model, such as {endpoint: http://127.0.0.1:8000/v1, model: ...}"
+        raise InvalidInput([FieldError(pointer="/llm", message=message)])
+    if plan.body.llm is not None and not uses_model:
+        message = f"{plan.body.algorithm.id} does not use it; expected algorithm.params.seeder: llm"
+        raise InvalidInput([FieldError(pointer="/llm", message=message)])
+    if uses_model and not isinstance(plan.problem, Describes):
+        message = f"{plan.body.problem.id} cannot be described to a language model"
+        raise InvalidInput([FieldError(pointer="/problem/id", message=message)])
+
+
+def _check_endpoint(llm: LlmSettings | None, allowed: str) -> None:
+    """Check that campaigns may use a language model from this machine, with the API key that they name.
+
+    Otherwise anybody who may submit a campaign could send any environment variable of this machine anywhere.
+
+    Raises:
+        InvalidInput: The endpoint is not allowed.
+    """
+    if llm is None:
+        return
+    bases = [base for one in allowed.split(",") if (base := one.strip().rstrip("/"))]
+    own = llm.on_this_machine and llm.api_key_env is None
+    listed = any(base == "*" or f"{llm.endpoint}/".startswith(f"{base}/") for base in bases)
+    if not own and not listed:
+        message = (
+            f"this coordinator may use {', '.join(bases) or 'models on its own machine, without a key'}, not "
+            f"{llm.endpoint}; its operator can allow that in BRINK_LLM_ENDPOINTS"
+        )
+        raise InvalidInput([FieldError(pointer="/llm/endpoint", message=message)])
+
+
+def check_submission(body: CampaignBody) -> tuple[LiveSearch, list[NewSolution]]:
+    """Check that a campaign can run, and return its search with the first generation.
+
+    Raises:
+        InvalidInput: With a pointer to each invalid field.
+    """
+    make_checked_plan(body)
+    return first_generation(body)
+
+
+def prepare_campaign(body: CampaignBody, llm_endpoints: str) -> PreparedCampaign:
+    """Check a campaign and ask for its first generation.
+
+    Args:
+        body: The campaign's body.
+        llm_endpoints: Endpoints of language models that campaigns may use.
+
+    Raises:
+        InvalidInput: With a pointer to each invalid field.
+    """
+    _check_endpoint(body.llm, llm_endpoints)
+    live, solutions = check_submission(body)
+    return PreparedCampaign(id=secrets.token_hex(4), body=body, live=live, solutions=solutions)
+
+
+def store_campaign(connection: Connection, campaign: PreparedCampaign, key: str | None = None) -> Campaign:
+    """Store a campaign with its first generation.
+
+    Args:
+        connection: In a write transaction.
+        campaign: The campaign.
+        key: Idempotency key.
+    """
+    resolved = campaign.live.plan.body
+    store.insert_campaign(connection, campaign.id, resolved, campaign.body.document_hash(), key)
+    stored = CAMPAIGNS.get(connection, campaign.id)
+    step_store.insert_solutions(connection, stored, 0, campaign.solutions)
+    return stored
 
 
 def looks_for_boundary(algorithm_id: str) -> bool:
     """Return whether an algorithm looks for the hazard boundary; others look for different violations."""
     try:
         algorithm = make_algorithm(algorithm_id)
-    except InvalidInput:  # a plug-in that is not here: its campaigns can be looked at all the same
+    except InvalidInput:  # campaigns can be viewed without their plug-ins
         return True
     return not issubclass(algorithm.config_type, MultiObjectiveConfig | RepeatsConfig)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Live:
-    """A campaign's state in memory: its pending generation is what the database calls the current one."""
-
-    plan: Plan
-    generation: int
-    state: Any
-
-
-def first_generation(body: CampaignBody) -> tuple[Live, list[NewSolution]]:
-    """Return the state of a new campaign with its first generation asked, and that generation's rows."""
+def first_generation(body: CampaignBody) -> tuple[LiveSearch, list[NewSolution]]:
+    """Start a campaign's search; return it with the solutions of its first generation."""
     plan = make_plan(body)
     state = plan.algorithm.start(
         plan.problem.space, plan.config, seed=body.seed, budget=body.budget.simulations
     )
-    state, candidates = asked(plan, state)
-    return Live(plan=plan, generation=0, state=state), new_solutions(
-        plan.problem, candidates, state, body.seed
-    )
+    state, candidates = ask_next(plan, state)
+    solutions = new_solutions(plan.problem, candidates, state, body.seed)
+    return LiveSearch(plan=plan, generation=0, state=state), solutions
 
 
-def asked(plan: Plan, state: Any) -> tuple[Any, tuple[Candidate, ...]]:
-    """Return a state with its next generation asked, and that; none while it is finished, or waits for seeds."""
-    if wanted_seeds(plan, state) is not None or plan.algorithm.finished(state):
+def ask_next(plan: Plan, state: Any) -> tuple[Any, tuple[Candidate, ...]]:
+    """Ask for the next generation; it is empty if the search is over or waits for seeds."""
+    if seed_request(plan, state) is not None or plan.algorithm.finished(state):
         return state, ()
     return plan.algorithm.ask(state)
 
 
-def wanted_seeds(plan: Plan, state: Any) -> SeedRequest | None:
-    """Return what seeds an algorithm waits for, or None."""
+def seed_request(plan: Plan, state: Any) -> SeedRequest | None:
+    """Return the seeds that the algorithm waits for, or None."""
     return plan.algorithm.wanted(state) if isinstance(plan.algorithm, Seeded) else None
 
 
 def new_solutions(
     problem: Problem, candidates: Sequence[Candidate], state: Any, campaign_seed: int
 ) -> list[NewSolution]:
-    """Return the rows of a generation that was asked for.
+    """Return the candidates of a generation as solutions to store, with their simulations.
 
     Args:
-        problem: What is searched.
+        problem: The campaign's problem.
         candidates: The generation.
-        state: The algorithm's; may say where candidates come from.
+        state: The algorithm's state, which may name the origins of candidates.
         campaign_seed: The campaign's seed.
 
     Raises:
-        InvalidInput: A data-set evaluation is asked of a problem that has none.
+        InvalidInput: The algorithm needs a data set, which the problem does not have.
     """
     solutions = []
     origins = getattr(state, "queue_origins", None) or [None] * len(candidates)
     for candidate, origin in zip(candidates, origins, strict=True):
-        chance = candidate.number if candidate.seed_number is None else candidate.seed_number
-        seed = episode_seed(campaign_seed, chance)
+        number = candidate.number if candidate.seed_number is None else candidate.seed_number
+        seed = episode_seed(campaign_seed, number)
         job = None if isinstance(problem, InProcessProblem) else _job(problem, candidate, seed)
         if candidate.question is Question.DATASET and job is None:
             raise _no_data(problem)
@@ -157,12 +314,12 @@ def _no_data(problem: Problem) -> InvalidInput:
 
 
 def vector_bytes(candidate: Candidate) -> bytes:
-    """Return a complete solution as it is stored."""
+    """Return a complete solution as it is stored: little-endian float64 values of all components."""
     return np.concatenate(candidate.vectors).astype("<f8").tobytes()
 
 
 def restored_archive(plan: Plan, stored: StoredArchive) -> Archive:
-    """Return the archive that was stored, without computing a distance."""
+    """Return the stored archive, without computing distances."""
     return Archive.restore(
         plan.problem.space,
         plan.neighbourhood,

@@ -1,11 +1,10 @@
 """Repeats: solutions of a campaign simulated again with other seeds, in a campaign of their own.
 
-So they need nothing that campaigns do not have: workers, progress, resuming, no result lost. Its algorithm is
+A campaign provides all that repeats need: workers, progress, resuming, no lost result. Its algorithm is
 `brink.search.algorithms.repeats`.
 
-They are the distinct boundary at two thresholds, or solutions that somebody named. Named ones are stored with the
-thresholds that leave nothing out, `EVERY_T_B` and `EVERY_D_TH`: with these it is their numbers alone that say which
-solutions they are. Whether the same were asked for before is decided by numbers in either case.
+The solutions are either the distinct boundary at two thresholds, or named by number. Named ones are stored with the
+thresholds `EVERY_T_B` and `EVERY_D_TH`, which exclude nothing. Two repeats are equal if they have the same numbers.
 """
 
 from collections.abc import Sequence
@@ -16,21 +15,19 @@ from numpy.typing import NDArray
 from sqlalchemy import Connection, insert, select
 
 from brink.search.algorithms.repeats import Repeats, Tallies, tallied
+from brink.search.analysis.boundary import distinct_boundary
 from brink.search.archive import Archive
-from brink.search.boundary import distinct_boundary
 from brink.search.streams import Stream, generator
-from brink.server.campaigns import store
 from brink.server.campaigns.body import Budget, CampaignBody, PluginChoice
-from brink.server.campaigns.plan import Plan
-from brink.server.campaigns.submission import Prepared, prepared, store_prepared
-from brink.server.campaigns.values import Campaign
-from brink.server.db.locking import note_change
+from brink.server.campaigns.plan import Plan, PreparedCampaign, prepare_campaign, store_campaign
+from brink.server.campaigns.store import ENDED, Campaign, campaign_of
 from brink.server.db.models import CampaignRow, RepeatsRow, SolutionRow
+from brink.server.db.sql import note_change
 from brink.server.errors import Conflict, FieldError, InvalidInput
 from brink.server.states import CampaignStatus, SolutionVerdict
 
 MOST = 1_000
-"""Solutions that are repeated, the best ones: they stand in the settings of a campaign."""
+"""Maximum number of repeated solutions, the best ones: they are part of a campaign's parameters."""
 EVERY_T_B = 1.0
 EVERY_D_TH = 0.0
 """Thresholds that every solution meets."""
@@ -40,15 +37,15 @@ _MOST_ERRORS = 20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlannedRepeats:
-    """Repeats that can run, not stored yet.
+    """Repeats that are checked but not stored yet.
 
     Attributes:
-        of: The campaign whose solutions they repeat.
-        t_b: Largest fitness of these.
-        d_th: Least distance between these.
-        repeats: Simulations of each.
-        numbers: Which they are, best first.
-        campaign: That simulates them.
+        of: Id of the campaign whose solutions are repeated.
+        t_b: Maximum fitness of the solutions.
+        d_th: Minimum distance between them.
+        repeats: Simulations of each solution.
+        numbers: Numbers of the solutions, best first.
+        campaign: The campaign that simulates them.
     """
 
     of: str
@@ -56,21 +53,21 @@ class PlannedRepeats:
     d_th: float
     repeats: int
     numbers: tuple[int, ...]
-    campaign: Prepared
+    campaign: PreparedCampaign
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredRepeats:
-    """Repeats as they stand.
+    """Repeats with their results so far.
 
     Attributes:
-        campaign: That simulates them.
-        t_b: Largest fitness of the solutions.
-        d_th: Least distance between them.
-        repeats: Simulations of each, in the end.
-        numbers: Which they are, best first.
-        evaluated: Numbers in the campaign of what was evaluated so far.
-        unsafe: Their verdicts.
+        campaign: The campaign that simulates them.
+        t_b: Maximum fitness of the solutions.
+        d_th: Minimum distance between them.
+        repeats: Simulations of each solution, at the end.
+        numbers: Numbers of the solutions, best first.
+        evaluated: Numbers, in that campaign, of what was evaluated so far.
+        unsafe: The verdicts on these.
     """
 
     campaign: Campaign
@@ -83,34 +80,34 @@ class StoredRepeats:
 
     @property
     def boundary(self) -> bool:
-        """Whether they are a boundary; if not, they are solutions by their numbers."""
+        """Whether the solutions are a boundary rather than named by number."""
         return (self.t_b, self.d_th) != (EVERY_T_B, EVERY_D_TH)
 
     def tallies(self, z: float) -> Tallies:
-        """Return how likely each solution is unsafe, by its own simulations."""
+        """Return how often each solution was unsafe, with intervals at `z` standard deviations."""
         return tallied(self.evaluated, self.unsafe, len(self.numbers), z)
 
 
-def plan_repeats(
+def plan_boundary_repeats(
     campaign: Campaign, plan: Plan, archive: Archive, *, repeats: int, t_b: float, d_th: float
 ) -> PlannedRepeats | None:
-    """Return repeats of a campaign's distinct boundary solutions; None if it has none.
+    """Plan repeats of a campaign's distinct boundary solutions; return None if it has none.
 
     Args:
         campaign: The campaign.
         plan: Its plan.
-        archive: What it found.
+        archive: Its archive.
         repeats: Simulations of each solution.
-        t_b: Largest fitness.
-        d_th: Least distance between two.
+        t_b: Maximum fitness.
+        d_th: Minimum distance between two solutions.
 
     Raises:
-        InvalidInput: They cannot run.
+        InvalidInput: The repeats cannot run.
     """
     chosen = distinct_boundary(archive, t_b, d_th)[:MOST]
     if not len(chosen):
         return None
-    # A seed of their own: with the campaign's, the first of them would be its own episodes.
+    # With the campaign's own seed, the first repeats would be the same episodes as the campaign's.
     seed = int(generator(campaign.body.seed, Stream.REPEATS, repeats).integers(2**53))
     return PlannedRepeats(
         of=campaign.id,
@@ -118,24 +115,24 @@ def plan_repeats(
         d_th=d_th,
         repeats=repeats,
         numbers=tuple(archive.numbers[chosen].tolist()),
-        campaign=_prepared(campaign, plan, archive, chosen, repeats, seed, "boundary again"),
+        campaign=_prepare(campaign, plan, archive, chosen, repeats, seed, "boundary again"),
     )
 
 
-def plan_named(
+def plan_named_repeats(
     campaign: Campaign, plan: Plan, archive: Archive, *, repeats: int, numbers: Sequence[int]
 ) -> PlannedRepeats:
-    """Return repeats of some solutions of a campaign.
+    """Plan repeats of solutions named by number.
 
     Args:
         campaign: The campaign.
         plan: Its plan.
-        archive: What it found.
+        archive: Its archive.
         repeats: Simulations of each solution.
-        numbers: Which solutions, in any order, each once; at most `MOST`.
+        numbers: Distinct numbers in any order, at most `MOST`.
 
     Raises:
-        InvalidInput: They cannot run, or one of them is no evaluated solution of the campaign.
+        InvalidInput: The repeats cannot run, or a number is not an evaluated solution of the campaign.
     """
     places = {number: place for place, number in enumerate(archive.numbers.tolist())}
     unknown = [(index, number) for index, number in enumerate(numbers) if number not in places]
@@ -150,7 +147,7 @@ def plan_named(
     named = np.array([places[number] for number in numbers], np.intp)
     chosen = named[np.lexsort((archive.numbers[named], archive.fitness[named]))]
     ordered = tuple(archive.numbers[chosen].tolist())
-    # Other solutions, other seeds: with those of the boundary, some of these would be the same episodes again.
+    # With the seed of the boundary's repeats, some of these would be the same episodes.
     seed = int(generator(campaign.body.seed, Stream.REPEATS, repeats, *sorted(ordered)).integers(2**53))
     again = f"solution {ordered[0]} again" if len(ordered) == 1 else f"{len(ordered)} solutions again"
     return PlannedRepeats(
@@ -159,11 +156,11 @@ def plan_named(
         d_th=EVERY_D_TH,
         repeats=repeats,
         numbers=ordered,
-        campaign=_prepared(campaign, plan, archive, chosen, repeats, seed, again),
+        campaign=_prepare(campaign, plan, archive, chosen, repeats, seed, again),
     )
 
 
-def _prepared(
+def _prepare(
     campaign: Campaign,
     plan: Plan,
     archive: Archive,
@@ -171,10 +168,10 @@ def _prepared(
     repeats: int,
     seed: int,
     again: str,
-) -> Prepared:
-    """Return the campaign that simulates solutions, given as positions in the archive, again."""
+) -> PreparedCampaign:
+    """Prepare the campaign that repeats solutions, given as positions in the archive."""
     body, near = campaign.body, plan.neighbourhood
-    return prepared(
+    return prepare_campaign(
         CampaignBody(
             name=f"{body.name[: _NAME_LENGTH - len(again) - 2]}: {again}",
             problem=body.problem,
@@ -197,8 +194,8 @@ def _prepared(
 
 
 def store_repeats(connection: Connection, planned: PlannedRepeats) -> tuple[Campaign, bool]:
-    """Store repeats, unless the same were asked for before; return their campaign, and whether it is new."""
-    alike = connection.execute(
+    """Store repeats unless equal ones exist; return their campaign, and whether it is new."""
+    candidates = connection.execute(
         select(RepeatsRow.numbers, CampaignRow.__table__)
         .join(CampaignRow, RepeatsRow.campaign_id == CampaignRow.id)
         .where(
@@ -207,10 +204,10 @@ def store_repeats(connection: Connection, planned: PlannedRepeats) -> tuple[Camp
             CampaignRow.status.not_in((CampaignStatus.CANCELLED, CampaignStatus.FAILED)),
         )
     )  # fmt: skip
-    known = next((row for row in alike if tuple(row.numbers) == planned.numbers), None)
+    known = next((row for row in candidates if tuple(row.numbers) == planned.numbers), None)
     if known is not None:
-        return store.campaign_of(known), False
-    campaign = store_prepared(connection, planned.campaign)
+        return campaign_of(known), False
+    campaign = store_campaign(connection, planned.campaign)
     connection.execute(
         insert(RepeatsRow).values(
             campaign_id=campaign.id, of_id=planned.of, t_b=planned.t_b, d_th=planned.d_th,
@@ -222,7 +219,7 @@ def store_repeats(connection: Connection, planned: PlannedRepeats) -> tuple[Camp
 
 
 def read_repeats(connection: Connection, campaign_id: str) -> list[StoredRepeats]:
-    """Return all repeats of a campaign's solutions, those that were asked for first first."""
+    """Return all repeats of a campaign's solutions, oldest first."""
     query = (
         select(RepeatsRow.t_b, RepeatsRow.d_th, RepeatsRow.repeats, RepeatsRow.numbers, CampaignRow.__table__)
         .join(CampaignRow, CampaignRow.id == RepeatsRow.campaign_id)
@@ -231,7 +228,7 @@ def read_repeats(connection: Connection, campaign_id: str) -> list[StoredRepeats
     )
     found = []
     for row in connection.execute(query):
-        campaign = store.campaign_of(row)
+        campaign = campaign_of(row)
         verdicts = _verdicts(connection, campaign.id)
         found.append(
             StoredRepeats(
@@ -244,16 +241,16 @@ def read_repeats(connection: Connection, campaign_id: str) -> list[StoredRepeats
 
 
 def check_no_open_repeats(connection: Connection, campaign_id: str) -> None:
-    """Check that a campaign may be deleted with its repeats, and with theirs.
+    """Check that all repeats of a campaign, which are deleted with it, have ended.
 
     Raises:
-        Conflict: Some of them run, or wait.
+        Conflict: One of them has not.
     """
     query = select(CampaignRow.id, CampaignRow.status).join(
         RepeatsRow, RepeatsRow.campaign_id == CampaignRow.id
     )
     for row in connection.execute(query.where(RepeatsRow.of_id == campaign_id)).all():
-        if row.status not in store.ENDED:
+        if row.status not in ENDED:
             raise Conflict(
                 f"campaign {row.id} repeats the boundary of {campaign_id} and is {row.status}: cancel it first"
             )

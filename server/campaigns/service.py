@@ -1,136 +1,154 @@
-"""What users do with campaigns: submit, look, pause, resume, cancel, delete, retry."""
+"""Serves users' requests about campaigns: submit, view, pause, resume, cancel, delete, repeat, retry.
+
+`DocumentService` is the part that campaigns share with experiments.
+"""
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Callable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from datetime import datetime
-from typing import TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from sqlalchemy import Connection
 
 from brink.search.archive import Archive
-from brink.server.campaigns import jobs as job_store
 from brink.server.campaigns import store, traces
+from brink.server.campaigns.advance import Scheduler
 from brink.server.campaigns.body import CampaignBody
-from brink.server.campaigns.plan import Plan
+from brink.server.campaigns.plan import (
+    Plan,
+    PreparedCampaign,
+    check_repeatable,
+    prepare_campaign,
+    store_campaign,
+)
 from brink.server.campaigns.repeats import (
     PlannedRepeats,
     check_no_open_repeats,
-    plan_named,
-    plan_repeats,
+    plan_boundary_repeats,
+    plan_named_repeats,
     store_repeats,
 )
-from brink.server.campaigns.scheduler import Scheduler
-from brink.server.campaigns.store import ENDED
-from brink.server.campaigns.submission import Prepared, check_repeatable, prepared, store_prepared
-from brink.server.campaigns.values import Campaign
+from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
 from brink.server.db.engine import Engines, read
+from brink.server.db.sql import DocumentTable
 from brink.server.db.writer import Writer
-from brink.server.errors import Conflict, NotFound
-from brink.server.queue.report_store import idle_campaigns
+from brink.server.errors import Conflict
+from brink.server.queue.job_store import count_unfinished, idle_campaigns
 from brink.server.queue.wakeups import Wakeups
-from brink.server.states import CampaignStatus
+from brink.server.states import CampaignStatus, JobStatus
 
 log = logging.getLogger(__name__)
 
-T = TypeVar("T")
 SLOW_AT_ONCE = 2
-"""Submissions that are checked at once, and pictures that are drawn."""
-DONE = {
+"""Submissions that are checked at the same time, and pictures that are drawn at the same time."""
+_CHANGES = {
     CampaignStatus.PAUSED: "paused",
     CampaignStatus.RUNNING: "resumed",
     CampaignStatus.CANCELLED: "cancelled",
 }
-"""What the log says was done to a campaign that is now in a state."""
+"""How the log describes a change to a status."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CampaignService:
-    """Campaigns of one coordinator process."""
+class Document(Protocol):
+    """The body of a campaign or an experiment."""
 
+    def document_hash(self) -> str: ...  # noqa: D102
+
+
+class StoredDocument(Protocol):
+    """A stored campaign or experiment."""
+
+    @property
+    def id(self) -> str: ...  # noqa: D102
+    @property
+    def document_hash(self) -> str: ...  # noqa: D102
+    @property
+    def status(self) -> CampaignStatus: ...  # noqa: D102
+
+
+B = TypeVar("B", bound=Document)
+S = TypeVar("S", bound=StoredDocument)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DocumentService(ABC, Generic[B, S]):
+    """Submits, finds and deletes campaigns or experiments.
+
+    Attributes:
+        table: Where they are stored.
+        checks: Threads for checks of submissions, which may load a neural network.
+    """
+
+    table: DocumentTable[S]
     engines: Engines
     writer: Writer
-    scheduler: Scheduler
-    wakeups: Wakeups
-    llm_endpoints: str = ""
-    checks: ThreadPoolExecutor = field(
-        default_factory=lambda: ThreadPoolExecutor(SLOW_AT_ONCE, thread_name_prefix="brink-check")
-    )
-    """Threads of their own: a submission may load a network, and all else must not wait for that."""
+    checks: ThreadPoolExecutor
 
-    def close(self) -> None:
-        """Let the submissions that are being checked end, and take no more."""
-        self.checks.shutdown(wait=True, cancel_futures=True)
+    @abstractmethod
+    def _prepare(self, body: B) -> Sequence[PreparedCampaign]:
+        """Check a body and return its campaigns."""
 
-    async def submit(self, body: CampaignBody, key: str | None = None) -> tuple[Campaign, bool]:
-        """Store a campaign with its first generation.
+    @abstractmethod
+    def _store(
+        self, connection: Connection, body: B, campaigns: Sequence[PreparedCampaign], key: str | None
+    ) -> S:
+        """Store a body and its campaigns."""
+
+    @abstractmethod
+    def _start(self, stored: S, campaigns: Sequence[PreparedCampaign], idle: Sequence[str]) -> None:
+        """Start campaigns that were just stored, those without open jobs at once."""
+
+    @abstractmethod
+    def _delete(self, connection: Connection, stored: S) -> None:
+        """Delete a row with everything that belongs to it, unless repeats of its campaigns have not ended."""
+
+    async def submit(self, body: B, key: str | None = None) -> tuple[S, bool]:
+        """Check and store a submission with all of its campaigns, or nothing.
 
         Args:
-            body: What was asked for.
-            key: Idempotency key: the same key again returns the campaign of the first time.
+            body: The submission.
+            key: Idempotency key; a second submission with the same key returns the first one.
 
         Returns:
-            The campaign, and whether it is new.
+            What was stored, and whether it is new.
 
         Raises:
-            InvalidInput: It cannot run; nothing is stored.
-            Conflict: The key was used for another campaign.
+            InvalidInput: A campaign cannot run; nothing is stored.
+            Conflict: The key was used for another submission.
         """
-        if key is not None:
-            known = await self._read(lambda connection: store.find_by_key(connection, key))
-            if known is not None:
-                return _same(known, body), False
-        ready = await asyncio.get_running_loop().run_in_executor(
-            self.checks, prepared, body, self.llm_endpoints
-        )
 
-        def unit(connection: Connection) -> tuple[Campaign, bool, Sequence[str]]:
-            known = store.find_by_key(connection, key) if key is not None else None
-            if known is not None:
-                return _same(known, body), False, ()
-            campaign = store_prepared(connection, ready, key)
-            return campaign, True, idle_campaigns(connection, [ready.id])
+        def known(connection: Connection) -> S | None:
+            found = self.table.find_by_key(connection, key) if key is not None else None
+            if found is not None and found.document_hash != body.document_hash():
+                raise Conflict(f"this Idempotency-Key was used for another {self.table.kind}, {found.id}")
+            return found
 
-        campaign, new, idle = await self._write(unit)
-        if new:
-            self.begin([ready], idle)
-        return campaign, new
+        if key is not None and (found := await read(self.engines, known)) is not None:
+            return found, False
+        campaigns = await asyncio.get_running_loop().run_in_executor(self.checks, self._prepare, body)
 
-    def begin(self, campaigns: Sequence[Prepared], idle: Sequence[str]) -> None:
-        """Set out with campaigns that were just stored.
+        def unit(connection: Connection) -> tuple[S, Sequence[str] | None]:
+            if (found := known(connection)) is not None:
+                return found, None
+            stored = self._store(connection, body, campaigns, key)
+            return stored, idle_campaigns(connection, [campaign.id for campaign in campaigns])
 
-        Args:
-            campaigns: Which.
-            idle: Those whose simulations are all known, or need no workers.
-        """
-        for one in campaigns:
-            about = {
-                "problem": one.body.problem.id,
-                "algorithm": one.body.algorithm.id,
-                "simulations": one.body.budget.simulations,
-            }
-            log.info("campaign submitted", extra={"campaign": one.id, **about})
-            self.scheduler.stepper.adopt(one.id, one.live)
-        self.wakeups.wake()
-        self.scheduler.advance_soon(idle)
+        stored, idle = await self.writer.write(unit)
+        if idle is not None:
+            self._start(stored, campaigns, idle)
+        return stored, idle is not None
 
-    async def check(self, body: CampaignBody) -> None:
-        """Check that a campaign could be submitted; nothing is stored.
+    async def get(self, name: str) -> S:
+        """Return a campaign or an experiment by its id or a unique prefix of the id.
 
         Raises:
-            InvalidInput: It could not; with a pointer to each wrong field.
+            NotFound: No id matches, or several do.
         """
-        await asyncio.get_running_loop().run_in_executor(self.checks, prepared, body, self.llm_endpoints)
-
-    async def get(self, campaign_id: str) -> Campaign:
-        """Return a campaign by its id, or by the beginning of its id if that is unique.
-
-        Raises:
-            NotFound: There is none, or more than one.
-        """
-        return await self._read(lambda connection: store.named_campaign(connection, campaign_id))
+        return await read(self.engines, lambda connection: self.table.get(connection, name))
 
     async def list(
         self,
@@ -139,49 +157,141 @@ class CampaignService:
         before: tuple[datetime, str] | None = None,
         document_hash: str | None = None,
         statuses: tuple[CampaignStatus, ...] = (),
-    ) -> list[Campaign]:
-        """Return campaigns, newest first."""
-        return await self._read(
-            lambda connection: store.list_campaigns(
+    ) -> list[S]:
+        """Return one page of campaigns or experiments, newest first.
+
+        Args:
+            limit: Maximum length of the page.
+            before: Creation time and id of the last entry of the previous page.
+            document_hash: Only entries whose document has this hash.
+            statuses: Only campaigns with one of these statuses; any if empty.
+        """
+        return await read(
+            self.engines,
+            lambda connection: self.table.page(
                 connection, limit=limit, before=before, document_hash=document_hash, statuses=statuses
-            )
+            ),
         )
 
-    async def pause(self, campaign_id: str) -> Campaign:
-        """Hand out no more of a campaign's jobs; what is running is still taken in."""
-        return await self._change(campaign_id, "pause", (CampaignStatus.RUNNING,), CampaignStatus.PAUSED)
+    async def delete(self, name: str) -> None:
+        """Delete a campaign or an experiment with everything that belongs to it.
 
-    async def resume(self, campaign_id: str) -> Campaign:
-        """Go on with a paused campaign, without the candidates that failed so far."""
-        campaign = await self._change(campaign_id, "resume", (CampaignStatus.PAUSED,), CampaignStatus.RUNNING)
+        Raises:
+            NotFound: No id matches, or several do.
+            Conflict: It has not ended, or repeats of it have not.
+        """
+        exact_id, kind = (await self.get(name)).id, self.table.kind
+
+        def unit(connection: Connection) -> None:
+            stored = self.table.get(connection, exact_id, lock=True)
+            if stored.status not in ENDED:
+                raise Conflict(f"{kind} {exact_id} is {stored.status}: cancel it before deleting it")
+            self._delete(connection, stored)
+
+        await self.writer.write(unit)
+        logging.getLogger(type(self).__module__).info("%s deleted", kind, extra={kind: exact_id})
+
+
+def check_threads() -> ThreadPoolExecutor:
+    """Return threads for checks of submissions."""
+    return ThreadPoolExecutor(SLOW_AT_ONCE, thread_name_prefix="brink-check")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CampaignService(DocumentService[CampaignBody, Campaign]):
+    """The campaigns of one coordinator process.
+
+    Attributes:
+        llm_endpoints: Endpoints of language models that campaigns may use.
+    """
+
+    table: DocumentTable[Campaign] = CAMPAIGNS
+    checks: ThreadPoolExecutor = field(default_factory=check_threads)
+    scheduler: Scheduler
+    wakeups: Wakeups
+    llm_endpoints: str = ""
+
+    def close(self) -> None:
+        """Finish the checks that are running and start no others."""
+        self.checks.shutdown(wait=True, cancel_futures=True)
+
+    def _prepare(self, body: CampaignBody) -> Sequence[PreparedCampaign]:
+        return [prepare_campaign(body, self.llm_endpoints)]
+
+    def _store(
+        self,
+        connection: Connection,
+        body: CampaignBody,
+        campaigns: Sequence[PreparedCampaign],
+        key: str | None,
+    ) -> Campaign:
+        return store_campaign(connection, campaigns[0], key)
+
+    def _start(self, stored: Campaign, campaigns: Sequence[PreparedCampaign], idle: Sequence[str]) -> None:
+        self.start(campaigns, idle)
+
+    def _delete(self, connection: Connection, stored: Campaign) -> None:
+        check_no_open_repeats(connection, stored.id)
+        store.delete_campaign(connection, stored.id)
+
+    def start(self, campaigns: Sequence[PreparedCampaign], idle: Sequence[str]) -> None:
+        """Start campaigns that were just stored.
+
+        Args:
+            campaigns: The campaigns.
+            idle: Those without open jobs: all of their simulations are known, or they need none.
+        """
+        for campaign in campaigns:
+            about = {
+                "problem": campaign.body.problem.id,
+                "algorithm": campaign.body.algorithm.id,
+                "simulations": campaign.body.budget.simulations,
+            }
+            log.info("campaign submitted", extra={"campaign": campaign.id, **about})
+            self.scheduler.stepper.adopt(campaign.id, campaign.live)
+        self.wakeups.wake()
+        self.scheduler.advance_soon(idle)
+
+    async def check(self, body: CampaignBody) -> None:
+        """Check a campaign as on submission, without storing it.
+
+        Raises:
+            InvalidInput: With a pointer to each invalid field.
+        """
+        await asyncio.get_running_loop().run_in_executor(self.checks, self._prepare, body)
+
+    async def pause(self, name: str) -> Campaign:
+        """Stop handing out a campaign's jobs. Running jobs continue, and their results are stored.
+
+        Raises:
+            NotFound: No id matches, or several do.
+            Conflict: The campaign has ended.
+        """
+        return await self._change(name, "pause", (CampaignStatus.RUNNING,), CampaignStatus.PAUSED)
+
+    async def resume(self, name: str) -> Campaign:
+        """Continue a paused campaign without the candidates that have failed.
+
+        Raises:
+            NotFound: No id matches, or several do.
+            Conflict: The campaign has ended.
+        """
+        campaign = await self._change(name, "resume", (CampaignStatus.PAUSED,), CampaignStatus.RUNNING)
         self.wakeups.wake()
         self.scheduler.advance_soon([campaign.id])
         return campaign
 
-    async def cancel(self, campaign_id: str) -> Campaign:
-        """End a campaign; what it found stays."""
-        allowed = (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
-        campaign = await self._change(campaign_id, "cancel", allowed, CampaignStatus.CANCELLED)
-        self.scheduler.stepper.forget(campaign.id)
-        return campaign
-
-    async def delete(self, campaign_id: str) -> None:
-        """Delete a campaign that has ended, with everything that belongs to it.
+    async def cancel(self, name: str) -> Campaign:
+        """End a campaign, keeping its results.
 
         Raises:
-            Conflict: It has not ended.
+            NotFound: No id matches, or several do.
+            Conflict: The campaign has ended otherwise.
         """
-        campaign = await self.get(campaign_id)
-
-        def unit(connection: Connection) -> None:
-            current = _found(store.find_campaign(connection, campaign.id, lock=True), campaign.id)
-            if current.status not in ENDED:
-                raise Conflict(f"campaign {campaign.id} is {current.status}: cancel it before deleting it")
-            check_no_open_repeats(connection, campaign.id)
-            store.delete_campaign(connection, campaign.id)
-
-        await self._write(unit)
-        log.info("campaign deleted", extra={"campaign": campaign.id})
+        allowed = (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
+        campaign = await self._change(name, "cancel", allowed, CampaignStatus.CANCELLED)
+        self.scheduler.stepper.forget(campaign.id)
+        return campaign
 
     async def repeat(
         self,
@@ -194,22 +304,22 @@ class CampaignService:
         d_th: float,
         numbers: Sequence[int] | None = None,
     ) -> tuple[Campaign, bool]:
-        """Simulate solutions of a campaign again with other seeds, in a campaign of their own.
+        """Repeat solutions of a campaign with other seeds, in a campaign of their own.
 
         Args:
-            campaign: The campaign; it has ended.
+            campaign: The campaign, which has ended.
             plan: Its plan.
-            archive: What it found.
+            archive: Its archive.
             repeats: Simulations of each solution.
-            t_b: Largest fitness of the solutions, which are its distinct boundary.
-            d_th: Least distance between two of them.
-            numbers: Which solutions, each once, in place of the boundary.
+            t_b: Maximum fitness of the solutions, its distinct boundary.
+            d_th: Minimum distance between two of them.
+            numbers: Distinct numbers of solutions to repeat instead of the boundary.
 
         Returns:
-            The campaign that does it, and whether it is new.
+            The campaign of the repeats, and whether it is new.
 
         Raises:
-            InvalidInput: Its problem has no chance in it, or it has no such solution.
+            InvalidInput: Its problem is deterministic, or a number is not one of its evaluated solutions.
             Conflict: It has not ended, or has no boundary solutions.
         """
         if campaign.status not in ENDED:
@@ -219,88 +329,66 @@ class CampaignService:
 
         def look() -> PlannedRepeats | None:
             if numbers is not None:
-                return plan_named(campaign, plan, archive, repeats=repeats, numbers=numbers)
-            return plan_repeats(campaign, plan, archive, repeats=repeats, t_b=t_b, d_th=d_th)
+                return plan_named_repeats(campaign, plan, archive, repeats=repeats, numbers=numbers)
+            return plan_boundary_repeats(campaign, plan, archive, repeats=repeats, t_b=t_b, d_th=d_th)
 
         planned = await asyncio.get_running_loop().run_in_executor(self.checks, look)
         if planned is None:
             raise Conflict(f"campaign {campaign.id} has no boundary solutions at t_b {t_b:g}, d_th {d_th:g}")
 
         def unit(connection: Connection) -> tuple[Campaign, bool, Sequence[str]]:
-            _found(store.find_campaign(connection, campaign.id, lock=True), campaign.id)  # one at a time
+            # Locked, so that equal repeats are not stored at the same time.
+            self.table.get(connection, campaign.id, lock=True)
             found, new = store_repeats(connection, planned)
             return found, new, idle_campaigns(connection, [found.id])
 
-        found, new, idle = await self._write(unit)
+        found, new, idle = await self.writer.write(unit)
         if new:
-            self.begin([planned.campaign], idle)
+            self.start([planned.campaign], idle)
         return found, new
 
-    async def retry_job(self, job: int) -> None:
-        """Put a quarantined job back into the queue.
+    async def retry_job(self, job_id: int) -> None:
+        """Return a quarantined job to the queue.
 
         Raises:
             NotFound: There is no such job.
-            Conflict: It is not in quarantine, or its generation went on without it.
+            Conflict: The job is not in quarantine, its campaign has ended, or its generation went on without it.
         """
-        await self._write(lambda connection: job_store.retry(connection, job))
-        self.wakeups.wake()  # the first in line may be unable to run it
+        await self.writer.write(lambda connection: store.retry_job(connection, job_id))
+        self.wakeups.wake()  # all waiters: the first may be unable to run it
 
     async def request_trace(self, campaign_id: str, number: int) -> bool:
-        """Have workers make the trace of a solution; return whether it can be made."""
+        """Have workers record the trace of a solution; return whether that is possible."""
         campaign = await self.get(campaign_id)
-        possible = await self._write(lambda connection: traces.request_trace(connection, campaign, number))
-        self.wakeups.wake()  # the first in line may be unable to run it
+        possible = await self.writer.write(
+            lambda connection: traces.request_trace(connection, campaign, number)
+        )
+        self.wakeups.wake()  # all waiters: the first may be unable to run it
         return possible
 
     async def _change(
-        self,
-        campaign_id: str,
-        verb: str,
-        allowed: tuple[CampaignStatus, ...],
-        status: CampaignStatus,
+        self, name: str, verb: str, allowed: tuple[CampaignStatus, ...], status: CampaignStatus
     ) -> Campaign:
-        found = await self.get(campaign_id)
+        campaign_id = (await self.get(name)).id
 
         def unit(connection: Connection) -> tuple[Campaign, bool]:
-            current = _found(store.find_campaign(connection, found.id, lock=True), found.id)
-            if current.status is not status:
-                if current.status not in allowed:
-                    expected = " or ".join(allowed)
-                    raise Conflict(
-                        f"campaign {found.id} is {current.status}; to {verb} it, it must be {expected}"
-                    )
-                accepted = None
-                if status is CampaignStatus.RUNNING:
-                    quarantined = store.count_quarantined(connection, found.id)
-                    accepted = max(current.failures_accepted, quarantined)
-                store.set_status(connection, found.id, status, "", failures_accepted=accepted)
-            changed = current.status is not status
-            return _found(store.find_campaign(connection, found.id), found.id), changed
+            current = self.table.get(connection, campaign_id, lock=True)
+            if current.status is status:
+                return current, False
+            if current.status not in allowed:
+                expected = " or ".join(allowed)
+                raise Conflict(
+                    f"campaign {campaign_id} is {current.status}; to {verb} it, it must be {expected}"
+                )
+            accepted = None
+            if status is CampaignStatus.RUNNING:
+                quarantined = count_unfinished(connection, campaign_id).get(JobStatus.QUARANTINED, 0)
+                accepted = max(current.failures_accepted, quarantined)
+            store.set_status(connection, campaign_id, status, "", failures_accepted=accepted)
+            return self.table.get(connection, campaign_id), True
 
-        campaign, changed = await self._write(unit)
+        campaign, changed = await self.writer.write(unit)
         if changed:
-            log.info(
-                "campaign %s",
-                DONE[status],
-                extra={"campaign": campaign.id, "generation": campaign.generation},
-            )
+            about = {"campaign": campaign.id, "generation": campaign.generation}
+            log.info("campaign %s", _CHANGES[status], extra=about)
         return campaign
-
-    async def _read(self, query: Callable[[Connection], T]) -> T:
-        return await read(self.engines, query)
-
-    def _write(self, unit: Callable[[Connection], T]) -> Awaitable[T]:
-        return asyncio.wrap_future(self.writer.submit(unit))
-
-
-def _found(campaign: Campaign | None, campaign_id: str) -> Campaign:
-    if campaign is None:
-        raise NotFound(f"campaign {campaign_id!r}: no such campaign")
-    return campaign
-
-
-def _same(known: Campaign, body: CampaignBody) -> Campaign:
-    if known.document_hash != body.document_hash():
-        raise Conflict(f"this Idempotency-Key was used for another campaign, {known.id}")
-    return known

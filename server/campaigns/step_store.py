@@ -1,45 +1,164 @@
-"""The SQL of the generation step: solutions and jobs asked for, verdicts told, checkpoint and distances."""
+"""The SQL of the generation step: the solutions asked for, their verdicts, checkpoints and distances."""
 
 import hashlib
 import logging
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
 
 import numpy as np
-from sqlalchemy import Connection, Row, bindparam, delete, insert, select, update
+from numpy.typing import NDArray
+from sqlalchemy import Connection, bindparam, delete, insert, select, update
 
-from brink.search.component import FloatArray
 from brink.search.metric import METRIC_VERSION
-from brink.server.campaigns.store import find_campaign, set_status
-from brink.server.campaigns.values import Campaign, Checkpoint, NewJob, NewSolution, Step, StoredArchive
-from brink.server.db.clock import database_now
-from brink.server.db.locking import note_change
+from brink.search.space import FloatArray
+from brink.server.campaigns.store import CAMPAIGNS, Campaign, set_status
 from brink.server.db.models import (
-    EVALUATES,
     LAST_TURN,
     NEXT_SEQUENCE,
     CampaignRow,
     CheckpointRow,
     DistanceBlockRow,
     GenerationRow,
-    JobRow,
     SolutionRow,
-    has_open_jobs,
 )
-from brink.server.db.news import announce
+from brink.server.db.sql import database_now, note_change
 from brink.server.errors import Damaged
-from brink.server.states import CampaignStatus, JobKind, JobStatus, SolutionVerdict
+from brink.server.queue import job_store
+from brink.server.queue.job_store import NewJob
+from brink.server.states import CampaignStatus, JobKind, SolutionVerdict
 
 log = logging.getLogger(__name__)
 
-MAX_NAMED = 10_000
-"""Values that one statement may name: databases bound how many there can be."""
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NewSolution:
+    """A solution that the algorithm asked for.
+
+    Attributes:
+        vector: The complete solution as little-endian float64 values.
+        job: The simulation that evaluates it; None if the problem is computed in process.
+        origin: Where the solution comes from, if the algorithm says.
+    """
+
+    number: int
+    vector: bytes
+    seed: int
+    job: NewJob | None
+    kind: JobKind = JobKind.EPISODE
+    origin: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SolutionResult:
+    """The verdict on a solution, with its measures or the reason for its failure."""
+
+    number: int
+    verdict: SolutionVerdict
+    robustness: float | None = None
+    objectives: Mapping[str, float] | None = None
+    failure: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DistanceBlock:
+    """A generation's rows of the distance matrix: float32, row-major, of shape ``(rows, columns)``."""
+
+    first_row: int
+    rows: int
+    columns: int
+    metric_version: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Checkpoint:
+    """The algorithm's state after a `tell`, and the neighbour counts of its archive as little-endian int64."""
+
+    generation: int
+    document: bytes
+    neighbours: bytes
+    unsafe_neighbours: bytes
+
+    def sha256(self) -> str:
+        """Return the checksum that is stored with the checkpoint."""
+        return hashlib.sha256(self.document + self.neighbours + self.unsafe_neighbours).hexdigest()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GenerationSummary:
+    """A completed generation: the campaign's counts and scores after it."""
+
+    number: int
+    evaluated: int
+    unsafe: int
+    failed: int
+    measured: int
+    best_fitness: float | None
+    median_fitness: float | None
+    dbs: int
+    strict_dbs: int
+    step_s: float
+    told_at: datetime | None = None
+
+    @property
+    def completed(self) -> int:
+        """Candidates of completed generations: evaluated, measured on a data set, or failed."""
+        return self.evaluated + self.measured + self.failed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """Everything that one generation step writes.
+
+    Attributes:
+        campaign: Id of the campaign.
+        generation: The completed generation; the step is only written if the campaign is still in it.
+        results: The results of its solutions.
+        summary: The campaign's counts and scores after it.
+        block: Its distances, or None if they are not stored.
+        checkpoint: The state after it.
+        solutions: The next generation; empty if the search is over.
+        traces: Numbers of solutions whose traces are recorded as evidence, at the end of the search.
+        status: The campaign's status after the step.
+    """
+
+    campaign: str
+    generation: int
+    results: Sequence[SolutionResult]
+    summary: GenerationSummary
+    block: DistanceBlock | None
+    checkpoint: Checkpoint
+    solutions: Sequence[NewSolution]
+    traces: Sequence[int]
+    status: CampaignStatus
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoredArchive:
+    """The evaluated solutions as of the last checkpoint, ascending by number: arrays of n rows."""
+
+    generation: int
+    numbers: NDArray[np.int64]
+    vectors: NDArray[np.float64]
+    unsafe: NDArray[np.bool_]
+    robustness: NDArray[np.float64]
+    generations: NDArray[np.int64]
+    neighbours: NDArray[np.int64]
+    unsafe_neighbours: NDArray[np.int64]
 
 
 def insert_solutions(
     connection: Connection, campaign: Campaign, generation: int, solutions: Sequence[NewSolution]
 ) -> None:
-    """Store a generation that was asked for, and enqueue its jobs; known simulations are done at once."""
+    """Store a new generation and enqueue its jobs.
+
+    Args:
+        connection: In a write transaction.
+        campaign: The campaign.
+        generation: Number of the generation.
+        solutions: Its solutions.
+    """
     if not solutions:
         return
     connection.execute(
@@ -55,18 +174,24 @@ def insert_solutions(
     )  # fmt: skip
     for kind in (JobKind.EPISODE, JobKind.DATASET):
         jobs = [(s.number, s.job) for s in solutions if s.job is not None and s.kind is kind]
-        insert_jobs(connection, campaign, jobs, kind)
+        job_store.enqueue(connection, campaign.id, kind, jobs, campaign.job_settings)
 
 
 def write_seeded(
     connection: Connection, campaign: Campaign, checkpoint: Checkpoint, solutions: Sequence[NewSolution]
 ) -> bool:
-    """Store the state of a generation that waits for seeds after some came, and the generation once it is asked.
+    """Store the state of a campaign that has received seeds, and the generation that it then asked for.
+
+    Args:
+        connection: In a write transaction.
+        campaign: The campaign, which waits for seeds.
+        checkpoint: The state with the seeds.
+        solutions: The generation; empty if the campaign needs more seeds.
 
     Returns:
-        Whether it was stored: False if the campaign has moved on, was paused, cancelled or deleted.
+        False, with nothing stored, if the campaign has moved on, or was paused, cancelled or deleted.
     """
-    now = find_campaign(connection, campaign.id, lock=True)
+    now = CAMPAIGNS.find(connection, campaign.id, lock=True)
     if now is None or now.status is not CampaignStatus.RUNNING or now.generation != campaign.generation:
         return False
     if read_vectors(connection, campaign.id, campaign.generation):
@@ -77,161 +202,61 @@ def write_seeded(
     return True
 
 
-def insert_jobs(
-    connection: Connection, campaign: Campaign, jobs: Sequence[tuple[int, NewJob]], kind: JobKind
-) -> None:
-    """Enqueue jobs; those whose simulation is known already are done at once."""
-    if not jobs:
-        return
-    execution = campaign.body.execution
-    known = _known_results(connection, [job.spec_hash for _, job in jobs], kind) if execution.cache else {}
-    now = database_now(connection)
-    connection.execute(
-        insert(JobRow),
-        [
-            {
-                "campaign_id": campaign.id, "number": number, "kind": kind, "spec": job.spec,
-                "spec_hash": job.spec_hash, "needs": job.needs, "cache": execution.cache,
-                "timeout_s": job.timeout_s, "attempt": 0, "max_attempts": execution.max_attempts,
-                "status": JobStatus.DONE if job.spec_hash in known else JobStatus.QUEUED,
-                "result": known.get(job.spec_hash), "created_at": now,
-                "finished_at": now if job.spec_hash in known else None,
-            }
-            for number, job in jobs
-        ],
-    )  # fmt: skip
-    announce(connection)
-
-
-def _known_results(connection: Connection, hashes: Sequence[str], kind: JobKind) -> dict[str, str]:
-    known: dict[str, str] = {}
-    for start in range(0, len(hashes), MAX_NAMED):
-        query = select(JobRow.spec_hash, JobRow.result).where(
-            JobRow.spec_hash.in_(hashes[start : start + MAX_NAMED]),
-            JobRow.status == JobStatus.DONE,
-            JobRow.kind == kind,
-            JobRow.cache,
-        )
-        known.update({row.spec_hash: row.result for row in connection.execute(query)})
-    return known
-
-
-def enqueue_traces(connection: Connection, campaign: Campaign, numbers: Sequence[int]) -> None:
-    """Have the episodes of some solutions run again for their traces, unless that was asked for before."""
-    asked = select(JobRow.number).where(
-        JobRow.campaign_id == campaign.id, JobRow.kind == JobKind.TRACE, JobRow.number.in_(list(numbers))
-    )
-    present = set(connection.execute(asked).scalars())
-    jobs = _jobs_again(connection, campaign.id, [number for number in numbers if number not in present])
-    insert_jobs(connection, campaign, jobs, JobKind.TRACE)
-
-
-def _jobs_again(connection: Connection, campaign_id: str, numbers: Sequence[int]) -> list[tuple[int, NewJob]]:
-    query = (
-        select(JobRow.number, JobRow.spec, JobRow.spec_hash, JobRow.needs, JobRow.timeout_s)
-        .where(
-            JobRow.campaign_id == campaign_id,
-            JobRow.kind == JobKind.EPISODE,
-            JobRow.number.in_(list(numbers)),
-        )
-        .order_by(JobRow.number)
-    )
-    return [
-        (
-            row.number,
-            NewJob(spec=row.spec, spec_hash=row.spec_hash, needs=row.needs, timeout_s=row.timeout_s),
-        )
-        for row in connection.execute(query)
-    ]
-
-
-def generation_jobs(connection: Connection, campaign_id: str, generation: int) -> list[Row[*tuple[Any, ...]]]:
-    """Return number, status, result and last_error of a generation's episodes."""
-    query = (
-        select(JobRow.number, JobRow.status, JobRow.result, JobRow.last_error)
-        .join(
-            SolutionRow,
-            (SolutionRow.campaign_id == JobRow.campaign_id) & (SolutionRow.number == JobRow.number),
-        )
-        .where(
-            JobRow.campaign_id == campaign_id,
-            SolutionRow.generation == generation,
-            EVALUATES,
-        )
-        .order_by(JobRow.number)
-    )
-    return list(connection.execute(query))
-
-
 def write_step(connection: Connection, step: Step) -> bool:
-    """Write a generation step, all or nothing, only if nobody wrote it before.
+    """Write a generation step, all or nothing, and only once.
 
     Returns:
-        Whether it was written: False if the campaign has moved on, was paused, cancelled or deleted, or if one of
-        the generation's jobs was put back into the queue meanwhile.
+        False, with nothing written, if the campaign has moved on, or was paused, cancelled or deleted, or if one of
+        the generation's jobs has been returned to the queue.
     """
-    campaign = find_campaign(connection, step.campaign, lock=True)
+    campaign = CAMPAIGNS.find(connection, step.campaign, lock=True)
     if (
         campaign is None
         or campaign.status is not CampaignStatus.RUNNING
         or campaign.generation != step.generation
-        or _has_open_jobs(connection, step)
+        or job_store.has_open_jobs(connection, step.campaign)
     ):
         return False
-    _write_judged(connection, step)
+    _write_results(connection, step)
     _write_archive(connection, step)
-    told = step.generation + 1
-    insert_solutions(connection, campaign, told, step.asked)
-    enqueue_traces(connection, campaign, step.traces)
+    insert_solutions(connection, campaign, step.generation + 1, step.solutions)
+    job_store.enqueue_traces(connection, campaign.id, step.traces, campaign.job_settings)
     connection.execute(
         update(CampaignRow)
         .where(CampaignRow.id == campaign.id)
         .values(
-            generation=told, evaluated=step.summary.evaluated, unsafe=step.summary.unsafe,
+            generation=step.generation + 1, evaluated=step.summary.evaluated, unsafe=step.summary.unsafe,
             failed=step.summary.failed, measured=step.summary.measured, turn=LAST_TURN, served=0,
             sequence=NEXT_SEQUENCE,
         )
     )  # fmt: skip
     if step.status is not CampaignStatus.RUNNING:
-        set_status(connection, campaign.id, step.status, step.reason)
+        set_status(connection, campaign.id, step.status, "")
     return True
 
 
-def _has_open_jobs(connection: Connection, step: Step) -> bool:
-    return bool(connection.execute(select(has_open_jobs(step.campaign))).scalar_one())
-
-
-def _write_judged(connection: Connection, step: Step) -> None:
-    if not step.judged:
+def _write_results(connection: Connection, step: Step) -> None:
+    if not step.results:
         return
     connection.execute(
         update(SolutionRow)
-        .where(SolutionRow.campaign_id == step.campaign, SolutionRow.number == bindparam("judged"))
+        .where(SolutionRow.campaign_id == step.campaign, SolutionRow.number == bindparam("solution"))
         .values(
             verdict=bindparam("verdict_of"), robustness=bindparam("robustness_of"),
             objectives=bindparam("objectives_of"), failure=bindparam("failure_of"),
         ),
         [
             {
-                "judged": j.number, "verdict_of": j.verdict, "robustness_of": j.robustness,
-                "objectives_of": dict(j.objectives) if j.objectives is not None else None,
-                "failure_of": j.failure,
+                "solution": one.number, "verdict_of": one.verdict, "robustness_of": one.robustness,
+                "objectives_of": dict(one.objectives) if one.objectives is not None else None,
+                "failure_of": one.failure,
             }
-            for j in step.judged
+            for one in step.results
         ],
     )  # fmt: skip
-    failed = [j.number for j in step.judged if j.verdict is SolutionVerdict.FAILED]
-    # A result that cannot be judged must not be handed to other campaigns as one that is known.
-    for start in range(0, len(failed), MAX_NAMED):
-        connection.execute(
-            update(JobRow)
-            .where(
-                JobRow.campaign_id == step.campaign,
-                EVALUATES,
-                JobRow.number.in_(failed[start : start + MAX_NAMED]),
-            )
-            .values(cache=False)
-        )
+    # A result that could not be evaluated must not be shared with other campaigns.
+    failed = [one.number for one in step.results if one.verdict is SolutionVerdict.FAILED]
+    job_store.withdraw_results(connection, step.campaign, failed)
 
 
 def _write_archive(connection: Connection, step: Step) -> None:
@@ -268,10 +293,10 @@ def _save_checkpoint(connection: Connection, campaign_id: str, saved: Checkpoint
 
 
 def find_checkpoint(connection: Connection, campaign_id: str) -> Checkpoint | None:
-    """Return a campaign's checkpoint, or None before its first generation was told or seeded.
+    """Return a campaign's checkpoint, or None before its first generation is completed or seeded.
 
     Raises:
-        Damaged: The stored checksum does not fit.
+        Damaged: The checkpoint does not match its checksum.
     """
     row = connection.execute(
         select(CheckpointRow.__table__).where(CheckpointRow.campaign_id == campaign_id)
@@ -288,9 +313,16 @@ def find_checkpoint(connection: Connection, campaign_id: str) -> Checkpoint | No
 
 
 def read_distances(connection: Connection, campaign_id: str, rows: Sequence[int]) -> FloatArray | None:
-    """Return the stored distances between solutions at some positions of the archive, shape ``(rows, rows)``.
+    """Return the stored distances between some solutions of the archive.
 
-    None if they are not all stored, or stored by another version of the metric, or damaged.
+    Args:
+        connection: Sees one snapshot.
+        campaign_id: The campaign.
+        rows: Positions of n solutions in the archive.
+
+    Returns:
+        Distances of shape ``(n, n)``; None if not all are stored, or if they are damaged or of another metric
+        version.
     """
     wanted = np.asarray(rows, dtype=np.int64)
     half = np.full((len(wanted), len(wanted)), np.nan, dtype=np.float32)
@@ -300,7 +332,7 @@ def read_distances(connection: Connection, campaign_id: str, rows: Sequence[int]
         DistanceBlockRow.first_row + DistanceBlockRow.rows > int(wanted.min()),
         DistanceBlockRow.metric_version == METRIC_VERSION,
     )
-    # One block at a time: all of them may take more memory than there is.
+    # One block at a time: all of them may not fit into memory.
     with connection.execution_options(stream_results=True, yield_per=1).execute(query) as blocks:
         for block in blocks:
             inside = np.flatnonzero((wanted >= block.first_row) & (wanted < block.first_row + block.rows))
@@ -309,17 +341,17 @@ def read_distances(connection: Connection, campaign_id: str, rows: Sequence[int]
                 continue
             if hashlib.sha256(block.data).hexdigest() != block.sha256:
                 about = {"campaign": campaign_id, "generation": block.generation}
-                log.error("its distances are damaged", extra=about)
+                log.error("stored distances are damaged", extra=about)
                 return None
             matrix = np.frombuffer(block.data, dtype="<f4").reshape(block.rows, block.columns)
             half[np.ix_(inside, known)] = matrix[np.ix_(wanted[inside] - block.first_row, wanted[known])]
-    # A row knows the solutions of its own generation and of those before; of later ones, their rows know it.
+    # A row holds the distances to its own and earlier generations; those to later ones are in the later rows.
     whole = np.where(np.isnan(half), half.T, half).astype(np.float64)
     return None if np.isnan(whole).any() else whole
 
 
 def read_vectors(connection: Connection, campaign_id: str, generation: int) -> dict[int, bytes]:
-    """Return the vectors of a generation's solutions by number."""
+    """Return the vectors of a generation's solutions, by number."""
     query = select(SolutionRow.number, SolutionRow.vector).where(
         SolutionRow.campaign_id == campaign_id, SolutionRow.generation == generation
     )
@@ -333,6 +365,9 @@ def read_archive(connection: Connection, campaign_id: str, dimension: int) -> St
         connection: Sees one snapshot.
         campaign_id: The campaign.
         dimension: Length of a solution's vector.
+
+    Raises:
+        Damaged: The checkpoint does not match its checksum.
     """
     checkpoint = find_checkpoint(connection, campaign_id)
     generation = checkpoint.generation if checkpoint else 0

@@ -1,44 +1,98 @@
-"""The SQL of campaigns: rows in, plain values out.
+"""The SQL of campaigns: rows, status, deletion.
 
-Functions that write are units for `brink.server.db.writer.Writer`; functions that read take a connection of
-the reader, which sees one snapshot.
+Functions that write are units for `brink.server.db.writer.Writer`; functions that read take a connection of the
+reader, which sees one snapshot.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, Row, delete, func, insert, select, update
+from sqlalchemy import Connection, Row, delete, insert, select, update
 
 from brink.server.campaigns.body import CampaignBody
-from brink.server.campaigns.values import Campaign
-from brink.server.db.clock import database_now
-from brink.server.db.listing import named_row, newest_first
-from brink.server.db.models import (
-    EVALUATES,
-    NEXT_SEQUENCE,
-    CampaignRow,
-    JobRow,
-    RepeatsRow,
-    TraceRow,
-    has_open_jobs,
-)
-from brink.server.db.news import announce
-from brink.server.states import CampaignStatus, JobStatus
+from brink.server.db.models import NEXT_SEQUENCE, CampaignRow, RepeatsRow, SolutionRow
+from brink.server.db.sql import DocumentTable, database_now, note_change
+from brink.server.errors import Conflict, NotFound
+from brink.server.queue import job_store
+from brink.server.queue.job_store import JobSettings
+from brink.server.queue.wakeups import notify_coordinators
+from brink.server.states import CampaignStatus, JobKind, JobStatus, SolutionVerdict
 
 ENDED = (CampaignStatus.FINISHED, CampaignStatus.CANCELLED, CampaignStatus.FAILED)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Campaign:
+    """A campaign as it is stored.
+
+    Attributes:
+        body: What was submitted, with every parameter spelled out.
+        document_hash: Hash of the body as it was submitted.
+        generation: Number of completed generations.
+        failures_accepted: Failed candidates that do not pause the campaign.
+        sequence: Increases with every change, except when jobs are leased and reported within a generation.
+    """
+
+    id: str
+    body: CampaignBody
+    document_hash: str
+    status: CampaignStatus
+    status_reason: str
+    generation: int
+    evaluated: int
+    unsafe: int
+    failed: int
+    measured: int
+    failures_accepted: int
+    sequence: int
+    created_at: datetime
+    finished_at: datetime | None
+
+    @property
+    def budget(self) -> int:
+        """Maximum number of simulations."""
+        return self.body.budget.simulations
+
+    @property
+    def completed(self) -> int:
+        """Candidates of completed generations: evaluated, measured on a data set, or failed."""
+        return self.evaluated + self.measured + self.failed
+
+    @property
+    def job_settings(self) -> JobSettings:
+        """The settings of its jobs."""
+        execution = self.body.execution
+        return JobSettings(cache=execution.cache, max_attempts=execution.max_attempts)
+
+
+def campaign_of(row: Row[*tuple[Any, ...]]) -> Campaign:
+    """Return the campaign stored in a row with all columns of the table."""
+    return Campaign(
+        id=row.id, body=CampaignBody.model_validate(row.document), document_hash=row.document_hash,
+        status=CampaignStatus(row.status),
+        status_reason=row.status_reason, generation=row.generation, evaluated=row.evaluated,
+        unsafe=row.unsafe, failed=row.failed, measured=row.measured, failures_accepted=row.failures_accepted,
+        sequence=row.sequence, created_at=row.created_at, finished_at=row.finished_at,
+    )  # fmt: skip
+
+
+CAMPAIGNS = DocumentTable(
+    kind="campaign", table=CampaignRow.__table__, build=lambda _, rows: [campaign_of(row) for row in rows]
+)
 
 
 def insert_campaign(
     connection: Connection, campaign_id: str, body: CampaignBody, document_hash: str, key: str | None
 ) -> None:
-    """Store a new campaign, running, with nothing asked yet.
+    """Store a new campaign: running, without solutions.
 
     Args:
         connection: In a write transaction.
         campaign_id: Its id.
-        body: With every parameter spelled out.
-        document_hash: Of the body as it was submitted.
+        body: The body with every parameter spelled out.
+        document_hash: Hash of the body as it was submitted.
         key: Idempotency key.
     """
     connection.execute(
@@ -52,64 +106,14 @@ def insert_campaign(
     )  # fmt: skip
 
 
-def find_campaign(connection: Connection, campaign_id: str, *, lock: bool = False) -> Campaign | None:
-    """Return a campaign, or None; with `lock`, hold its row until the transaction ends."""
-    query = select(CampaignRow.__table__).where(CampaignRow.id == campaign_id)
-    if lock and connection.dialect.name != "sqlite":
-        query = query.with_for_update()
-    row = connection.execute(query).one_or_none()
-    return None if row is None else campaign_of(row)
-
-
-def find_by_key(connection: Connection, key: str) -> Campaign | None:
-    """Return the campaign that was submitted with an idempotency key, or None."""
-    row = connection.execute(
-        select(CampaignRow.__table__).where(CampaignRow.idempotency_key == key)
-    ).one_or_none()
-    return None if row is None else campaign_of(row)
-
-
-def named_campaign(connection: Connection, name: str) -> Campaign:
-    """Return a campaign by its id, or by the beginning of its id if that is unique.
-
-    Raises:
-        NotFound: There is none, or more than one.
-    """
-    return campaign_of(named_row(connection, CampaignRow.__table__, name, "campaign"))
-
-
-def list_campaigns(
-    connection: Connection,
-    *,
-    limit: int,
-    before: tuple[datetime, str] | None = None,
-    document_hash: str | None = None,
-    statuses: Sequence[CampaignStatus] = (),
-) -> list[Campaign]:
-    """Return campaigns, newest first."""
-    query = newest_first(CampaignRow.__table__, limit=limit, before=before)
-    if document_hash is not None:
-        query = query.where(CampaignRow.document_hash == document_hash)
-    if statuses:
-        query = query.where(CampaignRow.status.in_(statuses))
-    return [campaign_of(row) for row in connection.execute(query)]
-
-
 def running_among(connection: Connection, campaigns: Sequence[str]) -> frozenset[str]:
-    """Return which of these campaigns are running."""
+    """Return which of the given campaigns are running."""
     if not campaigns:
         return frozenset()
     query = select(CampaignRow.id).where(
         CampaignRow.id.in_(list(campaigns)), CampaignRow.status == CampaignStatus.RUNNING
     )
     return frozenset(connection.execute(query).scalars())
-
-
-def running_idle(connection: Connection) -> list[str]:
-    """Return running campaigns without an open episode: their next step is due."""
-    idle = ~has_open_jobs(CampaignRow.id)
-    query = select(CampaignRow.id).where(CampaignRow.status == CampaignStatus.RUNNING, idle)
-    return list(connection.execute(query).scalars())
 
 
 def end_running(
@@ -121,17 +125,17 @@ def end_running(
     *,
     failures: int | None = None,
 ) -> None:
-    """Change what a campaign is, unless somebody changed or advanced it meanwhile.
+    """Set the status of a running campaign, unless it was changed or advanced meanwhile.
 
     Args:
         connection: In a write transaction.
         campaign_id: The campaign.
-        generation: Where it must still stand.
-        status: What it becomes.
-        reason: Why.
-        failures: How many failed candidates whoever resumes it accepts.
+        generation: The generation that the campaign must still be in.
+        status: The new status.
+        reason: Why the status changes.
+        failures: Failed candidates that a later resume accepts.
     """
-    campaign = find_campaign(connection, campaign_id, lock=True)
+    campaign = CAMPAIGNS.find(connection, campaign_id, lock=True)
     if (
         campaign is not None
         and campaign.status is CampaignStatus.RUNNING
@@ -148,62 +152,62 @@ def set_status(
     *,
     failures_accepted: int | None = None,
 ) -> None:
-    """Change what a campaign is; on cancelling, its open episodes end too, but not the pictures asked for."""
+    """Set a campaign's status. Cancelling also cancels its open jobs, except those that record traces.
+
+    Args:
+        connection: In a write transaction.
+        campaign_id: The campaign.
+        status: The new status.
+        reason: Why the status changes; empty if a user asked for it.
+        failures_accepted: New number of failed candidates that do not pause the campaign; None keeps the old one.
+    """
     values: dict[str, Any] = {"status": status, "status_reason": reason, "sequence": NEXT_SEQUENCE}
-    if status in (CampaignStatus.FINISHED, CampaignStatus.CANCELLED, CampaignStatus.FAILED):
+    if status in ENDED:
         values["finished_at"] = database_now(connection)
     if failures_accepted is not None:
         values["failures_accepted"] = failures_accepted
     connection.execute(update(CampaignRow).where(CampaignRow.id == campaign_id).values(values))
     if status is CampaignStatus.RUNNING:
-        announce(connection)
+        notify_coordinators(connection)
     if status is CampaignStatus.CANCELLED:
-        connection.execute(
-            update(JobRow)
-            .where(
-                JobRow.campaign_id == campaign_id,
-                EVALUATES,
-                JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),
-            )
-            .values(
-                status=JobStatus.CANCELLED,
-                lease_token=None,
-                lease_expires_at=None,
-                finished_at=database_now(connection),
-            )
-        )
+        job_store.cancel_evaluations(connection, campaign_id)
 
 
-def count_quarantined(connection: Connection, campaign_id: str) -> int:
-    """Return how many of a campaign's episodes are in quarantine."""
-    return connection.execute(
-        select(func.count()).where(
-            JobRow.campaign_id == campaign_id,
-            EVALUATES,
-            JobRow.status == JobStatus.QUARANTINED,
-        )
-    ).scalar_one()
+def retry_job(connection: Connection, job_id: int) -> None:
+    """Return a quarantined job to the queue with all its attempts, each of which is leased alone.
+
+    Raises:
+        NotFound: There is no such job.
+        Conflict: The job is not in quarantine, its campaign has ended, or its generation went on without it.
+    """
+    job = job_store.find_job(connection, job_id)
+    campaign = CAMPAIGNS.find(connection, job.campaign, lock=True) if job is not None else None
+    if job is None or campaign is None:
+        raise NotFound(f"job {job_id}: no such job")
+    if job.status is not JobStatus.QUARANTINED:
+        raise Conflict(f"job {job_id} is {job.status}; only a quarantined job can be retried")
+    if job.kind == JobKind.EPISODE:
+        if campaign.status in ENDED:
+            raise Conflict(
+                f"job {job_id}: campaign {campaign.id} is {campaign.status}; nothing waits for the job"
+            )
+        solution = (SolutionRow.campaign_id == campaign.id, SolutionRow.number == job.number)
+        if (
+            connection.execute(select(SolutionRow.verdict).where(*solution)).scalar_one()
+            != SolutionVerdict.PENDING
+        ):
+            raise Conflict(
+                f"job {job_id}: the campaign went on without solution {job.number}, which counts as failed"
+            )
+    if not job_store.requeue(connection, job_id, more_attempts=campaign.body.execution.max_attempts):
+        raise Conflict(f"job {job_id} was changed by another request just now; look again")
+    note_change(connection, campaign.id)
 
 
 def delete_campaign(connection: Connection, campaign_id: str) -> None:
-    """Delete a campaign with its repeats and all that is theirs, traces included that no other campaign has."""
-    own = select(JobRow.spec_hash).where(JobRow.campaign_id == campaign_id)
-    others = select(JobRow.id).where(
-        JobRow.spec_hash == TraceRow.spec_hash, JobRow.campaign_id != campaign_id
-    )
-    again = select(RepeatsRow.campaign_id).where(RepeatsRow.of_id == campaign_id)
-    for repeats in list(connection.execute(again).scalars()):
+    """Delete a campaign with its repeats, its data, and the traces that no other campaign shares."""
+    repeats_of = select(RepeatsRow.campaign_id).where(RepeatsRow.of_id == campaign_id)
+    for repeats in list(connection.execute(repeats_of).scalars()):
         delete_campaign(connection, repeats)
-    connection.execute(delete(TraceRow).where(TraceRow.spec_hash.in_(own), ~others.exists()))
+    job_store.delete_own_traces(connection, campaign_id)
     connection.execute(delete(CampaignRow).where(CampaignRow.id == campaign_id))
-
-
-def campaign_of(row: Row[*tuple[Any, ...]]) -> Campaign:
-    """Return the campaign that a row of its table says."""
-    return Campaign(
-        id=row.id, body=CampaignBody.model_validate(row.document), document_hash=row.document_hash,
-        status=CampaignStatus(row.status),
-        status_reason=row.status_reason, generation=row.generation, evaluated=row.evaluated,
-        unsafe=row.unsafe, failed=row.failed, measured=row.measured, failures_accepted=row.failures_accepted,
-        sequence=row.sequence, created_at=row.created_at, finished_at=row.finished_at,
-    )  # fmt: skip

@@ -1,44 +1,115 @@
-"""The SQL of what users see of campaigns: series, counts, solutions."""
+"""Read-only SQL for views of campaigns: progress, series, solutions."""
 
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any, Final, Protocol
 
 from sqlalchemy import Connection, Row, Select, bindparam, func, select
 
-from brink.server.campaigns.step_store import MAX_NAMED
-from brink.server.campaigns.values import GenerationSummary
-from brink.server.db.models import EVALUATES, CampaignRow, GenerationRow, JobRow, SolutionRow
-from brink.server.states import JobStatus, SolutionVerdict
+from brink.server.campaigns.step_store import GenerationSummary
+from brink.server.db.models import CampaignRow, GenerationRow, SolutionRow
+from brink.server.queue.job_store import EVALUATIONS, MAX_NAMED, count_unfinished
+from brink.server.states import CampaignStatus, JobStatus, SolutionVerdict
 
-_NOT_DONE = tuple(status for status in JobStatus if status is not JobStatus.DONE)
+RATE_WINDOW: Final = 5
+"""Generations over which the rate of a running campaign is measured."""
 
-# Every page that is open asks for these every few seconds: to build a statement anew takes longer than to run it.
-_PULSE = select(CampaignRow.sequence, CampaignRow.finished_at).where(CampaignRow.id == bindparam("campaign"))
-_OPEN_JOBS = (
-    select(JobRow.status, func.count())
-    .where(JobRow.campaign_id == bindparam("campaign"), EVALUATES)
-    .where(JobRow.status.in_(_NOT_DONE))  # not "other than done", which would look at all jobs
-    .group_by(JobRow.status)
+# Every open page runs this every few seconds, and SQLAlchemy takes longer to build it than the database to run it.
+_VERSION = select(CampaignRow.sequence, CampaignRow.finished_at).where(
+    CampaignRow.id == bindparam("campaign")
 )
 
 
-def read_pulse(connection: Connection, campaign_id: str) -> tuple[object, ...] | None:
-    """Return what is another one whenever something of a campaign has changed, quickly; None if there is none.
+class CampaignSummary(Protocol):
+    """The attributes of a campaign that its progress is computed from; see `Campaign`."""
+
+    @property
+    def id(self) -> str: ...  # noqa: D102
+    @property
+    def status(self) -> CampaignStatus: ...  # noqa: D102
+    @property
+    def generation(self) -> int: ...  # noqa: D102
+    @property
+    def completed(self) -> int: ...  # noqa: D102
+    @property
+    def budget(self) -> int: ...  # noqa: D102
+    @property
+    def created_at(self) -> datetime: ...  # noqa: D102
+    @property
+    def finished_at(self) -> datetime | None: ...  # noqa: D102
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CampaignProgress:
+    """The progress of a campaign.
+
+    Attributes:
+        done: Completed candidates, including those of the current generation.
+        queued: Queued jobs.
+        leased: Leased jobs.
+        quarantined: Jobs in quarantine.
+        rate_per_s: Candidates per second over the last generations, or since the start; None without any.
+        remaining_s: Time for the rest of the budget at this rate.
+        elapsed_s: Time since the submission, or between submission and end.
+    """
+
+    done: int
+    queued: int
+    leased: int
+    quarantined: int
+    rate_per_s: float | None
+    remaining_s: float | None
+    elapsed_s: float
+
+
+def read_campaign_progress(connection: Connection, campaign: CampaignSummary) -> CampaignProgress:
+    """Return the progress of a campaign, with an estimate of the remaining time."""
+    jobs = count_unfinished(connection, campaign.id)
+    queued, leased = jobs.get(JobStatus.QUEUED, 0), jobs.get(JobStatus.LEASED, 0)
+    ended = campaign.finished_at is not None
+    pending = 0 if ended else count_generation(connection, campaign.id, campaign.generation)
+    done = campaign.completed + max(0, pending - queued - leased)
+    latest = list_generations(connection, campaign.id, max(0, campaign.generation - RATE_WINDOW - 1))
+    end = campaign.finished_at or datetime.now(UTC)
+    rate = _rate(campaign, latest, done, end)
+    remaining = max(0, campaign.budget - done)
+    return CampaignProgress(
+        done=done, queued=queued, leased=leased, quarantined=jobs.get(JobStatus.QUARANTINED, 0),
+        rate_per_s=rate, remaining_s=remaining / rate if rate and not ended else None,
+        elapsed_s=max(0.0, (end - campaign.created_at).total_seconds()),
+    )  # fmt: skip
+
+
+def _rate(
+    campaign: CampaignSummary, latest: Sequence[GenerationSummary], done: int, end: datetime
+) -> float | None:
+    start, before = campaign.created_at, 0
+    if campaign.status is CampaignStatus.RUNNING and len(latest) > RATE_WINDOW:
+        base = latest[-RATE_WINDOW - 1]
+        assert base.told_at is not None
+        start, before = base.told_at, base.completed
+    elapsed = (end - start).total_seconds()
+    return (done - before) / elapsed if elapsed > 0 and done > before else None
+
+
+def read_version(connection: Connection, campaign_id: str) -> tuple[object, ...] | None:
+    """Return a value that changes whenever a campaign or its jobs change; None if there is no such campaign.
 
     Args:
         connection: Sees one snapshot.
-        campaign_id: Its whole id.
+        campaign_id: The full id.
     """
-    row = connection.execute(_PULSE, {"campaign": campaign_id}).one_or_none()
+    row = connection.execute(_VERSION, {"campaign": campaign_id}).one_or_none()
     if row is None:
         return None
-    if row.finished_at is not None:  # the jobs of what has ended stay as they are
+    if row.finished_at is not None:  # the jobs of an ended campaign do not change
         return (campaign_id, row.sequence)
-    return (campaign_id, row.sequence, *sorted(count_open_jobs(connection, campaign_id).items()))
+    return (campaign_id, row.sequence, *sorted(count_unfinished(connection, campaign_id).items()))
 
 
 def list_generations(connection: Connection, campaign_id: str, since: int) -> list[GenerationSummary]:
-    """Return the generations told, from number `since` on."""
+    """Return the completed generations from number `since` on."""
     query = (
         select(GenerationRow.__table__)
         .where(GenerationRow.campaign_id == campaign_id, GenerationRow.number >= since)
@@ -54,13 +125,17 @@ def list_generations(connection: Connection, campaign_id: str, since: int) -> li
     ]  # fmt: skip
 
 
-def count_open_jobs(connection: Connection, campaign_id: str) -> dict[str, int]:
-    """Return how many of a campaign's jobs are in each state that is not done, and done in this generation."""
-    return {str(row[0]): int(row[1]) for row in connection.execute(_OPEN_JOBS, {"campaign": campaign_id})}
+def count_generation(connection: Connection, campaign_id: str, generation: int) -> int:
+    """Return the number of solutions in a generation."""
+    return connection.execute(
+        select(func.count()).where(
+            SolutionRow.campaign_id == campaign_id, SolutionRow.generation == generation
+        )
+    ).scalar_one()
 
 
 def count_origins(connection: Connection, campaign_id: str) -> dict[str, int]:
-    """Return how many solutions come from where, the commonest first; empty if the algorithm does not say."""
+    """Return the number of solutions from each origin, most frequent first; empty if the algorithm names none."""
     query = (
         select(SolutionRow.origin, func.count())
         .where(SolutionRow.campaign_id == campaign_id, SolutionRow.origin.is_not(None))
@@ -70,29 +145,10 @@ def count_origins(connection: Connection, campaign_id: str) -> dict[str, int]:
     return {str(row[0]): int(row[1]) for row in connection.execute(query)}
 
 
-def count_pending(connection: Connection, campaign_id: str, generation: int) -> int:
-    """Return how many solutions a generation has, such as the one that is being simulated."""
-    return connection.execute(
-        select(func.count()).where(
-            SolutionRow.campaign_id == campaign_id, SolutionRow.generation == generation
-        )
-    ).scalar_one()
-
-
-def waiting_needs(connection: Connection, campaign_id: str) -> dict[str, int]:
-    """Return how many of a campaign's queued jobs need each capability."""
-    query = (
-        select(JobRow.needs, func.count())
-        .where(JobRow.campaign_id == campaign_id, JobRow.status == JobStatus.QUEUED)
-        .group_by(JobRow.needs)
-    )
-    return {str(row[0]): int(row[1]) for row in connection.execute(query)}
-
-
 def read_solutions(
     connection: Connection, campaign_id: str, numbers: Iterable[int]
 ) -> list[Row[*tuple[Any, ...]]]:
-    """Return solutions by number, ascending, each with its job's result, attempts and last error."""
+    """Return solutions by number, ascending, each with the specification, result and attempts of its job."""
     wanted = sorted(numbers)
     found: list[Row[*tuple[Any, ...]]] = []
     for start in range(0, len(wanted), MAX_NAMED):
@@ -104,7 +160,15 @@ def read_solutions(
 def page_solutions(
     connection: Connection, campaign_id: str, *, after: int, limit: int, unsafe: bool | None
 ) -> list[Row[*tuple[Any, ...]]]:
-    """Return solutions with numbers past `after`, ascending, each with its job."""
+    """Return one page of solutions, ascending by number, as `read_solutions` does.
+
+    Args:
+        connection: Sees one snapshot.
+        campaign_id: The campaign.
+        after: The last number of the previous page.
+        limit: Maximum number of solutions.
+        unsafe: Only unsafe or only safe solutions; None for all.
+    """
     query = _solutions(campaign_id).where(SolutionRow.number > after).limit(limit)
     if unsafe is not None:
         wanted = SolutionVerdict.UNSAFE if unsafe else SolutionVerdict.SAFE
@@ -113,18 +177,16 @@ def page_solutions(
 
 
 def _solutions(campaign_id: str) -> Select[*tuple[Any, ...]]:
+    job = EVALUATIONS.c
     return (
         select(
             SolutionRow.number, SolutionRow.generation, SolutionRow.vector, SolutionRow.seed,
             SolutionRow.spec_hash, SolutionRow.verdict, SolutionRow.robustness, SolutionRow.objectives,
-            SolutionRow.failure, SolutionRow.origin, JobRow.spec, JobRow.result, JobRow.attempt,
-            JobRow.status.label("job_status"),
+            SolutionRow.failure, SolutionRow.origin, job.spec, job.result, job.attempt,
         )
         .outerjoin(
-            JobRow,
-            (JobRow.campaign_id == SolutionRow.campaign_id)
-            & (JobRow.number == SolutionRow.number)
-            & EVALUATES,
+            EVALUATIONS,
+            (job.campaign_id == SolutionRow.campaign_id) & (job.number == SolutionRow.number),
         )
         .where(SolutionRow.campaign_id == campaign_id)
         .order_by(SolutionRow.number)

@@ -1,1 +1,1 @@
-"""The dashboard: a page of plain ES modules, and what it asks of the coordinator besides the API."""
+"""The dashboard: a page of plain ES modules, and the figures computed for it."""

@@ -1,51 +1,99 @@
-"""What is drawn of campaigns, computed in threads of its own: it waits neither for films nor for scores."""
+"""Figures of a campaign, computed in their own thread pool so that they wait for neither films nor scores."""
 
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import InitVar, dataclass, field
 from typing import Final
 
+import numpy as np
+
+from brink.search.analysis.boundary import BudgetPoint, dbs_by_budget
 from brink.search.analysis.dependence import Dependence, dependences
 from brink.server.campaigns.archives import ReadArchive
-from brink.server.dashboard.course import Courses
-from brink.server.dashboard.overview import Sparks
+from brink.server.dashboard.overview import Sparklines
 from brink.server.dashboard.solution_map import SolutionMaps
-from brink.server.single_flight import Latest
+from brink.server.single_flight import SingleFlightCache
 
-DEPENDENCES_KEPT: Final = 32
-"""Campaigns of which is remembered what their verdicts depend on."""
-MOST_WAITING: Final = 64
-"""Figures of each kind; whoever asks for one more is told to come back later."""
+POINTS: Final = 24
+MAX_SOLUTIONS: Final = 10_000
+"""Largest archive for a convergence curve: each point recounts the neighbours of all solutions evaluated by then."""
+CACHED_CURVES: Final = 64
+DIGITS: Final = 3
+"""Decimal places to which thresholds are rounded, so that similar requests share one computation."""
+
+
+@dataclass(slots=True)
+class ConvergenceCurves:
+    """A cache of convergence curves: distinct boundary solutions over simulations at chosen thresholds.
+
+    Attributes:
+        threads: Where curves are computed.
+        most_waiting: Maximum number of pending computations.
+    """
+
+    threads: InitVar[Executor]
+    most_waiting: InitVar[int]
+    _latest: SingleFlightCache[Sequence[BudgetPoint]] = field(init=False)
+
+    def __post_init__(self, threads: Executor, most_waiting: int) -> None:
+        self._latest = SingleFlightCache(CACHED_CURVES, threads, most_waiting)
+
+    async def get(self, campaign: str, read: ReadArchive, t_b: float, d_th: float) -> Sequence[BudgetPoint]:
+        """Return DBS at fractions of the simulations so far; nothing if the archive is empty or too large.
+
+        Args:
+            campaign: Id of the campaign.
+            read: Its archive.
+            t_b: Largest fitness of a boundary solution.
+            d_th: Smallest distance between two boundary solutions.
+        """
+        if not 0 < len(read.archive) <= MAX_SOLUTIONS:
+            return ()
+        t_b, d_th = round(t_b, DIGITS), round(d_th, DIGITS)
+        return await self._latest.get((campaign, t_b, d_th), read.generation, lambda: _curve(read, t_b, d_th))
+
+
+def _curve(read: ReadArchive, t_b: float, d_th: float) -> Sequence[BudgetPoint]:
+    archive = read.archive
+    spent = int(archive.numbers[-1]) + 1
+    fractions = (np.arange(1, POINTS + 1) / POINTS).tolist()
+    return list(dbs_by_budget(archive, spent, fractions, (t_b,), (d_th,)))
+
+
+CACHED_DEPENDENCES: Final = 32
+MAX_PENDING: Final = 64
+"""Pending computations of each kind; further requests are answered with 503."""
 
 
 @dataclass(slots=True)
 class Figures:
-    """The figures that were asked for last.
+    """Caches of the figures that the dashboard draws.
 
     Attributes:
-        at_once: How many are computed at a time.
-        maps: Where the solutions of a campaign lie.
-        courses: How its distinct boundary solutions grew.
-        sparks: The same in a few pixels.
+        at_once: How many figures are computed at the same time.
+        maps: Maps of the solutions.
+        convergence: Convergence curves.
+        sparks: Convergence curves as sparklines.
     """
 
     at_once: InitVar[int]
     maps: SolutionMaps = field(init=False)
-    courses: Courses = field(init=False)
-    sparks: Sparks = field(default_factory=Sparks)
-    _dependences: Latest[list[Dependence]] = field(init=False)
+    convergence: ConvergenceCurves = field(init=False)
+    sparks: Sparklines = field(default_factory=Sparklines)
+    _dependences: SingleFlightCache[list[Dependence]] = field(init=False)
     _threads: ThreadPoolExecutor = field(init=False)
 
     def __post_init__(self, at_once: int) -> None:
-        self._threads = ThreadPoolExecutor(at_once, thread_name_prefix="brink-look")
-        self.maps = SolutionMaps(threads=self._threads, most_waiting=MOST_WAITING)
-        self.courses = Courses(threads=self._threads, most_waiting=MOST_WAITING)
-        self._dependences = Latest(DEPENDENCES_KEPT, self._threads, most_waiting=MOST_WAITING)
+        self._threads = ThreadPoolExecutor(at_once, thread_name_prefix="brink-figures")
+        self.maps = SolutionMaps(threads=self._threads, most_waiting=MAX_PENDING)
+        self.convergence = ConvergenceCurves(threads=self._threads, most_waiting=MAX_PENDING)
+        self._dependences = SingleFlightCache(CACHED_DEPENDENCES, self._threads, MAX_PENDING)
 
     async def dependences(self, campaign: str, found: ReadArchive) -> list[Dependence]:
-        """Return how the verdict depends on each parameter."""
+        """Return how the verdict depends on each parameter, strongest dependence first."""
         space, archive = found.plan.problem.space, found.archive
         return await self._dependences.get(campaign, found.generation, lambda: dependences(space, archive))
 
     def close(self) -> None:
-        """Wait for those that are being computed, and begin no other."""
+        """Finish the running computations and cancel the pending ones."""
         self._threads.shutdown(cancel_futures=True)

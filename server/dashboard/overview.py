@@ -1,4 +1,4 @@
-"""All campaigns at a glance, columnar: what the list of campaigns shows, and asks for every few seconds."""
+"""Summaries of all campaigns for the list on the dashboard's first page, which is polled every few seconds."""
 
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
@@ -9,22 +9,22 @@ from typing import Final
 
 from sqlalchemy import Connection, func, select
 
-from brink.server.db.listing import newest_first
 from brink.server.db.models import CampaignRow, ExperimentCampaignRow, GenerationRow, RepeatsRow
+from brink.server.db.sql import newest_first
 from brink.server.states import CampaignStatus
 
 POINTS: Final = 24
-"""Of a course in a few pixels."""
-KEPT: Final = 1_000
+"""Points of a sparkline."""
+CACHED: Final = 1_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outline:
-    """A campaign without the document that asks for it.
+    """A campaign without its submitted document.
 
     Attributes:
-        experiment: That it belongs to, if it does.
-        repeats_of: The campaign whose boundary it repeats, if it does.
+        experiment: The experiment it belongs to, if any.
+        repeats_of: The campaign whose solutions it repeats, if any.
     """
 
     id: str
@@ -47,8 +47,8 @@ class Outline:
     repeats_of: str | None
 
     @property
-    def told(self) -> int:
-        """Candidates of which all is known that was asked."""
+    def completed(self) -> int:
+        """Finished candidates: evaluated, measured or failed."""
         return self.evaluated + self.measured + self.failed
 
 
@@ -64,12 +64,12 @@ def list_outlines(
     """Return campaigns, newest first.
 
     Args:
-        connection: Sees one snapshot.
-        limit: Most of them.
-        before: Only those submitted before this one.
-        statuses: Only those in one of these states; any without.
-        named: Only those with this in their name or at the beginning of their id, in any case.
-        experiment: Only those of this experiment.
+        connection: Read connection on one snapshot.
+        limit: Maximum number of campaigns.
+        before: Creation time and id of a campaign; only older ones are returned.
+        statuses: Only campaigns in one of these states; all if empty.
+        named: Only campaigns whose name contains this or whose id begins with it, ignoring case.
+        experiment: Only campaigns of this experiment.
     """
     row = CampaignRow
     page = newest_first(row.__table__, limit=limit, before=before)
@@ -96,35 +96,39 @@ def list_outlines(
 
 
 @dataclass(slots=True)
-class Sparks:
-    """Courses in a few pixels: how many distinct boundary solutions there were, evenly over the generations."""
+class Sparklines:
+    """A cache of sparklines: distinct boundary solutions at evenly spaced generations."""
 
-    _kept: OrderedDict[tuple[str, int], tuple[int, ...]] = field(default_factory=OrderedDict)
+    _cached: OrderedDict[tuple[str, int], tuple[int, ...]] = field(default_factory=OrderedDict)
     _lock: Lock = field(default_factory=Lock)
 
     def of(self, connection: Connection, outlines: Sequence[Outline]) -> Mapping[str, tuple[int, ...]]:
-        """Return the course of each campaign; those that have not changed since are not read again."""
+        """Return the sparkline of each campaign; only campaigns that have changed are read from the database."""
         with self._lock:
             known = {
-                name: self._kept[name] for one in outlines if (name := (one.id, one.sequence)) in self._kept
+                name: self._cached[name]
+                for one in outlines
+                if (name := (one.id, one.sequence)) in self._cached
             }
-        known.update(_courses(connection, [one for one in outlines if (one.id, one.sequence) not in known]))
+        known.update(
+            _read_sparklines(connection, [one for one in outlines if (one.id, one.sequence) not in known])
+        )
         with self._lock:
-            for name, course in known.items():
-                self._kept[name] = course
-                self._kept.move_to_end(name)
-            while len(self._kept) > KEPT:
-                self._kept.popitem(last=False)
-        return {campaign: course for (campaign, _), course in known.items()}
+            for name, line in known.items():
+                self._cached[name] = line
+                self._cached.move_to_end(name)
+            while len(self._cached) > CACHED:
+                self._cached.popitem(last=False)
+        return {campaign: line for (campaign, _), line in known.items()}
 
 
-def _courses(
+def _read_sparklines(
     connection: Connection, outlines: Sequence[Outline]
 ) -> Mapping[tuple[str, int], tuple[int, ...]]:
     wanted: dict[str, list[int]] = {}
     for one in outlines:
         step = max(1, -(-one.generation // POINTS))
-        # The latest generation, and every so many before it.
+        # The latest generation, and earlier ones at equal steps.
         wanted[one.id] = list(range((one.generation - 1) % step, one.generation, step))
     known: dict[str, list[int]] = {one.id: [] for one in outlines}
     for start in range(0, len(outlines), 50):

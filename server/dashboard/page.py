@@ -1,4 +1,4 @@
-"""The page at `/`, with its modules and styles: plain files; nothing is built, and nothing is fetched elsewhere."""
+"""The dashboard page at `/` with its modules and styles: static files without a build step or external resources."""
 
 from importlib.resources import files
 from pathlib import Path
@@ -12,14 +12,14 @@ from starlette.types import Scope
 FOLDER: Final = "/dashboard"
 STATIC: Final = Path(str(files("brink.server.dashboard"))) / "static"
 REVALIDATED: Final = {"Cache-Control": "no-cache"}
-"""Browsers ask each time whether a file is still the same: a new version is never mixed with an old one."""
+"""Browsers revalidate every file, so that files of different versions are never mixed."""
 
 router = APIRouter()
 
 
 @router.get("/", include_in_schema=False)
 async def page() -> FileResponse:
-    """Return the dashboard."""
+    """Return the dashboard page."""
     return FileResponse(STATIC / "index.html", headers=REVALIDATED)
 
 
@@ -31,6 +31,6 @@ class _Files(StaticFiles):
 
 
 def add_dashboard(app: FastAPI) -> None:
-    """Serve the page and its files."""
+    """Serve the dashboard page and its files."""
     app.include_router(router)
     app.mount(FOLDER, _Files(directory=STATIC), name="dashboard")

@@ -1,8 +1,8 @@
-"""The map of a campaign as it grows: where its solutions lie in the plane, so that those drawn before stay put.
+"""The map of a campaign's solutions in the plane, which stays stable while the campaign grows.
 
-A map is made for the first so many solutions and takes in the later ones as they come; it is made anew when the
-archive has grown by half, and once more when the campaign has ended. Which one is current depends on the archive
-alone, so every coordinator draws the same. Above `MOST` solutions not all are drawn.
+A layout is fitted to the first solutions, and later ones are placed into it. It is fitted again whenever the archive
+has grown by half, and once more when the campaign has ended. The layout depends only on the archive, so every
+coordinator draws the same map. Archives of more than `MAX_DRAWN` solutions are thinned out.
 """
 
 from collections import OrderedDict
@@ -13,37 +13,36 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from brink.search.analysis.axes import axis_meanings
+from brink.search.analysis.dependence import axis_meanings
+from brink.search.analysis.similarity import Projection
 from brink.search.archive import Archive
-from brink.search.component import FloatArray
-from brink.search.embedding import Projection
-from brink.search.space import SearchSpace
+from brink.search.space import FloatArray, SearchSpace
 from brink.server.campaigns.archives import ReadArchive
-from brink.server.single_flight import Latest
+from brink.server.single_flight import SingleFlightCache
 
-MOST: Final = 20_000
-"""Solutions on a map; while a campaign runs, up to a tenth more."""
+MAX_DRAWN: Final = 20_000
+"""Solutions on a map; up to a tenth more while a campaign runs."""
 NEAREST: Final = 8_000
-"""Of those on the map of a larger campaign that has ended, so many are the nearest to the boundary."""
-SMALLEST: Final = 64
+"""Number of solutions closest to the boundary that the thinned map of an ended campaign always shows."""
+MIN_FITTED: Final = 64
 GROWTH: Final = 1.5
 GROWTH_LARGE: Final = 1.1
-KEPT: Final = 8
+CACHED: Final = 8
 
 Rows = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SolutionMap:
-    """Where solutions lie.
+    """The positions of solutions on the map.
 
     Attributes:
-        version: Of the map: points of one version do not move.
-        projection: How solutions are placed.
-        axes: What each axis means in words, or None.
-        rows: Positions in the archive of the solutions that are drawn; more are added at the end.
-        points: Where they lie, shape ``(len(rows), 2)``.
-        evaluated: Solutions in the archive.
+        version: Version of the layout; points of one version do not move.
+        projection: Projection from solutions to the plane.
+        axes: What each axis correlates with, in words, or None.
+        rows: Archive indices of the drawn solutions, shape ``(n,)``; later versions append to it.
+        points: Coordinates, shape ``(n, 2)``.
+        evaluated: Number of solutions in the archive.
     """
 
     version: str
@@ -54,51 +53,51 @@ class SolutionMap:
     evaluated: int
 
 
-def made_for(count: int) -> int:
-    """Return how many of the solutions of a running campaign its map is made for, at most `count`."""
-    made = SMALLEST
+def fitted_count(count: int) -> int:
+    """Return how many of the first `count` solutions the layout of a running campaign is fitted to."""
+    made = MIN_FITTED
     while True:
-        larger = int(made * (GROWTH if made < MOST else GROWTH_LARGE))
-        larger = min(larger, MOST) if made < MOST else larger
+        larger = int(made * (GROWTH if made < MAX_DRAWN else GROWTH_LARGE))
+        larger = min(larger, MAX_DRAWN) if made < MAX_DRAWN else larger
         if larger > count:
             return min(made, count)
         made = larger
 
 
-def evenly(count: int, most: int) -> Rows:
-    """Return at most so many of the first `count` positions, evenly spread."""
+def evenly_spaced(count: int, most: int) -> Rows:
+    """Return at most `most` evenly spaced indices below `count`, shape ``(min(count, most),)``."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.intp))
 
 
 def drawn_rows(archive: Archive, made: int, *, ended: bool) -> Rows:
-    """Return the positions in the archive of the solutions that are drawn.
+    """Return the archive indices of the solutions to draw, shape ``(n,)``.
 
     Args:
         archive: All evaluated solutions.
-        made: How many of them the map is made for.
-        ended: Whether no more will come.
+        made: Number of solutions that the layout is fitted to.
+        ended: Whether the campaign has ended.
     """
     count = len(archive)
-    if count <= MOST:
+    if count <= MAX_DRAWN:
         return np.arange(count)
-    if not ended:  # those of before stay, whatever their fitness has become
-        return np.concatenate([evenly(made, MOST), np.arange(made, count)])
+    if not ended:  # drawn solutions stay, however their fitness changes
+        return np.concatenate([evenly_spaced(made, MAX_DRAWN), np.arange(made, count)])
     nearest = np.argsort(archive.fitness, kind="stable")[:NEAREST]
-    return np.union1d(nearest, evenly(count, MOST - NEAREST))
+    return np.union1d(nearest, evenly_spaced(count, MAX_DRAWN - NEAREST))
 
 
-def mapped(
+def make_map(
     space: SearchSpace, archive: Archive, *, ended: bool, before: SolutionMap | None = None
 ) -> SolutionMap:
     """Return the map of an archive.
 
     Args:
-        space: Where the solutions come from.
+        space: Search space of the solutions.
         archive: All evaluated solutions.
-        ended: Whether no more will come.
-        before: The map of an earlier state of the archive, which is gone on with if it still holds.
+        ended: Whether the campaign has ended.
+        before: Map of an earlier state of the archive, which is extended if its layout is still current.
     """
-    made = len(archive) if ended else made_for(len(archive))
+    made = len(archive) if ended else fitted_count(len(archive))
     version = f"{made}-{'end' if ended else 'run'}"
     rows = drawn_rows(archive, made, ended=ended)
     if before is not None and before.version == version and len(before.rows) <= len(rows):
@@ -116,7 +115,7 @@ def mapped(
 
 
 def _axes(space: SearchSpace, vectors: FloatArray, points: FloatArray) -> tuple[str | None, str | None]:
-    if len(points) < SMALLEST:
+    if len(points) < MIN_FITTED:
         return None, None
     across, up = axis_meanings(space, vectors, points)
     return across.text if across else None, up.text if up else None
@@ -124,34 +123,40 @@ def _axes(space: SearchSpace, vectors: FloatArray, points: FloatArray) -> tuple[
 
 @dataclass(slots=True)
 class SolutionMaps:
-    """The maps that were asked for last.
+    """A cache of maps.
 
     Attributes:
-        threads: Where they are made.
-        most_waiting: How many may be under way.
+        threads: Where maps are computed.
+        most_waiting: Maximum number of pending computations.
     """
 
     threads: InitVar[Executor]
     most_waiting: InitVar[int]
-    _latest: Latest[SolutionMap] = field(init=False)
+    _latest: SingleFlightCache[SolutionMap] = field(init=False)
     _before: OrderedDict[str, SolutionMap] = field(default_factory=OrderedDict)
 
     def __post_init__(self, threads: Executor, most_waiting: int) -> None:
-        self._latest = Latest(KEPT, threads, most_waiting)
+        self._latest = SingleFlightCache(CACHED, threads, most_waiting)
 
     async def get(self, campaign: str, read: ReadArchive, *, ended: bool) -> SolutionMap:
-        """Return the map of a campaign's archive."""
+        """Return the map of a campaign's archive.
+
+        Args:
+            campaign: Id of the campaign.
+            read: Its archive.
+            ended: Whether the campaign has ended.
+        """
         found = await self._latest.get(
             (campaign, ended), read.generation, lambda: self._make(campaign, read, ended=ended)
         )
         kept = self._before.get(campaign)
-        if kept is None or kept.evaluated <= found.evaluated:  # whoever asked earlier may come later
+        if kept is None or kept.evaluated <= found.evaluated:  # an earlier request may finish later
             self._before[campaign] = found
             self._before.move_to_end(campaign)
-        while len(self._before) > KEPT:
+        while len(self._before) > CACHED:
             self._before.popitem(last=False)
         return found
 
     def _make(self, campaign: str, read: ReadArchive, *, ended: bool) -> SolutionMap:
         space, before = read.plan.problem.space, self._before.get(campaign)
-        return mapped(space, read.archive, ended=ended, before=before)
+        return make_map(space, read.archive, ended=ended, before=before)

@@ -1,1 +1,1 @@
-"""The database: how it is opened, its tables, its one writer, its migrations."""
+"""The database: engines, tables, shared SQL, the writer thread, migrations."""

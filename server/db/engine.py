@@ -1,7 +1,7 @@
-"""How the databases are opened: SQLite in WAL mode with real transactions, Postgres as it is.
+"""Opens databases: SQLite in WAL mode with real transactions, and Postgres.
 
-A database has two engines. The *writer* takes the write lock at BEGIN, so that a transaction never fails halfway
-because another one wrote first. The *reader* sees one snapshot for the length of a transaction.
+Each database has two engines. The *writer* takes the write lock at BEGIN, so that no transaction fails halfway
+because another one wrote first. The *reader* sees one snapshot for the duration of a transaction.
 """
 
 import asyncio
@@ -23,23 +23,22 @@ T = TypeVar("T")
 
 SQLITE_BUSY_S = 30.0
 MAX_OVERFLOW = 32
-"""Connections of a pool besides those that it keeps: more than there are threads that read at a time."""
+"""Temporary connections on top of a pool's permanent ones; more than there are reading threads."""
 WRITER_CACHE_KIB = 32 * 1024
 READER_CACHE_KIB = 8 * 1024
-"""Pages of the database that a connection keeps, at most. Each fills its own as the database grows; what one does not
-keep the system's cache of files has."""
+"""Page cache of one SQLite connection. Pages that do not fit are in the operating system's file cache."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Engines:
-    """The two engines of one database."""
+    """The writer and the reader engine of one database."""
 
     writer: Engine
     reader: Engine
 
     @property
     def is_sqlite(self) -> bool:
-        """Whether this is SQLite."""
+        """Whether the database is SQLite."""
         return self.writer.dialect.name == "sqlite"
 
     def dispose(self) -> None:
@@ -49,15 +48,15 @@ class Engines:
 
 
 def parse_url(database: str) -> URL:
-    """Return the URL of a supported database, with its driver.
+    """Return the URL of a supported database, including its driver.
 
     Raises:
-        DatabaseError: It is no URL, or of a database that is not supported.
+        DatabaseError: The text is not a URL, or the database is not supported.
     """
     expected = "expected sqlite:///FILE or postgresql://USER:PASSWORD@HOST:PORT/NAME"
     try:
         url = make_url(database)
-    except (ArgumentError, ValueError):  # the latter for a port that is no number
+    except (ArgumentError, ValueError):  # ValueError: the port is not a number
         raise DatabaseError(f"database URL {_without_password(database)!r}: {expected}") from None
     if url.drivername == "sqlite":
         if url.database in (None, "", ":memory:"):
@@ -71,17 +70,17 @@ def parse_url(database: str) -> URL:
 
 
 def _without_password(database: str) -> str:
-    """Return what was meant to be a URL, fit to be shown: it may hold a password anywhere before its last ``@``."""
+    """Return a malformed URL without its password, which may be anywhere before the last ``@``."""
     before, at, after = database.rpartition("@")
     shown = f"{before.partition(':')[0]}:***@{after}" if at else database
     return re.sub(r"(?<=password=)[^&]*", "***", shown)
 
 
 def open_engines(database: str) -> Engines:
-    """Return the engines of a database. Nothing is connected yet.
+    """Return the engines of a database, without connecting to it.
 
     Raises:
-        DatabaseError: The URL is not of a supported database, or its driver is not installed.
+        DatabaseError: The database is not supported, or its driver is not installed.
     """
     url = parse_url(database)
     if url.drivername == "sqlite":
@@ -90,9 +89,8 @@ def open_engines(database: str) -> Engines:
             reader=_sqlite(url, "BEGIN", cache_kib=READER_CACHE_KIB),
         )
     try:
-        # The writer finds rows by index; statistics of a moment ago, when all jobs were queued, say otherwise.
-        # So would joins that read both tables in order, or one of them whole, and bitmaps, which gather all that an
-        # index has before the first row comes.
+        # The writer must find rows by index. The job table changes so fast that its statistics mislead the planner:
+        # left alone it chooses sequential scans, merge and hash joins, or bitmap scans that read a whole index first.
         off = ("enable_seqscan", "enable_bitmapscan", "enable_mergejoin", "enable_hashjoin", "jit")
         by_index = {
             "options": " ".join(
@@ -119,7 +117,7 @@ def _sqlite(url: URL, begin: str, *, cache_kib: int) -> Engine:
 
     @event.listens_for(engine, "connect")
     def configure(connection: sqlite3.Connection, _: ConnectionPoolEntry) -> None:
-        connection.isolation_level = None  # the driver's own BEGIN is neither immediate nor covers DDL
+        connection.isolation_level = None  # the driver's implicit BEGIN is not immediate and leaves out DDL
         _enter_wal(connection)
         for pragma in ("synchronous=FULL", "foreign_keys=ON", f"cache_size=-{cache_kib}"):
             connection.execute(f"PRAGMA {pragma}").close()
@@ -132,9 +130,9 @@ def _sqlite(url: URL, begin: str, *, cache_kib: int) -> Engine:
 
 
 def _enter_wal(connection: sqlite3.Connection) -> None:
-    """Switch a database to write-ahead logging, which lasts.
+    """Switch a database file to write-ahead logging, permanently.
 
-    The switch takes the whole file for a moment and does not wait for others by itself.
+    The switch needs an exclusive lock on the file and ignores the busy timeout, hence the loop.
     """
     deadline = time.monotonic() + SQLITE_BUSY_S
     while True:

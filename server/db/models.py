@@ -1,9 +1,9 @@
 """The tables.
 
-A campaign asks for generations of solutions; each solution that needs a simulation has a job; a job keeps the
-outcome of its simulation, which other jobs with the same hash of the specification take over. Rows never leave the
-modules whose SQL reads them (`lease_store`, `report_store` and `workers` of `brink.server.queue`; `store`,
-`step_store` and `view_store` of `brink.server.campaigns`).
+A campaign asks for generations of solutions. Each solution that needs a simulation has a job, and a job stores the
+outcome of its simulation, which jobs with the same specification hash share. Each table belongs to one package, whose
+store modules contain its queries: jobs, traces and workers to `brink.server.queue`, most others to
+`brink.server.campaigns`.
 """
 
 from datetime import datetime
@@ -14,7 +14,6 @@ from sqlalchemy import (
     JSON,
     BigInteger,
     CheckConstraint,
-    ColumnElement,
     Double,
     ForeignKey,
     Index,
@@ -25,12 +24,10 @@ from sqlalchemy import (
     Text,
     UniqueConstraint,
     func,
-    literal,
-    or_,
     select,
     text,
 )
-from sqlalchemy.orm import DeclarativeBase, InstrumentedAttribute, Mapped, mapped_column
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from brink.server.db.types import UtcDateTime
 from brink.server.states import CampaignStatus, JobKind, JobStatus, Scope, SolutionVerdict
@@ -65,7 +62,7 @@ class Base(DeclarativeBase):
 
 
 class CampaignRow(Base):
-    """A campaign: what was asked for, and where it stands."""
+    """A campaign: its document, its status and its counts."""
 
     __tablename__ = "campaigns"
     __table_args__ = (
@@ -101,7 +98,7 @@ class CampaignRow(Base):
 
 
 class ExperimentRow(Base):
-    """An experiment: what was asked for."""
+    """An experiment and its document."""
 
     __tablename__ = "experiments"
 
@@ -114,7 +111,7 @@ class ExperimentRow(Base):
 
 
 class ExperimentCampaignRow(Base):
-    """A campaign of an experiment, and its place there."""
+    """A campaign's membership in an experiment."""
 
     __tablename__ = "experiment_campaigns"
     __table_args__ = (UniqueConstraint("experiment_id", "place"),)
@@ -127,7 +124,7 @@ class ExperimentCampaignRow(Base):
 
 
 class RepeatsRow(Base):
-    """A campaign that simulates boundary solutions of another one, or named ones, again with other seeds."""
+    """A campaign that repeats solutions of another campaign with other seeds."""
 
     __tablename__ = "repeats"
 
@@ -140,7 +137,7 @@ class RepeatsRow(Base):
 
 
 class GenerationRow(Base):
-    """A generation that was told, as series for progress and plots."""
+    """A completed generation's counts and scores: the series for progress and plots."""
 
     __tablename__ = "generations"
 
@@ -159,7 +156,7 @@ class GenerationRow(Base):
 
 
 class SolutionRow(Base):
-    """A complete solution that was asked for."""
+    """A complete solution requested by the algorithm."""
 
     __tablename__ = "solutions"
     __table_args__ = (
@@ -184,7 +181,7 @@ class SolutionRow(Base):
 
 
 class CheckpointRow(Base):
-    """The algorithm's state after the last `tell`, and the archive's counts that go with it."""
+    """The algorithm's state after the last `tell`, with the neighbour counts of its archive."""
 
     __tablename__ = "checkpoints"
 
@@ -197,7 +194,7 @@ class CheckpointRow(Base):
 
 
 class DistanceBlockRow(Base):
-    """The distances of one generation's evaluated solutions to all solutions up to then: float32, row by row."""
+    """Distances from one generation's evaluated solutions to all solutions so far: float32, row-major."""
 
     __tablename__ = "distance_blocks"
 
@@ -212,7 +209,7 @@ class DistanceBlockRow(Base):
 
 
 class JobRow(Base):
-    """One simulation to be run by a worker."""
+    """A simulation for a worker to run."""
 
     __tablename__ = "jobs"
     __table_args__ = (
@@ -265,7 +262,7 @@ class JobRow(Base):
 
 
 class ViolationNameRow(Base):
-    """What a person says a violation is, over what the rules make of it."""
+    """A name that a person gave to a violation, overriding its automatic type."""
 
     __tablename__ = "violation_names"
 
@@ -277,7 +274,7 @@ class ViolationNameRow(Base):
 
 
 class LlmCallRow(Base):
-    """A call of a language model that a campaign made, with its raw reply."""
+    """A campaign's call to a language model, with the raw reply."""
 
     __tablename__ = "llm_calls"
 
@@ -299,7 +296,7 @@ class LlmCallRow(Base):
 
 
 class SeedClaimRow(Base):
-    """Which coordinator asks for a campaign's seeds now: the others wait, until the claim expires."""
+    """A coordinator's claim to request a campaign's seeds; other coordinators wait until it expires."""
 
     __tablename__ = "seed_claims"
 
@@ -309,7 +306,7 @@ class SeedClaimRow(Base):
 
 
 class TokenRow(Base):
-    """A bearer token, without what is secret of it."""
+    """A bearer token; only the digest of its secret is stored."""
 
     __tablename__ = "tokens"
     __table_args__ = (_one_of("scope", Scope),)
@@ -335,34 +332,14 @@ class TraceRow(Base):
 
 _EVERY_CAMPAIGN = CampaignRow.__table__.alias("every_campaign")
 LAST_TURN = select(func.coalesce(func.max(_EVERY_CAMPAIGN.c.turn), 0) + 1).scalar_subquery()
-"""The turn of a campaign that goes to the end of the line."""
+"""The turn of a campaign that moves to the back of the line."""
 
 NEXT_SEQUENCE = CampaignRow.sequence + 1
-"""The sequence number of a campaign that changes: whoever knows the one before can tell that there is news."""
-
-EVALUATES = JobRow.kind != literal(JobKind.TRACE, literal_execute=True)
-"""Of jobs that evaluate a solution, in an episode or on a data set; spelled out, so that plans use the indexes."""
-
-IS_LEASED = JobRow.status == literal(JobStatus.LEASED, literal_execute=True)
-"""Of jobs that a worker has; spelled out for the same reason."""
-
-
-def has_open_jobs(campaign: ColumnElement[str] | InstrumentedAttribute[str] | str) -> ColumnElement[bool]:
-    """Return the condition that jobs of a campaign that evaluate a solution wait or run.
-
-    One look by the index for each of the two: for both at once Postgres may read all that the campaign ever had.
-    """
-    waits, runs = (
-        select(JobRow.id)
-        .where(JobRow.campaign_id == campaign, JobRow.status == status, EVALUATES)
-        .offset(0)  # else Postgres may join
-        for status in (JobStatus.QUEUED, JobStatus.LEASED)
-    )
-    return or_(waits.exists(), runs.exists())
+"""The new value of a campaign's change counter; a client that knows the previous value notices the change."""
 
 
 class WorkerRow(Base):
-    """A worker that was heard of."""
+    """A worker that has contacted a coordinator."""
 
     __tablename__ = "workers"
 

@@ -1,4 +1,4 @@
-"""Bringing a database to this version's schema, once, whoever comes first."""
+"""Upgrades a database to this version's schema, safely when several processes try at once."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,18 +14,22 @@ from sqlalchemy.exc import DBAPIError
 from brink.server.db.engine import Engines
 from brink.server.errors import DatabaseError
 
-UPGRADE_LOCK = 0x6272696E6B  # "brink", the key of the advisory lock on Postgres
+UPGRADE_LOCK = 0x6272696E6B  # "brink": key of the advisory lock on Postgres
 
 
 def alembic_config() -> Config:
-    """Return the configuration of the migrations that belong to this version."""
+    """Return the Alembic configuration for this version's migrations."""
     config = Config()
     config.set_main_option("script_location", str(files("brink.migrations")))
     return config
 
 
 def head_revision() -> str:
-    """Return the newest schema that this version knows."""
+    """Return the newest schema revision that this version knows.
+
+    Raises:
+        DatabaseError: The installation contains no migrations.
+    """
     head = ScriptDirectory.from_config(alembic_config()).get_current_head()
     if head is None:
         raise DatabaseError("this installation has no migrations; install it again")
@@ -33,7 +37,7 @@ def head_revision() -> str:
 
 
 def current_revision(engines: Engines) -> str | None:
-    """Return the schema that a database has, or None if it has none.
+    """Return a database's schema revision, or None if the database is empty.
 
     Raises:
         DatabaseError: The database cannot be reached or read.
@@ -43,10 +47,10 @@ def current_revision(engines: Engines) -> str | None:
 
 
 def check_known(revision: str | None) -> None:
-    """Raise unless this version knows that schema.
+    """Check that this version knows a schema revision.
 
     Raises:
-        DatabaseError: The schema is newer, or of something else.
+        DatabaseError: The schema is newer than this version, or belongs to another program.
     """
     known = {script.revision for script in ScriptDirectory.from_config(alembic_config()).walk_revisions()}
     if revision is not None and revision not in known:
@@ -57,10 +61,10 @@ def check_known(revision: str | None) -> None:
 
 
 def upgrade(engines: Engines) -> tuple[str | None, str]:
-    """Bring the schema to the head, in one transaction, under a lock against racing processes.
+    """Upgrade the schema to the newest revision, in one transaction and under a lock.
 
     Returns:
-        The revisions before and after.
+        The revisions before and after the upgrade.
 
     Raises:
         DatabaseError: The database cannot be reached, or its schema is newer than this version knows.

@@ -1,17 +1,18 @@
-"""One writer a process: a thread that commits for several waiting requests at once.
+"""The writer: one thread for each process, which commits several waiting requests at once.
 
-Callers submit *units*, functions of a connection. The thread takes all that wait, runs them in one transaction,
-commits once and answers each. If a unit fails, the transaction is rolled back and each unit runs again in one of
-its own, so that only the faulty one fails: units must therefore depend on nothing but the database and their
-arguments. A unit is answered only after its commit.
+Callers submit *units*, functions of a connection. The thread runs all waiting units in one transaction and resolves
+their futures after the commit. If a unit fails, the transaction is rolled back and each unit runs again in a
+transaction of its own, so that only the faulty one fails. Units must therefore depend on nothing but the database and
+their arguments.
 """
 
+import asyncio
 import itertools
 import logging
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -27,31 +28,31 @@ A = TypeVar("A")
 Unit = Callable[[Connection], T]
 MAX_UNITS_A_COMMIT = 256
 TRIES = 3
-ANOTHER_WENT_FIRST = frozenset({"40001", "40P01", "23505"})
-"""SQLSTATE of serialization_failure, deadlock_detected, unique_violation: run again, a unit sees what the other
-process has written."""
+CONFLICTS = frozenset({"40001", "40P01", "23505"})
+"""SQLSTATE of serialization_failure, deadlock_detected and unique_violation: another process wrote first. The unit is
+run again and sees what that process wrote."""
 FRESH_S = 1.0
-"""A connection that was not used for this long is handed back and asked for anew: the pool looks whether it lives."""
+"""A connection idle for longer is returned to the pool, which tests it before handing it out again."""
 TROUBLE_S = 30.0
-"""Failures with a longer pause between them are not the same trouble."""
+"""Failures further apart than this do not belong to the same trouble."""
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
-class Joint(Generic[A, T]):
-    """A unit that is run in one go with others of its kind that wait behind it.
+class BatchedUnit(Generic[A, T]):
+    """A unit that is executed together with adjacent waiting units of the same kind.
 
     Attributes:
-        run: Takes the arguments of one or more such units, and returns an answer for each.
-        argument: This unit's own.
+        run: Takes the arguments of one or more such units and returns a result for each.
+        argument: The argument of this unit.
     """
 
     run: Callable[[Connection, Sequence[A]], Sequence[T]]
     argument: A
 
     def __call__(self, connection: Connection) -> T:
-        """Run it alone."""
+        """Run this unit alone."""
         return self.run(connection, [self.argument])[0]
 
 
@@ -63,14 +64,14 @@ class _Waiting:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trouble:
-    """A database that takes no writes.
+    """A period in which the database rejects writes.
 
-    Transactions that change nothing may well go through meanwhile, so what counts is that failures go on.
+    It does not end with a successful transaction, since that one may have changed nothing, but when failures stop.
 
     Attributes:
-        reason: Of the latest failure, in the database's words.
-        first_s: Monotonic time of the first failure.
-        last_s: Monotonic time of the latest one.
+        reason: The latest error message of the database.
+        first_s: Monotonic time of the first failure, in seconds.
+        last_s: Monotonic time of the latest failure, in seconds.
     """
 
     reason: str
@@ -79,55 +80,59 @@ class Trouble:
 
     @property
     def span_s(self) -> float:
-        """For how long writes have failed."""
+        """Time from the first to the latest failure, in seconds."""
         return self.last_s - self.first_s
 
 
 class Writer:
-    """Runs units on the writer engine, many a commit.
+    """Runs units on the writer engine, several in each commit.
 
     Args:
-        engine: Where it writes.
-        took: Hears how long each committed transaction took, in seconds.
+        engine: The writer engine of the database.
+        on_commit: Called with the duration of each committed transaction, in seconds.
     """
 
-    def __init__(self, engine: Engine, took: Callable[[float], None] | None = None) -> None:
+    def __init__(self, engine: Engine, on_commit: Callable[[float], None] | None = None) -> None:
         self._engine = engine
-        self._took = took
+        self._on_commit = on_commit
         self._waiting: queue.SimpleQueue[_Waiting | None] = queue.SimpleQueue()
         self._closing = False
         self._trouble: Trouble | None = None
         self._connection: Connection | None = None
         self._used_s = 0.0
-        # Nothing may slip in behind the end of the queue: nobody would answer it.
-        self._door = threading.Lock()
+        # Guards the end of the queue: a unit submitted after the closing mark would never be resolved.
+        self._closing_lock = threading.Lock()
         self._thread = threading.Thread(target=self._run, name="brink-writer", daemon=True)
         self._thread.start()
 
     @property
     def trouble(self) -> Trouble | None:
-        """Why the database takes no writes now, or None if none has failed lately."""
+        """The current write failure, or None if no write failed recently."""
         trouble = self._trouble
         return trouble if trouble is not None and time.monotonic() - trouble.last_s < TROUBLE_S else None
 
     def submit(self, unit: Unit[T]) -> Future[T]:
-        """Have a unit run and committed.
+        """Queue a unit to be run and committed.
 
         Returns:
-            A future with what the unit returned, or with its error. `Unavailable` if the database is away or the
-            writer is closed.
+            A future for the unit's result or error. The error is `Unavailable` if the database is away or the writer
+            is closed.
         """
         answer: Future[T] = Future()
-        with self._door:
+        with self._closing_lock:
             if not self._closing:
                 self._waiting.put(_Waiting(unit, answer))
                 return answer
         answer.set_exception(Unavailable("the coordinator is stopping"))
         return answer
 
+    def write(self, unit: Unit[T]) -> Awaitable[T]:
+        """Queue a unit, and return an awaitable for its committed result."""
+        return asyncio.wrap_future(self.submit(unit))
+
     def close(self) -> None:
-        """Commit what waits, then stop."""
-        with self._door:
+        """Commit the waiting units, then stop the thread."""
+        with self._closing_lock:
             if not self._closing:
                 self._closing = True
                 self._waiting.put(None)
@@ -174,8 +179,8 @@ class Writer:
         try:
             with self._transaction() as connection:
                 results = _run_all(connection, [waiting.unit for waiting in batch])
-        except Exception as error:  # noqa: BLE001  (every unit gets its own answer)
-            if len(batch) == 1 and not _another_went_first(error):
+        except Exception as error:  # noqa: BLE001  (each unit gets its own error)
+            if len(batch) == 1 and not _is_conflict(error):
                 self._fail(batch[0], error)
                 return
             for waiting in batch:
@@ -189,8 +194,8 @@ class Writer:
             try:
                 with self._transaction() as connection:
                     result = waiting.unit(connection)
-            except Exception as error:  # noqa: BLE001  (answered to the one who asked)
-                if tries_left and _another_went_first(error):
+            except Exception as error:  # noqa: BLE001  (passed on to the caller)
+                if tries_left and _is_conflict(error):
                     continue
                 self._fail(waiting, error)
             else:
@@ -199,7 +204,7 @@ class Writer:
 
     @contextmanager
     def _transaction(self) -> Iterator[Connection]:
-        """Give the writer's connection in a transaction; one that broke, or may have meanwhile, is made anew."""
+        """Yield the connection in a transaction, reconnecting after an error or a long pause."""
         now = time.monotonic()
         if self._connection is not None and now - self._used_s > FRESH_S:
             self._disconnect()
@@ -212,8 +217,8 @@ class Writer:
             self._disconnect()
             raise
         self._used_s = time.monotonic()
-        if self._took is not None:
-            self._took(self._used_s - now)
+        if self._on_commit is not None:
+            self._on_commit(self._used_s - now)
 
     def _disconnect(self) -> None:
         connection, self._connection = self._connection, None
@@ -232,28 +237,30 @@ class Writer:
 
 
 def _run_all(connection: Connection, units: Sequence[Unit[Any]]) -> list[Any]:
-    """Run units in their order, neighbours of one kind in one go."""
+    """Run units in order; adjacent batched units of the same kind share one call."""
     results: list[Any] = []
     for run, neighbours in itertools.groupby(units, key=lambda unit: getattr(unit, "run", None)):
         if run is None:
             results += [unit(connection) for unit in neighbours]
         else:
-            results += run(connection, [unit.argument for unit in neighbours if isinstance(unit, Joint)])
+            results += run(
+                connection, [unit.argument for unit in neighbours if isinstance(unit, BatchedUnit)]
+            )
     return results
 
 
-def passes(error: DBAPIError) -> bool:
-    """Whether the same may work later: the database is away, locked or full, or had another one go first."""
+def is_transient(error: DBAPIError) -> bool:
+    """Return whether the same statement may succeed later: the database is away, locked or full."""
     return error.connection_invalidated or isinstance(error, OperationalError | InterfaceError)
 
 
-def _another_went_first(error: Exception) -> bool:
-    return isinstance(error, DBAPIError) and getattr(error.orig, "sqlstate", None) in ANOTHER_WENT_FIRST
+def _is_conflict(error: Exception) -> bool:
+    return isinstance(error, DBAPIError) and getattr(error.orig, "sqlstate", None) in CONFLICTS
 
 
 def _translated(error: Exception) -> Exception:
-    """Name the database's own troubles in the coordinator's words."""
-    if isinstance(error, DBAPIError) and passes(error):
+    """Return a transient database error as `Unavailable`, and any other error unchanged."""
+    if isinstance(error, DBAPIError) and is_transient(error):
         reason = (
             str(error.orig).strip().splitlines()[0] if str(error.orig).strip() else type(error.orig).__name__
         )

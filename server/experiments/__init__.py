@@ -1,1 +1,1 @@
-"""Experiments: methods on problems with seeds, as campaigns that are compared."""
+"""Experiments: methods compared on problems over several seeds, one campaign each."""

@@ -1,4 +1,4 @@
-"""What a user submits as an experiment, and the campaigns that it consists of."""
+"""The body of an experiment, as users submit it, and the campaigns it consists of."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -9,25 +9,25 @@ from typing import Annotated, Self
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
 from brink.server.campaigns.body import Budget, CampaignBody, Execution, PluginChoice
-from brink.server.documents import Body, hash_of, parsed, read_yaml, without_controls
+from brink.server.documents import Body, check_printable, hash_document, parse_document, read_yaml
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.llm.settings import LlmSettings
 
 MAX_CAMPAIGNS = 500
-"""Of one experiment: all are checked and stored at once."""
+"""Maximum for one experiment: all of its campaigns are checked and stored at once."""
 
-Name = Annotated[str, Field(min_length=1, max_length=60), AfterValidator(without_controls)]
+Name = Annotated[str, Field(min_length=1, max_length=60), AfterValidator(check_printable)]
 Seed = Annotated[int, Field(ge=0, lt=2**53)]
 
 
 class Choice(PluginChoice):
-    """A plug-in with its parameters, and what it is called in tables."""
+    """A plug-in, its parameters, and its name in tables."""
 
-    name: Annotated[Name | None, Field(description="In tables; the id if left out.")] = None
+    name: Annotated[Name | None, Field(description="Name in tables; defaults to the id.")] = None
 
     @property
     def label(self) -> str:
-        """What it is called."""
+        """The name in tables."""
         return self.name or self.id
 
 
@@ -35,19 +35,19 @@ class Method(Choice):
     """An algorithm to compare."""
 
     llm: Annotated[
-        LlmSettings | None, Field(description="Language model that seeds an algorithm which asks for seeds.")
+        LlmSettings | None, Field(description="Language model for algorithms that request seeds.")
     ] = None
 
 
 class SeedRange(Body):
-    """Seeds one after the other."""
+    """Consecutive seeds."""
 
     first: Seed = 1
     count: Annotated[int, Field(ge=1, le=MAX_CAMPAIGNS)]
 
 
-def _one_by_one(seeds: object) -> object:
-    """Return the seeds of a range; anything else as it came."""
+def _expand_range(seeds: object) -> object:
+    """Return the seeds of a range as a list, and anything else unchanged."""
     if not isinstance(seeds, Mapping):
         return seeds
     try:
@@ -60,16 +60,16 @@ def _one_by_one(seeds: object) -> object:
 
 
 class ExperimentBody(Body):
-    """An experiment: every algorithm on every problem with every seed, a campaign each."""
+    """An experiment: one campaign for every combination of algorithm, problem and seed."""
 
     name: Annotated[
-        str, Field(min_length=1, max_length=120, examples=["paper-rq1"]), AfterValidator(without_controls)
+        str, Field(min_length=1, max_length=120, examples=["paper-rq1"]), AfterValidator(check_printable)
     ]
     problems: Annotated[list[Choice], Field(min_length=1, max_length=20)]
     algorithms: Annotated[list[Method], Field(min_length=1, max_length=20)]
     seeds: Annotated[
         list[Seed],
-        BeforeValidator(_one_by_one, json_schema_input_type=list[Seed] | SeedRange),
+        BeforeValidator(_expand_range, json_schema_input_type=list[Seed] | SeedRange),
         Field(
             min_length=1, max_length=MAX_CAMPAIGNS, description="A list, or {first, count}.",
             examples=[{"first": 1, "count": 10}],
@@ -80,7 +80,7 @@ class ExperimentBody(Body):
     execution: Execution = Field(default_factory=Execution)
 
     @model_validator(mode="after")
-    def _can_be_told_apart(self) -> Self:
+    def _has_unique_names(self) -> Self:
         for what, names in (
             ("problems", [choice.label for choice in self.problems]),
             ("algorithms", [choice.label for choice in self.algorithms]),
@@ -88,23 +88,23 @@ class ExperimentBody(Body):
         ):
             twice = [name for name, times in Counter(names).items() if times > 1]
             if twice:
-                hint = "" if what == "seeds" else "; give each a name of its own"
-                raise ValueError(f"{what}: expected different ones, got {twice[0]!r} more than once{hint}")
+                hint = "" if what == "seeds" else "; give each a different name"
+                raise ValueError(f"{what}: expected each only once, got {twice[0]!r} more than once{hint}")
         if self.campaigns > MAX_CAMPAIGNS:
             raise ValueError(f"expected at most {MAX_CAMPAIGNS} campaigns, got {self.campaigns}")
         return self
 
     @property
     def campaigns(self) -> int:
-        """How many campaigns it consists of."""
+        """Number of campaigns."""
         return len(self.problems) * len(self.algorithms) * len(self.seeds)
 
     def document_hash(self) -> str:
-        """Return a hash by which the same submission is known again."""
-        return hash_of(self.model_dump(mode="json"))
+        """Return a hash that identifies equal submissions."""
+        return hash_document(self.model_dump(mode="json"))
 
     def cells(self) -> list["Cell"]:
-        """Return the campaigns, whole repeats first: all methods with the first seed, then with the second."""
+        """Return the campaigns ordered by seed, so that each seed's comparison is complete before the next begins."""
         return [
             self._cell(place, *found)
             for place, found in enumerate(
@@ -136,11 +136,11 @@ class Cell:
     """A campaign of an experiment.
 
     Attributes:
-        place: Which of them.
-        method: What its algorithm is called.
-        problem: What its problem is called.
-        body: The campaign.
-        pointers: Where its problem and its algorithm stand in the experiment.
+        place: Position in the experiment.
+        method: Name of its algorithm.
+        problem: Name of its problem.
+        body: Body of the campaign.
+        pointers: JSON pointers to its problem and its algorithm in the experiment.
     """
 
     place: int
@@ -150,7 +150,7 @@ class Cell:
     pointers: tuple[str, str]
 
     def in_experiment(self, error: InvalidInput) -> InvalidInput:
-        """Return what is wrong with the campaign as what is wrong with the experiment."""
+        """Return an error in the campaign's body as an error in the experiment's body."""
         problem, algorithm = self.pointers
         places = {"/problem": problem, "/algorithm": algorithm, "/llm": f"{algorithm}/llm"}
 
@@ -165,19 +165,19 @@ class Cell:
 
 
 def parse_experiment(document: object) -> ExperimentBody:
-    """Read an experiment.
+    """Validate the document of an experiment.
 
     Raises:
-        InvalidInput: With a pointer to each wrong field.
+        InvalidInput: With a pointer to each invalid field.
     """
     expected = "an experiment with name, problems, algorithms, seeds and budget"
-    return parsed(document, ExperimentBody, expected)
+    return parse_document(document, ExperimentBody, expected)
 
 
 def read_experiment_file(path: Path) -> ExperimentBody:
     """Read an experiment file.
 
     Raises:
-        InvalidInput: The file cannot be read, is no YAML, or is no experiment.
+        InvalidInput: The file cannot be read, is not YAML, or is not an experiment.
     """
     return parse_experiment(read_yaml(path))

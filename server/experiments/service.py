@@ -1,141 +1,96 @@
-"""What users do with experiments: submit, look, pause, resume, cancel, delete."""
+"""Serves users' requests about experiments: submit, view, pause, resume, cancel, delete, compare."""
 
 import asyncio
 import logging
 import secrets
 from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import dataclass
-from datetime import datetime
-from typing import TypeVar
+from concurrent.futures import Executor
+from dataclasses import InitVar, dataclass, field
 
 from sqlalchemy import Connection
 
+from brink.search.analysis.comparison import Repeat
+from brink.search.analysis.scores import Scores, scored
+from brink.server.campaigns.archives import Archives
+from brink.server.campaigns.plan import PreparedCampaign, prepare_campaign, store_campaign
 from brink.server.campaigns.repeats import check_no_open_repeats
-from brink.server.campaigns.service import CampaignService
-from brink.server.campaigns.store import ENDED
-from brink.server.campaigns.submission import Prepared, prepared, store_prepared
-from brink.server.campaigns.values import Campaign
-from brink.server.db.engine import read
+from brink.server.campaigns.service import CampaignService, DocumentService
+from brink.server.campaigns.store import Campaign
+from brink.server.db.sql import DocumentTable
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.experiments import store
-from brink.server.experiments.body import Cell, ExperimentBody
-from brink.server.experiments.values import Experiment
-from brink.server.queue.report_store import idle_campaigns
+from brink.server.experiments.body import ExperimentBody
+from brink.server.experiments.store import EXPERIMENTS, Experiment
+from brink.server.single_flight import SingleFlightCache
 from brink.server.states import CampaignStatus
+
+CACHED_SCORES = 2_000
+"""Campaigns whose scores are in memory, about 30 kB each."""
 
 log = logging.getLogger(__name__)
 
-T = TypeVar("T")
 
+@dataclass(frozen=True, kw_only=True)
+class ExperimentService(DocumentService[ExperimentBody, Experiment]):
+    """The experiments of one coordinator process.
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExperimentService:
-    """Experiments of one coordinator process."""
+    Attributes:
+        campaigns: Starts and controls their campaigns.
+    """
 
+    table: DocumentTable[Experiment] = EXPERIMENTS
     campaigns: CampaignService
 
-    async def submit(self, body: ExperimentBody, key: str | None = None) -> tuple[Experiment, bool]:
-        """Store an experiment and all of its campaigns, or nothing.
+    def _prepare(self, body: ExperimentBody) -> Sequence[PreparedCampaign]:
+        campaigns = []
+        for cell in body.cells():
+            try:
+                campaigns.append(prepare_campaign(cell.body, self.campaigns.llm_endpoints))
+            except InvalidInput as error:
+                raise cell.in_experiment(error) from None
+        return campaigns
 
-        Args:
-            body: What was asked for.
-            key: Idempotency key: the same key again returns the experiment of the first time.
-
-        Returns:
-            The experiment, and whether it is new.
-
-        Raises:
-            InvalidInput: One of its campaigns cannot run.
-            Conflict: The key was used for another experiment.
-        """
-        if key is not None:
-            known = await self._read(lambda connection: store.find_by_key(connection, key))
-            if known is not None:
-                return _same(known, body), False
-        ready = await asyncio.get_running_loop().run_in_executor(
-            self.campaigns.checks, _prepared, body, self.campaigns.llm_endpoints
-        )
-        experiment_id = secrets.token_hex(4)
-
-        def unit(connection: Connection) -> tuple[Experiment, bool, Sequence[str]]:
-            known = store.find_by_key(connection, key) if key is not None else None
-            if known is not None:
-                return _same(known, body), False, ()
-            for _, campaign in ready:
-                store_prepared(connection, campaign)
-            members = [(cell, campaign.id) for cell, campaign in ready]
-            store.insert_experiment(connection, experiment_id, body, members, key)
-            idle = idle_campaigns(connection, [campaign for _, campaign in members])
-            return store.named_experiment(connection, experiment_id), True, idle
-
-        experiment, new, idle = await self._write(unit)
-        if new:
-            log.info("experiment submitted", extra={"experiment": experiment_id, "campaigns": len(ready)})
-            self.campaigns.begin([campaign for _, campaign in ready], idle)
-        return experiment, new
-
-    async def get(self, experiment_id: str) -> Experiment:
-        """Return an experiment by its id, or by the beginning of its id if that is unique.
-
-        Raises:
-            NotFound: There is none, or more than one.
-        """
-        return await self._read(lambda connection: store.named_experiment(connection, experiment_id))
-
-    async def list(
+    def _store(
         self,
-        *,
-        limit: int,
-        before: tuple[datetime, str] | None = None,
-        document_hash: str | None = None,
-    ) -> list[Experiment]:
-        """Return experiments, newest first."""
-        return await self._read(
-            lambda connection: store.list_experiments(
-                connection, limit=limit, before=before, document_hash=document_hash
-            )
-        )
+        connection: Connection,
+        body: ExperimentBody,
+        campaigns: Sequence[PreparedCampaign],
+        key: str | None,
+    ) -> Experiment:
+        for campaign in campaigns:
+            store_campaign(connection, campaign)
+        experiment_id = secrets.token_hex(4)
+        members = [(cell, campaign.id) for cell, campaign in zip(body.cells(), campaigns, strict=True)]
+        store.insert_experiment(connection, experiment_id, body, members, key)
+        return self.table.get(connection, experiment_id)
 
-    async def pause(self, experiment_id: str) -> Experiment:
-        """Pause those of its campaigns that are running."""
-        return await self._each(experiment_id, CampaignStatus.RUNNING, self.campaigns.pause)
+    def _start(self, stored: Experiment, campaigns: Sequence[PreparedCampaign], idle: Sequence[str]) -> None:
+        log.info("experiment submitted", extra={"experiment": stored.id, "campaigns": len(campaigns)})
+        self.campaigns.start(campaigns, idle)
 
-    async def resume(self, experiment_id: str) -> Experiment:
-        """Go on with those of its campaigns that are paused."""
-        return await self._each(experiment_id, CampaignStatus.PAUSED, self.campaigns.resume)
+    def _delete(self, connection: Connection, stored: Experiment) -> None:
+        for member in stored.members:
+            check_no_open_repeats(connection, member.campaign.id)
+        store.delete_experiment(connection, stored)
 
-    async def cancel(self, experiment_id: str) -> Experiment:
-        """End those of its campaigns that have not ended; what they found stays."""
-        await self._each(experiment_id, CampaignStatus.PAUSED, self.campaigns.cancel)
-        return await self._each(experiment_id, CampaignStatus.RUNNING, self.campaigns.cancel)
+    async def pause(self, name: str) -> Experiment:
+        """Pause its running campaigns."""
+        return await self._each(name, CampaignStatus.RUNNING, self.campaigns.pause)
 
-    async def delete(self, experiment_id: str) -> None:
-        """Delete an experiment that has ended, with its campaigns and all that belongs to them.
+    async def resume(self, name: str) -> Experiment:
+        """Resume its paused campaigns."""
+        return await self._each(name, CampaignStatus.PAUSED, self.campaigns.resume)
 
-        Raises:
-            Conflict: It has not ended.
-        """
-        name = (await self.get(experiment_id)).id
-
-        def unit(connection: Connection) -> None:
-            experiment = store.named_experiment(connection, name)
-            if experiment.status not in ENDED:
-                raise Conflict(f"experiment {name} is {experiment.status}: cancel it before deleting it")
-            for member in experiment.members:
-                check_no_open_repeats(connection, member.campaign.id)
-            store.delete_experiment(connection, experiment)
-
-        await self._write(unit)
-        log.info("experiment deleted", extra={"experiment": name})
+    async def cancel(self, name: str) -> Experiment:
+        """Cancel its campaigns that have not ended, keeping their results."""
+        await self._each(name, CampaignStatus.PAUSED, self.campaigns.cancel)
+        return await self._each(name, CampaignStatus.RUNNING, self.campaigns.cancel)
 
     async def _each(
-        self,
-        experiment_id: str,
-        status: CampaignStatus,
-        change: Callable[[str], Awaitable[Campaign]],
+        self, name: str, status: CampaignStatus, change: Callable[[str], Awaitable[Campaign]]
     ) -> Experiment:
-        """Change the campaigns that are in one state; those that left it meanwhile stay as they are."""
-        experiment = await self.get(experiment_id)
+        """Change the campaigns that have a status, and skip those whose status changes first."""
+        experiment = await self.get(name)
         for member in experiment.members:
             if member.campaign.status is status:
                 try:
@@ -144,24 +99,58 @@ class ExperimentService:
                     log.info("%s", error, extra={"experiment": experiment.id})
         return await self.get(experiment.id)
 
-    async def _read(self, query: Callable[[Connection], T]) -> T:
-        return await read(self.campaigns.engines, query)
 
-    def _write(self, unit: Callable[[Connection], T]) -> Awaitable[T]:
-        return asyncio.wrap_future(self.campaigns.writer.submit(unit))
+@dataclass(slots=True)
+class ScoreCache:
+    """The scores of campaigns that have ended, each computed once.
 
+    Attributes:
+        archives: Where campaigns are read.
+        threads: Where scores are computed, so that other requests do not wait.
+    """
 
-def _prepared(body: ExperimentBody, llm_endpoints: str) -> list[tuple[Cell, Prepared]]:
-    ready = []
-    for cell in body.cells():
-        try:
-            ready.append((cell, prepared(cell.body, llm_endpoints)))
-        except InvalidInput as error:
-            raise cell.in_experiment(error) from None
-    return ready
+    archives: Archives
+    threads: InitVar[Executor]
+    _cache: SingleFlightCache[Scores] = field(init=False)
 
+    def __post_init__(self, threads: Executor) -> None:
+        self._cache = SingleFlightCache(CACHED_SCORES, threads)
 
-def _same(known: Experiment, body: ExperimentBody) -> Experiment:
-    if known.document_hash != body.document_hash():
-        raise Conflict(f"this Idempotency-Key was used for another experiment, {known.id}")
-    return known
+    async def repeats(self, experiment: Experiment, wait_s: float) -> tuple[list[Repeat], int]:
+        """Return the scores of an experiment's finished campaigns.
+
+        Args:
+            experiment: The experiment.
+            wait_s: How long to wait for scores that are being computed.
+
+        Returns:
+            The known scores in the order of the campaigns, and how many are still being computed.
+        """
+        finished = [m for m in experiment.members if m.campaign.status is CampaignStatus.FINISHED]
+        pending = [self._start(member.campaign) for member in finished]
+        if not all(one.done() for one in pending):
+            await asyncio.wait(pending, timeout=wait_s)
+        known = [
+            Repeat(
+                problem=member.problem, method=member.method, seed=member.campaign.body.seed,
+                campaign=member.campaign.id, scores=one.result(),
+            )
+            for member, one in zip(finished, pending, strict=True)
+            if one.done()
+        ]  # fmt: skip
+        return known, len(finished) - len(known)
+
+    async def scores(self, campaign: Campaign, wait_s: float) -> Scores | None:
+        """Return the scores of a campaign that has ended, or None if that takes longer than `wait_s`."""
+        pending = self._start(campaign)
+        if not pending.done():
+            await asyncio.wait([pending], timeout=wait_s)
+        return pending.result() if pending.done() else None
+
+    def _start(self, campaign: Campaign) -> asyncio.Future[Scores]:
+        return self._cache.start(campaign.id, campaign.generation, lambda: self._score(campaign))
+
+    def _score(self, campaign: Campaign) -> Scores:
+        plan, _, archive = self.archives.stored(campaign)
+        simulations, seed = campaign.body.budget.simulations, campaign.body.seed
+        return scored(archive, plan.problem.space, simulations=simulations, seed=seed)

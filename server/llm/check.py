@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import httpx
 
-from brink.search.actions.road import RoadLimits
-from brink.search.seeding import SeedRequest
+from brink.search.algorithm import SeedRequest
+from brink.search.traffic.participants import RoadLimits
 from brink.server.llm.client import LlmClient
 from brink.server.llm.drivable import Drivable
 from brink.server.llm.errors import AccessRefused, EndpointAway, KeyMissing, LlmError

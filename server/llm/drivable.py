@@ -10,11 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from brink.search.actions.participants import SIZES_M, Kind, Participant
-from brink.search.actions.placing import ALONG_M
-from brink.search.actions.road import RoadLimits
-from brink.search.actions.rule import Participants, participants_component
-from brink.search.actions.variation import Solution
+from brink.search.traffic.constraint import ALONG_M, Participants, participants_component
+from brink.search.traffic.participants import SIZES_M, Kind, Participant, RoadLimits, Solution
 from brink.server.errors import FieldError
 from brink.server.llm.form import Heading, heading_of
 
@@ -48,7 +45,7 @@ class Drivable:
 
     def problems(self, solution: Solution) -> list[str]:
         """Return what the rule has against a solution; nothing if it complies."""
-        return list(self._component.problems(self._rule.written(solution)))
+        return list(self._component.problems(self._rule.encode(solution)))
 
     def placed(self, solution: Solution, pointer: str) -> Solution | list[FieldError]:
         """Return the solution as the road has it, or why the road has no room for it.
@@ -70,7 +67,7 @@ class Drivable:
     def _mended(self, solution: Solution) -> Solution:
         # Nothing is left open that repair would have to draw; the generator only completes the call.
         rng = np.random.default_rng(0)
-        return self._rule.read(self._component.repair(self._rule.written(solution), rng))
+        return self._rule.decode(self._component.repair(self._rule.encode(solution), rng))
 
     def _no_room(self, solution: Solution, pointer: str) -> FieldError:
         """Return the error for the first participant for whom there is no room."""

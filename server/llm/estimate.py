@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 from typing import Final
 
-from brink.search.actions.road import RoadLimits
-from brink.search.seeding import SeedRequest
+from brink.search.algorithm import SeedRequest
+from brink.search.traffic.participants import RoadLimits
 from brink.server.llm.budget import cost_of, times, together, tokens_of, worst_usage
 from brink.server.llm.form import as_text
 from brink.server.llm.prompts import example, question

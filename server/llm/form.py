@@ -12,22 +12,22 @@ from typing import Annotated, Any, Final
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from brink.search.actions.participants import (
-    FASTEST_MPS,
-    LEAST_ACTIONS,
-    LONGEST_S,
+from brink.search.traffic.participants import (
     MAGNITUDES,
-    MOST_ACTIONS,
-    OF_PEDESTRIANS,
-    OF_VEHICLES,
-    SHORTEST_S,
+    MAX_ACTIONS,
+    MAX_DURATION_S,
+    MAX_SPEEDS_MPS,
+    MIN_ACTIONS,
+    MIN_DURATION_S,
+    PEDESTRIAN_ACTIONS,
+    REACH_M,
+    VEHICLE_ACTIONS,
     Action,
     Gene,
     Kind,
     Participant,
+    Solution,
 )
-from brink.search.actions.road import REACH_M
-from brink.search.actions.variation import Solution
 from brink.server.errors import FieldError
 
 ERRORS_AN_ITEM: Final = 4
@@ -94,7 +94,7 @@ class _Form(BaseModel):
 
 class _ActionForm(_Form):
     action: Annotated[Action, Field(strict=False)]
-    duration_s: Annotated[float, Field(ge=SHORTEST_S, le=LONGEST_S)]
+    duration_s: Annotated[float, Field(ge=MIN_DURATION_S, le=MAX_DURATION_S)]
     magnitude: float
 
 
@@ -104,7 +104,7 @@ class _ParticipantForm(_Form):
     dd_m: Annotated[float, Field(ge=-REACH_M, le=REACH_M)]
     heading: Annotated[Heading, Field(strict=False)]
     speed_mps: Annotated[float, Field(ge=0.0)]
-    actions: Annotated[list[_ActionForm], Field(min_length=LEAST_ACTIONS, max_length=MOST_ACTIONS)]
+    actions: Annotated[list[_ActionForm], Field(min_length=MIN_ACTIONS, max_length=MAX_ACTIONS)]
 
 
 class _SolutionForm(_Form):
@@ -122,10 +122,10 @@ _EXPECTED: Final[Mapping[str, str]] = {
     "ds_m": f"a number from {-REACH_M:g} to {REACH_M:g} (m)",
     "dd_m": f"a number from {-REACH_M:g} to {REACH_M:g} (m)",
     "heading": _of(Heading),
-    "speed_mps": f"a number from 0 to {max(FASTEST_MPS.values()):g} (m/s)",
-    "actions": f"a list of {LEAST_ACTIONS} to {MOST_ACTIONS} actions",
+    "speed_mps": f"a number from 0 to {max(MAX_SPEEDS_MPS.values()):g} (m/s)",
+    "actions": f"a list of {MIN_ACTIONS} to {MAX_ACTIONS} actions",
     "action": _of(Action),
-    "duration_s": f"a number from {SHORTEST_S:g} to {LONGEST_S:g} (s)",
+    "duration_s": f"a number from {MIN_DURATION_S:g} to {MAX_DURATION_S:g} (s)",
     "magnitude": "a finite number",
 }
 
@@ -208,12 +208,12 @@ def _field_error(error: Any, pointer: str) -> FieldError:
 def _misfits(one: _ParticipantForm, pointer: str) -> list[FieldError]:
     """Return what of a participant does not go together."""
     errors = []
-    fastest = FASTEST_MPS[one.kind]
+    fastest = MAX_SPEEDS_MPS[one.kind]
     if one.speed_mps > fastest:
         message = f"expected a {one.kind} to go at {fastest:g} m/s at most, got {one.speed_mps:g}"
         errors.append(FieldError(pointer=f"{pointer}/speed_mps", message=message))
     on_foot = one.kind is Kind.PEDESTRIAN
-    fitting = OF_PEDESTRIANS if on_foot else OF_VEHICLES
+    fitting = PEDESTRIAN_ACTIONS if on_foot else VEHICLE_ACTIONS
     if on_foot and one.heading is Heading.ACROSS:
         message = "expected with_ego or oncoming: pedestrians start along the pavement and turn with the action cross"
         errors.append(FieldError(pointer=f"{pointer}/heading", message=message))
@@ -223,9 +223,9 @@ def _misfits(one: _ParticipantForm, pointer: str) -> list[FieldError]:
         if step.action not in fitting:
             message = f"expected an action of a {one.kind}: {', '.join(fitting)}; got {step.action}"
             errors.append(FieldError(pointer=f"{here}/action", message=message))
-        elif room.unit and not room.least <= step.magnitude <= room.most:
+        elif room.unit and not room.low <= step.magnitude <= room.high:
             message = (
-                f"expected {room.least:g} to {room.most:g} {room.unit} for {step.action}, "
+                f"expected {room.low:g} to {room.high:g} {room.unit} for {step.action}, "
                 f"got {step.magnitude:g}"
             )
             errors.append(FieldError(pointer=f"{here}/magnitude", message=message))

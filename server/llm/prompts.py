@@ -11,25 +11,26 @@ import json
 from collections.abc import Sequence
 from typing import Final
 
-from brink.search.actions.participants import (
-    FASTEST_MPS,
-    LEAST_ACTIONS,
-    LONGEST_S,
+from brink.search.algorithm import SeedRequest
+from brink.search.traffic.constraint import KERB_ROOM_M, WAITS_M
+from brink.search.traffic.participants import (
     MAGNITUDES,
-    MOST_ACTIONS,
-    OF_PEDESTRIANS,
-    OF_VEHICLES,
-    SHORTEST_S,
+    MAX_ACTIONS,
+    MAX_DURATION_S,
+    MAX_SPEEDS_MPS,
+    MIN_ACTIONS,
+    MIN_DURATION_S,
+    PEDESTRIAN_ACTIONS,
+    REACH_M,
     SIZES_M,
+    VEHICLE_ACTIONS,
     Action,
     Gene,
     Kind,
     Participant,
+    RoadLimits,
+    Solution,
 )
-from brink.search.actions.placing import KERB_ROOM_M, WAITS_M
-from brink.search.actions.road import REACH_M, RoadLimits
-from brink.search.actions.variation import Solution
-from brink.search.seeding import SeedRequest
 from brink.server.errors import FieldError
 from brink.server.llm.drivable import apart_m, kept_clear_m
 from brink.server.llm.form import SCHEMA, as_text
@@ -131,7 +132,7 @@ def _start(count: int, system: str) -> str:
 
 def _understanding(road: RoadLimits, most: int) -> str:
     kinds = "; ".join(
-        f"{kind} ({SIZES_M[kind][0]:g} m long, {SIZES_M[kind][1]:g} m wide, at most {FASTEST_MPS[kind]:g} m/s)"
+        f"{kind} ({SIZES_M[kind][0]:g} m long, {SIZES_M[kind][1]:g} m wide, at most {MAX_SPEEDS_MPS[kind]:g} m/s)"
         for kind in Kind
     )
     return "\n".join(
@@ -146,10 +147,10 @@ def _understanding(road: RoadLimits, most: int) -> str:
             "- heading: with_ego (drives or walks the ego's way), oncoming (the other way), across (vehicles only: "
             "comes out of a crossing street).",
             "- speed_mps: speed at the start, from 0 m/s to the most of its kind.",
-            f"- actions: {LEAST_ACTIONS} to {MOST_ACTIONS} actions, one after the other. Each has a duration_s from "
-            f"{SHORTEST_S:g} to {LONGEST_S:g} s and a magnitude:",
+            f"- actions: {MIN_ACTIONS} to {MAX_ACTIONS} actions, one after the other. Each has a duration_s from "
+            f"{MIN_DURATION_S:g} to {MAX_DURATION_S:g} s and a magnitude:",
             *_actions(),
-            f"  Vehicles can do: {', '.join(OF_VEHICLES)}. Pedestrians can do: {', '.join(OF_PEDESTRIANS)}.",
+            f"  Vehicles can do: {', '.join(VEHICLE_ACTIONS)}. Pedestrians can do: {', '.join(PEDESTRIAN_ACTIONS)}.",
             "# What makes a solution elite",
             "- It disturbs the ego's path: somebody brakes, cuts in, crosses, pulls out or comes towards it where "
             "and when the ego gets there. Work out where the ego is by then.",
@@ -205,7 +206,7 @@ def _actions() -> list[str]:
     lines = []
     for action in Action:
         room = MAGNITUDES[action]
-        values = f", {room.least:g} to {room.most:g} {room.unit}" if room.unit else "; write 0"
+        values = f", {room.low:g} to {room.high:g} {room.unit}" if room.unit else "; write 0"
         lines.append(f"  - {action}: {room.meaning}{values}.")
     return lines
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from brink.search.actions.variation import Solution
+from brink.search.traffic.participants import Solution
 from brink.server.errors import FieldError
 from brink.server.llm.drivable import Drivable
 from brink.server.llm.form import read

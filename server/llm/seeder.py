@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from brink.search.actions.road import RoadLimits
-from brink.search.actions.variation import Solution
-from brink.search.seeding import Origin, Proposal, SeedRequest
+from brink.search.algorithm import Origin, Proposal, SeedRequest
+from brink.search.traffic.participants import RoadLimits, Solution
 from brink.server.errors import FieldError
 from brink.server.llm.budget import cost_of, times, together, worst_usage
 from brink.server.llm.calls import CallKey, CallLog, Outcome, StoredCall

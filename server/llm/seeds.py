@@ -18,7 +18,7 @@ from typing import Final
 
 from sqlalchemy.exc import DBAPIError
 
-from brink.search.seeding import Proposal, SeedRequest
+from brink.search.algorithm import Proposal, SeedRequest
 from brink.server.db.engine import Engines
 from brink.server.db.writer import Writer
 from brink.server.errors import Unavailable

@@ -22,7 +22,6 @@ from pydantic import (
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from brink.server.llm.errors import KeyMissing
-from brink.server.settings import LOOPBACK
 
 HIDDEN: Final = "[not shown]"
 _PATH: Final = "/chat/completions"
@@ -153,6 +152,10 @@ class LlmSettings(BaseModel):
     @property
     def on_this_machine(self) -> bool:
         """Whether the endpoint is on the machine that asks."""
+        from brink.server.settings import (
+            LOOPBACK,  # loads pydantic-settings, which reading a campaign file does not need
+        )
+
         return urlsplit(self.endpoint).hostname in LOOPBACK
 
     @property

@@ -8,10 +8,9 @@ from typing import Final
 
 from sqlalchemy import Connection, delete, insert, select
 
-from brink.server.db.clock import database_now
 from brink.server.db.engine import Engines
-from brink.server.db.locking import lock_campaign
 from brink.server.db.models import LlmCallRow, SeedClaimRow
+from brink.server.db.sql import database_now, lock_campaign
 from brink.server.db.writer import Writer
 from brink.server.errors import Unavailable
 from brink.server.llm.budget import Budget

@@ -1,1 +1,1 @@
-"""What whoever keeps a coordinator running needs: an examination, retention, files to move a campaign by."""
+"""Tools for operators: diagnosis, retention, export and import of campaigns."""

@@ -1,7 +1,8 @@
-"""Examines a database and those who work on it: what is wrong, and what to do about it."""
+"""Diagnoses a database, its workers and its campaigns: what is wrong, and what to do about it."""
 
 import hashlib
 import shutil
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -13,42 +14,44 @@ from sqlalchemy import Connection, func, select, text
 from sqlalchemy.exc import DBAPIError
 
 from brink.search.errors import SearchError
-from brink.server.campaigns import step_store, store
+from brink.server.campaigns import step_store
 from brink.server.campaigns.plan import make_plan, restored_archive
-from brink.server.db.clock import database_now
+from brink.server.campaigns.store import CAMPAIGNS
 from brink.server.db.engine import Engines
-from brink.server.db.models import CampaignRow, DistanceBlockRow, JobRow
+from brink.server.db.models import CampaignRow, DistanceBlockRow
+from brink.server.db.sql import database_now
 from brink.server.db.upgrade import current_revision, head_revision
 from brink.server.errors import ServerError
-from brink.server.queue.workers import list_seen
+from brink.server.queue import job_store
+from brink.server.queue.workers import list_workers
 from brink.server.settings import Settings
 from brink.server.states import CampaignStatus, JobStatus
 
 SKEW_S: Final = 2.0
-"""A database's clock may be off by so much from this machine's."""
+"""Tolerated difference between the database's clock and this machine's."""
 OVERDUE_S: Final = 30.0
-"""A lease, or a step, that is due for longer than this was seen to by nobody."""
+"""A lease that expired, or a step that has been due, for longer than this has been overlooked."""
 LEAST_FREE_BYTES: Final = 1 << 30
 SAMPLED_ROWS: Final = 64
-"""Solutions of a campaign whose stored distances are computed again."""
+"""Solutions of each campaign whose stored distances are verified."""
 
 
 class State(StrEnum):
-    """How a check went."""
+    """The result of a check."""
 
     FINE = "fine"
     LOOK = "look"
     WRONG = "wrong"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Finding:
-    """What a check found.
+    """One finding.
 
     Attributes:
-        check: What was looked at.
-        state: How it went.
-        found: In words.
+        check: Name of the check.
+        state: Its result.
+        found: What was found.
         advice: What to do; empty if nothing.
     """
 
@@ -59,12 +62,12 @@ class Finding:
 
 
 def examine(settings: Settings, engines: Engines, *, thorough: bool) -> Iterator[Finding]:
-    """Give what each check found, one after another; those that need the database stop where it cannot be read.
+    """Yield the findings of all checks, or of the first ones only if the database cannot be used.
 
     Args:
-        settings: Which database, and how long a worker is waited for.
-        engines: Of that database.
-        thorough: Whether to read all checkpoints and distances, and compute some of them again.
+        settings: The coordinator's settings.
+        engines: Its database.
+        thorough: Also read all checkpoints and distances, and verify some distances by computing them again.
     """
     try:
         with engines.reader.connect() as connection:
@@ -72,19 +75,15 @@ def examine(settings: Settings, engines: Engines, *, thorough: bool) -> Iterator
         revision = current_revision(engines)
     except (ServerError, DBAPIError) as error:
         words = str(error.orig if isinstance(error, DBAPIError) else error).strip().splitlines()
-        yield Finding(
-            check="database", state=State.WRONG, found=words[0] if words else "it does not answer",
-            advice="is the URL right, the server up, the file there?",
-        )  # fmt: skip
+        advice = "check the URL, and that the server runs or the file exists"
+        yield Finding("database", State.WRONG, words[0] if words else "no answer", advice)
         return
-    yield Finding(check="database", state=State.FINE, found="it answers")
+    yield Finding("database", State.FINE, "reachable")
     if revision != head_revision():
-        yield Finding(
-            check="schema", state=State.WRONG, found=f"{revision or 'none'}, this version needs {head_revision()}",
-            advice="brink db upgrade",
-        )  # fmt: skip
+        found = f"{revision or 'none'}, this version needs {head_revision()}"
+        yield Finding("schema", State.WRONG, found, "brink db upgrade")
         return
-    yield Finding(check="schema", state=State.FINE, found=str(revision))
+    yield Finding("schema", State.FINE, str(revision))
     checks: list[Callable[[Connection], Iterator[Finding]]] = [
         _clock,
         lambda connection: _workers(connection, settings),
@@ -104,145 +103,113 @@ def examine(settings: Settings, engines: Engines, *, thorough: bool) -> Iterator
 def _file(connection: Connection, settings: Settings) -> Iterator[Finding]:
     file = settings.sqlite_file
     assert file is not None
-    said = connection.execute(text("PRAGMA quick_check(1)")).scalar_one()
+    integrity = connection.execute(text("PRAGMA quick_check(1)")).scalar_one()
     free = shutil.disk_usage(file.resolve().parent).free
     size = file.stat().st_size
-    if said != "ok":
-        yield Finding(
-            check="file", state=State.WRONG, found=f"it is damaged: {said}",
-            advice="stop everything, keep a copy, and recover what can be with sqlite3 .recover",
-        )  # fmt: skip
+    if integrity != "ok":
+        advice = "stop everything, copy the file, and recover the data with sqlite3 .recover"
+        yield Finding("file", State.WRONG, f"damaged: {integrity}", advice)
     elif free < max(LEAST_FREE_BYTES, size // 10):
-        yield Finding(
-            check="file", state=State.LOOK, found=f"{_bytes(size)}; {_bytes(free)} are left on its disk",
-            advice="make room: brink db prune",
-        )  # fmt: skip
+        advice = "free some space: brink db prune"
+        yield Finding("file", State.LOOK, f"{_bytes(size)}; {_bytes(free)} free on its disk", advice)
     else:
-        yield Finding(
-            check="file", state=State.FINE, found=f"{_bytes(size)}; {_bytes(free)} are left on its disk"
-        )
+        yield Finding("file", State.FINE, f"{_bytes(size)}; {_bytes(free)} free on its disk")
 
 
 def _clock(connection: Connection) -> Iterator[Finding]:
     skew_s = (database_now(connection) - datetime.now(UTC)).total_seconds()
-    found = f"the database's is {abs(skew_s):.1f} s {'ahead of' if skew_s > 0 else 'behind'} this machine's"
+    found = (
+        f"the database's clock is {abs(skew_s):.1f} s {'ahead of' if skew_s > 0 else 'behind'} this machine's"
+    )
     if abs(skew_s) > SKEW_S:
-        yield Finding(
-            check="clock", state=State.LOOK, found=found,
-            advice="leases go by the database's clock alone; mend it for the sake of logs",
-        )  # fmt: skip
+        advice = "leases are not affected, but times in logs are: correct this machine's clock"
+        yield Finding("clock", State.LOOK, found, advice)
     else:
-        yield Finding(check="clock", state=State.FINE, found=found)
+        yield Finding("clock", State.FINE, found)
 
 
 def _workers(connection: Connection, settings: Settings) -> Iterator[Finding]:
-    live = list_seen(connection, within_s=settings.worker_seen_s)
+    live = list_workers(connection, within_s=settings.worker_seen_s)
     offered = {capability for worker in live for capability in worker.capabilities}
-    waiting = (
-        select(JobRow.needs, func.count())
-        .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
-        .where(JobRow.status == JobStatus.QUEUED, CampaignRow.status == CampaignStatus.RUNNING)
-        .group_by(JobRow.needs)
-    )
-    queued = {str(row[0]): int(row[1]) for row in connection.execute(waiting)}
-    found = f"{len(live)} heard of in the last {settings.worker_seen_s:g} s"
+    queued: Counter[str] = Counter()
+    for one in job_store.count_jobs(connection):
+        if one.status is JobStatus.QUEUED and one.campaign_status is CampaignStatus.RUNNING:
+            queued[one.needs] += one.jobs
+    found = f"{len(live)} in contact within the last {settings.worker_seen_s:g} s"
     lacking = {needs: count for needs, count in queued.items() if needs not in offered}
     if not lacking:
-        yield Finding(check="workers", state=State.FINE, found=found)
+        yield Finding("workers", State.FINE, found)
     for needs, count in sorted(lacking.items()):
-        yield Finding(
-            check="workers", state=State.WRONG, found=f"{found}; {count} queued jobs need {needs}, which none offers",
-            advice="start a worker where that is installed: brink worker --server URL",
-        )  # fmt: skip
+        advice = "start a worker on a machine that can run it: brink worker --server URL"
+        unrunnable = f"{count} queued jobs need {needs}, which none of them offers"
+        yield Finding("workers", State.WRONG, f"{found}; {unrunnable}", advice)
 
 
 def _leases(connection: Connection) -> Iterator[Finding]:
     horizon = database_now(connection) - timedelta(seconds=OVERDUE_S)
-    overdue, held = connection.execute(
-        select(func.count().filter(JobRow.lease_expires_at < horizon), func.count()).where(
-            JobRow.status == JobStatus.LEASED
-        )
-    ).one()
+    overdue, held = job_store.count_leases(connection, horizon)
     if overdue:
-        yield Finding(
-            check="leases", state=State.WRONG,
-            found=f"{overdue} of {held} ran out over {OVERDUE_S:g} s ago, and nobody took them back",
-            advice="is a coordinator running on this database? brink serve",
-        )  # fmt: skip
+        advice = "is a coordinator running on this database? brink serve"
+        found = f"{overdue} of {held} expired over {OVERDUE_S:g} s ago and were not taken back"
+        yield Finding("leases", State.WRONG, found, advice)
     else:
-        yield Finding(check="leases", state=State.FINE, found=f"{held} held")
+        yield Finding("leases", State.FINE, f"{held} held")
 
 
 def _jobs(connection: Connection) -> Iterator[Finding]:
-    by_status = (
-        select(JobRow.status, func.count())
-        .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
-        .where(CampaignRow.status.in_([CampaignStatus.RUNNING, CampaignStatus.PAUSED]))
-        .group_by(JobRow.status)
-    )
-    counts = {str(row[0]): int(row[1]) for row in connection.execute(by_status)}
+    counts = job_store.count_by_status(connection, [CampaignStatus.RUNNING, CampaignStatus.PAUSED])
     found = ", ".join(f"{count} {status}" for status, count in sorted(counts.items())) or "none"
     quarantined = counts.get(JobStatus.QUARANTINED, 0)
     if quarantined:
-        yield Finding(
-            check="jobs", state=State.LOOK, found=f"of campaigns that go on: {found}",
-            advice="see why with brink status ID; retry with POST /api/v1/jobs/ID/retry",
-        )  # fmt: skip
+        advice = "see the reason with brink status ID; retry with POST /api/v1/jobs/ID/retry"
+        yield Finding("jobs", State.LOOK, f"of running and paused campaigns: {found}", advice)
     else:
-        yield Finding(check="jobs", state=State.FINE, found=f"of campaigns that go on: {found}")
+        yield Finding("jobs", State.FINE, f"of running and paused campaigns: {found}")
 
 
 def _campaigns(connection: Connection) -> Iterator[Finding]:
     horizon = database_now(connection) - timedelta(seconds=OVERDUE_S)
     stuck = 0
-    for campaign_id in store.running_idle(connection):
-        campaign = store.find_campaign(connection, campaign_id)
-        latest = connection.execute(
-            select(func.max(JobRow.finished_at)).where(JobRow.campaign_id == campaign_id)
-        ).scalar_one()
+    for campaign_id in job_store.idle_campaigns(connection):
+        campaign = CAMPAIGNS.find(connection, campaign_id)
+        latest = job_store.last_finished_at(connection, campaign_id)
         since = latest or (campaign.created_at if campaign is not None else None)
         if since is not None and since < horizon:
             stuck += 1
-            yield Finding(
-                check="campaigns", state=State.WRONG,
-                found=f"{campaign_id} has had nothing to simulate since {since:%Y-%m-%d %H:%M:%S} UTC",
-                advice="is a coordinator running, and what does its log say? Its step is due, or its seeds",
-            )  # fmt: skip
+            advice = "is a coordinator running, and what does its log say? A step or seeds are due"
+            found = f"{campaign_id} has had no open job since {since:%Y-%m-%d %H:%M:%S} UTC"
+            yield Finding("campaigns", State.WRONG, found, advice)
     if not stuck:
         running = connection.execute(
             select(func.count()).where(CampaignRow.status == CampaignStatus.RUNNING)
         ).scalar_one()
-        yield Finding(check="campaigns", state=State.FINE, found=f"{running} running, none of them stuck")
+        yield Finding("campaigns", State.FINE, f"{running} running, none of them stuck")
 
 
 def _stored(connection: Connection) -> Iterator[Finding]:
-    """Read every campaign's checkpoint and distances, and compute some of the distances again."""
+    """Read the checkpoint and the distances of each campaign, and verify some distances."""
     names = connection.execute(select(CampaignRow.id).order_by(CampaignRow.created_at)).scalars().all()
     broken = 0
     compared = 0
     for name in names:
         try:
-            compared += _compared_rows(connection, name)
+            compared += _verify(connection, name)
         except (ServerError, SearchError, ValueError, LookupError) as error:
             broken += 1
-            yield Finding(
-                check="stored", state=State.WRONG, found=f"{name}: {error}",
-                advice="results of single simulations are apart and stay; the search cannot go on from here",
-            )  # fmt: skip
+            advice = "the results of simulations are not affected, but the search cannot continue"
+            yield Finding("stored", State.WRONG, f"{name}: {error}", advice)
     if not broken:
-        yield Finding(
-            check="stored", state=State.FINE,
-            found=f"archives of {len(names)} campaigns; {compared} solutions' distances computed again",
-        )  # fmt: skip
+        found = f"archives of {len(names)} campaigns; distances of {compared} solutions verified"
+        yield Finding("stored", State.FINE, found)
 
 
-def _compared_rows(connection: Connection, campaign_id: str) -> int:
-    """Return how many solutions' stored distances were found to be what they should be.
+def _verify(connection: Connection, campaign_id: str) -> int:
+    """Verify a campaign's archive; return for how many solutions the distances were verified.
 
     Raises:
-        ValueError: Something is not what it should be.
+        ValueError: Stored data is damaged or wrong.
     """
-    campaign = store.find_campaign(connection, campaign_id)
+    campaign = CAMPAIGNS.find(connection, campaign_id)
     assert campaign is not None
     plan = make_plan(campaign.body)
     stored = step_store.read_archive(connection, campaign_id, plan.problem.space.dimension)
@@ -258,16 +225,20 @@ def _compared_rows(connection: Connection, campaign_id: str) -> int:
     again = archive.distances(rows, rows)
     wrong = np.abs(known - again).max()
     if wrong > 1e-5:
-        raise ValueError(f"stored distances differ by up to {wrong:.2g} from what they should be")
+        raise ValueError(f"stored distances differ by up to {wrong:.2g} from computed ones")
     return len(rows)
 
 
 def _check_blocks(connection: Connection, campaign_id: str) -> None:
-    """Raise ValueError if a block of distances has not the checksum with which it was stored."""
+    """Check the checksums of all distance blocks.
+
+    Raises:
+        ValueError: A block does not match its checksum.
+    """
     query = select(DistanceBlockRow.generation, DistanceBlockRow.sha256, DistanceBlockRow.data).where(
         DistanceBlockRow.campaign_id == campaign_id
     )
-    # One block at a time: all of them may take more memory than there is.
+    # One block at a time: all of them may not fit into memory.
     with connection.execution_options(stream_results=True, yield_per=1).execute(query) as blocks:
         for block in blocks:
             if hashlib.sha256(block.data).hexdigest() != block.sha256:

@@ -1,11 +1,11 @@
-"""A campaign as one file: everything that belongs to it, to be kept, sent, and taken in elsewhere.
+"""Exports a campaign to one file, with everything that belongs to it, and imports it elsewhere.
 
-The file is a zip archive: `manifest.json` with a format version and a checksum of each other member; a table a
-member as JSON Lines (`solutions.jsonl`); arrays as NumPy writes them (`arrays/vectors.npy`), which ``numpy.load``
-reads from the file as it is. Nothing in it is ever executed.
+The file is a zip archive: `manifest.json` with a format version and a checksum of every other member, one member in
+JSON Lines for each table (`solutions.jsonl`), and arrays in NumPy's format (`arrays/vectors.npy`), which
+``numpy.load`` can read. Nothing in it is ever executed.
 
-What comes from a file is not trusted: forms, numbers, checksums and hashes are checked before anything is stored,
-all of it is stored in one transaction, and its results are not handed on to other campaigns.
+Imported files are not trusted: types, ranges, checksums and hashes are checked, the file is stored in one
+transaction, and its results are not shared with other campaigns.
 """
 
 import hashlib
@@ -14,21 +14,22 @@ import json
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
+from types import SimpleNamespace
 from typing import IO, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
-from sqlalchemy import JSON, Connection, Table, insert, select
+from sqlalchemy import JSON, Connection, RowMapping, Table, insert, select
 from sqlalchemy.exc import DataError, IntegrityError
 
 from brink import __version__
-from brink.server.campaigns import store
 from brink.server.campaigns.body import CampaignBody
 from brink.server.campaigns.plan import make_plan
-from brink.server.db.clock import database_now
+from brink.server.campaigns.store import CAMPAIGNS
 from brink.server.db.models import (
     Base,
     CampaignRow,
@@ -41,6 +42,7 @@ from brink.server.db.models import (
     TraceRow,
     ViolationNameRow,
 )
+from brink.server.db.sql import database_now
 from brink.server.db.types import UtcDateTime
 from brink.server.errors import Conflict, NotFound, ServerError
 from brink.server.states import CampaignStatus, JobStatus
@@ -51,7 +53,7 @@ FORMAT: Final = "brink-campaign"
 VERSION: Final = 1
 LONGEST_LINE: Final = 16 * 1024 * 1024
 LARGEST_BYTES: Final = 64 * 1024**3
-"""Of all members together, unpacked."""
+"""Maximum size of all members together, unpacked."""
 _BATCH: Final = 500
 _MANIFEST: Final = "manifest.json"
 _LEASE: Final = ("lease_token", "lease_worker", "lease_expires_at", "failed_worker", "not_before")
@@ -69,39 +71,30 @@ _LEFT_OUT: Final[Mapping[str, tuple[str, ...]]] = {
     "campaigns": ("idempotency_key", "turn", "sequence"),
     "jobs": ("id", "cache", *_LEASE),
 }
-"""Columns that mean something only where they are."""
+"""Columns that are meaningless in another database."""
 
 
 class BadFile(ServerError):
-    """A file is not one that `export_campaign` wrote, or is damaged."""
+    """The file was not written by `export_campaign`, or is damaged."""
 
 
 def export_campaign(connection: Connection, campaign_id: str, file: Path) -> dict[str, int]:
-    """Write a campaign to a file; return how many rows of each table.
+    """Write a campaign to a file; return the number of rows of each table.
 
     Args:
         connection: Sees one snapshot.
-        campaign_id: Which one.
-        file: Where to; it appears when it is complete.
+        campaign_id: The campaign.
+        file: The file, which appears only when it is complete.
 
     Raises:
         NotFound: There is no such campaign.
     """
-    if store.find_campaign(connection, campaign_id) is None:
+    if CAMPAIGNS.find(connection, campaign_id) is None:
         raise NotFound(f"campaign {campaign_id}: no such campaign")
     part = file.with_name(f"{file.name}.part")
-    counts: dict[str, int] = {}
-    sums: dict[str, str] = {}
     try:
         with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
-            for name, model in _TABLES.items():
-                counts[name] = _write_table(connection, archive, sums, name, model.__table__, campaign_id)
-            counts["traces"] = _write_traces(connection, archive, sums, campaign_id)
-            manifest = {
-                "format": FORMAT, "version": VERSION, "brink": __version__, "campaign": campaign_id,
-                "rows": counts, "sha256": sums,
-            }  # fmt: skip
-            archive.writestr(_MANIFEST, json.dumps(manifest, indent=1))
+            counts = _Export(connection, archive, campaign_id).run()
         part.replace(file)
     finally:
         part.unlink(missing_ok=True)
@@ -109,120 +102,119 @@ def export_campaign(connection: Connection, campaign_id: str, file: Path) -> dic
 
 
 def import_campaign(connection: Connection, file: Path) -> tuple[str, dict[str, int]]:
-    """Store the campaign of a file; return its id and how many rows of each table. One that was running is paused.
+    """Store the campaign of a file; return its id and the number of rows of each table.
+
+    A campaign that was running is paused.
 
     Args:
-        connection: In a write transaction, which is to be rolled back if this raises.
-        file: As `export_campaign` wrote it.
+        connection: In a write transaction, which must be rolled back if this raises.
+        file: A file written by `export_campaign`.
 
     Raises:
-        BadFile: It is none, is damaged, or says what cannot be.
-        Conflict: There is a campaign with its id.
+        BadFile: The file is of another kind, damaged or inconsistent.
+        Conflict: A campaign with its id exists.
     """
     try:
         with zipfile.ZipFile(file) as archive:
             return _Import(connection, archive).run()
     except (IntegrityError, DataError) as error:
         words = str(error.orig).strip().splitlines()
-        raise BadFile(f"{file}: it says what cannot be stored: {words[0] if words else error}") from None
+        raise BadFile(f"{file}: its data cannot be stored: {words[0] if words else error}") from None
     except FileNotFoundError:
         raise BadFile(f"{file}: no such file") from None
     except (
         zipfile.BadZipFile, zlib.error, EOFError, OSError, KeyError, UnicodeDecodeError, NotImplementedError,
-        RuntimeError,  # of zipfile: a member that is encrypted
+        RuntimeError,  # raised by zipfile for encrypted members
     ) as error:  # fmt: skip
         raise BadFile(f"{file}: expected a file of brink export, undamaged: {error}") from None
 
 
-def _write_table(
-    connection: Connection,
-    archive: zipfile.ZipFile,
-    sums: dict[str, str],
-    name: str,
-    table: Any,
-    campaign_id: str,
-) -> int:
-    """Write a table's rows of one campaign as JSON Lines, and what is binary of them as arrays."""
-    columns = [column.name for column in table.columns if column.name not in _LEFT_OUT.get(name, ())]
-    own = table.c.id if name == "campaigns" else table.c.campaign_id
-    query = select(*(table.c[column] for column in columns)).where(own == campaign_id)
-    query = query.order_by(*(table.c.id,) if name == "jobs" else table.primary_key.columns)
-    vectors: list[bytes] = []
-    count = 0
-    with _member(archive, sums, f"{name}.jsonl") as member:
-        rows = connection.execution_options(stream_results=True, yield_per=_BATCH).execute(query)
-        for row in rows.mappings():
-            count += 1
-            told = {key: _json(value) for key, value in row.items() if not isinstance(value, bytes)}
-            member.write(json.dumps(told, separators=(",", ":"), sort_keys=True).encode() + b"\n")
-            if name == "solutions":
-                vectors.append(row["vector"])
-    if name == "solutions" and vectors:
-        table_of = np.frombuffer(b"".join(vectors), "<f8").reshape(len(vectors), -1)
-        _write_array(archive, sums, "vectors", table_of)
-    if name in ("checkpoints", "distance_blocks"):
-        _write_binary(connection, archive, sums, name, query)
-    return count
+class _Export:
+    """The export of one campaign."""
 
+    def __init__(self, connection: Connection, archive: zipfile.ZipFile, campaign_id: str) -> None:
+        self._connection = connection
+        self._archive = archive
+        self._id = campaign_id
+        self._sums: dict[str, str] = {}
 
-def _write_binary(
-    connection: Connection, archive: zipfile.ZipFile, sums: dict[str, str], name: str, query: Any
-) -> None:
-    with connection.execution_options(stream_results=True, yield_per=1).execute(query) as rows:
-        for row in rows.mappings():
+    def run(self) -> dict[str, int]:
+        """Write all members; return the number of rows of each table."""
+        counts = {name: self._write_table(name, model.__table__) for name, model in _TABLES.items()}
+        counts["traces"] = self._write_traces()
+        manifest = {
+            "format": FORMAT, "version": VERSION, "brink": __version__, "campaign": self._id,
+            "rows": counts, "sha256": self._sums,
+        }  # fmt: skip
+        self._archive.writestr(_MANIFEST, json.dumps(manifest, indent=1))
+        return counts
+
+    def _write_table(self, name: str, table: Any) -> int:
+        """Write the campaign's rows of a table: binary columns as arrays, the others as JSON Lines."""
+        columns = [column.name for column in table.columns if column.name not in _LEFT_OUT.get(name, ())]
+        own = table.c.id if name == "campaigns" else table.c.campaign_id
+        query = select(*(table.c[column] for column in columns)).where(own == self._id)
+        query = query.order_by(*(table.c.id,) if name == "jobs" else table.primary_key.columns)
+        vectors: list[bytes] = []
+        count = 0
+        with self._member(f"{name}.jsonl") as member:
+            for row in self._rows(query, _BATCH):
+                count += 1
+                plain = {key: _json(value) for key, value in row.items() if not isinstance(value, bytes)}
+                member.write(json.dumps(plain, separators=(",", ":"), sort_keys=True).encode() + b"\n")
+                if name == "solutions":
+                    vectors.append(row["vector"])
+        if vectors:
+            self._write_array("vectors", np.frombuffer(b"".join(vectors), "<f8").reshape(len(vectors), -1))
+        for row in self._rows(query, 1) if name in ("checkpoints", "distance_blocks") else ():
             if name == "checkpoints":
                 for column in ("document", "neighbours", "unsafe_neighbours"):
-                    _write_array(archive, sums, f"checkpoint-{column}", np.frombuffer(row[column], np.uint8))
+                    self._write_array(f"checkpoint-{column}", np.frombuffer(row[column], np.uint8))
             else:
                 block = np.frombuffer(row["data"], "<f4").reshape(row["rows"], row["columns"])
-                _write_array(archive, sums, f"distances-{row['generation']}", block)
+                self._write_array(f"distances-{row['generation']}", block)
+        return count
 
-
-def _write_traces(
-    connection: Connection, archive: zipfile.ZipFile, sums: dict[str, str], campaign_id: str
-) -> int:
-    own = select(JobRow.spec_hash).where(JobRow.campaign_id == campaign_id)
-    query = select(TraceRow.spec_hash, TraceRow.data).where(TraceRow.spec_hash.in_(own))
-    count = 0
-    with connection.execution_options(stream_results=True, yield_per=1).execute(query) as rows:
-        for row in rows:
-            _write_array(archive, sums, f"trace-{row.spec_hash}", np.frombuffer(row.data, np.uint8))
+    def _write_traces(self) -> int:
+        own = select(JobRow.spec_hash).where(JobRow.campaign_id == self._id)
+        count = 0
+        for row in self._rows(
+            select(TraceRow.spec_hash, TraceRow.data).where(TraceRow.spec_hash.in_(own)), 1
+        ):
+            self._write_array(f"trace-{row['spec_hash']}", np.frombuffer(row["data"], np.uint8))
             count += 1
-    return count
+        return count
+
+    def _rows(self, query: Any, batch: int) -> Iterator[RowMapping]:
+        """Yield rows as they are read: all of them may not fit into memory."""
+        options = self._connection.execution_options(stream_results=True, yield_per=batch)
+        with options.execute(query) as rows:
+            yield from rows.mappings()
+
+    def _write_array(self, name: str, array: NDArray[Any]) -> None:
+        with self._member(f"arrays/{name}.npy") as member:
+            np.lib.format.write_array(member, np.ascontiguousarray(array), allow_pickle=False)
+
+    @contextmanager
+    def _member(self, name: str) -> Iterator[Any]:
+        """Open a member of the archive for writing, and record its checksum."""
+        digest = hashlib.sha256()
+
+        def write(data: bytes) -> None:
+            digest.update(data)
+            file.write(data)
+
+        with self._archive.open(name, "w", force_zip64=True) as file:
+            yield SimpleNamespace(write=write)
+        self._sums[name] = digest.hexdigest()
 
 
 def _json(value: Any) -> Any:
     return value.isoformat() if isinstance(value, datetime) else value
 
 
-class _member:  # noqa: N801  (used as a function)
-    """A member of an archive that is being written, and its checksum."""
-
-    def __init__(self, archive: zipfile.ZipFile, sums: dict[str, str], name: str) -> None:
-        self._archive, self._sums, self._name = archive, sums, name
-        self._digest = hashlib.sha256()
-
-    def __enter__(self) -> "_member":
-        self._file = self._archive.open(self._name, "w", force_zip64=True)
-        return self
-
-    def write(self, data: bytes) -> int:
-        """Write some more."""
-        self._digest.update(data)
-        return self._file.write(data)
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
-        self._sums[self._name] = self._digest.hexdigest()
-
-
-def _write_array(archive: zipfile.ZipFile, sums: dict[str, str], name: str, array: NDArray[Any]) -> None:
-    with _member(archive, sums, f"arrays/{name}.npy") as member:
-        np.lib.format.write_array(member, np.ascontiguousarray(array), allow_pickle=False)
-
-
 class _Import:
-    """Takes in one file."""
+    """The import of one file."""
 
     def __init__(self, connection: Connection, archive: zipfile.ZipFile) -> None:
         self._connection = connection
@@ -233,13 +225,13 @@ class _Import:
         self._id = str(self._manifest["campaign"])
 
     def run(self) -> tuple[str, dict[str, int]]:
-        """Store everything."""
+        """Store the campaign; return its id and the number of rows of each table."""
         for name, expected in self._manifest["sha256"].items():
             if self._digest(name) != expected:
-                raise BadFile(f"{name}: it is damaged, its checksum is another")
+                raise BadFile(f"{name}: damaged, it does not match its checksum")
         campaign = self._campaign()
-        if store.find_campaign(self._connection, self._id) is not None:
-            raise Conflict(f"campaign {self._id} is here already")
+        if CAMPAIGNS.find(self._connection, self._id) is not None:
+            raise Conflict(f"campaign {self._id} already exists")
         self._connection.execute(insert(CampaignRow).values(campaign))
         counts = {"campaigns": 1}
         for name, model in _TABLES.items():
@@ -257,7 +249,7 @@ class _Import:
         right = isinstance(manifest, dict) and manifest.get("format") == FORMAT
         sums = manifest.get("sha256") if right else None
         if not right or not isinstance(sums, dict) or not isinstance(manifest.get("campaign"), str):
-            raise BadFile("expected a file of brink export: its manifest is another's")
+            raise BadFile("expected a file of brink export: its manifest is of another program")
         if manifest.get("version") != VERSION:
             raise BadFile(f"expected format version {VERSION}, got {manifest.get('version')!r}")
         members = {info.filename for info in self._archive.infolist()} - {_MANIFEST}
@@ -288,7 +280,7 @@ class _Import:
             raise BadFile(f"campaigns.jsonl: document: {error.errors(include_url=False)[0]['msg']}") from None
         self._dimension = make_plan(body).problem.space.dimension
         if row["status"] == CampaignStatus.RUNNING:
-            row |= {"status": CampaignStatus.PAUSED, "status_reason": "imported; resume it to go on"}
+            row |= {"status": CampaignStatus.PAUSED, "status_reason": "imported; resume it to continue"}
         return {**row, "idempotency_key": None, "turn": 0}
 
     def _insert(self, name: str, model: type[Base]) -> int:
@@ -305,18 +297,18 @@ class _Import:
         return count
 
     def _complete(self, name: str, table: Any) -> Iterable[dict[str, Any]]:
-        """Give a table's rows with what is binary of them, and what the file does not say."""
+        """Yield a table's rows, completed by binary columns and by columns that are not exported."""
         vectors = np.empty((0, self._dimension))
         if name == "solutions" and "arrays/vectors.npy" in self._sums:
             vectors = self._array("vectors", "<f8")
             if vectors.ndim != 2 or vectors.shape[1] != self._dimension:
-                raise BadFile(f"arrays/vectors.npy: expected {self._dimension} numbers a row")
+                raise BadFile(f"arrays/vectors.npy: expected {self._dimension} numbers in each row")
         for place, row in enumerate(self._rows(name, table)):
             if row["campaign_id"] != self._id:
                 raise BadFile(f"{name}.jsonl, line {place + 1}: expected campaign_id {self._id}")
             if name == "solutions":
                 if place >= len(vectors):
-                    raise BadFile("arrays/vectors.npy: expected a row a solution")
+                    raise BadFile("arrays/vectors.npy: expected one row for each solution")
                 row["vector"] = vectors[place].tobytes()
             elif name == "checkpoints":
                 for column in ("document", "neighbours", "unsafe_neighbours"):
@@ -328,13 +320,13 @@ class _Import:
                     raise BadFile(f"arrays/{array}.npy: expected {row['rows']} x {row['columns']} numbers")
                 row["data"] = block.tobytes()
                 if hashlib.sha256(row["data"]).hexdigest() != row["sha256"]:
-                    raise BadFile(f"arrays/{array}.npy: it is not what was stored")
+                    raise BadFile(f"arrays/{array}.npy: damaged, it does not match its checksum")
             elif name == "jobs":
                 row |= self._job(row, place)
             yield row
 
     def _job(self, row: Mapping[str, Any], place: int) -> dict[str, Any]:
-        """Return what a job is here: nobody's, and no source of results for others."""
+        """Return the columns of an imported job: it is not leased, and does not share its result."""
         try:
             digest = EpisodeSpec.from_json(json.loads(row["spec"])).digest()
         except (SimulatorError, ValueError, TypeError, KeyError) as error:
@@ -384,7 +376,7 @@ class _Import:
         return array
 
     def _rows(self, name: str, table: Table | Any) -> Iterator[dict[str, Any]]:
-        """Give a table's rows, each with the right columns and types."""
+        """Yield a table's rows, after checks of their columns and types."""
         left_out = _LEFT_OUT.get(name, ())
         columns = {
             column.name: column
@@ -395,13 +387,14 @@ class _Import:
         with self._archive.open(member) as file:
             for place, line in enumerate(_lines(file, member), start=1):
                 try:
-                    told = json.loads(line)
+                    values = json.loads(line)
                 except ValueError as error:
                     raise BadFile(f"{member}, line {place}: {error}") from None
-                if not isinstance(told, dict) or set(told) != set(columns):
+                if not isinstance(values, dict) or set(values) != set(columns):
                     raise BadFile(f"{member}, line {place}: expected an object with {', '.join(columns)}")
                 yield {
-                    key: _value(value, columns[key], f"{member}, line {place}") for key, value in told.items()
+                    key: _value(value, columns[key], f"{member}, line {place}")
+                    for key, value in values.items()
                 }
 
 
@@ -422,7 +415,7 @@ def _type_of(column: Any) -> type[Any]:
 
 
 def _value(value: Any, column: Any, where: str) -> Any:
-    """Return a value as its column takes it."""
+    """Return a JSON value, from a certain line, in the type of its column."""
     wanted = _type_of(column)
     if value is None:
         if not column.nullable:
@@ -434,7 +427,7 @@ def _value(value: Any, column: Any, where: str) -> Any:
         except (TypeError, ValueError):
             moment = None
         if moment is None or moment.tzinfo is None:
-            raise BadFile(f"{where}: {column.name}: expected a moment with its time zone, got {value!r:.60}")
+            raise BadFile(f"{where}: {column.name}: expected a time with a time zone, got {value!r:.60}")
         return moment
     if wanted is float and type(value) is int:
         value = float(value)

@@ -12,9 +12,9 @@ from typing import Any, ClassVar, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from brink.search.actions.road import RoadLimits
 from brink.search.algorithm import Evaluation, Measured
 from brink.search.space import SearchSpace
+from brink.search.traffic.participants import RoadLimits
 from brink.sim.episode import EpisodeSpec
 from brink.worker.wire import Completed
 

@@ -3,9 +3,15 @@
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-import brink.search.problems.mtq as mtq
-import brink.search.problems.onemax as onemax
 from brink.search.algorithm import Evaluation
+from brink.search.problems import (
+    MTQ_RADIUS,
+    MTQ_SPACE,
+    ONEMAX_RADIUS,
+    ONEMAX_SPACE,
+    evaluate_mtq,
+    evaluate_onemax,
+)
 from brink.server.problems.base import NoParams, Vectors
 
 
@@ -17,12 +23,12 @@ class Mtq:
     params_type: ClassVar[type[Any]] = NoParams
 
     def __init__(self, params: NoParams) -> None:
-        self.space = mtq.SPACE
-        self.algorithm_defaults: Mapping[str, Any] = {"radius": mtq.RADIUS}
+        self.space = MTQ_SPACE
+        self.algorithm_defaults: Mapping[str, Any] = {"radius": MTQ_RADIUS}
 
     def evaluate(self, vectors: Vectors) -> Evaluation:
         """Return the verdict of the formula."""
-        return mtq.evaluate(vectors)
+        return evaluate_mtq(vectors)
 
 
 class Onemax:
@@ -33,9 +39,9 @@ class Onemax:
     params_type: ClassVar[type[Any]] = NoParams
 
     def __init__(self, params: NoParams) -> None:
-        self.space = onemax.SPACE
-        self.algorithm_defaults: Mapping[str, Any] = {"radius": onemax.RADIUS}
+        self.space = ONEMAX_SPACE
+        self.algorithm_defaults: Mapping[str, Any] = {"radius": ONEMAX_RADIUS}
 
     def evaluate(self, vectors: Vectors) -> Evaluation:
         """Return the verdict of the formula."""
-        return onemax.evaluate(vectors)
+        return evaluate_onemax(vectors)

@@ -14,7 +14,7 @@ from pydantic import Field as PydanticField
 
 from brink.search.algorithm import Algorithm
 from brink.search.errors import ConfigError, UnsupportedSpace
-from brink.search.levels import slots_of
+from brink.search.slots import slots_of
 from brink.server.documents import invalid_input
 from brink.server.errors import FieldError, InvalidInput, nearest
 from brink.server.problems.base import InProcessProblem, Problem, SimulatedProblem, TellsViolations

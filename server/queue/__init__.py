@@ -1,1 +1,1 @@
-"""The life of a job: leases, heartbeats, results, retries."""
+"""The job queue: leases, heartbeats, results, retries."""

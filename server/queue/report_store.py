@@ -1,80 +1,137 @@
-"""The SQL of outcomes: results stored, jobs finished, retried, or put into quarantine.
+"""The SQL of reports: results stored, jobs finished, retried, or put into quarantine.
 
 Each public function is a unit for `brink.server.db.writer.Writer`. An outcome is stored and its job finished in one
-transaction, only if the lease token that it names still holds the job.
+transaction, and only if the outcome names the token of the lease that still holds the job.
 """
 
 import secrets
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
+from typing import Any, TypeAlias
 
-from sqlalchemy import Connection, bindparam, func, insert, select, update
+from sqlalchemy import Connection, Row, bindparam, func, insert, select, update
 
-from brink.server.db.clock import database_now
-from brink.server.db.locking import locked
-from brink.server.db.many import UpdateEach, among
-from brink.server.db.models import IS_LEASED, CampaignRow, JobRow, TraceRow, has_open_jobs
+from brink.server.db.models import JobRow, TraceRow
+from brink.server.db.sql import BulkUpdate, database_now, in_list, lock_rows
 from brink.server.db.types import UtcDateTime
-from brink.server.queue.values import JobRecord, LeaseTerms, Loss, Outcome, Report
-from brink.server.states import CampaignStatus, JobStatus
+from brink.server.queue.job_store import IS_LEASED, idle_campaigns
+from brink.server.queue.lease_policy import LeaseTerms
+from brink.server.states import JobStatus
+
+JobRecord: TypeAlias = Row[*tuple[Any, ...]]
+"""Some columns of a job."""
 
 MAX_ERROR_CHARACTERS = 4000
 MAX_BACKOFF_S = 300.0
 MAX_EXPIRED = 1000
-"""Leases that one sweep takes back: when all run out at once, nobody waits long for the writer."""
+"""Leases that one sweep takes back: if all expire at once, other writes do not wait long."""
 
-# Built once: making a statement costs more than running it.
+# Built once: building a statement takes longer than running it.
 _REPORTED = select(
     JobRow.id, JobRow.campaign_id, JobRow.kind, JobRow.status, JobRow.lease_token,
     JobRow.lease_worker, JobRow.attempt, JobRow.max_attempts, JobRow.spec_hash, JobRow.cache,
-).where(among(JobRow.id, "jobs"))  # fmt: skip
+).where(in_list(JobRow.id, "jobs"))  # fmt: skip
 _REPORTED_IN_ORDER = _REPORTED.add_columns(func.clock_timestamp(type_=UtcDateTime).label("now")).order_by(
     JobRow.id
 )
-"""Where rows are locked, so that coordinators do not wait for one another in a circle; SQLite would read all jobs.
-
-With the time, which is a question less.
-"""
-_FINISH = UpdateEach(
+"""For Postgres: locking rows in the order of their ids prevents deadlocks. The database's time saves a round trip."""
+_FINISH = BulkUpdate(
     JobRow.id, [JobRow.result], status=JobStatus.DONE, finished_at=bindparam("now"), lease_expires_at=None
 )
 _TWINS = (
     select(JobRow.id, JobRow.spec_hash, JobRow.kind, JobRow.campaign_id)
     .where(
-        among(JobRow.spec_hash, "spec_hashes"),
+        in_list(JobRow.spec_hash, "spec_hashes"),
         JobRow.status == JobStatus.QUEUED,
         JobRow.cache,
     )
     .order_by(JobRow.id)
 )
-_IDLE = select(CampaignRow.id).where(
-    among(CampaignRow.id, "campaigns"),
-    CampaignRow.status == CampaignStatus.RUNNING,
-    ~has_open_jobs(CampaignRow.id),
-)
-_RAN_OUT = (
+_EXPIRED = (
     select(JobRow.id, JobRow.campaign_id, JobRow.attempt, JobRow.max_attempts, JobRow.lease_worker)
     .where(IS_LEASED, JobRow.lease_expires_at < bindparam("now"))
     .order_by(JobRow.lease_expires_at)
     .limit(bindparam("most"))
 )
-_FORGET_TOKENS = update(JobRow).where(among(JobRow.id, "jobs")).values(lease_token=None)
+_FORGET_TOKENS = update(JobRow).where(in_list(JobRow.id, "jobs")).values(lease_token=None)
 
 
-def report(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms) -> Report:
-    """Store outcomes of jobs whose lease still holds; everything else changes nothing."""
-    taken, _ = take_in(connection, outcomes, terms)
-    return replace(taken, campaigns=idle_campaigns(connection, taken.campaigns))
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """A worker's report on one job.
+
+    Attributes:
+        job: Id of the job.
+        token: Token of the lease.
+        result: The completed episode as JSON, without its trace, or None if the attempt failed.
+        trace: The recorded trace, if any.
+        error: Why the attempt failed.
+        final: Whether another attempt would be pointless.
+    """
+
+    job: int
+    token: str
+    result: str | None
+    trace: bytes | None = None
+    error: str = ""
+    final: bool = False
 
 
-def take_in(
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FailedAttempt:
+    """An attempt that failed or whose lease expired.
+
+    Attributes:
+        worker: The worker that held the lease.
+        final: Whether the job is in quarantine now.
+    """
+
+    job: int
+    campaign: str
+    worker: str
+    attempt: int
+    reason: str
+    final: bool
+
+    @property
+    def log_fields(self) -> dict[str, object]:
+        """Fields for the log."""
+        return {
+            "campaign": self.campaign, "job": self.job, "worker": self.worker, "attempt": self.attempt,
+            "reason": self.reason.partition("\n")[0],
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Report:
+    """The result of storing outcomes.
+
+    Attributes:
+        statuses: ``accepted``, ``duplicate`` or ``stale``, in the order of the outcomes.
+        campaigns: The campaigns that have no open evaluation left.
+        owners: The campaign of each known job.
+        quarantined: The final attempts at jobs that went into quarantine.
+    """
+
+    statuses: tuple[str, ...]
+    campaigns: tuple[str, ...]
+    owners: Mapping[int, str] = field(default_factory=dict)
+    quarantined: tuple[FailedAttempt, ...] = ()
+
+
+def store_outcomes(
     connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms
 ) -> tuple[Report, datetime]:
-    """Store outcomes as `report` does.
+    """Store the outcomes of jobs whose leases still hold; all others change nothing.
+
+    Args:
+        connection: In a write transaction.
+        outcomes: What workers report.
+        terms: Terms with the backoff of retries.
 
     Returns:
-        The report, with all campaigns that they have to do with, idle or not; and the database's time.
+        The report, with the campaigns of all accepted outcomes, idle or not; and the database's time.
     """
     if not outcomes:
         return Report(statuses=(), campaigns=()), database_now(connection)
@@ -83,13 +140,13 @@ def take_in(
         found = connection.execute(_REPORTED, known).all()
         now = database_now(connection)
     else:
-        found = connection.execute(locked(_REPORTED_IN_ORDER, connection, JobRow), known).all()
+        found = connection.execute(lock_rows(_REPORTED_IN_ORDER, connection, JobRow), known).all()
         now = found[0].now if found else database_now(connection)
     rows: dict[int, JobRecord] = {row.id: row for row in found}
     statuses: list[str] = []
     accepted: dict[int, Outcome] = {}
     for outcome in outcomes:
-        status = _judge(rows.get(outcome.job), outcome, outcome.job in accepted)
+        status = _status_of(rows.get(outcome.job), outcome, outcome.job in accepted)
         statuses.append(status)
         if status == "accepted":
             accepted[outcome.job] = outcome
@@ -97,58 +154,44 @@ def take_in(
     _finish(connection, done, now)
     _keep_traces(connection, {rows[o.job].spec_hash: o.trace for o in accepted.values() if o.trace}, now)
     sharing = _share(connection, [rows[job] for job in done if rows[job].cache], done, now)
-    losses = _fail(
+    failed = _fail(
         connection,
         [(rows[job], o) for job, o in accepted.items() if o.result is None],
         now,
         terms.retry_backoff_s,
     )
     touched = {rows[job].campaign_id for job in accepted} | sharing
-    taken = Report(
+    stored = Report(
         statuses=tuple(statuses),
         campaigns=tuple(sorted(touched)),
         owners={job: row.campaign_id for job, row in rows.items()},
-        quarantined=tuple(loss for loss in losses if loss.final),
+        quarantined=tuple(attempt for attempt in failed if attempt.final),
     )
-    return taken, now
+    return stored, now
 
 
-def expire(connection: Connection, terms: LeaseTerms) -> tuple[tuple[str, ...], list[Loss]]:
-    """Take back leases that ran out, the oldest `MAX_EXPIRED`: to the queue after a backoff, or into quarantine.
+def expire(connection: Connection, terms: LeaseTerms) -> tuple[tuple[str, ...], list[FailedAttempt]]:
+    """Take back the oldest `MAX_EXPIRED` expired leases; their jobs are retried later or put into quarantine.
 
     Returns:
-        The campaigns that have no open episode left because of it, and the leases that ran out.
+        The campaigns that have no open evaluation left because of it, and the failed attempts.
     """
     now = database_now(connection)
-    ran_out = locked(_RAN_OUT, connection, JobRow, skip_locked=True)
-    rows = connection.execute(ran_out, {"now": now, "most": MAX_EXPIRED}).all()
+    expired = lock_rows(_EXPIRED, connection, JobRow, skip_locked=True)
+    rows = connection.execute(expired, {"now": now, "most": MAX_EXPIRED}).all()
     if not rows:
         return (), []
-    failures = [
-        (
-            row,
-            Outcome(
-                job=row.id, token="", result=None,
-                error=f"lease ran out: worker {row.lease_worker} was not heard of any more",
-            ),
-        )
-        for row in rows
-    ]  # fmt: skip
-    losses = _fail(connection, failures, now, terms.retry_backoff_s)
-    # Nothing was reported: whatever comes with these tokens from now on is late, and must not pass for stored.
+    failures = []
+    for row in rows:
+        error = f"lease expired: worker {row.lease_worker} stopped responding"
+        failures.append((row, Outcome(job=row.id, token="", result=None, error=error)))
+    failed = _fail(connection, failures, now, terms.retry_backoff_s)
+    # Nothing was reported: a result that arrives later with this token must not be answered as stored.
     connection.execute(_FORGET_TOKENS, {"jobs": [row.id for row in rows]})
-    return idle_campaigns(connection, {row.campaign_id for row in rows}), losses
+    return idle_campaigns(connection, {row.campaign_id for row in rows}), failed
 
 
-def idle_campaigns(connection: Connection, campaigns: Iterable[str]) -> tuple[str, ...]:
-    """Return which of these campaigns have no open episode."""
-    names = list(campaigns)
-    if not names:
-        return ()
-    return tuple(sorted(connection.execute(_IDLE, {"campaigns": names}).scalars()))
-
-
-def _judge(row: JobRecord | None, outcome: Outcome, reported_before: bool) -> str:
+def _status_of(row: JobRecord | None, outcome: Outcome, reported_before: bool) -> str:
     if row is None or row.lease_token is None:
         return "stale"
     if not secrets.compare_digest(row.lease_token, outcome.token):
@@ -180,7 +223,7 @@ def _keep_traces(connection: Connection, traces: Mapping[str, bytes], now: datet
 def _share(
     connection: Connection, rows: Sequence[JobRecord], done: Mapping[int, str], now: datetime
 ) -> set[str]:
-    """Finish queued jobs of the same simulation with the result that just came in; return their campaigns."""
+    """Finish queued jobs of the same simulations with new results; return their campaigns."""
     if not rows:
         return set()
     results = {(row.spec_hash, row.kind): done[row.id] for row in rows}
@@ -195,11 +238,11 @@ def _fail(
     failures: Sequence[tuple[JobRecord, Outcome]],
     now: datetime,
     backoff_s: float,
-) -> list[Loss]:
-    """Put failed jobs back after a backoff, or into quarantine."""
+) -> list[FailedAttempt]:
+    """Return failed jobs to the queue after a backoff, or put them into quarantine."""
     if not failures:
         return []
-    values, losses = [], []
+    values, failed = [], []
     for row, outcome in failures:
         retry = not outcome.final and row.attempt < row.max_attempts
         wait_s = min(MAX_BACKOFF_S, backoff_s * 2 ** (row.attempt - 1))
@@ -213,8 +256,8 @@ def _fail(
                 "ended": None if retry else now,
             }
         )
-        losses.append(
-            Loss(
+        failed.append(
+            FailedAttempt(
                 job=row.id, campaign=row.campaign_id, worker=row.lease_worker, attempt=row.attempt,
                 reason=outcome.error, final=not retry,
             )
@@ -228,8 +271,8 @@ def _fail(
             failed_worker=bindparam("by"),
             last_error=bindparam("error"),
             finished_at=bindparam("ended"),
-            lease_expires_at=None,  # the token stays, so that the same report sent again is known
+            lease_expires_at=None,  # the token stays: the same report sent again is a duplicate
         ),
         values,
     )
-    return losses
+    return failed

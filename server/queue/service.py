@@ -1,7 +1,7 @@
-"""What workers ask of the coordinator: leases, heartbeats, results.
+"""Serves workers: leases, heartbeats, results.
 
-Everything that changes a job goes through the one writer. News travels on the event loop: whoever enqueues jobs
-wakes waiting workers; `on_idle` is called with the campaigns that have no open job left.
+All changes to jobs go through the writer. Waiting requests are woken on the event loop whenever jobs are enqueued,
+and `on_idle` is called with the campaigns that have no open job left.
 """
 
 import asyncio
@@ -15,12 +15,13 @@ from dataclasses import dataclass, field
 
 from sqlalchemy import Connection
 
-from brink.server.db.writer import Joint, Writer
+from brink.server.db.writer import BatchedUnit, Writer
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.metrics import Metrics
-from brink.server.queue import holding_store, lease_store, report_store, workers
-from brink.server.queue.exchange import Exchange, Exchanged, exchange
-from brink.server.queue.values import LeaseTerms, LeaseWanted, Loss, Outcome, Report
+from brink.server.queue import lease_store, report_store, workers
+from brink.server.queue.job_store import idle_campaigns
+from brink.server.queue.lease_policy import LeaseDemand, LeaseTerms
+from brink.server.queue.report_store import FailedAttempt, Outcome, Report
 from brink.server.queue.wakeups import Wakeups
 from brink.server.settings import Settings
 from brink.worker.wire import (
@@ -38,55 +39,114 @@ from brink.worker.wire import (
 )
 
 RECHECK_S = 10.0
-"""Pause after which a waiting lease looks again by itself, in case that news was lost."""
+"""Interval at which a waiting lease looks for jobs by itself, in case a wake-up was lost."""
 SHARED_RECHECK_S = 2.0
-"""The same where coordinators share a database: no news tells of jobs that one read ahead and did not grant."""
-CREW_S = 0.5
-"""How long a list of the live workers is good."""
-TOUCH_S = 5.0
-"""Pause between two notes in the database that a worker was heard of."""
+"""The same with several coordinators: no wake-up announces jobs that one of them read ahead and did not grant."""
+LIVE_WORKERS_S = 0.5
+"""How long a list of the live workers is reused."""
+CONTACT_S = 5.0
+"""Interval at which a worker's contact is recorded in the database."""
 FORGET_S = 24 * 3600.0
-"""A worker that was not heard of for so long is no longer listed."""
+"""A worker that has not made contact for so long is deleted."""
 
 log = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Exchange:
+    """One request of a worker, as the writer executes it.
+
+    Attributes:
+        terms: The terms of retries.
+        contacts: Units that record the contact of workers.
+        outcomes: The reported outcomes.
+        release: Leases given back.
+        demand: The jobs wanted next, if any.
+    """
+
+    terms: LeaseTerms
+    contacts: tuple[Callable[[Connection], None], ...] = ()
+    outcomes: tuple[Outcome, ...] = ()
+    release: tuple[HeldLease, ...] = ()
+    demand: LeaseDemand | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExchangeReply:
+    """The result of one exchange.
+
+    Attributes:
+        report: What became of the outcomes, and the campaigns that have no open job left after the commit.
+        released: How many leases were given back.
+        granted: The jobs granted.
+    """
+
+    report: Report
+    released: int
+    granted: list[LeasedJob] = field(default_factory=list)
+
+
+def run_exchanges(connection: Connection, exchanges: Sequence[Exchange]) -> list[ExchangeReply]:
+    """Run all exchanges that share a commit: first store their outcomes, then grant jobs in order."""
+    for exchange in exchanges:
+        for record in exchange.contacts:
+            record(connection)
+    outcomes = [outcome for exchange in exchanges for outcome in exchange.outcomes]
+    stored, now = report_store.store_outcomes(connection, outcomes, exchanges[0].terms)
+    released = [lease_store.release(connection, exchange.release) for exchange in exchanges]
+    demands = [exchange.demand for exchange in exchanges if exchange.demand is not None]
+    granted = lease_store.lease_together(connection, demands, now)
+    # A campaign that has just granted a job is not idle.
+    idle = idle_campaigns(connection, set(stored.campaigns) - granted.campaigns)
+    reported = [{outcome.job for outcome in exchange.outcomes} for exchange in exchanges]
+    statuses, grants = iter(stored.statuses), iter(granted.jobs)
+    return [
+        ExchangeReply(
+            report=Report(
+                statuses=tuple(next(statuses) for _ in exchange.outcomes),
+                campaigns=idle,
+                owners=stored.owners,
+                quarantined=tuple(attempt for attempt in stored.quarantined if attempt.job in jobs),
+            ),
+            released=count,
+            granted=next(grants) if exchange.demand is not None else [],
+        )
+        for exchange, count, jobs in zip(exchanges, released, reported, strict=True)
+    ]
+
+
 @dataclass(slots=True)
-class _Seen:
-    """What this process remembers of a worker."""
+class _WorkerRecord:
+    """A worker as this process knows it.
+
+    Attributes:
+        contact_s: Time of the last contact.
+        recorded_s: Time when the contact was last recorded in the database.
+        done: Jobs completed since then.
+        failed: Failed attempts since then.
+    """
 
     identity: WorkerIdentity
-    at: float
-    noted_at: float = 0.0
+    contact_s: float
+    recorded_s: float = 0.0
     capabilities: tuple[str, ...] = ()
     done: int = 0
     failed: int = 0
 
 
 @dataclass(frozen=True, slots=True)
-class _Crew:
-    """The live workers as of a moment, what each of them can run, and how many can run each."""
-
-    at: float
-    capabilities: dict[str, tuple[str, ...]]
-    count: Counter[str]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Swept:
-    """What a sweep found.
+class _LiveWorkers:
+    """The live workers at one moment.
 
     Attributes:
-        idle: Campaigns that have no open job any more.
-        lost: Leases that ran out.
-        live: What the workers can run that any coordinator has heard of lately.
-        due: How many jobs wait to be tried again that one of them can run.
+        at_s: The moment.
+        capabilities: What each worker can run.
+        count: How many workers offer each capability.
     """
 
-    idle: tuple[str, ...]
-    lost: list[Loss]
-    live: dict[str, tuple[str, ...]]
-    due: int
+    at_s: float
+    capabilities: dict[str, tuple[str, ...]]
+    count: Counter[str]
 
 
 @dataclass(slots=True)
@@ -100,47 +160,47 @@ class QueueService:
     wakeups: Wakeups = field(default_factory=Wakeups)
     clock: Callable[[], float] = time.monotonic
     stopping: bool = False
-    _seen: dict[str, _Seen] = field(default_factory=dict)
-    _crew: _Crew | None = None
-    _with_others: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    _workers: dict[str, _WorkerRecord] = field(default_factory=dict)
+    _live: _LiveWorkers | None = None
+    _elsewhere: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
-    def _alone(self) -> bool:
+    def _is_alone(self) -> bool:
         """Whether no other coordinator can share the database."""
         return self.settings.sqlite_file is not None
 
     def end_waits(self) -> None:
-        """Answer those who wait for work with none, and let nobody wait any more."""
+        """Answer all waiting requests, and let no request wait from now on."""
         self.stopping = True
         self.wakeups.wake()
 
     def terms(self, worker: str | None = None) -> LeaseTerms:
-        """Return how leases are granted now, to a worker if one is named."""
-        crew = self._live_crew()
-        own = crew.capabilities.get(worker, ()) if worker is not None else ()
+        """Return the current terms of leases, for the given worker or for any."""
+        live = self._live_workers()
+        own = live.capabilities.get(worker, ()) if worker is not None else ()
         return LeaseTerms(
             lease_s=self.settings.lease_s,
             retry_backoff_s=self.settings.retry_backoff_s,
-            live_workers=max(1, len(crew.capabilities)),
-            elsewhere=frozenset(name for name, count in crew.count.items() if count > (name in own)),
+            live_workers=max(1, len(live.capabilities)),
+            elsewhere=frozenset(name for name, count in live.count.items() if count > (name in own)),
         )
 
-    def _live_crew(self) -> _Crew:
-        """Return the live workers: with a thousand of them, a look through all is too much for each request."""
+    def _live_workers(self) -> _LiveWorkers:
+        """Return the live workers, cached because counting a thousand of them for each request is too slow."""
         now = self.clock()
-        if self._crew is None or now - self._crew.at >= CREW_S:
+        if self._live is None or now - self._live.at_s >= LIVE_WORKERS_S:
             horizon = now - self.settings.worker_seen_s
-            mine = {name: seen.capabilities for name, seen in self._seen.items() if seen.at >= horizon}
-            live = self._with_others | mine
+            here = {name: one.capabilities for name, one in self._workers.items() if one.contact_s >= horizon}
+            live = self._elsewhere | here
             count = Counter(itertools.chain.from_iterable(map(set, live.values())))
-            self._crew = _Crew(at=now, capabilities=live, count=count)
-        return self._crew
+            self._live = _LiveWorkers(at_s=now, capabilities=live, count=count)
+        return self._live
 
     async def lease(self, request: LeaseRequest, gone: asyncio.Event) -> LeaseReply:
-        """Grant jobs, waiting for some if need be, as long as the client is there."""
+        """Grant jobs, waiting for some if none are queued and the client stays connected."""
         deadline = self.clock() + request.wait_s
         while not gone.is_set():
-            news = self.wakeups.news
+            changes = self.wakeups.changes
             granted = await self._lease_now(request)
             remaining = deadline - self.clock()
             if granted and gone.is_set():
@@ -148,44 +208,51 @@ class QueueService:
                 break
             if granted or remaining <= 0 or self.stopping:
                 return LeaseReply(jobs=granted, lease_s=self.settings.lease_s)
-            recheck_s = RECHECK_S if self._alone else SHARED_RECHECK_S
-            await self.wakeups.wait(min(remaining, recheck_s), gone, since=news)
+            recheck_s = RECHECK_S if self._is_alone else SHARED_RECHECK_S
+            await self.wakeups.wait(min(remaining, recheck_s), gone, since=changes)
         return LeaseReply(jobs=[], lease_s=self.settings.lease_s)
 
     async def heartbeat(self, request: HeartbeatRequest) -> HeartbeatReply:
         """Renew leases."""
-        note = self._heard_of(request.worker, None)
+        record = self._note_contact(request.worker, None)
 
         def unit(connection: Connection) -> list[int]:
-            if note is not None:
-                note(connection)
-            return holding_store.renew(connection, request.leases, self.settings.lease_s)
+            if record is not None:
+                record(connection)
+            return lease_store.renew(connection, request.leases, self.settings.lease_s)
 
-        held = await asyncio.wrap_future(self.writer.submit(unit))
+        held = await self.writer.write(unit)
         return HeartbeatReply(held=held, lease_s=self.settings.lease_s)
 
     async def results(self, request: ResultsRequest, gone: asyncio.Event) -> ResultsReply:
-        """Store outcomes, take leases back, and grant the next lease, all in one commit if there are jobs."""
+        """Store outcomes, take back leases, and grant the next ones, in one commit if jobs are queued.
+
+        Args:
+            request: The worker's request.
+            gone: Set when the client has disconnected.
+
+        Raises:
+            InvalidInput: A trace is not base64.
+        """
         outcomes = [
             _outcome(index, item.job, item.token, item.outcome) for index, item in enumerate(request.results)
         ]
-        notes = [self._heard_of(request.worker, None)]
+        contacts = [self._note_contact(request.worker, None)]
         wanted = request.lease
         if wanted is not None:
-            notes.append(self._heard_of(wanted.worker, wanted.capabilities))
+            contacts.append(self._note_contact(wanted.worker, wanted.capabilities))
         terms = self.terms(wanted.worker.id if wanted is not None else None)
-        exchanged = await self._exchange(
-            Exchange(
-                terms=terms, notes=tuple(filter(None, notes)), outcomes=tuple(outcomes),
-                release=tuple(request.release), wanted=_wanted(wanted, terms) if wanted is not None else None,
-            )
+        exchange = Exchange(
+            terms=terms, contacts=tuple(filter(None, contacts)), outcomes=tuple(outcomes),
+            release=tuple(request.release), demand=_demand(wanted, terms) if wanted is not None else None,
         )  # fmt: skip
-        report, released, granted = exchanged.report, exchanged.released, exchanged.granted
+        stored = await self.writer.write(BatchedUnit(run_exchanges, exchange))
+        report, released, granted = stored.report, stored.released, stored.granted
         self._count(request, report)
         _log_report(request, report)
         _log_granted(request.worker.id, granted)
-        if released or report.quarantined:  # the latter may have kept the same simulation of others waiting
-            self.wakeups.wake()  # not only the first in line, who may be unable to run what there is now
+        if released or report.quarantined:  # a quarantined job may have kept equal simulations waiting
+            self.wakeups.wake()  # all waiters: the first may be unable to run these jobs
         self.on_idle(report.campaigns)
         reply: LeaseReply | None = None
         if wanted is not None:
@@ -202,112 +269,101 @@ class QueueService:
         return ResultsReply(statuses=statuses, lease=reply)
 
     def _count(self, request: ResultsRequest, report: Report) -> None:
-        seen = self._seen.get(request.worker.id)
+        record = self._workers.get(request.worker.id)
         for item, status in zip(request.results, report.statuses, strict=True):
             self.metrics.results.labels(status).inc()
             if status != "accepted":
                 continue
             if not isinstance(item.outcome, Completed):
                 self.metrics.failures.labels(item.outcome.reason).inc()
-            if seen is not None:
-                seen.done += isinstance(item.outcome, Completed)
-                seen.failed += not isinstance(item.outcome, Completed)
+            if record is not None:
+                record.done += isinstance(item.outcome, Completed)
+                record.failed += not isinstance(item.outcome, Completed)
 
     async def sweep(self) -> None:
         """Take back expired leases and forget workers that are gone."""
         terms = self.terms()
-        local = self._alone
-        unnoted = self._drop_absent()
+        alone = self._is_alone
+        unrecorded = self._drop_absent()
 
-        def unit(connection: Connection) -> _Swept:
-            for name, seen in unnoted.items():
-                workers.add_counts(connection, name, done=seen.done, failed=seen.failed)
+        def unit(
+            connection: Connection,
+        ) -> tuple[dict[str, tuple[str, ...]], tuple[str, ...], list[FailedAttempt], int]:
+            for name, worker in unrecorded.items():
+                workers.add_counts(connection, name, done=worker.done, failed=worker.failed)
             workers.forget_absent(connection, FORGET_S)
-            live = {} if local else workers.capabilities_of_live(connection, self.settings.worker_seen_s)
-            if local:  # then workers of this machine can be looked up, and need not be waited for
-                dead = workers.leases_of(connection, workers.process_is_gone)
-                holding_store.cut_short(connection, dead)
-            idle, lost = report_store.expire(connection, terms)
-            return _Swept(
-                idle=idle,
-                lost=lost,
-                live=live,
-                due=lease_store.due_retries(connection, terms.elsewhere),
-            )
+            live = {} if alone else workers.live_capabilities(connection, self.settings.worker_seen_s)
+            if alone:  # workers on this machine need not be waited for: their processes can be looked up
+                lease_store.end_now(connection, workers.leases_of_dead(connection))
+            idle, expired = report_store.expire(connection, terms)
+            return live, idle, expired, lease_store.count_due_retries(connection, terms.elsewhere)
 
-        swept = await asyncio.wrap_future(self.writer.submit(unit))
-        self._with_others = {name: known for name, known in swept.live.items() if name not in self._seen}
-        self._crew = None
-        lost = swept.lost
-        if lost:
-            log.warning("leases that ran out: %d", len(lost))
-            for loss in lost:
-                log.info("lease ran out", extra=loss.fields)
-            _log_quarantined(lost)
-            self.metrics.expired.inc(len(lost))
-        self.wakeups.wake(swept.due)
-        self.on_idle(swept.idle)
+        live, idle, expired, due_retries = await self.writer.write(unit)
+        self._elsewhere = {name: able for name, able in live.items() if name not in self._workers}
+        self._live = None
+        if expired:
+            log.warning("leases that ran out: %d", len(expired))
+            for attempt in expired:
+                log.info("lease ran out", extra=attempt.log_fields)
+            _log_quarantined(expired)
+            self.metrics.expired.inc(len(expired))
+        self.wakeups.wake(due_retries)
+        self.on_idle(idle)
 
-    def _drop_absent(self) -> dict[str, _Seen]:
-        """Drop workers that were not heard of lately, or are dead; return those with counts not yet noted."""
+    def _drop_absent(self) -> dict[str, _WorkerRecord]:
+        """Drop workers that are dead or have not made contact; return those with unrecorded counts."""
         horizon = self.clock() - self.settings.worker_seen_s
         absent = {
-            name: seen
-            for name, seen in self._seen.items()
-            if seen.at < horizon or workers.process_is_gone(seen.identity.machine, seen.identity.pid)
+            name: one
+            for name, one in self._workers.items()
+            if one.contact_s < horizon or workers.process_is_gone(one.identity.machine, one.identity.pid)
         }
-        for name, seen in absent.items():
-            del self._seen[name]
-            log.info(
-                "worker gone", extra={"worker": name, "host": seen.identity.host, "pid": seen.identity.pid}
-            )
-        return {name: seen for name, seen in absent.items() if seen.done or seen.failed}
+        for name, one in absent.items():
+            del self._workers[name]
+            about = {"worker": name, "host": one.identity.host, "pid": one.identity.pid}
+            log.info("worker gone", extra=about)
+        return {name: one for name, one in absent.items() if one.done or one.failed}
 
     async def _lease_now(self, request: LeaseRequest) -> list[LeasedJob]:
-        note = self._heard_of(request.worker, request.capabilities)
-        notes = (note,) if note is not None else ()
+        record = self._note_contact(request.worker, request.capabilities)
+        contacts = (record,) if record is not None else ()
         terms = self.terms(request.worker.id)
-        asked = Exchange(terms=terms, notes=notes, wanted=_wanted(request, terms))
-        granted = (await self._exchange(asked)).granted
+        exchange = Exchange(terms=terms, contacts=contacts, demand=_demand(request, terms))
+        granted = (await self.writer.write(BatchedUnit(run_exchanges, exchange))).granted
         _log_granted(request.worker.id, granted)
         return granted
 
-    async def _exchange(self, request: Exchange) -> Exchanged:
-        return await asyncio.wrap_future(self.writer.submit(Joint(exchange, request)))
-
     async def _give_back(self, granted: Sequence[LeasedJob]) -> None:
-        """Return a grant whose client has gone, and let the next in line have it."""
+        """Release jobs whose client has disconnected, for the next waiter."""
         leases = [HeldLease(job=job.job, token=job.token) for job in granted]
-        await asyncio.wrap_future(
-            self.writer.submit(lambda connection: holding_store.release(connection, leases))
-        )
+        await self.writer.write(lambda connection: lease_store.release(connection, leases))
         self.wakeups.wake()
 
-    def _heard_of(
+    def _note_contact(
         self, worker: WorkerIdentity, capabilities: Sequence[str] | None
     ) -> Callable[[Connection], None] | None:
-        """Remember a worker; return what notes it in the database, or None if that is not due."""
+        """Remember a worker's contact; return a unit that records it in the database, or None if that is not due."""
         now = self.clock()
-        if worker.id not in self._seen:
+        if worker.id not in self._workers:
             about = {"worker": worker.id, "host": worker.host, "pid": worker.pid, "version": worker.version}
             log.info("worker first seen", extra=about)
-            self._crew = None
-        seen = self._seen.setdefault(worker.id, _Seen(identity=worker, at=now))
-        seen.at, seen.identity = now, worker
-        changed = capabilities is not None and tuple(capabilities) != seen.capabilities
+            self._live = None
+        one = self._workers.setdefault(worker.id, _WorkerRecord(identity=worker, contact_s=now))
+        one.contact_s, one.identity = now, worker
+        changed = capabilities is not None and tuple(capabilities) != one.capabilities
         if changed and capabilities is not None:
-            seen.capabilities = tuple(capabilities)
-            self._crew = None
-        if not changed and now - seen.noted_at < TOUCH_S:
+            one.capabilities = tuple(capabilities)
+            self._live = None
+        if not changed and now - one.recorded_s < CONTACT_S:
             return None
-        done, failed = seen.done, seen.failed
-        seen.noted_at, seen.done, seen.failed = now, 0, 0
-        known = list(seen.capabilities)
-        return lambda connection: workers.note(connection, worker, known, done=done, failed=failed)
+        done, failed = one.done, one.failed
+        one.recorded_s, one.done, one.failed = now, 0, 0
+        able = list(one.capabilities)
+        return lambda connection: workers.record_contact(connection, worker, able, done=done, failed=failed)
 
 
-def _wanted(request: LeaseRequest, terms: LeaseTerms) -> LeaseWanted:
-    return LeaseWanted(
+def _demand(request: LeaseRequest, terms: LeaseTerms) -> LeaseDemand:
+    return LeaseDemand(
         worker=request.worker.id,
         capabilities=tuple(request.capabilities),
         max_jobs=request.max_jobs,
@@ -334,10 +390,10 @@ def _log_report(request: ResultsRequest, report: Report) -> None:
             log.debug("result %s", status, extra={**about, "outcome": item.outcome.kind})
 
 
-def _log_quarantined(losses: Iterable[Loss]) -> None:
-    for loss in losses:
-        if loss.final:
-            log.info("job in quarantine", extra=loss.fields)
+def _log_quarantined(attempts: Iterable[FailedAttempt]) -> None:
+    for attempt in attempts:
+        if attempt.final:
+            log.info("job in quarantine", extra=attempt.log_fields)
 
 
 def _outcome(index: int, job: int, token: str, outcome: Completed | object) -> Outcome:
@@ -346,11 +402,11 @@ def _outcome(index: int, job: int, token: str, outcome: Completed | object) -> O
         if outcome.trace is not None:
             try:
                 trace = base64.b64decode(outcome.trace, validate=True)
-            except ValueError:  # of base64, or a letter that is not ASCII
+            except ValueError:  # not base64, or not ASCII
                 raise InvalidInput(
                     [FieldError(pointer=f"/results/{index}/outcome/trace", message="expected base64")]
                 ) from None
         return Outcome(job=job, token=token, result=outcome.model_dump_json(exclude={"trace"}), trace=trace)
     reason, message = getattr(outcome, "reason", "error"), getattr(outcome, "message", "")
-    error = f"{reason}: {message}".replace("\0", "�")  # Postgres takes no NUL in a text
+    error = f"{reason}: {message}".replace("\0", "�")  # Postgres text cannot contain NUL
     return Outcome(job=job, token=token, result=None, error=error, final=reason == "invalid")

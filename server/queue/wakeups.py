@@ -1,42 +1,52 @@
-"""Waking those who wait for work: in the order in which they came, one for each piece of news.
-
-All calls are made on the event loop. A waiter that gives up after it was woken passes its wake-up on, so that none
-is lost to a client that has gone.
-"""
+"""Wakes requests that wait for jobs: in this process, and in other coordinators on the same Postgres."""
 
 import asyncio
+import logging
+from collections.abc import Callable
+
+from sqlalchemy import Connection, text
+from sqlalchemy.engine import URL
+
+CHANNEL = "brink_jobs"
+RECONNECT_S = 1.0
+
+log = logging.getLogger(__name__)
 
 
 class Wakeups:
-    """A line of waiters."""
+    """A first-come, first-served line of waiting requests.
+
+    All methods are called on the event loop. A waiter whose client left after it was woken passes its wake-up on, so
+    that no wake-up is lost.
+    """
 
     def __init__(self) -> None:
         self._line: dict[asyncio.Future[None], None] = {}
-        self.news = 0
-        """How often there was any. Who asks for work notes it before, and misses nothing that comes meanwhile."""
+        self.changes = 0
+        """Change counter: read it before looking for jobs, and pass it to `wait` to miss no change in between."""
 
     def __len__(self) -> int:
         return len(self._line)
 
     def wake(self, count: int | None = None) -> None:
         """Wake the first `count` waiters, or all of them."""
-        self.news += count != 0
+        self.changes += count != 0
         for waiter in list(self._line)[:count]:
             del self._line[waiter]
             waiter.set_result(None)
 
     async def wait(self, timeout_s: float, gone: asyncio.Event, *, since: int | None = None) -> bool:
-        """Wait in line.
+        """Wait in line for a wake-up.
 
         Args:
             timeout_s: How long to wait.
-            gone: Set when the client has gone.
-            since: The news that the waiter knows; if there is more, it need not wait.
+            gone: Set when the client has disconnected.
+            since: The change counter that the caller has seen; returns at once if it has increased.
 
         Returns:
-            Whether there was a wake-up, and somebody is still there to use it.
+            True after a wake-up whose client is still connected.
         """
-        if since is not None and since != self.news:
+        if since is not None and since != self.changes:
             return not gone.is_set()
         waiter: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._line[waiter] = None
@@ -51,3 +61,34 @@ class Wakeups:
             if waiter.done() and not used:
                 self.wake(1)
         return used
+
+
+def notify_coordinators(connection: Connection) -> None:
+    """Notify all coordinators on the same Postgres of new jobs when the transaction commits.
+
+    Call it at most once in a transaction: each call takes a lock that all commits share. SQLite has one coordinator.
+    """
+    if connection.dialect.name == "postgresql":
+        connection.execute(text(f"SELECT pg_notify('{CHANNEL}', '')"))
+
+
+async def listen(url: URL, on_jobs: Callable[[], None]) -> None:
+    """Listen on a connection of its own for notifications of new jobs, until cancelled.
+
+    Args:
+        url: URL of a Postgres database.
+        on_jobs: Called for each notification, and after a reconnect, since notifications may have been missed.
+    """
+    import psycopg  # an optional dependency
+
+    conninfo = url.set(drivername="postgresql").render_as_string(hide_password=False)
+    while True:
+        try:
+            async with await psycopg.AsyncConnection.connect(conninfo, autocommit=True) as connection:
+                await connection.execute(f"LISTEN {CHANNEL}".encode())
+                on_jobs()
+                async for _ in connection.notifies():
+                    on_jobs()
+        except psycopg.Error as error:
+            log.info("notifications of new jobs: %s; reconnecting", " ".join(str(error).split()))
+        await asyncio.sleep(RECONNECT_S)

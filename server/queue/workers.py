@@ -1,29 +1,32 @@
-"""Which workers were heard of, and which of them are dead."""
+"""Workers that contacted a coordinator: their capabilities, their jobs, and whether they are gone."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
 
 from sqlalchemy import Connection, bindparam, delete, exists, func, insert, select, update
 
-from brink.server.db.clock import database_now
-from brink.server.db.locking import locked
-from brink.server.db.many import among
-from brink.server.db.models import IS_LEASED, JobRow, WorkerRow
-from brink.worker.machine import machine_name
-from brink.worker.wire import HeldLease, WorkerIdentity
+from brink.server.db.models import JobRow, WorkerRow
+from brink.server.db.sql import database_now, in_list, lock_rows
+from brink.server.queue.job_store import IS_LEASED
+from brink.worker.wire import HeldLease, WorkerIdentity, machine_name
 
 _LIVE = select(WorkerRow.id, WorkerRow.machine, WorkerRow.pid, WorkerRow.capabilities).where(
     WorkerRow.last_seen_at >= bindparam("horizon")
 )
-"""Made once: every page that is open asks for it every few seconds."""
+"""Built once, because every open page runs it every few seconds."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SeenWorker:
-    """A worker, when it was heard of, and what it holds."""
+class WorkerStatus:
+    """A worker with its last contact and its jobs.
+
+    Attributes:
+        seen_s_ago: Time since the last contact, in seconds.
+        gone: Whether the worker is known to be dead: its process was on this machine and has ended.
+    """
 
     id: str
     host: str
@@ -37,13 +40,20 @@ class SeenWorker:
     jobs_failed: int
     jobs_held: int
     gone: bool
-    """Known to be dead: its process was on this machine, and is no more."""
 
 
-def note(
+def record_contact(
     connection: Connection, worker: WorkerIdentity, capabilities: Sequence[str], *, done: int, failed: int
 ) -> None:
-    """Note that a worker was heard of, and how many more jobs it finished."""
+    """Record a worker's contact and the jobs it finished since the previous one.
+
+    Args:
+        connection: In a write transaction.
+        worker: The worker.
+        capabilities: What the worker can run; empty if it did not say.
+        done: Jobs completed since then.
+        failed: Failed attempts since then.
+    """
     now = database_now(connection)
     values: dict[str, Any] = {
         "host": worker.host, "pid": worker.pid, "machine": worker.machine, "version": worker.version,
@@ -66,7 +76,7 @@ def note(
 
 
 def add_counts(connection: Connection, worker_id: str, *, done: int, failed: int) -> None:
-    """Note jobs that a worker finished, of which there was no news since."""
+    """Add jobs that a worker finished to its counts."""
     connection.execute(
         update(WorkerRow)
         .where(WorkerRow.id == worker_id)
@@ -74,8 +84,8 @@ def add_counts(connection: Connection, worker_id: str, *, done: int, failed: int
     )
 
 
-def list_seen(connection: Connection, *, within_s: float | None = None) -> list[SeenWorker]:
-    """Return workers and what they hold, the latest heard of first; with `within_s`, only the live ones."""
+def list_workers(connection: Connection, *, within_s: float | None = None) -> list[WorkerStatus]:
+    """Return workers, the latest contact first; with `within_s`, only those that are live."""
     now = database_now(connection)
     holding = select(JobRow.lease_worker, func.count()).where(IS_LEASED).group_by(JobRow.lease_worker)
     held = {str(row[0]): int(row[1]) for row in connection.execute(holding)}
@@ -83,7 +93,7 @@ def list_seen(connection: Connection, *, within_s: float | None = None) -> list[
     if within_s is not None:
         query = query.where(WorkerRow.last_seen_at >= now - timedelta(seconds=within_s))
     seen = [
-        SeenWorker(
+        WorkerStatus(
             id=row.id, host=row.host, pid=row.pid, version=row.version,
             capabilities=tuple(row.capabilities), first_seen_at=row.first_seen_at,
             last_seen_at=row.last_seen_at, seen_s_ago=max(0.0, (now - row.last_seen_at).total_seconds()),
@@ -95,8 +105,11 @@ def list_seen(connection: Connection, *, within_s: float | None = None) -> list[
     return seen if within_s is None else [worker for worker in seen if not worker.gone]
 
 
-def capabilities_of_live(connection: Connection, within_s: float) -> dict[str, tuple[str, ...]]:
-    """Return what each worker can run that any coordinator heard of lately, but for those known to be dead."""
+def live_capabilities(connection: Connection, within_s: float) -> dict[str, tuple[str, ...]]:
+    """Return what each live worker can run, by worker id.
+
+    A worker is live if it contacted any coordinator within this time and is not known to be dead.
+    """
     horizon = database_now(connection) - timedelta(seconds=within_s)
     return {
         row.id: tuple(row.capabilities)
@@ -106,7 +119,7 @@ def capabilities_of_live(connection: Connection, within_s: float) -> dict[str, t
 
 
 def can_run(connection: Connection, needs: str, within_s: float) -> bool:
-    """Return whether a live worker can run what needs this: one heard of lately, or whose lease still holds."""
+    """Return whether a capability is offered by a worker that is live or holds an unexpired lease."""
     now = database_now(connection)
     holds_a_lease = exists(
         select(JobRow.id).where(
@@ -124,27 +137,22 @@ def can_run(connection: Connection, needs: str, within_s: float) -> bool:
     )
 
 
-def leases_of(connection: Connection, gone: Callable[[str, int], bool]) -> list[HeldLease]:
-    """Return the leases of workers that are gone.
-
-    Args:
-        connection: To the database.
-        gone: Whether the process of a machine and a process id is no more.
-    """
+def leases_of_dead(connection: Connection) -> list[HeldLease]:
+    """Return the leases of workers whose processes were on this machine and have ended."""
     holders = select(WorkerRow.id, WorkerRow.machine, WorkerRow.pid).where(
         exists(select(JobRow.id).where(IS_LEASED, JobRow.lease_worker == WorkerRow.id))
     )
-    dead = [row.id for row in connection.execute(holders).all() if gone(row.machine, row.pid)]
+    dead = [row.id for row in connection.execute(holders).all() if process_is_gone(row.machine, row.pid)]
     if not dead:
         return []
-    held = select(JobRow.id, JobRow.lease_token).where(IS_LEASED, among(JobRow.lease_worker, "workers"))
+    held = select(JobRow.id, JobRow.lease_token).where(IS_LEASED, in_list(JobRow.lease_worker, "workers"))
     return [
         HeldLease(job=row.id, token=row.lease_token) for row in connection.execute(held, {"workers": dead})
     ]
 
 
 def process_is_gone(machine: str, pid: int) -> bool:
-    """Return whether a process ran on this machine (`worker.machine`) and is no more."""
+    """Return whether a process ran on this machine (see `machine_name`) and has ended."""
     if not machine or machine != machine_name() or pid <= 0:
         return False
     try:
@@ -157,12 +165,12 @@ def process_is_gone(machine: str, pid: int) -> bool:
 
 
 def forget_absent(connection: Connection, after_s: float) -> int:
-    """Forget workers that were not heard of for so long and hold nothing; return how many."""
+    """Delete workers without contact for so long and without leases; return how many."""
     holding = exists(select(JobRow.id).where(IS_LEASED, JobRow.lease_worker == WorkerRow.id))
     absent = select(WorkerRow.id).where(
         WorkerRow.last_seen_at < database_now(connection) - timedelta(seconds=after_s), ~holding
     )
-    names = list(connection.execute(locked(absent, connection, WorkerRow, skip_locked=True)).scalars())
+    names = list(connection.execute(lock_rows(absent, connection, WorkerRow, skip_locked=True)).scalars())
     if names:
-        connection.execute(delete(WorkerRow).where(among(WorkerRow.id, "names")), {"names": names})
+        connection.execute(delete(WorkerRow).where(in_list(WorkerRow.id, "names")), {"names": names})
     return len(names)

@@ -1,7 +1,8 @@
-"""A coordinator inside a command, and worker processes beside it."""
+"""Running a coordinator in this process, and worker processes next to it."""
 
 import logging
 import os
+import resource
 import signal
 import socket
 import subprocess
@@ -10,96 +11,45 @@ import threading
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Final
 
 import uvicorn
-from sqlalchemy import inspect
 
-from brink.server.access.store import any_token
 from brink.server.app import create_app
-from brink.server.db.engine import open_engines, parse_url
-from brink.server.db.models import TokenRow
-from brink.server.db.upgrade import upgrade
 from brink.server.errors import ServerError
-from brink.server.queue.holding_store import release
-from brink.server.queue.workers import leases_of, process_is_gone
-from brink.server.runtime.request_timeout import impatient
+from brink.server.runtime.database import has_tokens
+from brink.server.runtime.request_timeout import protocol_with_timeout
 from brink.server.settings import LOOPBACK, Settings
 
 START_S = 15.0
 
 
 class CannotListen(ServerError):
-    """The coordinator cannot listen where it should."""
-
-
-def prepare_database(settings: Settings) -> tuple[str | None, str]:
-    """Bring the database to this version's schema; return the revisions before and after.
-
-    Raises:
-        DatabaseError: It cannot be reached, or its schema is newer than this version knows.
-    """
-    engines = open_engines(settings.database)
-    try:
-        return upgrade(engines)
-    finally:
-        engines.dispose()
-
-
-def release_leases_of_the_dead(settings: Settings) -> int:
-    """Put back what workers of this machine held that are no more, uncharged; return how many jobs.
-
-    For the start after a crash of everything, which is no fault of the jobs. Only for SQLite, where the coordinator
-    and its database share a machine; should a worker be mistaken for dead, its results are `stale` and run again.
-    """
-    if settings.sqlite_file is None:
-        return 0
-    engines = open_engines(settings.database)
-    try:
-        with engines.writer.begin() as connection:
-            leases = leases_of(connection, process_is_gone)
-            return release(connection, leases)
-    finally:
-        engines.dispose()
+    """The coordinator cannot listen on the configured address."""
 
 
 def check_exposed(settings: Settings) -> None:
-    """Refuse to listen beyond this machine without a token.
+    """Check that a coordinator which other machines can reach has a token.
 
     Raises:
-        CannotListen: There is none.
+        CannotListen: It has none.
     """
     if settings.host not in LOOPBACK and settings.token is None and not has_tokens(settings):
         raise CannotListen(
-            f"listening on {settings.host} lets other machines in: make tokens (brink token create NAME --scope "
-            "worker), or set a secret in BRINK_TOKEN, here and for the workers, or listen on 127.0.0.1"
+            f"other machines can connect to {settings.host}, so a token is required: create one (brink token create "
+            "NAME --scope worker), set a secret in BRINK_TOKEN here and for the workers, or listen on 127.0.0.1"
         )
 
 
-def has_tokens(settings: Settings, *, that_hold: bool = True) -> bool:
-    """Return whether tokens are stored: such that hold, or any, so that nobody is served without one."""
-    file = settings.sqlite_file
-    if file is not None and not file.exists():
-        return False
-    engines = open_engines(settings.database)
-    try:
-        with engines.reader.connect() as connection:
-            # An older schema knows no tokens.
-            return inspect(connection).has_table(TokenRow.__tablename__) and any_token(
-                connection, that_holds=that_hold
-            )
-    finally:
-        engines.dispose()
-
-
 def listen(settings: Settings) -> socket.socket:
-    """Return a socket that listens where the settings say; port 0 takes a free one.
+    """Return a socket that listens on the configured address; port 0 selects a free one.
 
     Raises:
-        CannotListen: The port is in use, or the address is not one of this machine.
+        CannotListen: A token is missing, the port is in use, or the address does not belong to this machine.
     """
     check_exposed(settings)
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
-    # asyncio turns Nagle's algorithm off only where the protocol is named; else every answer waits 40 ms for an ACK.
+    # asyncio disables Nagle's algorithm only if the protocol is given; otherwise responses wait 40 ms for an ACK.
     listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -107,25 +57,20 @@ def listen(settings: Settings) -> socket.socket:
     except OSError as error:
         listener.close()
         raise CannotListen(
-            f"cannot listen on {settings.host}:{settings.port}: {error.strerror}; choose another with --port"
+            f"cannot listen on {settings.host}:{settings.port}: {error.strerror}; choose another port with --port"
         ) from None
     listener.listen(512)
     return listener
 
 
 def url_of(listener: socket.socket) -> str:
-    """Return the URL at which a listening socket is reached from this machine."""
+    """Return the URL of a listening socket, as seen from this machine."""
     host, port = listener.getsockname()[:2]
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
-def shown_url(settings: Settings) -> str:
-    """Return the URL of the database without its password."""
-    return parse_url(settings.database).render_as_string(hide_password=True)
-
-
 class CoordinatorServer(uvicorn.Server):
-    """Serves the coordinator; asked to stop, it answers those who wait for work, so that nobody is cut off."""
+    """A uvicorn server for the coordinator; on shutdown it answers pending long polls first."""
 
     def __init__(self, settings: Settings) -> None:
         self._app = create_app(settings)
@@ -134,7 +79,7 @@ class CoordinatorServer(uvicorn.Server):
                 self._app,
                 log_config=None,
                 access_log=False,
-                http=impatient(settings.stall_s),
+                http=protocol_with_timeout(settings.stall_s),
                 lifespan="on",
                 timeout_keep_alive=75,
                 timeout_graceful_shutdown=3,
@@ -159,20 +104,20 @@ class EmbeddedCoordinator:
         )
 
     def start(self) -> None:
-        """Serve, and return once requests are answered.
+        """Start serving; return once the server accepts requests.
 
         Raises:
-            CannotListen: It did not come up.
+            CannotListen: The server did not start.
         """
         self._thread.start()
         deadline = time.monotonic() + START_S
         while not self._server.started:
             if not self._thread.is_alive() or time.monotonic() > deadline:
-                raise CannotListen("the coordinator did not come up; its log says why")
+                raise CannotListen("the coordinator did not start; see its log")
             time.sleep(0.01)
 
     def stop(self) -> None:
-        """Answer what is under way, commit, and return."""
+        """Finish the requests in progress, commit, and stop."""
         self._server.should_exit = True
         if self._thread.is_alive():
             self._thread.join()
@@ -181,7 +126,7 @@ class EmbeddedCoordinator:
 
 @dataclass(slots=True)
 class WorkerProcesses:
-    """Worker processes of this command. They leave when it does, even if it is killed."""
+    """Worker processes of this command. They exit when the command does, even if it is killed."""
 
     url: str
     log_file: Path
@@ -189,7 +134,7 @@ class WorkerProcesses:
     _running: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
     def start(self, count: int) -> None:
-        """Start some more workers."""
+        """Start more workers."""
         environment = dict(os.environ)
         if self.token is not None:
             environment["BRINK_TOKEN"] = self.token
@@ -203,7 +148,7 @@ class WorkerProcesses:
                         stdout=log,
                         stderr=log,
                         env=environment,
-                        start_new_session=True,  # Ctrl-C is for this command, which then stops its workers
+                        start_new_session=True,  # Ctrl-C goes to this command, which then stops its workers
                     )
                 )
 
@@ -213,16 +158,16 @@ class WorkerProcesses:
         return [process.pid for process in self._running]
 
     def replace_dead(self) -> int:
-        """Start a worker for each that died; return how many."""
+        """Replace the workers that have died; return their number."""
         dead = [process for process in self._running if process.poll() is not None]
         self._running = [process for process in self._running if process.poll() is None]
         if dead:
-            logging.getLogger(__name__).warning("workers that died: %d; starting others", len(dead))
+            logging.getLogger(__name__).warning("replacing workers that died: %d", len(dead))
             self.start(len(dead))
         return len(dead)
 
     def stop(self, grace_s: float = 10.0) -> None:
-        """Have all workers finish what they run and leave; kill those that do not."""
+        """Let all workers finish their jobs and exit; kill those still running after ``grace_s`` seconds."""
         for process in self._running:
             if process.poll() is None:
                 process.send_signal(signal.SIGTERM)
@@ -236,3 +181,14 @@ class WorkerProcesses:
             if process.stdin is not None:
                 process.stdin.close()
         self._running.clear()
+
+
+_MAX_OPEN_FILES: Final = 65_536
+
+
+def allow_many_open_files() -> None:
+    """Raise the limit on open files of this process: each connection is one, and the default is often 1,024."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = _MAX_OPEN_FILES if hard == resource.RLIM_INFINITY else min(hard, _MAX_OPEN_FILES)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))

@@ -67,5 +67,5 @@ def test_a_boundary_is_repeated_and_handed_on(databases: Databases, tmp_path: Pa
     assert len((out / "boundary.jsonl").read_text().splitlines()) == len(rows)
     assert (out / "boundary.parquet").stat().st_size > 0
     readme = (out / "README.md").read_text()
-    assert "## What is unsafe" in readme
+    assert "## The unsafe region" in readme
     assert json.loads((out / "rules.json").read_text())

@@ -47,10 +47,10 @@ def test_an_experiment_that_is_killed_goes_on_to_the_same_report(
             running.wait()
         refused = brink(*command, cwd=tmp_path, env=TOY)
         assert refused.returncode == 1
-        assert "go on with it by --resume" in refused.stderr
+        assert "continue it with --resume" in refused.stderr
         resumed = brink(*command, "--resume", "--json", cwd=tmp_path, env=TOY)
         assert resumed.returncode == 0, resumed.stderr
-        assert re.search(r"going on at [\d,]+ of 160 simulations", resumed.stderr)
+        assert re.search(r"continuing at [\d,]+ of 160 simulations", resumed.stderr)
         name = json.loads(resumed.stdout)["id"]
         folder = tmp_path / "brink-results" / f"two-methods-{name}"
         assert (folder / "report.html").read_text().count("data:image/png;base64,") == 4

@@ -37,7 +37,7 @@ def test_a_campaign_file_becomes_results_and_a_summary(databases: Databases, tmp
         assert "archive sha256 " in said.stdout
         shown = brink("run", written(tmp_path, body), "--database", url, "--resume", cwd=tmp_path)
         assert shown.returncode == 0, shown.stderr
-        assert "is finished" in shown.stdout
+        assert "has finished" in shown.stdout
         assert len(list((tmp_path / "brink-results").glob("known-boundary-*"))) == 1
         again = brink(
             "run", written(tmp_path, body), "--database", url, "--workers", "1", "--no-pictures", "--json",
@@ -65,12 +65,12 @@ def test_a_run_that_is_stopped_goes_on_to_the_same_end(
             running.signal(stop)
             assert running.wait() == 1
         assert "nothing is lost" in running.output
-        assert re.search(rf"go on with: .*brink( --plugin \S+)+ run {file} --resume", running.output)
+        assert re.search(rf"continue with: .*brink( --plugin \S+)+ run {file} --resume", running.output)
         assert "Traceback" not in running.output
         refused = brink("run", file, *options, cwd=tmp_path, env=TOY)
         assert refused.returncode == 1
         assert "--resume" in refused.stderr
         resumed = brink("run", file, *options, "--resume", "--json", cwd=tmp_path, env=TOY)
         assert resumed.returncode == 0, resumed.stderr
-    assert "going on at" in resumed.stderr
+    assert "continuing at" in resumed.stderr
     assert json.loads(resumed.stdout)["digest"] == undisturbed_digest(BALL)

@@ -11,7 +11,7 @@ from playwright.sync_api import expect as shown
 from support.api import ball, coordinator, submit
 from support.problems import small_problems
 
-import brink.server.access.gate
+import brink.server.access.authentication
 from brink.bench.temporary.chromium import NoChromium, chromium, executable
 from browser.console import Console, silence
 from browser.served import LOOSELY, NOBODYS, SECRET, Served, served, unsafe_one
@@ -59,7 +59,7 @@ def own(own_database: str) -> Iterator[httpx.Client]:
 @pytest.fixture
 def guarded(own_database: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[httpx.Client]:
     """A coordinator of the test's own that asks for a token, with a campaign that runs."""
-    monkeypatch.setattr(brink.server.access.gate, "REMEMBERED_S", 0.0)
+    monkeypatch.setattr(brink.server.access.authentication, "TOKEN_CACHE_S", 0.0)
     with small_problems(), coordinator(own_database, token=SECRET) as client:
         submit(client, ball(name="guarded", problem=NOBODYS))
         yield client

@@ -49,5 +49,5 @@ def test_neither_has_the_page_that_asks_for_a_token(
     page = visit(origin(guarded), theme=theme)
     page.get_by_label("Token").fill("wrong")
     page.get_by_role("button", name="Sign in").click()
-    shown(page.get_by_role("alert")).to_contain_text("not taken")
+    shown(page.get_by_role("alert")).to_contain_text("Token rejected")
     assert faults(page, RULES[theme]) == []

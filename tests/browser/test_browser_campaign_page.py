@@ -1,4 +1,4 @@
-"""The page of one campaign: its map, its course, its table of boundary solutions, what can be done with it."""
+"""The page of one campaign: its map, its convergence, its table of boundary solutions, what can be done with it."""
 
 import csv
 import io
@@ -85,11 +85,11 @@ def test_the_lasso_chooses_all_that_it_encloses(page: Page, chart: Locator) -> N
     for x, y in ((right, top), (right, bottom), (left, bottom)):
         page.mouse.move(x, y, steps=3)
     page.mouse.up()
-    panel = page.get_by_role("complementary", name="Chosen on the map")
-    shown(panel.get_by_role("heading", name="40 solutions chosen")).to_be_visible()
+    panel = page.get_by_role("complementary", name="Selection on the map")
+    shown(panel.get_by_role("heading", name="40 solutions selected")).to_be_visible()
     shown(panel.get_by_role("link")).to_have_count(40)
-    panel.get_by_role("button", name="Choose none").click()
-    shown(panel.get_by_role("heading", name="Nothing chosen")).to_be_visible()
+    panel.get_by_role("button", name="Clear selection").click()
+    shown(panel.get_by_role("heading", name="Nothing selected")).to_be_visible()
 
 
 def test_a_point_that_is_clicked_says_which_solution_it_is(site: Served, page: Page, chart: Locator) -> None:
@@ -97,7 +97,7 @@ def test_a_point_that_is_clicked_says_which_solution_it_is(site: Served, page: P
     chart.hover(position=at)
     shown(page.get_by_text(f"solution {number}: ")).to_be_visible()
     chart.click(position=at)
-    panel = page.get_by_role("complementary", name="Chosen on the map")
+    panel = page.get_by_role("complementary", name="Selection on the map")
     shown(panel.get_by_role("heading", name=f"Solution {number}")).to_be_visible()
     words = expect(site.client.get(f"{API}/campaigns/{site.urban}/solutions/{number}"))["words"]
     shown(panel).to_contain_text(words)
@@ -129,7 +129,7 @@ def test_the_table_of_boundary_solutions_is_filtered_and_sorted(site: Served, pa
     assert 0 < len(unsafe) <= 12, "one page of the table"
     region.get_by_label("Verdict").select_option("unsafe")
     shown(rows).to_have_count(len(unsafe))
-    shown(region.get_by_text(f"{len(unsafe)} of {len(solutions)} are like that.")).to_be_visible()
+    shown(region.get_by_text(f"{len(unsafe)} of {len(solutions)} match.")).to_be_visible()
     region.get_by_label("Verdict").select_option("")
 
     number = solutions[-1]["number"]
@@ -158,19 +158,19 @@ def test_the_boundary_is_saved_as_csv_as_the_api_tells_it(site: Served, page: Pa
     assert numbers == {str(one["number"]) for one in boundary(site)["solutions"]}
 
 
-def test_other_thresholds_change_course_and_table_and_are_kept_in_the_address(
+def test_other_thresholds_change_curve_and_table_and_are_kept_in_the_address(
     site: Served, visit: Visits
 ) -> None:
     page = visit(site.url, f"#/campaigns/{site.urban}")
     curve = page.get_by_role("region", name="Boundary solutions over simulations")
-    shown(curve.get_by_text("Fitness at most t_b")).to_be_visible()
+    shown(curve.get_by_text("fitness at most t_b")).to_be_visible()
     curve.get_by_label("t_b").fill("1")
     curve.get_by_label("t_b").press("Enter")
     curve.get_by_label("d_th").fill("0")
     curve.get_by_label("d_th").press("Enter")
     table = page.get_by_role("region", name="Boundary solutions", exact=True)
     shown(table.locator("caption")).to_contain_text(f"{boundary(site)['dbs']} distinct boundary solutions")
-    shown(curve.get_by_text("surroundings without a single unsafe solution")).to_be_visible()
+    shown(curve.get_by_text("neighbourhoods without a single unsafe solution")).to_be_visible()
     assert page.url.endswith("?t_b=1&d_th=0")
     curve.get_by_role("button", name="Defaults").click()
     shown(table.locator("caption")).to_contain_text("t_b 0.1, d_th 0.2")
@@ -180,7 +180,7 @@ def test_a_campaign_is_paused_resumed_and_cancelled(site: Served, visit: Visits)
     campaign = submit(site.client, ball(name="steered", problem=NOBODYS))
     page = visit(site.url, f"#/campaigns/{campaign}")
     state = page.locator(".head .badge")
-    shown(page.get_by_text("can be run by no live worker")).to_be_visible()
+    shown(page.get_by_text("cannot run on any live worker")).to_be_visible()
     for button, then in (
         ("Pause steered", "paused"),
         ("Resume steered", "running"),
@@ -195,7 +195,7 @@ def test_a_campaign_is_paused_resumed_and_cancelled(site: Served, visit: Visits)
     shown(dialog).to_be_hidden()
     shown(state).to_have_text("paused")
     page.get_by_role("button", name="Cancel steered").click()
-    page.get_by_role("button", name="Cancel it").click()
+    page.get_by_role("button", name="Cancel campaign").click()
     shown(state).to_have_text("cancelled")
     assert progress(site.client, campaign)["status"] == "cancelled"
     shown(page.get_by_role("button", name="Resume steered")).to_have_count(0)
@@ -206,8 +206,8 @@ def test_a_campaign_is_deleted_only_when_that_is_confirmed(site: Served, visit: 
     expect(site.client.post(f"{API}/campaigns/{campaign}/cancel"))
     page = visit(site.url, f"#/campaigns/{campaign}")
     page.get_by_role("button", name="Delete").click()
-    page.get_by_role("button", name="Delete it").click()
+    page.get_by_role("dialog").get_by_role("button", name="Delete").click()
     shown(page.get_by_role("heading", name="Campaigns")).to_be_visible()
-    shown(page.get_by_text("unwanted is deleted.")).to_be_visible()
+    shown(page.get_by_text("unwanted has been deleted.")).to_be_visible()
     shown(page.get_by_role("row", name=re.compile("unwanted"))).to_have_count(0)
     assert site.client.get(f"{API}/campaigns/{campaign}").status_code == 404

@@ -25,26 +25,26 @@ def test_campaigns_are_found_by_name_and_state_and_steered_from_the_list(site: S
     shown(rows).to_have_count(1)
     shown(page.get_by_label("Find")).to_have_value("needle")
     page.get_by_label("Find").fill("haystack")
-    shown(page.get_by_text("No campaign is like that.")).to_be_visible()
+    shown(page.get_by_text("No campaign matches.")).to_be_visible()
 
 
 def test_an_experiment_shows_its_results_and_its_campaigns(site: Served, visit: Visits) -> None:
     page = visit(site.url, "#/experiments")
     page.get_by_role("link", name="two on a ball").click()
     shown(page.locator(".head .badge")).to_have_text("finished")
-    shown(page.get_by_role("region", name="Where it stands")).to_contain_text("4 of 4")
+    shown(page.get_by_role("region", name="Progress")).to_contain_text("4 of 4")
     shown(page.get_by_role("rowheader", name="random@1").first).to_be_visible()
-    page.get_by_role("link", name="Its campaigns").click()
+    page.get_by_role("link", name="Show campaigns").click()
     shown(page.locator("table.campaigns tbody tr")).to_have_count(4)
 
 
 def test_campaigns_that_are_ticked_stand_side_by_side(site: Served, visit: Visits) -> None:
     page = visit(site.url, f"#/compare?ids={site.urban}")
-    shown(page.get_by_text("Choose one more campaign to compare it with.")).to_be_visible()
+    shown(page.get_by_text("Choose one more campaign.")).to_be_visible()
     page.get_by_role("checkbox", name=re.compile("^ball ")).check()
     shown(page.get_by_role("heading", name="Side by side")).to_be_visible()
     page.reload()
-    chosen = page.get_by_role("list", name="Campaigns that are compared").get_by_role("listitem")
+    chosen = page.get_by_role("list", name="Compared campaigns").get_by_role("listitem")
     shown(chosen).to_have_text(["night rain×", "ball×"])
     shown(page.get_by_role("heading", name="Settings that differ")).to_be_visible()
     chosen.filter(has_text="night rain").get_by_role("button").click()

@@ -29,7 +29,7 @@ def test_a_quarantined_job_is_looked_at_retried_and_done(
 ) -> None:
     campaign, job = unlucky
     page = visit(origin(own), f"#/campaigns/{campaign}")
-    page.get_by_text("3 jobs in quarantine.").get_by_role("link", name="Look and retry").click()
+    page.get_by_text("3 jobs in quarantine.").get_by_role("link", name="Inspect and retry").click()
     row = page.get_by_role("row").filter(has=page.get_by_role("rowheader", name=str(job), exact=True))
     row.locator("summary").filter(has_text="the engine gave up").click()
     shown(row.get_by_text("in the second line")).to_be_visible()
@@ -49,8 +49,8 @@ def test_all_jobs_in_quarantine_are_retried_together(
     own: httpx.Client, unlucky: tuple[str, int], visit: Visits
 ) -> None:
     page = visit(origin(own), "#/jobs")
-    page.get_by_role("button", name="Retry all 3 of this list").click()
-    page.get_by_role("button", name="Retry them").click()
+    page.get_by_role("button", name="Retry all 3 listed").click()
+    page.get_by_role("button", name="Retry", exact=True).click()
     shown(page.get_by_text("3 jobs are back in the queue.")).to_be_visible()
     shown(page.get_by_text("No job is in quarantine.")).to_be_visible()
     FakeWorker(own, id="working").work(unlucky[0])
@@ -59,7 +59,7 @@ def test_all_jobs_in_quarantine_are_retried_together(
 
 def test_a_job_that_nobody_can_run_says_what_it_needs(site: Served, visit: Visits) -> None:
     page = visit(site.url, "#/jobs?status=queued")
-    shown(page.get_by_text("which no live worker has").first).to_be_visible()
+    shown(page.get_by_text("which no live worker provides").first).to_be_visible()
     shown(page.locator("table.jobs tbody tr").first).to_contain_text("nobody-has-it@1")
 
 

@@ -69,7 +69,7 @@ def test_what_takes_a_while_is_not_asked_for_while_nobody_looks(site: Served, vi
 
     page.route("**/episode?*", still_made)
     page.reload()
-    shown(page.get_by_text("a worker simulates the episode again")).to_be_visible()
+    shown(page.get_by_text("a worker is simulating the episode again")).to_be_visible()
     with page.expect_response("**/episode?*"):
         page.clock.run_for(5_000)
     page.evaluate(HIDE, True)
@@ -87,7 +87,7 @@ def test_what_takes_a_while_is_not_asked_for_while_nobody_looks(site: Served, vi
 @pytest.mark.parametrize(
     ("status", "detail", "words"),
     [
-        (429, "too many requests", "The coordinator was asked more than this client may ask in a while."),
+        (429, "too many requests", "Rate limit exceeded."),
         (503, "the database did not answer", "The database did not answer."),
     ],
 )
@@ -99,7 +99,7 @@ def test_what_keeps_answers_away_is_said_until_they_come(
     console.expect_status(status)
     page.route("**/overview*", lambda route: route.fulfill(status=status, json={"detail": detail}))
     page.clock.run_for(IDLE_MS)
-    notice = page.get_by_text(f"{words} This page tries again; nothing that it holds is lost.")
+    notice = page.get_by_text(f"{words} Retrying; the page keeps what it shows.")
     shown(notice).to_be_visible()
     shown(page.get_by_role("link", name="night rain", exact=True)).to_be_visible()
     page.unroute("**/overview*")
@@ -126,7 +126,7 @@ def test_a_page_says_that_the_coordinator_is_away_and_goes_on_when_it_is_back(
     console.expect_lost_connections()
     assert killable.coordinator is not None
     killable.coordinator.kill()
-    notice = page.get_by_text("The coordinator does not answer.")
+    notice = page.get_by_text("The coordinator does not respond.")
     shown(notice).to_be_visible()
     shown(figures).to_contain_text("5 of 60")
 

@@ -75,7 +75,7 @@ def test_what_is_wrong_is_said_beside_its_field_and_nothing_is_stored(
     field.fill(wrong)
     console.expect_status(422)
     page.get_by_role("button", name="Submit campaign").click()
-    shown(page.get_by_text("Some fields are wrong: see beside them.")).to_be_visible()
+    shown(page.get_by_text("Some fields are invalid; see the messages next to them.")).to_be_visible()
     shown(field).to_have_attribute("aria-invalid", "true")
     shown(field).to_have_accessible_description(re.compile(words))
     shown(field).to_be_focused()
@@ -90,9 +90,7 @@ def test_a_campaign_can_be_checked_without_being_stored(site: Served, visit: Vis
     page = visit(site.url, "#/new")
     fill(page, "only checked", 20)
     page.get_by_role("button", name="Check only").click()
-    shown(
-        page.get_by_text("only checked could be submitted: ball@1, random@1, 20 simulations.")
-    ).to_be_visible()
+    shown(page.get_by_text("only checked is valid: ball@1, random@1, 20 simulations.")).to_be_visible()
     assert "only checked" not in names(site.client)
 
 
@@ -135,7 +133,7 @@ def test_a_file_that_is_wrong_is_left_for_the_form_and_kept(
     text.fill(FILE.replace("random@1", "randm@1"))
     console.expect_status(422)
     page.get_by_role("button", name="Form", exact=True).click()
-    said = page.get_by_role("alert").filter(has_text="the form is as it was before")
+    said = page.get_by_role("alert").filter(has_text="the form is unchanged")
     shown(said).to_contain_text("Did you mean random@1?")
     name = page.get_by_label("Name", exact=True)
     shown(name).to_have_value("before the file")

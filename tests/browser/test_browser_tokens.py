@@ -4,7 +4,7 @@ import httpx
 from playwright.sync_api import Page
 from playwright.sync_api import expect as shown
 
-from brink.server.access.store import create_token
+from brink.server.access.tokens import create_token
 from brink.server.db.engine import open_engines
 from brink.server.states import Scope
 from browser.console import Console
@@ -36,9 +36,7 @@ def test_without_a_token_nothing_is_shown_and_with_the_right_one_everything(
     shown(page.get_by_role("heading", name="Sign in")).to_be_visible()
     shown(page.get_by_label("Token")).to_be_focused()
     sign_in(page, "battery-staple")
-    shown(page.get_by_role("alert")).to_have_text(
-        "This token is not taken: it is misspelt, revoked, or has ended."
-    )
+    shown(page.get_by_role("alert")).to_have_text("Token rejected: it is misspelt, revoked or expired.")
     shown(page.get_by_text("guarded")).to_have_count(0)
     sign_in(page, SECRET)
     shown(page.get_by_role("link", name="guarded")).to_be_visible()
@@ -77,7 +75,7 @@ def test_a_token_that_may_only_look_sees_no_buttons_and_cannot_submit(
     shown(page.get_by_role("region", name="Progress")).to_contain_text("0 of 60")
     shown(page.get_by_role("button", name="Pause")).to_have_count(0)
     page.goto(f"{origin(guarded)}/#/new")
-    shown(page.get_by_text("This token may look only.")).to_be_visible()
+    shown(page.get_by_text("This token is read-only.")).to_be_visible()
     shown(page.get_by_role("button", name="Submit campaign")).to_have_count(0)
 
 
@@ -87,7 +85,7 @@ def test_a_users_token_may_steer_but_not_delete(
     page = visit(origin(guarded), token=token_of(own_database, "user"))
     page.get_by_role("link", name="guarded").click()
     page.get_by_role("button", name="Cancel guarded").click()
-    page.get_by_role("button", name="Cancel it").click()
+    page.get_by_role("button", name="Cancel campaign").click()
     shown(page.locator(".head .badge")).to_have_text("cancelled")
     shown(page.get_by_role("button", name="Delete")).to_have_count(0)
 
@@ -98,5 +96,5 @@ def test_a_workers_token_is_refused_with_the_reason(
     console.expect_status(401, 403)
     page = visit(origin(guarded))
     sign_in(page, token_of(own_database, "worker"))
-    shown(page.get_by_role("alert")).to_contain_text("This token is a worker's")
+    shown(page.get_by_role("alert")).to_contain_text("This is a worker token")
     shown(page.get_by_role("heading", name="Sign in")).to_be_visible()

@@ -6,15 +6,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from brink.search.actions.rule import Participants
 from brink.search.algorithm import Algorithm, Candidate, Evaluation, Failed, Scored
 from brink.search.algorithms.random_search import RandomSearch, RandomSearchConfig, RandomSearchState
 from brink.search.document import Document
 from brink.search.errors import DocumentError, UnsupportedSpace
-from brink.search.levels import Slots
-from brink.search.problems import mtq, onemax
+from brink.search.problems import (
+    MTQ_SPACE,
+    ONEMAX_SPACE,
+)
+from brink.search.slots import Slots
 from brink.search.space import SearchSpace
 from brink.search.testing import ContractBroken, check_algorithm, example_spaces
+from brink.search.traffic.constraint import Participants
 from brink.sim.catalogue import load_plugin, plugin_ids
 
 GROUP = "brink.algorithms"
@@ -27,7 +30,7 @@ NEEDS: dict[str, tuple[type[Any], str]] = {
     "mumoea@1": (Participants, "participants"),
 }
 """Constraint that a space must have for an algorithm, and what the error names."""
-SPACES = {**example_spaces(), "mtq": mtq.SPACE, "onemax": onemax.SPACE}
+SPACES = {**example_spaces(), "mtq": MTQ_SPACE, "onemax": ONEMAX_SPACE}
 
 
 def algorithm(plugin_id: str) -> Algorithm:

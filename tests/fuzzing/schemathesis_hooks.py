@@ -1,7 +1,7 @@
 """Changes to the fuzzer's requests: they do not wait for work, and most of them name campaigns and jobs that exist.
 
-`BRINK_FUZZ_KNOWN` holds the ids and leases that `fill` in `test_fuzzing.py` made, as JSON. Made-up ids alone would get no
-answer but "no such campaign".
+`BRINK_FUZZ_KNOWN` holds the ids and leases that `fill` in `test_fuzzing.py` made, as JSON. Made-up ids alone would
+get no answer but "no such campaign".
 """
 
 import json

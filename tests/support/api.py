@@ -10,7 +10,7 @@ import httpx
 from anyio.from_thread import BlockingPortal, start_blocking_portal
 from sqlalchemy import func, select
 
-from brink.search.digest import archive_digest
+from brink.search.archive import archive_digest
 from brink.server.app import create_app
 from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import make_plan, new_solutions

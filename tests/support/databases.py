@@ -1,7 +1,7 @@
 """Databases for tests: each test gets one of its own, migrated, on SQLite or on a real Postgres.
 
-``TEST_DATABASE_URL`` names a running Postgres server on which the user may create databases. Without it, one is started
-once a run, as `brink.bench.temporary.postgres` finds it.
+``TEST_DATABASE_URL`` names a running Postgres server on which the user may create databases. Without it, one is
+started once a run, as `brink.bench.temporary.postgres` finds it.
 """
 
 import os

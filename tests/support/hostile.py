@@ -10,8 +10,7 @@ from typing import Any
 import httpx
 from sqlalchemy import select, update
 
-from brink.server.access.store import create_token, revoke_token
-from brink.server.access.tokens import id_within
+from brink.server.access.tokens import create_token, parse_token_id, revoke_token
 from brink.server.db.engine import Engines
 from brink.server.db.models import Base, JobRow, TokenRow, WorkerRow
 from brink.server.states import Scope
@@ -116,7 +115,7 @@ class Attack:
     """A row of the list.
 
     Attributes:
-        name: What is tried, as `docs/security.md` calls it.
+        name: What is tried, as `docs/reference/security.md` calls it.
         send: Tries it in each of its forms.
         gets: The statuses that may come; 0 is a connection that is closed without a word.
         says: What each answer's text holds.
@@ -183,8 +182,8 @@ def _tokens(engines: Engines) -> dict[str, str]:
         made = {str(scope): create_token(connection, scope, str(scope)) for scope in Scope}
         made["revoked"] = create_token(connection, Scope.ADMIN, "revoked")
         made["expired"] = create_token(connection, Scope.ADMIN, "expired")
-        revoke_token(connection, id_within(made["revoked"]) or "")
-        ended = update(TokenRow).where(TokenRow.id == id_within(made["expired"]))
+        revoke_token(connection, parse_token_id(made["revoked"]) or "")
+        ended = update(TokenRow).where(TokenRow.id == parse_token_id(made["expired"]))
         connection.execute(ended.values(expires_at=datetime.now(UTC) - timedelta(seconds=1)))
     return made
 

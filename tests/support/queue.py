@@ -10,14 +10,16 @@ from typing import Any, TypeVar
 
 from sqlalchemy import Connection, Row, select, update
 
-from brink.server.campaigns import jobs, step_store, store
+from brink.server.campaigns import step_store, store
 from brink.server.campaigns.body import Budget, CampaignBody, Execution, PluginChoice
-from brink.server.campaigns.values import NewJob, NewSolution
-from brink.server.db.clock import database_now
+from brink.server.campaigns.step_store import NewSolution
 from brink.server.db.engine import Engines
 from brink.server.db.models import JobRow
-from brink.server.queue import holding_store, lease_store, report_store
-from brink.server.queue.values import LeaseTerms, LeaseWanted, Outcome, Report
+from brink.server.db.sql import database_now
+from brink.server.queue import job_store, lease_store, report_store
+from brink.server.queue.job_store import NewJob
+from brink.server.queue.lease_policy import LeaseDemand, LeaseTerms
+from brink.server.queue.report_store import Outcome, Report
 from brink.server.states import CampaignStatus
 from brink.worker.wire import HeldLease, LeasedJob
 from support.problems import SIMULATOR
@@ -25,6 +27,20 @@ from support.problems import SIMULATOR
 T = TypeVar("T")
 RESULT = '{"kind":"completed","verdicts":{},"objectives":{},"features":{},"provenance":{}}'
 TERMS = LeaseTerms(lease_s=60.0, retry_backoff_s=10.0, live_workers=1)
+
+
+def lease(
+    connection: Connection, worker: str, capabilities: Sequence[str], max_jobs: int, terms: LeaseTerms
+) -> list[LeasedJob]:
+    """Lease jobs to one worker."""
+    demand = LeaseDemand(worker=worker, capabilities=tuple(capabilities), max_jobs=max_jobs, terms=terms)
+    return lease_store.lease_together(connection, [demand], database_now(connection)).jobs[0]
+
+
+def report(connection: Connection, outcomes: Sequence[Outcome], terms: LeaseTerms) -> Report:
+    """Store outcomes, and say which campaigns have no open job left."""
+    stored, _ = report_store.store_outcomes(connection, outcomes, terms)
+    return replace(stored, campaigns=job_store.idle_campaigns(connection, stored.campaigns))
 
 
 def held(job: LeasedJob) -> HeldLease:
@@ -78,7 +94,7 @@ class Queue:
 
         def unit(connection: Connection) -> None:
             store.insert_campaign(connection, name, body, body.document_hash(), None)
-            found = store.find_campaign(connection, name)
+            found = store.CAMPAIGNS.find(connection, name)
             assert found is not None
             step_store.insert_solutions(connection, found, 0, solutions)
 
@@ -101,7 +117,7 @@ class Queue:
     ) -> list[LeasedJob]:
         """Lease jobs."""
         terms = replace(TERMS, live_workers=live_workers, lease_s=lease_s, elsewhere=frozenset(elsewhere))
-        return self.run(lambda c: lease_store.lease(c, worker, capabilities, max_jobs, terms))
+        return self.run(lambda c: lease(c, worker, capabilities, max_jobs, terms))
 
     def lease_together(
         self, asks: Sequence[tuple[str, int, Sequence[str]]], *, live_workers: int = 1
@@ -109,7 +125,7 @@ class Queue:
         """Lease jobs to several workers at once: each with most jobs and capabilities."""
         terms = replace(TERMS, live_workers=live_workers)
         wanted = [
-            LeaseWanted(worker=worker, max_jobs=most, capabilities=tuple(capabilities), terms=terms)
+            LeaseDemand(worker=worker, max_jobs=most, capabilities=tuple(capabilities), terms=terms)
             for worker, most, capabilities in asks
         ]
         return self.run(lambda c: lease_store.lease_together(c, wanted, database_now(c)).jobs)
@@ -124,7 +140,7 @@ class Queue:
     def report(self, *outcomes: Outcome, retry_backoff_s: float = 10.0) -> Report:
         """Report outcomes."""
         terms = replace(TERMS, retry_backoff_s=retry_backoff_s)
-        return self.run(lambda c: report_store.report(c, outcomes, terms))
+        return self.run(lambda c: report(c, outcomes, terms))
 
     def complete(self, *jobs: LeasedJob, result: str = RESULT) -> tuple[str, ...]:
         """Report jobs as completed; return what became of each report."""
@@ -138,11 +154,11 @@ class Queue:
 
     def renew(self, *jobs: LeasedJob) -> list[int]:
         """Renew leases; return the jobs that are still held."""
-        return self.run(lambda c: holding_store.renew(c, [held(job) for job in jobs], 60.0))
+        return self.run(lambda c: lease_store.renew(c, [held(job) for job in jobs], 60.0))
 
     def release(self, *jobs: LeasedJob) -> int:
         """Give leases back; return how many were."""
-        return self.run(lambda c: holding_store.release(c, [held(job) for job in jobs]))
+        return self.run(lambda c: lease_store.release(c, [held(job) for job in jobs]))
 
     def expire(self) -> tuple[tuple[str, ...], int]:
         """Take back the leases that ran out."""
@@ -160,7 +176,7 @@ class Queue:
 
     def retry(self, job: int) -> None:
         """Retry a job by hand."""
-        self.run(lambda connection: jobs.retry(connection, job))
+        self.run(lambda connection: store.retry_job(connection, job))
 
     def delete(self, campaign: str) -> None:
         """Delete a campaign."""

@@ -11,14 +11,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Final
+from typing import Final
 
 from sqlalchemy.exc import IntegrityError
 
-import support.queue
-from brink.server.campaigns import jobs, store
 from brink.server.db.engine import Engines, open_engines
-from brink.server.queue import holding_store, lease_store, report_store
+from brink.server.queue import job_store, lease_policy, lease_store, report_store
 from support.databases import sqlite_template
 from support.queue_machine import QueueMachine, Step, replay, search
 
@@ -52,18 +50,18 @@ FAULTS = {
         "_IS_QUEUED = JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED])",
     ),
     "jobs go to workers that cannot run them": Fault(
-        lease_store, '    among(JobRow.needs, "capabilities"),\n    _DUE,', "    _DUE,"
+        lease_store, '    in_list(JobRow.needs, "capabilities"),\n    _DUE,', "    _DUE,"
     ),
     "backoffs are not waited for": Fault(
         lease_store, 'or_(JobRow.not_before.is_(None), JobRow.not_before <= bindparam("now"))',
         "JobRow.id.is_not(None)",
     ),
-    "equal simulations run at once": Fault(lease_store, "    ~(_SOMEBODY_RUNS_IT & JobRow.cache),\n", ""),
+    "equal simulations run at once": Fault(lease_store, "    ~(_TWIN_RUNS & JobRow.cache),\n", ""),
     "equal simulations are granted together": Fault(
-        lease_store, "        if row.cache and row.spec_hash in seen:\n            continue\n", ""
+        lease_policy, "        if job.cache and job.spec_hash in seen:\n            continue\n", ""
     ),
     "equal simulations without a cache wait for each other": Fault(
-        lease_store, "~(_SOMEBODY_RUNS_IT & JobRow.cache)", "~_SOMEBODY_RUNS_IT"
+        lease_store, "~(_TWIN_RUNS & JobRow.cache)", "~_TWIN_RUNS"
     ),
     "paused campaigns hand out work": Fault(
         lease_store,
@@ -79,22 +77,22 @@ FAULTS = {
         ".order_by(CampaignRow.turn, CampaignRow.id)",
     ),
     "retries overtake work of a higher priority": Fault(
-        lease_store, "return best is None or retry.priority >= best.priority", "return True"
+        lease_policy, "return best is None or retry.priority >= best", "return True"
     ),
     "campaigns do not take turns": Fault(
-        lease_store, "statement = _END_TURN if turn > _AFTER_ALL else _SERVE", "statement = _SERVE"
+        lease_store, "statement = _END_TURN if turn > NEW_TURN else _SERVE", "statement = _SERVE"
     ),
     "turns begin anew with each grant": Fault(
-        lease_store, "    _write_turns(connection, deal.changed)\n", ""
+        lease_store, "    _write_turns(connection, assignment.turns)\n", ""
     ),
     "a turn has no end": Fault(
-        lease_store, "if served >= TURN * live_workers:", "if live_workers == 0:"
+        lease_policy, "if served >= TURN * live_workers:", "if live_workers == 0:"
     ),
     "a turn is a grant": Fault(
-        lease_store, "if served >= TURN * live_workers:", "if live_workers > 0:"
+        lease_policy, "if served >= TURN * live_workers:", "if live_workers > 0:"
     ),
     "the end of the queue goes to one worker": Fault(
-        lease_store, "return min(wanted.max_jobs, max(1, share))", "return wanted.max_jobs"
+        lease_policy, "return min(demand.max_jobs, max(1, share))", "return demand.max_jobs"
     ),
     "attempts are not charged": Fault(
         lease_store, "    attempt=JobRow.attempt + 1,\n", ""
@@ -103,45 +101,45 @@ FAULTS = {
         lease_store, "    .limit(1)\n)\n_CAMPAIGNS", "    .limit(3)\n)\n_CAMPAIGNS"
     ),
     "who holds a retry gets more": Fault(
-        lease_store, "    if any(attempt > 1 for attempt in attempts):\n        return []\n", ""
+        lease_policy, "    if any(attempt > 1 for attempt in attempts):\n        return []\n", ""
     ),
     "a retry goes to a worker that holds jobs": Fault(
-        lease_store, "            if attempts:\n                return []\n", ""
+        lease_policy, "            if attempts:\n                return []\n", ""
     ),
     "a retry goes back to the worker that failed it": Fault(
         lease_store, '            JobRow.failed_worker != bindparam("worker"),\n',
         "            JobRow.id.is_not(None),\n",
     ),
     "a job is dealt out twice": Fault(
-        lease_store, "row.id not in self._granted and not (", "not ("
+        lease_policy, "job.id not in self._granted and not (", "not ("
     ),
     "equal simulations are dealt out to two": Fault(
-        lease_store, "not (row.cache and (row.spec_hash, row.kind) in self._running)", "True"
+        lease_policy, "not (job.cache and (job.spec_hash, job.kind) in self._running)", "True"
     ),
     "equal simulations without a cache are dealt out to one": Fault(
-        lease_store, "not (row.cache and (row.spec_hash", "not ((row.spec_hash"
+        lease_policy, "not (job.cache and (job.spec_hash", "not ((job.spec_hash"
     ),
     "who comes second finds the same turn": Fault(
-        lease_store, "self._stands[line.campaign] = self.changed[line.campaign] = (turn, served)",
+        lease_policy, "self._turns[line.campaign] = self.changed[line.campaign] = (turn, served)",
         "self.changed[line.campaign] = (turn, served)",
     ),
     "who comes second sees the queue as it was": Fault(
-        lease_store, "limit = _limit(one, waiting.jobs - sum(map(len, grants)))",
-        "limit = _limit(one, waiting.jobs)",
+        lease_policy, "limit = grant_limit(demand, backlog.jobs - sum(map(len, granted)))",
+        "limit = grant_limit(demand, backlog.jobs)",
     ),
     "a retry is dealt out with the rest": Fault(
-        lease_store, "if len(wanted) > 1 and (waiting.retries or waiting.traces):", "if waiting.traces:"
+        lease_store, "if len(demands) > 1 and (backlog.retries or backlog.traces):", "if backlog.traces:"
     ),
     "anybody renews a lease": Fault(
-        holding_store, "secrets.compare_digest(row.lease_token, wanted[row.id])", "True"
+        lease_store, "secrets.compare_digest(row.lease_token, wanted[row.id])", "True"
     ),
     "anybody gives a lease back": Fault(
-        holding_store,
+        lease_store,
         "JobRow.lease_token == held.token)\n            .values(\n                status",
         "JobRow.id.is_not(None))\n            .values(\n                status",
     ),
     "a lease given back is charged": Fault(
-        holding_store, "                attempt=JobRow.attempt - 1,\n", ""
+        lease_store, "                attempt=JobRow.attempt - 1,\n", ""
     ),
     "anybody reports a job": Fault(
         report_store,
@@ -186,15 +184,15 @@ FAULTS = {
         "        JobRow.status == JobStatus.QUEUED,\n    )\n    .order_by",
     ),
     "cancelling leaves jobs with workers": Fault(
-        store, "JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),\n            )\n            .values(",
-        "JobRow.status == JobStatus.QUEUED,\n            )\n            .values(",
+        job_store, "JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),\n        )\n        .values(",
+        "JobRow.status == JobStatus.QUEUED,\n        )\n        .values(",
     ),
     "a cancelled job keeps its lease": Fault(
-        store, "                status=JobStatus.CANCELLED,\n                lease_token=None,\n",
-        "                status=JobStatus.CANCELLED,\n",
+        job_store, "            status=JobStatus.CANCELLED,\n            lease_token=None,\n",
+        "            status=JobStatus.CANCELLED,\n",
     ),
     "a retry by hand has no attempts": Fault(
-        jobs, "max_attempts=row.attempt + campaign.body.execution.max_attempts", "max_attempts=row.attempt"
+        job_store, "max_attempts=JobRow.attempt + more_attempts", "max_attempts=JobRow.attempt"
     ),
 }  # fmt: skip
 """The faults, by what goes wrong."""
@@ -202,21 +200,22 @@ FAULTS = {
 
 @contextmanager
 def injected(fault: Fault) -> Iterator[None]:
-    """Have the tests' queue use a module with a fault until the end of the block."""
+    """Run a module with a fault in it until the end of the block."""
     source = inspect.getsource(fault.module)
     if source.count(fault.right) != 1:
         raise AssertionError(
             f"{fault.module.__name__}: expected this once, found it {source.count(fault.right)} times:\n{fault.right}"
         )
-    name = fault.module.__name__.rpartition(".")[2]
-    faulty: Any = ModuleType(fault.module.__name__)
-    exec(compile(source.replace(fault.right, fault.wrong), f"{name} with a fault", "exec"), faulty.__dict__)
-    right = getattr(support.queue, name)
-    setattr(support.queue, name, faulty)
+    right = dict(vars(fault.module))
+    faulty = compile(
+        source.replace(fault.right, fault.wrong), f"{fault.module.__name__} with a fault", "exec"
+    )
+    exec(faulty, vars(fault.module))
     try:
         yield
     finally:
-        setattr(support.queue, name, right)
+        vars(fault.module).clear()
+        vars(fault.module).update(right)
 
 
 def recorded() -> dict[str, list[Step]]:

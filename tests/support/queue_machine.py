@@ -2,8 +2,8 @@
 
 The model knows nothing of SQL: it says in plain Python which worker should get which jobs, and what becomes of them.
 
-A *history* is a list of steps, each the name of a rule with its arguments. Hypothesis searches for histories that tell the
-queue and its model apart; a history that it found can be replayed without a search.
+A *history* is a list of steps, each the name of a rule with its arguments. Hypothesis searches for histories that
+tell the queue and its model apart; a history that it found can be replayed without a search.
 """
 
 from collections.abc import Callable, Iterable, Sequence

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from brink.bench.mumoea.runs import Found, SearchRun
-from brink.search.actions.distance import RolledOut, encounter_distances
-from brink.search.actions.participants import MOST_ACTIONS, MOST_PARTICIPANTS
+from brink.search.traffic.motion import Rollouts, encounter_distances
+from brink.search.traffic.participants import MAX_ACTIONS, MAX_PARTICIPANTS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,12 +70,12 @@ def _between(solutions: Sequence[Found]) -> float:
     return float(apart[np.triu_indices(len(solutions), 1)].mean())
 
 
-def rolled_out(solutions: Sequence[Found]) -> RolledOut:
+def rolled_out(solutions: Sequence[Found]) -> Rollouts:
     """Return the waypoints of solutions as arrays."""
-    points = np.full((len(solutions), MOST_PARTICIPANTS, MOST_ACTIONS, 2), np.nan)
-    actions = np.zeros((len(solutions), MOST_PARTICIPANTS))
+    points = np.full((len(solutions), MAX_PARTICIPANTS, MAX_ACTIONS, 2), np.nan)
+    actions = np.zeros((len(solutions), MAX_PARTICIPANTS))
     for row, solution in enumerate(solutions):
         for column, ends in enumerate(solution.waypoints):
             points[row, column, : len(ends)] = ends
             actions[row, column] = len(ends)
-    return RolledOut(points=points, actions=actions)
+    return Rollouts(points=points, actions=actions)

@@ -9,17 +9,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from brink.search.actions.genome import Genome
+from brink.bench.trials import run_record
 from brink.search.algorithm import Algorithm, Candidate, Evaluation, Failed, Scored
 from brink.search.algorithms.multi_objective import Child
 from brink.search.algorithms.mumoea import Mumoea, MumoeaConfig
 from brink.search.algorithms.nsga2 import Mosat, Nsga2
 from brink.search.algorithms.random_search import RandomSearch
-from brink.search.analysis.violation_types import kinds_of
+from brink.search.analysis.violations import kinds_of
 from brink.search.streams import episode_seed
+from brink.search.traffic.variation import TrafficGenome
 from brink.server.problems.npc_actions import NpcActions, NpcActionsParams
 from brink.sim.errors import SimulatorError
-from brink.sim.trials import run_record
 
 ADAPTIVE: Final = "muMOEA"
 ALWAYS: Final = "differential seeds always"
@@ -28,7 +28,7 @@ ALWAYS: Final = "differential seeds always"
 class OnlyMutants(Mumoea):
     """Has no patterns to get unstuck with: major mutants alone take the place of differential seeds."""
 
-    def own_seeds(self, genome: Genome, count: int, rng: np.random.Generator) -> list[Child]:
+    def heuristic_seeds(self, genome: TrafficGenome, count: int, rng: np.random.Generator) -> list[Child]:
         """Return none."""
         return []
 

@@ -20,7 +20,7 @@ from brink.bench.load.problem import MODULE
 from brink.bench.processes import cpu_of
 from brink.bench.telling import Told
 from brink.bench.temporary.coordinator import CoordinatorProcess
-from brink.server.runtime.open_files import allow_many_open_files
+from brink.server.runtime.coordinator import allow_many_open_files
 from brink.sim.catalogue import PLUGINS_VARIABLE
 
 WORKERS = (1, 4, 16, 64)

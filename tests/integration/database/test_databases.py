@@ -20,9 +20,9 @@ from support.databases import Databases
 from support.queue import Queue
 
 from brink.server.db import upgrade as upgrading
-from brink.server.db.clock import database_now
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.models import Base, CampaignRow, JobRow, SolutionRow, TraceRow
+from brink.server.db.sql import database_now
 from brink.server.db.upgrade import alembic_config, current_revision, head_revision, upgrade
 from brink.server.errors import DatabaseError
 

@@ -9,7 +9,7 @@ from support.queue import Queue
 
 from brink.server.campaigns import store
 from brink.server.campaigns.traces import request_trace
-from brink.server.db.clock import database_now
+from brink.server.db.sql import database_now
 from brink.server.queue import lease_store
 from brink.server.states import CampaignStatus
 from brink.worker.wire import LeasedJob
@@ -100,7 +100,7 @@ def test_retries_that_nobody_here_can_run_cost_nobody_a_look(queue: Queue) -> No
     queue.end_backoffs()
 
     def due(*capabilities: str) -> int:
-        return queue.run(lambda connection: lease_store.due_retries(connection, capabilities))
+        return queue.run(lambda connection: lease_store.count_due_retries(connection, capabilities))
 
     assert (due(SIMULATOR), due("other@1"), due(SIMULATOR, "other@1"), due()) == (1, 1, 2, 0)
     queue.set_status(paused, CampaignStatus.PAUSED)
@@ -282,7 +282,7 @@ def test_nobody_drains_for_a_retry_before_its_backoff_is_over(queue: Queue) -> N
 def test_a_picture_is_waited_for_whether_it_was_tried_before_or_not(queue: Queue) -> None:
     shown = queue.campaign(2, priority=-1)
     queue.complete(*queue.lease())
-    found = queue.run(lambda connection: store.find_campaign(connection, shown))
+    found = queue.run(lambda connection: store.CAMPAIGNS.find(connection, shown))
     assert found is not None
     tried = failed_once(queue)
     queue.run(lambda connection: request_trace(connection, found, 0))

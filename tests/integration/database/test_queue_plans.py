@@ -20,17 +20,15 @@ from support.databases import Databases, on_postgres
 from support.problems import SIMULATOR
 from support.queue import RESULT, TERMS, Queue, held
 
-from brink.server.campaigns import jobs as job_store
 from brink.server.campaigns import store
 from brink.server.db.engine import open_engines
 from brink.server.db.writer import Writer
-from brink.server.queue import census, holding_store, workers
-from brink.server.queue.exchange import Exchange, exchange
-from brink.server.queue.service import QueueService
-from brink.server.queue.values import LeaseWanted, Outcome
+from brink.server.queue import job_store, lease_store, workers
+from brink.server.queue.lease_policy import LeaseDemand
+from brink.server.queue.report_store import Outcome
+from brink.server.queue.service import Exchange, QueueService, run_exchanges
 from brink.server.states import JobStatus
-from brink.worker.machine import machine_name
-from brink.worker.wire import WorkerIdentity
+from brink.worker.wire import WorkerIdentity, machine_name
 
 DONE = 3000
 NO_PROCESS = 2**22 + 1
@@ -86,11 +84,11 @@ def stale(databases: Databases, request: pytest.FixtureRequest) -> Iterator[Queu
 def hot(queue: Queue) -> None:
     """Do what workers do all the time."""
     jobs = queue.lease(max_jobs=4)
-    wanted = LeaseWanted(worker="w1", capabilities=(SIMULATOR,), max_jobs=4, terms=TERMS)
+    demand = LeaseDemand(worker="w1", capabilities=(SIMULATOR,), max_jobs=4, terms=TERMS)
     outcomes = tuple(Outcome(job=job.job, token=job.token, result=RESULT) for job in jobs[:2])
     failed = (Outcome(job=jobs[2].job, token=jobs[2].token, result=None, error="crashed: boom"),)
-    request = Exchange(terms=TERMS, outcomes=(*outcomes, *failed), release=(held(jobs[3]),), wanted=wanted)
-    queue.run(lambda connection: exchange(connection, [request, Exchange(terms=TERMS, wanted=wanted)]))
+    request = Exchange(terms=TERMS, outcomes=(*outcomes, *failed), release=(held(jobs[3]),), demand=demand)
+    queue.run(lambda connection: run_exchanges(connection, [request, Exchange(terms=TERMS, demand=demand)]))
     queue.end_backoffs()
     queue.renew(*queue.lease("w2"))
 
@@ -99,7 +97,7 @@ def periodic(queue: Queue) -> None:
     """Do what the sweeper does, when two leases have run out and a worker is dead."""
     engines = queue.engines
     dead = WorkerIdentity(id="w3", host="here", pid=NO_PROCESS, machine=machine_name())
-    queue.run(lambda connection: workers.note(connection, dead, [SIMULATOR], done=0, failed=0))
+    queue.run(lambda connection: workers.record_contact(connection, dead, [SIMULATOR], done=0, failed=0))
     queue.lease("w3", max_jobs=1)
     queue.end_leases(*queue.lease("w4", max_jobs=2))
     writer = Writer(engines.writer)
@@ -111,21 +109,17 @@ def periodic(queue: Queue) -> None:
     finally:
         writer.close()
     # Of this machine's workers alone, as on SQLite; a database that is shared has them too.
-    queue.run(
-        lambda connection: holding_store.cut_short(
-            connection, workers.leases_of(connection, workers.process_is_gone)
-        )
-    )
-    queue.run(store.running_idle)
+    queue.run(lambda connection: lease_store.end_now(connection, workers.leases_of_dead(connection)))
+    queue.run(job_store.idle_campaigns)
     queue.run(lambda connection: store.running_among(connection, idle))
 
 
 def watching(queue: Queue) -> None:
     """Ask what those ask who watch, every few seconds."""
     queue.lease("w1")
-    queue.run(lambda connection: list(census.count_jobs(connection)))
-    queue.run(workers.list_seen)
-    for status in job_store.OPEN:
+    queue.run(lambda connection: list(job_store.count_jobs(connection)))
+    queue.run(workers.list_workers)
+    for status in job_store.LISTED_BY_STATUS:
         queue.run(partial(job_store.list_jobs, statuses=[status]))
         queue.run(partial(job_store.list_jobs, statuses=[status], campaign="00000000", after=7))
 

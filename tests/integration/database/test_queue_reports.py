@@ -5,12 +5,12 @@ from support.databases import on_sqlite
 from support.queue import RESULT, Queue
 
 from brink.server.campaigns import store
-from brink.server.campaigns.jobs import retry
+from brink.server.campaigns.store import retry_job
 from brink.server.campaigns.traces import request_trace
 from brink.server.db.models import TraceRow
 from brink.server.errors import Conflict, NotFound
 from brink.server.queue import report_store
-from brink.server.queue.values import Outcome
+from brink.server.queue.report_store import Outcome
 from brink.server.states import CampaignStatus
 from brink.worker.wire import LeasedJob
 
@@ -256,7 +256,7 @@ def test_a_quarantined_job_can_be_retried_by_hand_and_still_runs_alone(queue: Qu
     campaign = queue.campaign(3, max_attempts=2)
     (job,) = queue.lease(max_jobs=1)
     queue.fail(job, final=True)
-    queue.run(lambda connection: retry(connection, job.job))
+    queue.run(lambda connection: retry_job(connection, job.job))
     for attempts_left in (1, 0):
         (again,) = queue.lease("w2")
         assert again.job == job.job
@@ -270,14 +270,14 @@ def test_a_quarantined_job_can_be_retried_by_hand_and_still_runs_alone(queue: Qu
 def test_a_quarantined_trace_can_be_retried_by_hand(queue: Queue) -> None:
     campaign = queue.campaign(1)
     queue.complete(*queue.lease())
-    found = queue.run(lambda connection: store.find_campaign(connection, campaign))
+    found = queue.run(lambda connection: store.CAMPAIGNS.find(connection, campaign))
     assert found is not None
     queue.set_status(campaign, CampaignStatus.FINISHED)
     assert queue.run(lambda connection: request_trace(connection, found, 0))
     (trace,) = queue.lease()
     assert trace.record
     queue.fail(trace, final=True)
-    queue.run(lambda connection: retry(connection, trace.job))
+    queue.run(lambda connection: retry_job(connection, trace.job))
     assert [job.job for job in queue.lease()] == [trace.job]
 
 
@@ -290,7 +290,7 @@ def test_only_a_quarantined_job_can_be_retried_by_hand(queue: Queue, state: str)
             queue.complete(job)
     (row,) = queue.jobs(campaign)
     with pytest.raises(Conflict, match=state):
-        queue.run(lambda connection: retry(connection, row.id))
+        queue.run(lambda connection: retry_job(connection, row.id))
 
 
 def test_a_job_of_an_ended_campaign_cannot_be_retried_by_hand(queue: Queue) -> None:
@@ -299,12 +299,12 @@ def test_a_job_of_an_ended_campaign_cannot_be_retried_by_hand(queue: Queue) -> N
     queue.fail(job, final=True)
     queue.set_status(campaign, CampaignStatus.CANCELLED)
     with pytest.raises(Conflict, match="cancelled"):
-        queue.run(lambda connection: retry(connection, job.job))
+        queue.run(lambda connection: retry_job(connection, job.job))
 
 
 def test_retrying_an_unknown_job_is_not_found(queue: Queue) -> None:
     with pytest.raises(NotFound, match="7"):
-        queue.run(lambda connection: retry(connection, 7))
+        queue.run(lambda connection: retry_job(connection, 7))
 
 
 def test_cancelling_ends_open_jobs_and_keeps_the_others(queue: Queue) -> None:

@@ -15,21 +15,28 @@ import pytest
 from sqlalchemy import Connection, event, update
 from support.api import ball, settings_for
 from support.databases import PostgresDatabases, on_sqlite
-from support.queue import RESULT, TERMS, Queue
+from support.queue import RESULT, TERMS, Queue, lease, report
 
 from brink.server.app import create_app
 from brink.server.campaigns import store
 from brink.server.campaigns.body import parse_body
-from brink.server.db.clock import database_now
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.models import WorkerRow
+from brink.server.db.sql import database_now
 from brink.server.db.writer import Unit, Writer
-from brink.server.queue import holding_store, lease_store, report_store, workers
+from brink.server.queue import lease_store, workers
+from brink.server.queue.report_store import Outcome, Report
 from brink.server.queue.service import QueueService
-from brink.server.queue.values import Outcome, Report
 from brink.server.states import CampaignStatus
-from brink.worker.machine import machine_name
-from brink.worker.wire import JobFailed, JobResult, LeasedJob, LeaseRequest, ResultsRequest, WorkerIdentity
+from brink.worker.wire import (
+    JobFailed,
+    JobResult,
+    LeasedJob,
+    LeaseRequest,
+    ResultsRequest,
+    WorkerIdentity,
+    machine_name,
+)
 
 PATIENCE_S = 30.0
 
@@ -44,7 +51,7 @@ def dead_pid() -> int:
 
 def noted(queue: Queue, machine: str, pid: int, worker: str = "w1") -> None:
     identity = WorkerIdentity(id=worker, host="here", pid=pid, machine=machine)
-    queue.run(lambda connection: workers.note(connection, identity, ["x"], done=0, failed=0))
+    queue.run(lambda connection: workers.record_contact(connection, identity, ["x"], done=0, failed=0))
 
 
 def test_leases_of_a_dead_process_of_this_machine_are_found(queue: Queue, dead_pid: int) -> None:
@@ -53,9 +60,9 @@ def test_leases_of_a_dead_process_of_this_machine_are_found(queue: Queue, dead_p
     queue.lease("w2", max_jobs=1)
     noted(queue, machine_name(), dead_pid)
     noted(queue, machine_name(), os.getpid(), "w2")
-    found = queue.run(lambda connection: workers.leases_of(connection, workers.process_is_gone))
+    found = queue.run(workers.leases_of_dead)
     assert [(lease.job, lease.token) for lease in found] == [(lost.job, lost.token)]
-    queue.run(lambda connection: holding_store.cut_short(connection, found))
+    queue.run(lambda connection: lease_store.end_now(connection, found))
     assert queue.expire()[1] == 1
 
 
@@ -64,7 +71,7 @@ def test_a_process_id_of_another_machine_is_not_looked_up(queue: Queue, dead_pid
     queue.campaign(1)
     queue.lease("w1")
     noted(queue, machine, dead_pid)
-    assert queue.run(lambda connection: workers.leases_of(connection, workers.process_is_gone)) == []
+    assert queue.run(workers.leases_of_dead) == []
 
 
 def test_a_machine_is_this_boot_seen_from_this_pid_namespace() -> None:
@@ -72,7 +79,7 @@ def test_a_machine_is_this_boot_seen_from_this_pid_namespace() -> None:
         assert file.read().strip() in machine_name()
     assert os.readlink("/proc/self/ns/pid") in machine_name()
     child = subprocess.run(
-        [sys.executable, "-c", "from worker.machine import machine_name; print(machine_name())"],
+        [sys.executable, "-c", "from brink.worker.wire import machine_name; print(machine_name())"],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert child.stdout.strip() == machine_name()
@@ -84,7 +91,7 @@ def silent_for(queue: Queue, silence: timedelta) -> None:
 
 
 def names(queue: Queue, within_s: float | None = None) -> set[str]:
-    return {seen.id for seen in queue.run(lambda c: workers.list_seen(c, within_s=within_s))}
+    return {seen.id for seen in queue.run(lambda c: workers.list_workers(c, within_s=within_s))}
 
 
 def test_workers_heard_of_lately_can_be_listed(queue: Queue) -> None:
@@ -122,7 +129,7 @@ def test_what_live_workers_can_run_leaves_out_the_dead(queue: Queue, dead_pid: i
     silent_for(queue, timedelta(seconds=60))
     noted(queue, machine_name(), dead_pid, "dead")
     noted(queue, machine_name(), os.getpid(), "live")
-    assert queue.run(lambda c: workers.capabilities_of_live(c, 45.0)) == {"live": ("x",)}
+    assert queue.run(lambda c: workers.live_capabilities(c, 45.0)) == {"live": ("x",)}
 
 
 class Coordinators:
@@ -158,10 +165,10 @@ def test_a_coordinator_keeps_no_state_of_a_campaign_that_another_one_stopped(
             first, second = (app.state.context for app in apps)
             one, other = [(await first.campaigns.submit(parse_body(ball(seed=n)), None))[0] for n in (1, 2)]
             await first.scheduler.sweep()
-            assert set(first.scheduler.stepper.kept) == {one.id, other.id}
+            assert set(first.scheduler.stepper.live_campaigns) == {one.id, other.id}
             await second.campaigns.cancel(one.id)
             await first.scheduler.sweep()
-            assert set(first.scheduler.stepper.kept) == {other.id}
+            assert set(first.scheduler.stepper.live_campaigns) == {other.id}
 
     asyncio.run(body())
 
@@ -188,10 +195,10 @@ def test_a_coordinator_forgets_who_was_not_heard_of_lately_but_not_what_they_did
             now_s += service.settings.worker_seen_s + 1
             await ask(service, identity("w2"), "y")
             await service.sweep()
-            assert set(service._seen) == {"w2"}
+            assert set(service._workers) == {"w2"}
 
     asyncio.run(asyncio.wait_for(body(), PATIENCE_S))
-    told = queue.run(workers.list_seen)
+    told = queue.run(workers.list_workers)
     assert {seen.id: seen.jobs_failed for seen in told} == {"w1": 1, "w2": 0}, "what was accepted, and once"
 
 
@@ -233,7 +240,7 @@ def test_what_a_worker_can_run_is_noted_if_it_reports_before_it_asks(database_ur
             await service.results(reported, asyncio.Event())
 
     asyncio.run(asyncio.wait_for(body(), PATIENCE_S))
-    assert [seen.capabilities for seen in queue.run(workers.list_seen)] == [("x",)]
+    assert [seen.capabilities for seen in queue.run(workers.list_workers)] == [("x",)]
 
 
 WAIT_S = 30.0
@@ -251,11 +258,11 @@ def two(postgres_databases: PostgresDatabases) -> Iterator[tuple[Engines, Engine
 
 
 def leases(worker: str, needs: str, max_jobs: int = 1) -> Unit[list[LeasedJob]]:
-    return lambda connection: lease_store.lease(connection, worker, [needs], max_jobs, TERMS)
+    return lambda connection: lease(connection, worker, [needs], max_jobs, TERMS)
 
 
 def reports(outcomes: list[Outcome]) -> Unit[Report]:
-    return lambda connection: report_store.report(connection, outcomes, TERMS)
+    return lambda connection: report(connection, outcomes, TERMS)
 
 
 def in_one_transaction(engines: Engines, units: list[Callable[[Connection], Any]]) -> list[Any]:
@@ -291,7 +298,7 @@ def test_a_lease_does_not_wait_for_the_one_who_cancels_its_campaign(two: tuple[E
     locked, leased = threading.Event(), threading.Event()
 
     def cancel(connection: Connection) -> None:
-        store.find_campaign(connection, campaign, lock=True)
+        store.CAMPAIGNS.find(connection, campaign, lock=True)
         locked.set()
         assert leased.wait(WAIT_S)
         store.set_status(connection, campaign, CampaignStatus.CANCELLED, "")

@@ -17,13 +17,13 @@ from support.problems import SIMULATOR, simulated
 from support.queue import Queue
 from support.traffic import driven, seeded
 
-from brink.search.digest import archive_digest
-from brink.search.seeding import Proposal, SeedRequest
-from brink.server.campaigns import advance, jobs, step_store, store
+from brink.search.algorithm import Proposal, SeedRequest
+from brink.search.archive import archive_digest
+from brink.server.campaigns import advance, step_store, store
 from brink.server.campaigns.advance import Stepper
 from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import first_generation, make_plan, restored_archive
-from brink.server.campaigns.values import Campaign
+from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import Engines
 from brink.server.db.models import CheckpointRow, GenerationRow, SolutionRow
 from brink.server.db.writer import Writer
@@ -31,7 +31,8 @@ from brink.server.errors import Damaged, Unavailable
 from brink.server.llm.settings import LlmSettings
 from brink.server.llm.store import claim
 from brink.server.problems.base import Problem
-from brink.server.queue.values import Outcome
+from brink.server.queue import job_store
+from brink.server.queue.report_store import Outcome
 from brink.server.states import CampaignStatus
 from brink.sim import catalogue
 from brink.worker.wire import Completed, LeasedJob
@@ -109,7 +110,7 @@ class Coordinators:
 
         def unit(connection: Connection) -> None:
             store.insert_campaign(connection, "c0ffee", self.body, self.body.document_hash(), None)
-            found = store.find_campaign(connection, "c0ffee")
+            found = store.CAMPAIGNS.find(connection, "c0ffee")
             assert found is not None
             step_store.insert_solutions(connection, found, 0, solutions)
 
@@ -122,7 +123,7 @@ class Coordinators:
 
     @property
     def campaign(self) -> Campaign:
-        found = self.queue.run(lambda connection: store.find_campaign(connection, "c0ffee"))
+        found = self.queue.run(lambda connection: store.CAMPAIGNS.find(connection, "c0ffee"))
         assert found is not None
         return found
 
@@ -199,15 +200,15 @@ def test_a_campaign_that_moves_on_while_it_is_restored_is_left_to_the_other(
     first, second = two.steppers
     assert first.advance("c0ffee")
     two.simulate()
-    look = step_store.generation_jobs
+    look = job_store.generation_outcomes
 
     def overtaken(*arguments: Any) -> Any:
-        monkeypatch.setattr(step_store, "generation_jobs", look)
+        monkeypatch.setattr(job_store, "generation_outcomes", look)
         jobs = look(*arguments)
         assert first.advance("c0ffee")
         return jobs
 
-    monkeypatch.setattr(step_store, "generation_jobs", overtaken)
+    monkeypatch.setattr(job_store, "generation_outcomes", overtaken)
     assert not second.advance("c0ffee")
     assert (two.campaign.generation, two.campaign.status) == (2, CampaignStatus.RUNNING)
 
@@ -225,16 +226,16 @@ def test_seeds_that_come_to_another_meanwhile_are_those_of_both(
     waiting: Coordinators, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first, second = waiting.steppers
-    look = step_store.generation_jobs
+    look = job_store.generation_outcomes
 
     def overtaken(*arguments: Any) -> Any:
-        monkeypatch.setattr(step_store, "generation_jobs", look)
+        monkeypatch.setattr(job_store, "generation_outcomes", look)
         jobs = look(*arguments)
         assert jobs == []
         assert first.advance("c0ffee")
         return jobs
 
-    monkeypatch.setattr(step_store, "generation_jobs", overtaken)
+    monkeypatch.setattr(job_store, "generation_outcomes", overtaken)
     assert not second.advance("c0ffee"), "it must not tell a generation without its jobs"
     assert waiting.campaign.status is CampaignStatus.RUNNING
     waiting.simulate()
@@ -351,7 +352,7 @@ def test_a_fault_of_ours_pauses_a_campaign_and_loses_nothing(
         with pytest.raises(ZeroDivisionError):
             two.steppers[0].advance("c0ffee")
     assert two.campaign.status is CampaignStatus.PAUSED
-    assert "ZeroDivisionError: ours. Resume once that is mended" in two.campaign.status_reason
+    assert "ZeroDivisionError: ours. Resume when this is fixed" in two.campaign.status_reason
     two.queue.set_status("c0ffee", CampaignStatus.RUNNING)
     assert two.steppers[0].advance("c0ffee")
     assert two.campaign.generation == 1
@@ -389,15 +390,15 @@ def test_a_job_that_is_retried_during_the_step_is_waited_for(
     assert not others
     two.simulate()
     stepper = two.steppers[0]
-    write_up = stepper._write_up
+    write_up = stepper._make_step
 
     def retried_meanwhile(*args: Any) -> Any:
         step = write_up(*args)
-        two.queue.run(lambda connection: jobs.retry(connection, first.job))
+        two.queue.run(lambda connection: store.retry_job(connection, first.job))
         return step
 
     with monkeypatch.context() as patched:
-        patched.setattr(stepper, "_write_up", retried_meanwhile)
+        patched.setattr(stepper, "_make_step", retried_meanwhile)
         assert not stepper.advance("c0ffee")
     two.simulate()
     assert stepper.advance("c0ffee")

@@ -14,11 +14,10 @@ from support.api import FakeWorker, ball, coordinator, eventually, expect, liste
 from support.databases import Databases
 from typer.testing import CliRunner
 
-import brink.server.access.gate
+import brink.server.access.authentication
 from brink.cli.commands import app
-from brink.server.access.gate import Caller, Gate
-from brink.server.access.store import any_token, create_token
-from brink.server.access.tokens import digest_of, id_within
+from brink.server.access.authentication import Authenticator, Caller
+from brink.server.access.tokens import any_token, create_token, parse_token_id, token_digest
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.upgrade import current_revision
 from brink.server.runtime.coordinator import CannotListen, check_exposed
@@ -60,7 +59,7 @@ ALLOWED = {
 
 @pytest.fixture(autouse=True)
 def _at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(brink.server.access.gate, "REMEMBERED_S", 0.0)
+    monkeypatch.setattr(brink.server.access.authentication, "TOKEN_CACHE_S", 0.0)
 
 
 def made(engines: Engines, scope: str, name: str = "somebody") -> str:
@@ -150,7 +149,7 @@ def test_nothing_secret_is_stored(engines: Engines, tokens: dict[str, str]) -> N
     for token in tokens.values():
         assert token not in kept
         assert token.rpartition("_")[2] not in kept
-        assert digest_of(token) in kept
+        assert token_digest(token) in kept
 
 
 def test_a_revoked_or_ended_token_opens_nothing_and_the_last_one_leaves_it_closed(
@@ -161,7 +160,7 @@ def test_a_revoked_or_ended_token_opens_nothing_and_the_last_one_leaves_it_close
     created = run(app, ["token", "create", "a colleague", "--scope", "user", "--database", database_url])
     assert created.exit_code == 0, created.output
     token = created.stdout.strip().splitlines()[0]
-    token_id = id_within(token)
+    token_id = parse_token_id(token)
     assert token_id is not None
     assert httpx.get(f"{url}/api/v1/campaigns").status_code == 401
     assert httpx.get(f"{url}/api/v1/campaigns", headers=bearer(token)).status_code == 200
@@ -203,7 +202,7 @@ def test_looking_for_tokens_does_not_touch_a_database_of_an_older_schema(databas
 
 def test_a_token_makes_so_many_requests_a_second(engines: Engines) -> None:
     now = 100.0
-    gate = Gate(engines, token=None, exposed=False, rate_limit=10.0, clock=lambda: now)
+    gate = Authenticator(engines, token=None, exposed=False, rate_limit=10.0, clock=lambda: now)
     one, other = Caller("one", Scope.READ), Caller("other", Scope.READ)
     assert [gate.wait_s(one) for _ in range(10)] == [0.0] * 10
     assert gate.wait_s(one) == pytest.approx(0.1)
@@ -212,7 +211,7 @@ def test_a_token_makes_so_many_requests_a_second(engines: Engines) -> None:
     assert [gate.wait_s(one) == 0.0 for _ in range(3)] == [True, True, False]
     now += 1e6
     assert sum(gate.wait_s(one) == 0.0 for _ in range(20)) == 10
-    free = Gate(engines, token=None, exposed=False, rate_limit=0.0, clock=lambda: now)
+    free = Authenticator(engines, token=None, exposed=False, rate_limit=0.0, clock=lambda: now)
     assert {free.wait_s(one) for _ in range(100)} == {0.0}
 
 

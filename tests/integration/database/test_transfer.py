@@ -82,7 +82,7 @@ def test_what_is_taken_in_is_what_was_written(
         assert run("export", campaign, "--out", str(again), "--database", elsewhere).exit_code == 0
         assert run("doctor", "--thorough", "--database", elsewhere).exit_code == 0
         assert members(again) == members(file)
-        with pytest.raises(Conflict, match="is here already"):
+        with pytest.raises(Conflict, match="already exists"):
             run("import", str(file), "--database", elsewhere)
 
 
@@ -170,7 +170,7 @@ def huge() -> bytes:
 
 
 WRONG: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] = {
-    "no manifest": ({"manifest.json": lambda _: b"{}"}, "its manifest is another's"),
+    "no manifest": ({"manifest.json": lambda _: b"{}"}, "its manifest is of another program"),
     "a later version": (
         {"manifest.json": lambda data: data.replace(b'"version": 1', b'"version": 2')},
         "expected format version 1, got 2",
@@ -193,15 +193,15 @@ WRONG: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] = {
         {"jobs.jsonl": in_line(lambda row: row.update(spec_hash="0" * 64))}, "expected the hash of its spec",
     ),
     "a spec that is none": ({"jobs.jsonl": in_line(lambda row: row.update(spec="{}"))}, "line 1: spec"),
-    "vectors of another length": ({"arrays/vectors.npy": array(np.zeros((70, 3)))}, "expected 2 numbers a row"),
-    "too few vectors": ({"arrays/vectors.npy": array(np.zeros((3, 2)))}, "expected a row a solution"),
+    "vectors of another length": ({"arrays/vectors.npy": array(np.zeros((70, 3)))}, "expected 2 numbers in each row"),
+    "too few vectors": ({"arrays/vectors.npy": array(np.zeros((3, 2)))}, "expected one row for each solution"),
     "vectors of another type": ({"arrays/vectors.npy": array(np.zeros((70, 2), "f4"))}, "type <f8"),
     "objects": (
         {"arrays/vectors.npy": array(np.array([print], object), allow_pickle=True)}, "expected an array",
     ),
     "an array that claims to be huge": ({"arrays/vectors.npy": lambda _: huge()}, "expected an array"),
     "distances of another generation": (
-        {"arrays/distances-0.npy": array(np.zeros((20, 20), "f4"))}, "it is not what was stored",
+        {"arrays/distances-0.npy": array(np.zeros((20, 20), "f4"))}, "does not match its checksum",
     ),
     "an unknown problem": (
         {"campaigns.jsonl": in_line(lambda row: row["document"]["problem"].update(id="none@1"))}, "unknown problem",
@@ -245,7 +245,7 @@ def test_damage_is_noticed(exported: tuple[str, str, Path], tmp_path: Path) -> N
     changed = rewritten(
         exported[2], {"solutions.jsonl": lambda data: data.replace(b"safe", b"sage")}, sums=False
     )
-    with pytest.raises(BadFile, match=r"solutions\.jsonl: it is damaged"):
+    with pytest.raises(BadFile, match=r"solutions\.jsonl: damaged"):
         run("import", str(changed), "--database", f"sqlite:///{tmp_path}/new.db")
     (tmp_path / "short.brink").write_bytes(exported[2].read_bytes()[:900])
     for other, words in (("short.brink", "expected a file of brink export"), ("none.brink", "no such file")):

@@ -9,9 +9,9 @@ import pytest
 from sqlalchemy import Connection, event, insert, select, text
 from sqlalchemy.exc import DBAPIError, IntegrityError, OperationalError
 
-from brink.server.db.clock import database_now
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.models import TraceRow
+from brink.server.db.sql import database_now
 from brink.server.db.writer import TRIES, Writer
 from brink.server.errors import Unavailable
 

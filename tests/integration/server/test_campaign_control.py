@@ -26,7 +26,6 @@ from support.api import (
 from brink.search.algorithms.ga import GeneticAlgorithmConfig
 from brink.search.metric import Metric
 from brink.server.api import campaigns as campaign_routes
-from brink.server.api import views
 from brink.server.api.schemas import Progress
 from brink.server.db.engine import Engines
 from brink.server.db.models import DistanceBlockRow
@@ -336,7 +335,7 @@ def test_progress_of_a_campaign_that_ends_meanwhile_has_its_digest(
     client: httpx.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     worker, campaign = FakeWorker(client), submit(client, ball())
-    read = views.read_progress
+    read = campaign_routes.read_progress
 
     def end_meanwhile(*arguments: Any, **options: Any) -> Progress:
         monkeypatch.setattr(campaign_routes, "read_progress", read)

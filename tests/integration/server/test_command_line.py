@@ -22,14 +22,14 @@ from support.databases import Databases, on_sqlite
 from support.queue import Queue
 from typer.testing import CliRunner
 
-from brink.cli import commands, perturbations, steer
+from brink.cli import campaigns, commands, perturbations
 from brink.cli.commands import app
 from brink.cli.main import main
 from brink.cli.options import database_option
 from brink.server.db import engine
-from brink.server.db.clock import database_now
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.models import CampaignRow, CheckpointRow, DistanceBlockRow, JobRow
+from brink.server.db.sql import database_now
 from brink.server.db.upgrade import upgrade
 from brink.server.operations.doctor import State, examine
 from brink.server.settings import Settings
@@ -89,9 +89,9 @@ def campaign_file(folder: Path, **changes: Any) -> str:
 
 
 def leaves(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
-    if hasattr(command, "commands"):
-        for name, inner in command.commands.items():
-            yield from leaves(inner, (*path, name))
+    if hasattr(command, "list_commands"):
+        for name in command.list_commands(None):
+            yield from leaves(command.get_command(None, name), (*path, name))
     else:
         yield path
 
@@ -229,7 +229,7 @@ def test_database_without_a_schema_says_how_to_get_one(brink: Command, databases
         said = brink("db", "upgrade", "--database", url)
         assert (said.status, "upgraded from schema none" in said.out) == (0, True)
         assert brink("db", "status", "--database", url).status == 0
-        assert "no campaign yet" in brink("status", "--database", url).out
+        assert "no campaigns yet" in brink("status", "--database", url).out
 
 
 def test_newer_schema_is_one_line(brink: Command, databases: Databases, tmp_path: Path) -> None:
@@ -295,7 +295,7 @@ def test_commands_read_the_same_from_a_database_and_from_a_server(
 def test_campaigns_are_controlled_by_command(
     brink: Command, databases: Databases, small_problems: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(steer, "PAGE", 7)
+    monkeypatch.setattr(campaigns, "RETRY_PAGE", 7)
     with databases.database("steered") as url, listening_coordinator(url) as client:
         campaign = submit(client, ball(simulations=100))
         afar, near = ("--server", str(client.base_url)), ("--database", url)
@@ -304,10 +304,10 @@ def test_campaigns_are_controlled_by_command(
         assert "is running" in brink("resume", campaign, *near).out
         FakeWorker(client, judge=lambda _: JobFailed(reason="invalid", message="no")).work(campaign)
         assert "paused" in brink("status", campaign, *afar).out
-        assert "20 jobs are in the queue again" in brink("retry", campaign, *afar).out
+        assert "20 jobs are back in the queue" in brink("retry", campaign, *afar).out
         assert "0 jobs" in brink("retry", campaign, *afar).out
         assert "cancel it before deleting it" in brink("delete", campaign, "--yes", *afar).line
-        assert "what it found stays" in brink("cancel", campaign, *near).out
+        assert "its results are kept" in brink("cancel", campaign, *near).out
         assert "to pause it, it must be running" in brink("pause", campaign, *near).line
         assert "is deleted" in brink("delete", campaign, "--yes", *afar).out
         assert "no such campaign" in brink("status", campaign, *afar).line
@@ -469,7 +469,7 @@ def test_archive_is_scored_with_other_settings(listening_client: httpx.Client, t
     with Image.open(picture) as drawn:
         assert drawn.width == 1600
     people = CliRunner().invoke(app, command)
-    assert "the campaign's" in people.output
+    assert "this campaign" in people.output
 
 
 @on_sqlite
@@ -532,7 +532,7 @@ def test_sound_database_passes_every_check(database_url: str, engines: Engines, 
     checks = diagnose(database_url, engines)
     assert {state for state, _ in checks.values()} == {State.FINE}
     assert {"database", "schema", "clock", "workers", "leases", "jobs", "campaigns", "stored"} <= set(checks)
-    assert "64 solutions' distances computed again" in checks["stored"][1]
+    assert "distances of 64 solutions verified" in checks["stored"][1]
 
 
 def test_doctor_names_stuck_leases_campaigns_and_missing_workers(
@@ -549,7 +549,7 @@ def test_doctor_names_stuck_leases_campaigns_and_missing_workers(
     checks = diagnose(database_url, engines)
     assert checks["workers"][0] is State.WRONG
     assert "2 queued jobs need rare@1" in checks["workers"][1]
-    assert checks["leases"] == (State.WRONG, "1 of 1 ran out over 30 s ago, and nobody took them back")
+    assert checks["leases"] == (State.WRONG, "1 of 1 expired over 30 s ago and were not taken back")
     assert checks["campaigns"][0] is State.WRONG
     assert idle in checks["campaigns"][1]
 

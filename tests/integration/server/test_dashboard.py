@@ -23,7 +23,7 @@ from support.api import (
 from support.databases import Databases, on_sqlite
 from support.problems import SIMULATOR
 
-from brink.server.access.store import create_token
+from brink.server.access.tokens import create_token
 from brink.server.dashboard.page import STATIC
 from brink.server.db.engine import Engines
 from brink.server.states import Scope
@@ -73,7 +73,7 @@ def test_other_files_of_the_package_are_not_served(guarded: httpx.Client) -> Non
 def test_access_answers_with_the_scope_of_the_token(
     guarded: httpx.Client, engines: Engines, scope: str, status: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("brink.server.access.gate.REMEMBERED_S", 0.0)
+    monkeypatch.setattr("brink.server.access.authentication.TOKEN_CACHE_S", 0.0)
     with engines.writer.begin() as connection:
         token = create_token(connection, Scope(scope), "somebody")
     body = expect(guarded.get("/api/v1/access", headers={"Authorization": f"Bearer {token}"}), status)

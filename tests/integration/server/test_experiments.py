@@ -12,7 +12,7 @@ from support.databases import on_sqlite
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
-from brink.search.boundary import PAPER_FRACTIONS
+from brink.search.analysis.paper import PAPER_FRACTIONS
 from brink.server.db.engine import Engines
 
 API = "/api/v1/experiments"
@@ -205,7 +205,7 @@ def test_the_command_line_does_all_of_it(listening_client: httpx.Client, tmp_pat
     assert name in said("list")
     assert "is paused" in said("pause", name)
     assert "is running" in said("resume", name)
-    assert "no campaign of it has finished yet" in said("report", name, "--out", str(tmp_path), status=1)
+    assert "no campaign has finished yet" in said("report", name, "--out", str(tmp_path), status=1)
     assert "cancel it" in said("delete", name, "--yes", status=1)
     work_through(listening_client, name)
     status = said("status", name)

@@ -14,9 +14,9 @@ from support.api import FakeWorker, ball, coordinator, expect, progress, submit
 from support.databases import Databases, on_sqlite
 from support.problems import REQUIREMENT, small_problems
 
-from brink.search.analysis.nearest import nearest
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
+from brink.search.analysis.similarity import nearest_solutions
 from brink.search.archive import Archive, Neighbourhood
-from brink.search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.fitness import wilson_interval
 from brink.search.metric import Metric
 from brink.worker.wire import Completed, LeasedJob, WireVerdict
@@ -307,10 +307,10 @@ def test_equally_near_neighbours_come_by_number() -> None:
     archive = Archive.empty(metric, Neighbourhood(radius=0.1, p_th=0.1)).grown(
         numbers, rows, np.zeros(6, bool), np.ones(6)
     )
-    found = nearest(archive, 0, 3)
-    assert archive.numbers[found.places].tolist() == [0, 1, 2]
+    found = nearest_solutions(archive, 0, 3)
+    assert archive.numbers[found.positions].tolist() == [0, 1, 2]
     assert found.distances == pytest.approx([0.0, 0.25, 0.25])
-    assert archive.numbers[nearest(archive, 0, 10).places].tolist() == [0, 1, 2, 8, 9]
+    assert archive.numbers[nearest_solutions(archive, 0, 10).places].tolist() == [0, 1, 2, 8, 9]
 
 
 SLOTS: dict[str, Any] = {

@@ -1,7 +1,7 @@
 """The API against its OpenAPI description: made-up requests never cause a server error or an undescribed answer.
 
-The fuzzer is told the ids of campaigns, jobs, leases and solutions that exist (`fill`). With made-up ids alone it would
-hardly see anything but "no such campaign".
+The fuzzer is told the ids of campaigns, jobs, leases and solutions that exist (`fill`). With made-up ids alone it
+would hardly see anything but "no such campaign".
 """
 
 import base64

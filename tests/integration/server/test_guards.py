@@ -198,9 +198,7 @@ def test_stalled_request_times_out(
         assert expect(client.get("/api/v1/campaigns"))["campaigns"] == []
 
 
-def test_long_poll_may_outlast_the_request_timeout(
-    database_url: str, small_problems: None
-) -> None:
+def test_long_poll_may_outlast_the_request_timeout(database_url: str, small_problems: None) -> None:
     with listening_coordinator(database_url, stall_s=0.2) as client:
         body = {"worker": {"id": "w"}, "capabilities": ["x"], "wait_s": 0.8}
         assert expect(client.post("/api/v1/jobs/lease", json=body))["jobs"] == []

@@ -1,6 +1,7 @@
 """Hostile requests: what each gets, that nothing of it is stored, and that nothing secret is told.
 
-The list is in `support.attacks`; those below it need a coordinator of their own. `docs/security.md` names them all.
+The list is in `support.attacks`; those below it need a coordinator of their own.
+`docs/reference/security.md` names them all.
 """
 
 import base64
@@ -19,13 +20,12 @@ from support.databases import Databases, on_sqlite
 from support.hostile import Attack, Target, everything, outcome_of, prepare, results
 from support.problems import small_problems
 
-import brink.server.access.gate
-from brink.server.access.store import create_token
-from brink.server.access.tokens import id_within
+import brink.server.access.authentication
+from brink.server.access.tokens import create_token, parse_token_id
 from brink.server.db.engine import Engines, open_engines
 from brink.server.states import Scope
 
-SECURITY = Path(__file__).parents[3] / "docs" / "security.md"
+SECURITY = Path(__file__).parents[3] / "docs" / "reference" / "security.md"
 INSIDES = ("Traceback", "site-packages", "sqlalchemy", "psycopg", "[SQL", "postgresql://", "sqlite:///")
 NOT_THE_COORDINATORS = ("httpx", "httpcore", "uvicorn.access")
 """Loggers of the client, and one that the coordinator has turned off, whatever pytest hangs on it."""
@@ -43,8 +43,8 @@ def named(name: str, *gets: int) -> Callable[[Callable[..., None]], Callable[...
 def target(module_databases: Databases) -> Iterator[Target]:
     """A coordinator with tokens and campaigns, for the whole list."""
     with pytest.MonkeyPatch.context() as patched, small_problems(), module_databases.database() as url:
-        patched.setattr(brink.server.access.gate, "REMEMBERED_S", 0.0)
-        patched.setattr(brink.server.access.gate, "STRANGERS_PER_S", 1e6)
+        patched.setattr(brink.server.access.authentication, "TOKEN_CACHE_S", 0.0)
+        patched.setattr(brink.server.access.authentication, "UNAUTHENTICATED_PER_S", 1e6)
         engines = open_engines(url)
         try:
             with listening_coordinator(
@@ -105,7 +105,7 @@ def guarded(database_url: str, engines: Engines, small_problems: None) -> Iterat
         yield client, token
 
 
-@named("a flood with a token", 200, 429)
+@named("a flood of requests with a token", 200, 429)
 @on_sqlite
 def test_a_flood_is_told_to_come_again_later(guarded: tuple[httpx.Client, str]) -> None:
     client, token = guarded
@@ -118,21 +118,21 @@ def test_a_flood_is_told_to_come_again_later(guarded: tuple[httpx.Client, str]) 
     assert client.get("/readyz").status_code == 200
 
 
-@named("a flood of guesses", 401, 429)
+@named("a flood of guessed tokens", 401, 429)
 @on_sqlite
 def test_guesses_are_told_to_come_again_later(
     guarded: tuple[httpx.Client, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(brink.server.access.gate, "STRANGERS_PER_S", 20.0)
+    monkeypatch.setattr(brink.server.access.authentication, "UNAUTHENTICATED_PER_S", 20.0)
     client, token = guarded
-    guesses = [f"brink_admin_{id_within(token)}_{number:048x}" for number in range(100)]
+    guesses = [f"brink_admin_{parse_token_id(token)}_{number:048x}" for number in range(100)]
     answers = [client.get("/api/v1/jobs", headers={"Authorization": f"Bearer {guess}"}) for guess in guesses]
     assert {answer.status_code for answer in answers} == {401, 429}
     late = [answer for answer in answers if answer.status_code == 429]
     assert all(int(answer.headers["Retry-After"]) >= 1 for answer in late)
 
 
-@named("a verdict missing for a requirement", 200)
+@named("a result without the verdict of a requirement", 200)
 def test_a_result_without_the_verdict_counts_as_failed(client: httpx.Client) -> None:
     campaign = submit(client, ball(simulations=20))
     worker = FakeWorker(client)
@@ -148,7 +148,7 @@ def test_a_result_without_the_verdict_counts_as_failed(client: httpx.Client) -> 
     assert "KeyError" in stands["status_reason"]
 
 
-@named("more verdicts than asked for", 200)
+@named("a result with verdicts that were not requested", 200)
 def test_verdicts_that_nobody_asked_for_decide_nothing(client: httpx.Client) -> None:
     def with_more(campaign: str, extra: dict[str, Any]) -> dict[str, Any]:
         worker = FakeWorker(client, capabilities=("faulty@1",))
@@ -186,7 +186,7 @@ def test_a_name_is_text_and_nothing_else(client: httpx.Client) -> None:
         assert csv.headers["Content-Disposition"] == f'attachment; filename="boundary-{made["id"]}.csv"'
 
 
-@named("a trace that is a bomb, or no trace", 409)
+@named("a trace that is a zip bomb, or not a trace", 409)
 def test_a_trace_that_is_none_is_not_drawn(client: httpx.Client, engines: Engines) -> None:
     bomb = base64.b64encode(b"PK\x03\x04" + bytes(100)).decode()
     worker = FakeWorker(client)
@@ -201,7 +201,7 @@ def test_a_trace_that_is_none_is_not_drawn(client: httpx.Client, engines: Engine
         assert "not a trace" in expect(client.get(f"{path}/replay.{extension}"), 409)["detail"]
 
 
-@named("another site's page, where there are no tokens", 403)
+@named("a page of another site, without tokens", 403)
 def test_no_page_of_another_site_changes_anything(client: httpx.Client) -> None:
     campaign = submit(client, ball())
     for verb in ("pause", "cancel"):
@@ -210,7 +210,7 @@ def test_no_page_of_another_site_changes_anything(client: httpx.Client) -> None:
     assert progress(client, campaign)["status"] == "running"
 
 
-@named("a name made to point here, where there are no tokens", 421)
+@named("a foreign host name that resolves here, without tokens", 421)
 def test_no_other_name_is_served_without_tokens(client: httpx.Client) -> None:
     for path in ("/api/v1/campaigns", "/metrics", "/api/v1/jobs"):
         expect(client.get(path, headers={"Host": "evil.example"}), 421)

@@ -33,12 +33,20 @@ from support.llm_endpoint import (
     reply_text,
     says,
 )
-from support.traffic import POPULATION, calls, descriptions, origins, differential_seeds, seeded, traffic_worker
+from support.traffic import (
+    POPULATION,
+    calls,
+    descriptions,
+    differential_seeds,
+    origins,
+    seeded,
+    traffic_worker,
+)
 from typer.testing import CliRunner
 
 import brink.server.llm.seeds
 from brink.cli.commands import app
-from brink.search.seeding import SeedRequest
+from brink.search.algorithm import SeedRequest
 from brink.server.campaigns.body import CampaignBody
 from brink.server.db.engine import Engines
 from brink.server.db.models import SeedClaimRow
@@ -73,9 +81,7 @@ def test_model_provides_the_first_population(client: httpx.Client, endpoint: End
     assert len(endpoint.asked) == 1
 
 
-def test_missing_seeds_come_from_repair_and_from_patterns(
-    client: httpx.Client, endpoint: Endpoint
-) -> None:
+def test_missing_seeds_come_from_repair_and_from_patterns(client: httpx.Client, endpoint: Endpoint) -> None:
     wrong = item(speed_mps=900.0)
     endpoint.then(says(reply_text([*items(4), wrong, wrong])), says(reply_text(items(2, first=10))))
     campaign = submit(client, seeded(endpoint, differential="never"))
@@ -126,14 +132,18 @@ def test_stuck_search_asks_for_other_seeds_within_its_budget(
 def test_campaign_waits_for_the_model_and_says_so(client: httpx.Client, endpoint: Endpoint) -> None:
     endpoint.then(endpoint.stalls(), says(reply_text(items(POPULATION))))
     campaign = submit(client, seeded(endpoint, {"timeout_s": 0.6}, differential="never"))
-    eventually(lambda: progress(client, campaign)["asking"] is not None, "the progress says what is being asked")
+    eventually(
+        lambda: progress(client, campaign)["asking"] is not None, "the progress says what is being asked"
+    )
     assert f"asking {MODEL} for {POPULATION} solutions" in progress(client, campaign)["asking"]
     assert traffic_worker(client).lease() == []
     assert traffic_worker(client).work(campaign)["status"] == "finished"
     assert origins(client, campaign)[:POPULATION] == ["llm"] * POPULATION
 
 
-def test_restarted_campaign_repeats_no_request_and_finds_the_same(database_url: str, endpoint: Endpoint) -> None:
+def test_restarted_campaign_repeats_no_request_and_finds_the_same(
+    database_url: str, endpoint: Endpoint
+) -> None:
     asks = seeded(endpoint, differential="always")
     endpoint.then(*[scripted] * 60)
     with coordinator(database_url) as client:
@@ -189,7 +199,9 @@ def test_pausing_a_campaign_does_not_repeat_its_request(
         eventually(lambda: len(endpoint.asked) == 1, "a request is sent")
         expect(first.post(f"/api/v1/campaigns/{campaign}/pause"))
         begun = time.monotonic()
-        eventually(lambda: time.monotonic() - begun > 1.5, "the claim of the first coordinator would have expired")
+        eventually(
+            lambda: time.monotonic() - begun > 1.5, "the claim of the first coordinator would have expired"
+        )
         expect(second.post(f"/api/v1/campaigns/{campaign}/resume"))
         begun = time.monotonic()
         eventually(lambda: time.monotonic() - begun > 1.5, "the other one would have asked")
@@ -336,7 +348,7 @@ def test_commands_check_preview_and_log_requests(
     endpoint.then(*[says(reply_text(items(1)))] * len(Mode))
     tried = run(app, ["llm", "check", str(file)])
     assert tried.exit_code == 0, tried.output
-    assert "replies will be asked for as json_schema" in tried.stdout
+    assert "reply format: json_schema" in tried.stdout
     endpoint.then(*[says("no")] * len(Mode))
     assert run(app, ["llm", "check", str(file)]).exit_code == 1
     endpoint.reset()
@@ -449,7 +461,9 @@ def reached(wanted: int, current: dict[str, Any]) -> bool:
 
 @on_sqlite
 @pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS)
-def test_interrupted_campaign_survives_every_fault_of_the_endpoint(database_url: str, endpoint: Endpoint, fault: Fault) -> None:
+def test_interrupted_campaign_survives_every_fault_of_the_endpoint(
+    database_url: str, endpoint: Endpoint, fault: Fault
+) -> None:
     asks = seeded(endpoint, {"max_calls": BUDGET, **fault.settings}, differential="always")
     prepare(endpoint, fault)
     with coordinator(database_url) as client:

@@ -29,10 +29,10 @@ from support.queue import Queue
 
 from brink.server.api.context import Context
 from brink.server.app import create_app
-from brink.server.db.clock import database_now
 from brink.server.db.engine import Engines
 from brink.server.db.models import JobRow
-from brink.server.queue import holding_store, service
+from brink.server.db.sql import database_now
+from brink.server.queue import lease_store, service
 from brink.worker.wire import HeldLease, JobFailed, LeasedJob, LeaseRequest, ResultsRequest, WorkerIdentity
 
 PATIENCE_S = 30.0
@@ -215,7 +215,7 @@ def test_wake_up_of_a_disconnected_client_goes_to_the_next(database_url: str) ->
         await waiters(context, 2)
         release = [HeldLease(job=held[0].job, token=held[0].token)]
         with context.engines.writer.begin() as connection:
-            assert holding_store.release(connection, release) == 1
+            assert lease_store.release(connection, release) == 1
         context.queue.wakeups.wake(1)  # wakes the first client, which disconnects before it looks
         gone.set()
         async with asyncio.timeout(NEWS_S):
@@ -228,9 +228,7 @@ def test_wake_up_of_a_disconnected_client_goes_to_the_next(database_url: str) ->
 
 @pytest.mark.usefixtures("small_problems")
 @pytest.mark.parametrize("with_results", [False, True])
-def test_lease_granted_to_a_disconnected_client_is_released(
-    database_url: str, with_results: bool
-) -> None:
+def test_lease_granted_to_a_disconnected_client_is_released(database_url: str, with_results: bool) -> None:
     async def body(context: Context, client: httpx.AsyncClient) -> None:
         await client.post("/api/v1/campaigns", json=ball())
         gone = asyncio.Event()

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from brink.cli.commands import app
 from brink.search.algorithm import Candidate, Evaluation, Question
-from brink.search.digest import archive_digest
+from brink.search.archive import archive_digest
 from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import make_plan
 from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict

@@ -6,13 +6,12 @@ from typing import Any
 
 import httpx
 import pytest
-from support.api import FakeWorker, ball, eventually, expect, submit
+from support.api import ball, expect, finish, submit
 from support.databases import on_sqlite
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
-from brink.search.monitor import Monitor
-
+from brink.search.analysis.monitor import Monitor
 
 RANDOM = {"id": "random@1", "params": {"generation_size": 100, "radius": 0.2}}
 
@@ -43,7 +42,9 @@ def test_campaign_scores_solutions(client: httpx.Client) -> None:
         ({"solutions": [{"where": {"x": "NaN"}, "what": {"y": 0}}]}, "/solutions/0"),
     ],
 )
-def test_answer_points_at_the_solution_that_cannot_be_scored(client: httpx.Client, body: Any, pointer: str) -> None:
+def test_answer_points_at_the_solution_that_cannot_be_scored(
+    client: httpx.Client, body: Any, pointer: str
+) -> None:
     campaign = finish(client, ball(simulations=40))
     document = expect(client.post(f"/api/v1/campaigns/{campaign}/monitor/score", json=body), 422)
     assert [error["pointer"] for error in document["errors"]] == [pointer]
@@ -57,7 +58,9 @@ def test_campaign_without_verdicts_cannot_score(client: httpx.Client) -> None:
 
 
 @on_sqlite
-def test_monitor_file_scores_and_is_evaluated_without_a_server(listening_client: httpx.Client, tmp_path: Path) -> None:
+def test_monitor_file_scores_and_is_evaluated_without_a_server(
+    listening_client: httpx.Client, tmp_path: Path
+) -> None:
     learned = finish(listening_client, ball(simulations=400, algorithm=RANDOM))
     fresh = finish(listening_client, ball(simulations=400, algorithm=RANDOM, seed=9))
     file, server = tmp_path / "monitor.json", ["--server", str(listening_client.base_url)]
@@ -93,7 +96,7 @@ def test_monitor_file_scores_and_is_evaluated_without_a_server(listening_client:
     assert witnesses["monitor"]["brier"] < witnesses["majority"]["brier"] / 2
     assert picture.stat().st_size > 10_000
     said = run(app, ["monitor", "judge", str(file), fresh, *server])
-    assert "judged by 400 others" in said.output
+    assert "evaluated on 400 others" in said.output
 
     known = run(app, ["monitor", "judge", str(file), learned, *server])
     assert known.exit_code == 1

@@ -207,7 +207,7 @@ def test_what_is_computed_is_not_repeated(client: httpx.Client) -> None:
     computed = ball(problem={"id": "mtq@1"}, repeats=5)
     answer = expect(client.post(API, json=computed), 422)
     assert [(e["pointer"], e["message"]) for e in answer["errors"]] == [
-        ("/repeats", "mtq@1 is computed, not simulated: with other seeds it says the same")
+        ("/repeats", "mtq@1 is computed, not simulated: other seeds give the same verdicts")
     ]
 
 
@@ -264,7 +264,7 @@ def test_the_command_asks_then_shows_what_came(listening_client: httpx.Client, t
     server = ["--server", str(listening_client.base_url)]
     asked = CliRunner().invoke(app, [*wanted, *server])
     assert asked.exit_code == 0, asked.output
-    assert "the same command shows how far it is" in asked.output
+    assert "the same command shows its progress" in asked.output
     [view] = expect(listening_client.get(f"{API}/{campaign}/repeats"))
     FakeWorker(listening_client, judge=by_chance).work(view["campaign"])
     shown = CliRunner().invoke(app, [*wanted, *server, "--picture", str(picture)])

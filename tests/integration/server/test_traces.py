@@ -1,4 +1,4 @@
-"""Traces, replays and episodes: recorded by workers on demand, kept, and drawn without blocking other requests."""
+"""Traces, replays and episodes: recorded by workers on request, kept, and drawn without blocking other requests."""
 
 import base64
 import threading
@@ -21,6 +21,7 @@ from support.api import (
     coordinator,
     eventually,
     expect,
+    finish,
     row_counts,
     submit,
 )
@@ -28,8 +29,8 @@ from support.databases import on_sqlite
 from support.traces import filmed, grey_jpeg, make_trace
 from typer.testing import CliRunner
 
-import brink.server.campaigns.submission
-from brink.api.client import CoordinatorSaid
+import brink.server.campaigns.plan
+from brink.api.client import CoordinatorError
 from brink.cli.commands import app
 from brink.server.campaigns.service import SLOW_AT_ONCE
 from brink.server.db.engine import Engines
@@ -39,33 +40,33 @@ from brink.server.queue import service
 from brink.server.queue.wakeups import Wakeups
 from brink.sim.episode import Json
 from brink.sim.errors import InvalidEpisode
-from brink.sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, Ragged, Trace
+from brink.sim.replay.scene import EpisodeScene, map_centres
+from brink.sim.trace import ACTION, BOX_COLUMNS, PERCEIVED_COLUMNS, Event, Ragged, Trace
 from brink.worker.wire import Completed, JobFailed, LeasedJob
-
 
 UNTRACED = ball(execution={"keep_traces": 0})
 
 
-def traces(text: bytes | None) -> Callable[[LeasedJob], Completed | JobFailed]:
-    """Return a judge that adds a trace where one is asked for."""
+def traces(document: bytes | None) -> Callable[[LeasedJob], Completed | JobFailed]:
+    """Return a judge that adds this trace to the outcome of every job that requests one."""
 
     def judge(job: LeasedJob) -> Completed | JobFailed:
         outcome = completes(job)
-        if not job.record or text is None:
+        if not job.record or document is None:
             return outcome
-        return outcome.model_copy(update={"trace": base64.b64encode(text).decode()})
+        return outcome.model_copy(update={"trace": base64.b64encode(document).decode()})
 
     return judge
 
 
-def test_trace_is_recorded_on_demand_and_kept(client: httpx.Client) -> None:
+def test_trace_is_made_once_and_then_kept(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = finish(client, UNTRACED, worker.judge)
     path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
     being_made = client.get(path, params={"wait_s": 0})
     assert being_made.status_code == 202
     assert being_made.headers["Retry-After"] == "2"
-    assert client.get(path, params={"wait_s": 0}).status_code == 202  # asked for once
+    assert client.get(path, params={"wait_s": 0}).status_code == 202  # requested only once
     (job,) = worker.lease()
     assert job.record
     assert worker.lease() == []
@@ -89,7 +90,7 @@ def test_request_for_a_trace_waits_for_the_worker(client: httpx.Client) -> None:
     assert (answers[0].status_code, answers[0].content) == (200, b"the trace")
 
 
-def test_deleted_trace_can_be_recorded_again(client: httpx.Client, engines: Engines) -> None:
+def test_deleted_trace_can_be_made_again(client: httpx.Client, engines: Engines) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = finish(client, UNTRACED, worker.judge)
     path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
@@ -103,7 +104,7 @@ def test_deleted_trace_can_be_recorded_again(client: httpx.Client, engines: Engi
     assert client.get(path, params={"wait_s": 0}).content == b"the trace"
 
 
-def test_worker_that_can_record_a_trace_is_woken_behind_one_that_cannot(
+def test_capable_worker_is_woken_behind_an_incapable_one(
     client: httpx.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(service, "RECHECK_S", 600.0)
@@ -125,9 +126,9 @@ def test_worker_that_can_record_a_trace_is_woken_behind_one_that_cannot(
 
     monkeypatch.setattr(Wakeups, "wait", noted)
     waiting[0].start()
-    eventually(lambda: len(in_line) == 1, "the first worker waits")
+    eventually(lambda: len(in_line) == 1, "the first waits")
     waiting[1].start()
-    eventually(lambda: len(in_line) == 2, "the second worker waits")
+    eventually(lambda: len(in_line) == 2, "the second waits")
     path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
     assert client.get(path, params={"wait_s": 0}).status_code == 202
     waiting[1].join(10)
@@ -136,7 +137,7 @@ def test_worker_that_can_record_a_trace_is_woken_behind_one_that_cannot(
 
 
 @pytest.mark.parametrize("what", ["trace", "replay.png", "replay.mp4"])
-def test_request_for_a_trace_that_no_worker_can_record_does_not_wait(
+def test_trace_that_no_worker_can_make_is_refused_at_once(
     client: httpx.Client, engines: Engines, what: str
 ) -> None:
     campaign = submit(client, ball())
@@ -144,11 +145,11 @@ def test_request_for_a_trace_that_no_worker_can_record_does_not_wait(
     before = row_counts(engines)
     began = time.monotonic()
     answer = client.get(f"/api/v1/campaigns/{campaign}/solutions/3/{what}", params={"wait_s": 20})
-    assert time.monotonic() - began < 10, "it waited"
+    assert time.monotonic() - began < 10, "it did not wait"
     assert "no live worker can run faulty@1" in expect(answer, 503)["detail"]
     assert answer.headers["content-type"] == "application/problem+json"
     assert answer.headers["Retry-After"] == "5"
-    assert row_counts(engines) == before, "a job was enqueued"
+    assert row_counts(engines) == before, "no job is enqueued"
     worker = FakeWorker(client, id="who-can", judge=traces(b"the trace"))
     worker.lease(max_jobs=1)
     path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
@@ -156,14 +157,14 @@ def test_request_for_a_trace_that_no_worker_can_record_does_not_wait(
 
 
 @pytest.mark.parametrize("what", ["trace", "replay.{extension}"])
-def test_openapi_describes_pending_and_unavailable_traces(client: httpx.Client, what: str) -> None:
+def test_responses_for_a_missing_trace_are_documented(client: httpx.Client, what: str) -> None:
     paths = expect(client.get("/openapi.json"))["paths"]
     answers = paths[f"/api/v1/campaigns/{{campaign_id}}/solutions/{{number}}/{what}"]["get"]["responses"]
     assert set(answers["202"]["content"]) == {"application/json"}
     assert set(answers["503"]["content"]) == {"application/problem+json"}
 
 
-def test_replay_command_fails_at_once_if_no_worker_can_record_a_trace(
+def test_replay_command_fails_at_once_if_no_worker_can_make_the_trace(
     listening_client: httpx.Client, tmp_path: Path
 ) -> None:
     campaign = submit(listening_client, ball())
@@ -177,11 +178,11 @@ def test_replay_command_fails_at_once_if_no_worker_can_record_a_trace(
         str(listening_client.base_url),
     ]
     said = CliRunner().invoke(app, given)
-    assert isinstance(said.exception, CoordinatorSaid)
+    assert isinstance(said.exception, CoordinatorError)
     assert "no live worker can run faulty@1" in str(said.exception)
 
 
-def test_request_for_a_trace_ends_when_all_workers_have_left(
+def test_waiting_for_a_trace_ends_when_its_workers_leave(
     database_url: str, engines: Engines, small_problems: None
 ) -> None:
     with coordinator(database_url) as client:
@@ -194,7 +195,7 @@ def test_request_for_a_trace_ends_when_all_workers_have_left(
         expect(client.get(path, params={"wait_s": 20}), 503)
 
 
-def test_worker_with_a_valid_lease_counts_as_able_to_record_a_trace(client: httpx.Client, engines: Engines) -> None:
+def test_worker_with_a_live_lease_can_make_a_trace(client: httpx.Client, engines: Engines) -> None:
     campaign = submit(client, ball())
     worker = FakeWorker(client)
     worker.lease(max_jobs=1)
@@ -205,7 +206,7 @@ def test_worker_with_a_valid_lease_counts_as_able_to_record_a_trace(client: http
     assert client.get(path, params={"wait_s": 0}).status_code == 202
 
 
-def test_trace_is_granted_before_episodes(client: httpx.Client) -> None:
+def test_trace_job_is_leased_before_episodes(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = finish(client, UNTRACED, worker.judge)
     submit(client, ball(seed=2, priority=100))
@@ -213,7 +214,7 @@ def test_trace_is_granted_before_episodes(client: httpx.Client) -> None:
     assert worker.lease(max_jobs=1)[0].record
 
 
-def test_failed_trace_gives_its_reason_until_it_is_retried(client: httpx.Client) -> None:
+def test_failed_trace_reports_its_error_until_it_is_retried(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=lambda _: JobFailed(reason="invalid", message="no such road"))
     campaign = finish(client, UNTRACED)
     path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
@@ -228,7 +229,7 @@ def test_failed_trace_gives_its_reason_until_it_is_retried(client: httpx.Client)
     assert client.get(path, params={"wait_s": 5}).content == b"the trace"
 
 
-def test_simulator_without_traces_is_a_conflict(client: httpx.Client) -> None:
+def test_simulator_that_records_no_traces_is_a_conflict(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(None))
     campaign = finish(client, UNTRACED, worker.judge)
     path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
@@ -264,20 +265,20 @@ def test_trace_that_is_not_base64_is_rejected(client: httpx.Client, garbage: str
     assert error["pointer"] == "/results/0/outcome/trace"
 
 
-def test_traces_of_the_best_boundary_solutions_are_kept_as_evidence(client: httpx.Client) -> None:
+def test_traces_of_the_best_boundary_solutions_are_kept(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"evidence"))
     campaign = submit(client, ball(execution={"keep_traces": 2}, simulations=120))
     done = worker.work(campaign)
     wanted = min(2, done["generations"][-1]["dbs"])
     assert wanted > 0
-    eventually(lambda: not worker.report(worker.lease()), "all traces are recorded")
+    eventually(lambda: not worker.report(worker.lease()), "all traces")
     boundary = expect(client.get(f"/api/v1/campaigns/{campaign}/boundary"))
     for solution in boundary["solutions"][:wanted]:
         path = f"/api/v1/campaigns/{campaign}/solutions/{solution['number']}/trace"
         assert client.get(path, params={"wait_s": 0}).content == b"evidence"
 
 
-def test_pending_traces_do_not_delay_the_end_of_a_campaign(client: httpx.Client) -> None:
+def test_requested_traces_do_not_keep_a_campaign_from_finishing(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = submit(client, ball(execution={"keep_traces": 12}, simulations=120))
     worker.work(campaign, until=lambda now: now["generation"] >= 1)
@@ -287,7 +288,7 @@ def test_pending_traces_do_not_delay_the_end_of_a_campaign(client: httpx.Client)
     assert (done["status"], done["status_reason"]) == ("finished", "")
 
 
-def test_cancelled_campaign_still_has_traces(client: httpx.Client) -> None:
+def test_cancelled_campaign_still_makes_traces(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = submit(client, ball())
     FakeWorker(client, id="another").lease(max_jobs=1)
@@ -300,18 +301,12 @@ def test_cancelled_campaign_still_has_traces(client: httpx.Client) -> None:
 
 
 NUMBER = 3
+OBSTACLE_COLUMNS = ("yaw_rad", "drawn_length_m", "drawn_width_m", "ghost")
 
 
-def with_trace(client: httpx.Client, document: bytes | None) -> str:
-    """Store a trace for a solution, and return the path of the solution; None for a simulator without traces."""
-
-    def judge(job: LeasedJob) -> Completed | JobFailed:
-        outcome = completes(job)
-        if not job.record or document is None:
-            return outcome
-        return outcome.model_copy(update={"trace": base64.b64encode(document).decode()})
-
-    worker = FakeWorker(client, judge=judge)
+def kept(client: httpx.Client, document: bytes | None) -> str:
+    """Return the path of a solution whose kept trace is this document."""
+    worker = FakeWorker(client, judge=traces(document))
     campaign = submit(client, ball(simulations=20, execution={"keep_traces": 0}))
     assert worker.work(campaign)["status"] == "finished"
     path = f"/api/v1/campaigns/{campaign}/solutions/{NUMBER}"
@@ -321,7 +316,7 @@ def with_trace(client: httpx.Client, document: bytes | None) -> str:
 
 
 def episode(client: httpx.Client, trace: Trace) -> dict[str, Any]:
-    found: dict[str, Any] = expect(client.get(f"{with_trace(client, trace.to_bytes())}/episode"))
+    found: dict[str, Any] = expect(client.get(f"{kept(client, trace.to_bytes())}/episode"))
     return found
 
 
@@ -331,66 +326,102 @@ def numbers(column: list[float | None]) -> np.ndarray:
 
 def test_episode_has_the_trace_in_columns(client: httpx.Client) -> None:
     trace = make_trace()
-    shown = episode(client, trace)
+    found = episode(client, trace)
     samples = len(trace.time_s)
-    assert shown["time_s"] == pytest.approx(trace.time_s, abs=5e-4)
+    assert found["time_s"] == pytest.approx(trace.time_s, abs=5e-4)
     for place, (name, within) in enumerate(
         {"x_m": 5e-4, "y_m": 5e-4, "yaw_rad": 5e-5, "speed_mps": 5e-4, "accel_mps2": 5e-4}.items()
     ):
-        assert shown["ego"][name] == pytest.approx(trace.ego[:, place], abs=within * 1.01)
-    assert (shown["ego"]["length_m"], shown["ego"]["width_m"]) == trace.ego_size_m
-    assert [actor["name"] for actor in shown["actors"]] == [actor.name for actor in trace.actors]
-    for actor, column in zip(trace.actors, shown["actors"], strict=True):
-        np.testing.assert_allclose(numbers(column["x_m"]), actor.motion[:, 0], atol=6e-4)
-        assert (column["kind"], len(column["yaw_rad"])) == (actor.kind, samples)
-    oncoming = next(actor for actor in shown["actors"] if actor["name"] == "oncoming")
-    assert oncoming["x_m"][0] is None, "it has not appeared yet"
+        assert found["ego"][name] == pytest.approx(trace.ego[:, place], abs=within * 1.01)
+    assert (found["ego"]["length_m"], found["ego"]["width_m"]) == trace.ego_size_m
+    assert [actor["name"] for actor in found["actors"]] == [actor.name for actor in trace.actors]
+    for actor, shown in zip(trace.actors, found["actors"], strict=True):
+        np.testing.assert_allclose(numbers(shown["x_m"]), actor.motion[:, 0], atol=6e-4)
+        assert (shown["kind"], len(shown["yaw_rad"])) == (actor.kind, samples)
+    oncoming = next(actor for actor in found["actors"] if actor["name"] == "oncoming")
+    assert oncoming["x_m"][0] is None, "absent at first"
     assert oncoming["x_m"][-1] is not None
-    assert shown["plan_mode"] == list(trace.plan_mode)
-    assert shown["lights"] == list(trace.lights)
-    assert [surface["kind"] for surface in shown["scene"]] == [surface.kind for surface in trace.scene]
-    assert shown["scene"][0]["points"] == trace.scene[0].points.tolist()
-    assert shown["robustness"].keys() == trace.robustness.keys()
-    assert shown["units"] == {"front-gap@1": "m", "progress@1": "s"}
-    assert [event["kind"] for event in shown["events"]] == ["nudge", "violation"]
-    assert shown["film"] is None
+    assert found["plan_mode"] == list(trace.plan_mode)
+    assert found["lights"] == list(trace.lights)
+    assert [surface["kind"] for surface in found["scene"]] == [surface.kind for surface in trace.scene]
+    assert found["scene"][0]["points"] == trace.scene[0].points.tolist()
+    assert found["robustness"].keys() == trace.robustness.keys()
+    assert found["units"] == {"front-gap@1": "m", "progress@1": "s"}
+    assert [event["kind"] for event in found["events"]] == ["nudge", "violation"]
+    assert found["film"] is None
     decisive = int(np.flatnonzero(trace.robustness["front-gap@1"] < 0)[0])
-    assert shown["story"] == {"requirement": "front-gap@1", "violated": True, "decisive": decisive}
-    assert "sunset" in shown["words"]["scenario"]
-    assert shown["words"]["report"] == "injected"
+    assert found["story"] == {"requirement": "front-gap@1", "violated": True, "decisive": decisive}
+    assert "sunset" in found["words"]["scenario"]
+    assert found["words"]["report"] == "injected"
 
 
-def test_boxes_are_grouped_by_sample(client: httpx.Client) -> None:
+def test_boxes_and_obstacles_are_grouped_by_sample(client: httpx.Client) -> None:
     trace = make_trace(samples=80)
-    shown = episode(client, trace)
+    found = episode(client, trace)
     for name, ragged, columns in (
         ("seen", trace.seen_boxes, BOX_COLUMNS),
         ("given", trace.given_boxes, BOX_COLUMNS),
-        ("perceived", trace.perceived, PERCEIVED_COLUMNS),
+        ("perceived", trace.perceived, (*PERCEIVED_COLUMNS, *OBSTACLE_COLUMNS)),
     ):
-        assert shown[name]["first"] == ragged.first.tolist()
-        assert tuple(shown[name]["columns"]) == columns
-        assert shown[name]["columns"][columns[2]] == pytest.approx(ragged.rows[:, 2], abs=0.051)
-    camera = shown["camera"]
+        assert found[name]["first"] == ragged.first.tolist()
+        assert tuple(found[name]["columns"]) == columns
+        assert found[name]["columns"][columns[2]] == pytest.approx(ragged.rows[:, 2], abs=0.051)
+    camera = found["camera"]
     assert (camera["width_px"], camera["focal_px"], camera["horizon_px"]) == (800, 400, 300)
 
 
-def test_infinite_values_are_null(client: httpx.Client) -> None:
+def test_episode_has_the_scene_model_of_replays(client: httpx.Client) -> None:
+    trace = make_trace()
+    found = episode(client, trace)
+    scene = EpisodeScene.of(trace)
+    assert found["ego"]["brakes"] == scene.ego_brakes.tolist()
+    assert [actor["brakes"] for actor in found["actors"]] == [
+        brakes.tolist() for brakes in scene.actors_brake
+    ]
+    assert [actor["shape"] for actor in found["actors"]] == ["car", "car", "person", "person"]
+    assert found["perceived"]["columns"]["ghost"] == scene.obstacles.ghost.astype(int).tolist()
+    assert 1 in found["perceived"]["columns"]["ghost"]
+    kinds = [surface["kind"] for surface in found["scene"]]
+    assert found["route_layer"] == kinds.index("building")
+    building = found["scene"][kinds.index("building")]
+    assert (building["paint"], building["outlined"], building["height_m"]) == ("building", True, 6)
+    crossing = found["scene"][kinds.index("crossing")]
+    assert (crossing["paint"], crossing["outlined"], crossing["height_m"]) == ("marking", False, 0)
+    np.testing.assert_allclose(found["centre"]["x_m"], map_centres(trace, 12.0)[:, 0], atol=6e-4)
+    assert len(found["shapes"]["car_body"]) == 12
+    assert found["words"]["ghosts"] == ["ghost vehicle", "ghost person", "ghost obstacle"]
+    assert (found["camera"]["from_m"], found["camera"]["to_m"]) == (0.4, 90)
+
+
+def test_action_is_captioned_and_not_marked(client: httpx.Client) -> None:
+    trace = make_trace(samples=40)
+    action = Event(time_s=1.0, kind=ACTION, text="car-1:change_lane")
+    first, *others = episode(client, replace(trace, events=(action, *trace.events)))["events"]
+    assert (first["caption"], first["marked"]) == ("car-1: change lane", False)
+    assert [event["caption"] for event in others] == ["nudges around vehicle", "front gap under 1.5 m"]
+    assert all(event["marked"] for event in others)
+
+
+def test_unbounded_robustness_is_null(client: httpx.Client) -> None:
     trace = make_trace(samples=40)
     unbounded = np.full(40, np.inf, np.float32)
-    shown = episode(client, replace(trace, robustness={**trace.robustness, "red-light@1": unbounded}))
-    assert shown["robustness"]["red-light@1"] == [None] * 40
+    found = episode(client, replace(trace, robustness={**trace.robustness, "red-light@1": unbounded}))
+    assert found["robustness"]["red-light@1"] == [None] * 40
 
 
-def test_film_has_boxes_and_pictures_one_at_a_time(client: httpx.Client) -> None:
-    path = with_trace(client, filmed(make_trace(samples=40)).to_bytes())
+def test_film_has_boxes_and_serves_its_pictures_one_by_one(client: httpx.Client) -> None:
+    path = kept(client, filmed(make_trace(samples=40)).to_bytes())
     film = expect(client.get(f"{path}/episode"))["film"]
     assert (film["size_px"], film["samples"]) == ([320, 240], [0, 2, 4])
     assert film["judged"]["columns"]["ignored"] == [0] * 40
     assert film["found"]["columns"]["score"][:2] == [1, 0.975]
-    assert film["found"]["columns"]["score"][-1] == 0.1, "boxes with a lower score are left out"
+    assert film["found"]["columns"]["score"][-1] == 0.1, "detections with a lower score are left out"
     assert film["found"]["first"][-6:] == [35, 36, 37, 37, 37, 37]
-    assert film["regions"]["warning"][0] == [130, 150]
+    assert film["found"]["columns"]["counts"] == [1] * 37, "no threshold is recorded"
+    assert (film["threshold"], film["least_score"]) == (0, 0.1)
+    assert film["shown"] == [0, 0, 1, 1, *[2] * 36]
+    assert film["regions"][film["person_region"]][0] == [130, 150]
+    assert film["colours"].keys() == {"judged", "found", "region"}
     for index in range(3):
         picture = client.get(f"{path}/pictures/{index}.jpg")
         assert (picture.status_code, picture.headers["content-type"]) == (200, "image/jpeg")
@@ -399,8 +430,8 @@ def test_film_has_boxes_and_pictures_one_at_a_time(client: httpx.Client) -> None
     assert "has 3 pictures" in expect(client.get(f"{path}/pictures/3.jpg"), 404)["detail"]
 
 
-def test_solution_without_a_film_or_a_trace_has_no_pictures(client: httpx.Client, engines: Engines) -> None:
-    path = with_trace(client, make_trace(samples=40).to_bytes())
+def test_without_film_or_trace_there_are_no_pictures(client: httpx.Client, engines: Engines) -> None:
+    path = kept(client, make_trace(samples=40).to_bytes())
     expect(client.get(f"{path}/pictures/0.jpg"), 404)
     with engines.writer.begin() as connection:
         prune(connection, ended=None, traces=timedelta(days=-1), really=True)
@@ -408,49 +439,49 @@ def test_solution_without_a_film_or_a_trace_has_no_pictures(client: httpx.Client
     expect(client.get(path.replace(f"/{NUMBER}", "/9999") + "/pictures/0.jpg"), 404)
 
 
-def test_picture_that_is_not_a_jpeg_is_not_served(client: httpx.Client) -> None:
+def test_picture_that_is_no_jpeg_is_not_served(client: httpx.Client) -> None:
     trace = filmed(make_trace(samples=40))
     assert trace.film is not None
     page = replace(trace, film=replace(trace.film, pictures=(b"<html>", *trace.film.pictures[1:])))
-    path = with_trace(client, page.to_bytes())
+    path = kept(client, page.to_bytes())
     assert "no JPEG" in expect(client.get(f"{path}/pictures/0.jpg"), 404)["detail"]
     assert client.get(f"{path}/pictures/1.jpg").status_code == 200
 
 
-def _short_ego(trace: Trace) -> Trace:
+def _with_short_ego(trace: Trace) -> Trace:
     return replace(trace, ego=trace.ego[:-1])
 
 
-def _no_samples(trace: Trace) -> Trace:
+def _without_samples(trace: Trace) -> Trace:
     return replace(trace, time_s=trace.time_s[:0])
 
 
-def _backwards(trace: Trace) -> Trace:
+def _in_reverse(trace: Trace) -> Trace:
     return replace(trace, time_s=trace.time_s[::-1])
 
 
-def _rows_past_the_end(trace: Trace) -> Trace:
+def _with_rows_past_the_end(trace: Trace) -> Trace:
     first = trace.given_boxes.first.copy()
     first[-1] += 7
     return replace(trace, given_boxes=replace(trace.given_boxes, first=first))
 
 
-def _other_columns(trace: Trace) -> Trace:
+def _with_other_columns(trace: Trace) -> Trace:
     seen = trace.seen_boxes
     return replace(trace, seen_boxes=Ragged(columns=("a", "b"), first=seen.first, rows=seen.rows[:, :2]))
 
 
-def _half_a_surrogate_pair(trace: Trace) -> Trace:
+def _with_lone_surrogate(trace: Trace) -> Trace:
     return replace(trace, plan_mode=("\ud800", *trace.plan_mode[1:]))
 
 
-def _picture_of_no_sample(trace: Trace) -> Trace:
+def _with_picture_of_no_sample(trace: Trace) -> Trace:
     film = filmed(trace).film
     assert film is not None
     return replace(trace, film=replace(film, samples=film.samples + 10_000))
 
 
-def _unbounded_scene(trace: Trace) -> Trace:
+def _with_unbounded_scene(trace: Trace) -> Trace:
     surface = replace(trace.scene[0], points=np.full((4, 2), np.nan, np.float32))
     return replace(trace, scene=(surface,))
 
@@ -459,64 +490,62 @@ def _unbounded_scene(trace: Trace) -> Trace:
 @pytest.mark.parametrize(
     "spoil",
     [
-        _short_ego,
-        _no_samples,
-        _backwards,
-        _rows_past_the_end,
-        _other_columns,
-        _half_a_surrogate_pair,
-        _picture_of_no_sample,
-        _unbounded_scene,
+        _with_short_ego,
+        _without_samples,
+        _in_reverse,
+        _with_rows_past_the_end,
+        _with_other_columns,
+        _with_lone_surrogate,
+        _with_picture_of_no_sample,
+        _with_unbounded_scene,
     ],
 )
-def test_inconsistent_trace_is_a_conflict(
-    client: httpx.Client, spoil: Callable[[Trace], Trace]
-) -> None:
-    path = with_trace(client, spoil(make_trace(samples=40)).to_bytes())
+def test_inconsistent_trace_is_a_conflict(client: httpx.Client, spoil: Callable[[Trace], Trace]) -> None:
+    path = kept(client, spoil(make_trace(samples=40)).to_bytes())
     assert "cannot be drawn" in expect(client.get(f"{path}/episode"), 409)["detail"]
 
 
 @on_sqlite
-def test_bytes_that_are_not_a_trace_are_a_conflict(client: httpx.Client) -> None:
-    path = with_trace(client, b"the trace")
+def test_document_that_is_no_trace_is_a_conflict(client: httpx.Client) -> None:
+    path = kept(client, b"the trace")
     assert "cannot be drawn" in expect(client.get(f"{path}/episode"), 409)["detail"]
     expect(client.get(f"{path}/pictures/0.jpg"), 404)
 
 
 @on_sqlite
-def test_story_is_about_the_violated_requirement(
+def test_story_is_the_violated_requirement_if_the_campaign_judges_none(
     client: httpx.Client,
 ) -> None:
     far = np.full(40, 9.0, np.float32)
     fast = np.where(np.arange(40) < 25, 1.0, -0.5).astype(np.float32)
-    shown = episode(
+    found = episode(
         client, replace(make_trace(samples=40), robustness={"front-gap@1": far, "speed-limit@1": fast})
     )
-    assert shown["story"] == {"requirement": "speed-limit@1", "violated": True, "decisive": 25}
+    assert found["story"] == {"requirement": "speed-limit@1", "violated": True, "decisive": 25}
 
 
 @on_sqlite
-def test_words_for_unreadable_parts_are_left_out(client: httpx.Client) -> None:
+def test_malformed_descriptions_are_left_out(client: httpx.Client) -> None:
     behaviour: Json = {"mode": "detector", "perturbations": [{"gene": "snow", "level": {}}]}
     about: dict[str, Json] = {"spec": {"scenario": {"crossing_m": "far"}, "behaviour": behaviour}}
-    shown = episode(client, replace(make_trace(samples=40), about=about))
-    assert shown["words"]["report"] == "detected"
-    assert shown["words"]["scenario"].startswith("None")
+    found = episode(client, replace(make_trace(samples=40), about=about))
+    assert found["words"]["report"] == "detected"
+    assert found["words"]["scenario"].startswith("None")
 
 
-def test_request_for_an_episode_that_no_worker_can_record_does_not_wait(client: httpx.Client, engines: Engines) -> None:
+def test_episode_that_no_worker_can_make_is_refused_at_once(client: httpx.Client, engines: Engines) -> None:
     campaign = submit(client, ball())
     FakeWorker(client, capabilities=("another-simulator@1",)).lease()
     before = row_counts(engines)
     answer = client.get(f"/api/v1/campaigns/{campaign}/solutions/{NUMBER}/episode", params={"wait_s": 20})
     assert "no live worker can run faulty@1" in expect(answer, 503)["detail"]
     assert answer.headers["Retry-After"] == "5"
-    assert row_counts(engines) == before, "a job was enqueued"
+    assert row_counts(engines) == before, "no job is enqueued"
 
 
 @on_sqlite
-def test_simulator_without_traces_has_no_episodes(client: httpx.Client) -> None:
-    path = with_trace(client, None)
+def test_simulator_that_records_no_traces_has_no_episodes(client: httpx.Client) -> None:
+    path = kept(client, None)
     assert "records no trace" in expect(client.get(f"{path}/episode"), 409)["detail"]
 
 
@@ -603,8 +632,8 @@ def test_checking_a_submission_does_not_block_other_requests(
         except InvalidEpisode:
             return usual(*given)
 
-    usual = brink.server.campaigns.submission.check_submission
-    monkeypatch.setattr(brink.server.campaigns.submission, "check_submission", checked)
+    usual = brink.server.campaigns.plan.check_submission
+    monkeypatch.setattr(brink.server.campaigns.plan, "check_submission", checked)
     with many_requests(client, "POST", "/api/v1/campaigns", json=ball(seed=2, simulations=20)) as statuses:
         try:
             eventually(lambda: blocker.within == SLOW_AT_ONCE, "some submissions are being checked")

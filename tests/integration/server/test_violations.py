@@ -14,9 +14,11 @@ from support.traffic import traffic_worker
 from typer.testing import CliRunner
 
 from brink.cli.commands import app
-from brink.cli.findings.violations import draw_types, in_words, write_violations
+from brink.cli.findings import draw_types, violations_sentence, write_violations
 from brink.cli.live import CampaignDisplay
-from brink.search.analysis.violation_types import RULES_VERSION
+from brink.search.analysis.violations import RULES_VERSION
+from brink.server.api.findings import Violations
+from brink.server.api.schemas import Progress
 
 TRAFFIC: dict[str, Any] = {
     "name": "traffic",
@@ -90,7 +92,7 @@ def test_a_search_for_violations_says_so_while_it_runs(client: httpx.Client, cap
     stands = progress(client, campaign)
     assert (stands["status"], stands["looks_for_boundary"]) == ("running", False)
     with CampaignDisplay(Console(width=200)) as display:
-        display.show(stands)
+        display.show(Progress.model_validate(stands))
     said = capsys.readouterr().out
     assert "criticality" in said
     assert "boundary" not in said
@@ -106,7 +108,7 @@ def test_a_problem_without_violations_says_so(client: httpx.Client) -> None:
     }
     campaign = submit(client, body)
     detail = expect(client.get(f"/api/v1/campaigns/{campaign}/violations"), 404)["detail"]
-    assert "mtq@1 tells no violations" in detail
+    assert "mtq@1 reports no violations" in detail
 
 
 def test_the_command_line_shows_and_names_them(
@@ -118,7 +120,7 @@ def test_the_command_line_shows_and_names_them(
     assert found == expect(client.get(f"/api/v1/campaigns/{campaign}/violations"))
     shown = CliRunner().invoke(app, ["violations", campaign, *place])
     assert shown.exit_code == 0, shown.output
-    assert in_words(found) in shown.stdout
+    assert violations_sentence(Violations.model_validate(found)) in shown.stdout
     one = found["violations"][0]
     which = ["--number", str(one["number"]), "--requirement", one["requirement"], *place]
     named = CliRunner().invoke(app, ["violations", campaign, "--name", "squeezed out", *which])
@@ -132,9 +134,9 @@ def test_the_command_line_shows_and_names_them(
 
 def test_files_hold_every_violation(client: httpx.Client, campaign: str, tmp_path: Path) -> None:
     found = expect(client.get(f"/api/v1/campaigns/{campaign}/violations"))
-    document, table = write_violations(found, tmp_path)
+    document, table = write_violations(Violations.model_validate(found), tmp_path)
     assert json.loads(document.read_text()) == found
     rows = list(csv.DictReader(io.StringIO(table.read_text())))
     assert [row["type"] for row in rows] == [one["type"] for one in found["violations"]]
     assert {row["place"] for row in rows} <= {"straight", "curve", "junction", "crossing"}
-    assert draw_types(found, tmp_path).stat().st_size > 5_000
+    assert draw_types(Violations.model_validate(found), tmp_path).stat().st_size > 5_000

@@ -1,4 +1,4 @@
-"""The list of hostile requests, by groups as `docs/security.md` has them."""
+"""The list of hostile requests, by groups as `docs/reference/security.md` has them."""
 
 from support.attacks.access import ACCESS
 from support.attacks.bodies import BODIES

@@ -46,14 +46,14 @@ def _expired(target: Target) -> Iterable[Answer]:
     return _everything(target, b"Bearer " + target.tokens["expired"].encode())
 
 
-@row("a token with another scope's name in it", 401)
+@row("a token altered to name another scope", 401)
 def _widened(target: Target) -> Iterable[Answer]:
     for scope in ("read", "user", "worker"):
         widened = target.tokens[scope].replace(f"_{scope}_", "_admin_")
         yield from _everything(target, b"Bearer " + widened.encode())
 
 
-@row("a good token in another place", 401)
+@row("a valid token outside the Authorization header", 401)
 def _misplaced(target: Target) -> Iterable[Answer]:
     token = target.tokens["admin"]
     yield target.ask("GET", f"{CAMPAIGNS}?token={token}&access_token={token}", None)
@@ -68,7 +68,7 @@ def _both(target: Target) -> Iterable[Answer]:
     yield target.send(head + b"AUTH\r\n" + b"\r\n")
 
 
-@row("read submits or changes", 403)
+@row("scope read submits or modifies", 403)
 def _read_changes(target: Target) -> Iterable[Answer]:
     yield target.submit(ball(seed=9), "read")
     for verb in ("pause", "resume", "cancel"):
@@ -77,33 +77,33 @@ def _read_changes(target: Target) -> Iterable[Answer]:
     yield target.ask("PUT", f"{CAMPAIGNS}/{target.finished}/violations/1/x/name", "read", json={"name": "x"})
 
 
-@row("read or user does a worker's work", 403)
+@row("scope read or user uses the worker endpoints", 403)
 def _user_leases(target: Target) -> Iterable[Answer]:
     for scope in ("read", "user"):
         for what in ("lease", "heartbeat", "results"):
             yield target.ask("POST", f"/api/v1/jobs/{what}", scope, json=WANTED)
 
 
-@row("a worker submits", 403)
+@row("scope worker submits", 403)
 def _worker_submits(target: Target) -> Iterable[Answer]:
     yield target.submit(ball(seed=9), "worker")
     yield target.ask("POST", f"{CAMPAIGNS}/{target.running}/pause", "worker")
 
 
-@row("a worker reads", 403)
+@row("scope worker reads", 403)
 def _worker_reads(target: Target) -> Iterable[Answer]:
     for path in (CAMPAIGNS, f"{CAMPAIGNS}/{target.finished}/solutions", "/api/v1/jobs", "/metrics"):
         yield target.ask("GET", path, "worker")
 
 
-@row("read, user or worker deletes", 403)
+@row("scope read, user or worker deletes", 403)
 def _others_delete(target: Target) -> Iterable[Answer]:
     for scope in ("read", "user", "worker"):
         for after in ("", "/", "?force=1"):
             yield target.ask("DELETE", f"{CAMPAIGNS}/{target.finished}{after}", scope)
 
 
-@row("a path spelled so that its scope is not known", 403, 404, 405)
+@row("a worker path in an unusual spelling", 403, 404, 405)
 def _spelled(target: Target) -> Iterable[Answer]:
     for path in (
         "lease%0A",

@@ -35,7 +35,7 @@ def _huge_integers(target: Target) -> Iterable[Answer]:
             yield target.submit(_with(b'"simulations": 60', b'"simulations": ' + sign + b"9" * digits))
 
 
-@row("100,000 levels of JSON", 400, 422)
+@row("JSON nested 100,000 levels deep", 400, 422)
 def _deep(target: Target) -> Iterable[Answer]:
     for inner in (
         b"[" * 100_000 + b"]" * 100_000,
@@ -49,12 +49,12 @@ def _deep(target: Target) -> Iterable[Answer]:
         yield target.submit(_with(b'"ball@1"', b'"ball@1", "params": {"limit": ' + inner + b"}"))
 
 
-@row("a field given twice: the last one counts", 422, says="/name")
+@row("a duplicate field, of which the last one counts", 422, says="/name")
 def _twice(target: Target) -> Iterable[Answer]:
     yield target.submit(BALL[:-1] + b', "name": ""}')
 
 
-@row("what is no JSON", 400, 422)
+@row("a body that is not JSON", 400, 422)
 def _no_json(target: Target) -> Iterable[Answer]:
     for content in (
         b"",
@@ -71,13 +71,13 @@ def _no_json(target: Target) -> Iterable[Answer]:
         yield target.submit(content)
 
 
-@row("JSON that is no campaign", 422)
+@row("JSON that is not a campaign", 422)
 def _no_campaign(target: Target) -> Iterable[Answer]:
     for body in (None, 1, "text", [], [ball(seed=9)], {}, {"campaign": ball(seed=9)}, True):
         yield target.submit(body)
 
 
-@row("fields that nobody asked for, such as `__proto__`", 422, says="unknown field")
+@row("unknown fields, such as `__proto__`", 422, says="unknown field")
 def _unknown_fields(target: Target) -> Iterable[Answer]:
     for name in (
         "__proto__",
@@ -95,7 +95,7 @@ def _unknown_fields(target: Target) -> Iterable[Answer]:
         yield target.submit({**ball(seed=9), "algorithm": algorithm})
 
 
-@row("parameters of other types", 422)
+@row("parameters of the wrong type", 422)
 def _types(target: Target) -> Iterable[Answer]:
     for value in ("1", True, None, [], {}, [1.0], {"$gt": 0}, "1; DROP TABLE jobs", "${7*7}", 10**400):
         yield target.submit({**ball(seed=9), "problem": {"id": "ball@1", "params": {"limit": value}}})
@@ -113,7 +113,7 @@ def _billions(target: Target) -> Iterable[Answer]:
         yield target.submit({**ball(seed=9), "algorithm": algorithm})
 
 
-@row("an unknown type of content", 422)
+@row("an unknown content type", 422)
 def _content_types(target: Target) -> Iterable[Answer]:
     for kind in (
         "text/plain", "application/xml", "multipart/form-data; boundary=x", "application/x-www-form-urlencoded",
@@ -123,7 +123,7 @@ def _content_types(target: Target) -> Iterable[Answer]:
     yield target.ask("POST", CAMPAIGNS, "user", content=BALL)
 
 
-@row("a compressed bomb", 400, 422)
+@row("a compression bomb", 400, 422)
 def _bomb(target: Target) -> Iterable[Answer]:
     bomb = gzip.compress(b" " * 200_000_000)
     for encoding in ("gzip", "deflate", "br", "zstd", "gzip, gzip"):
@@ -131,13 +131,13 @@ def _bomb(target: Target) -> Iterable[Answer]:
         yield target.ask("POST", CAMPAIGNS, "user", content=bomb, headers=headers)
 
 
-@row("a body past the bound, with its length", 413)
+@row("an oversized body with a Content-Length", 413)
 def _too_long(target: Target) -> Iterable[Answer]:
     for length in (MOST_BYTES + 1, 10**12, 10**18):
         yield target.send(HEAD + b"Connection: close\r\nContent-Length: %d\r\n\r\n{" % length)
 
 
-@row("a body past the bound, without its length", 413)
+@row("an oversized body without a Content-Length", 413)
 def _endless(target: Target) -> Iterable[Answer]:
     def parts() -> Iterator[bytes]:
         for _ in range(MOST_BYTES // 65536 + 2):
@@ -147,29 +147,29 @@ def _endless(target: Target) -> Iterable[Answer]:
     yield target.ask("POST", CAMPAIGNS, "user", content=parts(), headers=headers)
 
 
-@row("a body shorter than its length", 408)
+@row("a body shorter than its Content-Length", 408)
 def _lie(target: Target) -> Iterable[Answer]:
     yield target.send(HEAD + b"Content-Length: 5000\r\n\r\n" + BALL)
 
 
-@row("a body longer than its length", 400, 422)
+@row("a body longer than its Content-Length", 400, 422)
 def _longer(target: Target) -> Iterable[Answer]:
     yield target.send(HEAD + b"Connection: close\r\nContent-Length: 5\r\n\r\n" + BALL)
 
 
-@row("chunks without an end", 408)
+@row("a chunked body that never ends", 408)
 def _unended(target: Target) -> Iterable[Answer]:
     yield target.send(HEAD + b"Transfer-Encoding: chunked\r\n\r\n", b"5\r\n     \r\n" * 10)
 
 
-@row("lengths that are none", 400, problem=False)
+@row("an invalid Content-Length", 400, problem=False)
 def _no_length(target: Target) -> Iterable[Answer]:
     for length in (b"-1", b"1e3", b"0x10", b"\xb2", b"9" * 5000, b"5\r\nContent-Length: 6", b"1 1", b"+5"):
         yield target.send(HEAD + b"Content-Length: " + length + b"\r\n\r\n     ")
     yield target.send(HEAD + b"Transfer-Encoding: chunked\r\n\r\nZZ\r\n")
 
 
-@row("a length and chunks at once", 400, problem=False)
+@row("a Content-Length together with chunked encoding", 400, problem=False)
 def _both(target: Target) -> Iterable[Answer]:
     both = b"Connection: close\r\nContent-Length: 60\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\n"
     hidden = f"DELETE /api/v1/campaigns/{target.finished} HTTP/1.1\r\nHost: x\r\nAUTH\r\n\r\n".encode()

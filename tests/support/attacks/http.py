@@ -8,7 +8,7 @@ CAMPAIGNS = "/api/v1/campaigns"
 EVIL = "evil.example"
 
 
-@row("another name in Host", 200, hides=(EVIL,))
+@row("a foreign name in Host", 200, hides=(EVIL,))
 def _hosts(target: Target) -> Iterable[Answer]:
     for host in (EVIL, f"{EVIL}:80", f"127.0.0.1@{EVIL}", "", "x" * 1000):
         headers = {
@@ -20,20 +20,20 @@ def _hosts(target: Target) -> Iterable[Answer]:
         yield target.ask("GET", CAMPAIGNS, headers=headers)
 
 
-@row("a redirect to the name in Host", 404, 405, hides=(EVIL,))
+@row("a redirect to a foreign name in Host", 404, 405, hides=(EVIL,))
 def _redirect(target: Target) -> Iterable[Answer]:
     for path in (f"{CAMPAIGNS}/", "/docs/", "//evil.example/%2f..", "/healthz/"):
         yield target.ask("GET", path, headers={"Host": EVIL})
 
 
-@row("another method in a header", 200)
+@row("a method override in a header", 200)
 def _override(target: Target) -> Iterable[Answer]:
     for name in ("X-HTTP-Method-Override", "X-HTTP-Method", "X-Method-Override"):
         yield target.ask("GET", f"{CAMPAIGNS}/{target.finished}", headers={name: "DELETE"})
         yield target.ask("GET", f"{CAMPAIGNS}/{target.finished}?_method=DELETE", headers={name: "DELETE"})
 
 
-@row("methods that nobody knows", 400, 405, problem=False)
+@row("an unknown method", 400, 405, problem=False)
 def _methods(target: Target) -> Iterable[Answer]:
     for method in ("BREW", "TRACE", "PATCH", "delete", "PROPFIND", "X" * 500):
         head = (
@@ -42,7 +42,7 @@ def _methods(target: Target) -> Iterable[Answer]:
         yield target.send(head.encode())
 
 
-@row("a preflight from another site", 401, hides=("access-control",))
+@row("a CORS preflight from another site", 401, hides=("access-control",))
 def _preflight(target: Target) -> Iterable[Answer]:
     asked = {"Origin": f"http://{EVIL}", "Access-Control-Request-Method": "POST"}
     for path in (CAMPAIGNS, f"{CAMPAIGNS}/{target.running}/cancel", "/api/v1/jobs/lease"):
@@ -60,13 +60,13 @@ def _websocket(target: Target) -> Iterable[Answer]:
         yield target.ask("GET", CAMPAIGNS, scope, headers={"Connection": "Upgrade", "Upgrade": "h2c"})
 
 
-@row("the address of another site as a path", 200, hides=(EVIL,))
+@row("an absolute URL of another site as the path", 200, hides=(EVIL,))
 def _proxied(target: Target) -> Iterable[Answer]:
     head = f"GET http://{EVIL}/api/v1/campaigns HTTP/1.1\r\nHost: {EVIL}\r\nConnection: close\r\nAUTH\r\n\r\n"
     yield target.send(head.encode())
 
 
-@row("a second request behind the first", 200)
+@row("a pipelined second request", 200)
 def _pipelined(target: Target) -> Iterable[Answer]:
     first = b"GET /healthz HTTP/1.1\r\nHost: x\r\nAUTH\r\n\r\n"
     second = f"DELETE /api/v1/campaigns/{target.finished} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n"
@@ -75,7 +75,7 @@ def _pipelined(target: Target) -> Iterable[Answer]:
     yield answer
 
 
-@row("a request that is no HTTP of ours", 400, 401, problem=False)
+@row("a request that is not valid HTTP/1.1", 400, 401, problem=False)
 def _garbage(target: Target) -> Iterable[Answer]:
     for line in (
         b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03", b"\x00\r\n\r\n", b"GET /metrics\r\n\r\n",
@@ -86,7 +86,7 @@ def _garbage(target: Target) -> Iterable[Answer]:
         yield target.send(line, scope=None)
 
 
-@row("a head of enormous size", 0, 400, 431, problem=False)
+@row("an oversized request head", 0, 400, 431, problem=False)
 def _enormous(target: Target) -> Iterable[Answer]:
     for head in (b"GET /" + b"a" * 200_000, b"GET / HTTP/1.1\r\nHost: x\r\nX-A: " + b"a" * 200_000):
         yield target.send(head, scope=None)
@@ -94,7 +94,7 @@ def _enormous(target: Target) -> Iterable[Answer]:
     yield target.send(b"GET / HTTP/1.1\r\nHost: x\r\n" + many, scope=None)
 
 
-@row("a head that does not end", 0, problem=False)
+@row("a request head that never ends", 0, problem=False)
 def _slow(target: Target) -> Iterable[Answer]:
     for head in (b"", b"G", b"GET /api/v1/campaigns HTTP/1.1\r\nHost: x\r\nX-Slow: "):
         yield target.send(head, scope=None)

@@ -37,7 +37,7 @@ def _sql_in_queries(target: Target) -> Iterable[Answer]:
             yield target.ask("GET", path, params={name: sql})
 
 
-@row("SQL in a cursor, or a cursor that is none", 422, says="/query/cursor")
+@row("SQL in a cursor, or an invalid cursor", 422, says="/query/cursor")
 def _sql_in_cursors(target: Target) -> Iterable[Answer]:
     for text in (
         *(f"1.0 {sql}" for sql in SQL if not sql.isalnum()),
@@ -53,7 +53,7 @@ def _sql_in_cursors(target: Target) -> Iterable[Answer]:
         yield target.ask("GET", CAMPAIGNS, params={"cursor": cursor})
 
 
-@row("a way out of a folder in an id", 404)
+@row("path traversal in an id", 404)
 def _traversal_in_ids(target: Target) -> Iterable[Answer]:
     for way in (
         "..%2F..%2Fetc%2Fpasswd",
@@ -67,7 +67,7 @@ def _traversal_in_ids(target: Target) -> Iterable[Answer]:
             yield target.ask("GET", f"{CAMPAIGNS}/{way}{after}")
 
 
-@row("a way out of the folder of the pages", 404, hides=("root:", "secret"))
+@row("path traversal below the documentation files", 404, hides=("root:", "secret"))
 def _traversal_in_pages(target: Target) -> Iterable[Answer]:
     for way in (
         "../../etc/passwd", "..%2f..%2f..%2fetc%2fpasswd", "%2e%2e/%2e%2e/etc/passwd", "/etc/passwd",
@@ -78,7 +78,7 @@ def _traversal_in_pages(target: Target) -> Iterable[Answer]:
         yield target.send(head.encode(), scope=None)
 
 
-@row("a way around the token through the open pages", 401, 404)
+@row("path traversal from a public path to the API", 401, 404)
 def _around(target: Target) -> Iterable[Answer]:
     for way in (
         "/docs-files/../api/v1/campaigns", "/docs-files/%2e%2e/api/v1/campaigns", "/docs/../api/v1/campaigns",
@@ -98,7 +98,7 @@ def _line_feeds(target: Target) -> Iterable[Answer]:
         yield target.ask("GET", f"{CAMPAIGNS}/{target.finished}%0d%0aSet-Cookie:%20evil{after}")
 
 
-@row("NUL or half a surrogate pair in a campaign", 422)
+@row("NUL or a lone surrogate in a campaign", 422)
 def _odd_text(target: Target) -> Iterable[Answer]:
     bodies: tuple[dict[str, object], ...] = (
         {"name": "ODD"}, {"algorithm": {"id": "ODD"}}, {"problem": {"id": "ODD"}}, {"ODD": 1},
@@ -111,7 +111,7 @@ def _odd_text(target: Target) -> Iterable[Answer]:
     yield target.submit(fault.replace("ODD", r"\ud800").encode())
 
 
-@row("limits and numbers that are negative or enormous", 422)
+@row("limits and numbers that are negative or out of range", 422)
 def _bounds(target: Target) -> Iterable[Answer]:
     for number in (
         "-1",
@@ -136,7 +136,7 @@ def _bounds(target: Target) -> Iterable[Answer]:
         yield target.ask("GET", f"{CAMPAIGNS}/{target.finished}/{path}")
 
 
-@row("numbers of what is not there", 404)
+@row("numbers of solutions and jobs that do not exist", 404)
 def _not_there(target: Target) -> Iterable[Answer]:
     for path in ("solutions/9007199254740992", "solutions/60", "solutions/60/trace", "distances?numbers=0,60",
                  "distances?numbers=-1", f"distances?numbers={'9' * 4000}", "violations"):  # fmt: skip
@@ -144,7 +144,7 @@ def _not_there(target: Target) -> Iterable[Answer]:
     yield target.ask("POST", "/api/v1/jobs/9007199254740992/retry")
 
 
-@row("the beginning of an id that fits several, or all", 404)
+@row("an ambiguous or empty id prefix", 404)
 def _short_ids(target: Target) -> Iterable[Answer]:
     for name in ("%20", "*", "a" * 17, "a" * 3000, target.finished[:1], target.finished.upper() + "x"):
         yield target.ask("POST", f"{CAMPAIGNS}/{name}/cancel")
@@ -157,7 +157,7 @@ def _long_key(target: Target) -> Iterable[Answer]:
         yield target.ask("POST", CAMPAIGNS, "user", json=ball(seed=9), headers=headers)
 
 
-@row("an Idempotency-Key that is empty, or of other bytes than letters", 400, 422, problem=False)
+@row("an Idempotency-Key that is empty or not printable text", 400, 422, problem=False)
 def _binary_key(target: Target) -> Iterable[Answer]:
     body = json.dumps(ball(seed=9)).encode()
     for key in (b"", b"\x00", b"\x01\x02", b"a\x00b", b"\xff\xfe", b"a\x7fb"):
@@ -169,7 +169,7 @@ def _binary_key(target: Target) -> Iterable[Answer]:
         yield target.send(head + kind + body)
 
 
-@row("another campaign's Idempotency-Key", 409, says="used for another campaign")
+@row("the Idempotency-Key of another campaign", 409, says="used for another campaign")
 def _taken_key(target: Target) -> Iterable[Answer]:
     yield target.ask("POST", CAMPAIGNS, "user", json=ball(seed=9), headers={"Idempotency-Key": KEY})
 

@@ -17,7 +17,7 @@ def _asks(endpoint: str, **more: Any) -> dict[str, Any]:
     }
 
 
-@row("a language model elsewhere", 422, says="/llm/endpoint")
+@row("a language model on another host", 422, says="/llm/endpoint")
 def _elsewhere(target: Target) -> Iterable[Answer]:
     for endpoint in (
         "http://169.254.169.254/latest/meta-data", "http://10.0.0.1/v1", "https://evil.example/v1",
@@ -27,7 +27,7 @@ def _elsewhere(target: Target) -> Iterable[Answer]:
         yield target.submit(_asks(endpoint))
 
 
-@row("a language model whose address is none", 422, says="/llm/endpoint", hides=("s3cret",))
+@row("a language model with an invalid address", 422, says="/llm/endpoint", hides=("s3cret",))
 def _no_address(target: Target) -> Iterable[Answer]:
     for endpoint in (
         "file:///etc/passwd", "gopher://127.0.0.1/", "http://user:s3cret@127.0.0.1/v1", "http://127.0.0.1:99999/v1",
@@ -37,7 +37,7 @@ def _no_address(target: Target) -> Iterable[Answer]:
         yield target.submit(_asks(endpoint))
 
 
-@row("a secret of the environment for a language model", 422, hides=("s3cret",))
+@row("an environment secret as a language model's key", 422, hides=("s3cret",))
 def _environment(target: Target) -> Iterable[Answer]:
     for name in ("PATH", "BRINK_TOKEN", "AWS_SECRET_ACCESS_KEY"):
         yield target.submit(_asks("http://127.0.0.1:9/v1", api_key_env=name))
@@ -45,7 +45,7 @@ def _environment(target: Target) -> Iterable[Answer]:
     yield target.submit(_asks("http://127.0.0.1:9/v1", api_key="s3cret"))
 
 
-@row("a file of the system as a data set", 422, says="/problem/params/dataset", hides=("root:", "PATH="))
+@row("a system file as a data set", 422, says="/problem/params/dataset", hides=("root:", "PATH="))
 def _datasets(target: Target) -> Iterable[Answer]:
     for name in (
         "/etc/passwd", "../../../../../../etc/passwd", "/proc/self/environ", "/proc/self/mem", "/proc/kmsg",
@@ -54,7 +54,7 @@ def _datasets(target: Target) -> Iterable[Answer]:
         yield target.submit(_measures(dataset=name))
 
 
-@row("a file of the system as a detector", 422, says="/problem/params/detector", hides=("root:", "PATH="))
+@row("a system file as a detector", 422, says="/problem/params/detector", hides=("root:", "PATH="))
 def _detectors(target: Target) -> Iterable[Answer]:
     for name in (
         "onnx:/dev/zero", "onnx:/proc/self/environ", "torchscript:/", "onnx:", "onnx:\0", "onnx:" + "x" * 5000,
@@ -63,7 +63,7 @@ def _detectors(target: Target) -> Iterable[Answer]:
         yield target.submit(_measures(detector=name))
 
 
-@row("a module as a problem or an algorithm", 422, says="unknown")
+@row("a Python module as a problem or an algorithm", 422, says="unknown")
 def _modules(target: Target) -> Iterable[Answer]:
     for name in ("os:system", "builtins.eval", "../ball@1", "ball@1;", "ball@99", "BALL@1", " ball@1"):
         yield target.submit({**ball(seed=9), "problem": {"id": name}})

@@ -22,7 +22,7 @@ def _another_jobs(target: Target) -> Iterable[Answer]:
     yield target.say("results", results(target.mine.job, target.reported.token, outcome_of(target.mine)))
 
 
-@row("a job of another worker and another campaign", 200, says="stale")
+@row("a job that another worker holds, of another campaign", 200, says="stale")
 def _another_workers(target: Target) -> Iterable[Answer]:
     body = results(target.theirs.job, "0" * 32, outcome_of(target.theirs), "theirs")
     yield target.say("results", body)
@@ -37,12 +37,12 @@ def _twice(target: Target) -> Iterable[Answer]:
     yield target.say("results", results(target.reported.job, target.reported.token, outcome_of(target.mine)))
 
 
-@row("a result after its lease ran out", 200, says="stale")
+@row("a result after its lease expired", 200, says="stale")
 def _late(target: Target) -> Iterable[Answer]:
     yield target.say("results", results(target.lost.job, target.lost.token, outcome_of(target.lost)))
 
 
-@row("a result of a job that is not there", 200, says="stale")
+@row("a result for a job that does not exist", 200, says="stale")
 def _nowhere(target: Target) -> Iterable[Answer]:
     for job in (0, 10**6, 2**53 + 1, 2**63 - 1):
         yield target.say("results", results(job, target.mine.token, outcome_of(target.mine)))
@@ -55,7 +55,7 @@ def _heartbeat(target: Target) -> Iterable[Answer]:
     yield target.say("heartbeat", {"worker": {"id": "mine"}, "leases": [*forged, lost]})
 
 
-@row("giving back leases that are not held", 200, says='"statuses":[]')
+@row("a release of leases that are not held", 200, says='"statuses":[]')
 def _release(target: Target) -> Iterable[Answer]:
     forged = [{"job": job, "token": "0" * 32} for job in (target.mine.job, target.theirs.job)]
     reported = {"job": target.reported.job, "token": target.reported.token}
@@ -75,7 +75,7 @@ def _not_finite(target: Target) -> Iterable[Answer]:
             yield target.say("results", body.replace(b'"NUMBER"', number))
 
 
-@row("a result that is none", 422)
+@row("a malformed result", 422)
 def _no_result(target: Target) -> Iterable[Answer]:
     whole = outcome_of(target.mine)
     outcomes: tuple[object, ...] = (
@@ -87,7 +87,7 @@ def _no_result(target: Target) -> Iterable[Answer]:
         yield target.say("results", results(target.mine.job, target.mine.token, outcome))
 
 
-@row("a result of enormous size", 422)
+@row("an oversized result", 422)
 def _enormous(target: Target) -> Iterable[Answer]:
     whole = outcome_of(target.mine)
     verdict = whole["verdicts"]["distance@1"]
@@ -105,20 +105,20 @@ def _enormous(target: Target) -> Iterable[Answer]:
         yield target.say("results", results(target.mine.job, target.mine.token, outcome))
 
 
-@row("a trace that is no base64", 422, says="base64")
+@row("a trace that is not base64", 422, says="base64")
 def _no_base64(target: Target) -> Iterable[Answer]:
     for trace in ("!", "A", "AAAA=AAAA", "\u00fc", "AA AA", "data:;base64,AAAA"):
         outcome = {**outcome_of(target.mine), "trace": trace}
         yield target.say("results", results(target.mine.job, target.mine.token, outcome))
 
 
-@row("a trace of enormous size", 422, says="8000000")
+@row("an oversized trace", 422, says="8000000")
 def _enormous_trace(target: Target) -> Iterable[Answer]:
     outcome = {**outcome_of(target.mine), "trace": "A" * 8_000_004}
     yield target.say("results", results(target.mine.job, target.mine.token, outcome))
 
 
-@row("NUL or half a surrogate pair from a worker", 422)
+@row("NUL or a lone surrogate from a worker", 422)
 def _odd_text(target: Target) -> Iterable[Answer]:
     for odd in (r"\u0000", r"\ud800", r"\udfff\ud800"):
         for body in (
@@ -132,7 +132,7 @@ def _odd_text(target: Target) -> Iterable[Answer]:
         yield target.say("results", json.dumps(body).replace("ODD", odd).encode())
 
 
-@row("an identity that is too long", 422)
+@row("a worker identity that is too long or malformed", 422)
 def _identity(target: Target) -> Iterable[Answer]:
     for identity in (
         {"id": "x" * 65}, {"id": ""}, {"id": "mine", "host": "x" * 256}, {"id": "mine", "version": "x" * 65},
@@ -142,7 +142,7 @@ def _identity(target: Target) -> Iterable[Answer]:
         yield target.say("lease", {**WANTED, "worker": identity})
 
 
-@row("enormous wishes of a worker", 422)
+@row("a lease request beyond the limits", 422)
 def _wishes(target: Target) -> Iterable[Answer]:
     for wish in (
         {"max_jobs": 257}, {"max_jobs": 10**25}, {"max_jobs": 0}, {"max_jobs": -1}, {"wait_s": 61}, {"wait_s": -1},

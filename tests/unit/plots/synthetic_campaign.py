@@ -4,7 +4,7 @@ import numpy as np
 
 from brink.plots import CampaignFigures
 from brink.search.archive import Archive, Neighbourhood
-from brink.search.problems.mtq import RADIUS, SPACE, robustness
+from brink.search.problems import MTQ_RADIUS, MTQ_SPACE, mtq_robustness
 from brink.search.space import Categorical, Component, Dormant, Integer, Real, SearchSpace
 
 MIXED = SearchSpace(
@@ -29,9 +29,9 @@ MIXED = SearchSpace(
 def mtq_campaign(count: int = 400, *, seed: int = 1, t_b: float = 0.2, d_th: float = 0.05) -> CampaignFigures:
     rng = np.random.default_rng(seed)
     vectors = np.clip(rng.normal(0.75, 0.2, (count, 2)), 0, 1)
-    values = np.array([robustness(x, y) for x, y in vectors.tolist()])
+    values = np.array([mtq_robustness(x, y) for x, y in vectors.tolist()])
     # MTQ is unsafe nearly everywhere: turned round, the disc is what is unsafe.
-    return campaign(SPACE, vectors, values > 0, -values, radius=RADIUS, t_b=t_b, d_th=d_th)
+    return campaign(MTQ_SPACE, vectors, values > 0, -values, radius=MTQ_RADIUS, t_b=t_b, d_th=d_th)
 
 
 def mixed_campaign(count: int = 300, *, seed: int = 1, null_share: float = 0.4) -> CampaignFigures:

@@ -19,11 +19,12 @@ from brink.plots import (
     figure_parameters,
 )
 from brink.plots.style import WIDTH_PX
+from brink.search.analysis.boundary import dbs, dbs_grid, distinct_boundary, strict_dbs
 from brink.search.analysis.dependence import dependences
-from brink.search.boundary import PAPER_D_THS, PAPER_T_BS, dbs, dbs_grid, distinct_boundary, strict_dbs
-from brink.search.embedding import embedded
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
+from brink.search.analysis.similarity import embedded
 from brink.search.fitness import wilson_interval
-from brink.search.problems.mtq import SPACE
+from brink.search.problems import MTQ_SPACE
 
 MakeFigure = Callable[[CampaignFigures], Figure]
 
@@ -192,7 +193,7 @@ def test_verdicts_that_do_not_depend_on_a_parameter_are_not_called_dependent() -
 def _few(count: int, *, unsafe: bool) -> CampaignFigures:
     vectors = np.random.default_rng(3).random((count, 2))
     return campaign(
-        SPACE,
+        MTQ_SPACE,
         vectors,
         np.full(count, unsafe),
         np.full(count, -1.0 if unsafe else 1.0),

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from brink.plots.fronts import figure_fronts, told_diversities
-from brink.search.actions.road import RoadLimits
-from brink.search.actions.rule import participants_component
 from brink.search.algorithm import Scored
 from brink.search.algorithms.multi_objective import CRITICALITY
 from brink.search.algorithms.nsga2 import Nsga2, Nsga2Config
 from brink.search.space import SearchSpace
+from brink.search.traffic.constraint import participants_component
+from brink.search.traffic.participants import RoadLimits
 
 SPACE = SearchSpace((participants_component("npcs", 2, RoadLimits()),))
 CONFIG = Nsga2Config(population_size=10)
@@ -25,7 +25,7 @@ def test_diversity_is_what_the_search_saw_when_it_was_told() -> None:
             c.number: Scored(unsafe=False, robustness=1.0, objectives={CRITICALITY: 1.0 + c.number})
             for c in candidates
         }
-        before = len(state.book)
+        before = len(state.history)
         state = algorithm.tell(state, answers)
         ends.append(len(state.archive))
         fresh = {n: d for n, d in zip(state.population, state.diversity.tolist(), strict=True) if n >= before}

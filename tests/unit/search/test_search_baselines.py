@@ -1,27 +1,43 @@
+"""Random search, the genetic algorithm, and the benchmark problems with known boundaries."""
+
 import dataclasses
+import math
 
 import numpy as np
 import pytest
 
 from brink.search.algorithm import Scored
 from brink.search.algorithms.ga import GeneticAlgorithm, GeneticAlgorithmConfig
+from brink.search.algorithms.mlcshe import Mlcshe
 from brink.search.algorithms.random_search import RandomSearch, RandomSearchConfig
+from brink.search.analysis.boundary import dbs_grid, distinct_boundary
+from brink.search.archive import Archive
 from brink.search.errors import ConfigError
-from brink.search.problems import onemax
+from brink.search.problems import (
+    MTQ_RADIUS,
+    MTQ_SAFE_RADIUS,
+    MTQ_SPACE,
+    ONEMAX_RADIUS,
+    ONEMAX_SPACE,
+    evaluate_mtq,
+    evaluate_onemax,
+    mtq_gap_to_boundary,
+    mtq_robustness,
+)
 from brink.search.space import Categorical, Component, Real, SearchSpace
-from brink.search.testing import example_spaces, made_up_verdicts, play
+from brink.search.testing import example_spaces, play, synthetic_verdicts
 
 SPACE = example_spaces()["mixed"]
 TINY = SearchSpace((Component("a", (Categorical("x", ("0", "1", "2")), Categorical("y", ("0", "1")))),))
 
 
 def test_random_search_spends_its_budget_exactly() -> None:
-    run = play(RandomSearch(), SPACE, RandomSearchConfig(), made_up_verdicts(SPACE), seed=1, budget=130)
+    run = play(RandomSearch(), SPACE, RandomSearchConfig(), synthetic_verdicts(SPACE), seed=1, budget=130)
     assert [len(generation) for generation in run.generations] == [60, 60, 10]
 
 
-def test_random_search_draws_what_the_space_samples() -> None:
-    run = play(RandomSearch(), SPACE, RandomSearchConfig(), made_up_verdicts(SPACE), seed=1, budget=600)
+def test_random_search_draws_from_the_distribution_of_the_space() -> None:
+    run = play(RandomSearch(), SPACE, RandomSearchConfig(), synthetic_verdicts(SPACE), seed=1, budget=600)
     drawn = np.array([SPACE.join(c.vectors) for c in run.candidates])
     rng = np.random.default_rng(0)
     sampled = np.array([SPACE.join(SPACE.sample(rng)) for _ in range(600)])
@@ -29,21 +45,21 @@ def test_random_search_draws_what_the_space_samples() -> None:
 
 
 @pytest.mark.parametrize("generation_size", [1, 4, 60])
-def test_random_search_finds_every_solution_of_a_small_space_then_ends(generation_size: int) -> None:
+def test_random_search_exhausts_a_small_space_and_ends(generation_size: int) -> None:
     config = RandomSearchConfig(generation_size=generation_size)
-    run = play(RandomSearch(), TINY, config, made_up_verdicts(TINY, failing=0.3), seed=1, budget=1000)
+    run = play(RandomSearch(), TINY, config, synthetic_verdicts(TINY, failing=0.3), seed=1, budget=1000)
     assert len(run.candidates) == 6
 
 
-def test_genetic_algorithm_finds_every_solution_of_a_small_space_then_ends() -> None:
-    verdicts = made_up_verdicts(TINY, failing=0.3)
+def test_genetic_algorithm_exhausts_a_small_space_and_ends() -> None:
+    verdicts = synthetic_verdicts(TINY, failing=0.3)
     run = play(GeneticAlgorithm(), TINY, GeneticAlgorithmConfig(), verdicts, seed=1, budget=1000)
     assert len(run.candidates) == 6
 
 
 def test_genetic_algorithm_is_generational() -> None:
     algorithm, config = GeneticAlgorithm(), GeneticAlgorithmConfig()
-    verdicts = made_up_verdicts(SPACE, failing=0.0)
+    verdicts = synthetic_verdicts(SPACE, failing=0.0)
     state = algorithm.start(SPACE, config, seed=1, budget=300)
     while not algorithm.finished(state):
         parents = {row.tobytes() for row in state.population}
@@ -55,42 +71,42 @@ def test_genetic_algorithm_is_generational() -> None:
         assert state.population.shape == (60, SPACE.dimension)
 
 
-def test_genetic_algorithm_starts_afresh_when_it_has_converged() -> None:
-    # With hardly any mutation a population of bits soon holds nothing new; the budget is spent all the same.
+def test_genetic_algorithm_restarts_when_it_has_converged() -> None:
+    # With almost no mutation a population of bits soon breeds nothing new; the budget is still spent.
     algorithm = GeneticAlgorithm()
     config = GeneticAlgorithmConfig(
-        radius=onemax.RADIUS, population_size=10, mutation_probability=1e-9, tournament_size=10
+        radius=ONEMAX_RADIUS, population_size=10, mutation_probability=1e-9, tournament_size=10
     )
-    run = play(algorithm, onemax.SPACE, config, lambda c: onemax.evaluate(c.vectors), seed=1, budget=300)
+    run = play(algorithm, ONEMAX_SPACE, config, lambda c: evaluate_onemax(c.vectors), seed=1, budget=300)
     assert len(run.candidates) >= 300
 
 
 def test_genetic_algorithm_concentrates_where_fitness_is_low() -> None:
     near_boundary = {}
     for algorithm in (GeneticAlgorithm(), RandomSearch()):
-        verdicts = made_up_verdicts(SPACE, failing=0.0)
+        verdicts = synthetic_verdicts(SPACE, failing=0.0)
         run = play(algorithm, SPACE, algorithm.config_type(), verdicts, seed=1, budget=600)
         near_boundary[algorithm.id] = int(np.count_nonzero(run.archive.fitness <= 0.15))
     assert near_boundary["ga@1"] > 2 * near_boundary["random@1"]
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_baselines_take_any_number_of_components(count: int) -> None:
+def test_baselines_support_any_number_of_components(count: int) -> None:
     space = SearchSpace(tuple(Component(f"part-{i}", (Real("x", 0.0, 1.0),)) for i in range(count)))
     for algorithm in (GeneticAlgorithm(), RandomSearch()):
-        verdicts = made_up_verdicts(space)
+        verdicts = synthetic_verdicts(space)
         run = play(algorithm, space, algorithm.config_type(), verdicts, seed=1, budget=80)
         assert len(run.candidates) >= 80
 
 
-def test_budgets_below_the_first_generation_are_refused() -> None:
+def test_budgets_below_the_first_generation_are_rejected() -> None:
     with pytest.raises(ConfigError, match=r"budget: expected at least the 60 simulations"):
         GeneticAlgorithm().check(SPACE, GeneticAlgorithmConfig(), budget=59)
     with pytest.raises(ConfigError, match="budget"):
         RandomSearch().start(SPACE, RandomSearchConfig(), seed=0, budget=0)
 
 
-def test_defaults_are_the_papers() -> None:
+def test_defaults_of_the_genetic_algorithm_are_those_of_the_paper() -> None:
     config = GeneticAlgorithmConfig()
     assert (config.population_size, config.mutation_probability, config.crossover_probability) == (
         60,
@@ -102,20 +118,80 @@ def test_defaults_are_the_papers() -> None:
         dataclasses.replace(config, mutation_probability=0.0)
 
 
-def test_unranked_solutions_are_no_parents() -> None:
+def test_failed_solutions_are_never_parents() -> None:
     algorithm, config = (
         GeneticAlgorithm(),
         GeneticAlgorithmConfig(tournament_size=40, mutation_probability=1e-9),
     )
     state = algorithm.start(SPACE, config, seed=1, budget=300)
     state, candidates = algorithm.ask(state)
-    made_up = made_up_verdicts(SPACE, failing=0.5)
-    evaluations = {c.number: made_up(c) for c in candidates}
+    synthetic = synthetic_verdicts(SPACE, failing=0.5)
+    evaluations = {c.number: synthetic(c) for c in candidates}
     ranked = np.array(
         [SPACE.join(c.vectors) for c in candidates if isinstance(evaluations[c.number], Scored)]
     )
     state = algorithm.tell(state, evaluations)
     assert 10 < len(ranked) < 50
     for child in state.population:
-        # The free number can come from nowhere but a ranked parent.
+        # Its continuous number can only come from a ranked parent.
         assert child[7] in ranked[:, 7]
+
+
+def test_mtq_has_known_values() -> None:
+    assert mtq_robustness(0.75, 0.75) == 50.0
+    assert mtq_robustness(0.25, 0.25) == -50.0
+    assert mtq_robustness(0.75 + MTQ_SAFE_RADIUS, 0.75) == pytest.approx(0.0, abs=1e-9)
+    assert mtq_robustness(0.0, 1.0) == pytest.approx(150 * (1 - 10 * (0.5625 + 0.0625)) - 100)
+
+
+def test_mtq_is_safe_exactly_inside_the_disc() -> None:
+    points = np.random.default_rng(0).random((2000, 2))
+    for x, y in points.tolist():
+        inside = math.hypot(x - 0.75, y - 0.75) <= MTQ_SAFE_RADIUS
+        verdict = evaluate_mtq((np.array([x]), np.array([y])))
+        assert verdict.unsafe == (not inside)
+        assert verdict.unsafe == (verdict.robustness < 0)
+    assert mtq_gap_to_boundary(0.75, 0.75) == pytest.approx(MTQ_SAFE_RADIUS)
+
+
+def test_onemax_has_known_values() -> None:
+    def solution(ones: int) -> tuple[np.ndarray, np.ndarray]:
+        row = np.repeat([1.0, 0.0], [ones, 20 - ones])
+        left, right = ONEMAX_SPACE.split(row)
+        return left, right
+
+    assert [evaluate_onemax(solution(n)).unsafe for n in (0, 4, 5, 20)] == [True, True, False, False]
+    assert evaluate_onemax(solution(7)).robustness == 2.0
+    assert ONEMAX_SPACE.size == 2**20
+
+
+def mtq_archive(algorithm: Mlcshe | RandomSearch, seed: int) -> Archive:
+    config = algorithm.config_type(radius=MTQ_RADIUS)
+    return play(
+        algorithm, MTQ_SPACE, config, lambda c: evaluate_mtq(c.vectors), seed=seed, budget=1000
+    ).archive
+
+
+def test_mlcshe_finds_the_boundary_of_mtq() -> None:
+    for seed in range(3):
+        archive = mtq_archive(Mlcshe(), seed)
+        found = distinct_boundary(archive, 0.10, 0.05, strict=True)
+        assert found.size >= 2
+        gaps = [mtq_gap_to_boundary(*archive.vectors[i].tolist()) for i in found]
+        # A tenth of a neighbourhood (|dx| + |dy| <= 0.1) is unsafe where its centre lies about 0.05 inside.
+        assert max(gaps) < 0.08
+        assert dbs_grid(mtq_archive(RandomSearch(), seed), (0.10,), (0.05,)).dbs[0, 0] == 0
+
+
+def test_mlcshe_beats_random_search_on_the_boundary_of_onemax() -> None:
+    found = {}
+    for algorithm in (Mlcshe(), RandomSearch()):
+        config = algorithm.config_type(radius=ONEMAX_RADIUS)
+        archive = play(
+            algorithm, ONEMAX_SPACE, config, lambda c: evaluate_onemax(c.vectors), seed=4, budget=5000
+        ).archive
+        found[algorithm.id] = archive.vectors[distinct_boundary(archive, 0.10, 0.1, strict=True)]
+    assert len(found["random@1"]) == 0
+    assert len(found["mlcshe@1"]) >= 5
+    # Fewer than five bits are unsafe, and neighbours differ in at most two.
+    assert set(found["mlcshe@1"].sum(axis=1)) <= {5.0, 6.0}

@@ -1,3 +1,5 @@
+"""The boundary of an archive: DBS, its dependence on the settings, and behaviour-blind controls."""
+
 import json
 from pathlib import Path
 
@@ -5,19 +7,22 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from brink.search.archive import Archive, Neighbourhood
-from brink.search.boundary import (
-    PAPER_D_THS,
-    PAPER_FRACTIONS,
-    PAPER_T_BS,
+from brink.search.analysis.boundary import (
+    by_p_th,
+    by_radius,
     dbs,
     dbs_by_budget,
     dbs_grid,
     distinct_boundary,
     has_evidence,
+    rescored,
     strict_dbs,
 )
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
+from brink.search.analysis.scores import ScenarioRisk, blind_archive
+from brink.search.archive import Archive, Neighbourhood
 from brink.search.metric import Metric
+from brink.search.space import Categorical, Component, Real, SearchSpace
 from brink.search.testing import example_spaces
 
 ORACLE = json.loads((Path(__file__).parents[2] / "data" / "mlcshe_oracle.json").read_text())["archive_of_60"]
@@ -32,13 +37,13 @@ def oracle_archive() -> Archive:
 
 
 def random_archive(count: int = 400, missing: tuple[int, ...] = ()) -> Archive:
-    """An archive of random solutions, unsafe on one side; `missing` numbers failed."""
+    """Return an archive of random solutions, unsafe on one side; the `missing` numbers failed."""
     rng = np.random.default_rng(3)
     rows = np.array([SPACE.join(SPACE.sample(rng)) for _ in range(count)])
     unsafe = rows[:, 0] + rng.random(count) < 0.9
-    kept = np.setdiff1d(np.arange(count), missing)
+    numbers = np.setdiff1d(np.arange(count), missing)
     near = Neighbourhood(radius=0.3, p_th=0.1)
-    return Archive.empty(SPACE, near).grown(kept, rows[kept], unsafe[kept], np.zeros(kept.size))
+    return Archive.empty(SPACE, near).grown(numbers, rows[numbers], unsafe[numbers], np.zeros(numbers.size))
 
 
 def naive_boundary(archive: Archive, t_b: float, d_th: float) -> list[int]:
@@ -51,7 +56,7 @@ def naive_boundary(archive: Archive, t_b: float, d_th: float) -> list[int]:
 
 
 @pytest.mark.parametrize(("name", "expected"), ORACLE["dbs"].items())
-def test_known_answers_of_the_replication_code(name: str, expected: int) -> None:
+def test_dbs_matches_the_replication_code(name: str, expected: int) -> None:
     t_b, d_th = (float(part.split("=")[1]) for part in name.split(","))
     assert dbs(oracle_archive(), t_b, d_th) == expected
 
@@ -62,7 +67,7 @@ def test_boundary_is_taken_greedily_by_fitness_then_number(t_b: float, d_th: flo
     assert distinct_boundary(archive, t_b, d_th).tolist() == naive_boundary(archive, t_b, d_th)
 
 
-def test_grid_holds_the_figures_of_every_pair_of_thresholds() -> None:
+def test_grid_equals_the_single_figures() -> None:
     archive = random_archive()
     grid = dbs_grid(archive)
     assert grid.dbs.shape == grid.strict.shape == (len(PAPER_T_BS), len(PAPER_D_THS))
@@ -74,7 +79,7 @@ def test_grid_holds_the_figures_of_every_pair_of_thresholds() -> None:
     assert grid.strict.max() > 0
 
 
-def test_safe_surroundings_count_as_boundary_but_not_as_evidence() -> None:
+def test_safe_neighbourhoods_count_for_dbs_but_not_for_strict_dbs() -> None:
     metric = Metric([1.0], [False])
     near = Neighbourhood(radius=1.0, p_th=0.1)
     safe = Archive.empty(metric, near).grown(
@@ -82,20 +87,20 @@ def test_safe_surroundings_count_as_boundary_but_not_as_evidence() -> None:
     )
     assert dbs(safe, 0.15, 0.1) == 1
     assert strict_dbs(safe, 0.15, 0.1) == 0
-    # The interval of 60 safe solutions ends below p_th; that of 20 contains it, yet knows no unsafe neighbour.
+    # The interval of 60 safe solutions ends below p_th; that of 20 contains it, but without an unsafe neighbour.
     few = safe.first(20)
     assert few.interval[0, 0] <= 0.1 <= few.interval[0, 1]
     assert not has_evidence(few).any()
-    mixed = safe.judged(np.arange(60) < 6, np.ones(60))
+    mixed = safe.with_verdicts(np.arange(60) < 6, np.ones(60))
     assert has_evidence(mixed).all()
     assert strict_dbs(mixed, 0.15, 0.1) == 1
 
 
-def test_figures_over_the_budget_use_only_what_was_known_then() -> None:
+def test_figures_over_the_budget_use_only_earlier_solutions() -> None:
     archive = random_archive(300, missing=(0, 17, 29, 30, 299))
     points = list(dbs_by_budget(archive, 300))
     assert [point.fraction for point in points] == pytest.approx(PAPER_FRACTIONS)
-    looked_ahead = 0
+    differing = 0
     for point in points:
         known = archive.numbers < point.simulations
         naive = Archive.empty(SPACE, archive.neighbourhood).grown(
@@ -105,11 +110,11 @@ def test_figures_over_the_budget_use_only_what_was_known_then() -> None:
         assert np.array_equal(point.grid.dbs, dbs_grid(naive).dbs)
         assert np.array_equal(point.grid.strict, dbs_grid(naive).strict)
         ahead: NDArray[np.bool_] = archive.fitness[known] <= 0.15
-        looked_ahead += int(ahead.sum()) != int((naive.fitness <= 0.15).sum())
+        differing += int(ahead.sum()) != int((naive.fitness <= 0.15).sum())
     assert [point.simulations for point in points] == [30 * i for i in range(1, 11)]
     assert [point.evaluated for point in points[:2]] == [27, 56]
-    # Final fitness would have given other figures: the difference that the test is about is there.
-    assert looked_ahead > 0
+    # The final fitness would give other figures, so the test can fail.
+    assert differing > 0
 
 
 def test_solutions_beyond_the_budget_are_not_counted() -> None:
@@ -118,12 +123,141 @@ def test_solutions_beyond_the_budget_are_not_counted() -> None:
 
 
 @pytest.mark.parametrize("fractions", [(0.0, 1.0), (0.5, 0.5), (0.9, 0.1), (1.1,)])
-def test_fractions_that_do_not_ascend_in_the_unit_interval_are_refused(fractions: tuple[float, ...]) -> None:
+def test_fractions_that_do_not_ascend_in_the_unit_interval_are_rejected(fractions: tuple[float, ...]) -> None:
     with pytest.raises(ValueError, match="fractions"):
         next(dbs_by_budget(random_archive(20), 20, fractions))
 
 
-def test_nothing_evaluated_has_no_boundary() -> None:
+def test_empty_archive_has_no_boundary() -> None:
     empty = Archive.empty(SPACE, Neighbourhood(radius=0.3, p_th=0.1))
     assert distinct_boundary(empty, 1.0, 0.1).size == 0
     assert dbs_grid(empty).dbs.sum() == 0
+
+
+def noisy_archive(radius: float = 0.3, p_th: float = 0.1) -> Archive:
+    rng = np.random.default_rng(4)
+    rows = np.array([SPACE.join(SPACE.sample(rng)) for _ in range(300)])
+    unsafe = rng.random(300) < np.where(rows[:, -1] > np.median(rows[:, -1]), 0.3, 0.02)
+    return Archive.empty(SPACE, Neighbourhood(radius=radius, p_th=p_th, z=1.96)).grown(
+        np.arange(300), rows, unsafe, np.where(unsafe, -1.0, 1.0)
+    )
+
+
+@pytest.mark.parametrize(("radius", "p_th"), [(0.3, 0.25), (0.45, 0.1), (0.2, 0.3), (0.3, 0.1)])
+def test_rescored_archive_equals_one_built_with_those_settings(radius: float, p_th: float) -> None:
+    found, expected = rescored(noisy_archive(), radius=radius, p_th=p_th), noisy_archive(radius, p_th)
+    assert found.neighbourhood == expected.neighbourhood
+    for name in ("numbers", "unsafe", "neighbours", "unsafe_neighbours", "interval", "fitness"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
+def test_sensitivity_gives_the_figures_of_other_settings() -> None:
+    for found in (
+        by_radius(noisy_archive(), (0.2, 0.4), t_b=0.15, d_th=0.2),
+        by_p_th(noisy_archive(), (0.05, 0.2), t_b=0.15, d_th=0.2),
+    ):
+        for one in found:
+            known = noisy_archive(one.radius, one.p_th)
+            assert (one.dbs, one.strict_dbs) == (dbs(known, 0.15, 0.2), strict_dbs(known, 0.15, 0.2))
+            assert one.near == (known.fitness <= 0.15).sum()
+            assert one.neighbours == np.median(known.neighbours)
+
+
+def test_settings_out_of_range_are_rejected() -> None:
+    for wrong in ({"radius": -0.1}, {"p_th": 1.0}):
+        with pytest.raises(ValueError, match=next(iter(wrong))):
+            rescored(noisy_archive(), **wrong)
+
+
+BLIND_SPACE = SearchSpace(
+    (
+        Component("scenario", tuple(Categorical(f"s{i}", ("0", "1", "2")) for i in range(4))),
+        Component("behaviour", (Real("x", 0.0, 1.0), Real("y", 0.0, 1.0))),
+    )
+)
+RNG = np.random.default_rng(0)
+ROWS = np.array([BLIND_SPACE.join(BLIND_SPACE.sample(RNG)) for _ in range(1500)])
+
+
+def blind_space_archive(unsafe: NDArray[np.bool_], rows: NDArray[np.float64] = ROWS) -> Archive:
+    near = Neighbourhood(radius=0.3, p_th=0.1)
+    return Archive.empty(BLIND_SPACE, near).grown(
+        np.arange(len(rows)), rows, unsafe, np.where(unsafe, -1.0, 1.0), keep_rows=False
+    )
+
+
+def by_scenario(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the true risk of the synthetic landscape, a function of the scenario."""
+    risk: NDArray[np.float64] = 0.1 + 0.2 * rows[:, 0] + 0.15 * (rows[:, 1] == 2)
+    return risk
+
+
+def test_scenario_risk_is_estimated_from_the_archive() -> None:
+    truth = by_scenario(ROWS)
+    archive = blind_space_archive(np.random.default_rng(1).random(len(ROWS)) < truth)
+    risk = ScenarioRisk.fitted(archive, BLIND_SPACE)
+    estimate = risk.probability(ROWS[:, :4])
+    assert np.corrcoef(estimate, truth)[0, 1] > 0.85
+    assert np.abs(estimate - truth).mean() < 0.08
+    assert estimate.mean() == pytest.approx(archive.unsafe.mean(), abs=0.01)
+
+
+def test_estimate_is_shrunk_towards_similar_scenarios() -> None:
+    rows = np.array([[0, 0, 0, 0, 0.5, 0.5], [0, 0, 0, 1, 0.5, 0.5], [2, 2, 2, 2, 0.5, 0.5]], np.float64)
+    archive = blind_space_archive(np.array([False, True, True]), rows)
+    loose = ScenarioRisk.fitted(archive, BLIND_SPACE, shrinkage=1e-9).probability(rows[:, :4])
+    assert loose == pytest.approx([0.0, 1.0, 1.0], abs=1e-6)
+    risk = ScenarioRisk.fitted(archive, BLIND_SPACE, bandwidth=0.5)
+    near, far, mean = np.exp(-0.25 / 0.5), np.exp(-1.0 / 0.5), 2 / 3
+    others = (near * 1 + far * 1 + mean) / (near + far + 1)
+    assert risk.probability(rows[:1, :4])[0] == pytest.approx((0 + 4 * others) / (1 + 4))
+    # A new scenario has the weighted mean of all others.
+    unknown = risk.probability(np.array([[0.0, 0.0, 0.0, 2.0]]))
+    far = np.exp(-0.75 / 0.5)
+    assert unknown[0] == pytest.approx((near * 0 + near * 1 + far * 1 + mean) / (2 * near + far + 1))
+
+
+def test_redrawn_verdicts_ignore_the_behaviour() -> None:
+    unsafe = ROWS[:, 4] + ROWS[:, 5] < 0.8
+    archive = blind_space_archive(unsafe)
+    risk = ScenarioRisk.fitted(archive, BLIND_SPACE)
+    share = [blind_archive(archive, risk, seed=1, draw=draw).unsafe for draw in range(8)]
+    low, high = ROWS[:, 4] + ROWS[:, 5] < 0.8, ROWS[:, 4] + ROWS[:, 5] >= 0.8
+    assert archive.unsafe[low].mean() - archive.unsafe[high].mean() == 1.0
+    # The rest is the share of its own verdict that a rarely evaluated scenario keeps.
+    assert np.mean([s[low].mean() - s[high].mean() for s in share]) < 0.12
+    assert np.mean(share) == pytest.approx(unsafe.mean(), abs=0.02)
+
+
+def test_control_of_a_landscape_without_behaviour_resembles_it() -> None:
+    archive = blind_space_archive(np.random.default_rng(2).random(len(ROWS)) < by_scenario(ROWS))
+    risk = ScenarioRisk.fitted(archive, BLIND_SPACE)
+    shares = archive.unsafe_neighbours / archive.neighbours
+    for draw in range(3):
+        blind = blind_archive(archive, risk, seed=1, draw=draw)
+        assert np.array_equal(blind.neighbours, archive.neighbours)
+        assert np.corrcoef(blind.unsafe_neighbours / blind.neighbours, shares)[0, 1] > 0.8
+
+
+def test_equal_seeds_and_draws_give_equal_controls() -> None:
+    archive = blind_space_archive(np.random.default_rng(2).random(len(ROWS)) < 0.4)
+    risk = ScenarioRisk.fitted(archive, BLIND_SPACE)
+    first, again, other = (blind_archive(archive, risk, seed=1, draw=draw) for draw in (0, 0, 1))
+    assert np.array_equal(first.unsafe, again.unsafe)
+    assert not np.array_equal(first.unsafe, other.unsafe)
+    assert np.array_equal(first.unsafe, first.robustness < 0)
+    assert np.array_equal(first.vectors, archive.vectors)
+
+
+def test_repeats_are_the_mean_evaluations_per_scenario() -> None:
+    risk = ScenarioRisk.fitted(blind_space_archive(ROWS[:, 4] < 0.5), BLIND_SPACE)
+    different = len(np.unique(ROWS[:, BLIND_SPACE.slices[0]], axis=0))
+    assert risk.repeats == pytest.approx(len(ROWS) / different)
+
+
+def test_empty_archive_has_no_risk() -> None:
+    empty = Archive.empty(BLIND_SPACE, Neighbourhood(radius=0.3, p_th=0.1))
+    with pytest.raises(ValueError, match="at least one"):
+        ScenarioRisk.fitted(empty, BLIND_SPACE)
+    with pytest.raises(ValueError, match="shrinkage > 0"):
+        ScenarioRisk.fitted(blind_space_archive(ROWS[:, 4] < 0.5), BLIND_SPACE, shrinkage=0.0)

@@ -1,21 +1,21 @@
-"""Combinations: which are hazardous only together, only in one order, and which are minimal."""
+"""Combinations of techniques that are hazardous only together, only in one order, or minimal."""
 
 import itertools
 
 import numpy as np
 import pytest
 
-from brink.search.archive import Archive, Neighbourhood
-from brink.search.combinations import (
+from brink.search.analysis.combinations import (
     Combination,
     Step,
-    beside,
     combinations,
     tally_by_step,
+    variants_at,
     verdicts_by_chain,
 )
+from brink.search.archive import Archive, Neighbourhood
 from brink.search.errors import UnsupportedSpace
-from brink.search.levels import slots_of
+from brink.search.slots import slots_of
 from brink.search.testing import example_spaces
 
 SPACE = example_spaces()["slots"]
@@ -57,8 +57,8 @@ def test_a_pair_that_is_hazardous_only_together_and_only_in_one_order() -> None:
     assert one.only_together
     assert one.order_matters
     assert one.minimal
-    assert one.together == (2, 3, 4), "solutions, not places: at place 1 blur alone was unsafe"
-    assert one.turned == (2, 3, 4)
+    assert one.joint_hazards == (2, 3, 4), "solutions, not places: at place 1 blur alone was unsafe"
+    assert one.order_hazards == (2, 3, 4)
     other = found(trials)[BLUR, NOISE]
     assert not any((other.hazardous, other.only_together, other.order_matters))
 
@@ -69,40 +69,40 @@ def test_a_pair_with_a_hazardous_part_is_not_minimal() -> None:
     one = found(trials)[NOISE, BLUR]
     assert one.hazardous
     assert one.complete
-    assert not any((one.minimal, one.only_together, one.together))
+    assert not any((one.minimal, one.only_together, one.joint_hazards))
 
 
-def test_nothing_is_claimed_while_a_part_was_not_simulated_there() -> None:
+def test_nothing_is_concluded_without_simulations_of_every_part() -> None:
     trials = [
         *((place, (NOISE, BLUR), True) for place in range(3)),
         *((p, (NOISE,), False) for p in range(3)),
     ]
     one = found([*trials, (5, (BLUR,), False)])[NOISE, BLUR]
     assert one.parts == {(NOISE,): (0, 3)}, "blur was simulated in another place"
-    assert not any((one.complete, one.minimal, one.only_together, one.together))
+    assert not any((one.complete, one.minimal, one.only_together, one.joint_hazards))
 
 
-def test_what_is_beside_a_solution_was_simulated_in_its_place() -> None:
+def test_variants_at_a_solution_were_simulated_in_its_place() -> None:
     trials = [
         (0, (NOISE, BLUR), True), (1, (NOISE, BLUR), False), (1, (BLUR, NOISE), True), (1, (BLUR,), False),
         (0, (), False), (1, (), False), (1, (Step(2, 3),), True),
     ]  # fmt: skip
     verdicts = verdicts_by_chain(SPACE, archive_of(trials))
-    assert beside(verdicts, (NOISE, BLUR), 1) == {
+    assert variants_at(verdicts, (NOISE, BLUR), 1) == {
         (): (5, False), (BLUR,): (3, False), (NOISE, BLUR): (1, False), (BLUR, NOISE): (2, True),
     }  # fmt: skip
     with pytest.raises(KeyError):
-        beside(verdicts, (NOISE, BLUR), 2)
+        variants_at(verdicts, (NOISE, BLUR), 2)
 
 
-def test_steps_are_counted_alone_and_with_others() -> None:
+def test_steps_are_tallied_alone_and_with_others() -> None:
     verdicts = verdicts_by_chain(
         SPACE, archive_of([(0, (NOISE, BLUR), True), (0, (BLUR,), False), (1, (BLUR,), True)])
     )
     assert tally_by_step(verdicts) == {NOISE: ((0, 0), (1, 1)), BLUR: ((1, 2), (1, 1))}
 
 
-def test_a_space_without_slots_is_refused() -> None:
+def test_a_space_without_slots_is_rejected() -> None:
     space = next(space for name, space in example_spaces().items() if name != "slots")
     with pytest.raises(UnsupportedSpace, match="ordered slots"):
         verdicts_by_chain(space, Archive.empty(space, Neighbourhood(radius=0.3, p_th=0.1, z=1.96)))

@@ -8,7 +8,7 @@ from brink.search.algorithms.mlcshe import Mlcshe, MlcsheConfig, MlcsheState
 from brink.search.errors import ConfigError, DocumentError, OrderError, UnsupportedSpace
 from brink.search.metric import Metric
 from brink.search.space import Categorical, Component, Real, SearchSpace
-from brink.search.testing import example_spaces, made_up_verdicts
+from brink.search.testing import example_spaces, synthetic_verdicts
 
 SPACE = example_spaces()["mixed"]
 MLCSHE = Mlcshe()
@@ -16,7 +16,7 @@ CONFIG = MlcsheConfig()
 
 
 def told(state: MlcsheState, failing: float = 0.0) -> tuple[MlcsheState, tuple[Candidate, ...]]:
-    verdicts = made_up_verdicts(SPACE, failing)
+    verdicts = synthetic_verdicts(SPACE, failing)
     state, candidates = MLCSHE.ask(state)
     return MLCSHE.tell(state, {c.number: verdicts(c) for c in candidates}), candidates
 
@@ -30,12 +30,12 @@ def test_first_generation_joins_all_pairs() -> None:
     _, candidates = MLCSHE.ask(started())
     first = {c.vectors[0].tobytes() for c in candidates}
     second = {c.vectors[1].tobytes() for c in candidates}
-    # Of 15 scenarios some were drawn twice; their pairs are asked once.
+    # There are only 15 scenarios, so some were drawn twice; their pairs are asked once.
     assert len(candidates) == len(first) * len(second)
     assert len(second) == 10
 
 
-def test_later_generations_join_everyone_with_the_other_archive() -> None:
+def test_later_generations_join_individuals_with_the_other_archive() -> None:
     state, _ = told(started())
     first, second = state.populations
     assert len(first) == len(second) == 10
@@ -56,7 +56,7 @@ def test_later_generations_join_everyone_with_the_other_archive() -> None:
             assert (scenario.tobytes(), behaviour.tobytes()) in joined | seen
 
 
-def test_individuals_short_of_partners_get_random_ones_from_outside_the_archive() -> None:
+def test_missing_partners_are_drawn_from_outside_the_archive() -> None:
     state, _ = told(started(partners=5, archive_size=1))
     _, candidates = MLCSHE.ask(state)
     seen = {(v[:2].tobytes(), v[2:].tobytes()) for v in state.archive.vectors}
@@ -85,11 +85,11 @@ def test_population_archive_starts_with_the_best_and_keeps_its_distance() -> Non
             assert fitness[archived[0].tobytes()] == min(fitness.values())
 
 
-def test_individual_of_which_all_solutions_failed_neither_breeds_nor_represents() -> None:
+def test_individual_whose_solutions_all_failed_is_dropped() -> None:
     state = started()
     state, candidates = MLCSHE.ask(state)
     victim = candidates[0].vectors[1].tobytes()
-    verdicts = made_up_verdicts(SPACE, 0.0)
+    verdicts = synthetic_verdicts(SPACE, 0.0)
     evaluations: dict[int, Evaluation] = {
         c.number: Failed(reason="crashed") if c.vectors[1].tobytes() == victim else verdicts(c)
         for c in candidates
@@ -101,7 +101,7 @@ def test_individual_of_which_all_solutions_failed_neither_breeds_nor_represents(
     assert victim not in {row.tobytes() for row in state.archive.vectors[:, 2:]}
 
 
-def test_search_goes_on_when_a_whole_generation_fails() -> None:
+def test_search_continues_when_a_whole_generation_fails() -> None:
     state, candidates = told(started(), failing=1.0)
     assert len(state.archive) == 0
     assert state.ledger.spent == len(candidates)
@@ -145,7 +145,7 @@ def test_exhausted_space_ends_the_search() -> None:
     assert len(state.archive) == 24
 
 
-def test_told_states_are_not_touched_by_what_follows() -> None:
+def test_later_generations_leave_earlier_states_unchanged() -> None:
     state, _ = told(started())
     stored = MLCSHE.dump(state).to_bytes()
     later = state
@@ -165,7 +165,7 @@ def test_told_states_are_not_touched_by_what_follows() -> None:
         ({"partners": 11}, 400, "partners"),
     ],
 )
-def test_settings_that_do_not_go_together_are_refused_by_field(
+def test_inconsistent_settings_are_rejected_by_field(
     changes: dict[str, int], budget: int, field: str
 ) -> None:
     with pytest.raises(ConfigError) as caught:
@@ -174,13 +174,13 @@ def test_settings_that_do_not_go_together_are_refused_by_field(
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_spaces_without_exactly_two_components_are_refused(count: int) -> None:
+def test_spaces_without_exactly_two_components_are_rejected(count: int) -> None:
     space = SearchSpace(tuple(Component(f"part-{i}", (Real("x", 0.0, 1.0),)) for i in range(count)))
     with pytest.raises(UnsupportedSpace, match="two components"):
         MLCSHE.start(space, CONFIG, seed=0, budget=400)
 
 
-def test_stored_state_is_only_taken_with_its_archive_and_settings() -> None:
+def test_stored_state_is_rejected_with_another_archive_or_settings() -> None:
     state, _ = told(started())
     document = MLCSHE.dump(state)
     with pytest.raises(DocumentError, match="expected the archive of"):
@@ -199,7 +199,7 @@ def test_stored_state_is_only_taken_with_its_archive_and_settings() -> None:
             )
 
 
-def test_defaults_are_the_papers() -> None:
+def test_defaults_are_those_of_the_paper() -> None:
     assert (CONFIG.population_size, CONFIG.archive_size, CONFIG.archive_distance) == (10, 3, 0.4)
     assert (CONFIG.partners, CONFIG.tournament_size) == (1, 3)
     assert (CONFIG.gene_swap_probability, CONFIG.mutation_probability) == (0.5, 1.0)

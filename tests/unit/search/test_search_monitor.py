@@ -5,12 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import brink.search.monitor
+import brink.search.analysis.monitor
+from brink.search.analysis.monitor import Answer, Monitor
+from brink.search.analysis.monitor_evaluation import evaluate_monitor
+from brink.search.analysis.statistics import a12
 from brink.search.errors import DocumentError, SpaceError
 from brink.search.fitness import wilson_interval
-from brink.search.monitor import Answer, Monitor
 from brink.search.space import Component, Real, SearchSpace
-from brink.search.statistics import a12
 from brink.search.testing import example_spaces
 
 MIXED = example_spaces()["mixed"]
@@ -18,7 +19,7 @@ PLANE = SearchSpace((Component("scenario", (Real("x", 0, 1),)), Component("behav
 
 
 def plane(count: int, seed: int = 1) -> tuple[np.typing.NDArray[np.float64], np.typing.NDArray[np.bool_]]:
-    """Points of the unit square that are unsafe with probability x: the behaviour tells nothing."""
+    """Return points of the unit square that are unsafe with probability x, so that y is uninformative."""
     rng = np.random.default_rng(seed)
     rows = rng.random((count, 2))
     return rows, rng.random(count) < rows[:, 0]
@@ -38,15 +39,15 @@ def naive(monitor: Monitor, row: np.typing.NDArray[np.float64]) -> tuple[float, 
 
 
 @pytest.mark.parametrize("kind", ["all", "some", "numbers", "categories", "none"])
-def test_scores_are_the_kernel_sums_of_the_definition(kind: str) -> None:
+def test_scores_follow_the_definition(kind: str) -> None:
     rng = np.random.default_rng(4)
     rows = np.array([MIXED.join(MIXED.sample(rng)) for _ in range(90)])
     weights = rng.uniform(0.5, 4.0, MIXED.dimension)
-    told = {
+    used = {
         "all": np.ones(MIXED.dimension, bool), "some": np.arange(MIXED.dimension) % 2 == 0,
         "numbers": ~MIXED.categorical, "categories": MIXED.categorical, "none": np.zeros(MIXED.dimension, bool),
     }[kind]  # fmt: skip
-    monitor = Monitor.of(MIXED, weights * told, rows[:70], rng.random(70) < 0.3, threshold=0.1)
+    monitor = Monitor.of(MIXED, weights * used, rows[:70], rng.random(70) < 0.3, threshold=0.1)
     risks = monitor.score(rows[60:])
     for place, row in enumerate(rows[60:]):
         n, k, probability = naive(monitor, row)
@@ -54,18 +55,18 @@ def test_scores_are_the_kernel_sums_of_the_definition(kind: str) -> None:
         assert risks.low[place] <= k / n <= risks.high[place]
 
 
-def test_many_questions_are_answered_as_each_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_do_not_change_the_scores(monkeypatch: pytest.MonkeyPatch) -> None:
     rows, unsafe = plane(300)
     monitor = Monitor.of(PLANE, (8, 2), rows, unsafe, threshold=0.5)
     asked, _ = plane(70, seed=9)
     at_once = monitor.score(asked)
-    monkeypatch.setattr(brink.search.monitor, "BLOCK", 700)
+    monkeypatch.setattr(brink.search.analysis.monitor, "BLOCK_PAIRS", 700)
     in_blocks = monitor.score(asked)
     assert in_blocks.probability == pytest.approx(at_once.probability)
     assert in_blocks.neighbours == pytest.approx(at_once.neighbours)
 
 
-def test_the_interval_is_wilsons_where_weights_are_whole() -> None:
+def test_interval_is_wilsons_for_integer_weights() -> None:
     rows = np.zeros((30, 2))
     unsafe = np.arange(30) < 6
     risks = Monitor.of(PLANE, (10, 10), rows, unsafe, threshold=0.1).score(np.zeros((1, 2)))
@@ -73,7 +74,7 @@ def test_the_interval_is_wilsons_where_weights_are_whole() -> None:
     assert (risks.low[0], risks.high[0]) == pytest.approx((float(low), float(high)))
 
 
-def test_far_from_everything_the_answer_is_unknown() -> None:
+def test_answer_far_from_all_simulations_is_unknown() -> None:
     rows, unsafe = np.full((50, 2), 0.01), np.ones(50, bool)
     monitor = Monitor.of(PLANE, (1000, 1000), rows, unsafe, threshold=0.5)
     near, far, nowhere = monitor.score(np.array([[0.01, 0.01], [0.02, 0.02], [1.0, 1.0]])).answers(0.5)
@@ -81,24 +82,24 @@ def test_far_from_everything_the_answer_is_unknown() -> None:
     risk = monitor.ask({"scenario": {"x": 1.0}, "behaviour": {"y": 1.0}})
     assert (risk.low, risk.high, risk.answer) == (0.0, 1.0, Answer.UNKNOWN)
     assert risk.neighbours < 1e-9
-    assert risk.probability == pytest.approx(1.0), "all that is known of nowhere is the share of all"
+    assert risk.probability == pytest.approx(1.0), "without neighbours the estimate is the overall share"
 
 
-def test_a_parameter_that_tells_nothing_is_not_listened_to() -> None:
+def test_uninformative_parameter_gets_a_small_weight() -> None:
     rows, unsafe = plane(500)
     monitor = Monitor.fitted(PLANE, rows, unsafe, threshold=0.5)
     of_scenario, of_behaviour = monitor.weights
     assert of_scenario >= 4
     assert of_behaviour <= 0.5
-    assert next(iter(monitor.telling)) == "scenario.x"
+    assert next(iter(monitor.informative_weights)) == "scenario.x"
     fresh, truth = plane(2000, seed=2)
     risks = monitor.score(fresh)
     assert a12(risks.probability[truth].tolist(), risks.probability[~truth].tolist()) > 0.8
     inside = (risks.low <= fresh[:, 0]) & (fresh[:, 0] <= risks.high)
-    assert inside.mean() > 0.9, "intervals hold the true probability"
+    assert inside.mean() > 0.9, "intervals contain the true probability"
 
 
-def test_a_monitor_comes_back_from_its_file(tmp_path: Path) -> None:
+def test_monitor_survives_storage(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     rows = np.array([MIXED.join(MIXED.sample(rng)) for _ in range(40)])
     monitor = Monitor.of(MIXED, np.arange(MIXED.dimension), rows, rng.random(40) < 0.3, threshold=0.2)
@@ -113,15 +114,15 @@ def test_a_monitor_comes_back_from_its_file(tmp_path: Path) -> None:
     assert again.ask(decoded) == monitor.ask(decoded)
 
 
-def test_weights_are_the_same_each_time_and_chosen_by_the_seed_where_there_are_many(
+def test_fitting_on_a_random_subset_is_reproducible(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     rows, unsafe = plane(400)
-    monkeypatch.setattr(brink.search.monitor, "LEARNED", 150)
-    monkeypatch.setattr(brink.search.monitor, "FORETOLD", 100)
+    monkeypatch.setattr(brink.search.analysis.monitor, "MAX_LEARNED", 150)
+    monkeypatch.setattr(brink.search.analysis.monitor, "MAX_PREDICTED", 100)
     first, again = (Monitor.fitted(PLANE, rows, unsafe, threshold=0.5, seed=3) for _ in range(2))
     assert (first.weights == again.weights).all()
-    assert len(first) == 400, "all that was simulated counts, whatever weights were chosen with"
+    assert len(first) == 400, "a fitted monitor uses all solutions"
 
 
 @pytest.mark.parametrize(
@@ -133,12 +134,12 @@ def test_weights_are_the_same_each_time_and_chosen_by_the_seed_where_there_are_m
         ('{"format": "brink-monitor", "version": 2}', "expected a monitor: KeyError"),
     ],
 )
-def test_what_is_no_monitor_is_refused(text: str, said: str) -> None:
+def test_invalid_monitors_are_rejected(text: str, said: str) -> None:
     with pytest.raises(DocumentError, match=said):
         Monitor.from_json(text)
 
 
-def test_questions_that_make_no_sense_are_refused() -> None:
+def test_invalid_questions_are_rejected() -> None:
     rows, unsafe = plane(20)
     monitor = Monitor.of(PLANE, (10, 10), rows, unsafe, threshold=0.1)
     with pytest.raises(SpaceError, match="x: expected a number in"):
@@ -153,3 +154,19 @@ def test_questions_that_make_no_sense_are_refused() -> None:
         Monitor.of(PLANE, (0.1, -1.0), rows, unsafe, threshold=0.1)
     with pytest.raises(ValueError, match=r"probability in \(0, 1\)"):
         Monitor.of(PLANE, (10, 10), rows, unsafe, threshold=1.0)
+
+
+def test_json_of_an_evaluation_keeps_the_published_field_names() -> None:
+    rows, unsafe = plane(200)
+    fresh, truth = plane(300, seed=2)
+    found = evaluate_monitor(Monitor.of(PLANE, (8, 0), rows, unsafe, threshold=0.5), fresh, truth).to_json()
+    assert list(found) == ["learned", "fresh", "threshold", "witnesses", "answers", "left_out"]
+    witness = json.loads(json.dumps(found))["witnesses"][0]
+    assert list(witness) == ["name", "judgement", "alarms"]
+    assert list(witness["judgement"]) == ["solutions", "unsafe", "auroc", "brier", "bins"]
+    assert list(witness["judgement"]["bins"][0]) == [
+        "solutions", "foretold", "low", "high", "observed", "observed_low", "observed_high",
+    ]  # fmt: skip
+    assert list(witness["alarms"][0]) == ["probability", "missed", "false"]
+    assert [list(one) for one in found["answers"]] == [["answer", "solutions", "unsafe"]] * 3
+    assert [one["answer"] for one in found["answers"]] == ["safe", "unsafe", "unknown"]

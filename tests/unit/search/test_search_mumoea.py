@@ -1,4 +1,4 @@
-"""Multi-objective searches on traffic: survival, adaptive breeding, seeds from outside."""
+"""Multi-objective searches on traffic: survival, adaptive rates and breeding, seeds from outside."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -8,31 +8,50 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
 
-from brink.search.actions.distance import matched_distances
-from brink.search.actions.genome import Genome
-from brink.search.actions.participants import MOST_ACTIONS
-from brink.search.actions.patterns import MOTIFS, PATTERNS, hostile_solution
-from brink.search.actions.road import RoadLimits
-from brink.search.actions.rollout import rolled_out
-from brink.search.actions.rule import participants_component
-from brink.search.actions.variation import (
-    crossed_genes,
-    crossed_uniformly,
-    major_change,
-    prolonged,
-    small_change,
+from brink.search.algorithm import Candidate, Evaluation, Failed, Origin, Proposal, Scored
+from brink.search.algorithms.multi_objective import (
+    CRITICALITY,
+    MultiObjectiveState,
+    diversities,
+    gap_objective,
 )
-from brink.search.algorithm import Candidate, Evaluation, Failed, Scored
-from brink.search.algorithms.multi_objective import CRITICALITY, MultiObjectiveState, diversities, gap_of
-from brink.search.algorithms.mumoea import Mumoea, MumoeaConfig, MumoeaState, different_enough
+from brink.search.algorithms.mumoea import (
+    Crossover,
+    FitnessRange,
+    Mumoea,
+    MumoeaConfig,
+    MumoeaState,
+    crossover_probability,
+    different_enough,
+    mutation_probability,
+    scalar_fitness,
+    scaled,
+)
 from brink.search.algorithms.nsga2 import Mosat, Nsga2, Nsga2Config
 from brink.search.document import Document
 from brink.search.errors import ConfigError, OrderError
 from brink.search.pareto import dominates
-from brink.search.seeding import Origin, Proposal
 from brink.search.space import Categorical, Component, SearchSpace
 from brink.search.testing import check_algorithm
+from brink.search.traffic.constraint import participants_component
+from brink.search.traffic.motion import matched_distances, roll_out
+from brink.search.traffic.participants import MAX_ACTIONS, RoadLimits
+from brink.search.traffic.variation import (
+    MOTIFS,
+    PATTERNS,
+    TrafficGenome,
+    crossed_genes,
+    crossed_uniformly,
+    hostile_solution,
+    major_change,
+    prolonged,
+    small_change,
+)
 
 ROAD = RoadLimits(streets_m=(30.0,))
 SPACE = SearchSpace(
@@ -41,17 +60,17 @@ SPACE = SearchSpace(
         participants_component("npcs", 3, ROAD),
     )
 )
-GENOME = Genome.of(SPACE)
+GENOME = TrafficGenome.of(SPACE)
 MUMOEA = Mumoea()
 SMALL = MumoeaConfig(population_size=12, seeds=4)
 
 
 @lru_cache(maxsize=4096)
 def _gaps(vector: bytes) -> tuple[float, ...]:
-    """Return how near each participant comes to an ego that drives on at 8 m/s."""
+    """Return the smallest gap of each participant to an ego that drives at a constant 8 m/s."""
     gaps = []
-    for one in GENOME.rule.read(np.frombuffer(vector)):
-        stretches = rolled_out(one, ROAD, 15.0)
+    for one in GENOME.rule.decode(np.frombuffer(vector)):
+        stretches = roll_out(one, ROAD, 15.0)
         nearest = math.inf
         for time_s in np.arange(0.0, 15.0, 0.5).tolist():
             here = next(s for s in stretches if time_s <= s.from_s + s.lasts_s)
@@ -65,9 +84,9 @@ def _gaps(vector: bytes) -> tuple[float, ...]:
 
 def driven(candidate: Candidate) -> Evaluation:
     if candidate.number % 23 == 7:
-        return Failed(reason="made up")
+        return Failed(reason="synthetic")
     gaps = _gaps(candidate.vectors[1].tobytes())
-    objectives = {CRITICALITY: min(gaps)} | {gap_of(i): gap for i, gap in enumerate(gaps, start=1)}
+    objectives = {CRITICALITY: min(gaps)} | {gap_objective(i): gap for i, gap in enumerate(gaps, start=1)}
     return Scored(unsafe=min(gaps) < 0, robustness=min(gaps), objectives=objectives)
 
 
@@ -87,51 +106,51 @@ def run(config: MumoeaConfig, generations: int, seeds: Sequence[Proposal] = (), 
 
 
 @pytest.mark.parametrize("algorithm", [Nsga2(), Mosat(), Mumoea()], ids=lambda one: one.id)
-def test_the_population_is_the_best_of_parents_and_children(algorithm: Any) -> None:
+def test_population_is_the_best_of_parents_and_children(algorithm: Any) -> None:
     config = replace(algorithm.config_type(), population_size=12)
     state: MultiObjectiveState = algorithm.start(SPACE, config, seed=1, budget=1_000)
     for _ in range(4):
         before = state
         state = told(algorithm, state)
-        fresh = range(len(before.book), len(state.book))
-        pool = [*before.population, *(n for n in fresh if state.book.judged[n])]
+        fresh = range(len(before.history), len(state.history))
+        pool = [*before.population, *(n for n in fresh if state.history.has_verdict[n])]
         assert set(state.population) <= set(pool)
         assert len(state.population) == min(12, len(pool))
-        diversity = diversities(GENOME, state.book, pool, config)
-        beats = dominates(np.stack([state.book.criticality[pool], -diversity], axis=1))
+        diversity = diversities(GENOME, state.history, pool, config)
+        beats = dominates(np.stack([state.history.criticality[pool], -diversity], axis=1))
         gone = [place for place, number in enumerate(pool) if number not in state.population]
         kept = [place for place, number in enumerate(pool) if number in state.population]
         assert not beats[np.ix_(gone, kept)].any()
 
 
-def test_a_failure_never_survives() -> None:
+def test_failed_solutions_never_survive() -> None:
     state = run(SMALL, 6)
-    assert any(not judged for judged in state.book.judged)
-    assert state.book.judged[list(state.population)].all()
+    assert any(not known for known in state.history.has_verdict)
+    assert state.history.has_verdict[list(state.population)].all()
 
 
-def test_every_solution_says_where_it_comes_from() -> None:
+def test_every_solution_records_its_origin() -> None:
     state = run(replace(SMALL, differential="always"), 5)
-    origins = {state.book.origin(number) for number in range(len(state.book))}
+    origins = {state.history.origin(number) for number in range(len(state.history))}
     assert {Origin.HEURISTIC, Origin.MUTATION, Origin.CROSSOVER} <= origins
-    assert {state.book.origin(number) for number in range(12)} == {Origin.HEURISTIC}
+    assert {state.history.origin(number) for number in range(12)} == {Origin.HEURISTIC}
     randomly = run(replace(SMALL, initial="random", differential="never"), 5)
-    assert {randomly.book.origin(number) for number in range(12)} == {Origin.RANDOM}
-    assert Origin.HEURISTIC not in {randomly.book.origin(n) for n in range(len(randomly.book))}
+    assert {randomly.history.origin(number) for number in range(12)} == {Origin.RANDOM}
+    assert Origin.HEURISTIC not in {randomly.history.origin(n) for n in range(len(randomly.history))}
 
 
-def test_critical_solutions_are_found_more_often_as_it_goes_on() -> None:
+def test_later_generations_find_more_violations() -> None:
     state = run(replace(SMALL, initial="random"), 12)
-    unsafe = state.book.unsafe
+    unsafe = state.history.unsafe
     assert unsafe[-48:].mean() > unsafe[:24].mean()
 
 
-def test_diversity_is_the_mean_distance_to_others_of_late() -> None:
+def test_diversity_is_the_distance_to_recent_solutions() -> None:
     state = run(replace(SMALL, lately=2), 5)
     number = state.population[0]
-    lately = [n for n in state.book.lately(2) if n != number]
-    assert min(state.book.generations[lately]) >= 3
-    rolled = GENOME.rolled_out(GENOME.solution(state.book.rows[n]) for n in [number, *lately])
+    lately = [n for n in state.history.recent(2) if n != number]
+    assert min(state.history.generations[lately]) >= 3
+    rolled = GENOME.roll_out(GENOME.solution(state.history.rows[n]) for n in [number, *lately])
     sums = []
     for other in range(1, len(lately) + 1):
         pairs = []
@@ -142,25 +161,25 @@ def test_diversity_is_the_mean_distance_to_others_of_late() -> None:
                     apart = rolled.points[0, a, :shared] - rolled.points[other, b, :shared]
                     pairs.append(float(np.linalg.norm(apart, axis=1).sum()))
         sums.append(np.mean(pairs))
-    found = diversities(GENOME, state.book, [number], state.config)
+    found = diversities(GENOME, state.history, [number], state.config)
     assert found[0] == pytest.approx(np.mean(sums))
-    least = diversities(GENOME, state.book, [number], replace(state.config, diversity="min"))
+    least = diversities(GENOME, state.history, [number], replace(state.config, diversity="min"))
     assert least[0] == pytest.approx(min(sums))
 
 
 def same_front(state: MumoeaState) -> Mapping[int, Evaluation]:
-    """Return evaluations that leave the front as it is: nobody gets a verdict."""
-    return {candidate.number: Failed(reason="made up") for candidate in state.pending}
+    """Return evaluations without any verdict, which leave the front unchanged."""
+    return {candidate.number: Failed(reason="synthetic") for candidate in state.pending}
 
 
 def showing(state: MumoeaState, *kinds: str) -> Mapping[int, Evaluation]:
-    """Return evaluations of which the last one shows kinds of violations."""
+    """Return evaluations of which the last one exposes kinds of violations."""
     evaluations = {candidate.number: driven(candidate) for candidate in state.pending}
     shown = Scored(unsafe=True, robustness=-1.0, objectives={CRITICALITY: -1.0}, kinds=frozenset(kinds))
     return {**evaluations, state.pending[-1].number: shown}
 
 
-def test_generations_without_a_new_kind_of_violation_bring_differential_seeds() -> None:
+def test_generations_without_a_new_kind_of_violation_trigger_differential_seeds() -> None:
     config = replace(SMALL, seeder="llm", initial="random", stuck_after=2)
     state = MUMOEA.start(SPACE, config, seed=1, budget=10_000)
     stuck = []
@@ -175,17 +194,17 @@ def test_generations_without_a_new_kind_of_violation_bring_differential_seeds() 
     assert stuck == [0, 1, 0, 1, 0]
 
 
-def test_patterns_that_unstick_begin_as_patterns_do_and_go_on() -> None:
+def test_prolonged_patterns_begin_like_the_pattern() -> None:
     rng = np.random.default_rng(3)
     for _ in range(50):
         for one in hostile_solution(ROAD, 3, rng):
             longer = prolonged(one, rng)
             assert longer.genes[: len(one.genes)] == one.genes
-            assert len(longer.genes) <= MOST_ACTIONS
+            assert len(longer.genes) <= MAX_ACTIONS
             assert replace(longer, genes=one.genes) == one
 
 
-def test_a_front_that_stays_the_same_may_bring_them_too() -> None:
+def test_an_unchanged_front_triggers_differential_seeds() -> None:
     state = run(replace(SMALL, initial="random", stuck_by="front", stuck_after=2), 3)
     stuck = []
     for _ in range(3):
@@ -201,14 +220,14 @@ def test_a_front_that_stays_the_same_may_bring_them_too() -> None:
     assert Origin.HEURISTIC not in set(never.queue_origins)
 
 
-def test_what_is_wanted_first_is_a_whole_population() -> None:
+def test_first_request_is_for_a_whole_population() -> None:
     config = replace(SMALL, seeder="llm")
     state = MUMOEA.start(SPACE, config, seed=1, budget=1_000)
     request = MUMOEA.wanted(state)
     assert request is not None
     assert (request.number, request.count, request.exposed, request.round) == (0, 12, (), 0)
     assert not MUMOEA.finished(state)
-    with pytest.raises(OrderError, match="seeds that are wanted"):
+    with pytest.raises(OrderError, match="pass the wanted seeds"):
         MUMOEA.ask(state)
     rng = np.random.default_rng(5)
     mine = GENOME.repaired(hostile_solution(ROAD, 3, rng), rng)
@@ -218,11 +237,11 @@ def test_what_is_wanted_first_is_a_whole_population() -> None:
     assert len(candidates) == 12
     assert GENOME.solution(np.concatenate(candidates[0].vectors)) == mine
     assert state.queue_origins == (Origin.LLM, *[Origin.HEURISTIC] * 11)
-    with pytest.raises(OrderError, match="nothing is wanted"):
+    with pytest.raises(OrderError, match="no seeds are wanted"):
         MUMOEA.seeded(state, [])
 
 
-def test_seeds_that_do_not_differ_go_back_and_then_major_mutants_take_their_place() -> None:
+def test_rejected_seeds_are_sent_back_and_finally_replaced_by_major_mutants() -> None:
     config = replace(SMALL, seeder="llm", initial="random", stuck_by="front", stuck_after=1, rounds=2)
     state = run(config, 3)
     while MUMOEA.wanted(state) is None:
@@ -246,7 +265,7 @@ def test_seeds_that_do_not_differ_go_back_and_then_major_mutants_take_their_plac
     assert state.queue_origins[:4] == (Origin.MUTATION,) * 4
 
 
-def test_nobody_who_answers_means_patterns_and_no_further_round() -> None:
+def test_patterns_replace_seeds_when_nobody_answers() -> None:
     config = replace(SMALL, seeder="llm", initial="random", differential="always")
     state = run(config, 1)
     assert MUMOEA.wanted(state) is not None
@@ -255,29 +274,29 @@ def test_nobody_who_answers_means_patterns_and_no_further_round() -> None:
     assert set(state.queue_origins) <= {Origin.HEURISTIC, Origin.MUTATION, Origin.CROSSOVER}
 
 
-def test_different_enough_is_as_far_as_known_ones_are_apart() -> None:
+def test_seeds_must_be_as_far_from_known_solutions_as_these_are_apart() -> None:
     state = run(SMALL, 4)
-    known = state.book.lately(5)
-    copies = [state.book.rows[number] for number in known[:3]]
+    known = state.history.recent(5)
+    copies = [state.history.rows[number] for number in known[:3]]
     assert different_enough(state, [], GENOME) == []
     rng = np.random.default_rng(0)
-    drawn = [GENOME.row(GENOME.random(rng), None, rng) for _ in range(30)]
+    drawn = [GENOME.row(GENOME.sample(rng), None, rng) for _ in range(30)]
     fine = different_enough(state, drawn, GENOME)
     far = matched_distances(
-        GENOME.rolled_out(GENOME.solution(row) for row in drawn),
-        GENOME.rolled_out(GENOME.solution(state.book.rows[n]) for n in known),
+        GENOME.roll_out(GENOME.solution(row) for row in drawn),
+        GENOME.roll_out(GENOME.solution(state.history.rows[n]) for n in known),
     ).mean(axis=1)
     assert any(fine)
     assert not all(fine)
     assert far[fine].mean() > far[[not one for one in fine]].mean()
-    exposed = [state.book.rows[n] for n in known if state.book.unsafe[n]][-12:]
+    exposed = [state.history.rows[n] for n in known if state.history.unsafe[n]][-12:]
     assert not any(different_enough(state, exposed, GENOME)), copies
 
 
 def test_seeds_of_one_reply_must_differ_from_each_other() -> None:
     state = run(SMALL, 4)
     rng = np.random.default_rng(0)
-    drawn = [GENOME.row(GENOME.random(rng), None, rng) for _ in range(30)]
+    drawn = [GENOME.row(GENOME.sample(rng), None, rng) for _ in range(30)]
     fine = [row for row, good in zip(drawn, different_enough(state, drawn, GENOME), strict=True) if good]
     repeated = different_enough(state, [fine[0], fine[0], fine[0]], GENOME)
     assert repeated == [True, False, False]
@@ -286,21 +305,21 @@ def test_seeds_of_one_reply_must_differ_from_each_other() -> None:
 
 
 @pytest.mark.parametrize("pattern", [*PATTERNS, *MOTIFS], ids=lambda one: one.__name__)
-def test_a_pattern_can_be_driven_as_it_is_but_for_who_stands_in_its_way(pattern: Any) -> None:
+def test_repair_keeps_kinds_and_actions_of_every_pattern(pattern: Any) -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)
         solution = pattern(ROAD, rng)
-        mended = GENOME.repaired(solution, rng)
-        assert [one.kind for one in mended] == [one.kind for one in solution]
-        assert [[gene.action for gene in one.genes] for one in mended] == [
+        repaired = GENOME.repaired(solution, rng)
+        assert [one.kind for one in repaired] == [one.kind for one in solution]
+        assert [[gene.action for gene in one.genes] for one in repaired] == [
             [gene.action for gene in one.genes] for one in solution
         ]
 
 
-def test_variation_touches_no_parent_and_gives_what_can_be_mended() -> None:
+def test_variation_leaves_parents_unchanged_and_gives_repairable_children() -> None:
     rng = np.random.default_rng(2)
     for _ in range(50):
-        mother, father = (GENOME.random(rng) for _ in range(2))
+        mother, father = (GENOME.sample(rng) for _ in range(2))
         kept = repr((mother, father))
         for child in (
             *crossed_uniformly(mother, father, rng),
@@ -310,11 +329,11 @@ def test_variation_touches_no_parent_and_gives_what_can_be_mended() -> None:
         ):
             assert child
             assert all(2 <= len(one.genes) <= 8 for one in child)
-            SPACE.components[1].repair(GENOME.rule.written(child[:3]), rng)
+            SPACE.components[1].repair(GENOME.rule.encode(child[:3]), rng)
         assert repr((mother, father)) == kept
 
 
-def test_settings_that_do_not_fit_are_refused() -> None:
+def test_inconsistent_settings_are_rejected() -> None:
     with pytest.raises(ConfigError, match="at most population_size"):
         MUMOEA.check(SPACE, MumoeaConfig(population_size=8, seeds=9), budget=100)
     never = MumoeaConfig(seeder="llm", initial="random", differential="never")
@@ -333,5 +352,56 @@ def test_settings_that_do_not_fit_are_refused() -> None:
         {"crossover": "srinivas"},
     ],
 )
-def test_the_contract_holds_with_other_settings(changes: dict[str, Any]) -> None:
+def test_contract_holds_with_other_settings(changes: dict[str, Any]) -> None:
     check_algorithm(MUMOEA, SPACE, budget=100, config=replace(SMALL, **changes), evaluate=driven)
+
+
+FITNESS = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
+RANGE = FitnessRange.of(FITNESS)
+
+
+def test_mutation_rate_falls_to_zero_for_the_best() -> None:
+    assert mutation_probability(FITNESS) == pytest.approx([1.0, 0.9, 0.6, 0.3, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("form", "rates"),
+    [
+        (Crossover.MIRROR, [0.0, 0.3, 0.6, 0.9, 1.0]),
+        (Crossover.RECIPROCAL, [0.3, 0.4, 0.6, 1.0, 1.0]),
+        # Below the mean the classical form is at its cap; without that branch it would equal the mutation rate.
+        (Crossover.SRINIVAS, [1.0, 1.0, 0.6, 0.3, 0.0]),
+    ],
+)
+def test_crossover_rate_depends_on_the_better_parent(form: Crossover, rates: list[float]) -> None:
+    assert crossover_probability(FITNESS, RANGE, form) == pytest.approx(rates)
+
+
+def test_threshold_falls_as_the_population_converges() -> None:
+    assert RANGE.threshold() == pytest.approx(0.4)
+    assert FitnessRange.of(0.5 + 0.1 * FITNESS).threshold() == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize("form", list(Crossover))
+def test_rates_of_a_uniform_population_are_at_their_caps(form: Crossover) -> None:
+    equal = np.full(4, 0.4)
+    assert mutation_probability(equal, k4=0.8).tolist() == [0.8] * 4
+    assert crossover_probability(equal, FitnessRange.of(equal), form, k3=0.7).tolist() == [0.7] * 4
+    assert FitnessRange.of(equal).threshold() == 0.0
+
+
+@given(arrays(np.float64, st.integers(1, 12), elements=st.floats(0.0, 1.0)), st.sampled_from(Crossover))
+def test_rates_are_probabilities(fitness: NDArray[np.float64], form: Crossover) -> None:
+    for rates in (
+        mutation_probability(fitness),
+        crossover_probability(fitness, FitnessRange.of(fitness), form),
+    ):
+        assert ((rates >= 0) & (rates <= 1)).all()
+
+
+def test_critical_and_diverse_solutions_are_fit() -> None:
+    criticality, diversity = np.array([0.0, 1.0, 0.5]), np.array([1.0, 0.0, 0.5])
+    assert scalar_fitness(criticality, diversity).tolist() == [1.0, 0.0, 0.5]
+    assert scalar_fitness(criticality, diversity, 1.0).tolist() == [1.0, 0.0, 0.5]
+    assert scaled(np.array([-1.0, 2.0, 9.0]), 0.0, 4.0).tolist() == [0.0, 0.5, 1.0]
+    assert scaled(np.array([3.0, 3.0]), 3.0, 3.0).tolist() == [0.0, 0.0]

@@ -8,30 +8,30 @@ from brink.search.algorithms.repeats import Repeats, RepeatsConfig, tallied
 from brink.search.document import Document
 from brink.search.errors import ConfigError
 from brink.search.fitness import wilson_interval
-from brink.search.testing import example_spaces, made_up_verdicts, play
+from brink.search.testing import example_spaces, play, synthetic_verdicts
 
 SPACE = example_spaces()["mixed"]
 GIVEN = [SPACE.join(SPACE.sample(np.random.default_rng(seed))).tolist() for seed in range(7)]
 
 
-def test_every_round_has_every_solution_and_rounds_come_one_after_the_other() -> None:
+def test_every_round_has_every_solution() -> None:
     config = RepeatsConfig(solutions=GIVEN, generation_size=16)
-    run = play(Repeats(), SPACE, config, made_up_verdicts(SPACE, failing=0.2), seed=1, budget=7 * 5)
+    run = play(Repeats(), SPACE, config, synthetic_verdicts(SPACE, failing=0.2), seed=1, budget=7 * 5)
     assert [len(generation) for generation in run.generations] == [14, 14, 7]
     assert [c.number for c in run.candidates] == list(range(35))
     assert [SPACE.join(c.vectors).tolist() for c in run.candidates] == GIVEN * 5
-    assert all(c.seed_number is None for c in run.candidates)  # a seed of its own for each
+    assert all(c.seed_number is None for c in run.candidates)  # each has its own seed
 
 
-def test_a_round_is_asked_at_once_however_small_generations_should_be() -> None:
+def test_a_generation_is_at_least_one_round() -> None:
     config = RepeatsConfig(solutions=GIVEN, generation_size=1)
-    run = play(Repeats(), SPACE, config, made_up_verdicts(SPACE), seed=1, budget=16)
+    run = play(Repeats(), SPACE, config, synthetic_verdicts(SPACE), seed=1, budget=16)
     assert [len(generation) for generation in run.generations] == [7, 7, 2]
 
 
-def test_it_goes_on_from_any_state_that_was_stored() -> None:
+def test_any_stored_state_can_be_resumed() -> None:
     config = RepeatsConfig(solutions=GIVEN, generation_size=7)
-    verdicts = made_up_verdicts(SPACE, failing=0.3)
+    verdicts = synthetic_verdicts(SPACE, failing=0.3)
     whole = play(Repeats(), SPACE, config, verdicts, seed=3, budget=40)
     repeats = Repeats()
     state = repeats.start(SPACE, config, seed=3, budget=40)
@@ -55,7 +55,7 @@ def test_it_goes_on_from_any_state_that_was_stored() -> None:
         (RepeatsConfig(solutions=GIVEN), 6, "budget"),
     ],
 )
-def test_what_cannot_be_repeated_is_refused(config: RepeatsConfig, budget: int, field: str) -> None:
+def test_invalid_solutions_and_budgets_are_rejected(config: RepeatsConfig, budget: int, field: str) -> None:
     with pytest.raises(ConfigError) as caught:
         Repeats().check(SPACE, config, budget=budget)
     assert caught.value.field == field
@@ -72,11 +72,11 @@ def test_tallies_are_counted_by_solution() -> None:
     low, high = wilson_interval([2, 0], [4, 3])
     assert found.low.tolist() == [*low, 0.0]
     assert found.high.tolist() == [*high, 1.0]
-    assert found.holds(0.1).tolist() == [False, True, True]
+    assert found.contains(0.1).tolist() == [False, True, True]
 
 
-def test_nine_of_fifty_still_hold_a_tenth_and_none_of_fifty_does_not() -> None:
+def test_intervals_of_fifty_trials_contain_a_tenth_for_one_to_nine_unsafe() -> None:
     # Wilson's interval of 9 in 50 is .098 to .308, of 10 in 50 .112 to .330, of none in 50 0 to .071.
     for unsafe, holds in ((0, False), (1, True), (9, True), (10, False)):
         verdicts = [place < unsafe for place in range(50)]
-        assert tallied(range(50), verdicts, 1).holds(0.1).tolist() == [holds]
+        assert tallied(range(50), verdicts, 1).contains(0.1).tolist() == [holds]

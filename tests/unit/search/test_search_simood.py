@@ -1,4 +1,4 @@
-"""SiMOOD: its fitness, its steps, its finalists, what it costs."""
+"""SiMOOD: fitness, breeding, finalists, explanation and cost."""
 
 import dataclasses
 from collections.abc import Callable
@@ -19,7 +19,7 @@ LEVELS = (9, 24, 6, 11, 31)
 
 
 def harm(candidate: Candidate) -> float:
-    """Alpha: blur (1) first hurts most, dirt (3) a little; deeper levels hurt more."""
+    """Return alpha: blur (1) first does most harm, dirt (3) second a little; higher levels do more."""
     first, strong, second, weak = candidate.vectors[1].tolist()
     return float(1.0 - 0.7 * strong * (first == 1) - 0.2 * weak * (second == 3) - 0.01 * (strong + weak))
 
@@ -57,14 +57,14 @@ def test_fitness_is_alpha_plus_weighted_mean_intensity() -> None:
         assert fitness == pytest.approx(alpha + 0.3 * (strong + weak) / 2, abs=1e-12)
 
 
-def test_errors_are_held_against_weighted_intensity() -> None:
+def test_fitness_of_errors_is_their_difference_to_the_weighted_intensity() -> None:
     state, _ = run_to_end(generations=0, omega=0.3, alpha="errors")
     eta = state.individuals[:, [1, 3]].mean(axis=1)
     expected = np.abs(0.3 * eta - state.alphas)[list(state.population)]
     assert state.fitness == pytest.approx(expected)
 
 
-def test_the_paper_s_cost_is_an_upper_bound_and_nothing_is_asked_twice() -> None:
+def test_cost_is_bounded_by_the_papers_and_nothing_is_asked_twice() -> None:
     state, generations = run_to_end()
     asked = [c for generation in generations for c in generation if c.question is Question.DATASET]
     assert len(generations[0]) == 20
@@ -74,7 +74,7 @@ def test_the_paper_s_cost_is_an_upper_bound_and_nothing_is_asked_twice() -> None
     assert all(len(generation) <= 2 for generation in bred)
 
 
-def test_only_finalists_are_simulated_each_in_the_same_scenarios() -> None:
+def test_only_finalists_are_simulated_in_the_same_scenarios() -> None:
     state, generations = run_to_end(finalists=4, repeats=3, explained=0)
     *_, last = generations
     assert all(c.question is Question.EPISODE for c in last)
@@ -89,7 +89,7 @@ def test_only_finalists_are_simulated_each_in_the_same_scenarios() -> None:
     assert all(found == scenarios[0] for found in scenarios)
 
 
-def test_hazardous_finalists_are_taken_apart_and_turned_round_in_the_same_places() -> None:
+def test_parts_and_other_orders_of_hazardous_finalists_are_simulated_in_the_same_scenarios() -> None:
     state, generations = run_to_end(finalists=4, repeats=3)
     finalists, variants = generations[-2:]
     hazardous = {c.vectors[1].tobytes() for c in finalists if harm(c) < 0.5}
@@ -108,7 +108,7 @@ def test_hazardous_finalists_are_taken_apart_and_turned_round_in_the_same_places
     assert len(state.archive) == len(finalists) + len(variants)
 
 
-def test_the_population_keeps_its_size_and_never_gets_worse() -> None:
+def test_population_keeps_its_size_and_never_gets_worse() -> None:
     config = SimoodConfig()
     state = SIMOOD.start(SPACE, config, seed=3, budget=BUDGET)
     best: list[float] = []
@@ -132,7 +132,7 @@ def test_breeding_beats_random_draws_of_equal_number() -> None:
     assert wins >= 7
 
 
-def test_every_individual_is_on_levels_with_distinct_techniques() -> None:
+def test_every_individual_is_valid() -> None:
     _, generations = run_to_end(generations=60, mutation_probability=0.9)
     for candidate in (c for generation in generations for c in generation):
         SPACE.check(candidate.vectors)
@@ -149,7 +149,7 @@ def test_single_point_crossover_keeps_slots_whole() -> None:
     assert mutated_slots <= len(generations[1])  # a child that repeats a technique has one slot redrawn
 
 
-def test_a_failed_evaluation_never_becomes_a_finalist() -> None:
+def test_failed_evaluations_never_become_finalists() -> None:
     def answer(candidate: Candidate) -> Evaluation:
         bad = candidate.vectors[1][0] == 1 and candidate.question is Question.DATASET
         return Failed(reason="no") if bad else answered(candidate)
@@ -160,18 +160,18 @@ def test_a_failed_evaluation_never_becomes_a_finalist() -> None:
     assert all(candidate.vectors[1][0] != 1 for candidate in finalists)
 
 
-def test_the_budget_keeps_room_for_the_finalists() -> None:
+def test_budget_is_reserved_for_the_finalists() -> None:
     state, generations = run_to_end(budget=20 + 7 + 15, explained=0)
     assert sum(map(len, generations)) == 42
     assert len(generations[-1]) == 15
     assert len(state.archive) == 15
 
 
-def test_the_same_search_in_the_simulator() -> None:
+def test_search_can_run_in_the_simulator() -> None:
     state, generations = run_to_end(evaluate="episode", finalists=2, repeats=2, explained=0)
     assert all(c.question is Question.EPISODE for generation in generations for c in generation)
     assert len({c.vectors[0].tobytes() for generation in generations[:-1] for c in generation}) == 1
-    assert len(generations[-1]) == 2, "repeat 0 is where the individuals were simulated"
+    assert len(generations[-1]) == 2, "the individuals were already simulated at repeat 0"
     assert len(state.archive) == sum(map(len, generations))
 
 
@@ -183,7 +183,7 @@ def test_the_same_search_in_the_simulator() -> None:
         ({"finalists": 0}, BUDGET, "finalists"),
     ],
 )
-def test_settings_that_do_not_fit_are_refused(changes: dict[str, Any], budget: int, field: str) -> None:
+def test_inconsistent_settings_are_rejected(changes: dict[str, Any], budget: int, field: str) -> None:
     with pytest.raises(ConfigError) as caught:
         run_to_end(budget=budget, **changes)
     assert caught.value.field == field

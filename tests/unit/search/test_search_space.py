@@ -1,3 +1,5 @@
+"""Parameters, constraints, components and spaces: sampling, repair, encoding and validation."""
+
 import json
 import math
 from collections.abc import Sequence
@@ -7,8 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
 
 from brink.search.errors import SpaceError
+from brink.search.slots import Slots
 from brink.search.space import (
     Categorical,
     Component,
@@ -31,7 +36,7 @@ ANY_NUMBER = st.floats(allow_nan=True, allow_infinity=True, width=64) | st.float
 
 @st.composite
 def components(draw: st.DrawFn) -> Component:
-    """Components with pairs of any size, whole or real, asleep or not, and a few free parameters."""
+    """Draw components with real or integer pairs, some dormant, and a few free parameters."""
     parameters: list[Parameter] = [
         Real("free", -3.0, 5.0),
         Integer("count", -2, 9),
@@ -61,7 +66,7 @@ def components(draw: st.DrawFn) -> Component:
 
 @given(component=components(), data=st.data(), seed=st.integers(0, 1000))
 @settings(max_examples=200, deadline=None)
-def test_whatever_is_repaired_complies_and_stays_as_it_is(
+def test_a_repaired_vector_is_valid_and_repair_leaves_it_unchanged(
     component: Component, data: st.DataObject, seed: int
 ) -> None:
     dimension = component.dimension
@@ -77,7 +82,7 @@ def test_whatever_is_repaired_complies_and_stays_as_it_is(
 
 @given(component=components(), seed=st.integers(0, 1000))
 @settings(max_examples=100, deadline=None)
-def test_samples_comply_and_survive_encoding(component: Component, seed: int) -> None:
+def test_samples_are_valid_and_survive_encoding(component: Component, seed: int) -> None:
     vector = component.sample(np.random.default_rng(seed))
     assert list(component.problems(vector)) == []
     written = json.loads(json.dumps(component.decode(vector)))
@@ -113,7 +118,7 @@ def test_box_repair_matches_the_known_answers(row: dict[str, list[float]]) -> No
         ((33.4, 60.6), (33.0, 83.0)),
     ],
 )
-def test_times_are_ordered_kept_in_the_horizon_and_apart(
+def test_repaired_times_are_in_order_inside_the_horizon_and_apart(
     given_times: tuple[float, float], expected: tuple[float, float]
 ) -> None:
     span = Component(
@@ -124,39 +129,39 @@ def test_times_are_ordered_kept_in_the_horizon_and_apart(
     assert tuple(span.repair(np.array(given_times), np.random.default_rng(0))) == expected
 
 
-def test_minimum_between_whole_times_is_rounded_up() -> None:
+def test_minimum_duration_is_rounded_up_for_integer_times() -> None:
     span = Component(
         "span", (Integer("start", 0, 100), Integer("end", 0, 100)), (Duration("start", "end", 100 / 18, 100),)
     )
     assert span.repair(np.array([10.0, 10.0]), np.random.default_rng(0)).tolist() == [10.0, 16.0]
 
 
-def test_minimum_longer_than_half_the_frame_still_fits() -> None:
+def test_minimum_extent_above_half_the_frame_still_fits() -> None:
     axis = Component(
         "axis", (Real("low", 0.0, 10.0), Real("high", 0.0, 10.0)), (Extent("low", "high", 8.0, 10.0),)
     )
     assert axis.repair(np.array([3.0, 5.0]), np.random.default_rng(0)).tolist() == [0.0, 8.0]
 
 
-def test_null_label_puts_its_numbers_to_sleep() -> None:
+def test_null_label_sets_its_numbers_to_zero() -> None:
     vector = np.array([0.0, 10.0, 80.0, 100.0, 300.0, 1.5])
     assert BEHAVIOUR.repair(vector, np.random.default_rng(0)).tolist() == [0.0, 0.0, 0.0, 0.0, 0.0, 1.5]
 
 
-def test_woken_label_gets_fresh_numbers() -> None:
+def test_reactivated_block_gets_fresh_numbers() -> None:
     vector = np.array([2.0, 0.0, 0.0, 0.0, 0.0, 1.5])
-    awake = [BEHAVIOUR.repair(vector, np.random.default_rng(seed)) for seed in range(50)]
-    assert len({row.tobytes() for row in awake}) == 50
-    for row in awake:
+    active = [BEHAVIOUR.repair(vector, np.random.default_rng(seed)) for seed in range(50)]
+    assert len({row.tobytes() for row in active}) == 50
+    for row in active:
         assert list(BEHAVIOUR.problems(row)) == []
         assert row[0] == 2.0
         assert row[5] == 1.5
-    # Uniform ends that come in the wrong order, half of them, make the smallest box.
-    widths = np.array([row[4] - row[3] for row in awake])
+    # Half of the uniform ends are in the wrong order; they become boxes of the smallest width.
+    widths = np.array([row[4] - row[3] for row in active])
     assert 15 < np.count_nonzero(widths <= 50.0) < 40
 
 
-def test_woken_block_of_whole_numbers_never_looks_asleep() -> None:
+def test_active_block_of_integers_is_never_all_zeros() -> None:
     block = Component(
         "block",
         (Categorical("label", ("off", "on")), Integer("a", 0, 1), Integer("b", 0, 1)),
@@ -166,34 +171,34 @@ def test_woken_block_of_whole_numbers_never_looks_asleep() -> None:
     assert {tuple(row) for row in rows} == {(0, 0, 0), (1, 0, 1), (1, 1, 0), (1, 1, 1)}
 
 
-def test_repair_draws_nothing_for_a_vector_that_complies() -> None:
+def test_repair_of_a_valid_vector_draws_no_random_numbers() -> None:
     vector = BEHAVIOUR.sample(np.random.default_rng(4))
     rng = np.random.default_rng(5)
     BEHAVIOUR.repair(vector, rng)
     assert rng.random() == np.random.default_rng(5).random()
 
 
-def test_equal_solutions_have_equal_bytes_whatever_the_sign_of_zero() -> None:
+def test_negative_zero_becomes_zero_so_that_equal_solutions_have_equal_bytes() -> None:
     free = Component("free", (Real("x", -1.0, 1.0),))
     assert free.repair(np.array([-0.0]), np.random.default_rng(0)).tobytes() == np.zeros(1).tobytes()
     assert free.encode({"x": -0.0}).tobytes() == np.zeros(1).tobytes()
 
 
-def test_samples_are_spread_over_the_whole_space() -> None:
+def test_samples_cover_the_whole_space() -> None:
     rng = np.random.default_rng(1)
     rows = np.array([SPACE.join(SPACE.sample(rng)) for _ in range(2000)])
     assert np.bincount(rows[:, 0].astype(int)).min() > 550
     assert np.bincount(rows[:, 1].astype(int)).min() > 300
     assert np.quantile(rows[:, 7], [0.1, 0.5, 0.9]) == pytest.approx([0.2, 1.0, 1.8], abs=0.1)
-    asleep = rows[:, 2] == 0
-    assert 550 < np.count_nonzero(asleep) < 790
-    assert np.all(rows[asleep, 3:7] == 0)
-    lengths = rows[~asleep, 4] - rows[~asleep, 3]
+    dormant = rows[:, 2] == 0
+    assert 550 < np.count_nonzero(dormant) < 790
+    assert np.all(rows[dormant, 3:7] == 0)
+    lengths = rows[~dormant, 4] - rows[~dormant, 3]
     assert lengths.min() == 5
     assert np.mean(lengths) == pytest.approx(30, abs=3)
 
 
-def test_rows_split_into_the_vectors_that_were_joined() -> None:
+def test_splitting_a_joined_row_gives_the_same_vectors() -> None:
     vectors = SPACE.sample(np.random.default_rng(0))
     row = SPACE.join(vectors)
     assert [part.tolist() for part in SPACE.split(row)] == [vector.tolist() for vector in vectors]
@@ -204,7 +209,7 @@ def test_rows_split_into_the_vectors_that_were_joined() -> None:
     assert SPACE.column_names()[:3] == ("scenario.weather", "scenario.cars", "behaviour.label")
 
 
-def test_description_is_plain_json_with_everything_in_it() -> None:
+def test_description_is_complete_plain_json() -> None:
     text = json.dumps(SPACE.describe())
     for word in (
         "scenario",
@@ -248,10 +253,10 @@ def test_encoding_then_decoding_gives_the_same_values() -> None:
         (("behaviour", "delay"), "late", r"behaviour\.delay: expected a number, got 'late'"),
         (("behaviour", "right"), 20, r"behaviour\.left: expected right at least 50 above left"),
         (("behaviour", "end"), 6, r"behaviour\.start: expected end at least 5 above start"),
-        (("behaviour", "label"), "none", r"behaviour\.start: expected 0 while its block sleeps"),
+        (("behaviour", "label"), "none", r"behaviour\.start: expected 0 while its block is dormant"),
     ],
 )
-def test_bad_values_are_refused_by_path_with_what_was_expected(
+def test_invalid_values_are_rejected_with_path_and_expectation(
     path: tuple[str, str], value: object, message: str
 ) -> None:
     values = valid()
@@ -280,11 +285,14 @@ def test_missing_and_unknown_components_and_parameters_are_named() -> None:
         ([[0.0], [0.0] * 6], "scenario: expected a vector of 2 numbers"),
         ([[3.0, 0.0], [0.0] * 6], r"scenario\.weather: expected the index of one of 3 choices"),
         ([[0.0, 0.0], [0.0, 0.0, 0.0, 0.0, 0.0, 9.0]], r"behaviour\.delay: expected a number"),
-        ([[0.0, 0.0], [1.0, 0.0, 0.0, 0.0, 0.0, 1.0]], r"behaviour\.label: expected numbers for a block"),
+        (
+            [[0.0, 0.0], [1.0, 0.0, 0.0, 0.0, 0.0, 1.0]],
+            r"behaviour\.label: expected numbers for an active block",
+        ),
         ([[0.0, math.nan], [0.0] * 6], r"scenario\.cars: expected a whole number"),
     ],
 )
-def test_solutions_that_do_not_comply_are_refused(vectors: Sequence[Sequence[float]], message: str) -> None:
+def test_invalid_solutions_are_rejected(vectors: Sequence[Sequence[float]], message: str) -> None:
     with pytest.raises(SpaceError, match=message):
         SPACE.check([np.array(vector) for vector in vectors])
 
@@ -320,7 +328,7 @@ PAIR = (Real("a", 0.0, 10.0), Real("b", 0.0, 10.0))
         ),
     ],
 )
-def test_components_that_cannot_be_kept_are_refused(
+def test_inconsistent_components_are_rejected(
     parameters: tuple[Parameter, ...], constraints: tuple[Constraint | Dormant, ...], message: str
 ) -> None:
     with pytest.raises(SpaceError, match=message):
@@ -330,12 +338,12 @@ def test_components_that_cannot_be_kept_are_refused(
 @pytest.mark.parametrize(
     ("low", "high", "sigma"), [(1.0, 1.0, None), (2.0, 1.0, None), (0.0, math.inf, None), (0.0, 1.0, 0.0)]
 )
-def test_numbers_without_a_range_are_refused(low: float, high: float, sigma: float | None) -> None:
+def test_numbers_without_a_valid_range_are_rejected(low: float, high: float, sigma: float | None) -> None:
     with pytest.raises(SpaceError):
         Real("x", low, high, sigma=sigma)
 
 
-def test_names_and_choices_must_be_usable() -> None:
+def test_unusable_names_and_choices_are_rejected() -> None:
     with pytest.raises(SpaceError, match="expected a name"):
         Real("two words", 0.0, 1.0)
     with pytest.raises(SpaceError, match="different choices"):
@@ -349,13 +357,80 @@ def test_names_and_choices_must_be_usable() -> None:
         SearchSpace((part, part))
 
 
-def test_size_counts_solutions_of_finite_spaces() -> None:
+def test_size_counts_the_solutions_of_a_finite_space() -> None:
     assert example_spaces()["categorical"].size == 3**6 * 2**8
     assert SPACE.components[0].size == 15
     assert math.isinf(SPACE.size)
 
 
-def test_mutation_step_is_a_tenth_of_the_range_unless_given() -> None:
+def test_default_mutation_sigma_is_a_tenth_of_the_range() -> None:
     assert Real("x", -1.0, 1.0).mutation_sigma == pytest.approx(0.2)
     assert Integer("i", 0, 900).mutation_sigma == pytest.approx(90)
     assert Real("x", 0.0, 800.0, "px", sigma=40.0).mutation_sigma == 40.0
+
+
+TECHNIQUES = ("noise", "blur", "rain")
+SLOTS = Slots((("gene_1", "intensity_1"), ("gene_2", "intensity_2")), (3, 6, 11))
+SLOTTED = Component(
+    "perturbation",
+    (
+        Categorical("gene_1", TECHNIQUES), Real("intensity_1", 0.0, 1.0),
+        Categorical("gene_2", TECHNIQUES), Real("intensity_2", 0.0, 1.0),
+    ),
+    (SLOTS,),
+)  # fmt: skip
+
+
+@given(
+    arrays(np.float64, 4, elements=st.floats(allow_nan=True, allow_infinity=True, width=64)),
+    st.integers(0, 2**32 - 1),
+)
+def test_repaired_slots_are_valid_and_repair_leaves_them_unchanged(
+    vector: NDArray[np.float64], seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    repaired = SLOTTED.repair(vector, rng)
+    assert list(SLOTTED.problems(repaired)) == []
+    assert np.array_equal(SLOTTED.repair(repaired, rng), repaired)
+
+
+def test_intensities_are_rounded_to_the_nearest_level() -> None:
+    rng = np.random.default_rng(0)
+    repaired = SLOTTED.repair(np.array([1.0, 0.29, 2.0, 0.04]), rng)
+    assert repaired.tolist() == [1.0, 1 / 5, 2.0, 0.0]
+    assert SLOTTED.repair(np.array([0.0, 7.0, 1.0, -3.0]), rng).tolist() == [0.0, 1.0, 1.0, 0.0]
+
+
+def test_a_repeated_technique_is_replaced_in_the_later_slot() -> None:
+    repaired = SLOTTED.repair(np.array([2.0, 1.0, 2.0, 1.0]), np.random.default_rng(0))
+    assert repaired.tolist() == [2.0, 1.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("vector", "problem"),
+    [
+        ([1.0, 0.2, 1.0, 0.4], "different techniques"),
+        ([1.0, 0.25, 2.0, 0.4], "intensity_1 on a level, the nearest is 0.2"),
+        ([1.0, 0.2, 2.0, 0.01], "intensity_2 on a level, the nearest is 0.0"),
+    ],
+)
+def test_invalid_slots_are_named(vector: list[float], problem: str) -> None:
+    assert problem in next(iter(SLOTTED.problems(np.array(vector))))
+
+
+@pytest.mark.parametrize(
+    ("slots", "message"),
+    [
+        (Slots((), (3, 6, 11)), "1 to 3 slots"),
+        (Slots((("gene_1", "intensity_1"),), (3, 6)), "category of 2 choices"),
+        (Slots((("gene_1", "intensity_1"),), (3, 6, 1)), "at least 2 levels"),
+        (Slots((("gene_1", "count"),), (3, 6, 11)), "real number in"),
+        (Slots((("gene_1", "intensity_1"), ("other", "intensity_2")), (3, 6, 11)), "same choices"),
+    ],
+)
+def test_slots_that_do_not_fit_their_component_are_rejected(slots: Slots, message: str) -> None:
+    parameters = (
+        *SLOTTED.parameters, Integer("count", 0, 1), Categorical("other", ("a", "b", "c")),
+    )  # fmt: skip
+    with pytest.raises(SpaceError, match=message):
+        Component("perturbation", parameters, (slots,))

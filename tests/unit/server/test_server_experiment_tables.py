@@ -11,10 +11,11 @@ from scipy import stats
 
 from brink.plots.experiment import EXPERIMENT_FIGURES
 from brink.report.experiment import html_report, markdown_report
-from brink.search.analysis.experiment_tables import Line, Measure, Repeat, duels, standings
+from brink.search.analysis.boundary import dbs, strict_dbs
+from brink.search.analysis.comparison import Line, Repeat, duels, standings
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import Control, Figures, Scores, scored
 from brink.search.archive import Archive, Neighbourhood
-from brink.search.boundary import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, dbs, strict_dbs
 from brink.search.testing import example_spaces
 from brink.server.experiments.body import parse_experiment
 
@@ -153,9 +154,11 @@ def test_nothing_is_said_to_be_owed_to_behaviour_beyond_a_control_that_reads_low
     said = [line for line in report(tmp_path).splitlines() if "beside its control" in line]
     assert len(said) == 6
     for line in said:
-        proves_nothing = "the control reads low here, so that this proves nothing" in line
+        proves_nothing = "the control reads low here, so this proves nothing" in line
         assert proves_nothing == ("RS" in line)
-        assert ("owed to behaviour" in line or "than scenarios and chance give" in line) == ("RS" not in line)
+        assert ("behaviour accounts for" in line or "than scenarios and chance give" in line) == (
+            "RS" not in line
+        )
 
 
 def test_the_page_has_its_pictures_inside_and_nobodys_html(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from brink.search.actions.road import RoadLimits
+from brink.search.traffic.participants import RoadLimits
 from brink.server.llm.budget import Budget, cost_of, times, together, tokens_of, worst_usage
 from brink.server.llm.errors import OverBudget
 from brink.server.llm.estimate import Estimate, estimate

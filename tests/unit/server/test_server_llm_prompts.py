@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from brink.search.actions.participants import MAGNITUDES, MOST_PARTICIPANTS, Action, Kind
-from brink.search.actions.road import RoadLimits
-from brink.search.seeding import SeedRequest
+from brink.search.algorithm import SeedRequest
+from brink.search.traffic.participants import MAGNITUDES, MAX_PARTICIPANTS, Action, Kind, RoadLimits
 from brink.server.errors import FieldError
 from brink.server.llm.drivable import Drivable
 from brink.server.llm.form import SCHEMA, as_text
@@ -41,7 +40,7 @@ def text_of(messages: Messages) -> str:
     return "\n".join(message.content for message in messages)
 
 
-@given(roads, st.integers(1, MOST_PARTICIPANTS))
+@given(roads, st.integers(1, MAX_PARTICIPANTS))
 @settings(max_examples=60, deadline=None)
 def test_the_example_is_accepted_on_any_road(road: RoadLimits, most: int) -> None:
     drivable = Drivable(road, most)
@@ -65,7 +64,7 @@ def test_the_question_says_role_system_form_ranges_and_number() -> None:
         room = MAGNITUDES[action]
         assert f"- {action}: {room.meaning}" in user.content
         if room.unit:
-            assert f"{room.least:g} to {room.most:g} {room.unit}" in user.content
+            assert f"{room.low:g} to {room.high:g} {room.unit}" in user.content
     for words in (
         "1 to 4 participants",
         "elite",

@@ -9,8 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.llm_endpoint import action, item, items, participant, reply_text
 
-from brink.search.actions.participants import MAGNITUDES, OF_PEDESTRIANS, OF_VEHICLES, Action, Kind
-from brink.search.actions.road import RoadLimits
+from brink.search.traffic.participants import (
+    MAGNITUDES,
+    PEDESTRIAN_ACTIONS,
+    VEHICLE_ACTIONS,
+    Action,
+    Kind,
+    RoadLimits,
+)
 from brink.server.llm.drivable import Drivable
 from brink.server.llm.form import SCHEMA
 from brink.server.llm.replies import MOST_CHARS, MOST_ERRORS, Parsed, parse
@@ -339,13 +345,13 @@ def near(good: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
 
 
 def wire_actions(kind: Kind) -> st.SearchStrategy[Any]:
-    fitting = OF_PEDESTRIANS if kind is Kind.PEDESTRIAN else OF_VEHICLES
+    fitting = PEDESTRIAN_ACTIONS if kind is Kind.PEDESTRIAN else VEHICLE_ACTIONS
     return st.sampled_from(fitting).flatmap(
         lambda name: st.fixed_dictionaries(
             {
                 "action": near(st.just(str(name))),
                 "duration_s": near(st.floats(0.45, 6.0)),
-                "magnitude": near(st.floats(MAGNITUDES[name].least, MAGNITUDES[name].most)),
+                "magnitude": near(st.floats(MAGNITUDES[name].low, MAGNITUDES[name].high)),
             }
         )
     )

@@ -25,8 +25,8 @@ from support.llm_endpoint import (
     unencrypted,
 )
 
-from brink.search.actions.road import RoadLimits
-from brink.search.seeding import Origin, SeedRequest
+from brink.search.algorithm import Origin, SeedRequest
+from brink.search.traffic.participants import RoadLimits
 from brink.server.llm.budget import Budget, times, together, worst_usage
 from brink.server.llm.calls import CallKey, Outcome, StoredCall, spent_on
 from brink.server.llm.client import MOST_REPLY_BYTES, LlmClient

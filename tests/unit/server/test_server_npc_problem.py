@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from support.circumstances import violation
 
 from brink.search.algorithm import Scored
-from brink.search.analysis.violation_types import signature_of
+from brink.search.analysis.violations import signature_of
 from brink.search.errors import ConfigError
 from brink.server.problems.base import Describes, SimulatedProblem, TellsViolations
 from brink.server.problems.npc_actions import ORACLES, NpcActions, NpcActionsParams
-from brink.sim.encounter.scenario import EncounterScenario
+from brink.sim.encounter.specification import EncounterScenario
 from brink.worker.wire import Completed, WireVerdict
 
 PROBLEM = NpcActions(NpcActionsParams())

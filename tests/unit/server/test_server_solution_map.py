@@ -8,7 +8,7 @@ import pytest
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.testing import example_spaces
 from brink.server.dashboard import solution_map
-from brink.server.dashboard.solution_map import drawn_rows, evenly, made_for, mapped
+from brink.server.dashboard.solution_map import drawn_rows, evenly_spaced, fitted_count, make_map
 
 SPACE = example_spaces()["mixed"]
 
@@ -25,32 +25,32 @@ WHOLE = archive_of(400)
 
 
 def test_points_stay_where_they_are_until_the_archive_has_grown_by_half() -> None:
-    before = mapped(SPACE, WHOLE.first(200), ended=False)
-    after = mapped(SPACE, WHOLE.first(210), ended=False, before=before)
+    before = make_map(SPACE, WHOLE.first(200), ended=False)
+    after = make_map(SPACE, WHOLE.first(210), ended=False, before=before)
     assert after.version == before.version
     assert np.array_equal(after.points[:200], before.points)
     assert len(after.points) == 210
-    assert mapped(SPACE, WHOLE.first(330), ended=False, before=after).version != before.version
+    assert make_map(SPACE, WHOLE.first(330), ended=False, before=after).version != before.version
 
 
 def test_who_asked_earlier_and_comes_later_gets_no_more_points_than_solutions() -> None:
-    later = mapped(SPACE, WHOLE.first(210), ended=False)
-    earlier = mapped(SPACE, WHOLE.first(200), ended=False, before=later)
+    later = make_map(SPACE, WHOLE.first(210), ended=False)
+    earlier = make_map(SPACE, WHOLE.first(200), ended=False, before=later)
     assert later.version == earlier.version
     assert len(earlier.points) == len(earlier.rows) == 200
     assert np.allclose(earlier.points, later.points[:200])
 
 
 def test_every_coordinator_draws_the_same_map_whatever_it_drew_before() -> None:
-    before = mapped(SPACE, WHOLE.first(150), ended=False)
-    grown = mapped(SPACE, WHOLE.first(210), ended=False, before=before)
-    fresh = mapped(SPACE, WHOLE.first(210), ended=False)
+    before = make_map(SPACE, WHOLE.first(150), ended=False)
+    grown = make_map(SPACE, WHOLE.first(210), ended=False, before=before)
+    fresh = make_map(SPACE, WHOLE.first(210), ended=False)
     assert grown.version == fresh.version
     assert np.allclose(grown.points, fresh.points)
 
 
 def test_a_campaign_that_has_ended_is_mapped_by_all_of_its_solutions() -> None:
-    ended = mapped(SPACE, WHOLE, ended=True, before=mapped(SPACE, WHOLE, ended=False))
+    ended = make_map(SPACE, WHOLE, ended=True, before=make_map(SPACE, WHOLE, ended=False))
     assert ended.version == "400-end"
     assert len(ended.points) == 400
 
@@ -58,11 +58,11 @@ def test_a_campaign_that_has_ended_is_mapped_by_all_of_its_solutions() -> None:
 @pytest.mark.parametrize("count", [0, 1, 2, 63, 64, 65])
 def test_few_solutions_are_mapped_too(count: int) -> None:
     for ended in (False, True):
-        assert mapped(SPACE, WHOLE.first(count), ended=ended).points.shape == (count, 2)
+        assert make_map(SPACE, WHOLE.first(count), ended=ended).points.shape == (count, 2)
 
 
 def test_a_map_is_made_anew_less_and_less_often() -> None:
-    made = [made_for(count) for count in range(1, 60_000, 7)]
+    made = [fitted_count(count) for count in range(1, 60_000, 7)]
     steps = sorted(set(made))
     assert made == sorted(made)
     assert all(of <= count for of, count in zip(made, range(1, 60_000, 7), strict=True))
@@ -71,7 +71,7 @@ def test_a_map_is_made_anew_less_and_less_often() -> None:
 
 
 def test_a_large_map_is_thinned_and_what_was_drawn_before_stays(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(solution_map, "MOST", 100)
+    monkeypatch.setattr(solution_map, "MAX_DRAWN", 100)
     monkeypatch.setattr(solution_map, "NEAREST", 40)
     first = drawn_rows(WHOLE.first(150), 140, ended=False)
     later = drawn_rows(WHOLE.first(160), 140, ended=False)
@@ -84,5 +84,5 @@ def test_a_large_map_is_thinned_and_what_was_drawn_before_stays(monkeypatch: pyt
 
 
 def test_evenly_spread_positions_reach_from_the_first_to_the_last() -> None:
-    assert evenly(5, 10).tolist() == [0, 1, 2, 3, 4]
-    assert evenly(1000, 5).tolist() == [0, 249, 499, 749, 999]
+    assert evenly_spaced(5, 10).tolist() == [0, 1, 2, 3, 4]
+    assert evenly_spaced(1000, 5).tolist() == [0, 249, 499, 749, 999]

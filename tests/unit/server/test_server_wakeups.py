@@ -1,4 +1,4 @@
-"""The line of those who wait for work."""
+"""The line of waiting requests."""
 
 import asyncio
 from collections.abc import Awaitable, Callable
@@ -26,7 +26,7 @@ def waiting(wakeups: Wakeups, gone: asyncio.Event | None = None, s: float = LONG
     return asyncio.create_task(wakeups.wait(s, gone or asyncio.Event()))
 
 
-def test_news_wakes_the_first_in_line() -> None:
+def test_a_wake_up_goes_to_the_first_in_line() -> None:
     async def body(wakeups: Wakeups) -> None:
         first = waiting(wakeups)
         await queued(wakeups, 1)
@@ -41,7 +41,7 @@ def test_news_wakes_the_first_in_line() -> None:
     on_a_loop(body)
 
 
-def test_news_without_a_number_wakes_all() -> None:
+def test_without_a_count_all_waiters_are_woken() -> None:
     async def body(wakeups: Wakeups) -> None:
         waiters = [waiting(wakeups) for _ in range(5)]
         await queued(wakeups, 5)
@@ -51,14 +51,14 @@ def test_news_without_a_number_wakes_all() -> None:
     on_a_loop(body)
 
 
-def test_a_wait_ends_without_news() -> None:
+def test_a_wait_times_out() -> None:
     async def body(wakeups: Wakeups) -> None:
         assert not await wakeups.wait(0.001, asyncio.Event())
 
     on_a_loop(body)
 
 
-def test_a_client_that_goes_ends_its_wait() -> None:
+def test_a_wait_ends_when_its_client_disconnects() -> None:
     async def body(wakeups: Wakeups) -> None:
         gone = asyncio.Event()
         waiter = waiting(wakeups, gone)
@@ -69,7 +69,7 @@ def test_a_client_that_goes_ends_its_wait() -> None:
     on_a_loop(body)
 
 
-def test_a_wake_up_of_a_client_that_has_gone_is_passed_on() -> None:
+def test_the_wake_up_of_a_disconnected_client_is_passed_on() -> None:
     async def body(wakeups: Wakeups) -> None:
         gone = asyncio.Event()
         first = waiting(wakeups, gone)
@@ -84,7 +84,7 @@ def test_a_wake_up_of_a_client_that_has_gone_is_passed_on() -> None:
     on_a_loop(body)
 
 
-def test_a_wake_up_of_a_wait_that_is_cancelled_is_passed_on() -> None:
+def test_the_wake_up_of_a_cancelled_wait_is_passed_on() -> None:
     async def body(wakeups: Wakeups) -> None:
         first = waiting(wakeups)
         await queued(wakeups, 1)
@@ -99,7 +99,7 @@ def test_a_wake_up_of_a_wait_that_is_cancelled_is_passed_on() -> None:
     on_a_loop(body)
 
 
-def test_those_who_gave_up_leave_the_line() -> None:
+def test_waiters_that_time_out_leave_the_line() -> None:
     async def body(wakeups: Wakeups) -> None:
         for _ in range(20):
             await wakeups.wait(0.0001, asyncio.Event())
@@ -108,24 +108,24 @@ def test_those_who_gave_up_leave_the_line() -> None:
     on_a_loop(body)
 
 
-def test_news_since_the_last_look_needs_no_wait() -> None:
+def test_a_wait_returns_at_once_after_a_change() -> None:
     async def body(wakeups: Wakeups) -> None:
-        news = wakeups.news
+        seen = wakeups.changes
         wakeups.wake(0)
-        assert wakeups.news == news, "none is none"
-        wakeups.wake()  # with nobody in line
-        assert await wakeups.wait(LONG_S, asyncio.Event(), since=news)
-        assert not await wakeups.wait(0.001, asyncio.Event(), since=wakeups.news)
+        assert wakeups.changes == seen, "waking nobody is no change"
+        wakeups.wake()  # nobody is waiting
+        assert await wakeups.wait(LONG_S, asyncio.Event(), since=seen)
+        assert not await wakeups.wait(0.001, asyncio.Event(), since=wakeups.changes)
 
     on_a_loop(body)
 
 
-def test_who_has_gone_has_no_use_for_news() -> None:
+def test_a_disconnected_client_does_not_use_a_change() -> None:
     async def body(wakeups: Wakeups) -> None:
         gone = asyncio.Event()
         gone.set()
-        news = wakeups.news
+        seen = wakeups.changes
         wakeups.wake()
-        assert not await wakeups.wait(LONG_S, gone, since=news)
+        assert not await wakeups.wait(LONG_S, gone, since=seen)
 
     on_a_loop(body)

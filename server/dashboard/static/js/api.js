@@ -1,18 +1,16 @@
-/** The coordinator's API: JSON in and out, errors as they are told, and 304 as "nothing new". */
-
-import { currentToken } from "./session.js";
+/** The coordinator's API: requests, errors, conditional GET, the token and its rights, and the shapes of answers. */
 
 const BASE = new URL("api/v1/", document.baseURI).pathname;
 
-/** What `get` returns if nothing is new since the last time. */
+/** Returned by `Conditional.get` if nothing has changed. */
 export const UNCHANGED = Symbol("unchanged");
 
-/** An answer that says what is wrong. */
+/** An error response, or no response at all. */
 export class ApiError extends Error {
   /**
-   * @param {number} status Of HTTP; 0 if the coordinator did not answer.
+   * @param {number} status HTTP status; 0 if the coordinator did not respond.
    * @param {string} detail What is wrong.
-   * @param {{pointer: string, message: string, nearest: string|null}[]} errors One a wrong field.
+   * @param {{pointer: string, message: string, nearest: string|null}[]} errors One for each wrong field.
    * @param {string} title The kind of error, such as ``No worker``.
    */
   constructor(status, detail, errors = [], title = "") {
@@ -23,32 +21,32 @@ export class ApiError extends Error {
     this.errors = errors;
   }
 
-  /** Whether somebody has to start a worker first. */
+  /** Whether a worker has to be started first. */
   get noWorker() {
     return this.title === "No worker";
   }
 
-  /** Whether trying again later may help. */
+  /** Whether the error is temporary, so that trying again may help. */
   get passes() {
-    return this.status === 0 || this.status === 429 || this.status >= 500; // a proxy has answers of its own
+    return this.status === 0 || this.status === 429 || this.status >= 500; // including responses from a proxy
   }
 }
 
 let clockAheadMs = 0;
 
-/** The coordinator's clock, in milliseconds since 1970, to a second. */
+/** Return the time of the coordinator's clock, in milliseconds since 1970, accurate to about a second. */
 export function serverNow() {
   return Date.now() + clockAheadMs;
 }
 
 /**
- * Ask for something.
+ * Send a request.
  *
  * @param {string} method
  * @param {string} path Below ``/api/v1``, such as ``campaigns?limit=3``.
- * @param {{json?: *, text?: string, headers?: object, etag?: string|null, signal?: AbortSignal}} options A text comes with
- *   its own ``Content-Type``.
- * @returns {Promise<Response>} An answer of 2xx, or 304 if an etag was given.
+ * @param {{json?: *, text?: string, headers?: object, etag?: string|null, signal?: AbortSignal}} options ``text`` needs
+ *   a ``Content-Type`` header.
+ * @returns {Promise<Response>} A response with status 2xx, or 304 if an etag was given.
  * @throws {ApiError}
  */
 export async function request(method, path, { json, text, etag, signal, headers: more } = {}) {
@@ -65,11 +63,11 @@ export async function request(method, path, { json, text, etag, signal, headers:
   }
   let answer;
   try {
-    // The page keeps the tags itself: from its own cache the browser would answer 200 for a 304.
+    // The page keeps ETags itself: the browser's cache would turn a 304 into a 200.
     answer = await fetch(BASE + path, { method, headers, body, signal, cache: "no-store", credentials: "omit" });
   } catch (error) {
     if (signal?.aborted) throw error;
-    throw new ApiError(0, "the coordinator does not answer");
+    throw new ApiError(0, "the coordinator does not respond");
   }
   const date = Date.parse(answer.headers.get("date") ?? "");
   if (Number.isFinite(date) && Math.abs(date - serverNow()) > 2000) clockAheadMs = date - Date.now();
@@ -77,13 +75,13 @@ export async function request(method, path, { json, text, etag, signal, headers:
   throw await refusal(answer);
 }
 
-/** Return what an answer holds, as JSON, text or a blob; a connection that is lost within it is one that was never there. */
+/** Return the body of a response as JSON, text or a blob; a lost connection counts as no response. */
 export async function read(answer, as = "json") {
   try {
     return await answer[as]();
   } catch (error) {
     if (error.name === "AbortError") throw error;
-    throw new ApiError(0, "the coordinator does not answer");
+    throw new ApiError(0, "the coordinator does not respond");
   }
 }
 
@@ -91,7 +89,7 @@ function parsed(written) {
   try {
     return JSON.parse(written);
   } catch {
-    throw new ApiError(0, "what came is not from the coordinator"); // a proxy's
+    throw new ApiError(0, "the response is not from the coordinator"); // but from a proxy
   }
 }
 
@@ -100,29 +98,29 @@ async function refusal(answer) {
   try {
     told = await answer.json();
   } catch {
-    // not ours: a proxy's
+    // from a proxy
   }
   return new ApiError(answer.status, told?.detail ?? `${answer.status} ${answer.statusText}`, told?.errors ?? [], told?.title);
 }
 
-/** Return what a path holds. */
+/** Return the JSON content of a path. */
 export async function get(path, { signal } = {}) {
   return read(await request("GET", path, { signal }));
 }
 
-/** Send something, and return what is answered, if anything is. */
+/** Send a request, and return the JSON content of the response, or null if it has none. */
 export async function send(method, path, options = {}) {
   const answer = await request(method, path, options);
   return answer.status === 204 ? null : read(answer);
 }
 
-/** Remembers one path's tag, so that what did not change is not sent again; or, if it has none, the answer itself. */
+/** Conditional GET: remembers the ETag of a path or, if it has none, its content. */
 export class Conditional {
   #path = null;
   #etag = null;
   #text = null;
 
-  /** Return what a path holds, or UNCHANGED since the last call for the same path. */
+  /** Return the content of a path, or UNCHANGED if it is the same as at the last call. */
   async get(path, { signal } = {}) {
     const etag = path === this.#path ? this.#etag : null;
     const answer = await request("GET", path, { etag, signal });
@@ -136,13 +134,13 @@ export class Conditional {
     return told;
   }
 
-  /** Forget the tag: the next answer is whole. */
+  /** Forget the ETag, so that the next call returns the content. */
   forget() {
     this.#path = null;
   }
 }
 
-/** Save what a path holds as a file. */
+/** Save the content of a path as a file. */
 export async function download(path, name) {
   saveBlob(await read(await request("GET", path), "blob"), name);
 }
@@ -155,4 +153,62 @@ export function saveBlob(blob, name) {
   link.download = name;
   link.click();
   setTimeout(() => URL.revokeObjectURL(url), 10_000);
+}
+
+const KEY = "brink.token";
+
+/** Access a storage if the browser allows it; otherwise the token lives as long as the page. */
+function stored(name, doing) {
+  try {
+    return doing(window[name]);
+  } catch {
+    return null;
+  }
+}
+
+const STORES = ["sessionStorage", "localStorage"];
+let token = STORES.map((name) => stored(name, (store) => store.getItem(KEY))).find(Boolean) ?? null;
+
+/** Return the token sent with requests, or null. */
+export function currentToken() {
+  return token;
+}
+
+/** Use a token in this tab or, with ``remember``, on this device. */
+export function takeToken(given, { remember = false } = {}) {
+  dropToken();
+  token = given;
+  stored(remember ? "localStorage" : "sessionStorage", (store) => store.setItem(KEY, given));
+}
+
+/** Forget the token everywhere. */
+export function dropToken() {
+  token = null;
+  for (const name of STORES) stored(name, (store) => store.removeItem(KEY));
+}
+
+/**
+ * Return what a scope allows: ``steer`` is to submit, pause, resume, cancel and retry; ``remove`` is to delete.
+ *
+ * @param {string} scope ``read``, ``user``, ``worker`` or ``admin``.
+ */
+export function rights(scope) {
+  return { steer: scope === "user" || scope === "admin", remove: scope === "admin" };
+}
+
+const OPEN = new Set(["running", "paused"]);
+
+/** All states of campaigns and experiments, open ones first. */
+export const STATUSES = [...OPEN, "finished", "cancelled", "failed"];
+
+/** Return whether a campaign or experiment has not ended. */
+export function isOpen(status) {
+  return OPEN.has(status);
+}
+
+/** Return the rows of a columnar response, one object for each entry of its list `key`. */
+export function rowsOf(answer, key = "id") {
+  const length = answer[key].length;
+  const names = Object.keys(answer).filter((name) => Array.isArray(answer[name]) && answer[name].length === length);
+  return answer[key].map((_, index) => Object.fromEntries(names.map((name) => [name, answer[name][index]])));
 }

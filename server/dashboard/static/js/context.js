@@ -1,62 +1,62 @@
-/** What a view gets: where to ask, what it may do, how to say that something went wrong. It ends with the view. */
+/** The services of a view: requests, polling, access rights, messages. They end with the view. */
 
 import { ApiError, get, send } from "./api.js";
 import { h, replace } from "./dom.js";
-import { poll } from "./poll.js";
+import { poll } from "./polling.js";
 
 /** One view's services. */
 export class Context {
   #end = new AbortController();
-  /** Aborted when the view is left, or an error has taken its place. */
+  /** Aborted when the view is left or replaced by an error. */
   signal = this.#end.signal;
 
   /**
    * @param {object} given
    * @param {AbortSignal} given.signal Aborted when the view is left.
-   * @param {{steer: boolean, remove: boolean}} given.may What the token's scope allows.
-   * @param {Element} given.main Where the view is.
-   * @param {(error: ApiError|null) => void} given.away Told what keeps answers away, and null once there is one.
-   * @param {() => void} given.signIn Asks for a token.
+   * @param {{steer: boolean, remove: boolean}} given.may What the scope of the token allows.
+   * @param {Element} given.main Element that contains the view.
+   * @param {(error: ApiError|null) => void} given.away Called with a temporary error, and with null after a response.
+   * @param {() => void} given.signIn Shows the sign-in form.
    */
   constructor({ signal, may, main, away, signIn }) {
     signal.addEventListener("abort", () => this.#end.abort(), { signal: this.signal });
-    /** What `patiently` and `whenMade` need. */
-    this.patience = { signal: this.signal, away };
+    /** Options for `withRetries` and `whenMade`. */
+    this.retrying = { signal: this.signal, away };
     this.may = may;
     this.main = main;
     this.signIn = signIn;
   }
 
-  /** Name the view: the page's title, and what is read out. */
+  /** Set the title of the page. */
   title(words) {
     document.title = `${words} · Brink`;
   }
 
-  /** Poll a path while the view is there; see `poll`. A refusal takes the view's place unless `refuse` is given. */
+  /** Poll a path while the view is shown; see `poll`. Unless `refuse` is given, a permanent error replaces the view. */
   watch(path, take, { busy, until, refuse = (error) => this.fail(error) } = {}) {
     const heard = (error) => (error.status === 401 ? this.signIn() : refuse(error));
     const signal = until ? AbortSignal.any([this.signal, until]) : this.signal;
-    return poll(path, take, { ...this.patience, signal, busy, refuse: heard });
+    return poll(path, take, { ...this.retrying, signal, busy, refuse: heard });
   }
 
-  /** Return what a path holds. */
+  /** Return the JSON content of a path. */
   async get(path) {
     const told = await get(path, { signal: this.signal });
-    this.patience.away(null);
+    this.retrying.away(null);
     return told;
   }
 
-  /** Do something, say so, and return what was answered; undefined if it was refused, which is said too. */
+  /** Send a request, confirm it with a message, and return the response; after an error, show it and return undefined. */
   async act(method, path, said, options = {}) {
     return this.tell(async () => {
       const answer = await send(method, path, options);
-      this.patience.away(null);
+      this.retrying.away(null);
       if (said) toast(said);
       return answer;
     });
   }
 
-  /** Do something small of the view; its error is said, and the view stays. */
+  /** Run an action of the view; errors are shown as messages, and the view stays. */
   async tell(doing) {
     try {
       return await doing();
@@ -71,7 +71,7 @@ export class Context {
     }
   }
 
-  /** Say what a part of the view cannot show, once. */
+  /** Show the error of a part of the view as a message, once. */
   complain = (error) => {
     if (error.status === 401) this.signIn();
     else if (!this.#complained.has(error.message)) toast(error.message, { bad: true });
@@ -80,20 +80,20 @@ export class Context {
 
   #complained = new Set();
 
-  /** Show an error in place of the view. */
+  /** Replace the view by an error. */
   fail(error) {
     if (this.signal.aborted) return;
-    const heading = error.status === 404 ? "Not here" : "This cannot be shown";
-    this.#end.abort(); // nothing else of the view goes on
+    const heading = error.status === 404 ? "Not found" : "This page cannot be shown";
+    this.#end.abort(); // stops everything else in the view
     replace(this.main, h("div.empty", null, h("h1", null, heading), h("p", null, error.message),
       h("p", null, h("a", { href: "#/" }, "All campaigns"))));
   }
 }
 
-/** Say something for a few seconds; what is bad stays until it is put away. */
+/** Show a message for a few seconds; errors stay until they are dismissed. */
 export function toast(words, { bad = false } = {}) {
   const node = h(`div.toast${bad ? ".bad" : ""}`, null, h("span", null, words),
-    h("button.quiet", { type: "button", "aria-label": "Put away", onclick: () => node.remove() }, "×"));
+    h("button.quiet", { type: "button", "aria-label": "Dismiss", onclick: () => node.remove() }, "×"));
   document.getElementById("toasts").append(node);
   if (!bad) setTimeout(() => node.remove(), 5_000);
 }

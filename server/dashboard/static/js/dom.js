@@ -1,11 +1,11 @@
-/** Making and changing elements: what is told is text, never markup. */
+/** Creating and updating elements. Content is always text, never markup. */
 
 /**
  * Return a new element.
  *
  * @param {string} tag Such as ``div`` or ``div.card.wide``.
- * @param {object} [props] Attributes; ``on…`` are listeners, ``data`` is a mapping, ``value``, ``checked`` and the like are
- *   set as properties; what is null or false is left out.
+ * @param {object} [props] Attributes; ``on…`` are listeners, ``data`` is a mapping; ``value``, ``checked`` and the like are
+ *   set as properties; null and false are left out.
  * @param {...*} children Nodes, texts, numbers, lists of them; null, undefined and false are left out.
  */
 export function h(tag, props, ...children) {
@@ -38,33 +38,33 @@ function append(node, children) {
   }
 }
 
-/** Put children in place of what a node has. */
+/** Replace the children of a node. */
 export function replace(node, ...children) {
   node.replaceChildren();
   append(node, children);
   return node;
 }
 
-/** Set a node's text, if it is another one: what did not change is not read out again. */
+/** Set the text of a node if it differs, so that screen readers do not repeat unchanged text. */
 export function text(node, words) {
   const told = String(words ?? "");
   if (node.textContent !== told) node.textContent = told;
   return node;
 }
 
-/** Set or remove an attribute, if it is another one. */
+/** Set or remove an attribute if it differs. */
 export function attribute(node, name, value) {
   if (value === null || value === undefined || value === false) node.removeAttribute(name);
   else if (node.getAttribute(name) !== String(value)) node.setAttribute(name, String(value));
 }
 
 /**
- * Have a container hold one node an item, in order, and keep those that are there: focus and scrolling survive.
+ * Show one node for each item, in order, and reuse existing nodes, so that focus and scroll position survive.
  *
  * @param {Element} container
  * @param {Array} items
  * @param {(item: *) => string} key
- * @param {(item: *) => Element} create Makes the node; its ``update`` property, if any, is called with later items.
+ * @param {(item: *) => Element} create Creates the node; its ``update`` method, if any, is called with later items.
  */
 export function keyed(container, items, key, create) {
   const known = new Map([...container.children].map((node) => [node.dataset.key, node]));

@@ -1,24 +1,24 @@
-/** Figures, times and words as people read them. */
+/** Numbers, times and words for display. */
 
 const whole = new Intl.NumberFormat("en-GB", { maximumFractionDigits: 0 });
 const day = new Intl.DateTimeFormat("en-GB", { dateStyle: "medium", timeStyle: "short" });
 
-/** ``12,345``; a dash for what is unknown. */
+/** ``12,345``; a dash if unknown. */
 export function count(value) {
   return value === null || value === undefined ? "–" : whole.format(value);
 }
 
-/** The same with a capital. */
+/** The words with a capital first letter. */
 export function capital(words) {
   return words.charAt(0).toUpperCase() + words.slice(1);
 }
 
-/** A sentence of its own. */
+/** The words as a sentence. */
 export function sentence(words) {
   return /[.!?]$/.test(words) ? capital(words) : `${capital(words)}.`;
 }
 
-/** A figure with so many significant digits: ``0.0123``. */
+/** A number with that many significant digits: ``0.0123``. */
 export function figure(value, digits = 3) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
   if (value === 0) return "0";
@@ -44,15 +44,15 @@ export function span(seconds) {
   return `${Math.floor(s / 86_400)} d ${Math.floor((s % 86_400) / 3600)} h`;
 }
 
-/** A rate: ``5.2 a second``, ``12 a minute``, ``3 an hour``. */
+/** A rate: ``5.2 per second``, ``12 per minute``, ``3 per hour``. */
 export function rate(perSecond) {
   if (perSecond === null || perSecond === undefined) return "–";
-  if (perSecond >= 1) return `${figure(perSecond, 2)} a second`;
-  if (perSecond * 60 >= 1) return `${figure(perSecond * 60, 2)} a minute`;
-  return `${figure(perSecond * 3600, 2)} an hour`;
+  if (perSecond >= 1) return `${figure(perSecond, 2)} per second`;
+  if (perSecond * 60 >= 1) return `${figure(perSecond * 60, 2)} per minute`;
+  return `${figure(perSecond * 3600, 2)} per hour`;
 }
 
-/** A point in time in this person's own: ``22 Nov 2026, 10:16``. */
+/** A local date and time: ``22 Nov 2026, 10:16``. */
 export function when(iso) {
   return iso ? day.format(new Date(iso)) : "–";
 }
@@ -82,7 +82,7 @@ export function minus(written) {
   return written.replace("-", "−");
 }
 
-/** A parameter's value as people read it. */
+/** The value of a parameter. */
 export function value(given) {
   if (typeof given === "number") return figure(given, 4);
   if (given === null || given === undefined) return "–";

@@ -1,12 +1,11 @@
-/** The frame: which view is shown, who looks, whether the coordinator is there. */
+/** The frame around the views: navigation, sign-in, and notices when the coordinator is away. */
 
-import { ApiError, get } from "./api.js";
+import { ApiError, currentToken, dropToken, get, rights } from "./api.js";
 import { Context } from "./context.js";
 import { attribute, h, replace, text } from "./dom.js";
 import { sentence } from "./format.js";
+import { seen } from "./polling.js";
 import { place } from "./router.js";
-import { seen } from "./seen.js";
-import { currentToken, dropToken, rights } from "./session.js";
 import { chosen, turn } from "./theme.js";
 
 const NAV = [
@@ -18,14 +17,14 @@ const NAV = [
 ];
 
 const AWAY_MS = 3_000;
-const AWAY = { 0: "The coordinator does not answer.", 429: "The coordinator was asked more than this client may ask in a while." };
+const AWAY = { 0: "The coordinator does not respond.", 429: "Rate limit exceeded." };
 
 const main = document.getElementById("main");
 const notice = document.getElementById("notice");
-let shown = null; // ends the view that is shown
-let access = null; // what the coordinator says of who looks
+let shown = null; // ends the current view
+let access = null; // what the token may do
 
-/** The module that shows a place. */
+/** Import the module of a view; null if there is no such view. */
 function viewOf(parts) {
   const [first = "campaigns", id, part, number] = parts;
   if (first === "campaigns" && !id) return import("./views/campaigns.js");
@@ -50,33 +49,33 @@ async function show({ focus = true } = {}) {
   if (access === null && !(await identify(mine.signal))) return;
   if (mine.signal.aborted) return;
   const context = new Context({
-    signal: mine.signal, may: rights(access.scope), main, away: sayAway, signIn: () => signIn("This token is no longer taken."),
+    signal: mine.signal, may: rights(access.scope), main, away: sayAway, signIn: () => signIn("This token is no longer valid."),
   });
   const loading = viewOf(where.parts);
   if (loading === null) {
-    context.title("Not here");
+    context.title("Not found");
     context.fail(new ApiError(404, "There is no such page."));
     return;
   }
   try {
     const view = await loading;
     if (mine.signal.aborted) return;
-    replace(main, h("p.loading", { role: "status" }, "Loading …")); // the view takes its place
+    replace(main, h("p.loading", { role: "status" }, "Loading …")); // replaced by the view
     window.scrollTo(0, 0);
     await view.show(main, context, where);
     if (focus && !mine.signal.aborted) main.focus({ preventScroll: true });
   } catch (error) {
     if (context.signal.aborted) return;
     const told = error instanceof ApiError;
-    if (told && error.status === 401) signIn("This token is no longer taken.");
+    if (told && error.status === 401) signIn("This token is no longer valid.");
     else if (told && !error.passes) context.fail(error);
     else if (told) tryAgain(error);
-    else if (error instanceof TypeError) tryAgain(new ApiError(0, "")); // a module that cannot be fetched
+    else if (error instanceof TypeError) tryAgain(new ApiError(0, "")); // the module could not be fetched
     else throw error;
   }
 }
 
-/** The coordinator is away: say so, and come back to where one is. */
+/** Show that the coordinator is away, and load the view again later. */
 function tryAgain(error) {
   sayAway(error);
   clearTimeout(retrying);
@@ -84,7 +83,7 @@ function tryAgain(error) {
   retrying = setTimeout(() => seen(signal).then(() => signal.aborted || show()), AWAY_MS);
 }
 
-/** Ask who looks; without a token that is taken, ask for one. Returns whether the view may be shown. */
+/** Read the access rights, and ask for a token if needed. Returns whether the view can be shown. */
 async function identify(signal) {
   try {
     access = await get("access", { signal });
@@ -93,9 +92,9 @@ async function identify(signal) {
     if (signal.aborted) return false;
     if (!(error instanceof ApiError)) throw error;
     if (error.status === 401) {
-      await signIn(currentToken() ? "This token is not taken." : "");
+      await signIn(currentToken() ? "Token rejected." : "");
     } else if (error.status === 403 && currentToken()) {
-      await signIn("This token is a worker's: it may lease jobs and see nothing. Take one of scope read, user or admin.");
+      await signIn("This is a worker token, which can only lease jobs. Use a token of scope read, user or admin.");
     } else if (error.passes) {
       tryAgain(error);
     } else {
@@ -128,16 +127,16 @@ function markNav(first) {
 function drawTools() {
   const words = { system: "Theme: system", light: "Theme: light", dark: "Theme: dark" };
   const theme = h("button.quiet", { type: "button", onclick: () => text(theme, words[turn()]) }, words[chosen()]);
-  const scope = access?.tokens ? h("span.scope", { title: "What this token may do" }, `scope ${access.scope}`) : null;
+  const scope = access?.tokens ? h("span.scope", { title: "Scope of this token" }, `scope ${access.scope}`) : null;
   const out = access?.tokens
     ? h("button.quiet", { type: "button", onclick: () => signIn("") }, "Sign out")
     : null;
   replace(document.getElementById("tools"), scope, h("a.quiet", { href: "docs" }, "API"), theme, out);
 }
 
-/** Say what keeps answers away, until one comes. */
+/** Show why there is no response, until there is one. */
 function sayAway(error) {
-  const words = error && `${AWAY[error.status] ?? sentence(error.message)} This page tries again; nothing that it holds is lost.`;
+  const words = error && `${AWAY[error.status] ?? sentence(error.message)} Retrying; the page keeps what it shows.`;
   if (notice.textContent === (words ?? "")) return;
   notice.hidden = !words;
   replace(notice, words && h("p.away", null, words));
@@ -147,7 +146,7 @@ replace(document.getElementById("nav"), NAV.map(([href, words]) => h("a", { href
 notice.hidden = true;
 drawTools();
 document.querySelector(".skip").addEventListener("click", (event) => {
-  event.preventDefault(); // #main is no place
+  event.preventDefault(); // #main is not a place
   main.focus();
 });
 addEventListener("hashchange", () => show());

@@ -1,12 +1,12 @@
-/** Where one is: the part of the address after the #, and which view shows it. */
+/** The current place: the part of the address after the #. */
 
 /**
  * @typedef {object} Place
- * @property {string[]} parts Of the path, decoded: ``["campaigns", "3f2a"]``.
+ * @property {string[]} parts Parts of the path, decoded: ``["campaigns", "3f2a"]``.
  * @property {URLSearchParams} query
  */
 
-/** Return where the address says one is. */
+/** Return the place that the address names. */
 export function place(hash = location.hash) {
   const [path, query = ""] = hash.replace(/^#\/?/, "").split("?");
   return { parts: path.split("/").filter(Boolean).map(decode), query: new URLSearchParams(query) };
@@ -20,21 +20,21 @@ function decode(part) {
   }
 }
 
-/** Return a link to a place: ``link("campaigns", id)``, with a mapping as the last part for a query. */
+/** Return a link to a place: ``link("campaigns", id)``, with an object as the last part for the query. */
 export function link(...parts) {
   const last = parts.at(-1);
   const query = last !== null && typeof last === "object" ? parts.pop() : {};
-  const told = new URLSearchParams(Object.entries(query).filter(([, value]) => value !== null && value !== undefined));
+  const search = new URLSearchParams(Object.entries(query).filter(([, value]) => value !== null && value !== undefined));
   const path = `#/${parts.map((part) => encodeURIComponent(part)).join("/")}`;
-  return String(told) ? `${path}?${told}` : path;
+  return String(search) ? `${path}?${search}` : path;
 }
 
-/** Go somewhere. */
+/** Navigate to a place. */
 export function go(...parts) {
   location.hash = link(...parts);
 }
 
-/** Change the query of where one is, without a step in the history. */
+/** Change the query of the current place without adding to the history. */
 export function rewrite(changes) {
   const { parts, query } = place();
   for (const [name, value] of Object.entries(changes)) {

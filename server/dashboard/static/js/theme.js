@@ -1,4 +1,4 @@
-/** Light or dark: the system's, or what was chosen here. Canvases ask for colours by name and are told of changes. */
+/** The colour theme: that of the system, light, or dark. Canvases look up colours by name and are notified of changes. */
 
 const KEY = "brink.theme";
 const CHOICES = ["system", "light", "dark"];
@@ -7,12 +7,12 @@ const listeners = new Set();
 
 dark.addEventListener("change", tell);
 
-/** Return what was chosen: ``system``, ``light`` or ``dark``. */
+/** Return the chosen theme: ``system``, ``light`` or ``dark``. */
 export function chosen() {
   return document.documentElement.dataset.theme ?? "system";
 }
 
-/** Choose the next of the three. */
+/** Switch to the next theme, and return it. */
 export function turn() {
   const next = CHOICES[(CHOICES.indexOf(chosen()) + 1) % CHOICES.length];
   if (next === "system") delete document.documentElement.dataset.theme;
@@ -20,7 +20,7 @@ export function turn() {
   try {
     localStorage.setItem(KEY, next);
   } catch {
-    // it holds until the page is left
+    // the choice lasts until the page is closed
   }
   tell();
   return next;
@@ -30,13 +30,13 @@ const probe = document.createElement("i");
 probe.hidden = true;
 document.documentElement.append(probe);
 
-/** Return a colour of the theme, such as ``--unsafe``, as it is now: a canvas knows no names. */
+/** Return the current value of a theme colour such as ``--unsafe``, which a canvas cannot look up itself. */
 export function colour(name) {
   probe.style.color = `var(${name})`;
   return getComputedStyle(probe).color;
 }
 
-/** Call a function whenever colours change, until the signal says stop. */
+/** Call a function whenever the theme changes, until the signal is aborted. */
 export function onTheme(listener, signal) {
   listeners.add(listener);
   signal?.addEventListener("abort", () => listeners.delete(listener), { once: true });

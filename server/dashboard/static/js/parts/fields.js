@@ -1,16 +1,16 @@
-/** Fields of a form made from a JSON schema: an empty one stands for its default; errors are shown beside them. */
+/** Form fields generated from a JSON schema. An empty field means the default; errors are shown next to the field. */
 
 import { attribute, h, text } from "../dom.js";
 import { capital, spaced } from "../format.js";
 
 /**
  * @typedef {object} FormField
- * @property {string} pointer Of the field in the document, such as ``/problem/params/duration_s``.
+ * @property {string} pointer JSON pointer of the field, such as ``/problem/params/duration_s``.
  * @property {HTMLElement} node
- * @property {() => *} read The value; undefined if it is left empty.
+ * @property {() => *} read Return the value; undefined if the field is empty.
  * @property {(value: *) => void} fill
- * @property {(usual: *) => void} suggest Names another default than the schema's, or undefined for that.
- * @property {(message: string) => void} complain Says what is wrong with it; an empty text for nothing.
+ * @property {(usual: *) => void} suggest Show another default, or the schema's if undefined.
+ * @property {(message: string) => void} complain Show an error; an empty text removes it.
  */
 
 /** Return a field for one property of a JSON schema. */
@@ -50,7 +50,7 @@ function control(schema, { id, required, described }) {
   return h("input", { ...about, type: "text", spellcheck: "false" });
 }
 
-/** Say what an empty field stands for; what is filled in stays. */
+/** Show the default of an empty field. */
 function showDefault(input, usual) {
   const known = usual !== undefined && usual !== null;
   if (input.localName === "input") {
@@ -63,7 +63,7 @@ function showDefault(input, usual) {
 }
 
 function valueOf(input, schema) {
-  // A number that cannot be read has an empty value, which is not the same as none.
+  // An unparsable number has an empty value, which is not the same as no input.
   const written = input.validity.badInput ? "not a number" : input.value.trim();
   if (written === "") return undefined;
   if (schema.type === "boolean") return written === "true";
@@ -72,7 +72,7 @@ function valueOf(input, schema) {
     try {
       return JSON.parse(written);
     } catch {
-      return written; // the server says what it expected
+      return written; // the server reports what it expected
     }
   }
   return written;

@@ -1,23 +1,14 @@
-/** One campaign: where it stands, its map, its course, its boundary, what the verdict depends on. */
+/** One campaign: status, map, convergence, boundary solutions, parameter dependence, findings, settings. */
 
-import { download } from "../api.js";
+import { download, isOpen } from "../api.js";
 import { h, replace, text } from "../dom.js";
 import { count, percent, plural, rate, span, when } from "../format.js";
-import { badge } from "../parts/badge.js";
-import { callout, workerCommand } from "../parts/callout.js";
-import { sure } from "../parts/confirm.js";
-import { facts } from "../parts/facts.js";
-import { meter } from "../parts/meter.js";
 import { go, link } from "../router.js";
-import { boundaryCard } from "./campaign/boundary.js";
-import { courseCards, Generations } from "./campaign/course.js";
-import { dependenceCard } from "./campaign/dependence.js";
-import { findings } from "./campaign/findings.js";
-import { mapCard } from "./campaign/map_card.js";
-import { inWords, settingsCard } from "./campaign/settings.js";
+import { badge, callout, facts, meter, sure, workerCommand } from "../parts/elements.js";
 import { steering } from "./campaigns.js";
-
-const REPEAT = "repeat@1";
+import { boundaryCard, dependenceCard, findings, inWords, settingsCard } from "./campaign/cards.js";
+import { convergenceCards, Generations } from "./campaign/convergence.js";
+import { mapCard } from "./campaign/map_card.js";
 
 export async function show(main, context, { parts, query }) {
   const [campaign, problems, algorithms] = await Promise.all([
@@ -35,8 +26,11 @@ export async function show(main, context, { parts, query }) {
   const figures = facts();
   const words = h("p.hint", { "aria-live": "polite" });
   const map = mapCard(context, id, query);
-  const course = courseCards(context, id, query);
-  const boundary = boundaryCard(context, id, map.ring);
+  const convergence = convergenceCards(context, id, query, campaign.thresholds);
+  const boundary = boundaryCard(context, id, (read) => {
+    map.ring(read.solutions.map((one) => one.number));
+    convergence.explain(read.note);
+  });
   const problem = problems.find((one) => one.id === body.problem.id);
   const found = findings(context, id, problem?.finds ?? []);
   const dependence = dependenceCard(context, id, map.parameters);
@@ -48,22 +42,22 @@ export async function show(main, context, { parts, query }) {
     h("div.stack", null,
       h("section.card", { "aria-label": "Progress" }, bar, figures, words),
       map,
-      h("div.grid-wide", null, course.dbs, h("div.stack", null, course.shares, course.fitness)),
+      h("div.grid-wide", null, convergence.dbs, h("div.stack", null, convergence.shares, convergence.fitness)),
       boundary, found, dependence,
       settingsCard(body, { problems, algorithms }),
       h("p.hint", null, `Campaign ${id}, submitted ${when(campaign.created_at)}. `,
-        h("button.quiet", { type: "button", onclick: () => context.tell(() => download(`campaigns/${id}/archive.npz`, `archive-${id}.npz`)) }, "All solutions for numpy"))));
+        h("button.quiet", { type: "button", onclick: () => context.tell(() => download(`campaigns/${id}/archive.npz`, `archive-${id}.npz`)) }, "All solutions (npz)"))));
 
   const polling = context.watch(() => `campaigns/${id}/progress?since=${generations.next}`, take, {
     busy: (read) => read.status === "running",
   });
-  // Other thresholds: the table of boundary solutions follows the curve.
-  context.thresholds = () => boundary.news(generations.next, course.thresholds(), { atOnce: true });
+  // The table of boundary solutions follows the thresholds of the curve.
+  context.thresholds = () => boundary.news(generations.next, convergence.thresholds(), { atOnce: true });
   let steered = "";
 
   function take(read) {
     generations.take(read.generations);
-    const ended = read.status !== "running" && read.status !== "paused";
+    const ended = !isOpen(read.status);
     state.update(read.status);
     bar.update(read.simulations / read.budget, ended);
     const last = generations.list.at(-1);
@@ -83,19 +77,19 @@ export async function show(main, context, { parts, query }) {
       steered = read.status;
       const inside = actions.contains(document.activeElement);
       replace(actions, h("a.quiet", { href: link("compare", { ids: id }) }, "Compare"),
-        context.may.steer && steering({ ...read, id, name }, context, polling, { clonable: body.algorithm.id !== REPEAT }), context.may.remove && ended && remover());
+        context.may.steer && steering({ ...read, id, name }, context, polling, { clonable: !algorithm?.internal }), context.may.remove && ended && remover());
       if (inside) actions.querySelector("button")?.focus();
     }
     map.news(read.generation);
-    course.news(read, generations);
-    if (read.looks_for_boundary) boundary.news(read.generation, course.thresholds());
+    convergence.news(read, generations);
+    if (read.looks_for_boundary) boundary.news(read.generation, convergence.thresholds());
     found.news(`${read.sequence}`);
     dependence.news(read.generation);
   }
 
   function warn(read) {
     const told = JSON.stringify([read.trouble, read.status, read.status_reason, read.workers === 0, read.unrunnable, read.quarantined]);
-    if (notes.dataset.told === told) return; // what is selected or focused stays
+    if (notes.dataset.told === told) return; // keeps selection and focus
     notes.dataset.told = told;
     replace(notes, warnings(read));
   }
@@ -103,18 +97,18 @@ export async function show(main, context, { parts, query }) {
   function warnings(read) {
     const unrunnable = Object.entries(read.unrunnable);
     return [
-      read.trouble && callout("bad", `The database takes no writes now: ${read.trouble}. Nothing that was acknowledged is lost.`),
+      read.trouble && callout("bad", `The database currently rejects writes: ${read.trouble}. No acknowledged result is lost.`),
       read.status_reason && callout(read.status === "failed" ? "bad" : "warn", read.status_reason),
-      read.status === "running" && read.workers === 0 && callout("warn", "No worker is there. Start one: ", workerCommand()),
-      read.status === "running" && read.workers > 0 && unrunnable.map(([needs, jobs]) => callout("warn", `${plural(jobs, "job")} can be run by no live worker: ${jobs === 1 ? "it needs" : "they need"} ${needs}.`)),
-      read.quarantined > 0 && callout("warn", `${plural(read.quarantined, "job")} in quarantine. `, h("a", { href: link("jobs", { status: "quarantined", campaign: id }) }, "Look and retry")),
+      read.status === "running" && read.workers === 0 && callout("warn", "No worker is running. Start one: ", workerCommand()),
+      read.status === "running" && read.workers > 0 && unrunnable.map(([needs, jobs]) => callout("warn", `${plural(jobs, "job")} cannot run on any live worker: ${jobs === 1 ? "it needs" : "they need"} ${needs}.`)),
+      read.quarantined > 0 && callout("warn", `${plural(read.quarantined, "job")} in quarantine. `, h("a", { href: link("jobs", { status: "quarantined", campaign: id }) }, "Inspect and retry")),
     ];
   }
 
   function remover() {
     return h("button.danger", { type: "button", onclick: async () => {
-      if (!await sure(`Delete ${name} with all that it found? This cannot be undone.`, { yes: "Delete it" })) return;
-      if (await context.act("DELETE", `campaigns/${id}`, `${name} is deleted.`) !== undefined) go("campaigns");
+      if (!await sure(`Delete ${name} and all of its results? This cannot be undone.`, { yes: "Delete" })) return;
+      if (await context.act("DELETE", `campaigns/${id}`, `${name} has been deleted.`) !== undefined) go("campaigns");
     } }, "Delete");
   }
 }

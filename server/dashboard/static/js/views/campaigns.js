@@ -1,15 +1,10 @@
-/** All campaigns: where each stands, and what can be done with it. */
+/** The list of campaigns: status and controls of each. */
 
-import { rowsOf } from "../columns.js";
+import { rowsOf, STATUSES } from "../api.js";
 import { attribute, h, keyed, replace, text } from "../dom.js";
 import { count, percent, plainId, rate, span, when } from "../format.js";
-import { badge } from "../parts/badge.js";
-import { callout, workerCommand } from "../parts/callout.js";
-import { sure } from "../parts/confirm.js";
-import { meter } from "../parts/meter.js";
-import { sparkline } from "../parts/sparkline.js";
 import { go, link, place, rewrite } from "../router.js";
-import { STATUSES } from "../status.js";
+import { badge, callout, meter, sparkline, sure, workerCommand } from "../parts/elements.js";
 
 const PAGE = 50;
 
@@ -25,7 +20,7 @@ export async function show(main, context, { query }) {
     h("table.campaigns", null, h("caption.read-out", null, "Campaigns, newest first"),
       h("thead", null, h("tr", null, [
         "Campaign", "Status", "Simulations", "Rate", "Time left", "Unsafe", "Boundary solutions", "Submitted", "",
-      ].map((words, index) => h(index === 6 ? "th.dbs" : "th", { scope: "col", class: HIDDEN[index] ?? null }, words || h("span.read-out", null, "What to do"))))),
+      ].map((words, index) => h(index === 6 ? "th.dbs" : "th", { scope: "col", class: HIDDEN[index] ?? null }, words || h("span.read-out", null, "Actions"))))),
       body));
   const older = h("a.button", { hidden: true }, "Older");
   const newest = h("a.button", { href: link("campaigns"), hidden: !query.get("cursor") }, "Newest");
@@ -81,28 +76,28 @@ export async function show(main, context, { query }) {
     text(said, found ? `${count(rows.length)} shown` : "");
     const running = rows.filter((row) => row.status === "running").length;
     const told = `${read.trouble} ${running > 0 && read.workers === 0}`;
-    if (notes.dataset.told === told) return; // what is selected or focused stays
+    if (notes.dataset.told === told) return; // keeps selection and focus
     notes.dataset.told = told;
     replace(notes,
-      read.trouble && callout("bad", `The database takes no writes now: ${read.trouble}. Nothing that was acknowledged is lost.`),
-      running > 0 && read.workers === 0 && callout("warn", "Campaigns are running, but no worker is there. Start one: ", workerCommand()));
+      read.trouble && callout("bad", `The database currently rejects writes: ${read.trouble}. No acknowledged result is lost.`),
+      running > 0 && read.workers === 0 && callout("warn", "Campaigns are running, but no worker is. Start one: ", workerCommand()));
   }
 }
 
 const HIDDEN = { 3: "wide-only", 4: "wide-only", 7: "wide-only" };
 
 function nothing(searching, context) {
-  if (searching) return [h("p", null, "No campaign is like that.")];
-  return [h("h2", null, "No campaign yet"), h("p", null, "A campaign is a system, a safety requirement, a search and a budget of simulations."),
+  if (searching) return [h("p", null, "No campaign matches.")];
+  return [h("h2", null, "No campaigns yet"), h("p", null, "A campaign consists of a system, a safety requirement, a search algorithm and a budget of simulations."),
     context.may.steer ? h("p", null, h("a.button.primary", { href: link("new") }, "Submit the first one"))
-      : h("p", null, "This token may look only: one of scope user can submit one.")];
+      : h("p", null, "This token is read-only. A token of scope user can submit campaigns.")];
 }
 
 function campaignRow(first, context, polling) {
   const name = h("a.row", { href: link("campaigns", first.id) }, first.name);
   const about = h("div.small.muted", null, `${plainId(first.problem)} · ${plainId(first.algorithm)} · seed ${first.seed} `,
     first.experiment && h("a", { href: link("experiments", first.experiment) }, "experiment"),
-    first.repeats_of && h("a", { href: link("campaigns", first.repeats_of) }, "repeats of another"));
+    first.repeats_of && h("a", { href: link("campaigns", first.repeats_of) }, "repeats"));
   const state = badge(first.status);
   const done = meter(`Simulations of ${first.name}`);
   const numbers = h("span.small");
@@ -124,9 +119,9 @@ function campaignRow(first, context, polling) {
     text(speed, row.status === "running" ? rate(row.rate_per_s) : "–");
     text(left, row.status === "running" ? span(row.remaining_s) : "–");
     text(unsafe, row.evaluated ? percent(row.unsafe / row.evaluated) : "–");
-    const course = row.looks_for_boundary ? row.dbs : [];
-    spark.update(course);
-    text(dbs, course.length ? count(course.at(-1)) : "–");
+    const counts = row.looks_for_boundary ? row.dbs : [];
+    spark.update(counts);
+    text(dbs, counts.length ? count(counts.at(-1)) : "–");
     if (drawn !== row.status) {
       drawn = row.status;
       const inside = actions.contains(document.activeElement);
@@ -138,7 +133,7 @@ function campaignRow(first, context, polling) {
   return node;
 }
 
-/** Return the buttons that steer a campaign in its present state; repeats cannot be cloned, for they are of somebody. */
+/** Return the buttons that control a campaign in its current state. Repeats cannot be cloned, as they belong to a campaign. */
 export function steering(row, context, polling, { clonable = true } = {}) {
   const path = `campaigns/${row.id}`;
   const act = async (method, way, said) => {
@@ -147,10 +142,10 @@ export function steering(row, context, polling, { clonable = true } = {}) {
   };
   const button = (words, doing, kind = "quiet") => h(`button.${kind}`, { type: "button", "aria-label": `${words} ${row.name}`, onclick: doing }, words);
   return h("div.actions", null,
-    row.status === "running" && button("Pause", () => act("POST", "/pause", `${row.name} is paused; what runs is still taken in.`)),
-    row.status === "paused" && button("Resume", () => act("POST", "/resume", `${row.name} goes on.`)),
+    row.status === "running" && button("Pause", () => act("POST", "/pause", `${row.name} is paused; results of running jobs are still accepted.`)),
+    row.status === "paused" && button("Resume", () => act("POST", "/resume", `${row.name} is running again.`)),
     (row.status === "running" || row.status === "paused") && button("Cancel", async () => {
-      if (await sure(`Cancel ${row.name}? What it found stays; it cannot go on.`, { yes: "Cancel it" })) await act("POST", "/cancel", `${row.name} is cancelled.`);
+      if (await sure(`Cancel ${row.name}? Its results are kept, but it cannot be resumed.`, { yes: "Cancel campaign" })) await act("POST", "/cancel", `${row.name} has been cancelled.`);
     }),
     clonable && button("Clone", () => go("new", { from: row.id })));
 }

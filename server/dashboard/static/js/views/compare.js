@@ -1,21 +1,16 @@
-/** Campaigns side by side: facts, courses, DBS tables beside their controls, what differs in their settings. */
+/** Campaigns side by side: facts, convergence curves, DBS next to the controls, differences in their settings. */
 
+import { ApiError, get, isOpen, rowsOf } from "../api.js";
 import { attribute, h, keyed, replace, text } from "../dom.js";
-import { count, figure, percent, plainId } from "../format.js";
-import { callout } from "../parts/callout.js";
-import { matrix } from "../parts/matrix.js";
-import { segments } from "../parts/segments.js";
-import { NAMES, thresholds } from "../parts/thresholds.js";
+import { count, figure, minus, percent, plainId } from "../format.js";
+import { withRetries, poll, whenMade } from "../polling.js";
 import { link, rewrite } from "../router.js";
-import { course } from "./compare/courses.js";
-import { follow } from "./compare/follow.js";
-import { MOST, picker } from "./compare/picker.js";
-import { differences } from "./compare/settings.js";
+import { chart } from "../parts/charts.js";
+import { callout, matrix, NAMES, segments, thresholds } from "../parts/elements.js";
 
 const HUES = ["--series-1", "--series-2", "--series-3", "--series-4", "--series-5", "--series-6"];
 const FITNESS = [["best_fitness", "Best"], ["median_fitness", "Median"]];
-const GREEDY = "From t_b 1/9 on, all-safe neighbourhoods count as boundary; strict DBS leaves them out. Both are greedy counts, so that either may be larger by a few.";
-const PAPER = { t_bs: [0.01, 0.03, 0.05, 0.1, 0.15, 0.2], d_ths: [0.1, 0.2, 0.3] };
+const GREEDY = "At large t_b, DBS also counts neighbourhoods without unsafe solutions; strict DBS does not. Both are greedy counts, so either can be slightly larger.";
 
 export async function show(main, context, { query }) {
   context.title("Compare campaigns");
@@ -30,7 +25,7 @@ export async function show(main, context, { query }) {
   const picks = picker(context, () => ids, choose);
   const choosing = h("details.card.choosing", { open: ids.length < 2 }, h("summary", null, "Choose campaigns"), picks);
   replace(main, h("div.head", null, h("h1", null, "Compare campaigns")),
-    asked.length > MOST && callout("warn", `${count(asked.length)} campaigns were asked for: the first ${MOST} are compared, which is the most that can be told apart.`),
+    asked.length > MOST && callout("warn", `${count(asked.length)} campaigns were requested; only the first ${MOST} are compared.`),
     choosing, page.chips, page.nodes);
   choose(ids);
 
@@ -51,7 +46,7 @@ export async function show(main, context, { query }) {
     changed();
   }
 
-  /** Draw soon, once for all that has come by then. */
+  /** Schedule a drawing; changes that arrive before it are drawn together. */
   function changed() {
     if (due) return;
     due = true;
@@ -62,7 +57,7 @@ export async function show(main, context, { query }) {
   }
 }
 
-/** Give each campaign its name: with its id, where two are called the same. */
+/** Give each campaign its name, with the id appended if two have the same name. */
 function named(all) {
   const names = all.map((one) => one.campaign?.name);
   return all.map((one, index) => ({
@@ -72,15 +67,14 @@ function named(all) {
 
 function pageOf(context, query, changed, chooseFitness) {
   const choice = thresholds(query, changed);
-  choice.update(PAPER);
-  const chips = h("ul.chips", { "aria-label": "Campaigns that are compared" });
+  const chips = h("ul.chips", { "aria-label": "Compared campaigns" });
   const few = h("p.empty");
   const notes = h("div");
-  const facts = matrix("What campaigns are and what they reached", "Of each", { right: false });
-  const dbs = course("DBS over simulations", context, { scales: { x: { time: false }, y: { range: fromNought } } });
+  const facts = matrix("Campaigns and their results", "Property", { right: false });
+  const dbs = convergenceChart("DBS over simulations", context, { scales: { x: { time: false }, y: { range: fromNought } } });
   const dbsHeading = h("h2");
   const dbsHint = h("p.hint");
-  const fitness = course("Fitness over simulations", context);
+  const fitness = convergenceChart("Fitness over simulations", context);
   const which = segments("Fitness", chooseFitness, FITNESS, "best_fitness");
   const gridHeading = h("h2");
   const grid = matrix("DBS, and strict DBS in brackets, by t_b", "Campaign", { right: true });
@@ -92,7 +86,7 @@ function pageOf(context, query, changed, chooseFitness) {
     h("div.card", null, h("h2", null, "Side by side"), facts),
     h("div.grid-2", null,
       h("div.card", null, dbsHeading, dbs, dbsHint),
-      h("div.card", null, h("div.inline.between", null, h("h2", null, "Fitness"), which), fitness, h("p.hint", null, "Of what each algorithm minimises: the scales of two algorithms need not be the same."))),
+      h("div.card", null, h("div.inline.between", null, h("h2", null, "Fitness"), which), fitness, h("p.hint", null, "The quantity that each algorithm minimises; scales of different algorithms may differ."))),
     h("div.card", null, gridHeading, grid, says, gridHint),
     h("div.card", null, h("h2", null, "Settings that differ"), settings, same));
 
@@ -100,23 +94,25 @@ function pageOf(context, query, changed, chooseFitness) {
     keyed(chips, all, (one) => one.id, (one) => chip(one, take));
     shown.hidden = all.length < 2;
     few.hidden = all.length >= 2;
-    text(few, all.length === 1 ? "Choose one more campaign to compare it with." : "Choose two campaigns or more.");
+    text(few, all.length === 1 ? "Choose one more campaign." : "Choose at least two campaigns.");
     if (shown.hidden) return;
+    const limits = all.find((one) => one.campaign)?.campaign.thresholds;
+    if (limits) choice.update(limits);
     const chosen = choice.chosen;
     const columns = all.map((one) => ({ key: `${one.id} ${one.name}`, head: () => h("span", null, swatch(one.colour), h("a", { href: link("campaigns", one.id) }, one.name)) }));
     note(notes, all);
     facts.update(columns, factRows(all, chosen));
     text(dbsHeading, chosen.measure === "strict" ? "Strict DBS over simulations" : "DBS over simulations");
     const usual = all.find((one) => one.progress)?.progress;
-    text(dbsHint, usual ? `As it stood after each generation, at t_b ${figure(usual.t_b)}, d_th ${figure(usual.d_th)}.` : "");
+    text(dbsHint, usual ? `After each generation, at t_b ${figure(usual.t_b)}, d_th ${figure(usual.d_th)}.` : "");
     const series = chosen.measure === "strict" ? "strict_dbs" : "dbs";
     dbs.update(all.filter(begun).map((one) => lineOf(one, series)));
     which.update(FITNESS, fitnessName);
     fitness.update(all.filter(begun).map((one) => lineOf(one, fitnessName)));
     text(gridHeading, `DBS at d_th ${figure(chosen.d_th)}, strict DBS in brackets`);
     const draws = all.find((one) => one.scores?.control)?.scores.draws;
-    text(gridHint, `${draws ? `Controls: verdicts redrawn without regard to behaviour; means of ${draws} draws. ` : ""}${GREEDY}`);
-    grid.update([{ key: "unsafe", head: "unsafe within the budget" }, ...PAPER.t_bs.map((t_b) => ({ key: t_b, head: `t_b ${figure(t_b)}` }))], gridRows(all, chosen.j));
+    text(gridHint, `${draws ? `Controls: verdicts redrawn independently of behaviour; means of ${draws} draws. ` : ""}${GREEDY}`);
+    grid.update([{ key: "unsafe", head: "unsafe within the budget" }, ...(limits?.t_bs ?? []).map((t_b) => ({ key: t_b, head: `t_b ${figure(t_b)}` }))], gridRows(all, limits?.t_bs ?? [], chosen.j));
     keyed(says, all.filter((one) => one.scores?.says.length), (one) => one.id, (first) => {
       const node = h("li");
       node.update = (one) => text(node, `${one.name}: ${one.scores.says[choice.chosen.i][choice.chosen.j]}.`);
@@ -127,7 +123,7 @@ function pageOf(context, query, changed, chooseFitness) {
     const rows = differences(ready.map((one) => one.campaign));
     settings.hidden = rows.length === 0;
     settings.update(ready.map((one) => ({ key: `${one.id} ${one.name}`, head: one.name })), rows);
-    text(same, rows.length ? "" : "None: they are the same campaign in all but name.");
+    text(same, rows.length ? "" : "None: the campaigns differ in name only.");
   }
 
   return { chips, nodes: [few, shown], draw };
@@ -139,7 +135,7 @@ function chip(first, take) {
   const node = h("li.chip", null, swatch(first.colour), name, away);
   node.update = (one) => {
     text(name, one.name);
-    attribute(away, "aria-label", `Take ${one.name} away`);
+    attribute(away, "aria-label", `Remove ${one.name}`);
   };
   node.update(first);
   return node;
@@ -158,10 +154,10 @@ function note(place, all) {
   const budgets = new Set(all.map((one) => one.progress?.budget).filter(Boolean));
   const others = all.filter((one) => one.progress && !one.progress.looks_for_boundary);
   const words = [
-    problems.size > 1 && ["warn", "They search different problems: the figures of one say nothing of those of another."],
-    problems.size === 1 && worlds.size > 1 && ["warn", "Their problems are not set the same: what differs may be owed to that."],
-    problems.size === 1 && budgets.size > 1 && ["warn", "Their budgets differ: more simulations find more. The charts show what each had found after as many."],
-    others.length > 0 && ["", `${others.map((one) => one.name).join(", ")} ${others.length === 1 ? "does" : "do"} not look for the hazard boundary, so that DBS does not say how well ${others.length === 1 ? "it" : "they"} did.`],
+    problems.size > 1 && ["warn", "They search different problems, so their results are not comparable."],
+    problems.size === 1 && worlds.size > 1 && ["warn", "Their problems have different parameters, which may explain differences."],
+    problems.size === 1 && budgets.size > 1 && ["warn", "Their budgets differ, and more simulations find more. The charts compare them at equal numbers of simulations."],
+    others.length > 0 && ["", `${others.map((one) => one.name).join(", ")} ${others.length === 1 ? "does" : "do"} not search for the hazard boundary, so DBS does not measure ${others.length === 1 ? "its" : "their"} success.`],
     ...all.filter((one) => one.trouble).map((one) => ["bad", `${one.name}: ${one.trouble}`]),
   ].filter(Boolean);
   const told = JSON.stringify(words);
@@ -172,8 +168,8 @@ function note(place, all) {
 
 function factRows(all, { measure, t_b, d_th, i, j }) {
   const row = (label, say) => ({ key: label, label, cells: all.map((one) => say(one) ?? (one.trouble ? "–" : "…")) });
-  const scored = (say, so_far) => (one) => (one.scores ? say(one.scores) : one.progress ? one.scoring || so_far?.(one) || "when it has ended" : null);
-  const lately = (name) => ({ progress, generations }) => (progress.t_b === t_b && progress.d_th === d_th && generations.length > 0 ? `${count(generations.at(-1)[name])} so far` : "");
+  const scored = (say, so_far) => (one) => (one.scores ? say(one.scores) : one.progress ? one.scoring || so_far?.(one) || "after the end" : null);
+  const latest = (name) => ({ progress, generations }) => (progress.t_b === t_b && progress.d_th === d_th && generations.length > 0 ? `${count(generations.at(-1)[name])} so far` : "");
   const control = (say) => scored((scores) => (scores.control ? say(scores.control) : "none"));
   return [
     row("Problem", (one) => one.campaign && plainId(one.campaign.body.problem.id)),
@@ -181,22 +177,22 @@ function factRows(all, { measure, t_b, d_th, i, j }) {
     row("Seed", (one) => one.campaign && String(one.campaign.body.seed)),
     row("Status", (one) => one.progress?.status),
     row("Simulations", (one) => one.progress && `${count(one.progress.simulations)} of ${count(one.progress.budget)}`),
-    row("Unsafe of all", (one) => one.progress && percent(one.progress.evaluated ? one.progress.unsafe / one.progress.evaluated : null)),
-    row("DBS", scored((scores) => figure(scores.dbs.at(-1)[i][j]), lately("dbs"))),
-    row("Strict DBS", scored((scores) => figure(scores.strict.at(-1)[i][j]), lately("strict_dbs"))),
-    row(`Its control's ${NAMES[measure]}`, control((blind) => figure(blind[measure].at(-1)[i][j]))),
-    row("Behaviours a scenario", control((blind) => `${blind.behaviours_a_scenario.toFixed(1)}${blind.reads_low ? ", its control reads low" : ""}`)),
+    row("Unsafe share", (one) => one.progress && percent(one.progress.evaluated ? one.progress.unsafe / one.progress.evaluated : null)),
+    row("DBS", scored((scores) => figure(scores.dbs.at(-1)[i][j]), latest("dbs"))),
+    row("Strict DBS", scored((scores) => figure(scores.strict.at(-1)[i][j]), latest("strict_dbs"))),
+    row(`${NAMES[measure]} of the control`, control((blind) => figure(blind[measure].at(-1)[i][j]))),
+    row("Behaviours per scenario", control((blind) => `${blind.behaviours_a_scenario.toFixed(1)}${blind.reads_low ? ", control too low" : ""}`)),
   ];
 }
 
-function gridRows(all, j) {
+function gridRows(all, t_bs, j) {
   return all.flatMap((one) => {
     const rows = (source, share, extra) => [percent(share), ...source.dbs.at(-1).map((row, i) => `${figure(row[j])} (${figure(source.strict.at(-1)[i][j])})${extra}`)];
-    if (!one.scores) return [{ key: `${one.id} ${one.name}`, label: one.name, cells: ["–", ...PAPER.t_bs.map(() => (one.progress || one.trouble ? one.scoring || "–" : "…"))] }];
+    if (!one.scores) return [{ key: `${one.id} ${one.name}`, label: one.name, cells: ["–", ...t_bs.map(() => (one.progress || one.trouble ? one.scoring || "–" : "…"))] }];
     const blind = one.scores.control;
     return [
       { key: `${one.id} ${one.name} scored`, label: one.name, cells: rows(one.scores, one.scores.unsafe_share, "") },
-      ...(blind ? [{ key: `${one.id} ${one.name} control`, class: "muted", label: `${one.name}, control${blind.reads_low ? " (reads low)" : ""}`, cells: rows(blind, blind.unsafe_share, "") }] : []),
+      ...(blind ? [{ key: `${one.id} ${one.name} control`, class: "muted", label: `${one.name}, control${blind.reads_low ? " (too low)" : ""}`, cells: rows(blind, blind.unsafe_share, "") }] : []),
     ];
   });
 }
@@ -213,4 +209,190 @@ function lineOf(one, name) {
 
 function fromNought(plot, least, most) {
   return [0, Math.max(1, most ?? 1) * 1.05];
+}
+
+const DASHES = [[], [8, 4], [2, 3], [10, 4, 2, 4], [5, 5], [14, 4]];
+
+/**
+ * Return a step chart over simulations, one line for each campaign; ``update(lines)`` draws ``{key, name, colour, points: [x, y][]}``.
+ *
+ * @param {string} label Description.
+ * @param {object} context Of the view.
+ * @param {object} options Of the chart: ``options`` as uPlot takes them.
+ */
+function convergenceChart(label, context, options = {}) {
+  const place = h("div");
+  let known = null;
+  let own = null;
+  let drawn = null;
+
+  place.update = (lines) => {
+    const told = JSON.stringify(lines.map((line) => [line.key, line.name, line.colour]));
+    if (told !== known) {
+      known = told;
+      own?.abort();
+      own = new AbortController();
+      context.signal.addEventListener("abort", () => own.abort(), { signal: own.signal });
+      drawn = lines.length === 0 ? null : chart({
+        label, x: "simulations", signal: own.signal, height: 260, options,
+        series: lines.map((line, index) => ({
+          label: line.name, colour: line.colour, dash: DASHES[index % DASHES.length], more: { paths: uPlot.paths.stepped({ align: 1 }) },
+        })),
+      });
+      replace(place, drawn);
+    }
+    drawn?.update(joined(lines));
+  };
+  return place;
+}
+
+/** Return a column of all x values, then one column for each line: its last value by then, and null after its end. */
+function joined(lines) {
+  const all = [...new Set(lines.flatMap((line) => line.points.map(([x]) => x)))].sort((a, b) => a - b);
+  return [all, ...lines.map(({ points }) => {
+    const end = points.at(-1)?.[0] ?? -1;
+    let next = 0;
+    let last = null;
+    return all.map((x) => {
+      while (next < points.length && points[next][0] <= x) last = points[next++][1];
+      return x <= end ? last : null;
+    });
+  })];
+}
+
+/**
+ * Follow a campaign: its document, its progress and, once it has ended, its scores.
+ *
+ * @param {string} id
+ * @param {object} context Of the view.
+ * @param {() => void} changed Called whenever one of them changes.
+ * @returns {object} ``id``, and once they are known ``campaign``, ``progress``, ``generations``, ``scores``, ``scoring`` (words), ``trouble``;
+ *   ``leave()`` stops following.
+ */
+function follow(id, context, changed) {
+  const own = new AbortController();
+  context.signal.addEventListener("abort", () => own.abort(), { signal: own.signal });
+  const followed = { id, campaign: null, progress: null, generations: [], scores: null, scoring: "", trouble: "", leave: () => own.abort() };
+  const path = `campaigns/${encodeURIComponent(id)}`;
+  const retrying = { ...context.retrying, signal: own.signal };
+
+  function refuse(error) {
+    if (own.signal.aborted) return;
+    if (!(error instanceof ApiError)) throw error;
+    if (error.status === 401) return void context.signIn();
+    followed.trouble = error.message;
+    changed();
+  }
+
+  function take(read) {
+    followed.progress = read;
+    const [first] = read.generations;
+    const known = first === undefined ? followed.generations : followed.generations.filter((one) => one.number < first.number);
+    followed.generations = [...known, ...read.generations];
+    if (!isOpen(read.status) && !followed.scores && !followed.scoring) score();
+    changed();
+  }
+
+  async function score() {
+    followed.scoring = "being scored";
+    try {
+      Object.assign(followed, { scores: await whenMade(`${path}/scores`, { ...retrying, firstS: 3, waitS: 3 }), scoring: "" });
+    } catch (error) {
+      if (!own.signal.aborted) followed.scoring = "scores are not available";
+      refuse(error);
+      return;
+    }
+    changed();
+  }
+
+  withRetries(() => get(path, retrying), retrying).then((campaign) => {
+    followed.campaign = campaign;
+    const since = () => (followed.generations.at(-1)?.number ?? -1) + 1;
+    poll(() => `${path}/progress?since=${since()}`, take,
+      { ...retrying, busy: (read) => read.status === "running", refuse });
+    changed();
+  }).catch(refuse);
+  return followed;
+}
+
+const MOST = 6;
+const LISTED = 30;
+
+/**
+ * Return the list in which campaigns are chosen.
+ *
+ * @param {object} context Of the view.
+ * @param {() => string[]} chosen Ids of the compared campaigns.
+ * @param {(ids: string[]) => void} choose Called with other ids.
+ * @returns {HTMLElement} With ``update()``, to be called when the choice changes elsewhere.
+ */
+function picker(context, chosen, choose) {
+  const search = h("input", { type: "search", placeholder: "Name or id", oninput: searched });
+  const list = h("ul.picks");
+  const said = h("p.hint", { role: "status" });
+  const node = h("div.picker", null, h("label", null, "Find ", search), list, said);
+  let found = [];
+  let more = false;
+  let waiting = null;
+  context.signal.addEventListener("abort", () => clearTimeout(waiting), { once: true });
+  const listing = context.watch(() => `overview?${new URLSearchParams({ limit: LISTED, name: search.value.trim() })}`, (read) => {
+    found = rowsOf(read);
+    more = read.next !== null;
+    node.update();
+  });
+
+  function searched() {
+    clearTimeout(waiting);
+    waiting = setTimeout(listing.now, 250);
+  }
+
+  function turn(id, on) {
+    choose(on ? [...chosen(), id] : chosen().filter((other) => other !== id));
+  }
+
+  node.update = () => {
+    const ids = chosen();
+    const full = ids.length >= MOST;
+    keyed(list, found.map((row) => ({ ...row, on: ids.includes(row.id), full })), (row) => row.id, (row) => pick(row, turn));
+    text(said, [
+      full ? `${MOST} chosen, which is the maximum: remove one to add another.` : `${count(ids.length)} chosen; at most ${MOST}.`,
+      found.length === 0 ? "No campaign matches." : more ? `The latest ${count(found.length)} are listed; find others by name.` : "",
+    ].join(" ").trim());
+  };
+  return node;
+}
+
+function pick(first, turn) {
+  const box = h("input", { type: "checkbox", onchange: () => turn(first.id, box.checked) });
+  const about = h("span.small.muted");
+  const node = h("li", null, h("label.check", null, box, h("span", null, first.name, " ", about)));
+  node.update = (row) => {
+    box.checked = row.on;
+    box.disabled = row.full && !row.on;
+    attribute(node, "class", row.on ? "on" : null);
+    text(about, `${row.id}, ${plainId(row.problem)}, ${plainId(row.algorithm)}, seed ${row.seed}, ${row.status}`);
+  };
+  node.update(first);
+  return node;
+}
+
+const LEFT_OUT = new Set(["name"]);
+
+/** Return a row for each setting that differs between campaigns: its path, and its values. */
+function differences(campaigns) {
+  const flat = campaigns.map((campaign) => Object.fromEntries(flattened(campaign.body)));
+  const paths = [...new Set(flat.flatMap((one) => Object.keys(one)))];
+  return paths
+    .filter((path) => new Set(flat.map((one) => one[path])).size > 1)
+    .map((path) => ({ key: path, label: path, cells: flat.map((one) => one[path] ?? "–") }));
+}
+
+function* flattened(value, path = []) {
+  if (value !== null && typeof value === "object" && !Array.isArray(value)) {
+    for (const [name, part] of Object.entries(value)) {
+      if (path.length || !LEFT_OUT.has(name)) yield* flattened(part, name === "params" ? path : [...path, name]);
+    }
+  } else {
+    yield [path.join(" "), typeof value === "string" ? value : minus(JSON.stringify(value))];
+  }
 }

@@ -1,11 +1,10 @@
-/** All experiments: where each stands. */
+/** The list of experiments and their status. */
 
+import { isOpen } from "../api.js";
 import { attribute, h, keyed, replace, text } from "../dom.js";
 import { count, when } from "../format.js";
-import { badge } from "../parts/badge.js";
-import { meter } from "../parts/meter.js";
 import { link } from "../router.js";
-import { isOpen } from "../status.js";
+import { badge, meter } from "../parts/elements.js";
 
 const PAGE = 20;
 
@@ -17,8 +16,8 @@ export async function show(main, context, { query }) {
     h("caption.read-out", null, "Experiments, newest first"),
     h("thead", null, h("tr", null, ["Experiment", "Status", "Campaigns finished", "Simulations", "Failed", "Submitted"].map((words) =>
       h("th", { scope: "col" }, words)))), body));
-  const empty = h("div.empty", { hidden: true }, h("h2", null, "No experiment yet"),
-    h("p", null, "An experiment is every algorithm on every problem with every seed, and the tables that compare them. Submit one from a file:"),
+  const empty = h("div.empty", { hidden: true }, h("h2", null, "No experiments yet"),
+    h("p", null, "An experiment runs every algorithm on every problem with every seed, and compares the results. Submit one from a file:"),
     h("p", null, h("code", null, `brink experiment submit FILE --server ${new URL(".", document.baseURI).href.replace(/\/$/, "")}`)));
   const newest = h("a.button", { href: link("experiments"), hidden: !cursor }, "Newest");
   const older = h("a.button", { hidden: true }, "Older");

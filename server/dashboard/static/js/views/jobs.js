@@ -1,21 +1,18 @@
-/** Jobs that are not done: those in quarantine with their errors, those that run, those that wait. */
+/** Unfinished jobs: in quarantine with their errors, leased, or queued. */
 
-import { ApiError, get, send, serverNow } from "../api.js";
-import { rowsOf } from "../columns.js";
+import { ApiError, get, rowsOf, send, serverNow } from "../api.js";
 import { toast } from "../context.js";
 import { h, keyed, replace, text } from "../dom.js";
 import { ago, count, plural, when } from "../format.js";
-import { callout, workerCommand } from "../parts/callout.js";
-import { sure } from "../parts/confirm.js";
-import { segments } from "../parts/segments.js";
 import { link, rewrite } from "../router.js";
+import { callout, segments, sure, workerCommand } from "../parts/elements.js";
 
 const STATUSES = ["quarantined", "leased", "queued"];
 const WORDS = { quarantined: "In quarantine", leased: "Leased", queued: "Queued" };
 const HINTS = {
-  quarantined: "Jobs that failed at every attempt. A campaign goes on without them; one that still waits for a job can have it tried again.",
-  leased: "Jobs that a worker runs now, or has taken to run next.",
-  queued: "Jobs that wait for a worker. Those that failed before are tried again alone.",
+  quarantined: "Jobs that failed at every attempt. Campaigns continue without them. Jobs of campaigns that have not ended can be retried.",
+  leased: "Jobs that a worker is running or will run next.",
+  queued: "Jobs that wait for a worker. Jobs that failed before are leased alone.",
 };
 const KINDS = { episode: "", trace: "trace of ", "dataset-evaluation": "measurement of " };
 const PAGE = 50;
@@ -51,7 +48,7 @@ export async function show(main, context, { query }) {
   }
 
   function take(read) {
-    // An answer may be that to the choice before this one.
+    // The response may belong to the previous choice.
     const jobs = read.jobs.filter((job) => job.status === chosen.status && job.id > chosen.after && (!chosen.campaign || job.campaign === chosen.campaign));
     taken = { jobs, next: read.next };
     draw();
@@ -60,7 +57,7 @@ export async function show(main, context, { query }) {
   function draw() {
     if (taken !== null && !document.hidden) page.list(taken.jobs, counts, chosen, taken.next);
   }
-  const ticking = setInterval(draw, 2_000); // times ago
+  const ticking = setInterval(draw, 2_000); // updates ages
   context.signal.addEventListener("abort", () => clearInterval(ticking), { once: true });
 
   function choose(changes) {
@@ -79,8 +76,8 @@ export async function show(main, context, { query }) {
 
   async function retryAll() {
     const many = retriable(counts, chosen.campaign);
-    const of = Object.fromEntries(asked({})); // whatever is chosen meanwhile
-    if (!(await sure(`Put ${plural(many, "job")} back into the queue?`, { yes: "Retry them", danger: false }))) return;
+    const of = Object.fromEntries(asked({})); // fixed, even if the choice changes in the meantime
+    if (!(await sure(`Put ${plural(many, "job")} back into the queue?`, { yes: "Retry", danger: false }))) return;
     try {
       await retryEach((after) => `jobs?${new URLSearchParams({ ...of, limit: 200, after })}`, (job) => isAwaited(job, counts), context.signal);
     } catch (error) {
@@ -98,7 +95,7 @@ export async function show(main, context, { query }) {
   }
 }
 
-/** Retry all jobs of a list, page by page, and say what became of them. */
+/** Retry all jobs of a list, page by page, and report the outcome. */
 async function retryEach(path, wanted, signal) {
   let after = 0;
   let back = 0;
@@ -119,16 +116,16 @@ async function retryEach(path, wanted, signal) {
     after = page.next;
   }
   if (back) toast(`${plural(back, "job")} ${back === 1 ? "is" : "are"} back in the queue.`);
-  if (refused) toast(`${plural(refused, "job")} cannot be retried; the last one: ${reason}`, { bad: true });
+  if (refused) toast(`${plural(refused, "job")} cannot be retried. Last error: ${reason}`, { bad: true });
 }
 
-/** What to show first: what can be mended, then what goes on, then what cannot be mended. */
+/** Return the state to show first: jobs that can be retried, then running and queued ones, then the rest. */
 function firstLook(counts) {
   if (retriable(counts) > 0) return "quarantined";
   return ["leased", "queued"].find((status) => howMany(counts, status) > 0) ?? "quarantined";
 }
 
-/** Return how many jobs in quarantine somebody may still wait for. */
+/** Return the number of jobs in quarantine that can be retried. */
 function retriable(counts, campaign = "") {
   return rowsOf(counts, "status").reduce((total, row) => total
     + (row.status === "quarantined" && (!campaign || row.campaign === campaign) && isAwaited(row, counts) ? row.jobs : 0), 0);
@@ -143,7 +140,7 @@ function howMany(counts, status, campaign = "") {
     (total, row) => total + (row.status === status && (!campaign || row.campaign === campaign) ? row.jobs : 0), 0);
 }
 
-/** Return the parts of the page, with what changes them. */
+/** Return the parts of the page, and functions that update them. */
 function pageOf(context, choose, retry, retryAll) {
   const states = segments("State", (status) => choose({ status }));
   const campaigns = h("select", { onchange: () => choose({ campaign: campaigns.value }) });
@@ -159,8 +156,8 @@ function pageOf(context, choose, retry, retryAll) {
   const empty = h("p.empty", { hidden: true });
   const notes = h("div");
   const table = h("div.card.scroll", { tabindex: 0, role: "region", "aria-label": "Jobs", hidden: true }, h("table.jobs", null, caption,
-    h("thead", null, h("tr", null, ["Job", "Of", "Needs", "Attempts", "Since"].map((words) => h("th", { scope: "col" }, words)),
-      h("th.worker", { scope: "col" }, "Worker"), h("th.errors", { scope: "col" }, "Last error"), h("th.again", { scope: "col" }, h("span.read-out", null, "What to do")))), body));
+    h("thead", null, h("tr", null, ["Job", "Solution", "Needs", "Attempts", "Since"].map((words) => h("th", { scope: "col" }, words)),
+      h("th.worker", { scope: "col" }, "Worker"), h("th.errors", { scope: "col" }, "Last error"), h("th.again", { scope: "col" }, h("span.read-out", null, "Actions")))), body));
   const filters = h("div.inline.filters", null, states, h("label", null, "Campaign ", campaigns), all);
 
   function tally(counts, chosen) {
@@ -171,7 +168,7 @@ function pageOf(context, choose, retry, retryAll) {
     if (campaigns.value !== chosen.campaign) campaigns.value = chosen.campaign;
     const many = retriable(counts, chosen.campaign);
     all.hidden = !(context.may.steer && chosen.status === "quarantined" && many > 0);
-    text(all, `Retry all ${count(many)} of this list`);
+    text(all, `Retry all ${count(many)} listed`);
     text(hint, HINTS[chosen.status]);
     notice(notes, counts);
   }
@@ -180,7 +177,7 @@ function pageOf(context, choose, retry, retryAll) {
     const now = serverNow();
     keyed(body, jobs.map((job) => ({ ...job, name: counts.campaigns[job.campaign] ?? job.campaign, awaited: isAwaited(job, counts), now })), (job) => job.id,
       (job) => jobRow(job, context.may.steer, retry));
-    text(caption, `Jobs, ${chosen.status}, by their number`);
+    text(caption, `Jobs, ${chosen.status}, by id`);
     table.hidden = jobs.length === 0;
     for (const [part, is] of [["leased", chosen.status === "leased"], ["erred", jobs.some((job) => job.last_error)], ["quarantined", chosen.status === "quarantined"]]) {
       table.classList.toggle(part, is);
@@ -203,7 +200,7 @@ function notice(place, counts) {
   place.dataset.told = told;
   replace(place,
     Object.entries(counts.unrunnable).map(([needs, jobs]) => callout("warn",
-      `${plural(jobs, "queued job")} ${jobs === 1 ? "needs" : "need"} `, h("code", null, needs), ", which no live worker has. Start one that can run it: ", workerCommand())),
+      `${plural(jobs, "queued job")} ${jobs === 1 ? "needs" : "need"} `, h("code", null, needs), ", which no live worker provides. Start one that does: ", workerCommand())),
     waiting.map(([id, jobs]) => callout("", h("a", { href: link("campaigns", id) }, counts.campaigns[id]),
       ` is paused: ${plural(jobs, "queued job")} ${jobs === 1 ? "waits" : "wait"} until it is resumed.`)));
 }

@@ -1,15 +1,14 @@
-/** Submits a campaign: from a form made of the catalogue's schemas, or from the text of a campaign file. */
+/** The submission of a campaign: with a form generated from the catalogue's schemas, or as a campaign file. */
 
 import { ApiError, send } from "../api.js";
 import { h, replace, text } from "../dom.js";
 import { plainId } from "../format.js";
-import { callout } from "../parts/callout.js";
-import { field } from "../parts/fields.js";
 import { go } from "../router.js";
+import { callout } from "../parts/elements.js";
+import { field } from "../parts/fields.js";
 
 const FIRST = { problem: "urban-injected@1", algorithm: "mlcshe@1" };
-const HIDDEN_ALGORITHMS = new Set(["repeat@1"]); // made by Brink itself
-const EXAMPLE = `# A campaign file, as brink run and brink submit take them.
+const EXAMPLE = `# A campaign file for brink run or brink submit.
 name: quickstart
 problem:
   id: urban-injected@1
@@ -30,11 +29,11 @@ export async function show(main, context, { query }) {
     from ? context.get(`campaigns/${encodeURIComponent(from)}`) : null,
   ]);
   if (!context.may.steer) {
-    replace(main, h("h1", null, "New campaign"), callout("warn", "This token may look only. One of scope user can submit campaigns."));
+    replace(main, h("h1", null, "New campaign"), callout("warn", "This token is read-only. A token of scope user can submit campaigns."));
     return;
   }
   const trouble = h("div", { role: "alert" });
-  const form = formOf({ problems, algorithms: algorithms.filter((one) => !HIDDEN_ALGORITHMS.has(one.id)), description });
+  const form = formOf({ problems, algorithms: algorithms.filter((one) => !one.internal), description });
   const file = h("textarea", { id: "yaml", spellcheck: "false", "aria-describedby": "yaml-help" });
   file.value = EXAMPLE;
   const panes = {
@@ -43,7 +42,7 @@ export async function show(main, context, { query }) {
       h("p.hint", { id: "yaml-help" }, "YAML or JSON with the same fields as the form, and llm for a language model.")),
   };
   let mode = "form";
-  let left = false; // whether a file was left that the form could not take: it is not written over
+  let left = false; // whether the form could not represent the file, which must then not be overwritten
   let untouched = JSON.stringify(form.read(), null, 2);
   const modes = Object.entries({ form: "Form", file: "Campaign file" }).map(([name, words]) => h("button",
     { type: "button", "aria-pressed": String(name === mode), data: { mode: name }, onclick: () => turn(name) }, words));
@@ -51,12 +50,12 @@ export async function show(main, context, { query }) {
   const check = h("button", { type: "button", onclick: () => attempt(checked) }, "Check only");
 
   replace(main, h("p.crumb", null, h("a", { href: "#/campaigns" }, "Campaigns")),
-    h("div.head", null, h("h1", null, model ? `Clone of ${model.name}` : "New campaign"), h("div.segments", { role: "group", "aria-label": "How to write it" }, modes)),
+    h("div.head", null, h("h1", null, model ? `Clone of ${model.name}` : "New campaign"), h("div.segments", { role: "group", "aria-label": "Input" }, modes)),
     h("form.new-campaign", { novalidate: true, onsubmit: (event) => { event.preventDefault(); attempt(submitted); } },
       trouble, panes.form, panes.file, h("div.actions", null, submit, check)));
   if (model) form.fill({ ...model.body, seed: Math.min(model.body.seed + 1, Number.MAX_SAFE_INTEGER) });
 
-  /** Change over, and take along what was written. */
+  /** Switch between form and file, and convert what was entered. */
   async function turn(name) {
     if (name === mode) return;
     const taken = name === "file" ? fileFromForm() : await attempt(async () => form.fill(await written()));
@@ -65,18 +64,18 @@ export async function show(main, context, { query }) {
     for (const [each, pane] of Object.entries(panes)) pane.hidden = each !== mode;
     for (const each of modes) each.setAttribute("aria-pressed", String(each.dataset.mode === mode));
     if (taken) replace(trouble);
-    else trouble.prepend(callout("warn", "What the file says could not be taken along: the form is as it was before. The file is kept."));
+    else trouble.prepend(callout("warn", "The file could not be converted, so the form is unchanged. The file is kept."));
   }
 
-  /** Write the form as a file, unless nothing was written there: then an example, or what was pasted before, says more. */
+  /** Convert the form to a file, unless the form is untouched: the example or earlier text is then more useful. */
   function fileFromForm() {
     const now = JSON.stringify(form.read(), null, 2);
-    if (now !== untouched && !left) file.value = `# JSON is YAML, too.\n${now}\n`;
+    if (now !== untouched && !left) file.value = `# JSON is also YAML.\n${now}\n`;
     untouched = now;
     return true;
   }
 
-  /** The campaign as it is written now. */
+  /** Return the campaign as entered. */
   async function written() {
     return mode === "form" ? form.read() : send("POST", "campaigns/check", { text: file.value, headers: YAML });
   }
@@ -88,20 +87,20 @@ export async function show(main, context, { query }) {
 
   async function checked() {
     const body = await send("POST", "campaigns/check", { text: JSON.stringify(await written()), headers: YAML });
-    replace(trouble, callout("", `${body.name} could be submitted: ${body.problem.id}, ${body.algorithm.id}, ${body.budget.simulations} simulations.`));
+    replace(trouble, callout("", `${body.name} is valid: ${body.problem.id}, ${body.algorithm.id}, ${body.budget.simulations} simulations.`));
   }
 
   let attempted = "";
   let keyOf = "";
 
-  /** One key for one text: a second click on Submit makes no second campaign. */
+  /** Return the idempotency key of the current text: a second click on Submit creates no second campaign. */
   function key() {
     const told = JSON.stringify(mode === "form" ? form.read() : file.value);
     if (told !== attempted) [attempted, keyOf] = [told, `dashboard-${crypto.randomUUID?.() ?? `${Date.now()}-${Math.random()}`}`];
     return keyOf;
   }
 
-  /** Do something; show what is wrong beside the fields. Returns whether it was done. */
+  /** Run an action, and show errors next to the fields. Returns whether it succeeded. */
   async function attempt(doing) {
     replace(trouble);
     form.complain([]);
@@ -117,7 +116,7 @@ export async function show(main, context, { query }) {
       }
       const rest = mode === "form" ? form.complain(error.errors) : error.errors;
       const words = error.errors.length ? rest.map((one) => h("li", null, one.pointer && h("code", null, one.pointer), one.pointer && ": ", one.message, one.nearest && ` Did you mean ${one.nearest}?`)) : [h("li", null, error.message)];
-      replace(trouble, callout("bad", words.length ? h("ul.plain", null, words) : "Some fields are wrong: see beside them."));
+      replace(trouble, callout("bad", words.length ? h("ul.plain", null, words) : "Some fields are invalid; see the messages next to them."));
       return false;
     } finally {
       submit.disabled = check.disabled = false;
@@ -127,7 +126,7 @@ export async function show(main, context, { query }) {
 
 const YAML = { "Content-Type": "application/yaml" };
 
-/** Return the schemas of a campaign's own parts, from the description of the API. */
+/** Return the schemas of a campaign from the OpenAPI document. */
 async function schemas(context) {
   const read = await fetch(new URL("openapi.json", document.baseURI), { signal: context.signal });
   return (await read.json()).components.schemas;
@@ -136,9 +135,9 @@ async function schemas(context) {
 function formOf({ problems, algorithms, description }) {
   const campaign = description.CampaignBody.properties;
   const own = [
-    field("name", campaign.name, "/name", { required: true, help: "What you call it." }),
-    field("simulations", description.Budget.properties.simulations, "/budget/simulations", { required: true, label: "Simulations", help: "The budget: how many it may cost." }),
-    field("seed", campaign.seed, "/seed", { help: "The same seed finds the same." }),
+    field("name", campaign.name, "/name", { required: true, help: "A name of your choice." }),
+    field("simulations", description.Budget.properties.simulations, "/budget/simulations", { required: true, label: "Simulations", help: "Budget of the campaign." }),
+    field("seed", campaign.seed, "/seed", { help: "The same seed gives the same results." }),
     field("priority", campaign.priority, "/priority"),
     field("repeats", campaign.repeats, "/repeats"),
   ];
@@ -146,12 +145,12 @@ function formOf({ problems, algorithms, description }) {
   const algorithm = plugin("algorithm", "Algorithm", algorithms, FIRST.algorithm);
   const problem = plugin("problem", "Problem", problems, FIRST.problem, (chosen) => algorithm.suggest(chosen?.algorithm_defaults ?? {}));
   const every = () => [...own, ...execution, ...problem.fields(), ...algorithm.fields()];
-  let kept = {}; // what the form has no field for
+  let kept = {}; // parts without a field in the form
 
   const node = h("div.stack", null,
     h("fieldset.card", null, h("legend", null, "Campaign"), h("div.fields", null, own.map((one) => one.node))),
     problem.node, algorithm.node,
-    h("details.card", null, h("summary", null, "How its simulations are run"), h("div.fields", null, execution.map((one) => one.node))));
+    h("details.card", null, h("summary", null, "Execution"), h("div.fields", null, execution.map((one) => one.node))));
 
   function read() {
     const document = { ...kept, problem: problem.read(), algorithm: algorithm.read(), budget: {} };
@@ -176,7 +175,7 @@ function formOf({ problems, algorithms, description }) {
     algorithm.fill(body.algorithm);
   }
 
-  /** Say what is wrong beside the fields; returns what belongs to none of them. */
+  /** Show errors next to their fields; returns those that belong to none. */
   function complain(errors) {
     const rest = [];
     const fields = every();
@@ -198,7 +197,7 @@ function formOf({ problems, algorithms, description }) {
   return { node, read, fill, complain };
 }
 
-/** Return the part of the form that chooses a plug-in and its parameters; ``told`` hears which, or null if it is not known here. */
+/** Return the part of the form for a plug-in and its parameters; ``told`` is called with the plug-in, or null if it is unknown. */
 function plugin(part, title, known, first, told = () => {}) {
   const select = h("select", { id: `choose-${part}`, onchange: () => choose(select.value) }, known.map((one) => h("option", { value: one.id }, plainId(one.id))));
   const summary = h("p.help", { id: `about-${part}` });
@@ -214,7 +213,7 @@ function plugin(part, title, known, first, told = () => {}) {
   function choose(id) {
     unknown = {};
     const chosen = known.find((one) => one.id === id) ?? null;
-    if (![...select.options].some((one) => one.value === id)) select.append(h("option", { value: id }, id)); // the server says what it thinks of it
+    if (![...select.options].some((one) => one.value === id)) select.append(h("option", { value: id }, id)); // the server validates it
     select.value = id;
     text(summary, chosen?.summary ?? "");
     const properties = chosen?.params.properties ?? {};
@@ -237,7 +236,7 @@ function plugin(part, title, known, first, told = () => {}) {
     return { id: select.value, params: { ...unknown, ...params } };
   }
 
-  /** Show other defaults than the schema's. */
+  /** Show defaults that replace the schema's. */
   function suggest(defaults) {
     suggested = defaults;
     for (const one of fields) one.suggest(suggested[one.pointer.split("/").at(-1)]);

@@ -1,17 +1,16 @@
-/** Asks for a token. */
+/** The sign-in form. */
 
-import { ApiError, get } from "../api.js";
+import { ApiError, dropToken, get, takeToken } from "../api.js";
 import { h, replace, text } from "../dom.js";
-import { dropToken, takeToken } from "../session.js";
 
 const REASONS = {
-  401: "This token is not taken: it is misspelt, revoked, or has ended.",
-  403: "This token is a worker's: it may lease jobs and see nothing. Take one of scope read, user or admin.",
+  401: "Token rejected: it is misspelt, revoked or expired.",
+  403: "This is a worker token, which can only lease jobs. Use a token of scope read, user or admin.",
 };
 
 /**
  * @param {Element} main
- * @param {{reason: string, signal: AbortSignal, done: () => void}} given Why it is asked, and what then.
+ * @param {{reason: string, signal: AbortSignal, done: () => void}} given Why a token is needed, and what to call afterwards.
  */
 export function show(main, { reason, signal, done }) {
   document.title = "Sign in · Brink";
@@ -42,7 +41,7 @@ export function show(main, { reason, signal, done }) {
 
   replace(main, h("form.sign-in.card", { onsubmit: enter },
     h("h1", null, "Sign in"),
-    h("p", { id: "token-help" }, "This coordinator asks for a token. Whoever looks after it makes one with ",
+    h("p", { id: "token-help" }, "This coordinator requires a token. Its administrator can create one with ",
       h("code", null, "brink token create --scope user NAME"), "."),
     h("label", { for: "token" }, "Token"), token,
     h("label.check", null, remember, " Remember it on this device"),

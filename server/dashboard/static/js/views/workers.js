@@ -1,15 +1,12 @@
-/** Workers: who is there, what each can run and holds, how fast it goes. */
+/** Workers: which are live, what each can run and holds, and how fast it is. */
 
 import { serverNow } from "../api.js";
 import { attribute, h, keyed, replace, text } from "../dom.js";
 import { ago, count, plural, rate } from "../format.js";
-import { Pace } from "../pace.js";
-import { badge } from "../parts/badge.js";
-import { callout, workerCommand } from "../parts/callout.js";
-import { facts } from "../parts/facts.js";
 import { link } from "../router.js";
+import { badge, callout, facts, workerCommand } from "../parts/elements.js";
 
-const COLUMNS = ["Worker", "State", "Holds", "Rate", "Done", "Failed", "Last seen", "Can run", "Version"];
+const COLUMNS = ["Worker", "State", "Jobs", "Rate", "Done", "Failed", "Last seen", "Can run", "Version"];
 const RIGHT = new Set(["Done", "Failed"]);
 const LISTED = 500;
 
@@ -22,12 +19,12 @@ export async function show(main, context) {
   const oldLine = h("label.check", { hidden: true }, old, oldWords);
   const body = h("tbody");
   const table = h("div.card.scroll", { tabindex: 0, role: "region", "aria-label": "Workers", hidden: true }, h("table.workers", null,
-    h("caption.read-out", null, "Workers, the latest heard of first"),
+    h("caption.read-out", null, "Workers, most recently seen first"),
     h("thead", null, h("tr", null, COLUMNS.map((words) => h("th", { scope: "col", class: RIGHT.has(words) ? "right" : null }, words)))), body));
-  const nobody = h("div.empty", { hidden: true }, h("h2", null, "No worker has been heard of"),
-    h("p", null, "Workers run the simulations. Start one a core, on this machine or any other that reaches the coordinator:"),
+  const nobody = h("div.empty", { hidden: true }, h("h2", null, "No workers yet"),
+    h("p", null, "Workers run the simulations. Start one per core, on any machine that can reach the coordinator:"),
     h("p", null, workerCommand()));
-  const more = h("p.hint", { hidden: true }, "Another worker: ", workerCommand(), ". Start one a core.");
+  const more = h("p.hint", { hidden: true }, "To add a worker: ", workerCommand(), ". Start one per core.");
   replace(main, h("div.head", null, h("h1", null, "Workers")),
     h("section.card.totals", { "aria-label": "All workers" }, totals), notes, oldLine, table, nobody, more);
 
@@ -68,8 +65,8 @@ export async function show(main, context) {
     oldLine.hidden = gone === 0;
     text(oldWords, `Show ${plural(gone, "worker")} that ${gone === 1 ? "is" : "are"} gone`);
     totals.update({
-      "Live workers": count(live.length), "Jobs held": count(sum(rows, "jobs_held")), "Rate of all": said(sum(live, "perSecond")),
-      "Jobs done": count(sum(rows, "jobs_done")), "Attempts failed": count(sum(rows, "jobs_failed")),
+      "Live workers": count(live.length), "Jobs held": count(sum(rows, "jobs_held")), "Total rate": said(sum(live, "perSecond")),
+      "Jobs done": count(sum(rows, "jobs_done")), "Failed attempts": count(sum(rows, "jobs_failed")),
     });
     note(notes, rows, live, unmet);
   }
@@ -82,10 +79,10 @@ export async function show(main, context) {
     if (!paces.has(worker.id)) paces.set(worker.id, new Pace());
     const pace = paces.get(worker.id);
     pace.note(worker.jobs_done, now);
-    const lately = worker.live ? pace.perSecond(now) : null;
-    if (lately !== null) return { perSecond: lately, over: "lately" };
+    const recent = worker.live ? pace.perSecond(now) : null;
+    if (recent !== null) return { perSecond: recent, over: "last minute" };
     const there = (Date.parse(worker.last_seen_at) - Date.parse(worker.first_seen_at)) / 1000;
-    return { perSecond: there > 0 ? worker.jobs_done / there : null, over: "since it came" };
+    return { perSecond: there > 0 ? worker.jobs_done / there : null, over: "since its start" };
   }
 }
 
@@ -94,9 +91,9 @@ function note(place, rows, live, unmet) {
   if (place.dataset.told === told) return;
   place.dataset.told = told;
   replace(place,
-    rows.length > 0 && live.length === 0 && callout("warn", "No worker is there now. Start one: ", workerCommand()),
+    rows.length > 0 && live.length === 0 && callout("warn", "No worker is running. Start one: ", workerCommand()),
     live.length > 0 && unmet.map(([needs, jobs]) => callout("warn", `${plural(jobs, "queued job")} ${jobs === 1 ? "needs" : "need"} `,
-      h("code", null, needs), ", which no live worker has. ", h("a", { href: link("jobs", { status: "queued" }) }, "Look at them"))));
+      h("code", null, needs), ", which no live worker provides. ", h("a", { href: link("jobs", { status: "queued" }) }, "Show them"))));
 }
 
 function workerRow(first) {
@@ -159,4 +156,28 @@ function sum(rows, name) {
 
 function said(perSecond) {
   return perSecond === 0 ? "none" : rate(perSecond);
+}
+
+const OVER_MS = 60_000;
+const EVERY_MS = 5_000;
+const LEAST_MS = 10_000;
+
+/** How fast a count grows, from observations of the last minute. */
+class Pace {
+  #seen = []; // pairs of time and count, some seconds apart
+  #count = 0;
+
+  /** Record the current count. */
+  note(count, nowMs) {
+    if (count < this.#count) this.#seen = []; // a new worker with the same id
+    this.#count = count;
+    if (!this.#seen.length || nowMs - this.#seen.at(-1)[0] >= EVERY_MS) this.#seen.push([nowMs, count]);
+    while (this.#seen.length > 2 && nowMs - this.#seen[1][0] > OVER_MS) this.#seen.shift();
+  }
+
+  /** Return the growth per second, or null while there are too few observations. */
+  perSecond(nowMs) {
+    const [since, before] = this.#seen[0] ?? [nowMs, 0];
+    return nowMs - since < LEAST_MS ? null : (this.#count - before) / ((nowMs - since) / 1000);
+  }
 }

@@ -1,11 +1,10 @@
 /**
- * A canvas with up to some twenty thousand points: drag to move, wheel or pinch to zoom, a lasso to choose, a click to
- * open. All points are painted anew for each frame.
+ * A canvas for some twenty thousand points: drag to pan, wheel or pinch to zoom, a lasso to select, a click to open.
+ * All points are painted again for each frame, pixel by pixel, which is several times as fast as canvas paths.
  */
 
 import { h } from "../../dom.js";
 import { colour, onTheme } from "../../theme.js";
-import { packed, Stamp } from "./stamping.js";
 
 const MARGIN = 24;
 const NEAR_PX = 14;
@@ -26,9 +25,9 @@ const FAINT = 0.22;
 export function solutionMap({ signal, hover, open, choose }) {
   const canvas = h("canvas.map", {
     tabindex: 0, role: "application",
-    "aria-label": "Map of the solutions. Arrow keys move it, plus and minus zoom, 0 shows all. The table of boundary solutions says the same in words.",
+    "aria-label": "Map of the solutions. Arrow keys pan, plus and minus zoom, 0 shows all. The table of boundary solutions has the same content as text.",
   });
-  const pen = canvas.getContext("2d", { willReadFrequently: true }); // kept in memory, where it is painted
+  const pen = canvas.getContext("2d", { willReadFrequently: true }); // keeps the canvas in main memory, where it is painted
   let width = 0;
   let height = 0;
   let ratio = 1;
@@ -39,8 +38,8 @@ export function solutionMap({ signal, hover, open, choose }) {
   let bounds = { x: 0, y: 0, scale: 1 };
   let view = { zoom: 1, dx: 0, dy: 0 };
   let chosen = new Set();
-  let ringed = []; // the boundary
-  let ring = null; // what is open
+  let ringed = []; // boundary solutions
+  let ring = null; // the open solution
   let lassoing = false;
   let path = null;
   let due = false;
@@ -187,7 +186,7 @@ export function solutionMap({ signal, hover, open, choose }) {
     return odd;
   }
 
-  // Pointers: one moves the map or draws the lasso, two zoom.
+  // One pointer pans the map or draws the lasso, two zoom.
   const down = new Map();
   let moved = 0;
   const at = (event) => [event.offsetX, event.offsetY];
@@ -242,7 +241,7 @@ export function solutionMap({ signal, hover, open, choose }) {
   });
   listen("pointerleave", () => hover(null, { x: 0, y: 0 }));
   listen("wheel", (event) => {
-    // Only when the map was chosen: a page that scrolls by must not be caught.
+    // Only when the map has the focus: scrolling past it must not zoom.
     if (document.activeElement !== canvas && !event.ctrlKey) return;
     event.preventDefault();
     zoomAt(...at(event), Math.exp(-event.deltaY * 0.002));
@@ -292,4 +291,52 @@ export function solutionMap({ signal, hover, open, choose }) {
   signal.addEventListener("abort", () => seen.disconnect(), { once: true });
   onTheme(draw, signal);
   return canvas;
+}
+
+const OPAQUE = 256;
+
+/** Return a colour such as ``rgb(1, 2, 3)`` or ``#0a0b0c`` as one number, as image data stores it. */
+function packed(colour) {
+  const hex = /^#([0-9a-f]{6})$/i.exec(colour);
+  const [r, g, b] = hex ? [0, 2, 4].map((at) => parseInt(hex[1].slice(at, at + 2), 16)) : colour.match(/[\d.]+/g).slice(0, 3).map(Number);
+  return ((255 << 24) | (b << 16) | (g << 8) | r) >>> 0;
+}
+
+/** A disc of one size for pictures of one width: which pixels it covers, and how much of each. */
+class Stamp {
+  /**
+   * @param {number} radius Radius in px.
+   * @param {number} width Width of the picture in px.
+   * @param {number} opacity Opacity of the disc, in [0, 1].
+   */
+  constructor(radius, width, opacity) {
+    this.reach = Math.ceil(radius + 0.5);
+    const [places, shares] = [[], []];
+    for (let y = -this.reach; y <= this.reach; y += 1) {
+      for (let x = -this.reach; x <= this.reach; x += 1) {
+        const covered = Math.max(0, Math.min(1, radius + 0.5 - Math.hypot(x, y)));
+        if (covered === 0) continue;
+        places.push(y * width + x);
+        shares.push(Math.round(OPAQUE * covered * opacity));
+      }
+    }
+    this.places = Int32Array.from(places);
+    this.shares = Int32Array.from(shares);
+  }
+
+  /** Blend a disc of a packed colour into the pixels around an index at least `reach` from the edge of the picture. */
+  onto(pixels, place, colour) {
+    const { places, shares } = this;
+    const redBlue = colour & 0xff00ff;
+    const green = colour & 0x00ff00;
+    for (let k = 0; k < places.length; k += 1) {
+      const at = place + places[k];
+      const was = pixels[at];
+      const share = shares[k];
+      const rest = OPAQUE - share;
+      pixels[at] = 0xff000000
+        | (((Math.imul(was & 0xff00ff, rest) + Math.imul(redBlue, share)) >>> 8) & 0xff00ff)
+        | (((Math.imul(was & 0x00ff00, rest) + Math.imul(green, share)) >>> 8) & 0x00ff00);
+    }
+  }
 }

@@ -1,24 +1,23 @@
-/** The map with what belongs to it: how it is coloured, what the axes mean, which solutions are chosen. */
+/** The card around the map: its data, its colours, the meaning of its axes, and the selected solutions. */
 
+import { Conditional, UNCHANGED } from "../../api.js";
 import { attribute, h, replace, text } from "../../dom.js";
 import { count, figure, percent, plural, spaced } from "../../format.js";
-import { badge } from "../../parts/badge.js";
-import { sparing } from "../../sparing.js";
+import { loadOnNews } from "../../polling.js";
 import { link, rewrite } from "../../router.js";
-import { onTheme } from "../../theme.js";
+import { colour, onTheme } from "../../theme.js";
+import { badge } from "../../parts/elements.js";
 import { solutionMap } from "./map.js";
-import { byCategory, byFigure, byVerdict } from "./map_colours.js";
-import { MapData } from "./map_data.js";
 
 const OWN = [["verdict", "verdict"], ["fitness", "fitness"], ["robustness", "robustness"], ["generation", "generation"]];
 const MOST_LISTED = 60;
 
 /**
- * Return the card; its ``news`` loads what is new, its ``parameters`` offers more colours, its ``ring`` takes the numbers of
- * the boundary solutions.
+ * Return the card; ``news`` loads new solutions, ``parameters`` offers more colours, ``ring`` marks the boundary solutions
+ * given by number.
  *
  * @param {Context} context
- * @param {string} id The campaign.
+ * @param {string} id Id of the campaign.
  * @param {URLSearchParams} query ``colour`` and ``solution`` of the address.
  */
 export function mapCard(context, id, query) {
@@ -35,7 +34,7 @@ export function mapCard(context, id, query) {
   const lasso = h("button", { type: "button", "aria-pressed": "false", onclick: () => turnLasso() }, "Lasso");
   const legend = h("ul.legend", { "aria-label": "Colours" });
   const about = h("p.hint");
-  const panel = h("aside.map-panel", { "aria-label": "Chosen on the map", "aria-live": "polite" });
+  const panel = h("aside.map-panel", { "aria-label": "Selection on the map", "aria-live": "polite" });
   const button = (words, label, doing) => h("button", { type: "button", "aria-label": label, onclick: doing }, words);
   const card = h("section.card", { "aria-label": "Map" },
     h("div.inline", null, h("h2", null, "Map of the search"),
@@ -48,16 +47,16 @@ export function mapCard(context, id, query) {
   offer([]);
   explain();
 
-  const load = sparing(async () => {
+  const load = loadOnNews(async () => {
     await data.load(id, isParameter(by) ? by : "", context.signal);
-    draw(); // even if nothing came: colours may have been chosen meanwhile
+    draw(); // even without new data: another colour may have been chosen in the meantime
   }, { signal: context.signal, refuse: context.complain });
 
   function isParameter(name) {
     return !OWN.some(([own]) => own === name);
   }
 
-  /** Offer colours; a list that somebody may have open is not made anew only because the order has changed. */
+  /** Offer colours. The list, which may be open, is not rebuilt if only the order has changed. */
   function offer(parameters) {
     const names = parameters.map((one) => `${one.component}.${one.parameter}`).sort().join();
     if (names === offered) return;
@@ -84,7 +83,7 @@ export function mapCard(context, id, query) {
 
   function draw() {
     if (!data.count) {
-      text(about, "No solution has a verdict yet.");
+      text(about, "No solution has been evaluated yet.");
       return;
     }
     const colouring = colouringOf();
@@ -97,20 +96,20 @@ export function mapCard(context, id, query) {
     }), boundary.length > 0 && h("li", null, h("i.ringed"), `${plural(placed(boundary).length, "distinct boundary solution")}, ringed`));
     const { drawn, evaluated, explained, across, up } = data.about;
     text(about, [
-      drawn < evaluated ? `${count(drawn)} of ${count(evaluated)} solutions are drawn.` : `${plural(drawn, "solution")}.`,
-      `Alike ones lie near each other; the plane holds ${percent(explained)} of the spread.`,
-      across && `Across: ${across}.`, up && `Up: ${up}.`,
+      drawn < evaluated ? `${count(drawn)} of ${count(evaluated)} solutions are shown.` : `${plural(drawn, "solution")}.`,
+      `Similar solutions lie close together; the map preserves ${percent(explained)} of the squared distances.`,
+      across && `Horizontal axis: ${across}.`, up && `Vertical axis: ${up}.`,
     ].filter(Boolean).join(" "));
     mark();
   }
 
   function colouringOf() {
     if (by === "verdict") return byVerdict(data);
-    if (by === "fitness") return byFigure(data.fitness, { low: 0 });
-    if (by === "robustness") return byFigure(data.robustness);
-    if (by === "generation") return byFigure(data.told_in, { low: 0 });
+    if (by === "fitness") return byNumber(data.fitness, { low: 0 });
+    if (by === "robustness") return byNumber(data.robustness);
+    if (by === "generation") return byNumber(data.told_in, { low: 0 });
     if (data.by?.parameter !== by || data.by.values.length !== data.count) return byVerdict(data);
-    return data.by.choices ? byCategory(data.by.values, data.by.choices) : byFigure(data.by.values, data.by);
+    return data.by.choices ? byCategory(data.by.values, data.by.choices) : byNumber(data.by.values, data.by);
   }
 
   function hover(i, { x, y }) {
@@ -150,31 +149,31 @@ export function mapCard(context, id, query) {
       h("p.small.muted", null, [
         read.robustness !== null && `robustness ${figure(read.robustness)}`,
         read.fitness !== null && `fitness ${figure(read.fitness)}`,
-        read.neighbours !== null && `${read.unsafe_neighbours} of ${read.neighbours} around it unsafe`,
+        read.neighbours !== null && `${read.unsafe_neighbours} of ${read.neighbours} neighbours unsafe`,
       ].filter(Boolean).join(" · ")),
       h("p", null, h("a.button.primary", { href: link("campaigns", id, "solutions", number) }, "Open and replay")),
-      chosen.length > 0 && h("p", null, h("button.quiet", { type: "button", onclick: list }, "Back to the chosen ones")));
+      chosen.length > 0 && h("p", null, h("button.quiet", { type: "button", onclick: list }, "Back to the selection")));
   }
 
   function list() {
     const rows = placed(chosen);
     const unsafe = rows.filter((i) => data.unsafe[i]).length;
     const sorted = rows.sort((a, b) => data.fitness[a] - data.fitness[b]).slice(0, MOST_LISTED);
-    replace(panel, h("h3", null, `${plural(rows.length, "solution")} chosen`),
-      h("p.small.muted", null, `${percent(unsafe / rows.length)} unsafe. The nearest to the boundary first.`),
+    replace(panel, h("h3", null, `${plural(rows.length, "solution")} selected`),
+      h("p.small.muted", null, `${percent(unsafe / rows.length)} unsafe. Closest to the boundary first.`),
       h("ul.chosen", null, sorted.map((i) => h("li", null,
         h("a", { href: link("campaigns", id, "solutions", data.number[i]) }, `solution ${data.number[i]}`),
         h("span.small.muted", null, ` ${data.unsafe[i] ? "unsafe" : "safe"}, fitness ${figure(data.fitness[i])}`)))),
       rows.length > MOST_LISTED && h("p.hint", null, `and ${count(rows.length - MOST_LISTED)} more`),
-      h("p", null, h("button", { type: "button", onclick: () => choose([]) }, "Choose none")));
+      h("p", null, h("button", { type: "button", onclick: () => choose([]) }, "Clear selection")));
   }
 
   function explain() {
-    replace(panel, h("h3", null, "Nothing chosen"),
-      h("p.small.muted", null, "Click a point to see what it is. Draw around some with the lasso, or with Shift held. Drag to move; click the map once and the wheel zooms."));
+    replace(panel, h("h3", null, "Nothing selected"),
+      h("p.small.muted", null, "Click a point for details. Select several with the lasso, or by dragging with Shift held. Drag to pan; click the map first to zoom with the wheel."));
   }
 
-  /** Return where solutions are among the points; a thinned map has not all of them. */
+  /** Return the indices of solutions among the points; a thinned map does not have all of them. */
   function placed(numbers) {
     return numbers.map((number) => data.place.get(number)).filter((i) => i !== undefined);
   }
@@ -196,4 +195,119 @@ export function mapCard(context, id, query) {
     draw();
   };
   return card;
+}
+
+const STEPS = 24;
+// Stops of the viridis map by S. van der Walt and N. Smith (CC0), evenly spaced.
+const STOPS = [[68, 1, 84], [65, 68, 135], [42, 120, 142], [34, 168, 132], [122, 209, 81], [253, 231, 37]];
+const CATEGORIES = ["#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#999933", "#bbbbbb", "#882255", "#44aa99"];
+
+/**
+ * @typedef {object} Colouring
+ * @property {Uint8Array} index Index of the colour of each point.
+ * @property {string[]} colours
+ * @property {{label: string, colour: string}[]} legend
+ */
+
+/** Colour by verdict. */
+function byVerdict(data) {
+  const colours = [colour("--safe"), colour("--unsafe")];
+  return {
+    index: data.unsafe, colours,
+    legend: [{ label: "safe", colour: colours[0] }, { label: "unsafe", colour: colours[1] }],
+  };
+}
+
+/** Colour by a number, from lowest to highest; unknown values are grey. */
+function byNumber(values, { low = null, high = null, unit = "" } = {}) {
+  let least = low ?? Infinity;
+  let most = high ?? -Infinity;
+  if (low === null || high === null) {
+    for (const value of values) {
+      if (!Number.isFinite(value)) continue;
+      if (low === null && value < least) least = value;
+      if (high === null && value > most) most = value;
+    }
+  }
+  const index = new Uint8Array(values.length);
+  const range = most - least || 1;
+  for (let i = 0; i < values.length; i += 1) {
+    index[i] = Number.isFinite(values[i])
+      ? Math.max(0, Math.min(STEPS - 1, Math.floor(((values[i] - least) / range) * STEPS))) : STEPS;
+  }
+  const colours = Array.from({ length: STEPS }, (_, step) => ramp(step / (STEPS - 1)));
+  const ends = [least, (least + most) / 2, most].map((value, place) => ({
+    label: `${figure(value)}${unit ? ` ${unit}` : ""}`, colour: colours[Math.round((place / 2) * (STEPS - 1))],
+  }));
+  return { index, colours: [...colours, colour("--pending")], legend: Number.isFinite(least) ? ends : [] };
+}
+
+/** Colour by a category. */
+function byCategory(values, choices) {
+  const index = new Uint8Array(values.length);
+  const many = Math.min(choices.length, CATEGORIES.length);
+  for (let i = 0; i < values.length; i += 1) {
+    index[i] = Number.isFinite(values[i]) ? Math.min(values[i], many - 1) : many;
+  }
+  const colours = CATEGORIES.slice(0, many);
+  const legend = colours.map((own, place) => ({
+    label: place === many - 1 && choices.length > many ? "others" : spaced(choices[place]), colour: own,
+  }));
+  return { index, colours: [...colours, colour("--pending")], legend };
+}
+
+function ramp(share) {
+  const at = share * (STOPS.length - 1);
+  const below = Math.min(STOPS.length - 2, Math.floor(at));
+  const mixed = STOPS[below].map((from, channel) => Math.round(from + (STOPS[below + 1][channel] - from) * (at - below)));
+  return `rgb(${mixed.join(",")})`;
+}
+
+const COLUMNS = ["number", "told_in", "unsafe", "robustness", "x", "y"];
+
+/** The points of a campaign in columns; only new ones are loaded. */
+class MapData {
+  #conditional = new Conditional();
+  version = "";
+  count = 0;
+  number = new Int32Array(0);
+  told_in = new Int32Array(0);
+  unsafe = new Uint8Array(0);
+  robustness = new Float32Array(0);
+  x = new Float32Array(0);
+  y = new Float32Array(0);
+  fitness = new Float32Array(0);
+  by = null;
+  about = null;
+
+  /** Load new points; returns whether there are any. */
+  async load(campaign, parameter, signal) {
+    const query = new URLSearchParams();
+    if (this.version) {
+      query.set("version", this.version);
+      query.set("after", this.count);
+    }
+    if (parameter) query.set("parameter", parameter);
+    const read = await this.#conditional.get(`campaigns/${campaign}/map?${query}`, { signal });
+    if (read === UNCHANGED) return false;
+    this.#take(read);
+    return true;
+  }
+
+  #take(read) {
+    for (const name of COLUMNS) this[name] = joined(this[name], read.first, read[name]);
+    this.count = this.number.length;
+    this.version = read.version;
+    this.fitness = Float32Array.from(read.fitness);
+    this.by = read.by && { ...read.by, values: Float32Array.from(read.by.values, (value) => value ?? NaN) };
+    const { generation, evaluated, drawn, explained, across, up } = read;
+    this.about = { generation, evaluated, drawn, explained, across, up };
+  }
+}
+
+function joined(known, first, more) {
+  const whole = new known.constructor(first + more.length);
+  whole.set(known.subarray(0, first));
+  whole.set(more, first);
+  return whole;
 }

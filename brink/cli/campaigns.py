@@ -1,0 +1,347 @@
+"""Commands that talk to a coordinator about campaigns: submit, status, results, pause, resume, cancel, retry, delete.
+
+They load neither the search nor the server, so they start fast with ``--server``.
+"""
+
+import asyncio
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from brink.api.client import Api, CoordinatorError
+from brink.cli.live import CampaignDisplay, spark
+from brink.cli.options import (
+    AsJson,
+    CampaignFile,
+    CampaignId,
+    Confirmed,
+    Database,
+    DistanceThreshold,
+    FitnessThreshold,
+    Server,
+    console,
+    database_option,
+    delete_confirmed,
+    plain_table,
+    print_json,
+    print_line,
+    program,
+    settings_with,
+    with_api,
+    write_json,
+)
+from brink.server.api.schemas import (
+    Boundary,
+    CampaignList,
+    CampaignView,
+    DbsCell,
+    JobList,
+    JobViewModel,
+    Progress,
+    WorkerView,
+)
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, read_campaign_file
+from brink.server.errors import FieldError, InvalidInput
+from brink.server.states import CampaignStatus
+
+POLL_S = 0.5
+ERRORS_SHOWN = 5
+SOLUTIONS_SHOWN = 5
+ALL_GENERATIONS = 10**9
+"""Cursor beyond the last generation of every campaign: progress without series."""
+RETRY_PAGE = 1000
+"""Quarantined jobs to fetch at a time."""
+
+
+def submit(
+    file: CampaignFile,
+    server: Annotated[
+        str, typer.Option("--server", envvar="BRINK_SERVER", help="URL of the coordinator.")
+    ] = "http://127.0.0.1:8700",
+    watch: Annotated[bool, typer.Option("--watch", help="Show progress until the campaign ends.")] = False,
+    key: Annotated[
+        str | None, typer.Option(help="Idempotency key: a second submission with the same key has no effect.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Submit a campaign to a coordinator.
+
+    Example: brink submit examples/paper-mlcshe.yaml --server http://coordinator:8700 --watch
+    """
+    body = read_campaign_file(file)
+
+    async def work(api: Api) -> bool:
+        headers = {"Idempotency-Key": key} if key else {}
+        response = await api.request("POST", "/campaigns", json=body.model_dump(mode="json"), headers=headers)
+        campaign = CampaignView.model_validate_json(response.content)
+        if as_json and not watch:
+            print_json(response.json())
+        elif not as_json:
+            known = "" if response.status_code == 201 else " (submitted before with this key)"
+            console().print(f"campaign {campaign.id}{known}")
+            if not watch:
+                print_line(f"show its progress with: {program()} status {campaign.id} --server {server}")
+        return await follow(api, campaign.id, as_json=as_json) if watch else True
+
+    if not with_api(server, None, work):
+        raise typer.Exit(1)
+
+
+async def follow(api: Api, campaign: str, *, as_json: bool, quiet: bool = False) -> bool:
+    """Show the progress of a campaign until it ends or is paused.
+
+    Args:
+        api: Coordinator of the campaign.
+        campaign: Id of the campaign.
+        as_json: Print only the last progress, as JSON.
+        quiet: Print nothing.
+
+    Returns:
+        Whether the campaign finished.
+    """
+    screen = console()
+    with CampaignDisplay(screen) as display:
+        while True:
+            document = await api.get(f"/campaigns/{campaign}/progress", {"since": display.generations})
+            progress = Progress.model_validate(document)
+            if not (as_json or quiet):
+                display.show(progress)
+            if progress.status is not CampaignStatus.RUNNING:
+                break
+            await asyncio.sleep(POLL_S)
+    if as_json:
+        print_json(document)
+    elif not quiet:
+        screen.print(
+            f"campaign {campaign} is {progress.status}: {progress.simulations} simulations, "
+            f"{progress.unsafe} unsafe {progress.status_reason}"
+        )
+        screen.print(f"archive sha256 {progress.digest}")
+    return progress.status is CampaignStatus.FINISHED
+
+
+def status(
+    campaign: Annotated[
+        str | None, typer.Argument(metavar="[ID]", help="Campaign id; all campaigns without it.")
+    ] = None,
+    database: Database = None,
+    server: Server = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show the progress of all campaigns, or of one with its failures and workers.
+
+    Example: brink status 3f2a
+    """
+    with_api(
+        server,
+        database,
+        lambda api: _show_campaign(api, campaign, as_json) if campaign else _list_campaigns(api, as_json),
+    )
+
+
+async def _show_campaign(api: Api, campaign: str, as_json: bool) -> None:
+    document = await api.get(f"/campaigns/{campaign}/progress")
+    progress = Progress.model_validate(document)
+    failed = {"campaign": progress.id, "status": "quarantined", "limit": 1000}
+    if as_json:
+        jobs, workers = (await api.get("/jobs", failed))["jobs"], await api.get("/workers")
+        print_json({**document, "quarantined_jobs": jobs, "live_workers": workers})
+        return
+    quarantined = (await api.read(JobList, "/jobs", failed)).jobs
+    live = [one for one in await api.read(list[WorkerView], "/workers") if one.live]
+    _print_status(progress, quarantined, len(live))
+
+
+async def _list_campaigns(api: Api, as_json: bool) -> None:
+    page = {"limit": 200}
+    if as_json:
+        print_json(await api.get("/campaigns", page))
+        return
+    campaigns = (await api.read(CampaignList, "/campaigns", page)).campaigns
+    table = plain_table("id", "name", "status", "simulations", "unsafe", "failed", "submitted")
+    for one in campaigns:
+        counts: CampaignView | Progress = one
+        if one.status in (CampaignStatus.RUNNING, CampaignStatus.PAUSED):
+            # The progress includes the generation under way.
+            counts = await api.read(Progress, f"/campaigns/{one.id}/progress", {"since": ALL_GENERATIONS})
+        table.add_row(
+            one.id, one.name, counts.status, f"{counts.simulations} of {counts.budget}", str(counts.unsafe),
+            str(counts.failed), f"{one.created_at:%Y-%m-%d %H:%M}",
+        )  # fmt: skip
+    console().print(table if campaigns else f"no campaigns yet; start one with: {program()} run FILE")
+
+
+def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: int) -> None:
+    screen = console()
+    series = progress.generations
+    reason = f": {progress.status_reason}" if progress.status_reason else ""
+    screen.print(f"[bold]{progress.name}[/bold] ({progress.id}) is {progress.status}{reason}")
+    screen.print(
+        f"{progress.simulations} of {progress.budget} simulations in {progress.elapsed_s:.0f} s, "
+        f"{progress.unsafe} unsafe, {progress.failed} failed, {progress.measured} measured on data, "
+        f"generation {progress.generation}"
+    )
+    if series:
+        screen.print(
+            f"boundary: {series[-1].dbs} distinct, {series[-1].strict_dbs} strict (fitness at most "
+            f"{progress.t_b:g}, {progress.d_th:g} apart) {spark([one.dbs for one in series])}"
+        )
+    screen.print(
+        f"jobs: {progress.queued} queued, {progress.leased} leased, {progress.quarantined} quarantined; "
+        f"live workers: {workers}"
+    )
+    for needs, count in progress.unrunnable.items():
+        screen.print(f"[yellow]{count} jobs need {needs}, which no live worker provides[/yellow]")
+    for job in quarantined[:ERRORS_SHOWN]:
+        error = (job.last_error or "").strip().splitlines()
+        screen.print(
+            f"  quarantined: job {job.id}, solution {job.number}, {job.attempt} attempts: "
+            f"{error[0] if error else ''}",
+            markup=False,
+        )
+    if len(quarantined) > ERRORS_SHOWN:
+        more = len(quarantined) - ERRORS_SHOWN
+        screen.print(f"  and {more} more: {program()} status {progress.id} --json")
+    if progress.digest:
+        screen.print(f"archive sha256 {progress.digest}")
+
+
+def results(
+    campaign: CampaignId,
+    t_b: FitnessThreshold = DEFAULT_T_B,
+    d_th: DistanceThreshold = DEFAULT_D_TH,
+    out: Annotated[Path | None, typer.Option(help="File to write: .csv, .jsonl, .parquet or .json.")] = None,
+    database: Database = None,
+    server: Server = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show the distinct boundary solutions of a campaign, or write them to a file.
+
+    Example: brink results 3f2a --t-b 0.1 --d-th 0.2 --out boundary.csv
+    """
+    if out is not None and out.suffix not in (".csv", ".jsonl", ".parquet", ".json"):
+        message = f"{out}: expected a file name that ends in .csv, .jsonl, .parquet or .json"
+        raise InvalidInput([FieldError(pointer="--out", message=message)])
+
+    async def work(api: Api) -> None:
+        path, params = f"/campaigns/{campaign}/boundary", {"t_b": t_b, "d_th": d_th}
+        document: dict[str, Any] = await api.get(path, params)
+        if out is not None:
+            if out.suffix == ".json":
+                write_json(out, document)
+            else:
+                form = {**params, "format": out.suffix.removeprefix(".")}
+                out.write_bytes((await api.request("GET", path, params=form)).content)
+            typer.echo(f"{out}: {document['dbs']} distinct boundary solutions", err=as_json)
+        if as_json:
+            print_json(document)
+        elif out is None:
+            boundary = Boundary.model_validate(document)
+            screen = console()
+            screen.print(f"{boundary.dbs} distinct boundary solutions, {boundary.strict_dbs} strict")
+            screen.print(solution_table(boundary, shown=50))
+            screen.print(grid_table(boundary.grid))
+            screen.print(f"[dim]{boundary.note}[/dim]")
+
+    with_api(server, database, work)
+
+
+def grid_table(grid: list[DbsCell]) -> Table:
+    """Return a table of DBS and strict DBS over the paper's grid of thresholds."""
+    t_bs = sorted({cell.t_b for cell in grid})
+    headers = {t_b: f"t_b {t_b:g}" for t_b in t_bs}
+    table = plain_table("d_th", *headers.values(), right=headers.values(), title="DBS (strict DBS)")
+    table.title_style = "dim"
+    for d_th in sorted({cell.d_th for cell in grid}):
+        cells = {cell.t_b: cell for cell in grid if cell.d_th == d_th}
+        table.add_row(f"[dim]{d_th:g}[/dim]", *(f"{cells[t].dbs} ({cells[t].strict_dbs})" for t in t_bs))
+    return table
+
+
+def solution_table(boundary: Boundary, shown: int = SOLUTIONS_SHOWN) -> Table:
+    """Return a table of the best boundary solutions."""
+    table = plain_table(
+        "number", "verdict", "robustness", "fitness", "unsafe neighbours", "description",
+        right=("number", "robustness", "fitness", "unsafe neighbours"),
+    )  # fmt: skip
+    for solution in boundary.solutions[:shown]:
+        table.add_row(
+            str(solution.number), solution.verdict, f"{solution.robustness:.2f}", f"{solution.fitness:.3f}",
+            f"{solution.unsafe_neighbours} of {solution.neighbours}", solution.words,
+        )  # fmt: skip
+    if len(boundary.solutions) > shown:
+        table.add_row("…", "", "", "", "", f"and {len(boundary.solutions) - shown} more in boundary.csv")
+    return table
+
+
+def _control(campaign: str, verb: str, server: str | None, database: str | None) -> CampaignView:
+    return with_api(server, database, lambda api: api.send(CampaignView, f"/campaigns/{campaign}/{verb}"))
+
+
+def pause(campaign: CampaignId, database: Database = None, server: Server = None) -> None:
+    """Pause a campaign. Its queued jobs wait; running ones still report their results.
+
+    Example: brink pause 3f2a --server http://coordinator:8700
+    """
+    found = _control(campaign, "pause", server, database)
+    place = f" --server {server}" if server else database_option(settings_with(database=database))
+    print_line(f"campaign {found.id} is paused; continue it with: {program()} resume {found.id}{place}")
+
+
+def resume(campaign: CampaignId, database: Database = None, server: Server = None) -> None:
+    """Resume a paused campaign, without the candidates that have failed.
+
+    Example: brink resume 3f2a --server http://coordinator:8700
+    """
+    found = _control(campaign, "resume", server, database)
+    print_line(f"campaign {found.id} is {found.status}: a coordinator with workers will continue it")
+
+
+def cancel(campaign: CampaignId, database: Database = None, server: Server = None) -> None:
+    """Cancel a campaign for good. Its results are kept.
+
+    Example: brink cancel 3f2a --server http://coordinator:8700
+    """
+    found = _control(campaign, "cancel", server, database)
+    print_line(f"campaign {found.id} is cancelled; its results are kept")
+
+
+def retry(campaign: CampaignId, database: Database = None, server: Server = None) -> None:
+    """Put the quarantined jobs of a campaign back into the queue, with a fresh number of attempts.
+
+    Jobs of earlier generations stay quarantined: the search has moved on without them.
+
+    Example: brink retry 3f2a
+    """
+
+    async def work(api: Api) -> tuple[int, str]:
+        found = await api.read(Progress, f"/campaigns/{campaign}/progress")
+        queued, refused, reason = 0, 0, ""
+        page = {"campaign": found.id, "status": "quarantined", "limit": RETRY_PAGE, "after": 0}
+        while jobs := (await api.read(JobList, "/jobs", page)).jobs:
+            for job in jobs:
+                try:
+                    await api.post(f"/jobs/{job.id}/retry")
+                    queued += 1
+                except CoordinatorError as error:
+                    refused, reason = refused + 1, str(error)
+            page["after"] = jobs[-1].id
+        return queued, f"; {refused} stay quarantined: {reason}" if refused else ""
+
+    queued, rest = with_api(server, database, work)
+    print_line(f"{queued} jobs are back in the queue{rest}")
+
+
+def delete(
+    campaign: CampaignId, confirmed: Confirmed = False, database: Database = None, server: Server = None
+) -> None:
+    """Delete a campaign that has ended, with all its results.
+
+    Example: brink delete 3f2a --yes
+    """
+    path = f"/campaigns/{campaign}/progress"
+    found = with_api(server, database, lambda api: api.read(Progress, path))
+    what = f"campaign {found.id} ({found.name}) with {found.simulations} simulations"
+    delete_confirmed(f"/campaigns/{found.id}", what, confirmed=confirmed, server=server, database=database)

@@ -1,0 +1,320 @@
+"""Commands on the database itself: db, token, doctor, export, import.
+
+They need no coordinator and no token: whoever can read the database may do everything.
+"""
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from brink.cli.options import (
+    AsJson,
+    CampaignId,
+    Database,
+    console,
+    database_option,
+    fields,
+    file_name,
+    plain_table,
+    print_json,
+    print_line,
+    program,
+    settings_with,
+)
+from brink.server.access.authentication import TOKEN_CACHE_S
+from brink.server.access.tokens import create_token, list_tokens, revoke_token
+from brink.server.campaigns.store import CAMPAIGNS
+from brink.server.db.engine import Engines, open_engines
+from brink.server.db.upgrade import current_revision, head_revision
+from brink.server.errors import DatabaseError, FieldError, InvalidInput
+from brink.server.operations.doctor import State, examine
+from brink.server.operations.prune import prune
+from brink.server.operations.transfer import export_campaign, import_campaign
+from brink.server.runtime.database import check_database, check_exists, prepare_database, shown_url
+from brink.server.settings import Settings
+from brink.server.states import CampaignStatus, Scope
+
+db = typer.Typer(help="Upgrade or prune the database, or show its schema version.", no_args_is_help=True)
+token = typer.Typer(
+    help="Create, list and revoke tokens. Once one exists, the coordinator rejects requests without a token.",
+    no_args_is_help=True,
+)
+
+_COLOURS = {State.FINE: "green", State.LOOK: "yellow", State.WRONG: "red"}
+
+
+@contextmanager
+def _opened(settings: Settings) -> Iterator[Engines]:
+    engines = open_engines(settings.database)
+    try:
+        yield engines
+    finally:
+        engines.dispose()
+
+
+def doctor(
+    thorough: Annotated[
+        bool,
+        typer.Option(
+            "--thorough", help="Read all checkpoints and distances as well, and recompute some distances."
+        ),
+    ] = False,
+    database: Database = None,
+    as_json: AsJson = False,
+) -> None:
+    """Check the database, its campaigns, jobs and workers; report problems and how to fix them.
+
+    Exits with 1 if something is wrong. It changes nothing.
+
+    Example: brink doctor --thorough
+    """
+    settings = settings_with(database=database)
+    check_exists(settings)
+    with _opened(settings) as engines:
+        found = list(examine(settings, engines, thorough=thorough))
+    if as_json:
+        print_json([fields(one, "check", "state", "found", "advice") for one in found])
+    else:
+        table = Table(box=None, pad_edge=False, show_header=False)
+        for one in found:
+            colour = _COLOURS[one.state]
+            finding = escape(one.found) + (f"\n[dim]{escape(one.advice)}[/dim]" if one.advice else "")
+            table.add_row(f"[{colour}]{one.state}[/{colour}]", one.check, finding)
+        console().print(table)
+    raise typer.Exit(1 if any(one.state is State.WRONG for one in found) else 0)
+
+
+def export(
+    campaign: CampaignId,
+    out: Annotated[
+        Path | None, typer.Option(help="File to write.  [default: NAME-ID.brink]", show_default=False)
+    ] = None,
+    database: Database = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write a campaign with all its data to one file, for archiving or for another database.
+
+    Example: brink export 3f2a --out traffic.brink
+    """
+    settings = settings_with(database=database)
+    check_database(settings)
+    with _opened(settings) as engines, engines.reader.connect() as connection:
+        found = CAMPAIGNS.get(connection, campaign)
+        file = out or Path(f"{file_name(found.body.name)}-{found.id}.brink")
+        counts = export_campaign(connection, found.id, file)
+    facts = {"campaign": found.id, "file": str(file)}
+    _print_transfer(f"campaign {found.id} written to {file}", facts, counts, as_json)
+
+
+def import_(
+    file: Annotated[Path, typer.Argument(help="File written by `brink export`.", metavar="FILE")],
+    database: Database = None,
+    as_json: AsJson = False,
+) -> None:
+    """Read a campaign from a file.
+
+    A running campaign becomes paused. Other campaigns cannot reuse the results of an imported one.
+
+    Example: brink import traffic.brink
+    """
+    settings = settings_with(database=database)
+    prepare_database(settings)
+    with _opened(settings) as engines, engines.writer.begin() as connection:
+        campaign, counts = import_campaign(connection, file)
+        status = CAMPAIGNS.get(connection, campaign).status
+    _print_transfer(f"campaign {campaign} imported from {file}", {"campaign": campaign}, counts, as_json)
+    if status is CampaignStatus.PAUSED and not as_json:
+        print_line(
+            f"it is paused; continue it with: {program()} resume {campaign}{database_option(settings)}"
+        )
+
+
+def _print_transfer(line: str, facts: dict[str, str], counts: dict[str, int], as_json: bool) -> None:
+    if as_json:
+        print_json({**facts, "rows": counts})
+        return
+    rows = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in counts.items() if count)
+    print_line(f"{line}: {rows}")
+
+
+@db.command("prune")
+def prune_(
+    ended_days: Annotated[
+        float | None, typer.Option(min=0.0, help="Delete campaigns that ended more than this many days ago.")
+    ] = None,
+    traces_days: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0, help="Delete traces recorded more than this many days ago; replays record them again."
+        ),
+    ] = None,
+    confirmed: Annotated[
+        bool, typer.Option("--yes", help="Delete; without it, only show what would be deleted.")
+    ] = False,
+    database: Database = None,
+) -> None:
+    """Delete old campaigns and traces. Without --yes, only show what would be deleted.
+
+    Example: brink db prune --ended-days 90 --traces-days 14 --yes
+    """
+    if ended_days is None and traces_days is None:
+        message = "expected this or --traces-days: the age from which to delete"
+        raise InvalidInput([FieldError(pointer="--ended-days", message=message)])
+    settings = settings_with(database=database)
+    check_database(settings)
+    with _opened(settings) as engines, engines.writer.begin() as connection:
+        found = prune(
+            connection,
+            ended=None if ended_days is None else timedelta(days=ended_days),
+            traces=None if traces_days is None else timedelta(days=traces_days),
+            really=confirmed,
+        )
+    for campaign, name in found.campaigns:
+        print_line(f"{campaign}  {name}")
+    outcome = "deleted" if confirmed else "would be deleted; add --yes"
+    print_line(
+        f"{len(found.campaigns)} campaigns with {found.solutions} solutions, {found.traces} traces: {outcome}"
+    )
+    if confirmed and settings.sqlite_file is not None:
+        _shrink(settings.sqlite_file)
+
+
+def _shrink(file: Path) -> None:
+    """Return the free pages of an SQLite file to the file system.
+
+    Raises:
+        DatabaseError: The file cannot be shrunk now.
+    """
+    try:
+        with closing(sqlite3.connect(file)) as connection:
+            connection.execute("VACUUM")  # impossible inside a transaction, where our engines run everything
+            connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    except sqlite3.Error as error:
+        raise DatabaseError(
+            f"everything is deleted, but {file} keeps its size ({error}). Shrinking needs as much free disk space as "
+            "the file occupies, and no other writer: stop the coordinator and run the command again"
+        ) from None
+
+
+@db.command("upgrade")
+def db_upgrade(database: Database = None) -> None:
+    """Upgrade a database to the schema of this version, or create it.
+
+    Example: brink db upgrade --database sqlite:///brink.db
+    """
+    settings = settings_with(database=database)
+    before, after = prepare_database(settings)
+    where = shown_url(settings)
+    if before == after:
+        typer.echo(f"{where}: schema {after} is up to date")
+    else:
+        typer.echo(f"{where}: upgraded from schema {before or 'none'} to {after}")
+
+
+@db.command("status")
+def db_status(database: Database = None) -> None:
+    """Show the schema version of a database, and the one that this version of Brink needs.
+
+    Example: brink db status
+    """
+    settings = settings_with(database=database)
+    path: Path | None = settings.sqlite_file
+    revision = None
+    if path is None or path.exists():
+        with _opened(settings) as engines:
+            revision = current_revision(engines)
+    typer.echo(f"schema {revision or 'none'}; this version needs {head_revision()}")
+    if revision != head_revision():
+        raise typer.Exit(1)
+
+
+@token.command()
+def create(
+    name: Annotated[str, typer.Argument(help="Name of the token: its owner or its purpose.", metavar="NAME")],
+    scope: Annotated[
+        Scope,
+        typer.Option(
+            help="read: view everything; user: also submit and control campaigns; worker: only lease and report "
+            "jobs; admin: everything."
+        ),
+    ],
+    days: Annotated[
+        float | None, typer.Option(min=0.01, max=36_500, help="The token expires after this many days.")
+    ] = None,
+    database: Database = None,
+) -> None:
+    """Create a token and print it once. From then on, the coordinator rejects requests without a token.
+
+    Example: brink token create --scope worker "the cluster"
+    """
+    if not 1 <= len(name) <= 200 or not name.isprintable():
+        raise typer.BadParameter("expected 1 to 200 printable characters", param_hint="NAME")
+    settings = settings_with(database=database)
+    prepare_database(settings)
+    with _opened(settings) as engines, engines.writer.begin() as connection:
+        created = create_token(connection, scope, name, None if days is None else timedelta(days=days))
+    typer.echo(created)
+    typer.echo(
+        f"a token for {shown_url(settings)}, shown only once; pass it on as BRINK_TOKEN. "
+        f"It becomes valid within {TOKEN_CACHE_S:g} s",
+        err=True,
+    )
+
+
+@token.command("list")
+def list_(database: Database = None, as_json: AsJson = False) -> None:
+    """List tokens, without their secret parts.
+
+    Example: brink token list
+    """
+    settings = settings_with(database=database)
+    check_database(settings)
+    with _opened(settings) as engines, engines.writer.begin() as connection:
+        found = list_tokens(connection)
+    if as_json:
+        print_json(
+            [
+                {
+                    "id": one.id, "name": one.name, "scope": one.scope, "created_at": one.created_at.isoformat(),
+                    "expires_at": one.expires_at.isoformat() if one.expires_at else None,
+                    "revoked_at": one.revoked_at.isoformat() if one.revoked_at else None,
+                }
+                for one in found
+            ]
+        )  # fmt: skip
+        return
+    if not found:
+        console().print("no tokens yet; create one with: brink token create NAME --scope user")
+        return
+    now = datetime.now(UTC)
+    table = plain_table("id", "scope", "name", "created", "state")
+    for one in found:
+        valid = f"valid until {one.expires_at:%Y-%m-%d %H:%M} UTC" if one.expires_at else "valid"
+        state = "revoked" if one.revoked_at else valid if one.is_valid(now) else "expired"
+        table.add_row(one.id, one.scope, escape(one.name), f"{one.created_at:%Y-%m-%d %H:%M}", state)
+    console().print(table)
+
+
+@token.command()
+def revoke(
+    token_id: Annotated[
+        str, typer.Argument(help="Id of the token, as in `brink token list`: its third part.", metavar="ID")
+    ],
+    database: Database = None,
+) -> None:
+    """Revoke a token.
+
+    Example: brink token revoke 1f3a90bc
+    """
+    settings = settings_with(database=database)
+    check_database(settings)
+    with _opened(settings) as engines, engines.writer.begin() as connection:
+        revoke_token(connection, token_id)
+    console().print(f"token {token_id} is rejected within {TOKEN_CACHE_S:g} s")

@@ -1,0 +1,314 @@
+"""`brink plot` and `brink replay`, and how other commands fetch and draw archives and traces."""
+
+import asyncio
+import contextlib
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.progress import Progress
+
+from brink.api.client import Api, CoordinatorError
+from brink.cli.options import (
+    RESULTS,
+    AsJson,
+    CampaignId,
+    Database,
+    DistanceThreshold,
+    FitnessThreshold,
+    Server,
+    console,
+    print_json,
+    with_api,
+    write_json,
+)
+from brink.search.archive import Archive
+from brink.server.api.schemas import Boundary, CampaignView, SolutionView
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody
+from brink.server.campaigns.plan import Plan, make_plan
+from brink.server.errors import FieldError, InvalidInput, ServerError
+from brink.sim.replay import render
+from brink.sim.trace import Trace
+from brink.worker.process import EpisodeProcess, episode_result
+from brink.worker.wire import JobFailed
+
+POLL_S = 0.5
+EPISODE_TIMEOUT_S = 120.0
+TRACE_TIMEOUT_S = 120.0
+
+
+def plot(
+    campaign: CampaignId,
+    out: Annotated[Path | None, typer.Option(help="Folder for the figures.")] = None,
+    t_b: FitnessThreshold = DEFAULT_T_B,
+    d_th: DistanceThreshold = DEFAULT_D_TH,
+    svg: Annotated[bool, typer.Option("--svg", help="Write SVG too.")] = False,
+    database: Database = None,
+    server: Server = None,
+    as_json: AsJson = False,
+) -> None:
+    """Draw the figures of a campaign.
+
+    They show DBS over simulations for several thresholds, the archive embedded in two dimensions, fitness over
+    generations, and how the verdict depends on each parameter.
+
+    Example: brink plot 3f2a --out figures
+    """
+
+    async def work(api: Api) -> list[Path]:
+        fetched = await fetch_archive(api, campaign)
+        folder = out or RESULTS / f"plots-{campaign}"
+        folder.mkdir(parents=True, exist_ok=True)
+        formats = ("png", "svg") if svg else ("png",)
+        return await asyncio.to_thread(draw_figures, fetched, folder, t_b=t_b, d_th=d_th, formats=formats)
+
+    files = with_api(server, database, work)
+    if as_json:
+        print_json([str(path) for path in files])
+    else:
+        for path in files:
+            typer.echo(path)
+
+
+def replay(
+    campaign: CampaignId,
+    number: Annotated[int, typer.Argument(metavar="NUMBER", min=0, help="Number of the solution.")],
+    out: Annotated[Path, typer.Option(help="File to write: .png, .gif or .mp4.")],
+    database: Database = None,
+    server: Server = None,
+) -> None:
+    """Draw one episode from above, with the camera image and the detections given to the driving system.
+
+    Without --server, this machine runs the episode again; with it, the coordinator's workers do.
+
+    Example: brink replay 3f2a 17 --out replay.mp4
+    """
+    if out.suffix not in (".png", ".gif", ".mp4"):
+        message = f"{out}: expected a file name that ends in .png, .gif or .mp4"
+        raise InvalidInput([FieldError(pointer="--out", message=message)])
+    if not out.parent.is_dir():
+        raise InvalidInput([FieldError(pointer="--out", message=f"{out.parent}: no such folder")])
+
+    async def work(api: Api) -> None:
+        requirement = await fetch_requirement(api, campaign)
+        if server is None:
+            trace = await run_episode(api, campaign, number)
+        else:
+            trace = await fetch_trace(api, campaign, number, TRACE_TIMEOUT_S)
+        with Progress(console=console(), transient=True) as progress:
+            task = progress.add_task(f"drawing {out}", total=None)
+            await asyncio.to_thread(
+                render,
+                trace,
+                out,
+                requirement=requirement,
+                on_progress=lambda done, total: progress.update(task, completed=done, total=total),
+            )
+
+    with_api(server, database, work)
+    typer.echo(out)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FetchedArchive:
+    """The archive of a campaign, fetched over the API.
+
+    Attributes:
+        id: Full id of the campaign.
+        body: The campaign file.
+        plan: Problem and algorithm of the campaign.
+        archive: All evaluated solutions.
+        generations: Size of the archive after each generation.
+    """
+
+    id: str
+    body: CampaignBody
+    plan: Plan
+    archive: Archive
+    generations: tuple[int, ...]
+
+
+async def fetch_archive(api: Api, campaign: str) -> FetchedArchive:
+    """Return the archive of a campaign.
+
+    Raises:
+        CoordinatorError: The campaign does not exist.
+    """
+    view = await api.read(CampaignView, f"/campaigns/{campaign}")
+    response = await api.request("GET", f"/campaigns/{campaign}/archive.npz")
+    with np.load(io.BytesIO(response.content), allow_pickle=False) as npz:
+        arrays = {name: npz[name] for name in npz.files}
+    plan = make_plan(view.body)
+    columns = ("numbers", "vectors", "unsafe", "robustness", "neighbours", "unsafe_neighbours")
+    archive = Archive.restore(
+        plan.problem.space, plan.neighbourhood, **{name: arrays[name] for name in columns}
+    )
+    generations = arrays["generations"]
+    ends = np.searchsorted(generations, np.unique(generations), side="right")
+    return FetchedArchive(
+        id=view.id, body=view.body, plan=plan, archive=archive, generations=tuple(int(end) for end in ends)
+    )
+
+
+async def write_results(api: Api, campaign: str, folder: Path, *, t_b: float, d_th: float) -> Boundary:
+    """Write the boundary (CSV and JSON) and the archive of a campaign.
+
+    Args:
+        api: Coordinator of the campaign.
+        campaign: Id of the campaign.
+        folder: Folder to write to; created if missing.
+        t_b: Highest fitness of boundary solutions.
+        d_th: Smallest distance between two of them.
+
+    Returns:
+        The boundary.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    path, params = f"/campaigns/{campaign}/boundary", {"t_b": t_b, "d_th": d_th}
+    document = await api.get(path, params)
+    write_json(folder / "boundary.json", document)
+    table = await api.request("GET", path, params={**params, "format": "csv"})
+    (folder / "boundary.csv").write_bytes(table.content)
+    archive = await api.request("GET", f"/campaigns/{campaign}/archive.npz")
+    (folder / "archive.npz").write_bytes(archive.content)
+    return Boundary.model_validate(document)
+
+
+def draw_figures(
+    fetched: FetchedArchive, folder: Path, *, t_b: float, d_th: float, formats: tuple[str, ...] = ("png",)
+) -> list[Path]:
+    """Draw all figures of a campaign.
+
+    Args:
+        fetched: The campaign.
+        folder: Folder to write to.
+        t_b: Highest fitness of boundary solutions.
+        d_th: Smallest distance between two of them.
+        formats: File formats.
+
+    Returns:
+        The files.
+    """
+    # matplotlib takes half a second to load: only commands that draw wait for it.
+    from brink.plots import CampaignFigures, write_campaign_figures
+
+    figures = CampaignFigures(
+        archive=fetched.archive,
+        space=fetched.plan.problem.space,
+        title=fetched.body.name,
+        generation_ends=fetched.generations,
+        t_b=t_b,
+        d_th=d_th,
+    )
+    return write_campaign_figures(figures, folder, formats=formats)
+
+
+class NoTrace(ServerError):
+    """The trace of a solution is not available."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drawing:
+    """The source and the destination of pictures of episodes.
+
+    Attributes:
+        api: Coordinator of the campaign.
+        campaign: Id of the campaign.
+        folder: Folder for the pictures.
+        stop: Once set, no further picture is drawn.
+        timeout_s: How long to wait for a trace.
+    """
+
+    api: Api
+    campaign: str
+    folder: Path
+    stop: asyncio.Event
+    timeout_s: float
+
+    async def trace(self, number: int) -> Trace | None:
+        """Return the trace of a solution; None if it is not available."""
+        try:
+            return await fetch_trace(self.api, self.campaign, number, self.timeout_s)
+        except (NoTrace, CoordinatorError):
+            return None
+
+
+async def fetch_trace(api: Api, campaign: str, number: int, timeout_s: float) -> Trace:
+    """Return the trace of a solution. If it was not kept, a worker runs the episode again.
+
+    Args:
+        api: Coordinator of the campaign.
+        campaign: Id of the campaign.
+        number: Number of the solution.
+        timeout_s: How long to wait for a worker.
+
+    Raises:
+        NoTrace: No worker ran the episode in time.
+        CoordinatorError: The solution does not exist, or its episode cannot be run again.
+    """
+    deadline = asyncio.get_running_loop().time() + timeout_s
+    path = f"/campaigns/{campaign}/solutions/{number}/trace"
+    while True:
+        response = await api.request("GET", path, params={"wait_s": min(20.0, timeout_s)})
+        if response.status_code == 200:
+            return Trace.from_bytes(response.content)
+        if asyncio.get_running_loop().time() >= deadline:
+            raise NoTrace(
+                f"no worker provided the trace of solution {number} within {timeout_s:g} s; is a worker running?"
+            )
+        await asyncio.sleep(POLL_S)
+
+
+async def run_episode(api: Api, campaign: str, number: int) -> Trace:
+    """Return the trace of a solution by running its episode on this machine.
+
+    Args:
+        api: Coordinator of the campaign.
+        campaign: Id of the campaign.
+        number: Number of the solution.
+
+    Raises:
+        NoTrace: The solution was not simulated, or its episode failed on this machine.
+    """
+    spec = (await api.read(SolutionView, f"/campaigns/{campaign}/solutions/{number}")).spec
+    if spec is None:
+        raise NoTrace(f"solution {number} was not simulated: it has no replay")
+
+    def run() -> Trace:
+        with contextlib.closing(EpisodeProcess()) as process:
+            process.start()
+            outcome = process.run(spec, record=True, timeout_s=EPISODE_TIMEOUT_S)
+        if isinstance(outcome, JobFailed):
+            raise NoTrace(f"the episode of solution {number} failed on this machine: {outcome.message}")
+        trace = episode_result(outcome).trace
+        if trace is None:
+            raise NoTrace(f"the simulator of solution {number} records no traces")
+        return Trace.from_bytes(trace)
+
+    return await asyncio.to_thread(run)
+
+
+async def write_replays(drawing: Drawing, numbers: Sequence[int]) -> list[Path]:
+    """Draw replays of some solutions as PNG, skipping those without a trace; return the files."""
+    files = []
+    requirement = await fetch_requirement(drawing.api, drawing.campaign)
+    for number in numbers:
+        if drawing.stop.is_set():
+            break
+        trace = await drawing.trace(number)
+        if trace is None:
+            continue
+        path = drawing.folder / f"replay-{number}.png"
+        await asyncio.to_thread(render, trace, path, requirement=requirement)
+        files.append(path)
+    return files
+
+
+async def fetch_requirement(api: Api, campaign: str) -> str | None:
+    """Return the requirement that gives the verdict of a campaign; None if several do."""
+    params = (await api.read(CampaignView, f"/campaigns/{campaign}")).body.problem.params
+    return str(params["requirement"]) if "requirement" in params else None

@@ -1,0 +1,237 @@
+"""`brink experiment`: run, submit, follow and report comparisons of algorithms."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from brink.api.client import Api
+from brink.cli.live import duration, rate_of
+from brink.cli.options import (
+    RESULTS,
+    AsJson,
+    Confirmed,
+    Database,
+    New,
+    Port,
+    Resume,
+    Server,
+    Workers,
+    console,
+    delete_confirmed,
+    file_name,
+    plain_table,
+    print_json,
+    print_line,
+    with_api,
+)
+from brink.server.api.schemas import ExperimentList, ExperimentProgress, ExperimentSummary, ExperimentView
+from brink.server.errors import Conflict
+from brink.server.experiments.body import read_experiment_file
+
+if TYPE_CHECKING:
+    from brink.server.api.experiments import Results
+
+ExperimentFile = Annotated[
+    Path, typer.Argument(metavar="FILE", help="Experiment file (YAML or JSON).", show_default=False)
+]
+ExperimentId = Annotated[
+    str,
+    typer.Argument(metavar="ID", help="Experiment id or a unique prefix of it.", show_default=False),
+]
+experiment = typer.Typer(
+    name="experiment",
+    help="Compare algorithms over several problems and seeds.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+
+@experiment.command()
+def run(
+    file: ExperimentFile,
+    workers: Workers = 2,
+    database: Database = None,
+    resume: Resume = False,
+    new: New = False,
+    out: Annotated[Path, typer.Option(help="Folder for the report.")] = RESULTS,
+    port: Port = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
+) -> None:
+    """Run every algorithm on every problem with every seed, and write a report that compares them.
+
+    Ctrl-C stops cleanly; the same command with --resume continues.
+
+    Example: brink experiment run examples/paper-rq1.yaml --workers 2
+    """
+    # Imported here, and below: the other commands need neither a coordinator nor the search.
+    from brink.cli.experiment_run import run_experiment
+    from brink.cli.local import RunOptions
+
+    options = RunOptions(
+        file=file,
+        workers=workers,
+        out=out,
+        resume=resume,
+        new=new,
+        json=as_json,
+        database=database,
+        port=port,
+    )
+    raise typer.Exit(int(run_experiment(read_experiment_file(file), options) is None))
+
+
+@experiment.command()
+def submit(
+    file: ExperimentFile, database: Database = None, server: Server = None, as_json: AsJson = False
+) -> None:
+    """Submit an experiment to a coordinator, whose workers run it.
+
+    Example: brink experiment submit examples/paper-rq1.yaml --server http://coordinator:8700
+    """
+    body = read_experiment_file(file).model_dump(mode="json")
+    document = with_api(server, database, lambda api: api.post("/experiments", body))
+    if as_json:
+        print_json(document)
+        return
+    found = ExperimentView.model_validate(document)
+    print_line(f"experiment {found.id}: {found.campaigns} campaigns, {found.budget:,} simulations")
+
+
+@experiment.command()
+def status(
+    name: ExperimentId, database: Database = None, server: Server = None, as_json: AsJson = False
+) -> None:
+    """Show the progress of an experiment and of its campaigns.
+
+    Example: brink experiment status 3f2a
+    """
+
+    async def work(api: Api) -> tuple[Any, Any]:
+        return await api.get(f"/experiments/{name}/progress"), await api.get(f"/experiments/{name}")
+
+    progress, found = with_api(server, database, work)
+    if as_json:
+        print_json({**progress, "members": found["members"]})
+    else:
+        _print_status(ExperimentProgress.model_validate(progress), ExperimentView.model_validate(found))
+
+
+def _print_status(progress: ExperimentProgress, found: ExperimentView) -> None:
+    print_line(
+        f"experiment {progress.id} ({progress.name}): {progress.status}, "
+        f"{progress.simulations:,} of {progress.budget:,} simulations, {rate_of(progress.rate_per_s)}, "
+        f"left {duration(progress.remaining_s)}"
+    )
+    numbers = ("simulations", "unsafe", "failed")
+    table = plain_table("campaign", "method", "problem", "seed", "status", *numbers, right=("seed", *numbers))
+    for one in found.members:
+        table.add_row(
+            one.campaign, one.method, one.problem, str(one.seed), f"{one.status} {one.status_reason}".strip(),
+            f"{one.simulations:,}", f"{one.unsafe:,}", f"{one.failed:,}",
+        )  # fmt: skip
+    console().print(table)
+    if progress.deleted:
+        console().print(f"{progress.deleted} of its campaigns have been deleted")
+
+
+@experiment.command()
+def report(
+    name: ExperimentId,
+    out: Annotated[Path, typer.Option(help="Folder for the report.")] = RESULTS,
+    database: Database = None,
+    server: Server = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write a report of the finished campaigns of an experiment, as HTML and as Markdown.
+
+    Example: brink experiment report 3f2a --out reports
+    """
+    from brink.cli.experiment_run import fetch_results, print_results, write_report
+
+    screen = console()
+
+    async def work(api: Api) -> "tuple[Results, ExperimentProgress, ExperimentView]":
+        found = await api.read(ExperimentView, f"/experiments/{name}")
+        results = await fetch_results(api, found.id, screen)
+        return results, await api.read(ExperimentProgress, f"/experiments/{name}/progress"), found
+
+    results, progress, found = with_api(server, database, work)
+    if not results.repeats:
+        raise Conflict(f"experiment {results.id}: no campaign has finished yet")
+    folder = out / f"{file_name(found.body.name)}-{results.id}"
+    files = write_report(results, progress.elapsed_s, found.body, folder)
+    if as_json:
+        print_json([str(path) for path in files])
+        return
+    print_results(screen, results)
+    screen.print(f"report: {files[0]}", soft_wrap=True)
+
+
+@experiment.command()
+def pause(name: ExperimentId, database: Database = None, server: Server = None) -> None:
+    """Pause an experiment. Its queued jobs wait; running ones still report their results.
+
+    Example: brink experiment pause 3f2a
+    """
+    _control(name, "pause", database, server)
+
+
+@experiment.command()
+def resume(name: ExperimentId, database: Database = None, server: Server = None) -> None:
+    """Resume the paused campaigns of an experiment.
+
+    Example: brink experiment resume 3f2a
+    """
+    _control(name, "resume", database, server)
+
+
+@experiment.command()
+def cancel(name: ExperimentId, database: Database = None, server: Server = None) -> None:
+    """Cancel the unfinished campaigns of an experiment. Their results are kept.
+
+    Example: brink experiment cancel 3f2a
+    """
+    _control(name, "cancel", database, server)
+
+
+def _control(name: str, verb: str, database: str | None, server: str | None) -> None:
+
+    found = with_api(server, database, lambda api: api.send(ExperimentSummary, f"/experiments/{name}/{verb}"))
+    print_line(
+        f"experiment {found.id} is {found.status}: {found.simulations:,} of {found.budget:,} simulations"
+    )
+
+
+@experiment.command()
+def delete(
+    name: ExperimentId, confirmed: Confirmed = False, database: Database = None, server: Server = None
+) -> None:
+    """Delete an experiment that has ended, with all its campaigns.
+
+    Example: brink experiment delete 3f2a --yes
+    """
+    found = with_api(server, database, lambda api: api.read(ExperimentView, f"/experiments/{name}"))
+    what = f"experiment {found.id} ({found.name}) with {found.simulations:,} simulations"
+    delete_confirmed(f"/experiments/{found.id}", what, confirmed=confirmed, server=server, database=database)
+
+
+@experiment.command("list")
+def list_(database: Database = None, server: Server = None, as_json: AsJson = False) -> None:
+    """List experiments, newest first.
+
+    Example: brink experiment list
+    """
+    document = with_api(server, database, lambda api: api.get("/experiments", {"limit": 100}))
+    if as_json:
+        print_json(document["experiments"])
+        return
+    found = ExperimentList.model_validate(document).experiments
+    numbers = ("campaigns", "simulations")
+    table = plain_table("id", "name", "status", *numbers, "submitted", right=numbers)
+    for one in found:
+        table.add_row(
+            one.id, one.name, one.status, f"{one.finished} of {one.campaigns}",
+            f"{one.simulations:,} of {one.budget:,}", f"{one.created_at:%Y-%m-%d %H:%M}",
+        )  # fmt: skip
+    console().print(table if found else "no experiments yet")

@@ -1,0 +1,293 @@
+"""Running an experiment to its end on this machine, and its results as tables, figures and a report."""
+
+import asyncio
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console, Group
+from rich.table import Table
+from rich.text import Text
+
+from brink.api.client import Api
+from brink.cli.live import LiveDisplay, budget_bar, duration, rate_of
+from brink.cli.local import RunOptions, Session, check_extra, run_to_end
+from brink.cli.options import console, file_name, plain_table, print_json
+from brink.report.experiment import html_report, markdown_report, sentences
+from brink.search.analysis.comparison import Repeat, duels, standings
+from brink.search.analysis.paper import Measure
+from brink.search.analysis.scores import Control, Figures, Scores
+from brink.server.api.experiments import Results
+from brink.server.api.schemas import (
+    ControlView,
+    ExperimentList,
+    ExperimentProgress,
+    ExperimentView,
+    MemberView,
+    RepeatView,
+)
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.plan import make_checked_plan
+from brink.server.errors import InvalidInput
+from brink.server.experiments.body import ExperimentBody
+from brink.server.states import CampaignStatus
+
+POLL_S = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FinishedExperiment:
+    """An experiment that has finished.
+
+    Attributes:
+        results: Its results.
+        folder: Folder of its report.
+    """
+
+    results: Results
+    folder: Path
+
+
+def run_experiment(body: ExperimentBody, options: RunOptions) -> FinishedExperiment | None:
+    """Run an experiment to its end on this machine and write its report.
+
+    Returns:
+        The results; None if the experiment was stopped or ended unfinished.
+
+    Raises:
+        InvalidInput: A campaign of the experiment cannot run.
+        Conflict: An earlier run is unfinished, and neither ``resume`` nor ``new`` is set.
+    """
+    for cell in body.cells()[: len(body.problems) * len(body.algorithms)]:
+        try:
+            check_extra(make_checked_plan(cell.body).problem)
+        except InvalidInput as error:
+            raise cell.in_experiment(error) from None
+    screen = console(stderr=options.json)
+
+    async def finish(session: Session, progress: ExperimentProgress) -> FinishedExperiment:
+        results = await fetch_results(session.api, progress.id, screen)
+        folder = options.out / f"{file_name(body.name)}-{progress.id}"
+        with screen.status("drawing"):
+            files = await asyncio.to_thread(write_report, results, progress.elapsed_s, body, folder)
+        if options.json:
+            print_json({**results.model_dump(mode="json"), "files": [str(path) for path in files]})
+        else:
+            print_results(screen, results)
+            screen.print(f"report: {folder / 'report.html'}", soft_wrap=True)
+        return FinishedExperiment(results=results, folder=folder)
+
+    return run_to_end(ExperimentRun(body), options, screen, finish)
+
+
+class ExperimentRun:
+    """An experiment to run to its end on this machine."""
+
+    noun = "experiment"
+    command = "experiment "
+
+    def __init__(self, body: ExperimentBody) -> None:
+        self.body = body
+
+    async def latest(self, api: Api, statuses: Sequence[CampaignStatus]) -> ExperimentProgress | None:
+        """Return the latest experiment of the file that has one of these statuses and all its campaigns."""
+        params = {"document_hash": self.body.document_hash(), "limit": 100}
+        for one in (await api.read(ExperimentList, "/experiments", params)).experiments:
+            if one.status in statuses and not one.deleted:
+                return await api.read(ExperimentProgress, f"/experiments/{one.id}/progress")
+        return None
+
+    async def resume(self, api: Api, found: ExperimentProgress) -> None:
+        """Resume the paused campaigns of the experiment."""
+        await api.post(f"/experiments/{found.id}/resume")
+
+    async def submit(self, api: Api) -> tuple[str, str]:
+        """Submit the experiment; return its id and a summary of it."""
+        body = self.body
+        experiment = await api.send(ExperimentView, "/experiments", body.model_dump(mode="json"))
+        return experiment.id, (
+            f"{len(body.algorithms)} algorithms x {len(body.problems)} problems x {len(body.seeds)} seeds x "
+            f"{body.budget.simulations:,} simulations = {experiment.budget:,}"
+        )
+
+    async def watch(self, session: Session, name: str) -> ExperimentProgress:
+        """Show the progress until the experiment ends or is stopped; return the last progress."""
+        api = session.api
+        with ExperimentDisplay(session.screen) as display:
+
+            async def poll() -> ExperimentProgress:
+                progress = await api.read(ExperimentProgress, f"/experiments/{name}/progress")
+                members: list[MemberView] = []
+                if session.screen.is_terminal:
+                    members = (await api.read(ExperimentView, f"/experiments/{name}")).members
+                display.show(progress, members)
+                return progress
+
+            return await session.watch(poll)
+
+    def reasons(self, progress: ExperimentProgress) -> Sequence[str]:
+        """Return which campaigns are paused, and why."""
+        return [f"campaign {reason}" for reason in progress.paused]
+
+
+class ExperimentDisplay(LiveDisplay):
+    """Shows the progress of an experiment and its campaigns."""
+
+    def show(self, progress: ExperimentProgress, members: Sequence[MemberView]) -> None:
+        """Show the progress of an experiment."""
+        self._update(lambda: _panel(progress, members), lambda: _line(progress))
+
+
+def _panel(progress: ExperimentProgress, members: Sequence[MemberView]) -> Group:
+    rows = [
+        ("campaigns", f"{progress.finished} of {progress.campaigns} finished"),
+        ("rate", f"{rate_of(progress.rate_per_s)}   left {duration(progress.remaining_s)}"),
+        (
+            "workers",
+            f"{progress.workers or 'none yet'}   running {progress.leased}   queued {progress.queued}",
+        ),
+    ]
+    if progress.failed or progress.quarantined:
+        rows.append(("failed", f"{progress.failed}   quarantined {progress.quarantined}"))
+    rows += [("paused", reason) for reason in progress.paused]
+    if progress.trouble:
+        rows.append(("trouble", progress.trouble))
+    facts = Table.grid(padding=(0, 2))
+    for name, value in rows:
+        facts.add_row(Text(name, style="dim"), Text(value))
+    return Group(budget_bar(progress.name, progress.simulations, progress.budget), facts, _methods(members))
+
+
+def _methods(members: Sequence[MemberView]) -> Table:
+    """Return a table of the campaigns by method."""
+    several = len({member.problem for member in members}) > 1
+    campaigns, finished, simulations, unsafe = (Counter[str]() for _ in range(4))
+    for member in members:
+        label = f"{member.method}, {member.problem}" if several else member.method
+        campaigns[label] += 1
+        finished[label] += member.status is CampaignStatus.FINISHED
+        simulations[label] += member.simulations
+        unsafe[label] += member.unsafe
+    columns = ("finished", "simulations", "unsafe")
+    table = plain_table("method", *columns, right=columns)
+    for label, count in campaigns.items():
+        share = f"{unsafe[label] / simulations[label]:.0%}" if simulations[label] else "–"
+        table.add_row(Text(label), f"{finished[label]} of {count}", f"{simulations[label]:,}", share)
+    return table
+
+
+def _line(progress: ExperimentProgress) -> str:
+    return (
+        f"{progress.simulations}/{progress.budget} simulations, {progress.finished} of "
+        f"{progress.campaigns} campaigns finished, {rate_of(progress.rate_per_s)}, "
+        f"left {duration(progress.remaining_s)}, workers {progress.workers}"
+    )
+
+
+async def fetch_results(api: Api, experiment: str, screen: Console) -> Results:
+    """Return the results of an experiment, once all its finished campaigns are scored.
+
+    Raises:
+        CoordinatorError: The experiment does not exist.
+    """
+    with screen.status("scoring") as status:
+        while True:
+            response = await api.request("GET", f"/experiments/{experiment}/results", params={"wait_s": 5})
+            if response.status_code == 200:
+                return Results.model_validate_json(response.content)
+            status.update(str(response.json()["detail"]))
+            await asyncio.sleep(POLL_S)
+
+
+def repeats_of(results: Results) -> list[Repeat]:
+    """Return the scores of the finished campaigns."""
+    return [
+        Repeat(
+            problem=one.problem, method=one.method, seed=one.seed, campaign=one.campaign, scores=_scores(one)
+        )
+        for one in results.repeats
+    ]
+
+
+def _scores(one: RepeatView) -> Scores:
+    return Scores(
+        evaluated=one.evaluated, unsafe=one.unsafe, figures=_figures(one),
+        control=None if one.control is None else Control(
+            figures=_figures(one.control), unsafe_share=one.control.unsafe_share,
+            spread=np.array(one.control.spread), repeats=one.control.behaviours_a_scenario,
+        ),
+    )  # fmt: skip
+
+
+def _figures(view: RepeatView | ControlView) -> Figures:
+    return Figures(dbs=np.array(view.dbs), strict=np.array(view.strict))
+
+
+def print_results(screen: Console, results: Results) -> None:
+    """Print the results of an experiment at the default thresholds."""
+    repeats = repeats_of(results)
+    if not repeats:
+        screen.print("no campaign has finished yet")
+        return
+    scored, compared = standings(repeats), duels(repeats)
+    default = [one for one in scored if (one.t_b, one.d_th) == (DEFAULT_T_B, DEFAULT_D_TH)]
+    for problem in dict.fromkeys(one.problem for one in repeats):
+        columns = ("DBS", "95%", "strict DBS", "95%", "unsafe")
+        title = f"{problem}: {results.scored} campaigns, t_b {DEFAULT_T_B:g}, d_th {DEFAULT_D_TH:g}"
+        table = plain_table("", *columns, right=columns, title=title)
+        for line in dict.fromkeys(one.line for one in default if one.line.problem == problem):
+            cells = []
+            for measure in Measure:
+                value = next(one.value for one in default if one.line == line and one.measure is measure)
+                interval = "" if value.low is None else f"{value.low:.1f} to {value.high:.1f}"
+                cells += [f"{value.mean:.1f}", interval]
+            share = "" if line.control else f"{_unsafe_share(repeats, line.problem, line.method):.0%}"
+            table.add_row(line.label, *cells, share, style="dim" if line.control else None)
+        screen.print(table, "")
+        for sentence in sentences(repeats, scored, compared, problem):
+            screen.print(sentence.replace("**", "").rstrip(), markup=False, highlight=False)
+        screen.print()
+
+
+def _unsafe_share(repeats: Sequence[Repeat], problem: str, method: str) -> float:
+    """Return the mean unsafe share over the campaigns of a method on a problem."""
+    scores = [one.scores for one in repeats if (one.problem, one.method) == (problem, method)]
+    return float(np.mean([one.unsafe / max(1, one.evaluated) for one in scores]))
+
+
+def write_report(results: Results, elapsed_s: float, body: ExperimentBody, folder: Path) -> list[Path]:
+    """Write the report of an experiment as one HTML page, and as Markdown with figures and data beside it.
+
+    Args:
+        results: Results with at least one campaign.
+        elapsed_s: How long the experiment took.
+        body: The experiment.
+        folder: Folder of the report; created if missing.
+
+    Returns:
+        The files, the HTML page first.
+    """
+    # matplotlib takes half a second to load: only commands that draw wait for it.
+    from brink.plots.experiment import EXPERIMENT_FIGURES
+    from brink.plots.style import DPI
+
+    repeats = repeats_of(results)
+    (folder / "figures").mkdir(parents=True, exist_ok=True)
+    problems = list(dict.fromkeys(one.problem for one in repeats))
+    pictures: dict[tuple[str, Measure, str], str] = {}
+    for number, problem in enumerate(problems, start=1):
+        for measure in Measure:
+            for kind, draw in EXPERIMENT_FIGURES.items():
+                name = f"figures/{measure}-{kind}{f'-{number}' if len(problems) > 1 else ''}.png"
+                draw(repeats, problem, measure).savefig(folder / name, dpi=DPI, metadata={"Software": None})
+                pictures[problem, measure, kind] = name
+    text = markdown_report(
+        body, repeats, pictures, experiment=results.id, created_at=results.created_at, elapsed_s=elapsed_s
+    )
+    files = [folder / "report.html", folder / "report.md", folder / "results.json"]
+    files[0].write_text(html_report(text, results.name, folder), encoding="utf-8")
+    files[1].write_text(text, encoding="utf-8")
+    files[2].write_text(results.model_dump_json(indent=1) + "\n", encoding="utf-8")
+    return [*files, *(folder / name for name in pictures.values())]

@@ -1,0 +1,467 @@
+"""Findings besides the boundary: `brink violations` and `brink combinations`, and the same at the end of a run.
+
+Each kind of findings is a class that prints, writes and draws itself.
+"""
+
+import asyncio
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Final, Protocol
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from brink.api.client import Api
+from brink.cli.draw import Drawing, FetchedArchive
+from brink.cli.options import (
+    AsJson,
+    CampaignId,
+    Database,
+    Server,
+    console,
+    plain_table,
+    print_json,
+    print_line,
+    with_api,
+    write_json,
+)
+from brink.search.algorithms.multi_objective import CRITICALITY, MultiObjectiveConfig
+from brink.search.errors import UnsupportedSpace
+from brink.search.slots import slots_of
+from brink.search.space import FloatArray
+from brink.server.api.findings import TypeView, Violations
+from brink.server.api.schemas import (
+    ChainTally,
+    Combinations,
+    CombinationView,
+    SolutionPage,
+    StepTally,
+    Variant,
+)
+from brink.server.errors import FieldError, InvalidInput
+from brink.server.problems.base import TellsViolations
+from brink.sim.replay import render
+from brink.sim.replay.sheets import Row, side_by_side
+
+CHAINS_SHOWN: Final = 10
+CHAINS_DRAWN: Final = 3
+TYPES_SHOWN: Final = 12
+TYPES_DRAWN: Final = 12
+
+
+class Findings(Protocol):
+    """One kind of findings of a campaign.
+
+    Attributes:
+        name: The kind, in one word.
+    """
+
+    name: str
+
+    def sentence(self) -> str:
+        """Return the findings in one sentence."""
+        ...
+
+    def show(self, screen: Console) -> None:
+        """Print the findings."""
+        ...
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write the findings to files; return the files."""
+        ...
+
+    async def draw(self, drawing: Drawing) -> list[Path]:
+        """Draw the findings whose traces are available; return the files."""
+        ...
+
+    def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
+        """Return commands to continue with, each with its purpose."""
+        ...
+
+
+async def fetch_findings(api: Api, fetched: FetchedArchive) -> Sequence[Findings]:
+    """Return all kinds of findings that the problem of a campaign supports."""
+    found: list[Findings] = []
+    path = f"/campaigns/{fetched.id}"
+    try:
+        slots_of(fetched.plan.problem.space)
+    except UnsupportedSpace:
+        pass  # no ordered techniques, so no combinations
+    else:
+        found.append(CombinationFindings(await api.read(Combinations, f"{path}/combinations")))
+    if isinstance(fetched.plan.problem, TellsViolations):
+        found.append(ViolationFindings(await api.read(Violations, f"{path}/violations"), fetched))
+    return found
+
+
+def combinations(
+    campaign: CampaignId,
+    shown: Annotated[int, typer.Option(min=1, help="Rows of each table.")] = CHAINS_SHOWN,
+    database: Database = None,
+    server: Server = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show which techniques are hazardous alone, only together, or only in one order.
+
+    Example: brink combinations 3f2a
+    """
+    path = f"/campaigns/{campaign}/combinations"
+    document = with_api(server, database, lambda api: api.get(path))
+    if as_json:
+        print_json(document)
+    else:
+        CombinationFindings(Combinations.model_validate(document)).show(console(), shown)
+
+
+class CombinationFindings:
+    """Hazardous chains of techniques."""
+
+    name = "combinations"
+
+    def __init__(self, found: Combinations) -> None:
+        self._found = found
+
+    def sentence(self) -> str:
+        """Return how many chains are hazardous, and in which way."""
+        chains = self._found.combinations
+        hazardous = sum(one.hazardous for one in chains)
+        together = sum(one.only_together for one in chains)
+        ordered = sum(one.order_matters for one in chains)
+        places = sum(len(one.together) for one in chains)
+        return (
+            f"{hazardous} of {len(chains)} chains are hazardous: {together} only together (each part alone is "
+            f"safe), {ordered} only in one order; {places} simulations were unsafe where every part alone was safe"
+        )
+
+    def show(self, screen: Console, shown: int = CHAINS_SHOWN) -> None:
+        """Print the chains, the techniques, and the sentence."""
+        chains = self._found.combinations
+        table = plain_table("chain", "unsafe", "parts alone", "other order", "")
+        for one in chains[:shown]:
+            table.add_row(
+                one.words, _counts(one), ", ".join(map(_counts, one.parts)) or "not simulated",
+                ", ".join(map(_counts, one.orders)), _claim(one),
+            )  # fmt: skip
+        if chains:
+            screen.print(table)
+            if len(chains) > shown:
+                screen.print(f"[dim]… and {len(chains) - shown} more in combinations.json[/dim]")
+        steps = [step for step in self._found.steps if step.alone_unsafe or step.joined_unsafe]
+        if steps:
+            table = plain_table("technique at a level", "alone", "with others")
+            for step in sorted(steps, key=_unsafe_shares, reverse=True)[:shown]:
+                table.add_row(
+                    step.words, _ratio(step.alone_unsafe, step.alone_trials),
+                    _ratio(step.joined_unsafe, step.joined_trials),
+                )  # fmt: skip
+            screen.print(table)
+        screen.print(self.sentence())
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write everything as JSON, and the hazards by technique and level as CSV; return the files."""
+        document, table = folder / "combinations.json", folder / "hazards.csv"
+        write_json(document, self._found.model_dump(mode="json"))
+        tallies = ("alone_unsafe", "alone_trials", "joined_unsafe", "joined_trials")
+        rows = [
+            [one.step.technique, one.step.level, one.step.levels, *(getattr(one, name) for name in tallies)]
+            for one in self._found.steps
+        ]
+        _write_csv(table, ["technique", "level", "levels", *tallies], rows)
+        return [document, table]
+
+    async def draw(self, drawing: Drawing) -> list[Path]:
+        """Draw the clearest combinations beside their parts and other orders; return the files."""
+        files: list[Path] = []
+        for one in self._found.combinations:
+            if drawing.stop.is_set() or len(files) == CHAINS_DRAWN:
+                break
+            solutions = one.together or one.turned
+            rows = await _variants(drawing, solutions[0]) if solutions else []
+            if not rows or any(row.trace.film is None for row in rows):
+                continue
+            title = f"The same street with the same seed: solution {solutions[0]} and its parts"
+            picture = await asyncio.to_thread(side_by_side, rows, title=title)
+            path = drawing.folder / f"combination-{len(files) + 1}.png"
+            await asyncio.to_thread(picture.save, path)
+            files.append(path)
+        return files
+
+    def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
+        """Return commands to continue with, each with its purpose."""
+        hints = [(f"combinations {campaign}{database}", "list all chains of techniques")]
+        hazards = [number for one in self._found.combinations for number in (*one.together, *one.turned)]
+        if hazards:
+            hints.append((f"replay {campaign} {hazards[0]} --out hazard.mp4{database}", "watch the hazard"))
+        return hints
+
+
+async def _variants(drawing: Drawing, number: int) -> list[Row]:
+    """Return the traces of a solution and its variants; empty if one of them is not available."""
+    path = f"/campaigns/{drawing.campaign}/solutions/{number}/variants"
+    rows = []
+    for variant in await drawing.api.read(list[Variant], path):
+        trace = await drawing.trace(variant.number)
+        if trace is None:
+            return []
+        rows.append(Row(words=variant.words, trace=trace))
+    return rows
+
+
+def _claim(one: CombinationView) -> str:
+    """Return in which way a chain is hazardous; "only together" implies minimal."""
+    claims = {
+        "only together": one.only_together,
+        "only in this order": one.order_matters,
+        "minimal": one.minimal and not one.only_together,
+    }
+    return ", ".join(name for name, holds in claims.items() if holds)
+
+
+def _counts(tally: ChainTally) -> str:
+    return f"{tally.unsafe} of {tally.trials}"
+
+
+def _ratio(unsafe: int, trials: int) -> str:
+    return f"{unsafe} of {trials}" if trials else "–"
+
+
+def _unsafe_shares(step: StepTally) -> tuple[float, float]:
+    """Return the unsafe shares of a technique alone and with others."""
+    return step.alone_unsafe / max(1, step.alone_trials), step.joined_unsafe / max(1, step.joined_trials)
+
+
+def violations(
+    campaign: CampaignId,
+    number: Annotated[
+        int | None,
+        typer.Option(min=0, help="Show only this solution; with --name or --unname, name its violation."),
+    ] = None,
+    requirement: Annotated[
+        str | None,
+        typer.Option(
+            help="Show only violations of this requirement; with --name or --unname, select one of several."
+        ),
+    ] = None,
+    name: Annotated[str | None, typer.Option(help="Name the violation; the name becomes its type.")] = None,
+    unname: Annotated[
+        bool, typer.Option("--unname", help="Remove the name; the rules determine the type again.")
+    ] = False,
+    shown: Annotated[int, typer.Option(min=1, help="Rows of the table.")] = TYPES_SHOWN,
+    database: Database = None,
+    server: Server = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show which types of violations a campaign found, and name them.
+
+    Example: brink violations 3f2a --number 71 --name "overtakes into oncoming traffic"
+    """
+    if (name is not None or unname) and number is None:
+        raise InvalidInput([FieldError(pointer="--number", message="expected the solution to name")])
+    if name is not None and unname:
+        raise InvalidInput([FieldError(pointer="--unname", message="expected either this or --name")])
+
+    async def work(api: Api) -> Violations:
+        if number is not None and (name is not None or unname):
+            await _name(api, campaign, number, requirement, name)
+        found = await api.read(Violations, f"/campaigns/{campaign}/violations")
+        selected = [
+            one
+            for one in found.violations
+            if number in (None, one.number) and requirement in (None, one.requirement)
+        ]
+        return found.model_copy(update={"violations": selected})
+
+    found = with_api(server, database, work)
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+    elif number is None and requirement is None:
+        print_violations(console(), found, shown)
+    else:
+        for one in found.violations:
+            print_line(f"{one.number} at {one.time_s:.1f} s, {one.requirement}: {one.type}")
+        if not found.violations:
+            print_line("no such violation")
+
+
+async def _name(api: Api, campaign: str, number: int, requirement: str | None, name: str | None) -> None:
+    """Name a violation; None removes the name."""
+    if requirement is None:
+        found = await api.read(Violations, f"/campaigns/{campaign}/violations")
+        violated = [one.requirement for one in found.violations if one.number == number]
+        if len(violated) != 1:
+            one_of = f"expected one of {', '.join(violated)}"
+            message = one_of if violated else f"solution {number} has no violation"
+            raise InvalidInput([FieldError(pointer="--requirement", message=message)])
+        requirement = violated[0]
+    path = f"/campaigns/{campaign}/violations/{number}/{requirement}/name"
+    if name is None:
+        await api.request("DELETE", path)
+    else:
+        await api.request("PUT", path, json={"name": name})
+
+
+class ViolationFindings:
+    """Types of violations.
+
+    Args:
+        found: The violations.
+        fetched: The campaign.
+    """
+
+    name = "violations"
+
+    def __init__(self, found: Violations, fetched: FetchedArchive) -> None:
+        self._found = found
+        self._fetched = fetched
+
+    def sentence(self) -> str:
+        """Return the findings in one sentence."""
+        return violations_sentence(self._found)
+
+    def show(self, screen: Console) -> None:
+        """Print the most common types, and the sentence."""
+        print_violations(screen, self._found)
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write the findings to files; return the files."""
+        return write_violations(self._found, folder)
+
+    async def draw(self, drawing: Drawing) -> list[Path]:
+        """Plot types over time and Pareto fronts, and draw a replay of each common type; return the files."""
+        files = [await asyncio.to_thread(draw_types, self._found, drawing.folder)]
+        if isinstance(self._fetched.plan.config, MultiObjectiveConfig):
+            criticality = await _criticality(drawing.api, self._fetched)
+            files.append(await asyncio.to_thread(_draw_fronts, self._fetched, criticality, drawing.folder))
+        return files + await _draw_gallery(self._found, drawing)
+
+    def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
+        """Return commands to continue with, each with its purpose."""
+        hints = [(f"violations {campaign}{database}", "list all types of violations")]
+        if types := _by_frequency(self._found):
+            hints.append((f"replay {campaign} {types[0].first} --out violation.mp4{database}", "watch one"))
+        return hints
+
+
+def _by_frequency(found: Violations) -> list[TypeView]:
+    """Return the types of violations, those with most solutions first."""
+    return sorted(found.types, key=lambda kind: (-kind.solutions, kind.first))
+
+
+def print_violations(screen: Console, found: Violations, shown: int = TYPES_SHOWN) -> None:
+    """Print the most common types of violations, and in a sentence how many types there are."""
+    types = _by_frequency(found)
+    numbers = ("solutions", "distinct", "first")
+    table = plain_table(*numbers, "type of violation", right=numbers)
+    for kind in types[:shown]:
+        named = " [dim](named)[/dim]" if kind.named else ""
+        table.add_row(str(kind.solutions), str(kind.instances), str(kind.first), escape(kind.type) + named)
+    if types:
+        screen.print(table)
+        if len(types) > shown:
+            screen.print(
+                f"[dim]… and {len(types) - shown} more types: --shown {len(types)}, or violations.csv of a run[/dim]"
+            )
+    screen.print(violations_sentence(found))
+
+
+def violations_sentence(found: Violations) -> str:
+    """Return the number of types and of solutions with violations, in a sentence."""
+    solutions = len({number for kind in found.types for number in kind.numbers})
+    at_fault = sum(kind.at_fault is True for kind in found.types)
+    return (
+        f"{len(found.types)} types of violations in {solutions} solutions; "
+        f"in {at_fault} of the types the rules put the ego vehicle at fault"
+    )
+
+
+def write_violations(found: Violations, folder: Path) -> list[Path]:
+    """Write all violations as JSON, and as CSV with one row for each violation; return the files."""
+    document, table = folder / "violations.json", folder / "violations.csv"
+    write_json(document, found.model_dump(mode="json"))
+    signature = list(found.violations[0].signature) if found.violations else []
+    rows = [
+        [one.number, one.time_s, one.type, one.name or "", *(one.signature[name] for name in signature)]
+        for one in found.violations
+    ]
+    _write_csv(table, ["number", "time_s", "type", "name", *signature], rows)
+    return [document, table]
+
+
+def _write_csv(file: Path, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([header, *rows])
+    file.write_text(text.getvalue(), encoding="utf-8")
+
+
+def draw_types(found: Violations, folder: Path) -> Path:
+    """Plot how the number of known types grows with the number of solutions; return the file."""
+    # matplotlib takes half a second to load: only commands that draw wait for it.
+    from matplotlib.figure import Figure
+
+    firsts = sorted(kind.first for kind in found.types)
+    at_fault = sorted(kind.first for kind in found.types if kind.at_fault is True)
+    last = max((one.number for one in found.violations), default=0)
+    figure = Figure(figsize=(6, 3.4), layout="constrained")
+    axes = figure.subplots()
+    for numbers, colour, label in (
+        (firsts, "#0072b2", "all types"),
+        (at_fault, "#d55e00", "types with the ego at fault"),
+    ):
+        axes.step(
+            [0, *numbers, last], [0, *range(1, len(numbers) + 1), len(numbers)], where="post", color=colour,
+            label=label,
+        )  # fmt: skip
+    axes.set(xlabel="solutions proposed", ylabel="types of violations known", xlim=(0, None), ylim=(0, None))
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False)
+    path = folder / "violation-types.png"
+    figure.savefig(path, dpi=120)
+    return path
+
+
+async def _criticality(api: Api, fetched: FetchedArchive) -> FloatArray:
+    """Return the criticality of all archived solutions in the order of the archive, shape ``(n,)``."""
+    found: dict[int, float] = {}
+    after: int | None = -1
+    while after is not None:
+        params = {"after": after, "limit": 1000}
+        page = await api.read(SolutionPage, f"/campaigns/{fetched.id}/solutions", params)
+        for solution in page.solutions:
+            if solution.objectives is not None:
+                found[solution.number] = solution.objectives[CRITICALITY]
+        after = page.next
+    return np.array([found[int(number)] for number in fetched.archive.numbers])
+
+
+def _draw_fronts(fetched: FetchedArchive, criticality: FloatArray, folder: Path) -> Path:
+    """Plot how the Pareto front moved over the generations; return the file."""
+    # matplotlib takes half a second to load: only commands that draw wait for it.
+    from brink.plots.fronts import figure_fronts
+
+    figure = figure_fronts(
+        fetched.body.name, fetched.plan.problem.space, fetched.archive.vectors, fetched.generations,
+        criticality, fetched.plan.config,
+    )  # fmt: skip
+    path = folder / "fronts.png"
+    figure.savefig(path)
+    return path
+
+
+async def _draw_gallery(found: Violations, drawing: Drawing) -> list[Path]:
+    """Draw the first solution of each common type, skipping those without a trace; return the files."""
+    files = []
+    requirement = {(one.number, one.type): one.requirement for one in found.violations}
+    for place, kind in enumerate(_by_frequency(found)[:TYPES_DRAWN], start=1):
+        if drawing.stop.is_set():
+            break
+        trace = await drawing.trace(kind.first)
+        if trace is None:
+            continue
+        path = drawing.folder / f"violation-{place}.png"
+        await asyncio.to_thread(render, trace, path, requirement=requirement[kind.first, kind.type])
+        files.append(path)
+    return files

@@ -1,0 +1,293 @@
+"""The result of a search: the distinct solutions on the hazard boundary, and their number (DBS).
+
+A solution is on the boundary if its fitness is at most t_b. Boundary solutions are taken in the order of fitness and
+then number, each if its distance to all those taken before is at least d_th.
+
+The *strict* DBS counts only solutions with evidence of a boundary: their interval contains p_th, and their
+neighbourhood holds both verdicts. With p_th = 0.1, sufficiently many safe neighbours without a single unsafe one
+reach fitness 1/9, so from t_b = 0.15 on the plain DBS also counts neighbourhoods in which nothing unsafe was seen.
+
+`by_radius` and `by_p_th` show how the figures depend on the settings they are computed with. They rescore the same
+evaluated solutions. They cannot tell what a search with other settings would have evaluated: the search was guided by
+its own settings, and its archive is densest where those put the boundary.
+
+Source: Sharifi et al. 2023, post-processing and DBS; the strict DBS is ours.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
+from brink.search.archive import Archive
+from brink.search.metric import Points
+from brink.search.space import BoolArray, FloatArray, IntArray
+
+IndexArray: TypeAlias = NDArray[np.intp]
+
+
+RADII: Final = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5)
+P_THS: Final = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
+"""Default settings of a sensitivity analysis."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DbsGrid:
+    """DBS for several thresholds.
+
+    Attributes:
+        t_bs: Largest fitness of a boundary solution, one per row.
+        d_ths: Smallest distance between two distinct solutions, one per column.
+        dbs: DBS, shape ``(len(t_bs), len(d_ths))``.
+        strict: Strict DBS, same shape.
+    """
+
+    t_bs: tuple[float, ...]
+    d_ths: tuple[float, ...]
+    dbs: IntArray
+    strict: IntArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BudgetPoint:
+    """DBS at a share of the budget.
+
+    Attributes:
+        fraction: Share of the budget, in (0, 1].
+        simulations: Number of simulations in that share.
+        evaluated: Solutions evaluated by then; fewer than the simulations if some failed.
+        grid: DBS of those solutions alone.
+    """
+
+    fraction: float
+    simulations: int
+    evaluated: int
+    grid: DbsGrid
+
+
+def has_evidence(archive: Archive) -> BoolArray:
+    """Return which solutions have evidence of a boundary, shape ``(n,)``: an interval around p_th, both verdicts."""
+    p_th = archive.neighbourhood.p_th
+    straddles = (archive.interval[:, 0] <= p_th) & (p_th <= archive.interval[:, 1])
+    mixed = (archive.unsafe_neighbours > 0) & (archive.unsafe_neighbours < archive.neighbours)
+    return straddles & mixed
+
+
+def distinct_boundary(archive: Archive, t_b: float, d_th: float, strict: bool = False) -> IndexArray:
+    """Return the distinct boundary solutions as positions in the archive, best first.
+
+    Args:
+        archive: The evaluated solutions.
+        t_b: Largest fitness of a boundary solution.
+        d_th: Smallest distance between two of them.
+        strict: Whether to take only solutions with evidence of a boundary.
+    """
+    eligible = archive.fitness <= t_b
+    if strict:
+        eligible &= has_evidence(archive)
+    positions = np.flatnonzero(eligible)
+    order = positions[np.lexsort((archive.numbers[positions], archive.fitness[positions]))]
+    return _spread(archive, order, d_th)
+
+
+def _spread(archive: Archive, order: IndexArray, d_th: float) -> IndexArray:
+    """Return the positions that are at least d_th away from all those taken before them."""
+    points = archive.metric.points(archive.vectors[order])
+    left = np.arange(order.size)
+    taken: list[int] = []
+    while left.size:
+        first, left = left[:1], left[1:]
+        taken.append(int(first[0]))
+        left = left[_distances_to(archive, points, first, left) >= d_th]
+    return order[np.array(taken, np.intp)]
+
+
+def _distances_to(archive: Archive, points: Points, one: IndexArray, many: IndexArray) -> FloatArray:
+    distances = np.empty(many.size)
+    for _, columns, block in archive.metric.blocks(points.take(one), points.take(many)):
+        distances[columns] = block[0]
+    return distances
+
+
+def dbs(archive: Archive, t_b: float, d_th: float) -> int:
+    """Return the number of distinct boundary solutions.
+
+    Args:
+        archive: The evaluated solutions.
+        t_b: Largest fitness of a boundary solution.
+        d_th: Smallest distance between two of them.
+    """
+    return int(distinct_boundary(archive, t_b, d_th).size)
+
+
+def strict_dbs(archive: Archive, t_b: float, d_th: float) -> int:
+    """Return the number of distinct boundary solutions with evidence of a boundary.
+
+    Args:
+        archive: The evaluated solutions.
+        t_b: Largest fitness of a boundary solution.
+        d_th: Smallest distance between two of them.
+    """
+    return int(distinct_boundary(archive, t_b, d_th, strict=True).size)
+
+
+def dbs_grid(
+    archive: Archive, t_bs: Sequence[float] = PAPER_T_BS, d_ths: Sequence[float] = PAPER_D_THS
+) -> DbsGrid:
+    """Return DBS and strict DBS for all pairs of thresholds.
+
+    Args:
+        archive: The evaluated solutions.
+        t_bs: Largest fitness of a boundary solution.
+        d_ths: Smallest distance between two of them.
+    """
+    return DbsGrid(
+        t_bs=tuple(t_bs),
+        d_ths=tuple(d_ths),
+        dbs=_counts(archive, t_bs, d_ths, strict=False),
+        strict=_counts(archive, t_bs, d_ths, strict=True),
+    )
+
+
+def _counts(archive: Archive, t_bs: Sequence[float], d_ths: Sequence[float], *, strict: bool) -> IntArray:
+    # Solutions are taken in the order of fitness, so those of a smaller t_b are the first of those of a larger one.
+    counts = np.zeros((len(t_bs), len(d_ths)), np.int64)
+    for column, d_th in enumerate(d_ths):
+        taken = archive.fitness[distinct_boundary(archive, max(t_bs, default=0.0), d_th, strict)]
+        counts[:, column] = [np.count_nonzero(taken <= t_b) for t_b in t_bs]
+    return counts
+
+
+def dbs_by_budget(
+    archive: Archive,
+    budget: int,
+    fractions: Sequence[float] = PAPER_FRACTIONS,
+    t_bs: Sequence[float] = PAPER_T_BS,
+    d_ths: Sequence[float] = PAPER_D_THS,
+) -> Iterator[BudgetPoint]:
+    """Yield DBS at shares of the budget, each computed from the solutions known at that time.
+
+    Candidate numbers count simulations, including failed ones. At a share f of the budget, the solutions with a
+    number below f x budget are known, and only they count as neighbours.
+
+    Args:
+        archive: The evaluated solutions, ascending by number.
+        budget: Simulations of the whole campaign.
+        fractions: Shares in (0, 1], ascending.
+        t_bs: Largest fitness of a boundary solution.
+        d_ths: Smallest distance between two of them.
+
+    Raises:
+        ValueError: The fractions do not ascend in (0, 1], or the archive does not ascend by number.
+    """
+    shares = np.asarray(fractions, np.float64)
+    if not ((shares > 0).all() and (shares <= 1).all() and (np.diff(shares) > 0).all()):
+        raise ValueError(f"fractions: expected ascending numbers in (0, 1], got {list(fractions)}")
+    if (np.diff(archive.numbers) <= 0).any():
+        raise ValueError("archive: expected solutions ascending by number")
+    known = Archive.empty(archive.metric, archive.neighbourhood)
+    for fraction in shares.tolist():
+        simulations = round(fraction * budget)
+        part = slice(len(known), int(np.searchsorted(archive.numbers, simulations)))
+        known = known.grown(
+            archive.numbers[part],
+            archive.vectors[part],
+            archive.unsafe[part],
+            archive.robustness[part],
+            keep_rows=False,
+        )
+        yield BudgetPoint(
+            fraction=fraction,
+            simulations=simulations,
+            evaluated=len(known),
+            grid=dbs_grid(known, t_bs, d_ths),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rescored:
+    """The boundary of an archive with other settings.
+
+    Attributes:
+        radius: Largest distance of a neighbour (delta).
+        p_th: Probability of unsafe on the boundary.
+        neighbours: Median number of solutions in a neighbourhood.
+        near: Solutions with a fitness of at most t_b.
+        dbs: DBS.
+        strict_dbs: Strict DBS.
+    """
+
+    radius: float
+    p_th: float
+    neighbours: float
+    near: int
+    dbs: int
+    strict_dbs: int
+
+
+def rescored(archive: Archive, *, radius: float | None = None, p_th: float | None = None) -> Archive:
+    """Return an archive of the same solutions and verdicts with another radius or probability.
+
+    Args:
+        archive: The evaluated solutions.
+        radius: Largest distance of a neighbour, >= 0; None keeps that of the archive.
+        p_th: Probability of unsafe on the boundary, in (0, 1); None keeps that of the archive.
+
+    Raises:
+        ValueError: A setting is out of range.
+    """
+    near = archive.neighbourhood
+    wanted = replace(
+        near, radius=near.radius if radius is None else radius, p_th=near.p_th if p_th is None else p_th
+    )
+    if wanted.radius == near.radius:  # the counts stay the same
+        return Archive.restore(
+            archive.metric, wanted, numbers=archive.numbers, vectors=archive.vectors, unsafe=archive.unsafe,
+            robustness=archive.robustness, neighbours=archive.neighbours,
+            unsafe_neighbours=archive.unsafe_neighbours,
+        )  # fmt: skip
+    return Archive.empty(archive.metric, wanted).grown(
+        archive.numbers, archive.vectors, archive.unsafe, archive.robustness, keep_rows=False
+    )
+
+
+def by_radius(archive: Archive, radii: Sequence[float], *, t_b: float, d_th: float) -> list[Rescored]:
+    """Return the boundary for each of several radii.
+
+    Args:
+        archive: The evaluated solutions.
+        radii: Largest distances of a neighbour, >= 0.
+        t_b: Largest fitness of a boundary solution.
+        d_th: Smallest distance between two of them.
+
+    Raises:
+        ValueError: A radius is out of range.
+    """
+    return [_summary(rescored(archive, radius=radius), t_b, d_th) for radius in radii]
+
+
+def by_p_th(archive: Archive, p_ths: Sequence[float], *, t_b: float, d_th: float) -> list[Rescored]:
+    """Return the boundary for each of several probabilities of unsafe.
+
+    Args:
+        archive: The evaluated solutions.
+        p_ths: Probabilities of unsafe on the boundary, in (0, 1).
+        t_b: Largest fitness of a boundary solution.
+        d_th: Smallest distance between two of them.
+
+    Raises:
+        ValueError: A probability is out of range.
+    """
+    return [_summary(rescored(archive, p_th=p_th), t_b, d_th) for p_th in p_ths]
+
+
+def _summary(archive: Archive, t_b: float, d_th: float) -> Rescored:
+    return Rescored(
+        radius=archive.neighbourhood.radius, p_th=archive.neighbourhood.p_th,
+        neighbours=float(np.median(archive.neighbours)) if len(archive) else 0.0,
+        near=int((archive.fitness <= t_b).sum()), dbs=dbs(archive, t_b, d_th),
+        strict_dbs=strict_dbs(archive, t_b, d_th),
+    )  # fmt: skip

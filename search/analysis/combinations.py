@@ -1,0 +1,222 @@
+"""Hazardous combinations of techniques, compared with their parts and with other orders.
+
+This works on archives of spaces with ordered slots (`brink.search.slots`). A *chain* is the sequence of techniques in
+the slots of a solution, without empty slots; a *place* is the rest of the solution. Chains are compared in places in
+which both were simulated.
+
+Source: Ferreira et al. 2022: combinations that are hazardous although each part alone is safe (Fig. 6), or in one
+order only (Fig. 7), decided by four of five seeds.
+"""
+
+import itertools
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Final, NamedTuple, TypeAlias
+
+import numpy as np
+
+from brink.search.archive import Archive
+from brink.search.slots import slots_of
+from brink.search.space import SearchSpace
+
+HAZARDOUS: Final = 0.8
+"""Smallest unsafe share of a hazardous chain: four of five places."""
+SAFE: Final = 0.2
+"""Largest unsafe share of a safe chain: one of five places."""
+
+
+class Step(NamedTuple):
+    """A technique at a level, both as indices."""
+
+    technique: int
+    level: int
+
+
+Chain: TypeAlias = tuple[Step, ...]
+Verdicts: TypeAlias = Mapping[bytes, "Verdict"]
+"""Verdicts of a chain, by place."""
+
+
+class Verdict(NamedTuple):
+    """The number of a simulated solution, and its verdict."""
+
+    number: int
+    unsafe: bool
+
+
+class Tally(NamedTuple):
+    """Number of unsafe simulations out of all."""
+
+    unsafe: int
+    trials: int
+
+    @property
+    def share(self) -> float:
+        """Unsafe share; NaN without simulations."""
+        return self.unsafe / self.trials if self.trials else float("nan")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Combination:
+    """A chain, compared with its variants in the places that they share.
+
+    Attributes:
+        chain: Two steps or more.
+        tally: Tally of the chain in all its places.
+        parts: Tally of each proper part that shares a place with it, the empty chain included.
+        orders: Tally of each other order of the same steps that shares a place with it.
+        joint_hazards: Numbers of its unsafe solutions in places where all parts were simulated and are safe.
+        order_hazards: Numbers of its unsafe solutions in places where another order is safe.
+    """
+
+    chain: Chain
+    tally: Tally
+    parts: Mapping[Chain, Tally]
+    orders: Mapping[Chain, Tally]
+    joint_hazards: tuple[int, ...]
+    order_hazards: tuple[int, ...]
+
+    @property
+    def complete(self) -> bool:
+        """Whether every part was simulated."""
+        return len(self.parts) == (1 << len(self.chain)) - 1
+
+    @property
+    def hazardous(self) -> bool:
+        """Whether it is unsafe in at least four of five places."""
+        return self.tally.share >= HAZARDOUS
+
+    @property
+    def minimal(self) -> bool:
+        """Whether it is hazardous and no part is."""
+        return (
+            self.hazardous and self.complete and all(part.share < HAZARDOUS for part in self.parts.values())
+        )
+
+    @property
+    def only_together(self) -> bool:
+        """Whether it is hazardous and every part is safe."""
+        return self.hazardous and self.complete and all(part.share <= SAFE for part in self.parts.values())
+
+    @property
+    def order_matters(self) -> bool:
+        """Whether it is hazardous and another order is safe."""
+        return self.hazardous and any(order.share <= SAFE for order in self.orders.values())
+
+
+def verdicts_by_chain(space: SearchSpace, archive: Archive) -> dict[Chain, dict[bytes, Verdict]]:
+    """Return the verdicts of an archive by chain and place; of repeated solutions, the first.
+
+    Raises:
+        UnsupportedSpace: The space has no slots.
+    """
+    index, slots = slots_of(space)
+    names = [parameter.name for parameter in space.components[index].parameters]
+    columns = [(names.index(technique), names.index(intensity)) for technique, intensity in slots.pairs]
+    part = space.slices[index]
+    found: dict[Chain, dict[bytes, Verdict]] = {}
+    for number, row, unsafe in zip(
+        archive.numbers.tolist(), archive.vectors, archive.unsafe.tolist(), strict=True
+    ):
+        steps = [(int(row[part][technique]), float(row[part][intensity])) for technique, intensity in columns]
+        chain = tuple(Step(choice, slots.level(choice, intensity)) for choice, intensity in steps)
+        chain = tuple(step for step in chain if step.level)
+        place = np.delete(row, np.arange(part.start, part.stop)).tobytes()
+        found.setdefault(chain, {}).setdefault(place, Verdict(number, bool(unsafe)))
+    return found
+
+
+def combinations(verdicts: Mapping[Chain, Verdicts]) -> list[Combination]:
+    """Return every chain of two or more steps, sorted by how clearly it is more hazardous than its parts."""
+    by_steps: dict[frozenset[Step], list[Chain]] = {}
+    for chain in verdicts:
+        by_steps.setdefault(frozenset(chain), []).append(chain)
+    found = [_combination(chain, verdicts, by_steps) for chain in verdicts if len(chain) > 1]
+    return sorted(
+        found,
+        key=lambda one: (
+            not one.only_together,
+            not one.order_matters,
+            not one.minimal,
+            -len(one.joint_hazards),
+            -len(one.order_hazards),
+            -one.tally.share,
+            one.chain,
+        ),
+    )
+
+
+def _combination(
+    chain: Chain, verdicts: Mapping[Chain, Verdicts], by_steps: Mapping[frozenset[Step], list[Chain]]
+) -> Combination:
+    own = verdicts[chain]
+    parts = {
+        part: verdicts[part]
+        for size in range(len(chain))
+        for part in itertools.combinations(chain, size)
+        if part in verdicts and own.keys() & verdicts[part].keys()
+    }
+    orders = {
+        other: verdicts[other]
+        for other in by_steps[frozenset(chain)]
+        if other != chain and own.keys() & verdicts[other].keys()
+    }
+    complete = len(parts) == (1 << len(chain)) - 1
+    unsafe = {place: verdict.number for place, verdict in own.items() if verdict.unsafe}
+    return Combination(
+        chain=chain,
+        tally=_tally(own.values()),
+        parts={part: _shared(seen, own) for part, seen in parts.items()},
+        orders={other: _shared(seen, own) for other, seen in orders.items()},
+        joint_hazards=tuple(
+            number
+            for place, number in unsafe.items()
+            if complete and all(place in seen and not seen[place].unsafe for seen in parts.values())
+        ),
+        order_hazards=tuple(
+            number
+            for place, number in unsafe.items()
+            if any(place in seen and not seen[place].unsafe for seen in orders.values())
+        ),
+    )
+
+
+def _tally(verdicts: Iterable[Verdict]) -> Tally:
+    kept = list(verdicts)
+    return Tally(sum(verdict.unsafe for verdict in kept), len(kept))
+
+
+def _shared(verdicts: Verdicts, places: Iterable[bytes]) -> Tally:
+    return _tally(verdicts[place] for place in places if place in verdicts)
+
+
+def variants_at(verdicts: Mapping[Chain, Verdicts], chain: Chain, number: int) -> dict[Chain, Verdict]:
+    """Return the verdicts of a chain, its parts and its other orders in the place of one of its solutions.
+
+    Args:
+        verdicts: The result of `verdicts_by_chain`.
+        chain: The chain.
+        number: Number of the solution.
+
+    Raises:
+        KeyError: The chain has no such solution.
+    """
+    places = [place for place, verdict in verdicts[chain].items() if verdict.number == number]
+    if not places:
+        raise KeyError(number)
+    variants = [part for size in range(len(chain) + 1) for part in itertools.combinations(chain, size)]
+    variants += [order for order in verdicts if order != chain and set(order) == set(chain)]
+    return {one: verdicts[one][places[0]] for one in variants if places[0] in verdicts.get(one, {})}
+
+
+def tally_by_step(verdicts: Mapping[Chain, Verdicts]) -> dict[Step, tuple[Tally, Tally]]:
+    """Return two tallies for each step: alone, and in chains with others."""
+    alone: dict[Step, list[Verdict]] = {}
+    joined: dict[Step, list[Verdict]] = {}
+    for chain, seen in verdicts.items():
+        for step in chain:
+            (alone if len(chain) == 1 else joined).setdefault(step, []).extend(seen.values())
+    return {
+        step: (_tally(alone.get(step, [])), _tally(joined.get(step, [])))
+        for step in sorted({*alone, *joined})
+    }

@@ -1,0 +1,1 @@
+"""Scripted traffic participants as a genome: encoding, constraint, motion, distances and variation."""

@@ -1,0 +1,322 @@
+"""The constraint on a component of traffic participants, set by the road, the kinds and the actions.
+
+Whatever `Participants.repair` returns can be driven: the participants come first and empty places last; everyone
+starts on a lane, a pavement or a side street, clear of all others; and every action fits its participant's kind.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from brink.search.errors import SpaceError, UnsupportedSpace
+from brink.search.parameters import Parameter, Values
+from brink.search.space import Component, FloatArray, SearchSpace, frozen_array
+from brink.search.traffic.participants import (
+    ACTION_CHOICES,
+    KIND_CHOICES,
+    MAGNITUDES,
+    MAX_ACTIONS,
+    MAX_DURATION_S,
+    MAX_PARTICIPANTS,
+    MAX_SPEEDS_MPS,
+    MIN_ACTIONS,
+    MIN_DURATION_S,
+    PEDESTRIAN_ACTIONS,
+    REACH_M,
+    SIZES_M,
+    VEHICLE_ACTIONS,
+    Action,
+    Kind,
+    ParameterNames,
+    RoadLimits,
+    Solution,
+)
+
+ALONG_M = 1.0
+ACROSS_M = 0.3
+"""Least gaps between participants at the start, along and across the road."""
+
+KERB_ROOM_M = 0.35
+"""Least distance of pedestrians from the edges of a pavement."""
+
+WAITS_M = 5.0
+"""Least distance of vehicles in a side street from the kerb line at the start."""
+
+_NO_ACTION = 0
+_FILLER_S = 2.0
+"""Duration of the `keep` actions appended to a participant with too few actions."""
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where a participant starts.
+
+    Attributes:
+        ds_m: Station.
+        dd_m: Offset.
+        dyaw_rad: Heading: 0 or pi along the road, pi/2 to its left, -pi/2 to its right.
+    """
+
+    ds_m: float
+    dd_m: float
+    dyaw_rad: float
+
+    @property
+    def across(self) -> bool:
+        """Whether it heads across the road."""
+        return abs(math.cos(self.dyaw_rad)) < 0.5
+
+
+def nearest_start(kind: Kind, start: Start, road: RoadLimits) -> Start:
+    """Return the nearest start that the road allows, regardless of others; an allowed start is returned as it is.
+
+    Args:
+        kind: Kind of the participant.
+        start: The start it should have.
+        road: The road.
+    """
+    ds_m = min(max(start.ds_m, -REACH_M), REACH_M)
+    dd_m = min(max(start.dd_m, -REACH_M), REACH_M)
+    if kind is Kind.PEDESTRIAN:
+        return Start(ds_m, _on_pavement(dd_m, road), 0.0 if math.cos(start.dyaw_rad) >= 0 else math.pi)
+    if not road.on_carriageway(dd_m):
+        station_m = road.street_lane(ds_m, dd_m)
+        if station_m is not None:
+            return _in_street(dd_m, station_m, road)
+    own = dd_m < 0.5 * road.lane_width_m
+    middle_m = 0.0 if own else road.lane_width_m
+    room_m = 0.5 * (road.lane_width_m - SIZES_M[kind][1])
+    # A vehicle on the oncoming lane may be overtaking, but none starts on the ego's lane against the traffic.
+    ahead = own or math.cos(start.dyaw_rad) > 0
+    return Start(ds_m, min(max(dd_m, middle_m - room_m), middle_m + room_m), 0.0 if ahead else math.pi)
+
+
+def _on_pavement(dd_m: float, road: RoadLimits) -> float:
+    if dd_m < 0.5 * (road.left_kerb_m + road.right_kerb_m):
+        kerb_m = road.right_kerb_m
+        return min(max(dd_m, kerb_m - road.pavement_m + KERB_ROOM_M), kerb_m - KERB_ROOM_M)
+    kerb_m = road.left_kerb_m
+    return min(max(dd_m, kerb_m + KERB_ROOM_M), kerb_m + road.pavement_m - KERB_ROOM_M)
+
+
+def _in_street(dd_m: float, station_m: float, road: RoadLimits) -> Start:
+    if dd_m > 0:
+        return Start(station_m, max(dd_m, road.left_kerb_m + WAITS_M), -0.5 * math.pi)
+    return Start(station_m, min(dd_m, road.right_kerb_m - WAITS_M), 0.5 * math.pi)
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """The area that a participant occupies, as ranges of station and offset."""
+
+    low_s_m: float
+    high_s_m: float
+    low_d_m: float
+    high_d_m: float
+
+    @classmethod
+    def of(cls, kind: Kind, start: Start) -> "Box":
+        """Return the area of a participant, including half of its gap to others."""
+        length_m, width_m = SIZES_M[kind]
+        along_m, across_m = (width_m, length_m) if start.across else (length_m, width_m)
+        half_s, half_d = 0.5 * (along_m + ALONG_M), 0.5 * (across_m + ACROSS_M)
+        return cls(start.ds_m - half_s, start.ds_m + half_s, start.dd_m - half_d, start.dd_m + half_d)
+
+    def overlaps(self, other: "Box") -> bool:
+        """Return whether two areas overlap."""
+        return (
+            self.low_s_m < other.high_s_m
+            and other.low_s_m < self.high_s_m
+            and self.low_d_m < other.high_d_m
+            and other.low_d_m < self.high_d_m
+        )
+
+
+def ego_box(road: RoadLimits) -> Box:
+    """Return the area around the ego, on its lane, in which no participant starts."""
+    half_m = 0.5 * road.lane_width_m
+    return Box(-road.clear_behind_m, road.clear_ahead_m, -half_m, half_m)
+
+
+def nearest_free_start(kind: Kind, start: Start, taken: Iterable[Box], road: RoadLimits) -> Start | None:
+    """Return the nearest start in the same lane, pavement or street that is clear of others.
+
+    Args:
+        kind: Kind of the participant.
+        start: A start that the road allows.
+        taken: Areas of the others.
+        road: The road.
+
+    Returns:
+        The start, or None if there is no room.
+    """
+    boxes = list(taken)
+    for candidate in _alternatives(kind, start, road):
+        box = Box.of(kind, candidate)
+        if not any(box.overlaps(other) for other in boxes):
+            return candidate
+    return None
+
+
+def _alternatives(kind: Kind, start: Start, road: RoadLimits) -> Iterator[Start]:
+    """Yield a start and then starts at growing distances, along the road or back along the side street."""
+    yield start
+    step_m = SIZES_M[kind][0] + ALONG_M
+    for count in range(1, math.ceil(2.0 * REACH_M / step_m)):
+        for sign in (1.0, -1.0):
+            if start.across:
+                moved = Start(start.ds_m, start.dd_m + sign * count * step_m, start.dyaw_rad)
+            else:
+                moved = Start(start.ds_m + sign * count * step_m, start.dd_m, start.dyaw_rad)
+            if nearest_start(kind, moved, road) == moved:
+                yield moved
+
+
+@dataclass(frozen=True, slots=True)
+class Participants:
+    """Constraint of a component made of traffic participants; it owns all parameters of the component.
+
+    Attributes:
+        count: Largest number of participants.
+        road: The road they are on.
+        places: Names of each participant's parameters.
+    """
+
+    count: int
+    road: RoadLimits
+    places: tuple[ParameterNames, ...] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.count <= MAX_PARTICIPANTS:
+            raise SpaceError(f"Participants: expected 1 to {MAX_PARTICIPANTS}, got {self.count!r}")
+        places = tuple(ParameterNames.of(index) for index in range(1, self.count + 1))
+        object.__setattr__(self, "places", places)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters that it owns."""
+        return tuple(name for place in self.places for name in place.all)
+
+    def fit(self, parameters: Mapping[str, Parameter]) -> None:
+        """Raise SpaceError if the constraint does not fit the component's parameters."""
+        for place in self.places:
+            for parameter in place.parameters():
+                if parameters.get(parameter.name) != parameter:
+                    raise SpaceError(f"Participants: expected the parameter {parameter!r}")
+
+    def repair(self, values: Values, parameters: Mapping[str, Parameter]) -> None:
+        """Repair the values in place; participants without room are dropped, valid values stay unchanged."""
+        present = [self._repaired(values, place) for place in self.places if values[place.kind]]
+        if not present:
+            first = {**values, self.places[0].kind: float(KIND_CHOICES.index(Kind.CAR))}
+            present = [self._repaired(first, self.places[0])]
+        taken = [ego_box(self.road)]
+        kept: list[list[float]] = []
+        for numbers in present:
+            kind = Kind(KIND_CHOICES[int(numbers[0])])
+            start = nearest_free_start(kind, Start(*numbers[1:4]), taken, self.road)
+            if start is not None:
+                taken.append(Box.of(kind, start))
+                kept.append([numbers[0], start.ds_m, start.dd_m, start.dyaw_rad, *numbers[4:]])
+        for index, place in enumerate(self.places):
+            numbers = kept[index] if index < len(kept) else [0.0] * len(place.all)
+            values.update(zip(place.all, numbers, strict=True))
+
+    def _repaired(self, values: Values, place: ParameterNames) -> list[float]:
+        """Return the repaired numbers of one participant, ignoring the others."""
+        kind = Kind(KIND_CHOICES[int(values[place.kind])])
+        ds_m, dd_m, dyaw_rad, speed_mps = (values[name] for name in place.start)
+        heading = dyaw_rad if math.isfinite(dyaw_rad) else 0.0
+        start = nearest_start(kind, Start(ds_m, dd_m, min(max(heading, -math.pi), math.pi)), self.road)
+        numbers = [values[place.kind], start.ds_m, start.dd_m, start.dyaw_rad]
+        numbers.append(min(max(speed_mps, 0.0), MAX_SPEEDS_MPS[kind]))
+        genes = [
+            _repaired_gene(kind, *(values[name] for name in gene))
+            for gene in place.genes
+            if values[gene[0]] != _NO_ACTION
+        ]
+        keep = (float(ACTION_CHOICES.index(Action.KEEP)), _FILLER_S, 0.0)
+        genes += [keep] * (MIN_ACTIONS - len(genes))
+        genes += [(float(_NO_ACTION), 0.0, 0.0)] * (MAX_ACTIONS - len(genes))
+        return numbers + [number for gene in genes for number in gene]
+
+    def problem(self, values: Values, parameters: Mapping[str, Parameter]) -> str | None:
+        """Return what is wrong with the values, or None."""
+        repaired = dict(values)
+        self.repair(repaired, parameters)
+        for name in self.names:
+            if values[name] != repaired[name]:
+                expected = parameters[name].decode(repaired[name])
+                return f"expected {name} to be {expected!r} with the other values, got {values[name]!r}"
+        return None
+
+    def describe(self) -> dict[str, Any]:
+        """Return the constraint as a JSON object."""
+        return {"type": "participants", "count": self.count, "road": dict(self.road.describe())}
+
+    def decode(self, vector: FloatArray) -> Solution:
+        """Return the participants in a vector of the component."""
+        values = dict(zip(self.names, vector.tolist(), strict=True))
+        decoded = (place.decode(values) for place in self.places)
+        return tuple(participant for participant in decoded if participant is not None)
+
+    def encode(self, participants: Solution) -> FloatArray:
+        """Return the vector of participants; it may need repair.
+
+        Raises:
+            SpaceError: There are too many participants, or one has too many actions.
+        """
+        if len(participants) > self.count:
+            raise SpaceError(f"expected at most {self.count} participants, got {len(participants)}")
+        for participant in participants:
+            if len(participant.genes) > MAX_ACTIONS:
+                raise SpaceError(f"expected at most {MAX_ACTIONS} actions, got {len(participant.genes)}")
+        values = dict.fromkeys(self.names, 0.0)
+        for participant, place in zip(participants, self.places, strict=False):
+            values.update(place.encode(participant))
+        return frozen_array([values[name] for name in self.names])
+
+
+def _repaired_gene(
+    kind: Kind, choice: float, duration_s: float, magnitude: float
+) -> tuple[float, float, float]:
+    action = Action(ACTION_CHOICES[int(choice)])
+    if kind is Kind.PEDESTRIAN and action not in PEDESTRIAN_ACTIONS:
+        action = Action.CROSS
+    if kind is not Kind.PEDESTRIAN and action not in VEHICLE_ACTIONS:
+        action = Action.KEEP
+    has_magnitude = MAGNITUDES[action].unit != ""
+    return (
+        float(ACTION_CHOICES.index(action)),
+        min(max(duration_s, MIN_DURATION_S), MAX_DURATION_S),
+        min(max(magnitude, 0.0), 1.0) if has_magnitude else 0.0,
+    )
+
+
+def participants_component(name: str, count: int, road: RoadLimits) -> Component:
+    """Return a component of traffic participants.
+
+    Args:
+        name: Name of the component.
+        count: Largest number of participants.
+        road: The road they are on.
+
+    Raises:
+        SpaceError: The count is out of range.
+    """
+    rule = Participants(count, road)
+    return Component(name, tuple(p for place in rule.places for p in place.parameters()), (rule,))
+
+
+def participants_of(space: SearchSpace) -> tuple[int, Participants]:
+    """Return the position of the component of participants, and its constraint.
+
+    Raises:
+        UnsupportedSpace: The space has no such component.
+    """
+    for index, component in enumerate(space.components):
+        for rule in component.constraints:
+            if isinstance(rule, Participants) and len(rule.names) == component.dimension:
+                return index, rule
+    raise UnsupportedSpace("expected a component of traffic participants with timed actions")

@@ -1,0 +1,351 @@
+"""Kinematic roll-out of participants from their actions alone, and distances between solutions based on it.
+
+Each action becomes up to three stretches of constant acceleration; lateral moves are smooth steps. Participants never
+cross the outer edges of the road nor exceed their top speeds; an action that asks for more is cut off.
+
+`trajectory_distances` and `encounter_distances` are the paper's TD and ED. ED averages over all pairs of
+participants, so the ED of a solution to itself is not 0 if it has two or more. Decisions about novelty therefore use
+`matched_distances`, which matches participants one to one.
+
+Source: Tian et al., diversity of solutions.
+"""
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from brink.search.space import FloatArray
+from brink.search.traffic.constraint import KERB_ROOM_M
+from brink.search.traffic.participants import (
+    MAX_ACTIONS,
+    MAX_SPEEDS_MPS,
+    SIZES_M,
+    Action,
+    Gene,
+    Kind,
+    Participant,
+    RoadLimits,
+    Solution,
+)
+
+UNMATCHED_M: Final = 25.0
+"""Distance charged for an unmatched participant: half the paper's start radius of 50 m."""
+
+_BLOCK_ROWS: Final = 32
+"""Solutions compared at a time, to keep temporary arrays small."""
+_INSTANT_S: Final = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stretch:
+    """A stretch of motion with constant acceleration and one smooth lateral step.
+
+    Attributes:
+        gene: Position of the action that it belongs to.
+        from_s: Start time.
+        lasts_s: Duration.
+        s_m: Station at the start.
+        d_m: Offset at the start.
+        heading_rad: Direction of travel without the lateral step: a multiple of pi/2.
+        speed_mps: Speed at the start.
+        accel_mps2: Acceleration.
+        aside_m: Size of the lateral step, positive to its own left.
+    """
+
+    gene: int
+    from_s: float
+    lasts_s: float
+    s_m: float
+    d_m: float
+    heading_rad: float
+    speed_mps: float
+    accel_mps2: float
+    aside_m: float
+
+    @property
+    def end(self) -> tuple[float, float, float]:
+        """Station, offset and speed at the end."""
+        t = self.lasts_s
+        along_m = (self.speed_mps + 0.5 * self.accel_mps2 * t) * t
+        cos_yaw, sin_yaw = _direction(self.heading_rad)
+        return (
+            self.s_m + along_m * cos_yaw - self.aside_m * sin_yaw,
+            self.d_m + along_m * sin_yaw + self.aside_m * cos_yaw,
+            max(0.0, self.speed_mps + self.accel_mps2 * t),
+        )
+
+
+def _direction(heading_rad: float) -> tuple[float, float]:
+    """Return the exact cosine and sine of a multiple of pi/2."""
+    quarter = round(heading_rad / (0.5 * math.pi)) % 4
+    return ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[quarter]
+
+
+def roll_out(participant: Participant, road: RoadLimits, until_s: float = 0.0) -> tuple[Stretch, ...]:
+    """Return the motion of a participant.
+
+    Args:
+        participant: The participant; it complies with the road.
+        road: The road.
+        until_s: Time until which it keeps going at constant speed after its last action.
+    """
+    mover = _Mover(participant, road)
+    for index, gene in enumerate(participant.genes):
+        mover.act(index, gene)
+    mover.coast(until_s)
+    return tuple(mover.stretches)
+
+
+class _Mover:
+    """A participant during the roll-out; changes in place."""
+
+    def __init__(self, participant: Participant, road: RoadLimits) -> None:
+        self._kind = participant.kind
+        self._road = road
+        self._time_s = 0.0
+        self._s_m, self._d_m = participant.ds_m, participant.dd_m
+        self._along_rad = self._heading_rad = participant.dyaw_rad
+        self._speed = participant.speed_mps
+        self.stretches: list[Stretch] = []
+
+    def act(self, index: int, gene: Gene) -> None:
+        """Carry out one action."""
+        magnitude, duration_s = gene.magnitude, gene.duration_s
+        if not self._is_crossing:
+            self._heading_rad = self._along_rad
+        match gene.action:
+            case Action.KEEP:
+                self._move(index, duration_s, 0.0)
+            case Action.ACCELERATE:
+                self._move(index, duration_s, magnitude)
+            case Action.DECELERATE | Action.BRAKE:
+                self._move(index, duration_s, -magnitude)
+            case Action.CHANGE_LEFT:
+                self._move(index, duration_s, 0.0, magnitude * self._road.lane_width_m)
+            case Action.CHANGE_RIGHT:
+                self._move(index, duration_s, 0.0, -magnitude * self._road.lane_width_m)
+            case Action.CUT_IN:
+                cos_yaw, _ = _direction(self._heading_rad)
+                self._move(index, duration_s, -magnitude, -self._d_m * cos_yaw)
+            case Action.CROSS:
+                self._cross(index, duration_s, magnitude)
+
+    def coast(self, until_s: float) -> None:
+        """Keep going at constant speed until a time; a pedestrian on the road finishes crossing."""
+        if until_s - self._time_s > _INSTANT_S:
+            self._move(self.stretches[-1].gene, until_s - self._time_s, 0.0)
+
+    @property
+    def _is_crossing(self) -> bool:
+        """Whether it is a pedestrian on the carriageway, who keeps walking to the other side in any case."""
+        return self._kind is Kind.PEDESTRIAN and self._road.on_carriageway(self._d_m)
+
+    def _cross(self, index: int, duration_s: float, speed: float) -> None:
+        """Walk to the other side of the road and wait there."""
+        if not self._is_crossing:
+            left = self._d_m > 0.5 * (self._road.left_kerb_m + self._road.right_kerb_m)
+            self._heading_rad = -0.5 * math.pi if left else 0.5 * math.pi
+        self._speed = speed
+        self._move(index, duration_s, 0.0)
+
+    def _move(self, index: int, duration_s: float, accel_mps2: float, aside_m: float = 0.0) -> None:
+        """Add one stretch until the top speed or a standstill, and one at the final speed."""
+        if aside_m:
+            aside_m = self._limited_step(aside_m)
+        fastest = MAX_SPEEDS_MPS[self._kind]
+        changes_s = duration_s
+        if accel_mps2 < 0:
+            changes_s = min(duration_s, self._speed / -accel_mps2)
+        elif accel_mps2 > 0:
+            changes_s = min(duration_s, max(0.0, fastest - self._speed) / accel_mps2)
+        self._stretch(index, changes_s, accel_mps2, aside_m * _smooth(changes_s / duration_s))
+        rest_m = aside_m * (1.0 - _smooth(changes_s / duration_s))
+        self._stretch(index, duration_s - changes_s, 0.0, rest_m)
+
+    def _limited_step(self, aside_m: float) -> float:
+        """Return the part of a lateral step that stays on the carriageway; 0 in a side street."""
+        cos_yaw, sin_yaw = _direction(self._heading_rad)
+        if sin_yaw:
+            return 0.0
+        half_m = 0.5 * SIZES_M[self._kind][1]
+        low_m = -0.5 * self._road.lane_width_m + half_m
+        high_m = 1.5 * self._road.lane_width_m - half_m
+        target_m = min(max(self._d_m + aside_m * cos_yaw, low_m), high_m)
+        return (target_m - self._d_m) * cos_yaw
+
+    def _stretch(self, index: int, lasts_s: float, accel_mps2: float, aside_m: float) -> None:
+        if lasts_s <= _INSTANT_S:
+            return
+        lasts_s, waits_s = self._until_edge(lasts_s, accel_mps2)
+        if lasts_s > _INSTANT_S:
+            self._append(index, lasts_s, self._speed, accel_mps2, aside_m)
+        if waits_s > _INSTANT_S:
+            self._append(index, waits_s, 0.0, 0.0, 0.0)
+
+    def _until_edge(self, lasts_s: float, accel_mps2: float) -> tuple[float, float]:
+        """Return how long a pedestrian walks until the far edge of the pavement, and how long they wait there."""
+        if self._kind is not Kind.PEDESTRIAN or not _direction(self._heading_rad)[1]:
+            return lasts_s, 0.0
+        road = self._road
+        outer_m = road.pavement_m - KERB_ROOM_M
+        edge_m = road.left_kerb_m + outer_m if self._heading_rad > 0 else road.right_kerb_m - outer_m
+        walks_s = min(lasts_s, _travel_time_s(abs(edge_m - self._d_m), self._speed, accel_mps2))
+        return walks_s, lasts_s - walks_s
+
+    def _append(
+        self, index: int, lasts_s: float, speed_mps: float, accel_mps2: float, aside_m: float
+    ) -> None:
+        stretch = Stretch(
+            gene=index, from_s=self._time_s, lasts_s=lasts_s, s_m=self._s_m, d_m=self._d_m,
+            heading_rad=self._heading_rad, speed_mps=speed_mps, accel_mps2=accel_mps2, aside_m=aside_m,
+        )  # fmt: skip
+        self.stretches.append(stretch)
+        self._time_s = stretch.from_s + stretch.lasts_s
+        self._s_m, self._d_m, self._speed = stretch.end
+
+
+def _travel_time_s(distance_m: float, speed_mps: float, accel_mps2: float) -> float:
+    """Return the time needed for a distance; infinite if it is never covered."""
+    squared = speed_mps * speed_mps + 2.0 * accel_mps2 * distance_m
+    arrives_mps = speed_mps + math.sqrt(squared) if squared >= 0 else 0.0
+    return 2.0 * distance_m / arrives_mps if arrives_mps > 0 else math.inf
+
+
+def _smooth(share: float) -> float:
+    return share * share * (3.0 - 2.0 * share)
+
+
+def waypoints(participant: Participant, road: RoadLimits) -> FloatArray:
+    """Return a participant's position at the end of each action.
+
+    Returns:
+        Stations and offsets in m, shape ``(actions, 2)``.
+    """
+    ends = np.full((len(participant.genes), 2), np.nan)
+    for stretch in roll_out(participant, road):
+        ends[stretch.gene] = stretch.end[:2]
+    return ends
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rollouts:
+    """Waypoints of n solutions with up to p participants of up to g actions.
+
+    Attributes:
+        points: Stations and offsets at the ends of actions in m, NaN where there are none, shape ``(n, p, g, 2)``.
+        actions: Numbers of actions, 0 for a missing participant, shape ``(n, p)``.
+    """
+
+    points: FloatArray
+    actions: FloatArray
+
+    @classmethod
+    def of(cls, solutions: Iterable[Solution], count: int, road: RoadLimits) -> "Rollouts":
+        """Roll out solutions.
+
+        Args:
+            solutions: The participants of each solution.
+            count: Largest number of participants in a solution (p).
+            road: The road they are on.
+        """
+        listed = list(solutions)
+        points = np.full((len(listed), count, MAX_ACTIONS, 2), np.nan)
+        actions = np.zeros((len(listed), count))
+        for row, participants in enumerate(listed):
+            for column, participant in enumerate(participants):
+                ends = waypoints(participant, road)
+                points[row, column, : len(ends)] = ends
+                actions[row, column] = len(ends)
+        return cls(points=points, actions=actions)
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def take(self, rows: Any) -> "Rollouts":
+        """Return the roll-outs of the given rows."""
+        return Rollouts(points=self.points[rows], actions=self.actions[rows])
+
+
+def trajectory_distances(first: Rollouts, second: Rollouts) -> tuple[FloatArray, FloatArray]:
+    """Return TD of all pairs of participants, and the number of waypoints that each sums over.
+
+    TD sums the distances between the waypoints of the actions that both participants have.
+
+    Returns:
+        Distances in m and numbers of waypoints (0 if a participant is missing), both shape ``(n, m, p, q)``.
+    """
+    apart = first.points[:, None, :, None] - second.points[None, :, None, :]
+    distances = np.sqrt((apart * apart).sum(axis=-1))
+    return np.nansum(distances, axis=-1), np.minimum(
+        first.actions[:, None, :, None], second.actions[None, :, None, :]
+    )
+
+
+def encounter_distances(first: Rollouts, second: Rollouts) -> FloatArray:
+    """Return ED of all pairs of solutions: the mean of TD over all pairs of their participants.
+
+    Returns:
+        Distances in m, shape ``(n, m)``.
+    """
+    found = np.empty((len(first), len(second)))
+    for rows, columns in _blocks(len(first), len(second)):
+        sums, shared = trajectory_distances(first.take(rows), second.take(columns))
+        found[rows, columns] = sums.sum(axis=(2, 3)) / (shared > 0).sum(axis=(2, 3))
+    return found
+
+
+def participant_distances(first: Rollouts, second: Rollouts) -> FloatArray:
+    """Return the mean TD of each participant to all participants of the second solutions.
+
+    Returns:
+        Distances in m, NaN for a missing participant, shape ``(n, p)``.
+    """
+    totals, pairs = np.zeros(first.actions.shape), np.zeros(first.actions.shape)
+    for rows, columns in _blocks(len(first), len(second)):
+        sums, shared = trajectory_distances(first.take(rows), second.take(columns))
+        totals[rows] += sums.sum(axis=(1, 3))
+        pairs[rows] += (shared > 0).sum(axis=(1, 3))
+    return np.where(pairs > 0, totals / np.maximum(pairs, 1.0), np.nan)
+
+
+def _blocks(rows: int, columns: int) -> Iterator[tuple[slice, slice]]:
+    """Yield the blocks of a distance matrix."""
+    for row in range(0, rows, _BLOCK_ROWS):
+        for column in range(0, columns, _BLOCK_ROWS):
+            yield slice(row, row + _BLOCK_ROWS), slice(column, column + _BLOCK_ROWS)
+
+
+def matched_distance(first: Rollouts, second: Rollouts) -> float:
+    """Return the distance of two solutions under the best one-to-one matching; 0 for equal solutions.
+
+    The distance of a matched pair is its mean distance per waypoint; an unmatched participant counts `UNMATCHED_M`.
+
+    Args:
+        first: Roll-out of one solution.
+        second: Roll-out of one solution.
+
+    Returns:
+        Mean over matched pairs and unmatched participants, in m.
+    """
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
+    sums, shared = trajectory_distances(first, second)
+    here, there = int((first.actions[0] > 0).sum()), int((second.actions[0] > 0).sum())
+    present = np.ix_(first.actions[0] > 0, second.actions[0] > 0)
+    costs = sums[0, 0][present] / shared[0, 0][present]
+    rows, columns = linear_sum_assignment(costs)
+    unmatched = max(here, there) - len(rows)
+    return float((costs[rows, columns].sum() + UNMATCHED_M * unmatched) / max(here, there))
+
+
+def matched_distances(first: Rollouts, second: Rollouts) -> FloatArray:
+    """Return `matched_distance` of all pairs of solutions, in m, shape ``(n, m)``."""
+    return np.array(
+        [
+            [matched_distance(first.take([row]), second.take([column])) for column in range(len(second))]
+            for row in range(len(first))
+        ]
+    ).reshape(len(first), len(second))

@@ -1,0 +1,424 @@
+"""Routes of analyses: map, convergence curve, parameter dependence, scores, safety monitor."""
+
+import asyncio
+from typing import Annotated, Any
+
+import numpy as np
+from fastapi import APIRouter, Query, Request, Response
+from numpy.typing import NDArray
+from pydantic import Field
+
+from brink.search.analysis.comparison import control_summary, rows_of
+from brink.search.analysis.dependence import Dependence, ParameterColumn, parameter_columns
+from brink.search.analysis.monitor import Answer
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
+from brink.search.analysis.scores import DRAWS, Scores
+from brink.search.errors import SpaceError
+from brink.search.fitness import wilson_interval
+from brink.search.space import Categorical
+from brink.server.api.context import Services
+from brink.server.api.experiments import control_view
+from brink.server.api.responses import COMPUTING, NOT_MODIFIED, computing, etag_of, matches, not_modified
+from brink.server.api.schemas import MAX_NUMBER, ControlView, View
+from brink.server.api.solutions import Threshold
+from brink.server.campaigns import view_store
+from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.store import ENDED, Campaign
+from brink.server.dashboard import figures
+from brink.server.dashboard.solution_map import SolutionMap
+from brink.server.db.engine import read
+from brink.server.documents import Body
+from brink.server.errors import Conflict, FieldError, InvalidInput, nearest
+from brink.server.states import CampaignStatus
+
+router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["figures"])
+
+DIGITS = 4
+"""Decimal places of coordinates and fitness on the map."""
+
+
+class ColourBy(View):
+    """The values of one parameter, one for each drawn solution."""
+
+    parameter: Annotated[str, Field(description="Name as component.parameter.")]
+    unit: str
+    choices: Annotated[
+        list[str] | None,
+        Field(description="Choices of a categorical parameter; its values are indices into them."),
+    ]
+    low: float | None
+    high: float | None
+    values: Annotated[
+        list[float | None], Field(description="Null where the parameter is inactive in that solution.")
+    ]
+
+
+class MapView(View):
+    """Positions of solutions on the map, in columns, in order of evaluation."""
+
+    version: Annotated[
+        str, Field(description="Points of one layout version do not move; pass it with `after`.")
+    ]
+    generation: Annotated[int, Field(description="Generations completed.")]
+    evaluated: Annotated[int, Field(description="Evaluated solutions.")]
+    drawn: Annotated[int, Field(description="How many of them are on the map.")]
+    explained: Annotated[float, Field(description="Share of the squared distances that the map preserves.")]
+    across: Annotated[str | None, Field(description="What the horizontal axis correlates with, in words.")]
+    up: Annotated[str | None, Field(description="What the vertical axis correlates with, in words.")]
+    first: Annotated[int, Field(description="Solutions left out because the client already has them.")]
+    number: list[int]
+    told_in: Annotated[list[int], Field(description="Generation of each solution.")]
+    unsafe: Annotated[list[int], Field(description="1 or 0.")]
+    robustness: list[float]
+    x: list[float]
+    y: list[float]
+    fitness: Annotated[
+        list[float],
+        Field(description="Fitness of all drawn solutions, since it changes with every generation."),
+    ]
+    by: ColourBy | None
+
+
+@router.get("/map", response_model=MapView, responses=NOT_MODIFIED)
+async def get_map(
+    campaign_id: str,
+    services: Services,
+    request: Request,
+    version: Annotated[str, Query(max_length=40, description="Version of the map that the client has.")] = "",
+    after: Annotated[
+        int, Query(ge=0, le=MAX_NUMBER, description="How many of its solutions the client has.")
+    ] = 0,
+    parameter: Annotated[
+        str, Query(max_length=200, description="Add the values of component.parameter.")
+    ] = "",
+) -> Response:
+    """Return the positions of a campaign's solutions on its map; large campaigns are thinned out."""
+    campaign = await services.campaigns.get(campaign_id)
+    found = await services.archives.get(campaign)
+    etag = _etag(campaign, found.generation, version, after, parameter)
+    if matches(request, etag):
+        return not_modified(etag)  # type: ignore[no-any-return]
+    column = None
+    if parameter:
+        column = await asyncio.get_running_loop().run_in_executor(None, _column, found, parameter)
+    drawn = await services.figures.maps.get(campaign.id, found, ended=campaign.status in ENDED)
+    first = min(after, len(drawn.rows)) if version == drawn.version else 0
+
+    series = await read(services.engines, lambda c: view_store.list_generations(c, campaign.id, 0))
+    ends = np.array([generation.evaluated for generation in series], np.int64)
+
+    def write() -> str:
+        return _map_view(found, drawn, ends, first, column).model_dump_json()
+
+    text = await asyncio.get_running_loop().run_in_executor(None, write)
+    return Response(text, media_type="application/json", headers={"ETag": etag})
+
+
+def _etag(campaign: Campaign, *parts: object) -> str:
+    return etag_of(campaign.id, campaign.sequence, campaign.status in ENDED, *parts)
+
+
+def _column(found: ReadArchive, parameter: str) -> ParameterColumn:
+    columns = parameter_columns(found.plan.problem.space, found.archive.vectors)
+    for column in columns:
+        if column.name == parameter:
+            return column
+    names = [column.name for column in columns]
+    message = f"expected a parameter of {found.plan.problem.id}, such as {names[0]}; got {parameter[:80]!r}"
+    raise InvalidInput(
+        [FieldError(pointer="/query/parameter", message=message, nearest=nearest(parameter, names))]
+    )
+
+
+def _map_view(
+    found: ReadArchive,
+    drawn: SolutionMap,
+    ends: NDArray[np.int64],
+    first: int,
+    column: ParameterColumn | None,
+) -> MapView:
+    archive, rows = found.archive, drawn.rows
+    new, points = rows[first:], drawn.points[first:]
+    return MapView.model_construct(
+        version=drawn.version, generation=found.generation, evaluated=len(archive), drawn=len(rows),
+        explained=drawn.projection.explained, across=drawn.axes[0], up=drawn.axes[1], first=first,
+        number=archive.numbers[new].tolist(), told_in=np.searchsorted(ends, new, side="right").tolist(),
+        unsafe=archive.unsafe[new].astype(np.int64).tolist(), robustness=_rounded(archive.robustness[new]),
+        x=_rounded(points[:, 0]), y=_rounded(points[:, 1]), fitness=_rounded(archive.fitness[rows]),
+        by=_colour_by(column, rows) if column is not None else None,
+    )  # fmt: skip
+
+
+def _rounded(values: NDArray[np.float64]) -> list[float]:
+    rounded: list[float] = np.round(np.nan_to_num(values, posinf=1e9, neginf=-1e9), DIGITS).tolist()
+    return rounded
+
+
+def _colour_by(column: ParameterColumn, rows: NDArray[np.intp]) -> ColourBy:
+    parameter, awake = column.parameter, column.active[rows].tolist()
+    scale = None if isinstance(parameter, Categorical) else parameter
+    return ColourBy.model_construct(
+        parameter=column.name, unit=scale.unit if scale else "",
+        choices=list(parameter.choices) if isinstance(parameter, Categorical) else None,
+        low=float(scale.low) if scale else None, high=float(scale.high) if scale else None,
+        values=[
+            value if there else None
+            for value, there in zip(_rounded(column.values[rows]), awake, strict=True)
+        ],
+    )  # fmt: skip
+
+
+class CourseView(View):
+    """Convergence curve in columns: each point counts only what had been evaluated by then."""
+
+    t_b: float
+    d_th: float
+    simulations: list[int]
+    evaluated: list[int]
+    dbs: list[int]
+    strict_dbs: list[int]
+    note: Annotated[str | None, Field(description="Why there is no curve, if there is none.")]
+
+
+@router.get("/course", responses=NOT_MODIFIED)
+async def get_course(
+    campaign_id: str,
+    services: Services,
+    request: Request,
+    response: Response,
+    t_b: Threshold = DEFAULT_T_B,
+    d_th: Threshold = DEFAULT_D_TH,
+) -> CourseView:
+    """Return the convergence curve: the number of distinct boundary solutions over simulations, at any thresholds."""
+    campaign = await services.campaigns.get(campaign_id)
+    found = await services.archives.get(campaign)
+    etag = _etag(campaign, found.generation, t_b, d_th)
+    if matches(request, etag):
+        return not_modified(etag)  # type: ignore[no-any-return]
+    points = await services.figures.convergence.get(campaign.id, found, t_b, d_th)
+    response.headers["ETag"] = etag
+    return CourseView(
+        t_b=t_b, d_th=d_th,
+        simulations=[point.simulations for point in points],
+        evaluated=[point.evaluated for point in points],
+        dbs=[int(point.grid.dbs[0, 0]) for point in points],
+        strict_dbs=[int(point.grid.strict[0, 0]) for point in points],
+        note=_no_curve(len(found.archive)),
+    )  # fmt: skip
+
+
+def _no_curve(evaluated: int) -> str | None:
+    if evaluated <= figures.MAX_SOLUTIONS:
+        return None
+    return (
+        f"with more than {figures.MAX_SOLUTIONS:,} solutions, the curve is available only at the default thresholds, "
+        f"t_b {DEFAULT_T_B:g} and d_th {DEFAULT_D_TH:g}"
+    )
+
+
+class DependenceView(View):
+    """The unsafe share of solutions over the values of one parameter."""
+
+    component: str
+    parameter: str
+    unit: str
+    places: Annotated[
+        list[float],
+        Field(description="Position of each group: index of a choice, a value, or the median of a bin."),
+    ]
+    labels: Annotated[list[str], Field(description="Names of the groups; empty on a numeric axis.")]
+    low: float | None
+    high: float | None
+    counts: list[int]
+    unsafe: list[int]
+    intervals: Annotated[
+        list[tuple[float, float]],
+        Field(description="95% Wilson intervals of the unsafe shares."),
+    ]
+    strength: Annotated[float, Field(description="Cramér's V between group and verdict.")]
+    p_value: float
+    detectable: Annotated[
+        bool,
+        Field(description="Whether the dependence is significant, corrected for the number of parameters."),
+    ]
+
+
+class Dependences(View):
+    """How the verdict depends on each parameter."""
+
+    generation: int
+    evaluated: int
+    unsafe: int
+    parameters: Annotated[list[DependenceView], Field(description="Strongest first.")]
+
+
+@router.get("/dependence", responses=NOT_MODIFIED)
+async def get_dependence(
+    campaign_id: str, services: Services, request: Request, response: Response
+) -> Dependences:
+    """Return the unsafe share over the values of each parameter. No risk estimate: searches sample unevenly."""
+    campaign = await services.campaigns.get(campaign_id)
+    found = await services.archives.get(campaign)
+    etag = _etag(campaign, found.generation)
+    if matches(request, etag):
+        return not_modified(etag)  # type: ignore[no-any-return]
+    known = await services.figures.dependences(campaign.id, found)
+    response.headers["ETag"] = etag
+    return Dependences(
+        generation=found.generation, evaluated=len(found.archive), unsafe=int(np.count_nonzero(found.archive.unsafe)),
+        parameters=[_dependence(one, len(known)) for one in known],
+    )  # fmt: skip
+
+
+def _dependence(one: Dependence, parameters: int) -> DependenceView:
+    parameter = one.column.parameter
+    scale = None if isinstance(parameter, Categorical) else parameter
+    low, high = wilson_interval(
+        one.unsafe, np.maximum(one.counts, 1)
+    )  # groups without solutions are not drawn
+    return DependenceView(
+        component=one.column.component, parameter=parameter.name, unit=scale.unit if scale else "",
+        places=one.places.tolist(), labels=list(one.labels),
+        low=float(scale.low) if scale else None, high=float(scale.high) if scale else None,
+        counts=one.counts.tolist(), unsafe=one.unsafe.tolist(),
+        intervals=list(zip(low.tolist(), high.tolist(), strict=True)),
+        strength=one.strength, p_value=one.p_value,
+        detectable=one.detectable(parameters),
+    )  # fmt: skip
+
+
+class ScoresView(View):
+    """DBS that a campaign reached: one value for each fraction of its budget, each t_b and each d_th."""
+
+    id: str
+    name: str
+    status: CampaignStatus
+    evaluated: Annotated[int, Field(description="Solutions evaluated within the budget.")]
+    unsafe: int
+    unsafe_share: float
+    fractions: Annotated[list[float], Field(description="Fractions of the budget.")]
+    t_bs: list[float]
+    d_ths: list[float]
+    dbs: list[list[list[float]]]
+    strict: list[list[list[float]]]
+    control: Annotated[
+        ControlView | None, Field(description="Null if no component of the problem is a scenario.")
+    ]
+    draws: Annotated[int, Field(description="Number of draws that the control's values are averaged over.")]
+    says: Annotated[
+        list[list[str]],
+        Field(
+            description="Conclusion from the comparison with the control at the whole budget, for each t_b and d_th; "
+            "empty without a control."
+        ),
+    ]
+
+
+@router.get(
+    "/scores",
+    responses=COMPUTING,
+)
+async def get_scores(
+    campaign_id: str,
+    services: Services,
+    wait_s: Annotated[
+        float, Query(ge=0, le=60, description="How long to wait for the scores, in seconds.")
+    ] = 10.0,
+) -> ScoresView:
+    """Return the DBS and strict DBS of an ended campaign at fractions of its budget, next to those of its control."""
+    campaign = await services.campaigns.get(campaign_id)
+    if campaign.status not in ENDED:
+        raise Conflict(f"campaign {campaign.id} is {campaign.status}: scores are available once it has ended")
+    scores = await services.scorebook.scores(campaign, wait_s)
+    if scores is None:
+        return computing("the campaign is being scored; try again soon")  # type: ignore[no-any-return]
+    return _scores_view(campaign, scores)
+
+
+def _scores_view(campaign: Campaign, scores: Scores) -> ScoresView:
+    own, *control = rows_of(scores, campaign=campaign.id, label=campaign.body.name)
+    return ScoresView(
+        id=campaign.id, name=campaign.body.name, status=campaign.status, evaluated=scores.evaluated,
+        unsafe=scores.unsafe, unsafe_share=own.unsafe_share, fractions=list(PAPER_FRACTIONS),
+        t_bs=list(PAPER_T_BS), d_ths=list(PAPER_D_THS), dbs=scores.figures.dbs.tolist(),
+        strict=scores.figures.strict.tolist(), control=control_view(scores.control), draws=DRAWS,
+        says=[
+            [control_summary(own, blind, (i, j)) for j in range(len(PAPER_D_THS))]
+            for blind in control
+            for i in range(len(PAPER_T_BS))
+        ],
+    )  # fmt: skip
+
+
+monitors_router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["monitors"])
+
+MAX_SOLUTIONS = 1_000
+
+
+class Questions(Body):
+    """Solutions to score."""
+
+    solutions: Annotated[
+        list[dict[str, dict[str, Any]]],
+        Field(
+            min_length=1, max_length=MAX_SOLUTIONS,
+            description="Parameters of each solution by component and name, as in the response for a solution.",
+        ),
+    ]  # fmt: skip
+    threshold: Annotated[
+        float | None,
+        Field(
+            gt=0,
+            lt=1,
+            description="Probability above which a solution is called unsafe; p_th by default.",
+        ),
+    ] = None
+
+
+class RiskView(View):
+    """Estimated probability that a solution is unsafe."""
+
+    probability: float
+    low: Annotated[float, Field(description="Lower limit of the interval.")]
+    high: float
+    neighbours: Annotated[
+        float, Field(description="Weight of the evaluations near it, as a number of evaluations.")
+    ]
+    answer: Annotated[Answer, Field(description="Unknown if the interval contains the threshold.")]
+
+
+class Scored(View):
+    """Risk estimates of a campaign's safety monitor."""
+
+    campaign: str
+    learned_from: Annotated[int, Field(description="Number of solutions that the monitor was fitted to.")]
+    threshold: float
+    risks: Annotated[list[RiskView], Field(description="In the order of the solutions.")]
+
+
+@monitors_router.post("/monitor/score")
+async def score_solutions(campaign_id: str, questions: Questions, services: Services) -> Scored:
+    """Estimate the probability that solutions are unsafe; intervals are wide where few solutions were evaluated."""
+    campaign = await services.campaigns.get(campaign_id)
+    monitor = await services.monitors.get(campaign)
+    rows = []
+    for place, values in enumerate(questions.solutions):
+        try:
+            rows.append(monitor.space.join(monitor.space.encode(values)))
+        except SpaceError as error:
+            raise InvalidInput([FieldError(pointer=f"/solutions/{place}", message=str(error))]) from None
+    risks = await asyncio.get_running_loop().run_in_executor(None, monitor.score, np.array(rows))
+    threshold = questions.threshold if questions.threshold is not None else monitor.threshold
+    columns = (risks.probability, risks.low, risks.high, risks.neighbours)
+    return Scored(
+        campaign=campaign.id,
+        learned_from=len(monitor),
+        threshold=threshold,
+        risks=[
+            RiskView(probability=p, low=low, high=high, neighbours=n, answer=answer)
+            for p, low, high, n, answer in zip(
+                *(column.tolist() for column in columns), risks.answers(threshold), strict=True
+            )
+        ],
+    )

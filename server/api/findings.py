@@ -1,0 +1,302 @@
+"""Routes of what a campaign finds besides a boundary: types of violations, hazardous combinations."""
+
+import asyncio
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Path, Query, Response
+from pydantic import BaseModel, ConfigDict, Field
+
+from brink.search.analysis.combinations import (
+    Chain,
+    Combination,
+    Step,
+    Tally,
+    combinations,
+    tally_by_step,
+    variants_at,
+    verdicts_by_chain,
+)
+from brink.search.analysis.violations import RULES_VERSION, FoundViolation, ViolationType, by_type
+from brink.search.archive import Archive
+from brink.search.errors import UnsupportedSpace
+from brink.search.parameters import Categorical
+from brink.search.slots import slots_of
+from brink.search.space import SearchSpace
+from brink.server.api.context import Context, Services
+from brink.server.api.schemas import (
+    ChainTally,
+    Combinations,
+    CombinationView,
+    StepTally,
+    TechniqueLevel,
+    Variant,
+    View,
+)
+from brink.server.api.solutions import Number
+from brink.server.campaigns.store import Campaign
+from brink.server.db.engine import read
+from brink.server.errors import NotFound
+from brink.server.problems.base import TellsViolations
+from brink.server.violations import read_violations, set_name
+
+violations_router = APIRouter(prefix="/campaigns/{campaign_id}/violations", tags=["violations"])
+
+Requirement = Annotated[str, Path(max_length=64)]
+
+
+class ViolationView(View):
+    """A violation of a requirement by a solution."""
+
+    number: Annotated[int, Field(description="Number of the solution.")]
+    requirement: str
+    time_s: float
+    type: str
+    name: Annotated[str | None, Field(description="Name that a person gave it.")]
+    signature: Annotated[
+        dict[str, str], Field(description="Features that the rules derive from its circumstances.")
+    ]
+    circumstances: Annotated[
+        dict[str, Any], Field(description="Circumstances as the simulator reported them.")
+    ]
+
+
+class TypeView(View):
+    """A type of violation."""
+
+    type: str
+    solutions: Annotated[int, Field(description="Number of solutions with a violation of this type.")]
+    instances: Annotated[int, Field(description="Distinct instances: clusters of similar circumstances.")]
+    first: Annotated[int, Field(description="Number of the first solution.")]
+    numbers: Annotated[list[int], Field(description="Numbers of its solutions, in ascending order.")]
+    named: Annotated[int, Field(description="Number of its violations that a person named.")]
+    at_fault: Annotated[
+        bool | None, Field(description="Whether the ego vehicle was at fault; null if its violations differ.")
+    ]
+
+
+class Violations(View):
+    """The violations of a campaign."""
+
+    rules_version: int
+    types: Annotated[list[TypeView], Field(description="In order of discovery.")]
+    violations: Annotated[list[ViolationView], Field(description="In ascending order of number.")]
+
+
+class NameBody(BaseModel):
+    """A name for a violation."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f]+$")]
+
+
+@violations_router.get("")
+async def get_violations(
+    campaign_id: str,
+    services: Services,
+    types_only: Annotated[bool, Query(description="Return the types only.")] = False,
+) -> Violations:
+    """Return the violations of a campaign, grouped by type."""
+    campaign = await services.campaigns.get(campaign_id)
+    found = await _found(services, campaign)
+    types = await asyncio.get_running_loop().run_in_executor(None, _type_views, found)
+    violations = [] if types_only else [_violation_view(one) for one in found]
+    return Violations(rules_version=RULES_VERSION, types=types, violations=violations)
+
+
+@violations_router.put("/{number}/{requirement}/name", status_code=204)
+async def put_name(
+    campaign_id: str, number: Number, requirement: Requirement, body: NameBody, services: Services
+) -> Response:
+    """Name a violation by hand; it then belongs to the type of that name."""
+    await _name(services, campaign_id, number, requirement, body.name)
+    return Response(status_code=204)
+
+
+@violations_router.delete("/{number}/{requirement}/name", status_code=204)
+async def delete_name(
+    campaign_id: str, number: Number, requirement: Requirement, services: Services
+) -> Response:
+    """Remove the name of a violation; it then has the type that the rules give it."""
+    await _name(services, campaign_id, number, requirement, None)
+    return Response(status_code=204)
+
+
+async def _name(services: Context, campaign_id: str, number: int, requirement: str, name: str | None) -> None:
+    campaign = await services.campaigns.get(campaign_id)
+    found = await _found(services, campaign)
+    known = [str(one.circumstances["requirement"]) for one in found if one.number == number]
+    if requirement not in known:
+        raise NotFound(
+            f"campaign {campaign.id}: solution {number} has no violation of {requirement[:64]!r}; "
+            f"it has {', '.join(known) or 'none'}"
+        )
+    await services.campaigns.writer.write(
+        lambda connection: set_name(connection, campaign.id, number, requirement, name)
+    )
+
+
+async def _found(services: Context, campaign: Campaign) -> list[FoundViolation]:
+    problem = (await services.archives.get(campaign)).plan.problem
+    if not isinstance(problem, TellsViolations):
+        raise NotFound(f"campaign {campaign.id}: {campaign.body.problem.id} reports no violations")
+    return await read(
+        services.engines,
+        lambda connection: read_violations(connection, campaign.id, problem),
+    )
+
+
+def _type_views(found: list[FoundViolation]) -> list[TypeView]:
+    return [_type_view(kind) for kind in by_type(found)]
+
+
+def _type_view(kind: ViolationType) -> TypeView:
+    numbers = sorted({violation.number for violation in kind.violations})
+    faults = {violation.signature.at_fault for violation in kind.violations}
+    return TypeView(
+        type=kind.words, solutions=len(numbers), instances=kind.instances, first=numbers[0], numbers=numbers,
+        named=sum(violation.name is not None for violation in kind.violations),
+        at_fault=faults == {"at fault"} if len(faults) == 1 else None,
+    )  # fmt: skip
+
+
+def _violation_view(one: FoundViolation) -> ViolationView:
+    return ViolationView(
+        number=one.number, requirement=str(one.circumstances["requirement"]),
+        time_s=float(one.circumstances["time_s"]), type=one.type, name=one.name,
+        signature=one.signature.to_json(), circumstances=dict(one.circumstances),
+    )  # fmt: skip
+
+
+combinations_router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
+
+
+@combinations_router.get("/combinations")
+async def get_combinations(campaign_id: str, services: Services) -> Combinations:
+    """Return which chains of techniques are hazardous, and which of them only together or only in one order."""
+    campaign = await services.campaigns.get(campaign_id)
+    found = await services.archives.get(campaign)
+    try:
+        return combinations_view(found.plan.problem.space, found.archive)
+    except UnsupportedSpace:
+        raise NotFound(
+            f"campaign {campaign.id}: {campaign.body.problem.id} has no ordered techniques"
+        ) from None
+
+
+@combinations_router.get("/solutions/{number}/variants")
+async def get_variants(campaign_id: str, number: Number, services: Services) -> list[Variant]:
+    """Return the parts and reorderings of a solution that were simulated with the same scenario, itself last."""
+    campaign = await services.campaigns.get(campaign_id)
+    found = await services.archives.get(campaign)
+    try:
+        return variants_view(found.plan.problem.space, found.archive, number)
+    except UnsupportedSpace:
+        raise NotFound(
+            f"campaign {campaign.id}: {campaign.body.problem.id} has no ordered techniques"
+        ) from None
+    except KeyError:
+        raise NotFound(f"campaign {campaign.id} has no evaluated solution {number}") from None
+
+
+class TechniqueNames:
+    """Names of the techniques of a search space.
+
+    Raises:
+        UnsupportedSpace: The space has no technique slots.
+    """
+
+    def __init__(self, space: SearchSpace) -> None:
+        index, self._slots = slots_of(space)
+        first = self._slots.pairs[0][0]
+        (technique,) = [p for p in space.components[index].parameters if p.name == first]
+        assert isinstance(technique, Categorical)
+        self._choices = technique.choices
+
+    def step(self, step: Step) -> TechniqueLevel:
+        """Return the schema of a technique at a level."""
+        return TechniqueLevel(
+            technique=self._choices[step.technique],
+            level=step.level,
+            levels=self._slots.levels[step.technique] - 1,
+        )
+
+    def words(self, chain: Chain) -> str:
+        """Describe a chain in words, such as ``snow 3/5, then brightness 10/10``."""
+        named = [self.step(step) for step in chain]
+        return (
+            ", then ".join(f"{one.technique.replace('_', ' ')} {one.level}/{one.levels}" for one in named)
+            or "nothing"
+        )
+
+
+def combinations_view(space: SearchSpace, archive: Archive) -> Combinations:
+    """Return the tallies of all chains, the most informative combinations first.
+
+    Raises:
+        UnsupportedSpace: The problem has no ordered techniques.
+    """
+    names = TechniqueNames(space)
+    verdicts = verdicts_by_chain(space, archive)
+    steps = [
+        StepTally(
+            step=names.step(step), words=names.words((step,)),
+            alone_unsafe=alone.unsafe, alone_trials=alone.trials,
+            joined_unsafe=joined.unsafe, joined_trials=joined.trials,
+        )
+        for step, (alone, joined) in tally_by_step(verdicts).items()
+    ]  # fmt: skip
+    return Combinations(
+        steps=steps, combinations=[_combination_view(names, one) for one in combinations(verdicts)]
+    )
+
+
+def variants_view(space: SearchSpace, archive: Archive, number: int) -> list[Variant]:
+    """Return the parts and reorderings of a solution with the same scenario, fewest techniques first, itself last.
+
+    Args:
+        space: Search space of the problem.
+        archive: All evaluated solutions.
+        number: The solution.
+
+    Raises:
+        UnsupportedSpace: The problem has no ordered techniques.
+        KeyError: The archive has no such solution.
+    """
+    names = TechniqueNames(space)
+    verdicts = verdicts_by_chain(space, archive)
+    chain = next((c for c, seen in verdicts.items() if any(v.number == number for v in seen.values())), None)
+    if chain is None:
+        raise KeyError(number)
+    found = variants_at(verdicts, chain, number)
+    order = sorted(found, key=lambda one: (one == chain, len(one)))
+    return [
+        Variant(
+            number=found[one].number, unsafe=found[one].unsafe,
+            chain=[names.step(step) for step in one], words=names.words(one),
+        )
+        for one in order
+    ]  # fmt: skip
+
+
+def _combination_view(names: TechniqueNames, one: Combination) -> CombinationView:
+    return CombinationView(
+        chain=[names.step(step) for step in one.chain], words=names.words(one.chain),
+        unsafe=one.tally.unsafe, trials=one.tally.trials,
+        parts=_tallies(names, one.parts), orders=_tallies(names, one.orders),
+        hazardous=one.hazardous, minimal=one.minimal, only_together=one.only_together,
+        order_matters=one.order_matters, together=list(one.joint_hazards), turned=list(one.order_hazards),
+    )  # fmt: skip
+
+
+def _tallies(names: TechniqueNames, tallies: Mapping[Chain, Tally]) -> list[ChainTally]:
+    return [
+        ChainTally(
+            chain=[names.step(step) for step in chain],
+            words=names.words(chain),
+            unsafe=tally.unsafe,
+            trials=tally.trials,
+        )
+        for chain, tally in tallies.items()
+    ]

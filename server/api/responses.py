@@ -1,0 +1,138 @@
+"""Conventions that routes share: entity tags, pages with cursors, idempotent submission, 202 while computing."""
+
+import base64
+import hashlib
+import re
+from collections.abc import Collection, Sequence
+from datetime import UTC, datetime
+from typing import Annotated, Any, Final, Protocol
+
+from fastapi import Header, Query, Request, Response
+from fastapi.responses import JSONResponse
+
+from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
+from brink.server.api.schemas import BeingMade, Thresholds, View
+from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.errors import FieldError, InvalidInput
+
+Responses = dict[int | str, dict[str, Any]]
+"""What a route accepts as ``responses``."""
+
+NOT_MODIFIED: Final[Responses] = {304: {"description": "Not modified since that ETag."}}
+COMPUTING: Final[Responses] = {
+    202: {"model": BeingMade, "description": "Still being computed; try again after `Retry-After` seconds."}
+}
+THRESHOLDS: Final = Thresholds(
+    t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH, t_bs=list(PAPER_T_BS), d_ths=list(PAPER_D_THS)
+)
+"""Default thresholds, and the grid of the paper."""
+
+
+def set_etag(
+    request: Request, response: Response, view: View | Sequence[View], *, leave_out: Collection[str] = ()
+) -> None:
+    """Set the ETag of a response, and turn it into a 304 without a body if the client already has it.
+
+    Args:
+        request: The request, whose ``If-None-Match`` is compared.
+        response: The response whose headers and status are set.
+        view: The content.
+        leave_out: Fields of each view that change all the time, such as ages and rates.
+    """
+    digest = hashlib.sha256()
+    for part in (view,) if isinstance(view, View) else view:
+        digest.update(part.model_dump_json(exclude=set(leave_out)).encode())
+    etag = f'"{digest.hexdigest()[:32]}"'
+    response.headers["ETag"] = etag
+    if matches(request, etag):
+        response.status_code = 304
+
+
+def etag_of(*parts: object) -> str:
+    """Return an ETag that changes whenever one of the parts changes; for content that is slow to compute."""
+    return f'"{hashlib.sha256(repr(parts).encode()).hexdigest()[:32]}"'
+
+
+def matches(request: Request, etag: str) -> bool:
+    """Return whether the request's ``If-None-Match`` names a tag; a compressing proxy makes tags weak."""
+    known = request.headers.get("if-none-match", "")
+    return any(one.strip().removeprefix("W/") in (etag, "*") for one in known.split(","))
+
+
+def not_modified(etag: str) -> Any:
+    """Return a 304 response."""
+    return Response(status_code=304, headers={"ETag": etag})
+
+
+Cursor = Annotated[str | None, Query(max_length=200)]
+DocumentHash = Annotated[str | None, Query(max_length=64, pattern="^[0-9a-f]*$")]
+LATEST_S: Final = 4e9
+"""An upper bound on timestamps that every platform can represent, in seconds since 1970."""
+
+
+class Dated(Protocol):
+    """An entry of a list that is ordered by creation time, newest first."""
+
+    @property
+    def id(self) -> str:
+        """Its id, which breaks ties."""
+
+    @property
+    def created_at(self) -> datetime:
+        """When it was created."""
+
+
+def next_cursor(page: Sequence[Dated], limit: int) -> str | None:
+    """Return the cursor of the page that follows this one, or None if this page is not full."""
+    if len(page) < limit:
+        return None
+    last = page[-1]
+    return base64.urlsafe_b64encode(f"{last.created_at.timestamp()!r} {last.id}".encode()).decode()
+
+
+def read_cursor(cursor: str | None) -> tuple[datetime, str] | None:
+    """Return the creation time and id of the last entry of the previous page; None without a cursor.
+
+    Raises:
+        InvalidInput: The cursor is not one that this API issued.
+    """
+    if not cursor:
+        return None
+    found = re.fullmatch(r"(\d+\.\d+) ([0-9a-z]+)", _decoded(cursor))
+    if found is None:
+        message = "expected the value of `next` of an earlier page"
+        raise InvalidInput([FieldError(pointer="/query/cursor", message=message)])
+    return datetime.fromtimestamp(min(float(found[1]), LATEST_S), UTC), found[2]
+
+
+def _decoded(cursor: str) -> str:
+    try:
+        return base64.urlsafe_b64decode(cursor).decode()
+    except ValueError:
+        return ""
+
+
+IdempotencyKey = Annotated[str | None, Header(max_length=200, pattern="^[ -~]+$")]
+
+
+def existing(model: type[View], noun: str) -> Responses:
+    """Return the documented response to a repeated submission with the same ``Idempotency-Key``."""
+    return {200: {"model": model, "description": f"The {noun} already submitted with this Idempotency-Key."}}
+
+
+def set_created(response: Response, path: str, *, new: bool) -> None:
+    """Set the location of a submitted resource, and the status: 201 if it is new, 200 if it already existed.
+
+    Args:
+        response: The response whose headers and status are set.
+        path: Path of the resource below ``/api/v1``.
+        new: Whether this request created it.
+    """
+    response.headers["Location"] = f"/api/v1/{path}"
+    if not new:
+        response.status_code = 200
+
+
+def computing(detail: str) -> Any:
+    """Return a 202 response that says what is still being computed."""
+    return JSONResponse(BeingMade(detail=detail).model_dump(), status_code=202, headers={"Retry-After": "2"})

@@ -1,0 +1,309 @@
+/** Cards of a campaign: boundary solutions, parameter dependence, findings of other kinds, settings. */
+
+import { download } from "../../api.js";
+import { attribute, h, keyed, replace, text } from "../../dom.js";
+import { count, figure, percent, plural, spaced } from "../../format.js";
+import { loadOnNews } from "../../polling.js";
+import { link } from "../../router.js";
+import { badge } from "../../parts/elements.js";
+
+const COLUMNS = [
+  ["number", "Solution", (one) => one.number],
+  ["verdict", "Verdict", (one) => one.verdict],
+  ["fitness", "Fitness", (one) => one.fitness],
+  ["robustness", "Robustness", (one) => one.robustness],
+  ["unsafe", "Unsafe neighbours", (one) => one.unsafe_neighbours / one.neighbours],
+  ["words", "Description", null],
+];
+const PAGE = 12;
+
+/** Return the card of boundary solutions; ``news(generation, thresholds)`` loads them, ``found`` is called with the response. */
+export function boundaryCard(context, id, found) {
+  let read = null;
+  let thresholds = null;
+  let sorting = { name: "fitness", falling: false };
+  let most = PAGE;
+
+  const filter = h("input", { id: "boundary-find", type: "search", placeholder: "rain, pedestrian, 61 …", oninput: draw });
+  const verdict = h("select", { id: "boundary-verdict", onchange: draw },
+    [["", "any verdict"], ["safe", "safe"], ["unsafe", "unsafe"]].map(([value, words]) => h("option", { value }, words)));
+  const strict = h("input", { type: "checkbox", id: "boundary-strict", onchange: draw });
+  const body = h("tbody");
+  const heads = COLUMNS.map(([name, words, by]) => h("th", { scope: "col" },
+    by ? h("button", { type: "button", onclick: () => sort(name) }, words) : words));
+  const said = h("p.hint", { "aria-live": "polite" });
+  const more = h("button", { type: "button", hidden: true, onclick: () => { most += PAGE; draw(); } }, "Show more");
+  const save = (format, words) => h("button", { type: "button", onclick: () => context.tell(() => download(
+    `campaigns/${id}/boundary?t_b=${thresholds.t_b}&d_th=${thresholds.d_th}&format=${format}`, `boundary-${id}.${format}`)) }, words);
+  const card = h("section.card", { "aria-label": "Boundary solutions", hidden: true },
+    h("div.inline", null, h("h2", null, "Boundary solutions"), h("label", { for: "boundary-find" }, "Find"), filter, verdict,
+      h("label.check", { for: "boundary-strict" }, strict, "strict only"),
+      h("div.actions.push", null, save("csv", "CSV"), save("jsonl", "JSON Lines"))),
+    h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Table of boundary solutions" },
+      h("table.boundary", null, h("caption", null, ""), h("thead", null, h("tr", null, heads)), body)),
+    said, more);
+  attribute(verdict, "aria-label", "Verdict");
+  const caption = card.querySelector("caption");
+
+  const load = loadOnNews(async () => {
+    read = await context.get(`campaigns/${id}/boundary?t_b=${thresholds.t_b}&d_th=${thresholds.d_th}`);
+    card.hidden = false;
+    found(read);
+    draw();
+  }, { signal: context.signal, refuse: context.complain, leastMs: 3_000, share: 0.05 });
+
+  function sort(name) {
+    sorting = { name, falling: sorting.name === name ? !sorting.falling : false };
+    draw();
+  }
+
+  function draw() {
+    if (!read) return;
+    const strictOnes = new Set(read.strict);
+    const wanted = filter.value.trim().toLowerCase();
+    const rows = read.solutions.filter((one) => (!verdict.value || one.verdict === verdict.value)
+      && (!strict.checked || strictOnes.has(one.number))
+      && (!wanted || String(one.number) === wanted || one.words.toLowerCase().includes(wanted)));
+    const [, , by] = COLUMNS.find(([name]) => name === sorting.name);
+    rows.sort((a, b) => (by(a) < by(b) ? -1 : by(a) > by(b) ? 1 : a.number - b.number) * (sorting.falling ? -1 : 1));
+    heads.forEach((head, place) => attribute(head, "aria-sort",
+      COLUMNS[place][0] === sorting.name ? (sorting.falling ? "descending" : "ascending") : null));
+    keyed(body, rows.slice(0, most), (one) => `${one.number} ${one.neighbours} ${one.fitness} ${strictOnes.has(one.number)}`, (one) => row(one, strictOnes.has(one.number)));
+    text(caption, `t_b ${read.t_b}, d_th ${read.d_th}: ${plural(read.dbs, "distinct boundary solution")}, ${count(read.strict_dbs)} strict. ${read.note}`);
+    text(said, rows.length < read.solutions.length ? `${count(rows.length)} of ${count(read.solutions.length)} match.` : read.solutions.length ? "" : "None yet at these thresholds.");
+    more.hidden = rows.length <= most;
+  }
+
+  function row(one, isStrict) {
+    const [low, high] = one.interval;
+    return h("tr", null,
+      h("td", null, h("a.row", { href: link("campaigns", id, "solutions", one.number) }, String(one.number)), isStrict && h("span.small.muted", null, " strict")),
+      h("td", null, badge(one.verdict)), h("td", null, figure(one.fitness)), h("td", null, figure(one.robustness)),
+      h("td", null, `${one.unsafe_neighbours} of ${one.neighbours}`, h("div.small.muted", null, `${percent(low)} to ${percent(high)}`)),
+      h("td.words.small", null, one.words));
+  }
+
+  card.news = (generation, next, { atOnce = false } = {}) => {
+    thresholds = next;
+    load(`${generation} ${next.t_b} ${next.d_th}`, { atOnce });
+  };
+  return card;
+}
+
+const WIDTH = 220;
+const HEIGHT = 96;
+const LEFT = 8;
+const FEW = 12;
+
+/** Return the card of parameter dependence; ``news(generation)`` loads it, ``known`` is called with the parameters. */
+export function dependenceCard(context, id, known) {
+  const panels = h("div.panels");
+  const all = h("button", { type: "button", hidden: true, onclick: () => { few = Infinity; draw(); } }, "Show all parameters");
+  const card = h("section.card", { "aria-label": "Parameter dependence", hidden: true },
+    h("h2", null, "Parameter dependence"),
+    h("p.hint", null, "Share of unsafe solutions by parameter value, with 95% intervals; strongest dependence first (Cramér's V). Grey: not significant. A search does not sample evenly: this shows where unsafe solutions were found, not how likely they are."),
+    panels, all);
+  let few = FEW;
+  let read = null;
+
+  const load = loadOnNews(async () => {
+    read = await context.get(`campaigns/${id}/dependence`);
+    card.hidden = read.evaluated === 0;
+    known(read.parameters);
+    draw();
+  }, { signal: context.signal, refuse: context.complain, leastMs: 8_000, share: 0.05 });
+
+  function draw() {
+    const overall = read.evaluated ? read.unsafe / read.evaluated : 0;
+    const top = ceiling(read.parameters, overall);
+    replace(panels, read.parameters.slice(0, few).map((one) => panel(one, overall, top)));
+    all.hidden = read.parameters.length <= few;
+  }
+
+  card.news = (generation) => load(generation);
+  return card;
+}
+
+function ceiling(parameters, overall) {
+  let top = overall;
+  for (const one of parameters) {
+    one.counts.forEach((all, place) => {
+      if (all >= 15) top = Math.max(top, one.intervals[place][1]);
+    });
+  }
+  return Math.min(1, Math.max(0.1, Math.ceil(top * 10) / 10));
+}
+
+function panel(one, overall, top) {
+  const groups = one.places.map((at, place) => ({ at, all: one.counts[place], hits: one.unsafe[place], label: one.labels[place], interval: one.intervals[place] })).filter((group) => group.all > 0);
+  const scale = one.low !== null && !one.labels.length;
+  const [low, high] = scale ? [one.low, one.high] : [-0.5, one.places.length - 0.5];
+  const first = one.labels.length && !scale ? one.places[0] : 0;
+  const x = (at) => LEFT + ((at - (scale ? 0 : first) - low) / (high - low || 1)) * (WIDTH - 2 * LEFT);
+  const y = (share) => HEIGHT - 4 - (Math.min(share, top) / top) * (HEIGHT - 12);
+  const colour = one.detectable ? "var(--unsafe)" : "var(--pending)";
+  const name = `${spaced(one.parameter).replace(".", ": ")}`;
+  const words = groups.map((group) => `${group.label ?? figure(group.at)}: ${percent(group.hits / group.all)} of ${group.all}`).join("; ");
+  const picture = h("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": `${name}. Unsafe: ${words}.` },
+    h("line", { x1: 0, x2: WIDTH, y1: y(overall), y2: y(overall), stroke: "var(--muted)", "stroke-width": 1, "stroke-dasharray": "3 3" }),
+    groups.map((group) => {
+      const [from, to] = group.interval;
+      return h("line", { x1: x(group.at), x2: x(group.at), y1: y(from), y2: y(to), stroke: colour, "stroke-width": 3, opacity: 0.45 });
+    }),
+    !one.labels.length && h("polyline", { points: groups.map((group) => `${x(group.at)},${y(group.hits / group.all)}`).join(" "), fill: "none", stroke: colour, "stroke-width": 1.4 }),
+    groups.map((group) => h("circle", { cx: x(group.at), cy: y(group.hits / group.all), r: 3.6, fill: colour })));
+  const ends = one.labels.length ? [groups[0]?.label, groups.length > 1 && groups.at(-1)?.label] : [figure(low), `${figure(high)} ${one.unit}`];
+  return h("figure.panel", null,
+    h("figcaption", null, h("strong", null, name), h("span.small.muted", null, ` V ${figure(one.strength, 2)}, ${count(groups.reduce((sum, group) => sum + group.all, 0))}`)),
+    h("div.plot", null, h("span.top.small.muted", { "aria-hidden": "true" }, percent(top)), picture),
+    one.labels.length && groups.length <= 6
+      ? h("div.groups.small.muted", { "aria-hidden": "true" }, groups.map((group) => h("span", null, group.label)))
+      : h("div.ends.small.muted", { "aria-hidden": "true" }, ends.map((words) => h("span", null, words || ""))));
+}
+
+const MOST = 12;
+
+/**
+ * Return the cards of findings in one element; ``news(sequence)`` loads them.
+ *
+ * @param {Context} context
+ * @param {string} id Id of the campaign.
+ * @param {string[]} tells What its problem finds: ``violations``, ``combinations``.
+ */
+export function findings(context, id, tells) {
+  const violations = h("section.card", { hidden: true, "aria-label": "Violations" });
+  const combinations = h("section.card", { hidden: true, "aria-label": "Combinations of techniques" });
+  const repeats = h("section.card", { hidden: true, "aria-label": "Repeats" });
+  const node = h("div.stack", { hidden: true }, violations, combinations, repeats);
+
+  let told = "";
+  let later = null;
+
+  const load = loadOnNews(async () => {
+    const [broken, chains, again] = await Promise.all([optional("violations", "?types_only=true"), optional("combinations"), context.get(`campaigns/${id}/repeats`)]);
+    if (broken) showViolations(broken);
+    if (chains) showCombinations(chains);
+    showRepeats(again);
+    clearTimeout(later);
+    // Repeats are separate campaigns: progress of this one does not announce their news.
+    if (again.some((one) => one.status === "running")) later = setTimeout(() => load(`${told} ${performance.now()}`), 5_000);
+    node.hidden = [...node.children].every((card) => card.hidden);
+  }, { signal: context.signal, refuse: context.complain, leastMs: 10_000, share: 0.05 });
+
+  async function optional(part, query = "") {
+    return tells.includes(part) ? context.get(`campaigns/${id}/${part}${query}`) : null;
+  }
+
+  function showViolations(read) {
+    violations.hidden = read.types.length === 0;
+    const types = [...read.types].sort((a, b) => b.solutions - a.solutions);
+    replace(violations, h("h2", null, "Types of violations"),
+      h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Types of violations" },
+        h("table", null, h("caption", null, `${plural(read.types.length, "type")} by the rules, most frequent first`),
+          head("Type", "Solutions", "Distinct", "Fault", "First"),
+          h("tbody", null, types.map((one) => h("tr", null, h("th", { scope: "row" }, one.type),
+            h("td", null, count(one.solutions)), h("td", null, count(one.instances)),
+            h("td", null, one.at_fault === null ? "varies" : one.at_fault ? "ego vehicle" : "others"),
+            h("td", null, solution(one.first))))))));
+  }
+
+  function showCombinations(read) {
+    const telling = read.combinations.filter((one) => one.hazardous).slice(0, MOST);
+    combinations.hidden = read.combinations.length === 0;
+    replace(combinations, h("h2", null, "Combinations of techniques"),
+      h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Combinations of techniques" },
+        h("table", null, h("caption", null, telling.length ? "Hazardous combinations: unsafe in at least four of five scenarios" : "No hazardous combination so far"),
+          head("Techniques, in order", "Unsafe", "Parts", "Conclusion"),
+          h("tbody", null, telling.map((one) => h("tr", null, h("th", { scope: "row" }, one.words),
+            h("td", null, `${one.unsafe} of ${one.trials}`),
+            h("td.small", null, one.parts.map((each) => h("div", null, `${each.words || "nothing"}: ${each.unsafe} of ${each.trials}`))),
+            h("td", null, [one.only_together && "hazardous only together", one.order_matters && "order matters", one.minimal && "no part is hazardous"].filter(Boolean).join(", ") || "–",
+              (one.together[0] ?? one.turned[0]) !== undefined && [" ", solution(one.together[0] ?? one.turned[0])])))))),
+      alone(read.steps));
+  }
+
+  function alone(steps) {
+    return h("details", null, h("summary", null, "Each technique alone and with others"),
+      h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Each technique alone" },
+        h("table", null, h("caption.read-out", null, "Each technique alone and with others"), head("Technique", "Alone", "With others"), h("tbody", null, steps.map((one) => h("tr", null,
+          h("th", { scope: "row" }, one.words), h("td", null, `${one.alone_unsafe} of ${one.alone_trials}`), h("td", null, `${one.joined_unsafe} of ${one.joined_trials}`)))))));
+  }
+
+  function showRepeats(read) {
+    repeats.hidden = read.length === 0;
+    replace(repeats, h("h2", null, "Repeats with other seeds"), read.map((one) => h("div.repeat", null,
+      h("p", null, h("a", { href: link("campaigns", one.campaign) }, which(one)), " ", badge(one.status)), h("p", null, outcome(one)))));
+  }
+
+  function which(one) {
+    const what = one.boundary ? plural(one.solutions.length, "boundary solution") : one.solutions.length === 1 ? `solution ${one.solutions[0].number}` : plural(one.solutions.length, "selected solution");
+    return `${what}, ${one.solutions.length === 1 ? "" : "each "}${count(one.repeats)} times`;
+  }
+
+  function outcome(one) {
+    if (one.evaluated === 0) return "No verdict yet.";
+    const share = `${count(one.unsafe)} of ${count(one.evaluated)} simulations were unsafe, ${percent(one.unsafe / one.evaluated)}.`;
+    return one.boundary ? `${count(one.holding)} of ${count(one.solutions.length)} have an interval that contains p_th ${percent(one.p_th)}; ${count(one.below)} are safer, ${count(one.above)} less safe. ${share}` : share;
+  }
+
+  function solution(number) {
+    return h("a", { href: link("campaigns", id, "solutions", number) }, `solution ${number}`);
+  }
+
+  context.signal.addEventListener("abort", () => clearTimeout(later), { once: true });
+  node.news = (sequence) => {
+    if (sequence === told) return;
+    told = sequence;
+    load(sequence);
+  };
+  return node;
+}
+
+function head(...names) {
+  return h("thead", null, h("tr", null, names.map((name) => h("th", { scope: "col" }, name))));
+}
+
+const MOST_LETTERS = 120;
+
+/** Return the card of a campaign's settings, with descriptions from the catalogue. */
+export function settingsCard(body, catalogue) {
+  const problem = catalogue.problems.find((one) => one.id === body.problem.id);
+  const algorithm = catalogue.algorithms.find((one) => one.id === body.algorithm.id);
+  return h("section.card", { "aria-label": "Settings" },
+    h("details", null, h("summary", null, h("h2", null, "Settings")),
+      h("div.grid-2", null,
+        part(`Problem ${body.problem.id}`, problem, body.problem.params),
+        part(`Algorithm ${body.algorithm.id}`, algorithm, body.algorithm.params)),
+      part("Campaign", null, {
+        simulations: body.budget.simulations, seed: body.seed, priority: body.priority, repeats: body.repeats, ...body.execution,
+        ...(body.llm ? { language_model: body.llm } : {}),
+      })));
+}
+
+function part(title, plugin, params) {
+  return h("div", null, h("h3", null, title), plugin && h("p.small.muted", null, plugin.summary),
+    h("table", null, h("caption.read-out", null, title), h("tbody", null, Object.entries(params).map(([name, value]) => {
+      const described = plugin?.params?.properties?.[name];
+      const written = typeof value === "string" ? value : JSON.stringify(value);
+      return h("tr", null, h("th", { scope: "row", title: described?.description ?? null }, spaced(name)),
+        h("td.mono", null, written.length > MOST_LETTERS ? `${written.slice(0, MOST_LETTERS)}…` : written, described?.unit ? ` ${described.unit}` : ""));
+    }))));
+}
+
+/** Describe the state of the search in sentences. */
+export function inWords(progress, generations, algorithm) {
+  const told = [];
+  const last = generations.list.at(-1);
+  told.push(`${algorithm?.summary ?? "The search"} ${plural(progress.generation, "generation")} completed.`.replace(/\.\. /, ". "));
+  if (progress.status === "running" && progress.asking) told.push(`Asking a language model: ${progress.asking}.`);
+  else if (progress.status === "running") {
+    told.push(`Generation ${progress.generation + 1} is being simulated: ${plural(progress.leased, "job")} on workers, ${count(progress.queued)} in the queue.`);
+  } else if (progress.status === "paused") told.push("Paused: workers get no jobs.");
+  if (last?.best_fitness !== null && last?.best_fitness !== undefined) {
+    told.push(`Fitness of the last generation: best ${figure(last.best_fitness)}, median ${figure(last.median_fitness)}; the algorithm step took ${figure(last.step_s, 2)} s.`);
+  }
+  const origins = Object.entries(progress.origins);
+  if (origins.length) told.push(`Origins of solutions: ${origins.map(([name, number]) => `${spaced(name)} ${count(number)}`).join(", ")}.`);
+  if (progress.digest) told.push(`SHA-256 of the archive: ${progress.digest.slice(0, 16)}….`);
+  return told.join(" ");
+}

@@ -1,0 +1,129 @@
+/** Convergence of a search: boundary solutions over simulations at chosen thresholds, unsafe share, fitness. */
+
+import { Conditional, UNCHANGED } from "../../api.js";
+import { h, text } from "../../dom.js";
+import { loadOnNews } from "../../polling.js";
+import { rewrite } from "../../router.js";
+import { chart } from "../../parts/charts.js";
+
+/** The completed generations; each response brings new ones. */
+export class Generations {
+  list = [];
+
+  /** Number of the first generation that is not known yet. */
+  get next() {
+    return this.list.length ? this.list.at(-1).number + 1 : 0;
+  }
+
+  take(more) {
+    for (const one of more) if (one.number >= this.next) this.list.push(one);
+  }
+}
+
+/** Return the cards; ``news(progress, generations)`` draws new data, ``explain(note)`` shows how to read the thresholds. */
+export function convergenceCards(context, id, query, thresholds) {
+  const t_b = threshold("t-b", "t_b", query.get("t_b"), thresholds.t_b);
+  const d_th = threshold("d-th", "d_th", query.get("d_th"), thresholds.d_th);
+  const conditional = new Conditional();
+  let defaults = thresholds;
+  let reading = ""; // how to read the thresholds, from the coordinator
+  let generations = null;
+  let unavailable = null; // why there is no curve at these thresholds
+
+  const dbs = chart({
+    label: "Distinct boundary solutions over simulations", x: "simulations", signal: context.signal, height: 400,
+    series: [{ label: "DBS", colour: "--series-1" }, { label: "strict DBS", colour: "--series-1", dash: [6, 4] }],
+    options: { scales: { x: { time: false }, y: { range: (_, __, most) => [0, Math.max(5, (most ?? 0) * 1.06)] } } },
+  });
+  const shares = chart({
+    label: "Unsafe share over simulations", x: "simulations", signal: context.signal, height: 200,
+    series: [{ label: "unsafe, %", colour: "--series-2" }],
+  });
+  const fitness = chart({
+    label: "Fitness over generations", x: "generation", signal: context.signal, height: 200,
+    series: [{ label: "best", colour: "--series-1" }, { label: "median", colour: "--series-6", dash: [6, 4] }],
+  });
+  const note = h("p.hint", { "aria-live": "polite" });
+  const reset = h("button.quiet", { type: "button", onclick: () => set(defaults.t_b, defaults.d_th) }, "Defaults");
+  const dbsCard = h("section.card", { "aria-label": "Boundary solutions over simulations" },
+    h("div.inline", null, h("h2", null, "Distinct boundary solutions"), t_b.label, d_th.label, reset), dbs, note);
+  const shareCard = h("section.card", null, h("h2", null, "Unsafe share"), shares);
+  const fitnessCard = h("section.card", null, h("h2", null, "Fitness by generation"), fitness,
+    h("p.hint", null, "The quantity that the algorithm minimises. In a search for the boundary, 0 is on the boundary."));
+
+  for (const field of [t_b, d_th]) {
+    field.input.addEventListener("change", () => {
+      if (!field.input.reportValidity()) return;
+      rewrite({ t_b: t_b.value() === defaults.t_b ? null : t_b.value(), d_th: d_th.value() === defaults.d_th ? null : d_th.value() });
+      draw({ atOnce: true });
+      context.thresholds?.();
+    });
+  }
+
+  const load = loadOnNews(async () => {
+    const read = await conditional.get(`campaigns/${id}/course?t_b=${t_b.value()}&d_th=${d_th.value()}`, { signal: context.signal });
+    if (read === UNCHANGED || isDefault()) return;
+    dbs.update([[0, ...read.simulations], [0, ...read.dbs], [0, ...read.strict_dbs]]);
+    unavailable = read.note;
+    explain();
+  }, { signal: context.signal, refuse: context.complain, leastMs: 2_000 });
+
+  function isDefault() {
+    return t_b.value() === defaults.t_b && d_th.value() === defaults.d_th;
+  }
+
+  function set(wantedT, wantedD) {
+    t_b.input.value = wantedT;
+    d_th.input.value = wantedD;
+    t_b.input.dispatchEvent(new Event("change"));
+  }
+
+  function explain() {
+    text(note, unavailable ?? `DBS counts solutions with fitness at most t_b and distance at least d_th from each other. ${reading}`.trim());
+  }
+
+  function draw({ atOnce = false } = {}) {
+    if (!generations) return;
+    const list = generations.list;
+    const simulations = list.map((one) => one.evaluated + one.measured + one.failed);
+    if (isDefault()) {
+      conditional.forget();
+      dbs.update([[0, ...simulations], [0, ...list.map((one) => one.dbs)], [0, ...list.map((one) => one.strict_dbs)]]);
+      unavailable = null;
+      explain();
+    } else {
+      load(`${generations.next} ${t_b.value()} ${d_th.value()}`, { atOnce });
+    }
+    shares.update([simulations, list.map((one) => (one.evaluated ? (100 * one.unsafe) / one.evaluated : null))]);
+    fitness.update([list.map((one) => one.number), list.map((one) => one.best_fitness), list.map((one) => one.median_fitness)]);
+  }
+
+  return {
+    dbs: dbsCard, shares: shareCard, fitness: fitnessCard,
+    explain: (words) => { reading = words; explain(); },
+    thresholds: () => ({ t_b: t_b.value(), d_th: d_th.value() }),
+    news(progress, known) {
+      defaults = { t_b: progress.t_b, d_th: progress.d_th };
+      dbsCard.hidden = !progress.looks_for_boundary;
+      if (generations !== known || known.next !== this.drawn) {
+        generations = known;
+        this.drawn = known.next;
+        draw();
+      }
+    },
+  };
+}
+
+function threshold(id, name, given, usual) {
+  const known = Number(given);
+  const input = h("input", {
+    id, type: "number", min: 0, max: 1, step: 0.01, required: true,
+    value: given !== null && Number.isFinite(known) && known >= 0 && known <= 1 ? known : usual,
+  });
+  let valid = Number(input.value);
+  const value = () => {
+    if (input.value !== "" && input.validity.valid) valid = Number(input.value);
+    return valid; // while the input is incomplete, the last valid value
+  };
+  return { input, label: h("label", { for: id }, name, " ", input), value };
+}

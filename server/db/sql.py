@@ -1,0 +1,284 @@
+"""SQL that several packages share: the database's clock, row locks, list parameters, bulk updates, lookup by id.
+
+SQLite and Postgres differ in most of these; nothing above this module has to know.
+"""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import lru_cache
+from typing import Any, Generic, TypeVar
+
+from sqlalchemy import (
+    BindParameter,
+    ColumnElement,
+    Connection,
+    FromClause,
+    Integer,
+    Row,
+    Select,
+    Text,
+    bindparam,
+    func,
+    select,
+    text,
+    update,
+)
+from sqlalchemy.dialects.postgresql import ARRAY
+from sqlalchemy.engine.interfaces import Dialect
+from sqlalchemy.ext.compiler import compiles
+from sqlalchemy.orm import InstrumentedAttribute
+from sqlalchemy.sql import column
+from sqlalchemy.sql.compiler import SQLCompiler
+from sqlalchemy.sql.functions import FunctionElement
+from sqlalchemy.types import TypeDecorator, TypeEngine
+
+from brink.server.db.models import NEXT_SEQUENCE, CampaignRow
+from brink.server.errors import NotFound
+
+V = TypeVar("V")
+MAX_ID = 16
+
+
+def database_now(connection: Connection) -> datetime:
+    """Return the database server's time, which decides leases; for SQLite that is this machine's."""
+    if connection.dialect.name == "postgresql":
+        moment = connection.execute(text("SELECT clock_timestamp()")).scalar_one()
+        assert isinstance(moment, datetime)
+        return moment.astimezone(UTC)
+    return datetime.now(UTC)
+
+
+def lock_rows(
+    query: Select[*tuple[Any, ...]], connection: Connection, table: Any, *, skip_locked: bool = False
+) -> Select[*tuple[Any, ...]]:
+    """Return a query that also locks its rows of one table until the transaction ends.
+
+    SQLite has no row locks and needs none: its only writer holds the write lock from BEGIN on.
+
+    Args:
+        query: Selects the rows.
+        connection: In a write transaction.
+        table: The mapped class whose rows are locked.
+        skip_locked: Leave out rows that another transaction has locked, instead of waiting for it.
+    """
+    if connection.dialect.name == "sqlite":
+        return query
+    return _for_update(query, table, skip_locked)
+
+
+@lru_cache(maxsize=64)  # SQLAlchemy compiles every new statement object again
+def _for_update(query: Select[*tuple[Any, ...]], table: Any, skip_locked: bool) -> Select[*tuple[Any, ...]]:
+    return query.with_for_update(of=table, skip_locked=skip_locked)
+
+
+def lock_campaign(connection: Connection, campaign_id: str) -> bool:
+    """Lock a campaign's row until the transaction ends; return whether the campaign exists."""
+    query = lock_rows(select(CampaignRow.id).where(CampaignRow.id == campaign_id), connection, CampaignRow)
+    return connection.execute(query).one_or_none() is not None
+
+
+def note_change(connection: Connection, campaign_id: str) -> None:
+    """Increase a campaign's change counter, so that polling clients notice the change."""
+    connection.execute(
+        update(CampaignRow).where(CampaignRow.id == campaign_id).values(sequence=NEXT_SEQUENCE)
+    )
+
+
+def newest_first(
+    table: FromClause, *, limit: int, before: tuple[datetime, str] | None
+) -> Select[*tuple[Any, ...]]:
+    """Return the query for one page of rows, newest first.
+
+    Args:
+        table: Table with columns ``id`` and ``created_at``.
+        limit: Maximum number of rows.
+        before: Creation time and id of the last row of the previous page.
+    """
+    query = select(table).order_by(table.c.created_at.desc(), table.c.id.desc()).limit(limit)
+    if before is None:
+        return query
+    moment, name = before
+    created = table.c.created_at
+    return query.where((created < moment) | ((created == moment) & (table.c.id < name)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DocumentTable(Generic[V]):
+    """Finds submitted documents: campaigns or experiments.
+
+    Attributes:
+        kind: What a row is called in messages, such as "campaign".
+        table: Table with columns ``id``, ``created_at``, ``document_hash`` and ``idempotency_key``.
+        build: Makes values of rows.
+    """
+
+    kind: str
+    table: FromClause
+    build: Callable[[Connection, Sequence[Row[*tuple[Any, ...]]]], list[V]]
+
+    def find(self, connection: Connection, exact_id: str, *, lock: bool = False) -> V | None:
+        """Return the value with an id, or None; with `lock`, hold its row until the transaction ends."""
+        return self._first(connection, self.table.c.id == exact_id, lock=lock)
+
+    def find_by_key(self, connection: Connection, key: str) -> V | None:
+        """Return the value that was submitted with an idempotency key, or None."""
+        return self._first(connection, self.table.c.idempotency_key == key)
+
+    def get(self, connection: Connection, name: str, *, lock: bool = False) -> V:
+        """Return a value by its id or by a unique prefix of it, at least two characters long.
+
+        Args:
+            connection: To read from.
+            name: The id or the prefix.
+            lock: Whether to hold the row until the transaction ends.
+
+        Raises:
+            NotFound: No row matches, or several do.
+        """
+        plausible = name.isalnum() and name.isascii() and len(name) <= MAX_ID
+        found = self.find(connection, name, lock=lock) if plausible else None
+        if found is not None:
+            return found
+        rows: Sequence[Row[*tuple[Any, ...]]] = ()
+        if plausible and len(name) >= 2:
+            matches = select(self.table).where(self.table.c.id.startswith(name, autoescape=True))
+            rows = connection.execute(matches.limit(2)).all()
+        if len(rows) == 1:
+            return self.build(connection, rows)[0]
+        reason = f"more than one {self.kind} has an id with this prefix" if rows else f"no such {self.kind}"
+        raise NotFound(f"{self.kind} {name[:40]!r}: {reason}")
+
+    def page(
+        self,
+        connection: Connection,
+        *,
+        limit: int,
+        before: tuple[datetime, str] | None = None,
+        document_hash: str | None = None,
+        statuses: Sequence[str] = (),
+    ) -> list[V]:
+        """Return one page of values, newest first.
+
+        Args:
+            connection: To read from.
+            limit: Maximum number of values.
+            before: Creation time and id of the last value of the previous page.
+            document_hash: Only values whose document has this hash.
+            statuses: Only values with one of these statuses; any if empty. Needs a column ``status``.
+        """
+        query = newest_first(self.table, limit=limit, before=before)
+        if document_hash is not None:
+            query = query.where(self.table.c.document_hash == document_hash)
+        if statuses:
+            query = query.where(self.table.c.status.in_(statuses))
+        return self.build(connection, connection.execute(query).all())
+
+    def _first(
+        self, connection: Connection, condition: ColumnElement[bool], *, lock: bool = False
+    ) -> V | None:
+        query = select(self.table).where(condition)
+        rows = connection.execute(lock_rows(query, connection, self.table) if lock else query).all()
+        return self.build(connection, rows)[0] if rows else None
+
+
+class _ListParameter(TypeDecorator[Sequence[Any]]):
+    """A list as a single parameter: an array on Postgres, JSON on SQLite."""
+
+    impl = Text
+    cache_ok = True
+
+    def __init__(self, item: TypeEngine[Any]) -> None:
+        super().__init__()
+        self.item = item
+
+    def load_dialect_impl(self, dialect: Dialect) -> TypeEngine[Any]:
+        return dialect.type_descriptor(Text() if dialect.name == "sqlite" else ARRAY(self.item))
+
+    def process_bind_param(self, value: Sequence[Any] | None, dialect: Dialect) -> Any:
+        values = list(value or ())
+        return json.dumps(values) if dialect.name == "sqlite" else values
+
+
+class _InList(FunctionElement[bool]):
+    """Tests whether the first argument is an element of the second."""
+
+    # As a Boolean it would be compared with 1 on SQLite, which then uses no index.
+    type: TypeEngine[Any] = Integer()
+    inherit_cache = True
+
+
+@compiles(_InList, "sqlite")
+def _in_list_sqlite(element: _InList, compiler: SQLCompiler, **options: Any) -> str:
+    left, right = element.clauses
+    values = compiler.process(right, **options)
+    return f"{compiler.process(left, **options)} IN (SELECT value FROM json_each({values}))"
+
+
+@compiles(_InList)
+def _in_list_postgres(element: _InList, compiler: SQLCompiler, **options: Any) -> str:
+    left, right = element.clauses
+    return f"{compiler.process(left, **options)} = ANY ({compiler.process(right, **options)})"
+
+
+def in_list(attribute: InstrumentedAttribute[Any], name: str) -> FunctionElement[bool]:
+    """Return the condition that a column's value is in the list bound to the parameter `name`.
+
+    Unlike ``IN (…)``, the statement's text does not depend on the length of the list, so that the database and
+    SQLAlchemy reuse its plan.
+    """
+    return _InList(attribute, bindparam(name, type_=_ListParameter(attribute.type)))
+
+
+class BulkUpdate:
+    """An update of many rows with individual values: one statement on Postgres, ``executemany`` on SQLite.
+
+    The statement's text does not depend on the number of rows, so that its plan is reused.
+
+    Args:
+        key: The column that identifies rows.
+        each: The columns with an individual value for each row.
+        values: The other columns, with expressions that all rows share; these may contain parameters.
+    """
+
+    def __init__(
+        self, key: InstrumentedAttribute[Any], each: Sequence[InstrumentedAttribute[Any]], **values: Any
+    ) -> None:
+        columns = [key, *each]
+        self._names = [attribute.key for attribute in columns]
+        table = key.class_
+        singly: dict[str, Any] = {attribute.key: bindparam(f"each_{attribute.key}") for attribute in each}
+        self._singly = update(table).where(key == bindparam(f"each_{key.key}")).values({**singly, **values})
+        arrays: list[BindParameter[Any]] = [
+            bindparam(f"each_{attribute.key}", type_=ARRAY(attribute.type)) for attribute in columns
+        ]
+        given = (
+            func.unnest(*arrays)
+            .table_valued(*(column(attribute.key, attribute.type) for attribute in columns))
+            .render_derived(name="given")
+        )
+        together = {attribute.key: given.c[attribute.key] for attribute in each}
+        self._together = update(table).where(key == given.c[key.key]).values({**together, **values})
+
+    def run(
+        self, connection: Connection, rows: Sequence[Sequence[Any]], shared: Mapping[str, Any] | None = None
+    ) -> None:
+        """Update rows.
+
+        Args:
+            connection: In a write transaction.
+            rows: For each row its key, followed by the values of the `each` columns.
+            shared: Values of the parameters in the shared expressions.
+        """
+        if not rows:
+            return
+        shared = shared or {}
+        names = [f"each_{name}" for name in self._names]
+        if connection.dialect.name == "sqlite":
+            connection.execute(
+                self._singly, [{**dict(zip(names, row, strict=True)), **shared} for row in rows]
+            )
+        else:
+            columns = [list(values) for values in zip(*rows, strict=True)]
+            connection.execute(self._together, {**dict(zip(names, columns, strict=True)), **shared})

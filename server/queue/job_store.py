@@ -1,0 +1,543 @@
+"""Jobs for the rest of the server: enqueue, cancel, retry, list, count them, and read their outcomes.
+
+Leases and reports are in `lease_store` and `report_store`. Functions that write take a
+connection in a write transaction.
+"""
+
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Row,
+    bindparam,
+    delete,
+    func,
+    insert,
+    literal,
+    or_,
+    select,
+    text,
+    update,
+)
+from sqlalchemy.orm import InstrumentedAttribute
+
+from brink.server.db.models import CampaignRow, JobRow, SolutionRow, TraceRow
+from brink.server.db.sql import database_now, in_list
+from brink.server.db.types import UtcDateTime
+from brink.server.queue.wakeups import notify_coordinators
+from brink.server.states import CampaignStatus, JobKind, JobStatus, SolutionVerdict
+
+MAX_NAMED = 10_000
+"""Values in one ``IN (…)``: databases limit the number of parameters of a statement."""
+LISTED_BY_STATUS = frozenset({JobStatus.QUEUED, JobStatus.LEASED, JobStatus.QUARANTINED})
+"""States with few jobs, which are found by an index on the status."""
+
+# Literals instead of parameters: Postgres plans a prepared statement without knowing its parameters, and could not
+# use the partial indexes on queued and leased jobs.
+IS_EVALUATION = JobRow.kind != literal(JobKind.TRACE, literal_execute=True)
+"""The job evaluates a solution, in an episode or on a data set."""
+IS_LEASED = JobRow.status == literal(JobStatus.LEASED, literal_execute=True)
+
+EVALUATIONS = (
+    select(JobRow.campaign_id, JobRow.number, JobRow.spec, JobRow.result, JobRow.attempt)
+    .where(IS_EVALUATION)
+    .subquery("evaluations")
+)
+"""The jobs that evaluate solutions, for joins with the table of solutions: at most one job for each solution."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NewJob:
+    """A simulation to enqueue.
+
+    Attributes:
+        spec: The specification as canonical JSON.
+        spec_hash: Its digest. Jobs with the same digest share one simulation.
+        needs: The capability that a worker must offer.
+        timeout_s: Time limit for one attempt.
+    """
+
+    spec: str
+    spec_hash: str
+    needs: str
+    timeout_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JobSettings:
+    """Settings that all jobs of a campaign share.
+
+    Attributes:
+        cache: Whether the jobs share results with equal simulations.
+        max_attempts: Attempts before quarantine.
+    """
+
+    cache: bool
+    max_attempts: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job:
+    """The current state of a job.
+
+    Attributes:
+        worker: The worker that holds its lease, or None.
+    """
+
+    id: int
+    campaign: str
+    number: int
+    kind: str
+    needs: str
+    status: JobStatus
+    attempt: int
+    max_attempts: int
+    worker: str | None
+    last_error: str | None
+    created_at: datetime
+    finished_at: datetime | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JobOutcome:
+    """The outcome of a job that evaluates a solution.
+
+    Attributes:
+        number: The number of the solution.
+        generation: The generation of the solution.
+        result: The completed episode as JSON, or None.
+        error: The last error, or None.
+    """
+
+    number: int
+    generation: int
+    status: JobStatus
+    result: str | None
+    error: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JobCount:
+    """The number of jobs of one campaign with the same status, kind and required capability.
+
+    Attributes:
+        name: The name of the campaign.
+        oldest: Creation time of the oldest of these jobs.
+    """
+
+    status: JobStatus
+    kind: str
+    needs: str
+    campaign: str
+    name: str
+    campaign_status: CampaignStatus
+    jobs: int
+    oldest: datetime
+
+
+def enqueue(
+    connection: Connection,
+    campaign_id: str,
+    kind: JobKind,
+    jobs: Sequence[tuple[int, NewJob]],
+    settings: JobSettings,
+) -> None:
+    """Enqueue jobs. A job whose simulation already has a result is stored as done.
+
+    Args:
+        connection: In a write transaction.
+        campaign_id: The campaign of the jobs.
+        kind: The kind of all jobs.
+        jobs: Solution numbers and simulations.
+        settings: The campaign's settings.
+    """
+    if not jobs:
+        return
+    known = _known_results(connection, [job.spec_hash for _, job in jobs], kind) if settings.cache else {}
+    now = database_now(connection)
+    connection.execute(
+        insert(JobRow),
+        [
+            {
+                "campaign_id": campaign_id, "number": number, "kind": kind, "spec": job.spec,
+                "spec_hash": job.spec_hash, "needs": job.needs, "cache": settings.cache,
+                "timeout_s": job.timeout_s, "attempt": 0, "max_attempts": settings.max_attempts,
+                "status": JobStatus.DONE if job.spec_hash in known else JobStatus.QUEUED,
+                "result": known.get(job.spec_hash), "created_at": now,
+                "finished_at": now if job.spec_hash in known else None,
+            }
+            for number, job in jobs
+        ],
+    )  # fmt: skip
+    notify_coordinators(connection)
+
+
+def _known_results(connection: Connection, hashes: Sequence[str], kind: JobKind) -> dict[str, str]:
+    known: dict[str, str] = {}
+    for some in _chunks(hashes):
+        query = select(JobRow.spec_hash, JobRow.result).where(
+            JobRow.spec_hash.in_(some), JobRow.status == JobStatus.DONE, JobRow.kind == kind, JobRow.cache
+        )
+        known.update({row.spec_hash: row.result for row in connection.execute(query)})
+    return known
+
+
+def _chunks(values: Sequence[Any]) -> Iterator[Sequence[Any]]:
+    for start in range(0, len(values), MAX_NAMED):
+        yield values[start : start + MAX_NAMED]
+
+
+def enqueue_traces(
+    connection: Connection, campaign_id: str, numbers: Sequence[int], settings: JobSettings
+) -> None:
+    """Enqueue jobs that run episodes again to record their traces, except those enqueued before.
+
+    Args:
+        connection: In a write transaction.
+        campaign_id: The campaign.
+        numbers: Numbers of simulated solutions.
+        settings: The campaign's settings.
+    """
+    its_jobs = (JobRow.campaign_id == campaign_id, JobRow.number.in_(list(numbers)))
+    present = select(JobRow.number).where(*its_jobs, JobRow.kind == JobKind.TRACE)
+    known = set(connection.execute(present).scalars())
+    episodes = (
+        select(JobRow.number, JobRow.spec, JobRow.spec_hash, JobRow.needs, JobRow.timeout_s)
+        .where(*its_jobs, JobRow.kind == JobKind.EPISODE)
+        .order_by(JobRow.number)
+    )
+    jobs = [
+        (row.number, NewJob(spec=row.spec, spec_hash=row.spec_hash, needs=row.needs, timeout_s=row.timeout_s))
+        for row in connection.execute(episodes)
+        if row.number not in known
+    ]
+    enqueue(connection, campaign_id, JobKind.TRACE, jobs, settings)
+
+
+def cancel_evaluations(connection: Connection, campaign_id: str) -> None:
+    """Cancel the open jobs of a campaign, except those that record traces."""
+    connection.execute(
+        update(JobRow)
+        .where(
+            JobRow.campaign_id == campaign_id,
+            IS_EVALUATION,
+            JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),
+        )
+        .values(
+            status=JobStatus.CANCELLED,
+            lease_token=None,
+            lease_expires_at=None,
+            finished_at=database_now(connection),
+        )
+    )
+
+
+def requeue(connection: Connection, job_id: int, *, more_attempts: int) -> bool:
+    """Return a quarantined job to the queue.
+
+    Args:
+        connection: In a write transaction.
+        job_id: The job.
+        more_attempts: Attempts in addition to those already made.
+
+    Returns:
+        False if the job is not in quarantine any more.
+    """
+    changed = connection.execute(
+        update(JobRow)
+        .where(JobRow.id == job_id, JobRow.status == JobStatus.QUARANTINED)
+        .values(
+            status=JobStatus.QUEUED,
+            max_attempts=JobRow.attempt + more_attempts,
+            not_before=None,
+            lease_token=None,
+            finished_at=None,
+        )
+    )
+    if changed.rowcount:
+        notify_coordinators(connection)
+    return changed.rowcount > 0
+
+
+def withdraw_results(connection: Connection, campaign_id: str, numbers: Sequence[int]) -> None:
+    """Stop sharing the results of some solutions with other jobs, because they cannot be evaluated.
+
+    Args:
+        connection: In a write transaction.
+        campaign_id: The campaign.
+        numbers: Numbers of the solutions.
+    """
+    for some in _chunks(numbers):
+        connection.execute(
+            update(JobRow)
+            .where(JobRow.campaign_id == campaign_id, IS_EVALUATION, JobRow.number.in_(some))
+            .values(cache=False)
+        )
+
+
+def _has_open_jobs(campaign: InstrumentedAttribute[str] | str) -> ColumnElement[bool]:
+    """Return the condition that a campaign has queued or leased evaluations.
+
+    The two states are looked up separately: for both at once, Postgres may read all jobs of the campaign.
+    """
+    queued, leased = (
+        select(JobRow.id)
+        .where(JobRow.campaign_id == campaign, JobRow.status == status, IS_EVALUATION)
+        .offset(0)  # keeps Postgres from turning the subquery into a join
+        for status in (JobStatus.QUEUED, JobStatus.LEASED)
+    )
+    return or_(queued.exists(), leased.exists())
+
+
+_IDLE = select(CampaignRow.id).where(
+    CampaignRow.status == CampaignStatus.RUNNING, ~_has_open_jobs(CampaignRow.id)
+)
+_IDLE_AMONG = _IDLE.where(in_list(CampaignRow.id, "campaigns"))
+
+
+def has_open_jobs(connection: Connection, campaign_id: str) -> bool:
+    """Return whether a campaign has queued or leased evaluations."""
+    return bool(connection.execute(select(_has_open_jobs(campaign_id))).scalar_one())
+
+
+def idle_campaigns(connection: Connection, campaigns: Iterable[str] | None = None) -> tuple[str, ...]:
+    """Return the running campaigns without open evaluations: all of them, or those among `campaigns`."""
+    if campaigns is None:
+        return tuple(connection.execute(_IDLE).scalars())
+    names = list(campaigns)
+    if not names:
+        return ()
+    return tuple(sorted(connection.execute(_IDLE_AMONG, {"campaigns": names}).scalars()))
+
+
+def generation_outcomes(connection: Connection, campaign_id: str, generation: int) -> list[JobOutcome]:
+    """Return the outcomes of a generation's evaluations, ascending by number.
+
+    Args:
+        connection: Sees one snapshot.
+        campaign_id: The campaign.
+        generation: Number of the generation.
+    """
+    return _outcomes(connection, campaign_id, SolutionRow.generation == generation)
+
+
+def unsafe_outcomes(connection: Connection, campaign_id: str) -> list[JobOutcome]:
+    """Return the outcomes of a campaign's unsafe solutions, ascending by number."""
+    return _outcomes(connection, campaign_id, SolutionRow.verdict == SolutionVerdict.UNSAFE)
+
+
+def _outcomes(connection: Connection, campaign_id: str, condition: ColumnElement[bool]) -> list[JobOutcome]:
+    query = (
+        select(JobRow.number, SolutionRow.generation, JobRow.status, JobRow.result, JobRow.last_error)
+        .join(
+            SolutionRow,
+            (SolutionRow.campaign_id == JobRow.campaign_id) & (SolutionRow.number == JobRow.number),
+        )
+        .where(JobRow.campaign_id == campaign_id, condition, IS_EVALUATION)
+        .order_by(JobRow.number)
+    )
+    return [
+        JobOutcome(
+            number=row.number, generation=row.generation, status=JobStatus(row.status),
+            result=row.result, error=row.last_error,
+        )
+        for row in connection.execute(query)
+    ]  # fmt: skip
+
+
+_JOB = (
+    JobRow.id, JobRow.campaign_id, JobRow.number, JobRow.kind, JobRow.needs, JobRow.status, JobRow.attempt,
+    JobRow.max_attempts, JobRow.lease_worker, JobRow.last_error, JobRow.created_at, JobRow.finished_at,
+)  # fmt: skip
+
+
+def _job(row: Row[*tuple[Any, ...]]) -> Job:
+    return Job(
+        id=row.id, campaign=row.campaign_id, number=row.number, kind=row.kind, needs=row.needs,
+        status=JobStatus(row.status), attempt=row.attempt, max_attempts=row.max_attempts,
+        worker=row.lease_worker if row.status == JobStatus.LEASED else None, last_error=row.last_error,
+        created_at=row.created_at, finished_at=row.finished_at,
+    )  # fmt: skip
+
+
+def find_job(connection: Connection, job_id: int) -> Job | None:
+    """Return a job, or None."""
+    return next(map(_job, connection.execute(select(*_JOB).where(JobRow.id == job_id))), None)
+
+
+def find_job_of(connection: Connection, campaign_id: str, number: int, kind: JobKind) -> Job | None:
+    """Return a solution's job of the given kind, or None.
+
+    Args:
+        connection: Sees one snapshot.
+        campaign_id: The campaign.
+        number: Number of the solution.
+        kind: What the job is for.
+    """
+    its_job = (JobRow.campaign_id == campaign_id, JobRow.number == number, JobRow.kind == kind)
+    return next(map(_job, connection.execute(select(*_JOB).where(*its_job))), None)
+
+
+# Statements about open jobs visit the campaigns one by one and use the index on campaign and status: all jobs that
+# ever ran would take longer and longer. SQLite joins the tables of a CROSS JOIN in the order given; Postgres does not
+# merge a subquery that has an OFFSET.
+_JOBS_WITH_STATUS = {
+    "sqlite": "campaigns CROSS JOIN jobs WHERE jobs.campaign_id = campaigns.id AND jobs.status = '{status}'",
+    "postgresql": """campaigns CROSS JOIN LATERAL (
+    SELECT * FROM jobs WHERE jobs.campaign_id = campaigns.id AND jobs.status = '{status}' OFFSET 0
+) AS jobs WHERE true""",
+}
+_COUNT = """SELECT jobs.kind, jobs.needs, jobs.campaign_id, campaigns.status AS campaign_status, campaigns.name,
+    count(*) AS jobs, min(jobs.created_at) AS oldest
+FROM {jobs}
+GROUP BY jobs.kind, jobs.needs, jobs.campaign_id, campaigns.status, campaigns.name"""
+_COUNTS = {
+    dialect: {
+        status: text(_COUNT.format(jobs=jobs.format(status=status))).columns(oldest=UtcDateTime)
+        for status in (JobStatus.QUEUED, JobStatus.LEASED, JobStatus.QUARANTINED)
+    }
+    for dialect, jobs in _JOBS_WITH_STATUS.items()
+}
+
+
+def list_jobs(
+    connection: Connection,
+    *,
+    statuses: Sequence[JobStatus] = (),
+    campaign: str | None = None,
+    after: int = 0,
+    limit: int = 100,
+) -> list[Job]:
+    """Return one page of jobs, ascending by id.
+
+    Args:
+        connection: Sees one snapshot.
+        statuses: Only jobs with one of these statuses; any status if empty.
+        campaign: Only jobs of this campaign.
+        after: The last id of the previous page.
+        limit: Maximum number of jobs.
+    """
+    query = select(*_JOB).order_by(JobRow.id).limit(limit)
+    if statuses and LISTED_BY_STATUS.issuperset(statuses):
+        found = (_ids(connection, status, campaign, after, limit) for status in dict.fromkeys(statuses))
+        query = query.where(JobRow.id.in_(sorted(itertools.chain.from_iterable(found))[:limit]))
+    else:
+        query = query.where(JobRow.id > after)
+        if statuses:
+            query = query.where(JobRow.status.in_(statuses))
+        if campaign is not None:
+            query = query.where(JobRow.campaign_id == campaign)
+    return [_job(row) for row in connection.execute(query)]
+
+
+def _ids(
+    connection: Connection, status: JobStatus, campaign: str | None, after: int, limit: int
+) -> list[int]:
+    """Return the ids of the first jobs with the given status, in one campaign or in all."""
+    jobs = _JOBS_WITH_STATUS[connection.dialect.name].format(status=status)
+    whose = "" if campaign is None else "AND campaigns.id = :campaign"
+    statement = text(f"SELECT jobs.id FROM {jobs} AND jobs.id > :after {whose} ORDER BY jobs.id LIMIT :limit")
+    given = {"after": after, "limit": limit, **({} if campaign is None else {"campaign": campaign})}
+    return list(connection.execute(statement, given).scalars())
+
+
+def count_jobs(connection: Connection) -> Iterator[JobCount]:
+    """Yield the counts of all queued, leased and quarantined jobs."""
+    for status, statement in _COUNTS[connection.dialect.name].items():
+        for row in connection.execute(statement):
+            yield JobCount(
+                status=status, kind=row.kind, needs=row.needs, campaign=row.campaign_id, name=row.name,
+                campaign_status=CampaignStatus(row.campaign_status), jobs=row.jobs, oldest=row.oldest,
+            )  # fmt: skip
+
+
+# Every open page runs this every few seconds, and SQLAlchemy takes longer to build it than the database to run it. It
+# names the statuses because "other than done" would read all jobs of a campaign.
+_UNFINISHED = (
+    select(JobRow.status, func.count())
+    .where(JobRow.campaign_id.in_(bindparam("campaigns", expanding=True)), IS_EVALUATION)
+    .where(JobRow.status.in_([status for status in JobStatus if status is not JobStatus.DONE]))
+    .group_by(JobRow.status)
+)
+
+
+def count_unfinished(connection: Connection, *campaigns: str) -> dict[str, int]:
+    """Count the evaluations of the given campaigns by status, except those that are done."""
+    counts = connection.execute(_UNFINISHED, {"campaigns": campaigns})
+    return {str(row[0]): int(row[1]) for row in counts}
+
+
+def count_by_status(connection: Connection, campaign_statuses: Sequence[CampaignStatus]) -> dict[str, int]:
+    """Count the jobs of all campaigns with the given statuses, by job status. Slow: it reads every job."""
+    query = (
+        select(JobRow.status, func.count())
+        .join(CampaignRow, CampaignRow.id == JobRow.campaign_id)
+        .where(CampaignRow.status.in_(campaign_statuses))
+        .group_by(JobRow.status)
+    )
+    return {str(row[0]): int(row[1]) for row in connection.execute(query)}
+
+
+def queued_needs(connection: Connection, campaign_id: str) -> dict[str, int]:
+    """Count a campaign's queued jobs by the capability that they need."""
+    query = (
+        select(JobRow.needs, func.count())
+        .where(JobRow.campaign_id == campaign_id, JobRow.status == JobStatus.QUEUED)
+        .group_by(JobRow.needs)
+    )
+    return {str(row[0]): int(row[1]) for row in connection.execute(query)}
+
+
+def count_leases(connection: Connection, expired_before: datetime) -> tuple[int, int]:
+    """Return the number of leases that expired before the given time, and of all leases."""
+    overdue = func.count().filter(JobRow.lease_expires_at < expired_before)
+    row = connection.execute(select(overdue, func.count()).where(IS_LEASED)).one()
+    return int(row[0]), int(row[1])
+
+
+def next_expiry(connection: Connection) -> datetime | None:
+    """Return when the next lease expires, or None if no job is leased."""
+    return connection.execute(select(func.min(JobRow.lease_expires_at)).where(IS_LEASED)).scalar_one()
+
+
+def last_finished_at(connection: Connection, campaign_id: str) -> datetime | None:
+    """Return when a campaign's latest finished job finished, or None."""
+    query = select(func.max(JobRow.finished_at)).where(JobRow.campaign_id == campaign_id)
+    return connection.execute(query).scalar_one()
+
+
+def delete_own_traces(connection: Connection, campaign_id: str) -> None:
+    """Delete the traces of a campaign that no other campaign shares."""
+    own = select(JobRow.spec_hash).where(JobRow.campaign_id == campaign_id)
+    others = select(JobRow.id).where(
+        JobRow.spec_hash == TraceRow.spec_hash, JobRow.campaign_id != campaign_id
+    )
+    connection.execute(delete(TraceRow).where(TraceRow.spec_hash.in_(own), ~others.exists()))
+
+
+def delete_traces(connection: Connection, before: datetime, *, dry_run: bool) -> int:
+    """Delete old traces; return how many.
+
+    Args:
+        connection: In a write transaction.
+        before: Traces recorded earlier are deleted.
+        dry_run: Only count them.
+    """
+    old = TraceRow.created_at < before
+    count = connection.execute(select(func.count()).select_from(TraceRow).where(old)).scalar_one()
+    if not dry_run:
+        # Without its trace, a finished job would keep anybody from requesting the trace again.
+        connection.execute(
+            delete(JobRow).where(
+                JobRow.kind == JobKind.TRACE,
+                JobRow.status == JobStatus.DONE,
+                JobRow.spec_hash.in_(select(TraceRow.spec_hash).where(old)),
+            )
+        )
+        connection.execute(delete(TraceRow).where(old))
+    return count

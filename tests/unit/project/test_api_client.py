@@ -1,0 +1,56 @@
+"""The client validates the answers of a coordinator and turns every failure into one readable error."""
+
+import asyncio
+import json
+from typing import Any
+
+import httpx
+import pytest
+
+from brink.api.client import Api, CoordinatorError
+from brink.server.api.schemas import DbsCell, TechniqueLevel, WorkerView
+
+
+def read(schema: Any, answer: httpx.Response) -> Any:
+    """Read an answer from a coordinator that gives the same one to every request."""
+
+    async def work() -> Any:
+        transport = httpx.MockTransport(lambda _: answer)
+        async with httpx.AsyncClient(transport=transport, base_url="http://c") as client:
+            return await Api(client, "http://c").read(schema, "/anything")
+
+    return asyncio.run(work())
+
+
+def test_an_answer_is_read_into_its_schema_and_dumps_to_the_same_document() -> None:
+    worker = {
+        "id": "w", "host": "h", "pid": 1, "version": "0", "capabilities": ["ball@1"],
+        "first_seen_at": "2026-01-02T03:04:05.678901Z", "last_seen_at": "2026-01-02T03:04:06Z",
+        "seen_s_ago": 1.0, "live": True, "jobs_done": 2, "jobs_failed": 0, "jobs_held": 1,
+    }  # fmt: skip
+    [found] = read(list[WorkerView], httpx.Response(200, json=[worker]))
+    assert found.live
+    assert json.dumps(found.model_dump(mode="json")) == json.dumps(worker)
+
+
+def test_an_unexpected_answer_names_the_field() -> None:
+    answer = httpx.Response(200, json={"technique": "rain", "level": "high", "levels": 3})
+    with pytest.raises(CoordinatorError, match=r"unexpected answer from http://c: level: .*same version"):
+        read(TechniqueLevel, answer)
+
+
+def test_an_answer_that_is_no_json_is_an_error_of_the_coordinator() -> None:
+    with pytest.raises(CoordinatorError, match="unexpected answer from http://c: the answer: Invalid JSON"):
+        read(DbsCell, httpx.Response(200, text="<html>"))
+
+
+def test_a_rejected_request_lists_every_wrong_field() -> None:
+    errors = [{"pointer": "/seed", "message": "expected a number", "nearest": None}]
+    errors.append({"pointer": "/bugdet", "message": "unknown field", "nearest": "budget"})
+    answer = httpx.Response(422, json={"detail": "invalid", "errors": errors})
+    with pytest.raises(CoordinatorError) as caught:
+        read(DbsCell, answer)
+    assert str(caught.value).splitlines() == [
+        "/seed: expected a number",
+        "/bugdet: unknown field (did you mean 'budget'?)",
+    ]

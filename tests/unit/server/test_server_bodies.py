@@ -1,0 +1,97 @@
+"""The bodies of campaigns and experiments."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from brink.server.campaigns.body import parse_body
+from brink.server.errors import InvalidInput
+from brink.server.experiments.body import MAX_CAMPAIGNS, parse_experiment, read_experiment_file
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+
+
+PLAIN: dict[str, Any] = {
+    "name": "night-rain",
+    "problem": {"id": "mtq@1"},
+    "algorithm": {"id": "random@1"},
+    "budget": {"simulations": 100},
+}
+
+
+def test_fields_of_later_versions_do_not_change_the_hash_unless_they_are_set() -> None:
+    first = "d0fa27c9315a72b53172e656131079cb4ecccc805459d11ce25db46699fdf7ad"
+    assert parse_body(PLAIN).document_hash() == first
+    assert parse_body({**PLAIN, "repeats": 0}).document_hash() == first
+    assert parse_body({**PLAIN, "repeats": 5}).document_hash() != first
+
+
+def document(**changes: Any) -> dict[str, Any]:
+    return {
+        "name": "rq1",
+        "problems": [{"id": "mtq@1"}],
+        "algorithms": [{"name": "GA", "id": "ga@1"}, {"id": "random@1", "params": {"radius": 0.1}}],
+        "seeds": [4, 7],
+        "budget": {"simulations": 100},
+        **changes,
+    }
+
+
+def pointers(document: object) -> dict[str, str]:
+    with pytest.raises(InvalidInput) as raised:
+        parse_experiment(document)
+    return {error.pointer: error.message for error in raised.value.errors}
+
+
+def test_an_experiment_has_a_campaign_for_every_combination() -> None:
+    two = [{"id": "mtq@1"}, {"name": "bits", "id": "onemax@1"}]
+    cells = parse_experiment(document(problems=two, priority=3)).cells()
+    assert [(cell.body.seed, cell.problem, cell.method) for cell in cells] == [
+        (seed, problem, method)
+        for seed in (4, 7)
+        for problem in ("mtq@1", "bits")
+        for method in ("GA", "random@1")
+    ]
+    assert [cell.place for cell in cells] == list(range(8))
+    assert cells[5].body.name == "rq1: random@1, mtq@1, seed 7"
+    assert cells[5].body.algorithm.params == {"radius": 0.1}
+    assert {cell.body.priority for cell in cells} == {3}
+    assert len({cell.body.document_hash() for cell in cells}) == 8
+
+
+def test_seeds_may_be_a_range() -> None:
+    ranged = parse_experiment(document(seeds={"first": 4, "count": 2}))
+    assert ranged.seeds == [4, 5]
+    assert ranged.document_hash() == parse_experiment(document(seeds=[4, 5])).document_hash()
+    assert parse_experiment(document(seeds={"count": 3})).seeds == [1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("changes", "pointer", "said"),
+    [
+        ({"seeds": []}, "/seeds", "at least 1"),
+        ({"seeds": {"frist": 1}}, "/seeds", "first (0 or more) and count"),
+        ({"seeds": {"count": MAX_CAMPAIGNS + 1}}, "/seeds", f"count (1 to {MAX_CAMPAIGNS})"),
+        ({"seeds": [1, -1]}, "/seeds/1", "greater than or equal to 0"),
+        ({"seeds": [1, 1]}, "", "'1' more than once"),
+        ({"algorithms": []}, "/algorithms", "at least 1"),
+        ({"algorithms": [{"id": "ga@1"}, {"id": "ga@1"}]}, "", "'ga@1' more than once; give each a different name"),
+        ({"algorithms": [{"id": "ga@1", "parms": {}}]}, "/algorithms/0/parms", "one of id, llm, name, params"),
+        ({"seeds": {"count": 300}}, "", f"at most {MAX_CAMPAIGNS} campaigns, got 600"),
+        ({"budget": {"simulations": 0}}, "/budget/simulations", "greater than or equal to 1"),
+    ],
+)  # fmt: skip
+def test_each_invalid_field_has_a_pointer(changes: dict[str, Any], pointer: str, said: str) -> None:
+    found = pointers(document(**changes))
+    assert pointer in found
+    assert said in found[pointer]
+
+
+def test_a_list_is_rejected_as_an_experiment() -> None:
+    assert "expected an experiment with name, problems" in pointers([1])[""]
+
+
+def test_the_example_can_be_read() -> None:
+    body = read_experiment_file(EXAMPLES / "paper-rq1.yaml")
+    assert (body.campaigns, body.budget.simulations) == (30, 1300)

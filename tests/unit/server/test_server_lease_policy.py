@@ -1,0 +1,129 @@
+"""The lease policy on a queue in memory: who gets which jobs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from brink.server.queue.lease_policy import (
+    NEW_TURN,
+    TURN,
+    Assignment,
+    Backlog,
+    CampaignTurn,
+    LeaseDemand,
+    LeaseTerms,
+    assign_jobs,
+    grant_limit,
+)
+from brink.server.states import JobKind
+
+
+@dataclass
+class Job:
+    id: int
+    campaign_id: str = "a"
+    kind: str = JobKind.EPISODE
+    spec_hash: str = ""
+    cache: bool = False
+    priority: int = 0
+
+
+@dataclass
+class Queue:
+    """What a transaction sees; `reads` counts the fresh jobs that it had to lock."""
+
+    fresh: Sequence[Job] = ()
+    traces: Sequence[Job] = ()
+    retry: Job | None = None
+    campaigns: Sequence[CampaignTurn] = (CampaignTurn("a", 0, 0, 0),)
+    reads: list[int] = field(default_factory=list)
+
+    def first_retry(self, demand: LeaseDemand) -> Job | None:
+        return self.retry
+
+    def has_trace(self, capabilities: tuple[str, ...]) -> bool:
+        return bool(self.traces)
+
+    def top_priority(self, capabilities: tuple[str, ...]) -> int | None:
+        return max((one.priority for one in self.campaigns), default=None)
+
+    def lock_retry(self, demand: LeaseDemand) -> Sequence[Job]:
+        return [self.retry] if self.retry else []
+
+    def lock_traces(self, capabilities: tuple[str, ...], limit: int) -> Sequence[Job]:
+        return self.traces[:limit]
+
+    def turns(self, capabilities: tuple[str, ...]) -> Sequence[CampaignTurn]:
+        return self.campaigns
+
+    def lock_fresh(
+        self, campaign: str, capabilities: tuple[str, ...], *, after: int, limit: int
+    ) -> Sequence[Job]:
+        found = [job for job in self.fresh if job.campaign_id == campaign and job.id > after][:limit]
+        self.reads += [job.id for job in found]
+        return found
+
+    def assign(self, *demands: LeaseDemand, held: dict[str, list[int]] | None = None) -> Assignment:
+        backlog = Backlog(jobs=len(self.fresh), traces=bool(self.traces), retries=self.retry is not None)
+        return assign_jobs(demands, backlog, held or {}, self)
+
+
+def demand(worker: str = "w1", max_jobs: int = 100, live_workers: int = 1) -> LeaseDemand:
+    terms = LeaseTerms(lease_s=60.0, retry_backoff_s=1.0, live_workers=live_workers)
+    return LeaseDemand(worker=worker, capabilities=("sim@1",), max_jobs=max_jobs, terms=terms)
+
+
+def ids(assignment: Assignment) -> list[list[int]]:
+    return [[job.id for job in jobs] for jobs in assignment.jobs]
+
+
+def test_a_grant_is_two_thirds_of_an_equal_share_and_at_least_one_job() -> None:
+    assert [grant_limit(demand(live_workers=4), queued) for queued in (600, 60, 6, 1, 0)] == [
+        100,
+        10,
+        1,
+        1,
+        1,
+    ]
+    assert grant_limit(demand(max_jobs=8), 1000) == 8
+
+
+def test_workers_that_ask_together_get_different_jobs_and_nothing_else_is_locked() -> None:
+    queue = Queue(fresh=[Job(n) for n in range(30)])
+    first, second = ids(queue.assign(demand("w1", 4, 2), demand("w2", 4, 2)))
+    assert (first, second) == ([0, 1, 2, 3], [4, 5, 6, 7])
+    assert queue.reads == list(range(8))
+
+
+def test_higher_priorities_go_first_and_equal_ones_in_turn() -> None:
+    campaigns = [CampaignTurn("c", 1, 9, 0), CampaignTurn("b", 0, 3, 0), CampaignTurn("a", 0, 5, 0)]
+    fresh = [Job(0, "a"), Job(1, "b"), Job(2, "c"), *(Job(n, "a") for n in range(3, 9))]
+    queue = Queue(fresh=fresh, campaigns=campaigns)
+    assert ids(queue.assign(demand(max_jobs=3))) == [[2, 1, 0]]
+
+
+def test_a_turn_ends_after_so_many_jobs_for_each_live_worker() -> None:
+    queue = Queue(fresh=[Job(n) for n in range(300)], campaigns=[CampaignTurn("a", 0, 7, TURN - 1)])
+    assert queue.assign(demand(max_jobs=1, live_workers=2)).turns == {"a": (7, TURN)}
+    turn, served = queue.assign(demand(max_jobs=1)).turns["a"]
+    assert (turn > NEW_TURN, served) == (True, 0)
+
+
+def test_a_retry_is_granted_alone_and_only_to_empty_hands() -> None:
+    queue = Queue(fresh=[Job(n) for n in range(9)], retry=Job(99))
+    assert ids(queue.assign(demand())) == [[99]]
+    assert ids(queue.assign(demand(), held={"w1": [1]})) == [[]]
+    assert ids(queue.assign(demand(), held={"w1": [2]})) == [[]]
+
+
+def test_fresh_jobs_of_a_higher_priority_and_traces_go_before_a_retry() -> None:
+    urgent = [CampaignTurn("a", 5, 0, 0)]
+    assert ids(Queue(fresh=[Job(1)], retry=Job(99), campaigns=urgent).assign(demand())) == [[1]]
+    traced = Queue(traces=[Job(7, kind=JobKind.TRACE)], retry=Job(99), campaigns=[])
+    assert ids(traced.assign(demand())) == [[7]]
+
+
+def test_equal_simulations_that_share_results_are_granted_once() -> None:
+    twins = [Job(n, spec_hash="x", cache=True) for n in (1, 2)]
+    assert ids(Queue(fresh=[*twins, Job(3)]).assign(demand("w1"), demand("w2"))) == [[1], [3]]
+    alone = [Job(n, spec_hash="x") for n in (1, 2)]
+    assert ids(Queue(fresh=[*alone, Job(3)]).assign(demand())) == [[1, 2]]
