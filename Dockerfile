@@ -1,4 +1,4 @@
-# One image for coordinator and workers: `docker compose up` starts both, `docker run … brink worker` adds workers.
+# One image for coordinator and workers: `docker compose up` starts both, `docker run … worker` adds workers.
 FROM python:3.11-slim AS build
 WORKDIR /src
 COPY pyproject.toml constraints.txt README.md LICENSE ./

@@ -10,6 +10,7 @@ from multiprocessing import get_context
 
 import numpy as np
 
+from brink.bench.urban_candidates import draw_candidate
 from brink.search.algorithm import Evaluation
 from brink.search.analysis.boundary import PAPER_T_BS, dbs_grid
 from brink.search.analysis.scores import ScenarioRisk, blind_archive
@@ -20,8 +21,7 @@ from brink.server.campaigns.plan import make_plan
 from brink.server.problems.base import SimulatedProblem
 from brink.sim.catalogue import make_simulator
 from brink.sim.episode import EpisodeSpec
-from brink.sim.urban.draws import draw
-from brink.worker.outcome_document import completed
+from brink.worker.child_protocol import completed_document
 from brink.worker.wire import Completed
 
 ALGORITHMS = ("mlcshe@1", "ga@1", "random@1")
@@ -31,7 +31,7 @@ DRAWS = 5
 
 def simulate(spec: EpisodeSpec) -> Completed:
     """Run an episode in this process."""
-    return Completed.model_validate(completed(make_simulator(spec.simulator).run(spec)))
+    return Completed.model_validate(completed_document(make_simulator(spec.simulator).run(spec)))
 
 
 def main() -> None:
@@ -42,7 +42,7 @@ def main() -> None:
     parser.add_argument("--behaviour", type=int, default=3, help="seed of the fixed behaviour")
     parser.add_argument("--processes", type=int, default=2)
     arguments = parser.parse_args()
-    fixed = draw(np.random.default_rng(arguments.behaviour)).spec(0, ("front-gap@1",)).behaviour
+    fixed = draw_candidate(np.random.default_rng(arguments.behaviour)).spec(0, ("front-gap@1",)).behaviour
     print(f"{'algorithm':<10} {'seed':>4} {'unsafe':>7} {'':<8}" + "".join(f"{t:>8g}" for t in PAPER_T_BS))
     with get_context("spawn").Pool(arguments.processes) as pool:
         for algorithm_id in ALGORITHMS:

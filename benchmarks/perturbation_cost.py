@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from brink.sim.perturbations import CATALOGUE, Frame, Gene, Perturbation, apply, generator
-from brink.sim.perturbations.street import draw_street
+from brink.sim.perturbations.pictures import draw_street
 
 TARGET_MS = {
     "gaussian_noise": 1.0, "gaussian_blur": 6.0, "grid_dropout": 0.1, "coarse_dropout": 0.15, "snow": 5.0,

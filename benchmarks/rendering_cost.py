@@ -6,11 +6,11 @@ import time
 
 import cv2
 
+from brink.sim.rendering.canvas import visible_bodies
 from brink.sim.rendering.renderer import Renderer
 from brink.sim.rendering.sample import EGO, sample_street, sample_traffic
 from brink.sim.rendering.scene import Light, PictureCamera, Viewpoint
-from brink.sim.rendering.visible import visible_bodies
-from brink.sim.urban.scenario import TimeOfDay, Weather
+from brink.sim.world.scenario import TimeOfDay, Weather
 
 SIZES = ((320, 192, 5.0), (640, 360, 8.0), (800, 600, None), (1280, 720, 17.0))
 LIGHTS = (

@@ -21,7 +21,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "tests" / "integration" / "worker"), str(ROOT)]
 
-from fake_coordinator import FakeCoordinator  # noqa: E402
+from worker_harness import FakeCoordinator  # noqa: E402
 
 from brink.worker.wire import Completed, ResultsRequest  # noqa: E402
 

@@ -33,10 +33,10 @@ from brink.server.api.schemas import ProblemDetail
 from brink.server.api.service import add_docs
 from brink.server.campaigns.advance import Stepper
 from brink.server.campaigns.archives import Archives
-from brink.server.campaigns.films import Films
 from brink.server.campaigns.monitors import Monitors
 from brink.server.campaigns.scheduler import Scheduler
 from brink.server.campaigns.service import SLOW_AT_ONCE, CampaignService
+from brink.server.campaigns.traces import Films
 from brink.server.dashboard.figures import Figures
 from brink.server.dashboard.page import add_dashboard
 from brink.server.db.engine import Engines, open_engines

@@ -1,1 +1,1 @@
-"""The driving world: roads, road users, the driving system under test, requirements, episodes."""
+"""The simulator: roads, road users, the driving system under test, requirements, episodes."""

@@ -1,35 +1,37 @@
-"""Which simulators and requirements there are: found by entry point, loaded when asked for.
+"""The catalogue of plug-ins: finds them by entry point, loads them on demand, makes simulators and requirements.
 
-Reading the catalogue never imports a simulator, so a coordinator can list them without their physics.
+Reading the catalogue never imports a simulator, so a coordinator can list simulators without loading their physics.
 """
 
+import difflib
 import importlib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Protocol, cast
 
 from brink.sim.episode import EpisodeResult, EpisodeSpec
 from brink.sim.errors import InvalidEpisode, PluginMissing
+from brink.sim.requirements import Requirement
 
 SIMULATORS = "brink.simulators"
 REQUIREMENTS = "brink.requirements"
 PLUGINS_VARIABLE = "BRINK_PLUGINS"
-"""Environment variable with comma-separated modules to import for their registrations."""
+"""Environment variable with a comma-separated list of modules to import for the plug-ins that they register."""
 
 _registered: dict[str, dict[str, Callable[..., object]]] = {}
 
 
 class Simulator(Protocol):
-    """Runs episodes. Made once a process, used for many episodes, one at a time."""
+    """Runs episodes one at a time. One instance serves a whole process."""
 
     def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
         """Run one episode.
 
         Args:
-            spec: What to run.
-            record: Whether the result carries the trace.
+            spec: The episode.
+            record: Whether the result includes the trace.
 
         Raises:
             InvalidEpisode: The specification can never run.
@@ -39,12 +41,12 @@ class Simulator(Protocol):
 
 
 def register(group: str, plugin_id: str, factory: Callable[..., object]) -> None:
-    """Add a plug-in without an entry point, for modules named in ``BRINK_PLUGINS``.
+    """Register a plug-in without an entry point, from a module listed in ``BRINK_PLUGINS``.
 
     Args:
-        group: Such as ``brink.simulators``.
+        group: Entry-point group, such as ``brink.simulators``.
         plugin_id: Versioned id, such as ``brink-drive@1``.
-        factory: What an entry point would load: a class, or a function that makes one of its kind.
+        factory: What an entry point would load: a class, or a function that returns an instance.
     """
     _registered.setdefault(group, {})[plugin_id] = factory
 
@@ -59,7 +61,7 @@ def _import_plugin_modules() -> None:
     for name in filter(None, os.environ.get(PLUGINS_VARIABLE, "").split(",")):
         try:
             importlib.import_module(name.strip())
-        except Exception as error:  # (foreign code may raise anything)
+        except Exception as error:  # (third-party code may raise anything)
             raise PluginMissing(
                 f"plug-in {name.strip()!r} (--plugin, or {PLUGINS_VARIABLE}) cannot be imported from here: "
                 f"{type(error).__name__}: {error}"
@@ -67,16 +69,16 @@ def _import_plugin_modules() -> None:
 
 
 def plugin_ids(group: str) -> tuple[str, ...]:
-    """Return the ids of all plug-ins of a group, sorted."""
+    """Return the ids of all plug-ins in a group, sorted."""
     _import_plugin_modules()
     return tuple(sorted({*_entry_points(group), *_registered.get(group, {})}))
 
 
 def load_plugin(group: str, plugin_id: str) -> object:
-    """Return what a plug-in registered: a class or a factory without arguments.
+    """Return the class or factory that a plug-in registered.
 
     Raises:
-        KeyError: Nothing of that id is registered.
+        KeyError: No plug-in has this id.
     """
     _import_plugin_modules()
     if plugin_id in _registered.get(group, {}):
@@ -93,7 +95,7 @@ def make_simulator(simulator_id: str) -> Simulator:
     """Return a new simulator.
 
     Raises:
-        InvalidEpisode: No simulator of that id is registered.
+        InvalidEpisode: No simulator has this id.
     """
     try:
         factory = load_plugin(SIMULATORS, simulator_id)
@@ -101,3 +103,40 @@ def make_simulator(simulator_id: str) -> Simulator:
         known = ", ".join(simulator_ids()) or "none"
         raise InvalidEpisode(f"simulator: unknown id {simulator_id!r}; registered here: {known}") from None
     return cast(Callable[[], Simulator], factory)()
+
+
+def requirement_ids() -> tuple[str, ...]:
+    """Return the ids of all registered requirements, sorted."""
+    return plugin_ids(REQUIREMENTS)
+
+
+def make_requirement(requirement_id: str) -> Requirement:
+    """Return a new requirement for one episode.
+
+    Raises:
+        InvalidEpisode: No requirement has this id; the message suggests the closest one.
+    """
+    try:
+        factory = load_plugin(REQUIREMENTS, requirement_id)
+    except KeyError:
+        known = requirement_ids()
+        close = difflib.get_close_matches(requirement_id, known, n=1, cutoff=0.4)
+        hint = f"did you mean {close[0]!r}? " if close else ""
+        raise InvalidEpisode(
+            f"requirements: unknown id {requirement_id!r}; {hint}registered here: {', '.join(known) or 'none'}"
+        ) from None
+    return cast(Callable[[], Requirement], factory)()
+
+
+def make_requirements(wanted_ids: Sequence[str]) -> dict[str, Requirement]:
+    """Return new requirements for one episode, by id and in order.
+
+    Raises:
+        InvalidEpisode: An id is unknown or listed twice.
+    """
+    made: dict[str, Requirement] = {}
+    for requirement_id in wanted_ids:
+        if requirement_id in made:
+            raise InvalidEpisode(f"requirements: {requirement_id!r} is listed twice")
+        made[requirement_id] = make_requirement(requirement_id)
+    return made

@@ -1,9 +1,10 @@
-"""What decides an episode, and what comes out of it.
+"""The specification of an episode, its result, and the validation of their JSON fields.
 
-Both are plain values that travel as JSON. An `EpisodeSpec` holds everything that decides the episode, so its
-hash identifies the simulation: two equal hashes are one simulation.
+Both are plain values that travel as JSON. An `EpisodeSpec` holds everything that decides the episode, so its hash
+identifies the simulation: equal hashes mean the same simulation.
 """
 
+import difflib
 import hashlib
 import json
 import math
@@ -17,7 +18,7 @@ Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | Non
 JsonObject: TypeAlias = "dict[str, Json]"
 
 MAX_SEED = 2**53 - 1
-"""Largest episode seed: every integer up to it survives JSON readers that keep numbers as doubles."""
+"""Largest episode seed: every integer up to it survives JSON parsers that store numbers as doubles."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,10 +27,10 @@ class EpisodeSpec:
 
     Attributes:
         simulator: Versioned plug-in id, such as ``brink-drive@1``.
-        scenario: What the world is, in the simulator's own terms.
-        behaviour: What the machine-learned component does, in the simulator's own terms.
+        scenario: The world, in terms that the simulator defines.
+        behaviour: What the machine-learned component does, in terms that the simulator defines.
         requirements: Ids of the requirements to evaluate, in order.
-        seed: Seeds every random draw of the episode, in [0, 2**53).
+        seed: Seed of all random draws of the episode, in [0, 2**53).
         duration_s: Simulated time, > 0.
         options: Further settings of the simulator (fidelity, mode, ...).
     """
@@ -51,10 +52,10 @@ class EpisodeSpec:
             )
 
     def check_for(self, simulator: str, longest_s: float) -> None:
-        """Check that a simulator is meant, and that the episode is not too long for it.
+        """Check that the episode is meant for a simulator and not too long for it.
 
         Raises:
-            InvalidEpisode: Another one is meant, or it is too long.
+            InvalidEpisode: It is meant for another simulator, or too long.
         """
         if self.simulator != simulator:
             raise InvalidEpisode(f"simulator: this is {simulator}, the episode asks for {self.simulator!r}")
@@ -77,7 +78,7 @@ class EpisodeSpec:
 
     @classmethod
     def from_json(cls, document: Mapping[str, Json]) -> Self:
-        """Read a specification from a JSON object.
+        """Parse a specification from a JSON object.
 
         Raises:
             InvalidEpisode: A field is missing, unknown or of the wrong type.
@@ -112,7 +113,7 @@ class EpisodeSpec:
         return cls(**values)  # type: ignore[arg-type]
 
     def canonical_json(self) -> str:
-        """Return the one JSON text of this specification: sorted keys, shortest floats, no spaces."""
+        """Return the canonical JSON text of this specification: sorted keys, shortest floats, no spaces."""
         return json.dumps(self.to_json(), sort_keys=True, separators=(",", ":"), allow_nan=False)
 
     def digest(self) -> str:
@@ -122,10 +123,10 @@ class EpisodeSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """What a requirement says of an episode.
+    """The verdict of a requirement on an episode.
 
     Attributes:
-        robustness: Distance to violation in `unit`; negative if violated, zero is satisfied.
+        robustness: Distance to violation in `unit`; negative if violated, zero satisfies.
         unit: ``m``, ``s``, ``m/s``, ...
         violated_at_s: Simulated time of the first violation, or None.
     """
@@ -142,14 +143,14 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeResult:
-    """What came out of an episode.
+    """The outcome of an episode.
 
     Attributes:
-        verdicts: One for each requirement of the specification, by id.
+        verdicts: One per requirement of the specification, by id.
         objectives: Measures to search on, all minimised, by name.
-        features: Further facts of the episode, by name.
+        features: Further facts about the episode, by name.
         provenance: Versions, instruction-set fingerprint, CPU time, simulated time.
-        trace: The compact trace (`brink.sim.trace.Trace.to_bytes`), only when it was asked for.
+        trace: The compact trace (`brink.sim.trace.Trace.to_bytes`), if it was requested.
     """
 
     verdicts: Mapping[str, Verdict]
@@ -157,3 +158,30 @@ class EpisodeResult:
     features: Mapping[str, Json]
     provenance: Mapping[str, Json]
     trace: bytes | None = None
+
+
+def nearest(word: object, known: tuple[str, ...]) -> str:
+    """Return the hint `` (did you mean '...'?)`` if a word is close to a known one, else an empty string."""
+    close = difflib.get_close_matches(str(word), known, n=1)
+    return f" (did you mean {close[0]!r}?)" if close else ""
+
+
+def check_fields(where: str, document: Mapping[str, Json], expected: tuple[str, ...]) -> None:
+    """Check that a JSON object has exactly the expected fields.
+
+    Args:
+        where: Name of the object in error messages, such as ``scenario``.
+        document: The object.
+        expected: Names of its fields.
+
+    Raises:
+        InvalidEpisode: A field is missing or unknown.
+    """
+    for name in document:
+        if name not in expected:
+            raise InvalidEpisode(
+                f"{where}: unknown field {name!r}{nearest(name, expected)}; expected {', '.join(expected)}"
+            )
+    for name in expected:
+        if name not in document:
+            raise InvalidEpisode(f"{where}.{name}: missing; expected {', '.join(expected)}")

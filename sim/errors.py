@@ -2,21 +2,21 @@
 
 SimulatorError
 ├── InvalidEpisode      final: the specification can never run; fix it
-├── PluginMissing       final: a module that was named for its plug-ins cannot be imported
-└── SimulationCrashed   retryable: this run broke; the same specification may run elsewhere
+├── PluginMissing       final: a module listed in BRINK_PLUGINS cannot be imported
+└── SimulationCrashed   retryable: this run broke down; the same specification may run again
 """
 
 
 class SimulatorError(Exception):
-    """Root of everything that the simulator package raises on purpose."""
+    """Base class of all errors that the simulator package raises on purpose."""
 
 
 class InvalidEpisode(SimulatorError):
-    """The specification cannot be run by this simulator, now or ever."""
+    """The specification can never be run by this simulator."""
 
 
 class PluginMissing(SimulatorError):
-    """A module that was named for its plug-ins cannot be imported."""
+    """A module listed in ``BRINK_PLUGINS`` cannot be imported."""
 
 
 class SimulationCrashed(SimulatorError):

@@ -1,4 +1,4 @@
-"""Contract suites for plug-ins of the simulator: run them from your own tests, or by `brink plugins check`."""
+"""Contract suites for simulator plug-ins, to run from your own tests or by `brink plugins check`."""
 
 import json
 import math
@@ -6,33 +6,33 @@ import random
 from collections.abc import Callable, Iterator
 
 from brink.sim.driving.interface import LightState
-from brink.sim.requirements.requirement import Collision, CollisionKind, Requirement, WorldSample
+from brink.sim.requirements import Collision, CollisionKind, Requirement, WorldSample
 
 _UNITS = ("m", "s", "m/s", "m/s^2", "rad", "1")
 _STEPS = 200
 
 
 class ContractBroken(AssertionError):
-    """A plug-in breaks its contract; the message says which clause, and shows what was returned."""
+    """A plug-in breaks its contract; the message states the clause and shows what was returned."""
 
 
 def check_requirement(make: Callable[[], Requirement], *, seeds: tuple[int, ...] = (0, 1, 2)) -> None:
-    """Check that a requirement keeps its contract on calm, empty and wild episodes.
+    """Check that a requirement fulfils its contract on quiet, empty and chaotic episodes.
 
-    Clauses: known unit; positive finite horizon; before any sample the robustness is the horizon and nothing is
-    violated; every robustness is finite and within the horizon; the verdict is the smallest one observed; it is
-    violated if and only if one was negative, and then at the time of the first; features are JSON without NaN; equal
-    samples give equal answers; two instances share nothing.
+    Clauses: the unit is known; the horizon is positive and finite; before any sample, the robustness is the horizon
+    and nothing is violated; every robustness is finite and within the horizon; the verdict is the smallest robustness
+    observed; it is violated if and only if a robustness was negative, since the time of the first; features are JSON
+    without NaN; equal samples give equal results; instances share no state.
 
     Args:
-        make: Makes a new requirement, as registered.
-        seeds: Of the wild episodes.
+        make: Returns a new requirement, as registered.
+        seeds: Seeds of the chaotic episodes.
 
     Raises:
         ContractBroken: A clause is broken.
     """
     _check_untouched(make())
-    episodes = [list(_bare()), *(list(_wild(seed)) for seed in seeds)]
+    episodes = [list(_empty_episode()), *(list(_chaotic_episode(seed)) for seed in seeds)]
     for samples in episodes:
         first, again = make(), make()
         bystander = make()
@@ -94,14 +94,14 @@ def _check_features(requirement: Requirement) -> None:
     _require(json.loads(text) == features, "features survive JSON", features)
 
 
-def _bare() -> Iterator[WorldSample]:
-    """Yield an empty road: nobody about, no light, everything optional left out."""
+def _empty_episode() -> Iterator[WorldSample]:
+    """Yield an empty road: no other road users, no light, all optional fields left out."""
     for step in range(_STEPS):
         yield _sample(step, speed_mps=8.0)
 
 
-def _wild(seed: int) -> Iterator[WorldSample]:
-    """Yield an episode in which everything happens, with extremes."""
+def _chaotic_episode(seed: int) -> Iterator[WorldSample]:
+    """Yield an episode in which everything happens, including extreme values."""
     rng = random.Random(seed)
     for step in range(_STEPS):
         gap_m = rng.choice((None, 0.0, rng.uniform(0.0, 60.0), 1e9))

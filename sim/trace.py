@@ -1,38 +1,49 @@
-"""What happened in an episode, compactly: enough to draw it, plot it and judge it again.
+"""The trace of an episode: everything needed to draw it, plot it and evaluate it again.
 
-Sampled at the perception rate. Positions in metres, angles in radians, image boxes in pixels of the 800 x 600
-image. `to_bytes` is a compressed npz archive without pickles, lossless but for float32 rounding.
+Sampled at the perception rate. Positions are in metres, angles in radians, image boxes in pixels of the 800 x 600
+image. `Trace.to_bytes` returns a compressed npz archive without pickles, lossless except for rounding to float32.
+`Trace.from_bytes` accepts untrusted archives: their size, types and coordinates are bounded.
 """
 
 import io
 import json
+import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self, TypeAlias
+from typing import Any, Final, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from brink.sim.episode import Json
 from brink.sim.errors import InvalidEpisode
-from brink.sim.trace_arrays import unpacked
 
 FloatArray: TypeAlias = NDArray[np.float32]
 IntArray: TypeAlias = NDArray[np.int32]
 
 TRACE_VERSION = 1
 
+MAX_BYTES: Final = 256 * 1024**2
+"""Limit on the unpacked size of all arrays: a compressed trace of six megabytes may unpack to gigabytes."""
+MAX_SAMPLES: Final = 36_000
+"""One hour at ten samples per second."""
+MAX_COORDINATE: Final = 1e5
+"""Largest absolute position or time, in m or s."""
+
+_PLACES: Final = ("time_s", "ego", "route", "actor.", "scene.")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ActorTrack:
-    """One road user besides the ego.
+    """The motion of one road user other than the ego.
 
     Attributes:
-        name: Unique in the trace, such as ``lead`` or ``pedestrian-3``.
+        name: Unique name in the trace, such as ``lead`` or ``pedestrian-3``.
         kind: ``vehicle`` or ``pedestrian``.
         length_m: Extent along its heading.
         width_m: Extent across its heading.
-        motion: x_m, y_m, yaw_rad, speed_mps at each sample, shape ``(n, 4)``; NaN where it is not there.
+        motion: x_m, y_m, yaw_rad, speed_mps at each sample, shape ``(n, 4)``; NaN while it is absent.
     """
 
     name: str
@@ -44,11 +55,11 @@ class ActorTrack:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ragged:
-    """Rows that belong to samples, any number a sample.
+    """Rows grouped by sample, with any number of rows per sample.
 
     Attributes:
-        columns: What each column means.
-        first: Row at which each sample's rows begin, shape ``(n + 1,)``.
+        columns: Names of the columns.
+        first: Index of each sample's first row, shape ``(n + 1,)``.
         rows: All rows, shape ``(k, len(columns))``.
     """
 
@@ -63,7 +74,7 @@ class Ragged:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
-    """Something worth a word at a time: a collision, a light that was run, an overtaking that began."""
+    """An event at a time, such as a collision, or the start of overtaking."""
 
     time_s: float
     kind: str
@@ -72,13 +83,13 @@ class Event:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Surface:
-    """A flat polygon or line of the scene, drawn in the given order.
+    """A flat polygon or line of the scene.
 
     Attributes:
         kind: ``road``, ``pavement``, ``marking``, ``crossing``, ``stop-line``, ``building``, ``parked-car``,
             ``tree``.
         points: Corners in world coordinates, shape ``(k, 2)``.
-        closed: Whether it is an area; otherwise a line of `width_m`.
+        closed: Whether it is an area; otherwise it is a line of `width_m`.
         width_m: Width of a line, 0 for an area.
     """
 
@@ -89,32 +100,32 @@ class Surface:
 
 
 ACTION = "action"
-"""Kind of the events that say what a scripted road user does from then on; their text is ``name:action``."""
+"""Kind of the events at which a scripted road user changes its action; their text is ``name:action``."""
 
 BOX_COLUMNS = ("label", "x_min_px", "x_max_px", "y_min_px", "y_max_px")
 """Columns of image boxes; label is 0 for a vehicle, 1 for a person."""
 
 JUDGED_COLUMNS = (*BOX_COLUMNS, "ignored")
-"""Columns of ground truth to score against; ignored is 1 for what counts neither for nor against a detector."""
+"""Columns of ground truth for scoring; ignored is 1 for objects that count neither for nor against a detector."""
 
 FOUND_COLUMNS = (*BOX_COLUMNS, "score")
-"""Columns of all that a detector found, however unsure."""
+"""Columns of all detections, at any score."""
 
 PERCEIVED_COLUMNS = ("track", "label", "x_m", "y_m", "vx_mps", "vy_mps", "length_m", "width_m")
-"""Columns of perceived obstacles, as `brink.sim.driving.interface.PerceivedObstacle`."""
+"""Columns of perceived obstacles, as in `brink.sim.driving.interface.PerceivedObstacle`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Film:
-    """What a camera in the loop saw, and all that was found in it: enough to score the episode again.
+    """Images of a camera in the loop with all detections in them; enough to score the episode again.
 
     Attributes:
-        size_px: Width and height of the pictures that the detector was shown.
-        pictures: Some of them, perturbed as they were, as JPEG, perhaps smaller.
-        samples: Which sample each of them is of, ascending, shape ``(len(pictures),)``.
-        judged: Ground truth of every sample, columns `JUDGED_COLUMNS`, in px of the pictures.
-        found: Detections of every sample, columns `FOUND_COLUMNS`, in px of the pictures.
-        regions: Areas of the picture that decide, by name: corners in px, shape ``(k, 2)``.
+        size_px: Width and height of the images that the detector received.
+        pictures: Some of these images, with their perturbations, as JPEG and possibly downscaled.
+        samples: Sample of each picture, ascending, shape ``(len(pictures),)``.
+        judged: Ground truth of every sample, columns `JUDGED_COLUMNS`, in px of the images.
+        found: Detections of every sample, columns `FOUND_COLUMNS`, in px of the images.
+        regions: Regions of interest in the image, by name: corners in px, shape ``(k, 2)``.
     """
 
     size_px: tuple[int, int]
@@ -125,7 +136,7 @@ class Film:
     regions: Mapping[str, FloatArray]
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return what it holds as named arrays."""
+        """Return the film as named arrays."""
         lengths = [len(picture) for picture in self.pictures]
         return {
             "film.size_px": np.array(self.size_px, np.int32),
@@ -141,7 +152,7 @@ class Film:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self | None:
-        """Return what `arrays` gave, or None if there is none of it."""
+        """Return the film stored by `arrays`, or None if there is none."""
         if "film.size_px" not in arrays:
             return None
         blob, ends = arrays["film.pictures"].tobytes(), arrays["film.ends"].tolist()
@@ -163,26 +174,26 @@ class Film:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trace:
-    """One episode, sampled.
+    """One sampled episode.
 
     Attributes:
         time_s: Sample times, shape ``(n,)``.
         ego: x_m, y_m, yaw_rad, speed_mps, accel_mps2 of the ego, shape ``(n, 5)``.
         ego_size_m: Length and width of the ego.
-        route: The ego's lane centre line, x_m and y_m, shape ``(k, 2)``.
-        actors: Everybody else.
-        seen_boxes: Ground truth in the image: the component's inputs.
-        given_boxes: What the obstacle detector was made to say: the component's outputs.
+        route: x_m and y_m along the centre line of the ego's lane, shape ``(k, 2)``.
+        actors: All other road users.
+        seen_boxes: Ground truth in the image: the input of the component under test.
+        given_boxes: Boxes that the obstacle detector reported: the output of the component under test.
         perceived: Confirmed tracks.
         plan_mode: Name of the plan mode at each sample.
-        target_speed_mps: Shape ``(n,)``.
-        target_offset_m: Shape ``(n,)``.
-        lights: State of the ego's traffic light at each sample: ``""`` if there is none.
-        robustness: Robustness over time of each requirement, each shape ``(n,)``, +inf where it does not apply.
-        events: In order of time.
-        scene: What does not move, to be drawn in this order.
+        target_speed_mps: Target speed of the planner, shape ``(n,)``.
+        target_offset_m: Target offset of the planner, shape ``(n,)``.
+        lights: State of the ego's traffic light at each sample; ``""`` if there is none.
+        robustness: Robustness of each requirement over time, shape ``(n,)`` each; +inf where it does not apply.
+        events: Events in order of time.
+        scene: Static surfaces in drawing order.
         about: Scenario, behaviour and versions, for captions.
-        film: What a camera in the loop saw; None without one.
+        film: Images of a camera in the loop; None without one.
     """
 
     time_s: FloatArray
@@ -245,12 +256,12 @@ class Trace:
 
     @classmethod
     def from_bytes(cls, document: bytes) -> Self:
-        """Read what `to_bytes` wrote.
+        """Parse the result of `to_bytes`.
 
         Raises:
-            InvalidEpisode: The document is no trace, or of a version that this code does not know.
+            InvalidEpisode: The document is not a trace, or has an unknown version.
         """
-        arrays = unpacked(document)
+        arrays = _unpack(document)
         try:
             header = json.loads(arrays["header"].tobytes())
             version = header["version"]
@@ -297,3 +308,44 @@ class Trace:
             about=header["about"],
             film=Film.from_arrays(arrays),
         )
+
+
+def _unpack(document: bytes) -> dict[str, NDArray[Any]]:
+    """Return the arrays of an npz archive.
+
+    Raises:
+        InvalidEpisode: It is not an npz archive, or exceeds a limit.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(document)) as archive:
+            size = sum(member.file_size for member in archive.infolist())
+        if size > MAX_BYTES:
+            raise InvalidEpisode(f"not a trace: expected at most {MAX_BYTES} bytes unpacked, got {size}")
+        with np.load(io.BytesIO(document), allow_pickle=False) as npz:
+            arrays = {name: npz[name] for name in npz.files}
+    except (
+        ValueError,
+        KeyError,
+        OSError,
+        EOFError,
+        MemoryError,
+        RuntimeError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        raise InvalidEpisode(f"not a trace: {error}") from error
+    _check_arrays(arrays)
+    return arrays
+
+
+def _check_arrays(arrays: dict[str, NDArray[Any]]) -> None:
+    for name, array in arrays.items():
+        if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
+            raise InvalidEpisode(f"not a trace: expected numbers in {name!r}")
+        if name.startswith(_PLACES):
+            if array.ndim == 0 or len(array) > MAX_SAMPLES:
+                raise InvalidEpisode(f"not a trace: expected at most {MAX_SAMPLES} rows of {name!r}")
+            if np.any(np.abs(array) > MAX_COORDINATE):
+                raise InvalidEpisode(
+                    f"not a trace: expected coordinates up to {MAX_COORDINATE:g} in {name!r}"
+                )

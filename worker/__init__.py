@@ -1,1 +1,1 @@
-"""Stateless workers: wire messages, HTTP client, the loop that leases, simulates, reports."""
+"""Stateless workers: wire messages, HTTP client, and the loop that leases, simulates and reports."""

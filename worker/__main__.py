@@ -1,4 +1,4 @@
-"""``python -m brink.worker``."""
+"""Entry point of ``python -m brink.worker``."""
 
 import sys
 

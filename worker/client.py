@@ -1,7 +1,7 @@
-"""The three requests of a worker, over one kept-alive HTTP client.
+"""HTTP client for the three requests of a worker, over kept-alive connections.
 
-A short disturbance is retried here, quickly and a few times; what lasts longer is raised as `CoordinatorAway`, for
-the caller to try again with what it has by then.
+The client retries a short failure quickly and a few times. A longer one raises `CoordinatorUnavailable`, so that the
+caller can retry with the outcomes it has by then.
 """
 
 import json
@@ -16,7 +16,7 @@ import httpx
 from pydantic import ValidationError
 
 from brink.worker.backoff import Backoff
-from brink.worker.errors import CoordinatorAway, RequestRefused, UnexpectedReply
+from brink.worker.errors import CoordinatorUnavailable, RequestRefused, UnexpectedReply
 from brink.worker.wire import (
     HeartbeatReply,
     HeartbeatRequest,
@@ -30,28 +30,28 @@ from brink.worker.wire import (
 API_PATH = "/api/v1/jobs"
 CONNECT_TIMEOUT_S: Final = 5.0
 REPLY_TIMEOUT_S: Final = 15.0
-"""How long a reply may take, besides the time that a lease request asked to wait."""
+"""Time limit for a reply, in addition to the wait that a lease request asks for."""
 
 LONGEST_RETRY_AFTER_S: Final = 1.0
-"""A coordinator that asks for a longer pause is left to the caller."""
+"""A longer Retry-After is left to the caller."""
 
-_LATER: Final = frozenset({httpx.codes.REQUEST_TIMEOUT, httpx.codes.TOO_MANY_REQUESTS})
-"""Refusals that say nothing against the request: the network was slow, or too much came at once."""
+_RETRYABLE: Final = frozenset({httpx.codes.REQUEST_TIMEOUT, httpx.codes.TOO_MANY_REQUESTS})
+"""Client errors that do not blame the request: the network was slow, or the rate limit was exceeded."""
 
 Reply = TypeVar("Reply", bound=Message)
 
 
 class CoordinatorClient:
-    """Speaks to one coordinator. Safe to share between threads, as `httpx.Client` is.
+    """Client of one coordinator; thread-safe, as `httpx.Client` is.
 
     Args:
         server: Base URL, such as ``http://127.0.0.1:8700``.
         token: Bearer token, or None.
-        transport: Replaces the network, for tests.
-        attempts: How often a request is tried before `CoordinatorAway` is raised, >= 1.
-        backoff: Waits between these attempts.
-        pause: Waits for so many seconds.
-        rng: Spreads the waits.
+        transport: Replacement for the network, for tests.
+        attempts: Attempts per request before `CoordinatorUnavailable` is raised, >= 1.
+        backoff: Waits between attempts.
+        pause: Function that sleeps for a number of seconds.
+        rng: Source of the jitter.
     """
 
     def __init__(
@@ -93,12 +93,12 @@ class CoordinatorClient:
         self._http.close()
 
     def lease(self, request: LeaseRequest) -> LeaseReply:
-        """Ask for jobs.
+        """Lease jobs.
 
         Raises:
-            CoordinatorAway: No answer, or it asked to be left alone for a while.
-            RequestRefused: It refused the request.
-            UnexpectedReply: What answered does not speak this version of the wire.
+            CoordinatorUnavailable: The coordinator did not answer, or asked to retry later.
+            RequestRefused: The coordinator refused the request.
+            UnexpectedReply: The server does not speak this version of the wire protocol.
         """
         return self._post("lease", request, LeaseReply, wait_s=request.wait_s)
 
@@ -107,12 +107,18 @@ class CoordinatorClient:
         return self._post("heartbeat", request, HeartbeatReply)
 
     def report(self, request: ResultsRequest) -> ResultsReply:
-        """Report outcomes, and ask for the next jobs if the request says so; raises as `lease` does."""
+        """Report outcomes, and lease the next jobs if the request asks for them.
+
+        Raises:
+            CoordinatorUnavailable: As `lease` does.
+            RequestRefused: As `lease` does.
+            UnexpectedReply: As `lease` does, and if the statuses do not match the results.
+        """
         wait_s = 0.0 if request.lease is None else request.lease.wait_s
         reply = self._post("results", request, ResultsReply, wait_s=wait_s)
         if [status.job for status in reply.statuses] != [result.job for result in request.results]:
             raise UnexpectedReply(
-                f"{self.server}: expected one status for each of {len(request.results)} results, in their order"
+                f"{self.server}: expected one status for each of {len(request.results)} results, in order"
             )
         return reply
 
@@ -121,12 +127,12 @@ class CoordinatorClient:
         for failures in range(1, self._attempts + 1):
             try:
                 return self._attempt(name, body, reply_type, wait_s)
-            except CoordinatorAway as away:
-                pause_s = away.retry_after_s
+            except CoordinatorUnavailable as error:
+                pause_s = error.retry_after_s
                 if pause_s is None:
                     pause_s = self._backoff.delay_s(failures, self._rng)
-                # After a timeout the caller has waited long enough to want to look around first.
-                timed_out = isinstance(away.__cause__, httpx.TimeoutException)
+                # After a timeout the caller has already waited long enough to decide anew.
+                timed_out = isinstance(error.__cause__, httpx.TimeoutException)
                 if failures == self._attempts or timed_out or pause_s > LONGEST_RETRY_AFTER_S:
                     raise
             self._pause(pause_s)
@@ -138,12 +144,12 @@ class CoordinatorClient:
             response = self._http.post(f"{API_PATH}/{name}", content=body, timeout=timeout)
         except httpx.TransportError as error:
             reason = " ".join(str(error).split()) or type(error).__name__
-            raise CoordinatorAway(f"{self.server}: no answer ({reason})") from error
+            raise CoordinatorUnavailable(f"{self.server}: no answer ({reason})") from error
         if response.status_code == httpx.codes.OK:
             return self._parse(response.content, reply_type)
         message = f"{self.server}: {name} answered {_explain(response)}"
-        if response.status_code >= 500 or response.status_code in _LATER:
-            raise CoordinatorAway(message, retry_after_s=_retry_after_s(response))
+        if response.status_code >= 500 or response.status_code in _RETRYABLE:
+            raise CoordinatorUnavailable(message, retry_after_s=_retry_after_s(response))
         if response.status_code >= 400:
             raise RequestRefused(message, status=response.status_code)
         raise UnexpectedReply(f"{message}; expected 200. Is this the address of a Brink coordinator?")
@@ -161,21 +167,21 @@ class CoordinatorClient:
 
 
 def _explain(response: httpx.Response) -> str:
-    """Return status and problem+json detail on one line."""
+    """Return the status and the problem+json detail on one line."""
     try:
         problem = response.json()
     except (json.JSONDecodeError, UnicodeDecodeError):
         problem = None
     if isinstance(problem, dict):
-        words = [str(problem[key]) for key in ("title", "detail") if problem.get(key)]
-        text = ": ".join(words) or response.text
+        parts = [str(problem[key]) for key in ("title", "detail") if problem.get(key)]
+        text = ": ".join(parts) or response.text
     else:
         text = response.text
     return f"{response.status_code} {' '.join(text.split())[:400] or response.reason_phrase}"
 
 
 def _retry_after_s(response: httpx.Response) -> float | None:
-    """Return the seconds of Retry-After; its date form is left to the usual backoff."""
+    """Return the seconds of Retry-After, or None if the header is absent, malformed, or a date."""
     try:
         seconds = float(response.headers["Retry-After"])
     except (KeyError, ValueError):

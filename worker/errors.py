@@ -1,21 +1,21 @@
 """Errors of the worker package.
 
 WorkerError
-├── SettingsError           final: a setting is out of range or malformed
+├── SettingsError              final: a setting is out of range or malformed
 ├── CoordinatorError
-│   ├── CoordinatorAway     retryable: no answer, 5xx or 429; the same request may work later
-│   ├── RequestRefused      final: 4xx; the same request will be refused again
-│   └── UnexpectedReply     final: what answered does not speak this version of the wire
-├── NoCluster               final: there is no Ray cluster at this address
-├── ChildFailedToStart      retryable: the simulation process did not come up
-├── EpisodeAbandoned        final: the episode was given up on purpose, there is no outcome
-├── UnsendableResult        final: a simulator returned what JSON cannot carry
-└── BrokenFrame             final: the pipe to the simulation process carries something else than frames
+│   ├── CoordinatorUnavailable retryable: no answer, 5xx, 408 or 429; the same request may succeed later
+│   ├── RequestRefused         final: 4xx; the same request will be refused again
+│   └── UnexpectedReply        final: the server does not speak this version of the wire protocol
+├── NoCluster                  final: there is no Ray cluster at this address
+├── ChildFailedToStart         retryable: the simulation process did not start
+├── EpisodeAbandoned           final: the episode was killed on request; there is no outcome
+├── UnserializableResult       final: a simulator returned a value that JSON cannot represent
+└── BrokenFrame                final: the pipe to the simulation process carries something other than frames
 """
 
 
 class WorkerError(Exception):
-    """Root of everything that the worker package raises on purpose."""
+    """Root of the errors that the worker package raises on purpose."""
 
 
 class SettingsError(WorkerError, ValueError):
@@ -31,14 +31,14 @@ class SettingsError(WorkerError, ValueError):
 
 
 class CoordinatorError(WorkerError):
-    """A request to the coordinator did not succeed."""
+    """A request to the coordinator failed."""
 
 
-class CoordinatorAway(CoordinatorError):
-    """The coordinator did not answer, or asked to be left alone for a while.
+class CoordinatorUnavailable(CoordinatorError):
+    """The coordinator did not answer, or asked the worker to retry later.
 
     Attributes:
-        retry_after_s: How long it asked to wait, or None.
+        retry_after_s: Requested wait, or None.
     """
 
     def __init__(self, message: str, *, retry_after_s: float | None = None) -> None:
@@ -59,32 +59,32 @@ class RequestRefused(CoordinatorError):
 
 
 class UnexpectedReply(CoordinatorError):
-    """What answered does not speak this version of the wire."""
+    """The server does not speak this version of the wire protocol."""
 
 
 class NoCluster(WorkerError):
-    """There is no Ray cluster at this address, or it does not let us in."""
+    """There is no Ray cluster at this address, or it refused the connection."""
 
 
 class ChildFailedToStart(WorkerError):
-    """The simulation process did not come up."""
+    """The simulation process did not start."""
 
 
 class EpisodeAbandoned(WorkerError):
-    """The episode was given up on purpose: there is no outcome.
+    """The episode was killed on request: there is no outcome.
 
     Attributes:
-        ticket: The ticket of that episode, or None if the process was closed altogether.
+        ticket: Ticket of the episode, or None if the whole process was killed.
     """
 
     def __init__(self, ticket: int | None) -> None:
-        super().__init__("the episode was given up")
+        super().__init__("the episode was abandoned")
         self.ticket = ticket
 
 
-class UnsendableResult(WorkerError):
-    """A simulator returned what JSON cannot carry, such as NaN."""
+class UnserializableResult(WorkerError):
+    """A simulator returned a value that JSON cannot represent, such as NaN."""
 
 
 class BrokenFrame(WorkerError):
-    """The pipe to the simulation process carries something else than frames."""
+    """The pipe to the simulation process carries something other than frames."""

@@ -1,8 +1,8 @@
-"""One log record an event, on one line: as text for people, or as JSON for whatever gathers logs.
+"""Logging of coordinator and workers: one line per event, as text for people or as JSON for log collectors.
 
-What an event is about stands in fields of its own, given as ``extra=``: ``campaign``, ``generation``, ``job``,
-``worker``, ``attempt``, ``reason`` and so on. Text shows them as ``key=value`` behind the message. Coordinator and
-workers both log through here, so that one campaign can be followed through all of them.
+The subject of an event is given in fields, passed as ``extra=``: ``campaign``, ``generation``, ``job``, ``worker``,
+``attempt``, ``reason`` and so on. The text format appends them to the message as ``key=value``. All processes use the
+same fields, so that one campaign can be followed through their logs.
 """
 
 import json
@@ -22,29 +22,29 @@ from brink.worker.errors import SettingsError
 
 FORMAT_VARIABLE: Final = "BRINK_LOG_FORMAT"
 LEVEL_VARIABLE: Final = "BRINK_LOG_LEVEL"
-OURS: Final = ("brink", "uvicorn", "__main__")
-"""Packages that may say everything. Libraries say no more than INFO: what they tell of at DEBUG is not ours to vouch
-for, headers with tokens included."""
-_TALKATIVE: Final = ("httpx", "alembic")
-"""They tell of every request, or of every start, at the level at which this program tells of a campaign."""
+DEBUG_PACKAGES: Final = ("brink", "uvicorn", "__main__")
+"""Packages whose DEBUG records are written. Other libraries are limited to INFO: their DEBUG records may contain
+secrets, such as headers with tokens."""
+_NOISY: Final = ("httpx", "alembic")
+"""Libraries that log every request or every start at INFO; limited to WARNING."""
 
 _STANDARD: Final = frozenset(vars(logging.makeLogRecord({}))) | {
     "message", "asctime", "taskName", "color_message",
 }  # fmt: skip
-_OWN: Final = ("time", "level", "logger", "message", "stack")
-_NOTHING: Final[Mapping[str, object]] = MappingProxyType({})
-_about: ContextVar[Mapping[str, object]] = ContextVar("about", default=_NOTHING)
+_RESERVED: Final = ("time", "level", "logger", "message", "stack")
+_NO_FIELDS: Final[Mapping[str, object]] = MappingProxyType({})
+_context: ContextVar[Mapping[str, object]] = ContextVar("log_fields", default=_NO_FIELDS)
 
 
 class LogFormat(StrEnum):
-    """How log records are written."""
+    """Format of log records."""
 
     TEXT = "text"
     JSON = "json"
 
 
 class LogLevel(StrEnum):
-    """The least severe records that are written."""
+    """Minimum severity of the records that are written."""
 
     DEBUG = "debug"
     INFO = "info"
@@ -53,20 +53,20 @@ class LogLevel(StrEnum):
 
 
 @contextmanager
-def about(**fields: object) -> Iterator[None]:
-    """Give every record of this block, in this task or thread, some fields more."""
-    before = _about.set({**_about.get(), **fields})
+def log_fields(**fields: object) -> Iterator[None]:
+    """Add fields to every record logged inside this block, in this task or thread."""
+    before = _context.set({**_context.get(), **fields})
     try:
         yield
     finally:
-        _about.reset(before)
+        _context.reset(before)
 
 
 class LineFormatter(logging.Formatter):
-    """Formats a record as a line of text, with its fields.
+    """Formats a record and its fields as one line of text.
 
     Args:
-        always: Fields that stand on every line.
+        always: Fields of every line.
     """
 
     def __init__(self, **always: object) -> None:
@@ -74,17 +74,17 @@ class LineFormatter(logging.Formatter):
         self._always = always
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return the line; only a stack, where there is one, takes more."""
+        """Return the line, followed by the lines of the stack if there is one."""
         line, *stack = super().format(record).split("\n") if record.exc_info else [super().format(record)]
         pairs = [f"{key}={_as_text(value)}" for key, value in _fields(record, self._always).items()]
         return "\n".join((" ".join((" ".join(line.split("\n")), *pairs)), *stack))
 
 
 class JsonFormatter(logging.Formatter):
-    """Formats a record as a JSON object on one line, with its fields beside time, level, logger and message.
+    """Formats a record as a JSON object on one line: time, level, logger, message and its fields.
 
     Args:
-        always: Fields that stand in every object.
+        always: Fields of every object.
     """
 
     def __init__(self, **always: object) -> None:
@@ -92,7 +92,7 @@ class JsonFormatter(logging.Formatter):
         self._always = always
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return the object; a stack is one of its fields."""
+        """Return the object; the stack, if there is one, is a field."""
         moment = datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds")
         document: dict[str, object] = {
             "time": moment.replace("+00:00", "Z"),
@@ -101,30 +101,30 @@ class JsonFormatter(logging.Formatter):
             "message": record.getMessage(),
         }
         for key, value in _fields(record, self._always).items():
-            document[f"{key}_" if key in _OWN else key] = _as_json(value)
+            document[f"{key}_" if key in _RESERVED else key] = _as_json(value)
         if record.exc_info:
             document["stack"] = self.formatException(record.exc_info)
         return json.dumps(document, default=str, ensure_ascii=False)
 
 
 def configure_logging(level: LogLevel, log_format: LogFormat, **always: object) -> None:
-    """Send the log of this program to standard error.
+    """Write the log of this program to standard error.
 
     Args:
-        level: The least severe records of ours that are written.
-        log_format: How they are written.
+        level: Minimum severity of the records that are written.
+        log_format: Format of the records.
         always: Fields of every record, such as the worker's id.
     """
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_formatter(log_format, always))
-    handler.addFilter(_ours_or_info)
+    handler.addFilter(_allows)
     logging.basicConfig(level=level.upper(), handlers=[handler], force=True)
-    for name in _TALKATIVE:
+    for name in _NOISY:
         logging.getLogger(name).setLevel(logging.WARNING)
 
 
 def environment_format() -> LogFormat:
-    """Return the format that the environment names; text if it names none.
+    """Return the log format given in the environment; text by default.
 
     Raises:
         SettingsError: There is no such format.
@@ -133,7 +133,7 @@ def environment_format() -> LogFormat:
 
 
 def environment_level() -> LogLevel:
-    """Return the level that the environment names; info if it names none.
+    """Return the log level given in the environment; info by default.
 
     Raises:
         SettingsError: There is no such level.
@@ -154,8 +154,8 @@ def _from_environment(variable: str, default: Choice) -> Choice:
         raise SettingsError(variable, f"expected one of {choices}, got {named!r}") from None
 
 
-def _ours_or_info(record: logging.LogRecord) -> bool:
-    return record.levelno >= logging.INFO or record.name.partition(".")[0] in OURS
+def _allows(record: logging.LogRecord) -> bool:
+    return record.levelno >= logging.INFO or record.name.partition(".")[0] in DEBUG_PACKAGES
 
 
 def _formatter(log_format: LogFormat, always: Mapping[str, object]) -> logging.Formatter:
@@ -170,7 +170,7 @@ def _formatter(log_format: LogFormat, always: Mapping[str, object]) -> logging.F
 
 def _fields(record: logging.LogRecord, always: Mapping[str, object]) -> dict[str, object]:
     extra = {key: value for key, value in vars(record).items() if key not in _STANDARD and key[0] != "_"}
-    return {**always, **_about.get(), **extra}
+    return {**always, **_context.get(), **extra}
 
 
 def _as_text(value: object) -> str:
@@ -179,7 +179,7 @@ def _as_text(value: object) -> str:
 
 
 def _as_json(value: object) -> object:
-    """Return a value that JSON can carry; NaN and infinity it cannot."""
+    """Return the value, or its text if it is NaN or infinite, which JSON cannot represent."""
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     return value

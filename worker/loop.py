@@ -1,7 +1,7 @@
-"""The worker: three threads around one set of holdings, and how they end.
+"""The worker loop: three threads that share `HeldJobs`, and how they start and end.
 
-The runner keeps the simulation process busy, the reporter speaks with the coordinator about jobs, the heartbeat
-renews leases. The thread that calls `run` waits, and bounds the time that stopping takes.
+The runner keeps the simulation process busy. The reporter leases jobs and reports outcomes. The heartbeat renews
+leases. The thread that calls `Worker.run` waits for them and bounds how long stopping takes.
 """
 
 import logging
@@ -14,45 +14,71 @@ from random import Random
 from typing import Final
 
 from brink import __version__
+from brink.worker.backoff import Backoff, Outage
 from brink.worker.client import CoordinatorClient
-from brink.worker.errors import ChildFailedToStart, EpisodeAbandoned, WorkerError
-from brink.worker.heartbeat import Heartbeat
-from brink.worker.holdings import Holdings
-from brink.worker.machine import machine_name
-from brink.worker.pace import Pace
-from brink.worker.process import EpisodeProcess
-from brink.worker.reporter import Reporter
-from brink.worker.runner import Runner
+from brink.worker.errors import (
+    ChildFailedToStart,
+    CoordinatorUnavailable,
+    EpisodeAbandoned,
+    RequestRefused,
+    WorkerError,
+)
+from brink.worker.held_jobs import HeldJobs, Poll, PrefetchPolicy, Report
+from brink.worker.process import Episode, EpisodeProcess, FinishedEpisode
 from brink.worker.settings import WorkerSettings
-from brink.worker.wire import LeasedJob, WorkerIdentity
+from brink.worker.wire import (
+    HeartbeatRequest,
+    JobFailed,
+    LeasedJob,
+    LeaseReply,
+    LeaseRequest,
+    ResultsRequest,
+    WorkerIdentity,
+    machine_name,
+)
 
 log = logging.getLogger(__name__)
 
 LAST_REPORT_S: Final = 5.0
-"""How long the last report may take, after the running episode has ended."""
+"""Time limit for the last report, once the running episode has ended."""
 
 LAST_ANSWER_S: Final = 0.5
-"""How long an idle request that is under way may take when asked to stop: its grant must not be lost on the way."""
+"""How long a stopping worker waits for its open lease request, so that jobs it grants are not lost on the way."""
 
-SIGNALS_S: Final = 0.5
-"""Longest wait of the main thread: Python may miss a signal that comes just before a wait, and look only after."""
+SIGNAL_CHECK_S: Final = 0.5
+"""Longest wait of the main thread: Python may handle a signal that arrives just before a wait only after it."""
 
 JOIN_S: Final = 2.0
 
+AHEAD: Final = 2
+"""Episodes in the simulation process: the running one and the next, so that it never waits in between."""
+
+START_ATTEMPTS: Final = 3
+"""Consecutive failed starts of the simulation process after which the worker gives up."""
+
+BODY_ERRORS: Final = frozenset({400, 413, 422})
+"""Statuses of refusals that blame the request body; any other blames the worker or the address."""
+
+LONGEST_PAUSE_WHEN_STOPPING_S: Final = 0.5
+
+RENEWALS_PER_LEASE: Final = 3
+RETRIES_PER_RENEWAL: Final = 3
+"""How often a failed renewal is retried before the next one is due."""
+
 
 class Worker:
-    """Leases jobs, simulates them, reports.
+    """Leases jobs, simulates them, and reports the outcomes.
 
     Args:
-        client: The way to the coordinator; stays the caller's to close.
+        client: Client of the coordinator; the caller closes it.
         settings: Everything else.
     """
 
     def __init__(self, client: CoordinatorClient, settings: WorkerSettings) -> None:
         self._client = client
         self._settings = settings
-        self._holdings = Holdings(
-            Pace(max_jobs=settings.max_jobs, prefetch_s=settings.prefetch_s),
+        self._held = HeldJobs(
+            PrefetchPolicy(max_jobs=settings.max_jobs, prefetch_s=settings.prefetch_s),
             report_after_s=settings.report_after_s,
             exit_when_idle_s=settings.exit_when_idle_s,
         )
@@ -64,34 +90,29 @@ class Worker:
         self._grace_end_s: float | None = None
         self._error: BaseException | None = None
         self._started = False
-        self._reported_all = False
-        self._left = False
-
-    @property
-    def child_pid(self) -> int | None:
-        """Process id of the simulation process, or None while there is none."""
-        return self._process.pid
+        self._reporter_done = False
+        self._leaving = False
 
     def stop(self, grace_s: float | None = None) -> None:
-        """Finish the running episode, report, give the rest back, and let `run` return.
+        """Finish the running episode, report, release the other jobs, and let `run` return.
 
         Safe from any thread and from a signal handler.
 
         Args:
-            grace_s: How long the running episode may go on; None for the settings' time.
+            grace_s: How long the running episode may continue; None for the time in the settings.
         """
         grace_s = self._settings.grace_s if grace_s is None else grace_s
-        with self._holdings.changed:
+        with self._held.changed:
             grace_end_s = time.monotonic() + grace_s
             self._grace_end_s = (
                 grace_end_s if self._grace_end_s is None else min(self._grace_end_s, grace_end_s)
             )
-            self._holdings.stop()
+            self._held.stop()
         if not self._started:
             self._process.kill()
 
     def run(self) -> int:
-        """Work until told to stop, or until idle for as long as the settings say; return the exit status.
+        """Work until stopped, or until idle for as long as the settings say; return the exit status.
 
         Returns:
             0 after a stop or an idle exit; 1 if the worker could not work, with the reason in the log.
@@ -116,83 +137,83 @@ class Worker:
 
     def _work(self, capabilities: tuple[str, ...]) -> int:
         rng = Random(self._settings.worker_id)
-        identity = _identity(self._settings.worker_id)
-        runner = Runner(self._holdings, self._process, rng)
-
-        def give_up(job: LeasedJob) -> None:
-            ticket = runner.ticket_of(job)
-            if ticket is not None:
-                self._process.abandon(ticket)
-
+        identity = WorkerIdentity(
+            id=self._settings.worker_id,
+            host=socket.gethostname()[:255],
+            pid=os.getpid(),
+            version=__version__,
+            machine=machine_name(),
+        )
+        runner = Runner(self._held, self._process, rng)
         heartbeat = Heartbeat(
-            self._holdings,
+            self._held,
             self._client,
             identity=identity,
             abandon_after_s=self._settings.abandon_after_s,
-            give_up=give_up,
+            abandon=runner.abandon,
         )
         reporter = Reporter(
-            self._holdings,
+            self._held,
             self._client,
             identity=identity,
             capabilities=capabilities,
             wait_s=self._settings.wait_s,
             rng=rng,
-            on_lease=heartbeat.leases_hold,
+            on_lease=heartbeat.set_lease_duration,
         )
         runner_thread = self._thread("runner", runner.run)
         heartbeat_thread = self._thread("heartbeat", heartbeat.run)
-        reporter_thread = self._thread("reporter", reporter.run, self._end_of_reports)
+        reporter_thread = self._thread("reporter", reporter.run, self._mark_reporter_done)
         self._supervise()
-        # Whatever still runs is given up: the process ends the runner, the end of this program the reporter.
-        self._left = True
-        self._holdings.stop()
+        # Abandon whatever still runs: killing the process ends the runner, and the reporter ends with this program.
+        self._leaving = True
+        self._held.stop()
         self._process.kill()
-        heartbeat.end()
-        for thread in (runner_thread, heartbeat_thread, *((reporter_thread,) if self._reported_all else ())):
+        heartbeat.stop()
+        for thread in (runner_thread, heartbeat_thread, *((reporter_thread,) if self._reporter_done else ())):
             thread.join(JOIN_S)
-        return self._farewell(away=reporter.away)
+        return self._exit_status(coordinator_away=reporter.coordinator_away)
 
     def _supervise(self) -> None:
-        """Wait for the end; once asked to stop, end the running episode when its time is over."""
-        changed = self._holdings.changed
+        """Wait for the end; after a stop, kill the running episode when its grace time is over."""
+        changed = self._held.changed
         with changed:
-            while not self._reported_all and self._grace_end_s is None:
-                changed.wait(SIGNALS_S)
+            while not self._reporter_done and self._grace_end_s is None:
+                changed.wait(SIGNAL_CHECK_S)
             if self._grace_end_s is None:
                 return
-            log.info("stopping", extra={"held": len(self._holdings.leases())})
+            log.info("stopping", extra={"held": len(self._held.leases())})
             report_end_s: float | None = None
             poll_end_s = time.monotonic() + LAST_ANSWER_S
-            while not self._reported_all:
+            while not self._reporter_done:
                 now_s = time.monotonic()
-                if self._holdings.polling:
-                    # An idle request may take long to be answered, and nothing is lost by leaving it then.
+                if self._held.polling:
+                    # The answer to a long poll may take long, and leaving it loses nothing.
                     if now_s >= poll_end_s:
                         return
                     changed.wait(poll_end_s - now_s)
                     continue
-                if report_end_s is None and (self._holdings.runner_ended or now_s >= self._grace_end_s):
+                if report_end_s is None and (self._held.runner_done or now_s >= self._grace_end_s):
                     self._process.kill()
                     report_end_s = now_s + LAST_REPORT_S
                 end_s = self._grace_end_s if report_end_s is None else report_end_s
                 if now_s >= end_s:
                     return
-                changed.wait(min(end_s - now_s, SIGNALS_S))
+                changed.wait(min(end_s - now_s, SIGNAL_CHECK_S))
 
-    def _end_of_reports(self) -> None:
-        with self._holdings.changed:
-            self._reported_all = True
-            self._holdings.changed.notify_all()
+    def _mark_reporter_done(self) -> None:
+        with self._held.changed:
+            self._reporter_done = True
+            self._held.changed.notify_all()
 
-    def _farewell(self, *, away: bool) -> int:
-        unsent = self._holdings.unsent
+    def _exit_status(self, *, coordinator_away: bool) -> int:
+        unsent = self._held.unsent
         if self._error is not None:
             log.error("leaving: %s", self._error, extra={"unsent": unsent})
             return 1
         if unsent:
             log.warning("leaving with outcomes that could not be reported", extra={"unsent": unsent})
-        if away and self._grace_end_s is None:
+        if coordinator_away and self._grace_end_s is None:
             log.error("leaving: there was no coordinator at %s", self._client.server)
             return 1
         log.info("leaving")
@@ -207,26 +228,307 @@ class Worker:
             except WorkerError as error:
                 self._fail(error)
             except Exception as error:
-                # The client may be closed by now under a request that was left unanswered.
-                if not self._left:
-                    log.exception("the %s broke down", name)
+                # While leaving, the caller may already have closed the client under an unanswered request.
+                if not self._leaving:
+                    log.exception("the %s thread failed", name)
                     self._fail(error)
             finally:
                 if afterwards is not None:
                     afterwards()
 
-        # A daemon: a request that hangs must not keep a stopped worker alive.
+        # A daemon thread: a request that hangs must not keep a stopped worker alive.
         thread = threading.Thread(target=guarded, name=f"brink-{name}", daemon=True)
         thread.start()
         return thread
 
     def _fail(self, error: BaseException) -> None:
-        with self._holdings.changed:
+        with self._held.changed:
             self._error = self._error or error
             self.stop(grace_s=0.0)
 
 
-def _identity(worker_id: str) -> WorkerIdentity:
-    return WorkerIdentity(
-        id=worker_id, host=socket.gethostname()[:255], pid=os.getpid(), version=__version__, machine=machine_name()
-    )  # fmt: skip
+class Runner:
+    """The thread that keeps the simulation process busy.
+
+    Args:
+        held: Source of jobs and destination of outcomes.
+        process: A started process; only this thread uses and closes it.
+        rng: Jitter of the waits between failed starts.
+    """
+
+    def __init__(self, held: HeldJobs, process: EpisodeProcess, rng: Random) -> None:
+        self._held = held
+        self._process = process
+        self._rng = rng
+        self._backoff = Backoff(first_s=1.0, cap_s=30.0)
+        self._jobs: dict[int, LeasedJob] = {}
+        self._next_ticket = 0
+        self._failed_starts = 0
+
+    def run(self) -> None:
+        """Run jobs until the worker stops; then end the process and put back unfinished jobs.
+
+        Raises:
+            ChildFailedToStart: The process died and could not be restarted.
+        """
+        try:
+            while self._fill_process() and self._receive():
+                pass
+        finally:
+            self._process.close()
+            self._held.put_back(tuple(self._jobs.values()))
+            self._held.mark_runner_done()
+
+    def abandon(self, job: LeasedJob) -> None:
+        """Kill the episode of a job if it is the running one; safe from any thread."""
+        for ticket, other in self._jobs.copy().items():
+            if other == job:
+                self._process.abandon(ticket)
+
+    def _fill_process(self) -> bool:
+        """Send jobs ahead, and wait for a job if none is pending. Return False if the worker stops."""
+        while self._process.pending < AHEAD:
+            job = self._held.take(wait=self._process.pending == 0)
+            if job is None:
+                break
+            ticket, self._next_ticket = self._next_ticket, self._next_ticket + 1
+            # Recorded before it is sent, so that it is put back whatever happens.
+            self._jobs[ticket] = job
+            episode = Episode(ticket=ticket, spec=job.spec, record=job.record, timeout_s=job.timeout_s)
+            try:
+                self._process.send(episode)
+            except ChildFailedToStart as error:
+                self._held.put_back([self._jobs.pop(ticket)])
+                self._wait_after_failed_start(error)
+            except EpisodeAbandoned:
+                return False
+        return self._process.pending > 0 and not self._held.stopping
+
+    def _receive(self) -> bool:
+        """Wait for one outcome. Return False if the process was killed on purpose."""
+        try:
+            finished = self._process.receive()
+        except EpisodeAbandoned as abandoned:
+            if abandoned.ticket is None:
+                return False
+            self._held.put_back([self._jobs.pop(abandoned.ticket)])
+            return True
+        except ChildFailedToStart as error:
+            self._wait_after_failed_start(error)
+            return True
+        self._failed_starts = 0
+        job = self._jobs.pop(finished.ticket)
+        _log_outcome(job, finished)
+        self._held.finish(job, finished.outcome, wall_s=finished.wall_s, size_bytes=finished.size_bytes)
+        return True
+
+    def _wait_after_failed_start(self, error: ChildFailedToStart) -> None:
+        self._failed_starts += 1
+        if self._failed_starts >= START_ATTEMPTS:
+            raise error
+        delay_s = self._backoff.delay_s(self._failed_starts, self._rng)
+        log.warning("%s; trying again", error, extra={"in_s": round(delay_s, 1)})
+        with self._held.changed:
+            self._held.changed.wait_for(lambda: self._held.stopping, delay_s)
+
+
+class Reporter:
+    """The thread that reports outcomes, releases leases, and leases more jobs.
+
+    Args:
+        held: Says which request is due.
+        client: Client of the coordinator.
+        identity: This worker.
+        capabilities: What this worker can run.
+        wait_s: How long the lease request of an idle worker may wait for a job.
+        rng: Jitter of the waits while the coordinator is unavailable.
+        on_lease: Receives the duration of leases after every lease request.
+    """
+
+    def __init__(
+        self,
+        held: HeldJobs,
+        client: CoordinatorClient,
+        *,
+        identity: WorkerIdentity,
+        capabilities: tuple[str, ...],
+        wait_s: float,
+        rng: Random,
+        on_lease: Callable[[float], None],
+    ) -> None:
+        self._held = held
+        self._client = client
+        self._identity = identity
+        self._capabilities = list(capabilities)
+        self._wait_s = wait_s
+        self._on_lease = on_lease
+        self._outage = Outage(client.server, Backoff(first_s=0.5, cap_s=10.0), rng)
+
+    def run(self) -> None:
+        """Make requests until none is left to make.
+
+        Raises:
+            RequestRefused: The coordinator does not accept this worker, or the address is wrong.
+            UnexpectedReply: The server is not a coordinator.
+        """
+        while (request := self._held.next_request()) is not None:
+            try:
+                if isinstance(request, Poll):
+                    self._poll(request)
+                else:
+                    self._report(request)
+            except CoordinatorUnavailable as error:
+                delay_s = self._outage.record_failure(error, unsent=self._held.unsent)
+                if self._held.stopping:
+                    delay_s = min(delay_s, LONGEST_PAUSE_WHEN_STOPPING_S)
+                self._held.postpone(delay_s)
+            else:
+                self._outage.record_success()
+
+    @property
+    def coordinator_away(self) -> bool:
+        """Whether the last request failed because the coordinator was unavailable."""
+        return self._outage.since_s is not None
+
+    def _poll(self, poll: Poll) -> None:
+        wait_s = self._wait_s if poll.idle_left_s is None else min(self._wait_s, poll.idle_left_s)
+        self._add(self._client.lease(self._lease_request(poll.room, max(0.0, wait_s))))
+
+    def _report(self, report: Report) -> None:
+        request = ResultsRequest(
+            worker=self._identity,
+            results=[outcome.to_wire() for outcome in report.outcomes],
+            release=list(report.release),
+            lease=self._lease_request(report.room, 0.0) if report.room else None,
+        )
+        began_s = time.monotonic()
+        try:
+            reply = self._client.report(request)
+        except RequestRefused as refusal:
+            if refusal.status not in BODY_ERRORS or not report.outcomes:
+                raise
+            self._held.handle_refusal(report, str(refusal))
+            return
+        self._held.acknowledge(report, reply.statuses, wall_s=time.monotonic() - began_s)
+        if reply.lease is not None:
+            self._add(reply.lease)
+
+    def _add(self, reply: LeaseReply) -> None:
+        self._on_lease(reply.lease_s)
+        self._held.add(reply)
+
+    def _lease_request(self, room: int, wait_s: float) -> LeaseRequest:
+        return LeaseRequest(
+            worker=self._identity, capabilities=self._capabilities, max_jobs=room, wait_s=wait_s
+        )
+
+
+class Heartbeat:
+    """The thread that renews leases after each third of their duration, and abandons jobs whose lease is lost.
+
+    Args:
+        held: The jobs whose leases to renew.
+        client: Client of the coordinator.
+        identity: This worker.
+        abandon_after_s: A running job whose lease is lost is abandoned once it has run this long.
+        abandon: Kills the episode of a job.
+    """
+
+    def __init__(
+        self,
+        held: HeldJobs,
+        client: CoordinatorClient,
+        *,
+        identity: WorkerIdentity,
+        abandon_after_s: float,
+        abandon: Callable[[LeasedJob], None],
+    ) -> None:
+        self._held = held
+        self._client = client
+        self._identity = identity
+        self._abandon_after_s = abandon_after_s
+        self._abandon = abandon
+        self._lease_s: float | None = None
+        self._due_s = 0.0
+        self._stopped = False
+        self._abandoned: LeasedJob | None = None
+
+    def set_lease_duration(self, lease_s: float) -> None:
+        """Set how long leases last; safe from any thread."""
+        with self._held.changed:
+            if self._lease_s != lease_s:
+                self._lease_s = lease_s
+                self._due_s = time.monotonic() + lease_s / RENEWALS_PER_LEASE
+                self._held.changed.notify_all()
+
+    def stop(self) -> None:
+        """Let `run` return; safe from any thread."""
+        with self._held.changed:
+            self._stopped = True
+            self._held.changed.notify_all()
+
+    def run(self) -> None:
+        """Renew leases until `stop` is called.
+
+        Raises:
+            RequestRefused: The coordinator does not accept this worker, or the address is wrong.
+            UnexpectedReply: The server is not a coordinator.
+        """
+        while self._wait_until_due():
+            self._abandon_lost_job()
+            lease_s = self._lease_s
+            leases = self._held.leases()
+            if lease_s is None:
+                continue
+            now_s = time.monotonic()
+            if now_s < self._due_s:
+                continue
+            self._due_s = now_s + lease_s / RENEWALS_PER_LEASE
+            if not leases:
+                continue
+            try:
+                reply = self._client.heartbeat(HeartbeatRequest(worker=self._identity, leases=list(leases)))
+            except CoordinatorUnavailable as error:
+                # Only for debugging: the reporter logs the outage, at growing intervals.
+                log.debug("no renewal: %s", error)
+                self._due_s = now_s + lease_s / RENEWALS_PER_LEASE / RETRIES_PER_RENEWAL
+                continue
+            self._held.apply_renewal(leases, reply.held)
+            self.set_lease_duration(reply.lease_s)
+            self._abandon_lost_job()
+
+    def _wait_until_due(self) -> bool:
+        """Wait until a renewal or an abandonment is due; return False after `stop`."""
+        with self._held.changed:
+            while not self._stopped:
+                times_s = [] if self._lease_s is None else [self._due_s]
+                if (lost := self._lost_job()) is not None:
+                    times_s.append(time.monotonic() + self._abandon_after_s - lost[1])
+                left_s = min(times_s) - time.monotonic() if times_s else None
+                if left_s is not None and left_s <= 0:
+                    return True
+                self._held.changed.wait(left_s)
+            return False
+
+    def _lost_job(self) -> tuple[LeasedJob, float] | None:
+        lost = self._held.lost_running_job()
+        return None if lost is None or lost[0] == self._abandoned else lost
+
+    def _abandon_lost_job(self) -> None:
+        lost = self._lost_job()
+        if lost is not None and lost[1] >= self._abandon_after_s:
+            job = lost[0]
+            fields = {"campaign": job.campaign, "job": job.job, "attempt": job.attempt}
+            log.info("abandoning a running job whose lease was lost", extra=fields)
+            self._abandoned = job
+            self._abandon(job)
+
+
+def _log_outcome(job: LeasedJob, finished: FinishedEpisode) -> None:
+    fields: dict[str, object] = {"campaign": job.campaign, "job": job.job, "attempt": job.attempt}
+    if isinstance(finished.outcome, JobFailed):
+        fields["reason"] = finished.outcome.reason
+        log.warning("job failed: %s", finished.outcome.message.partition("\n")[0], extra=fields)
+    elif log.isEnabledFor(logging.DEBUG):
+        fields["wall_s"] = round(finished.wall_s, 4)
+        log.debug("job completed", extra=fields)

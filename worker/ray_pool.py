@@ -1,11 +1,11 @@
-"""Workers on a Ray cluster: actors of one CPU each, all running the loop of `brink.worker.loop`.
+"""A pool of workers on a Ray cluster: actors with one CPU each that run the loop of `brink.worker.loop`.
 
-A pool starts them, replaces those that die, and has them finish and leave when it is told to stop. They are the same
-workers as everywhere: each asks the coordinator for jobs over HTTP, so a dead one costs what it was simulating, and
-no result. Nothing of a campaign passes through Ray.
+The pool starts the workers, replaces those that die, and stops them gracefully. Each worker leases jobs from the
+coordinator over HTTP, like any other, so a worker that dies loses its running episodes but no results. No campaign
+data passes through Ray.
 
-Brink has to be installed on every node, in the same version. The token reaches an actor as an argument of its
-constructor: Ray writes the environment of actors into its logs and onto command lines, but not their arguments.
+The same version of Brink must be installed on every node. An actor receives the token as a constructor argument,
+because Ray writes the environment of actors, but not their arguments, to its logs and to command lines.
 """
 
 import logging
@@ -30,36 +30,36 @@ from brink.worker.run import stopped_by_signals
 from brink.worker.settings import WorkerSettings, new_worker_id
 
 LOCAL: Final = "local"
-"""In place of an address: start a Ray of our own on this machine."""
+"""Address that starts a new Ray on this machine instead of joining a cluster."""
 
-LOOK_S: Final = 0.5
-PLACED_WITHIN_S: Final = 30.0
-"""An actor that got no CPU within this time is given up, if there should be one a free CPU: another took it."""
+POLL_S: Final = 0.5
+PLACEMENT_TIMEOUT_S: Final = 30.0
+"""When the pool fills free CPUs, an actor that gets no CPU within this time is killed: its CPU went elsewhere."""
 HEALTHY_S: Final = 30.0
-"""A worker that lived this long was no false start."""
-FALSE_STARTS: Final = 3
-"""Workers that could not work, after which the pool gives up if no other one can."""
-WITHOUT_CPU_S: Final = 15.0
-TOLD_AGAIN_S: Final = 60.0
-"""After so long without a single worker at work the log says so, and then again and again."""
+"""A worker that has lived this long counts as healthy."""
+MAX_FALSE_STARTS: Final = 3
+"""Number of workers that could not work after which the pool gives up, unless another worker is healthy."""
+NO_CPU_WARNING_S: Final = 15.0
+NO_CPU_REPEAT_S: Final = 60.0
+"""Without a running worker, the pool logs a warning after the first time and then at intervals of the second."""
 OBJECT_STORE_BYTES: Final = 80 * 1024 * 1024
-"""Of a Ray of our own: about the least that it takes, as nothing is stored there."""
-LEAVING_S: Final = LAST_REPORT_S + 5.0
-"""How long a worker may take to leave, after its running episode."""
+"""Object store of a new Ray: roughly the minimum that Ray accepts, since nothing is stored in it."""
+EXIT_TIMEOUT_S: Final = LAST_REPORT_S + 5.0
+"""How long a worker may take to exit after its running episode."""
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoolSettings:
-    """Everything that a pool can be told.
+    """Settings of a pool of workers.
 
     Attributes:
-        address: Of the cluster: ``HOST:PORT``, ``auto`` for the one that this machine belongs to, or ``local``.
-        worker: What each worker is told; each makes an id of its own.
-        workers: How many workers to have, or None for one a CPU that is free, as nodes come and go.
-        level: Of the log, here and in the actors.
-        log_format: Of the log, here and in the actors.
+        address: Address of the cluster: ``HOST:PORT``, ``auto`` for the cluster of this machine, or ``local``.
+        worker: Settings of each worker, except for its id.
+        workers: Number of workers, or None for one per free CPU as nodes come and go.
+        level: Log level of the pool and its workers.
+        log_format: Log format of the pool and its workers.
     """
 
     address: str
@@ -70,12 +70,12 @@ class PoolSettings:
 
 
 class PoolWorker:
-    """One worker, as an actor: its methods run on threads, beside one another.
+    """One worker as an actor, whose methods run concurrently on threads.
 
     Args:
-        settings: What the worker is told, but for its id.
-        level: Of its log.
-        log_format: Of its log.
+        settings: Settings of the worker, except for its id.
+        level: Level of its log.
+        log_format: Format of its log.
     """
 
     def __init__(self, settings: WorkerSettings, level: LogLevel, log_format: LogFormat) -> None:
@@ -84,43 +84,49 @@ class PoolWorker:
         self._client = CoordinatorClient(settings.server, token=settings.token)
         self._worker = Worker(self._client, self._settings)
 
-    def who(self) -> tuple[str, dict[str, object]]:
-        """Return the id of this node, and what the log says of this worker."""
-        about = {"worker": self._settings.worker_id, "host": socket.gethostname(), "pid": os.getpid()}
-        return str(ray.get_runtime_context().get_node_id()), about
+    def locate(self) -> tuple[str, dict[str, object]]:
+        """Return the node id, and fields that identify this worker in the log."""
+        fields = {"worker": self._settings.worker_id, "host": socket.gethostname(), "pid": os.getpid()}
+        return str(ray.get_runtime_context().get_node_id()), fields
 
     def work(self) -> int:
-        """Work until told to stop; return as `Worker.run` does."""
+        """Work until stopped, and return the exit status of `Worker.run`."""
         with self._client:
             return self._worker.run()
 
     def stop(self) -> None:
-        """Have `work` finish and return."""
+        """Let `work` finish and return."""
         self._worker.stop()
 
 
 @dataclass(slots=True)
 class _Member:
-    """An actor of the pool; what it returns comes through Ray's references."""
+    """An actor of the pool; `work` and `location` are Ray references to its results."""
 
     actor: Any
     work: Any
-    who: Any
+    location: Any
     started_s: float
     leaving: bool = False
     node: str = ""
-    about: dict[str, object] = field(default_factory=dict)
+    log_fields: dict[str, object] = field(default_factory=dict)
 
     @property
     def placed(self) -> bool:
-        """Whether it was seen to run."""
-        return bool(self.about)
+        """Whether the actor got a CPU and has started."""
+        return bool(self.log_fields)
+
+    @property
+    def healthy(self) -> bool:
+        """Whether the worker has run for a while."""
+        return self.placed and time.monotonic() - self.started_s >= HEALTHY_S
 
 
 def run_pool(settings: PoolSettings) -> int:
-    """Run workers on a cluster until told to stop; return the exit status.
+    """Run workers on a cluster until stopped, and return the exit status.
 
-    SIGTERM or SIGINT lets running episodes end and gives the rest back; a second one ends the program at once.
+    On SIGTERM or SIGINT the workers finish their running episodes and release their other jobs. A second signal ends
+    the program at once.
     """
     with _connected(settings):
         pool = Pool(settings)
@@ -129,74 +135,70 @@ def run_pool(settings: PoolSettings) -> int:
 
 
 class Pool:
-    """The workers of one `brink worker --ray`.
-
-    Args:
-        settings: Everything else.
-    """
+    """The workers of one `brink worker --ray` command."""
 
     def __init__(self, settings: PoolSettings) -> None:
         self._settings = settings
         self._actor_type = ray.remote(num_cpus=1, max_concurrency=3)(PoolWorker)
         self._members: list[_Member] = []
         self._stopping = False
-        self._idle_left = False
+        self._idle = False
         self._failures = 0
         self._false_starts = 0
         self._next_start_s = 0.0
-        self._quiet_until_s = time.monotonic() + WITHOUT_CPU_S
+        self._next_warning_s = time.monotonic() + NO_CPU_WARNING_S
         self._backoff = Backoff(first_s=0.5, cap_s=30.0)
         self._rng = Random()
 
     def stop(self) -> None:
-        """Have all workers finish, and let `run` return; safe from a signal handler."""
+        """Stop all workers gracefully and let `run` return; safe from a signal handler."""
         self._stopping = True
 
     def run(self) -> int:
-        """Have workers on the cluster until told to stop, or until all were idle for as long as the settings say.
+        """Keep workers running until stopped, or until all have exited for being idle.
 
         Returns:
             0 after a stop or an idle exit; 1 if workers could not work, with the reason in their logs.
         """
         log.info("workers for %s", self._settings.worker.server, extra={"cpus": _cpus()})
         while not self._stopping:
-            if self._false_starts >= FALSE_STARTS and not any(map(_is_healthy, self._members)):
-                log.error("leaving: one worker after the other could not work; their logs say why")
+            if self._false_starts >= MAX_FALSE_STARTS and not any(m.healthy for m in self._members):
+                log.error("leaving: several workers in a row could not work; see their logs")
                 self._drain()
                 return 1
-            if self._idle_left and not self._members:
+            if self._idle and not self._members:
                 break
             self._fill()
-            self._look(LOOK_S)
-            self._leave_nodes_that_drain()
-            self._tell_if_none_works()
+            self._update_members(POLL_S)
+            self._leave_draining_nodes()
+            self._warn_if_none_runs()
         self._drain()
         log.info("leaving")
         return 0
 
     def _fill(self) -> None:
-        """Start workers where there is room."""
-        if self._idle_left or time.monotonic() < self._next_start_s:
+        """Start as many workers as there is room for."""
+        if self._idle or time.monotonic() < self._next_start_s:
             return
         for _ in range(self._room()):
             actor = self._actor_type.remote(
                 self._settings.worker, self._settings.level, self._settings.log_format
             )
             self._members.append(
-                _Member(actor, actor.work.remote(), actor.who.remote(), started_s=time.monotonic())
+                _Member(actor, actor.work.remote(), actor.locate.remote(), started_s=time.monotonic())
             )
 
     def _room(self) -> int:
         if self._settings.workers is not None:
-            # Those that find no CPU wait for one: that is how a cluster learns that it should grow.
+            # Actors without a CPU wait for one: pending actors make an autoscaling cluster grow.
             return self._settings.workers - len(self._members)
-        # What waits for a CPU is no reason to have more: it would make a cluster grow without end.
+        # Subtract actors that still wait for a CPU; otherwise an autoscaling cluster would grow without end.
         waiting = sum(not member.placed for member in self._members)
         free = int(ray.available_resources().get("CPU", 0.0)) - waiting
         return max(0, min(free, _cpus() - len(self._members)))
 
-    def _look(self, wait_s: float) -> None:
-        """See which workers have begun and which have ended."""
+    def _update_members(self, wait_s: float) -> None:
+        """Find out which workers have started and which have ended, waiting up to `wait_s` for an end."""
         if not self._members:
             time.sleep(wait_s)
             return
@@ -204,84 +206,84 @@ class Pool:
         ended = [member for member in self._members if member.work in done]
         for member in self._members:
             if not member.placed:
-                self._note_place(member)
+                self._update_location(member)
         for member in ended:
             self._members.remove(member)
-            self._ended(member)
+            self._handle_end(member)
         if self._settings.workers is None:
-            horizon_s = time.monotonic() - PLACED_WITHIN_S
-            self._give_up([m for m in self._members if not m.placed and m.started_s < horizon_s])
+            horizon_s = time.monotonic() - PLACEMENT_TIMEOUT_S
+            self._kill([m for m in self._members if not m.placed and m.started_s < horizon_s])
 
-    def _note_place(self, member: _Member) -> None:
-        if not ray.wait([member.who], timeout=0)[0]:
+    def _update_location(self, member: _Member) -> None:
+        if not ray.wait([member.location], timeout=0)[0]:
             return
         try:
-            member.node, member.about = ray.get(member.who)
+            member.node, member.log_fields = ray.get(member.location)
         except RayError as error:
-            log.debug("an actor has no place: %s", _in_a_line(error))
+            log.debug("an actor was not placed: %s", _one_line(error))
             return
-        log.info("worker started", extra=member.about)
+        log.info("worker started", extra=member.log_fields)
 
-    def _ended(self, member: _Member) -> None:
+    def _handle_end(self, member: _Member) -> None:
         try:
             status = int(ray.get(member.work))
         except RayError as error:
             if not member.leaving:
-                log.warning("worker lost: %s", _in_a_line(error), extra=member.about)
-            self._failed(member, false_start=False)
+                log.warning("worker lost: %s", _one_line(error), extra=member.log_fields)
+            self._record_failure(member, false_start=False)
             return
         ray.kill(member.actor)  # nothing runs in it any more
         if status == 0:
-            self._idle_left |= not member.leaving
-            log.info("worker left", extra=member.about)
+            self._idle |= not member.leaving
+            log.info("worker left", extra=member.log_fields)
         else:
-            log.warning("worker could not work; its log says why", extra=member.about)
-            self._failed(member, false_start=True)
+            log.warning("worker could not work; see its log", extra=member.log_fields)
+            self._record_failure(member, false_start=True)
 
-    def _failed(self, member: _Member, *, false_start: bool) -> None:
-        if _is_healthy(member):
+    def _record_failure(self, member: _Member, *, false_start: bool) -> None:
+        if member.healthy:
             self._failures = self._false_starts = 0
         self._failures += 1
         self._false_starts += false_start
         self._next_start_s = time.monotonic() + self._backoff.delay_s(self._failures, self._rng)
 
-    def _tell_if_none_works(self) -> None:
+    def _warn_if_none_runs(self) -> None:
         now_s = time.monotonic()
         if any(member.placed for member in self._members):
-            self._quiet_until_s = now_s + WITHOUT_CPU_S
-        elif now_s >= self._quiet_until_s:
+            self._next_warning_s = now_s + NO_CPU_WARNING_S
+        elif now_s >= self._next_warning_s:
             log.warning(
-                "no worker has a CPU: others use them, or the cluster has none", extra={"cpus": _cpus()}
+                "no worker has a CPU: all are in use, or the cluster has none", extra={"cpus": _cpus()}
             )
-            self._quiet_until_s = now_s + TOLD_AGAIN_S
+            self._next_warning_s = now_s + NO_CPU_REPEAT_S
 
-    def _leave_nodes_that_drain(self) -> None:
-        """Have workers leave nodes that are about to be taken away."""
+    def _leave_draining_nodes(self) -> None:
+        """Stop the workers on nodes that are about to be removed."""
         draining = _draining_nodes()
         for member in self._members:
             if member.node in draining and not member.leaving:
-                log.info("worker leaves a node that drains", extra=member.about)
-                self._let_go(member)
+                log.info("worker leaves a draining node", extra=member.log_fields)
+                self._stop_worker(member)
 
-    def _let_go(self, member: _Member) -> None:
+    def _stop_worker(self, member: _Member) -> None:
         if not member.leaving:
             member.leaving = True
             member.actor.stop.remote()
 
     def _drain(self) -> None:
-        """Have all workers finish what they run and leave; end those that do not."""
-        self._give_up([member for member in self._members if not member.placed])
+        """Stop all workers gracefully, and kill those that do not exit in time."""
+        self._kill([member for member in self._members if not member.placed])
         log.info("stopping", extra={"workers": len(self._members)})
         for member in self._members:
-            self._let_go(member)
-        end_s = time.monotonic() + self._settings.worker.grace_s + LEAVING_S
+            self._stop_worker(member)
+        end_s = time.monotonic() + self._settings.worker.grace_s + EXIT_TIMEOUT_S
         while self._members and time.monotonic() < end_s:
-            self._look(LOOK_S)
+            self._update_members(POLL_S)
         if self._members:
-            log.warning("workers that did not leave in time: %d; ending them", len(self._members))
-            self._give_up(list(self._members))
+            log.warning("%d workers did not exit in time; killing them", len(self._members))
+            self._kill(list(self._members))
 
-    def _give_up(self, members: list[_Member]) -> None:
+    def _kill(self, members: list[_Member]) -> None:
         for member in members:
             self._members.remove(member)
             ray.kill(member.actor)
@@ -289,20 +291,20 @@ class Pool:
 
 @contextmanager
 def _connected(settings: PoolSettings) -> Iterator[None]:
-    """Join the cluster, or start one of our own, which ends with the block."""
-    # What workers log reaches us with a prefix of Ray's, which no reader of JSON would take.
-    given: dict[str, Any] = {
+    """Join the cluster, or start a local one that ends with the block."""
+    # Ray adds a prefix to the lines that workers log, which would make them invalid JSON.
+    options: dict[str, Any] = {
         "log_to_driver": settings.log_format is LogFormat.TEXT,
         "configure_logging": False,
     }
     if settings.address == LOCAL:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         own = {"object_store_memory": OBJECT_STORE_BYTES, "include_dashboard": False}
-        given |= {"num_cpus": settings.workers, **own}
+        options |= {"num_cpus": settings.workers, **own}
     try:
-        ray.init(address=settings.address, **given)
+        ray.init(address=settings.address, **options)
     except (ConnectionError, RuntimeError, ValueError, RayError) as error:
-        raise NoCluster(f"--ray {settings.address}: {_in_a_line(error)}") from error
+        raise NoCluster(f"--ray {settings.address}: {_one_line(error)}") from error
     try:
         yield
     finally:
@@ -313,19 +315,15 @@ def _cpus() -> int:
     return int(ray.cluster_resources().get("CPU", 0.0))
 
 
-def _is_healthy(member: _Member) -> bool:
-    return member.placed and time.monotonic() - member.started_s >= HEALTHY_S
-
-
 def _draining_nodes() -> Collection[str]:
-    """Return the ids of nodes that are about to be taken away.
+    """Return the ids of nodes that are about to be removed.
 
-    Ray tells this to its own libraries alone so far. Should it stop to do so, workers work on until their node goes.
+    Ray exposes them only in a private API. If that API disappears, workers keep running until their node is removed.
     """
     state = getattr(getattr(ray, "_private", None), "state", None)
-    tell = getattr(getattr(state, "state", None), "get_draining_nodes", None)
-    return tell() if tell is not None else ()
+    get_draining_nodes = getattr(getattr(state, "state", None), "get_draining_nodes", None)
+    return get_draining_nodes() if get_draining_nodes is not None else ()
 
 
-def _in_a_line(error: Exception) -> str:
+def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())[:400] or type(error).__name__

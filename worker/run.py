@@ -1,4 +1,4 @@
-"""Runs a worker as a program: its arguments, its signals, its end with its parent."""
+"""The worker as a program: command-line arguments, signals, and exit with the parent process."""
 
 import argparse
 import logging
@@ -28,9 +28,10 @@ log = logging.getLogger(__name__)
 
 
 def run_worker(settings: WorkerSettings) -> int:
-    """Work until told to stop; return the exit status.
+    """Work until stopped, and return the exit status.
 
-    SIGTERM or SIGINT lets the running episode end and gives the rest back; a second one ends the program at once.
+    On SIGTERM or SIGINT the worker finishes the running episode and releases its other jobs. A second signal ends the
+    program at once.
     """
     with CoordinatorClient(settings.server, token=settings.token) as client:
         worker = Worker(client, settings)
@@ -68,17 +69,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def stopped_by_signals(stop: Callable[[], None]) -> Iterator[None]:
-    """Call `stop` at the first SIGTERM or SIGINT, end the program at the second; only in the main thread."""
+    """Call `stop` on the first SIGTERM or SIGINT, and exit on the second; no effect outside the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    asked = False
+    stopping = False
 
     def handle(number: int, _frame: FrameType | None) -> None:
-        nonlocal asked
-        if asked:
+        nonlocal stopping
+        if stopping:
             os._exit(128 + number)
-        asked = True
+        stopping = True
         stop()
 
     before = {number: signal.signal(number, handle) for number in (signal.SIGTERM, signal.SIGINT)}
@@ -95,7 +96,7 @@ def _stop_at_end_of_stdin(worker: Worker) -> None:
             pass
     except OSError as error:
         log.warning("standard input cannot be read: %s", error)
-    # Whoever started this worker is gone, most likely with the coordinator: nobody waits for an episode.
+    # The parent is gone, most likely with the coordinator: nobody waits for the running episode.
     worker.stop(grace_s=0.0)
 
 
@@ -103,53 +104,26 @@ def _parser() -> argparse.ArgumentParser:
     defaults = WorkerSettings(server="http://127.0.0.1:8700", worker_id="default")
     parser = argparse.ArgumentParser(
         prog="python -m brink.worker",
-        description="Leases jobs from a coordinator, simulates them, reports. The environment variable "
-        f"{TOKEN_VARIABLE} holds the bearer token where one is needed.",
+        description="Leases jobs from a coordinator, simulates them, and reports the outcomes. "
+        f"The environment variable {TOKEN_VARIABLE} holds the bearer token, if one is required.",
         epilog="example: python -m brink.worker --server http://127.0.0.1:8700",
     )
     add = parser.add_argument
+
+    def add_number(name: str, default: float, metavar: str, text: str) -> None:
+        add(name, type=type(default), default=default, metavar=metavar, help=f"{text} (default: {default})")
+
     add("--server", required=True, metavar="URL", help="base URL of the coordinator")
     add("--id", metavar="NAME", help="unique name (default: host, process id and random digits)")
-    add(
-        "--max-jobs", type=int, default=defaults.max_jobs, metavar="N", help="most jobs to hold (%(default)s)"
-    )
-    add(
-        "--prefetch",
-        type=float,
-        default=defaults.prefetch_s,
-        metavar="S",
-        help="work to hold (%(default)s s)",
-    )
-    add(
-        "--wait", type=float, default=defaults.wait_s, metavar="S", help="long-poll when idle (%(default)s s)"
-    )
-    add(
-        "--memory",
-        type=int,
-        default=defaults.memory_mib,
-        metavar="MIB",
-        help="memory that an episode may take (%(default)s MiB; 0: no limit)",
-    )
-    add(
-        "--grace",
-        type=float,
-        default=defaults.grace_s,
-        metavar="S",
-        help="time for the running episode after SIGTERM (%(default)s s)",
-    )
-    add("--exit-when-idle", type=float, metavar="S", help="leave after this time without a job")
-    add(
-        "--plugin",
-        action="append",
-        default=[],
-        metavar="MODULE",
-        help="import for its simulators; repeatable",
-    )
-    add("--exit-with-parent", action="store_true", help="leave when standard input ends")
-    add(
-        "--log-level",
-        choices=[*LogLevel],
-        help=f"least severe lines of the log ({LEVEL_VARIABLE}, else info)",
-    )
-    add("--log-format", choices=[*LogFormat], help=f"of the log ({FORMAT_VARIABLE}, else text)")
+    add_number("--max-jobs", defaults.max_jobs, "N", "most jobs to hold")
+    add_number("--prefetch", defaults.prefetch_s, "S", "seconds of simulation worth of jobs to hold")
+    add_number("--wait", defaults.wait_s, "S", "seconds to wait for a job when idle")
+    add_number("--memory", defaults.memory_mib, "MIB", "memory that an episode may take in MiB; 0: no limit")
+    add_number("--grace", defaults.grace_s, "S", "seconds for the running episode after SIGTERM")
+    add("--exit-when-idle", type=float, metavar="S", help="exit after this time without a job")
+    add("--plugin", action="append", default=[], metavar="MODULE", help="module with simulators; repeatable")
+    add("--exit-with-parent", action="store_true", help="exit when standard input ends")
+    level_help = f"minimum severity of log lines (default: {LEVEL_VARIABLE}, else info)"
+    add("--log-level", choices=[*LogLevel], help=level_help)
+    add("--log-format", choices=[*LogFormat], help=f"log format (default: {FORMAT_VARIABLE}, else text)")
     return parser

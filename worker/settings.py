@@ -1,4 +1,4 @@
-"""Settings of a worker: one frozen value, checked when it is made."""
+"""Settings of a worker, validated on construction."""
 
 import math
 import os
@@ -11,35 +11,35 @@ from brink.worker.errors import SettingsError
 
 TOKEN_VARIABLE = "BRINK_TOKEN"
 MAX_JOBS = 128
-"""Most jobs a worker may hold at once; well under the 256 results that one message may carry."""
+"""Upper bound of `max_jobs`; well below the 256 results that one message may carry."""
 
 
 def new_worker_id() -> str:
-    """Return an id that no other worker process has: host, process and eight random digits."""
+    """Return a unique id made of host name, process id and eight random hexadecimal digits."""
     return f"{socket.gethostname()[:40]}-{os.getpid()}-{secrets.token_hex(4)}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorkerSettings:
-    """Everything that a worker can be told.
+    """Settings of a worker.
 
     Attributes:
         server: Base URL of the coordinator, such as ``http://127.0.0.1:8700``.
-        worker_id: Unique and constant for the life of the process, 1 to 64 characters.
-        token: Bearer token, or None where the coordinator asks for none.
-        max_jobs: Most jobs to hold at once, running one included, 1 to 128.
-        prefetch_s: How much work to hold, in seconds of simulation; `max_jobs` caps it. Less spreads the end of
-            a generation more evenly over the workers, more asks less often.
-        wait_s: How long a lease request may wait for a job when there is nothing to do, at most 60.
-        report_after_s: A finished job is reported at the latest after this time.
-        memory_mib: Memory that an episode may add to what its process had at the start; 0 sets no limit.
-        grace_s: How long a running episode may go on after the worker was asked to stop.
-        exit_when_idle_s: Leave after this time without a job, or None to stay.
-        plugins: Modules to import for their registrations, besides those that ``BRINK_PLUGINS`` names.
-        start_timeout_s: How long the simulation process may take to import its simulators.
-        abandon_after_s: A running job whose lease is lost is given up if it has run for this long, since a new
-            process costs about a second; shorter ones end by themselves.
-        exit_with_parent: Leave when standard input reaches its end.
+        worker_id: Unique name, constant for the life of the process, 1 to 64 characters.
+        token: Bearer token, or None if the coordinator requires none.
+        max_jobs: Most jobs to hold at once, the running one included, 1 to 128.
+        prefetch_s: Simulation time worth of jobs to hold, at most `max_jobs` jobs. A smaller value spreads the end of
+            a generation more evenly over the workers; a larger one makes fewer requests.
+        wait_s: How long the lease request of an idle worker may wait for a job, at most 60.
+        report_after_s: Longest time that an outcome waits before it is reported.
+        memory_mib: Memory that episodes may add to what the started simulation process uses; 0 sets no limit.
+        grace_s: How long the running episode may continue after the worker was asked to stop.
+        exit_when_idle_s: Time without a job after which the worker exits, or None.
+        plugins: Modules to import for their plug-ins, in addition to those in ``BRINK_PLUGINS``.
+        start_timeout_s: Time limit for importing the simulators in the simulation process.
+        abandon_after_s: A running job whose lease is lost is killed once it has run this long. A shorter one may
+            finish, since starting a new process costs about a second.
+        exit_with_parent: Exit when standard input ends.
     """
 
     server: str

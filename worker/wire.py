@@ -1,32 +1,40 @@
-"""The wire between coordinator and workers: plain JSON, one model a message.
+"""Messages between coordinator and workers: plain JSON, one model per message.
 
-A worker in any language needs three requests: lease, heartbeat, results. Times are durations in seconds; the
-coordinator's clock alone decides.
+A worker in any language needs three requests: lease, heartbeat and results. Times are durations in seconds, and only
+the coordinator's clock decides.
 """
 
+import functools
 import json
+import os
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 WIRE_VERSION = 1
+MAX_DEPTH = 32
+"""Deepest nesting of JSON values in a result."""
+
 NO_NUL = r"^[^\x00]*$"
-"""Text that every database can store."""
+"""Pattern of text that every database can store."""
+
 LeaseToken = Annotated[
-    str, Field(min_length=1, max_length=64, pattern=r"^[!-~]+$", description="Names one lease of one job.")
+    str,
+    Field(min_length=1, max_length=64, pattern=r"^[!-~]+$", description="Identifies one lease of one job."),
 ]
 JobNumber = Annotated[int, Field(ge=0, le=2**63 - 1)]
 
 
 class Message(BaseModel):
-    """Base of every message: unknown fields are refused, values are immutable."""
+    """Base of all messages: unknown fields are rejected, values are immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class WorkerIdentity(Message):
-    """Who asks."""
+    """The worker that makes a request."""
 
     id: Annotated[
         str,
@@ -47,14 +55,14 @@ class WorkerIdentity(Message):
         Field(
             max_length=128,
             pattern=NO_NUL,
-            description="Boot id and PID namespace of the process. A coordinator of the same machine looks `pid` up "
-            "and takes the leases of a dead process back at once; empty: it never does.",
+            description="Boot id and PID namespace of the process. A coordinator on the same machine looks up `pid` "
+            "and takes back the leases of a dead process at once. If empty, it never does.",
         ),
     ] = ""
 
 
 class LeaseRequest(Message):
-    """Ask for jobs; waits up to `wait_s` for one to arrive."""
+    """A request for jobs, which waits up to `wait_s` for one to arrive."""
 
     worker: WorkerIdentity
     capabilities: Annotated[
@@ -66,22 +74,22 @@ class LeaseRequest(Message):
 
 
 class LeasedJob(Message):
-    """One job, leased to one worker."""
+    """A job that is leased to one worker."""
 
     job: int
     token: LeaseToken
     attempt: Annotated[int, Field(ge=1, description="1 on the first try.")]
     spec: Annotated[dict[str, Any], Field(description="The EpisodeSpec to run.")]
     record: Annotated[bool, Field(description="Whether the result must carry the trace.")] = False
-    timeout_s: Annotated[float, Field(gt=0, description="Wall-clock time after which to give up.")]
-    campaign: Annotated[str, Field(max_length=64, description="Whose it is, for logs.")] = ""
+    timeout_s: Annotated[float, Field(gt=0, description="Wall-clock limit of the episode.")]
+    campaign: Annotated[str, Field(max_length=64, description="The job's campaign, for logs.")] = ""
 
 
 class LeaseReply(Message):
-    """The jobs that were granted, perhaps none."""
+    """The jobs that were granted, possibly none."""
 
     jobs: list[LeasedJob]
-    lease_s: Annotated[float, Field(gt=0, description="How long each lease holds unless it is renewed.")]
+    lease_s: Annotated[float, Field(gt=0, description="How long each lease lasts unless it is renewed.")]
 
 
 class HeldLease(Message):
@@ -92,27 +100,28 @@ class HeldLease(Message):
 
 
 class HeartbeatRequest(Message):
-    """Renew leases, at least every third of `lease_s`."""
+    """A request to renew leases, due at least every third of `lease_s`."""
 
     worker: WorkerIdentity
     leases: Annotated[list[HeldLease], Field(max_length=512)]
 
 
 class HeartbeatReply(Message):
-    """The jobs that are still held; drop all others."""
+    """The jobs that are still held; the worker must drop all others."""
 
     held: list[int]
     lease_s: float
 
 
-MAX_DEPTH = 32
-
-
 def _plain_json(value: dict[str, Any]) -> dict[str, Any]:
-    """Refuse what cannot be written as JSON again: nesting without end, half a surrogate pair, NaN."""
+    """Reject values that cannot be written as JSON again: deep nesting, lone surrogates, NaN.
+
+    Raises:
+        ValueError: The value is nested too deeply or is not JSON.
+    """
     level: list[Any] = [value]
     for _ in range(MAX_DEPTH):
-        level = [inner for item in level for inner in _inside(item)]
+        level = [inner for item in level for inner in _children(item)]
         if not level:
             break
     else:
@@ -124,20 +133,18 @@ def _plain_json(value: dict[str, Any]) -> dict[str, Any]:
     return value
 
 
-def _inside(item: object) -> Iterable[Any]:
+def _children(item: object) -> Iterable[Any]:
     if isinstance(item, dict):
         return item.values()
     return item if isinstance(item, list | tuple) else ()
 
 
 JsonValues = Annotated[dict[str, Any], AfterValidator(_plain_json)]
-
-
 ValueName = Annotated[str, Field(min_length=1, max_length=128, pattern=NO_NUL)]
 
 
 class WireVerdict(Message):
-    """What a requirement says of an episode."""
+    """The verdict of one requirement on an episode."""
 
     robustness: Annotated[float, Field(allow_inf_nan=False, description="Negative if violated.")]
     unit: Annotated[str, Field(max_length=16)]
@@ -145,7 +152,7 @@ class WireVerdict(Message):
 
 
 class Completed(Message):
-    """An episode that ran to its end."""
+    """The outcome of an episode that ran to its end."""
 
     kind: Literal["completed"] = "completed"
     verdicts: Annotated[dict[ValueName, WireVerdict], Field(max_length=64)]
@@ -154,11 +161,11 @@ class Completed(Message):
     ] = Field(default_factory=dict)
     features: Annotated[JsonValues, Field(max_length=256)] = Field(default_factory=dict)
     provenance: Annotated[JsonValues, Field(max_length=64)] = Field(default_factory=dict)
-    trace: Annotated[str, Field(max_length=8_000_000, description="Base64 of the npz trace.")] | None = None
+    trace: Annotated[str, Field(max_length=8_000_000, description="The npz trace in base64.")] | None = None
 
 
 class JobFailed(Message):
-    """An episode that gave no verdict."""
+    """The outcome of an episode without a verdict."""
 
     kind: Literal["failed"] = "failed"
     reason: Annotated[
@@ -180,29 +187,45 @@ class JobResult(Message):
 
 
 class ResultsRequest(Message):
-    """Report outcomes, give leases back, and ask for the next lease in the same request."""
+    """A request that reports outcomes, releases leases, and may lease the next jobs."""
 
     worker: WorkerIdentity
     results: Annotated[list[JobResult], Field(max_length=256)]
     release: Annotated[
         list[HeldLease],
-        Field(max_length=512, description="Leases handed back unrun, without a charge to their attempts."),
+        Field(
+            max_length=512, description="Leases of jobs that were not run; releasing them costs no attempt."
+        ),
     ] = Field(default_factory=list)
     lease: LeaseRequest | None = None
 
 
 class ResultStatus(Message):
-    """What became of one reported outcome."""
+    """The answer to one reported outcome."""
 
     job: int
     status: Annotated[
         Literal["accepted", "duplicate", "stale"],
-        Field(description="`duplicate`: stored before. `stale`: the lease was lost; nothing changed."),
+        Field(description="`duplicate`: already stored. `stale`: the lease was lost; nothing changed."),
     ]
 
 
 class ResultsReply(Message):
-    """One status for each reported outcome, in order, and the next lease if one was asked for."""
+    """One status for each reported outcome, in order, and the next lease if it was requested."""
 
     statuses: list[ResultStatus]
     lease: LeaseReply | None = None
+
+
+@functools.cache
+def machine_name() -> str:
+    """Return `WorkerIdentity.machine` of this process: two processes share it only if they share process ids.
+
+    It names this boot of this kernel and the PID namespace; a host name is not enough, since containers and clones of
+    virtual machines share host names. The result is empty on systems that provide neither.
+    """
+    try:
+        boot_id = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        return f"{boot_id} {os.readlink('/proc/self/ns/pid')}"
+    except OSError:
+        return ""

@@ -1,1 +1,1 @@
-"""Measurements of the whole service, each with its target."""
+"""Measurements of the service, of its simulators and of its methods, each with its target."""

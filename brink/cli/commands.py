@@ -21,7 +21,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
     "Run": {
         "run": ("brink.cli.run:run", "Run a campaign: coordinator, workers, results, pictures"),
         "submit": ("brink.cli.submit:submit", "Submit a campaign to a coordinator"),
-        "experiment": ("brink.cli.experiments.commands:experiment", "Compare algorithms over problems and seeds"),
+        "experiment": ("brink.cli.experiment:experiment", "Compare algorithms over problems and seeds"),
     },
     "Inspect": {
         "status": ("brink.cli.inspect:status", "Show campaigns, or the progress of one"),
@@ -57,7 +57,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
     "Tools": {
         "perturbations": ("brink.cli.perturbations:perturbations", "List and show image perturbations"),
         "llm": ("brink.cli.llm:llm", "Check and preview language models"),
-        "bench": ("brink.cli.benchmarks.commands:bench", "Measure this installation"),
+        "bench": ("brink.cli.bench:bench", "Measure this installation"),
     },
 }  # fmt: skip
 """By section and name: where the command is defined, ``module:attribute``, and its line in ``brink --help``."""

@@ -8,8 +8,8 @@ from rich.console import Console
 from rich.table import Table
 
 from brink.api.client import Api
+from brink.cli.draw import FetchedArchive, fetch_archive
 from brink.cli.options import AsJson, Database, Server, console, print_json, with_api
-from brink.cli.pictures import FetchedArchive, fetch_archive
 from brink.search.analysis.boundary import PAPER_D_THS, PAPER_T_BS
 from brink.search.analysis.comparison import ComparedCampaign, Row, control_summaries
 from brink.search.analysis.comparison import compare as compare_campaigns

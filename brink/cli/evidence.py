@@ -13,9 +13,8 @@ from rich.progress import Progress
 
 from brink import __version__
 from brink.api.client import Api, CoordinatorSaid
+from brink.cli.draw import FetchedArchive, NoTrace, fetch_archive, fetch_trace, requirement_of, run_again
 from brink.cli.options import AsJson, CampaignId, Database, Server, console, print_json, with_api
-from brink.cli.pictures import FetchedArchive, fetch_archive
-from brink.cli.replays import NoTrace, fetch_trace, requirement_of, run_again
 from brink.report.component import seen_and_said, write_boxes
 from brink.search.analysis.rules import Rules, region_rules, rules_markdown
 from brink.search.errors import MissingExtra, install_command

@@ -11,8 +11,8 @@ from rich.table import Table
 
 from brink import __version__
 from brink.api.client import Api
+from brink.cli.draw import FetchedArchive, fetch_archive
 from brink.cli.options import AsJson, Database, Server, check_picture, console, print_json, with_api
-from brink.cli.pictures import FetchedArchive, fetch_archive
 from brink.search.analysis.monitor import Answer, Monitor
 from brink.search.analysis.monitor_evaluation import MonitorEvaluation, evaluate_monitor, fewest_false_alarms
 from brink.search.archive import Archive

@@ -9,9 +9,7 @@ from rich.table import Table
 
 from brink.cli.options import AsJson, console, print_json
 from brink.server.errors import FieldError, InvalidInput, nearest
-from brink.sim.perturbations.catalogue import CATALOGUE
-from brink.sim.perturbations.errors import VisionMissing
-from brink.sim.perturbations.gene import Gene
+from brink.sim.perturbations.catalogue import CATALOGUE, Gene, VisionMissing
 
 perturbations = typer.Typer(help="List image perturbations, and show what they do.", no_args_is_help=True)
 
@@ -86,9 +84,7 @@ def show(
             ".venv/bin/pip install -c constraints.txt -e '.[vision]'"
         )
     # Imported here: they load OpenCV, which a coordinator need not have.
-    from brink.sim.perturbations.files import read_picture, write_picture
-    from brink.sim.perturbations.sheet import contact_sheet
-    from brink.sim.perturbations.street import draw_street
+    from brink.sim.perturbations.pictures import contact_sheet, draw_street, read_picture, write_picture
 
     picture = draw_street() if image is None else read_picture(image)
     write_picture(contact_sheet(picture, genes, seed=seed, tile_width=tile_width), out)

@@ -9,8 +9,8 @@ import typer
 import yaml
 from rich.table import Table
 
-from brink.cli.experiments.results import repeats_of
-from brink.cli.experiments.running import run_experiment
+from brink.cli.draw import fetch_archive
+from brink.cli.experiment import repeats_of, run_experiment
 from brink.cli.local import RESULTS
 from brink.cli.options import (
     AsJson,
@@ -27,7 +27,6 @@ from brink.cli.options import (
     print_json,
     with_api,
 )
-from brink.cli.pictures import fetch_archive
 from brink.search.analysis.boundary import P_THS, PAPER_D_THS, PAPER_T_BS, RADII, Rescored, by_p_th, by_radius
 from brink.search.analysis.comparison import Measure, lines_of
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file

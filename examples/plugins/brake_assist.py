@@ -1,4 +1,4 @@
-"""An own simulator and problem: a car with a distance sensor brakes for a wall. Run it with
+"""A simulator and a problem as plug-ins: a car with a distance sensor brakes for a wall. Run it with
 
 cd examples/plugins && brink --plugin brake_assist run brake_assist.yaml
 """
@@ -22,7 +22,7 @@ SPACE = SearchSpace(
 
 
 class BrakeAssistSimulator:
-    """Brakes when the sensed distance falls below the dry braking distance and a margin; gusts push it on."""
+    """Brakes when the sensed distance falls below the dry braking distance plus a margin; gusts push it forward."""
 
     def run(self, spec, *, record=False):
         road, speed, bias, delay = (*spec.scenario.values(), *spec.behaviour.values())
@@ -36,7 +36,7 @@ class BrakeAssistSimulator:
 
 
 class BrakeAssist:
-    """Which sensor faults are hazardous on which road?"""
+    """Finds which sensor faults are hazardous on which road."""
 
     id, summary, params_type = "brake-assist@1", "A sensor's bias and delay against road and speed.", NoParams
     needs, timeout_s, space, algorithm_defaults = "brake-assist-sim@1", 10.0, SPACE, {"radius": 0.1}

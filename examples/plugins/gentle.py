@@ -1,16 +1,16 @@
-"""An own requirement: passengers stand up to 3 m/s² of braking. Run it with
+"""A requirement as a plug-in: the ego brakes with at most 3 m/s². Run it with
 
 cd examples/plugins && brink --plugin gentle run gentle.yaml
 """
 
 from brink.sim.catalogue import REQUIREMENTS, register
-from brink.sim.requirements.margin import Margin
+from brink.sim.requirements import Margin
 
 COMFORTABLE_MPS2 = 3.0
 
 
 class Gentle(Margin):
-    """Robustness: what is left to the limit, in m/s², from the speeds of two control steps."""
+    """Robustness: margin to the limit in m/s², from the speeds of two control steps."""
 
     unit = "m/s²"
     horizon = 10.0

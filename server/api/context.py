@@ -11,10 +11,10 @@ from fastapi import Depends, Request
 
 from brink.server.access.gate import Caller
 from brink.server.campaigns.archives import Archives
-from brink.server.campaigns.films import Films
 from brink.server.campaigns.monitors import Monitors
 from brink.server.campaigns.scheduler import Scheduler
 from brink.server.campaigns.service import CampaignService
+from brink.server.campaigns.traces import Films
 from brink.server.dashboard.figures import Figures
 from brink.server.db.engine import Engines
 from brink.server.experiments.scorebook import Scorebook

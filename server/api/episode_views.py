@@ -1,68 +1,242 @@
-"""A trace as columns of rounded numbers, checked: a worker may have sent anything."""
+"""An episode as the API returns it: a trace and its scene model in columns of rounded numbers, ready to be drawn.
 
-from collections.abc import Callable, Mapping
-from typing import Any, Final, TypeVar
+Whatever is absent at a sample or unbounded is null. Positions are rounded to 1 mm, angles to 0.0001 rad, boxes to a
+tenth of a pixel. Traces are checked first: a worker may have sent anything.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
-from brink.server.api.episode_schemas import (
-    ActorView,
-    Column,
-    EgoView,
-    EpisodeView,
-    EpisodeWords,
-    EventView,
-    FilmView,
-    PictureCamera,
-    Point,
-    RowsView,
-    StoryView,
-    SurfaceView,
-)
+from brink.server.api.schemas import View
 from brink.sim.driving.camera import Camera
 from brink.sim.errors import InvalidEpisode
-from brink.sim.replay.captions import (
-    REQUIREMENT_UNITS,
+from brink.sim.replay.scene import (
+    GHOSTS,
+    LABELS,
+    PERSON_REGION,
+    PICTURE_COLOURS,
+    SHAPES,
+    SIGHTED,
+    SKETCHED_FROM_M,
+    SKETCHED_TO_M,
+    EpisodeScene,
+    Flags,
+    ReplayError,
+    is_car,
+    map_centres,
+    pictures_shown,
+    score_threshold,
+    surface_style,
+)
+from brink.sim.replay.story import (
+    event_caption,
     perturbation_words,
-    plain_name,
     report_word,
     scenario_words,
+    story_of,
+    unit_of,
 )
-from brink.sim.replay.errors import ReplayError
-from brink.sim.replay.moments import tell
-from brink.sim.replay.picture_view import threshold_of
 from brink.sim.trace import (
+    ACTION,
     BOX_COLUMNS,
     FOUND_COLUMNS,
     JUDGED_COLUMNS,
     PERCEIVED_COLUMNS,
     ActorTrack,
     Film,
+    FloatArray,
     Ragged,
+    Surface,
     Trace,
 )
 
 LONGEST_S: Final = 24 * 3600.0
-"""Of an episode that is drawn: a page draws marks along its time."""
+"""Longest episode that is drawn: the dashboard draws marks along its time."""
 MOST_NUMBERS: Final = 4_000_000
-"""Of a whole episode: an hour of an urban drive has a third of them."""
-
+"""Numbers in the arrays of one episode; an hour of urban driving has a third of this."""
 LEAST_SCORE: Final = 0.1
-"""Detections less sure than this are left out: there are ten times as many as others, and nobody looks at them."""
+"""Detections with a lower score are left out: there are ten times as many of them, and nobody looks at them."""
+LOOK_AHEAD_M: Final = 12.0
+"""How far ahead of the ego the middle of the dashboard's map lies."""
 
-_PLACE: Final = 3
-_ANGLE: Final = 4
-_BOX: Final = 1
-_DIGITS: Final = {
-    "score": 3, "x_m": _PLACE, "y_m": _PLACE, "vx_mps": 2, "vy_mps": 2, "length_m": 2, "width_m": 2,
-}  # fmt: skip
 _COLUMNS: Final = {
     "seen_boxes": BOX_COLUMNS, "given_boxes": BOX_COLUMNS, "perceived": PERCEIVED_COLUMNS,
     "judged": JUDGED_COLUMNS, "found": FOUND_COLUMNS,
 }  # fmt: skip
+_PLACE: Final = 3
+_ANGLE: Final = 4
+_BOX: Final = 1
+_DECIMALS: Final = {
+    "score": 3, "x_m": _PLACE, "y_m": _PLACE, "vx_mps": 2, "vy_mps": 2, "length_m": 2, "width_m": 2,
+}  # fmt: skip
+"""Decimals of the columns of rows; others have those of boxes."""
 
-T = TypeVar("T")
+Column: TypeAlias = list[float | None]
+Point: TypeAlias = tuple[float, float]
+Ring: TypeAlias = Sequence[Point]
+
+
+class TrackView(View):
+    """A road user at each sample; null where it is absent."""
+
+    x_m: Column
+    y_m: Column
+    yaw_rad: Column
+    speed_mps: Column
+    length_m: float
+    width_m: float
+    brakes: Annotated[list[bool], Field(description="Whether its brake lights are on.")]
+
+
+class EgoView(TrackView):
+    """The ego at each sample."""
+
+    accel_mps2: Column
+
+
+class ActorView(TrackView):
+    """Another road user at each sample."""
+
+    name: str
+    kind: Annotated[str, Field(description="vehicle or pedestrian.")]
+    shape: Annotated[str, Field(description="How it is drawn: car or person.")]
+
+
+class SurfaceView(View):
+    """A flat polygon or line of the scene; surfaces are drawn in the given order."""
+
+    kind: str
+    closed: Annotated[bool, Field(description="Whether it is an area; otherwise a line of `width_m`.")]
+    width_m: float
+    points: Annotated[list[Point], Field(description="In metres.")]
+    paint: Annotated[str, Field(description="Kinds that look alike share a paint.")]
+    outlined: Annotated[bool, Field(description="Whether its edge is drawn.")]
+    height_m: Annotated[float, Field(description="How tall it is drawn in perspective; 0 if it is flat.")]
+
+
+class CentreView(View):
+    """Centre of the map at each sample, in metres."""
+
+    x_m: Column
+    y_m: Column
+
+
+class ShapesView(View):
+    """Road users from above. A car's corners are in half lengths ahead and half widths to the left of its centre."""
+
+    car_body: Ring
+    car_windows: Sequence[Ring]
+    car_brake_lights: Sequence[Ring]
+    person_radius_m: float
+    person_nose: Annotated[float, Field(description="Reach of the nose from the centre, in radii.")]
+
+
+class RowsView(View):
+    """Rows that belong to samples, any number per sample, in columns."""
+
+    first: Annotated[
+        list[int], Field(description="Where the rows of each sample begin, and where those of the last end.")
+    ]
+    columns: Annotated[dict[str, Column], Field(description="By name; label is 0 vehicle, 1 person.")]
+
+
+class PictureCamera(View):
+    """The camera of the boxes `seen` and `given`, which are in its pixels. It looks along the ego's yaw."""
+
+    width_px: int
+    height_px: int
+    focal_px: float
+    centre_x_px: float
+    horizon_px: float
+    height_m: Annotated[float, Field(description="Above the ground.")]
+    forward_m: Annotated[float, Field(description="Ahead of the ego's centre.")]
+    from_m: Annotated[float, Field(description="Sketches leave out what is nearer.")]
+    to_m: Annotated[float, Field(description="Sketches leave out areas that begin farther away.")]
+
+
+class FilmView(View):
+    """The pictures of a camera in the loop. Boxes are in pixels of these pictures."""
+
+    size_px: tuple[int, int]
+    samples: Annotated[list[int], Field(description="The sample of each picture, ascending.")]
+    shown: Annotated[list[int], Field(description="Index of the picture that each sample shows.")]
+    judged: Annotated[RowsView, Field(description="Ground truth; ignored is 1 where it counts for nothing.")]
+    found: Annotated[
+        RowsView,
+        Field(description="Detections with at least `least_score`; counts is 1 from `threshold` on."),
+    ]
+    threshold: Annotated[float, Field(description="Least score of a detection that counted.")]
+    least_score: Annotated[float, Field(description="Least score of a detection that is listed.")]
+    regions: Annotated[dict[str, list[Point]], Field(description="Areas that trigger the brake.")]
+    person_region: Annotated[
+        str, Field(description="Name of the region for people; the other regions are for vehicles.")
+    ]
+    colours: Annotated[dict[str, str], Field(description="Of the lines: judged, found, region.")]
+
+
+class EventView(View):
+    """A notable moment of an episode."""
+
+    time_s: float
+    kind: str
+    text: str
+    caption: Annotated[str, Field(description="The event in words.")]
+    marked: Annotated[bool, Field(description="Whether it is marked on a time axis.")]
+
+
+class StoryView(View):
+    """What the episode is about."""
+
+    requirement: str
+    violated: bool
+    decisive: Annotated[int, Field(description="Sample of the first violation, or of the least robustness.")]
+
+
+class EpisodeWords(View):
+    """The episode in words. Lists are by label; their last entry is for any other label."""
+
+    scenario: str
+    perturbations: Annotated[str, Field(description="Of the camera's pictures; empty without any.")]
+    report: Annotated[str, Field(description="How the given boxes came about: injected, detected or seen.")]
+    labels: Annotated[Sequence[str], Field(description="Names of labels.")]
+    sighted: Annotated[Sequence[str], Field(description="Captions of perceived obstacles that are there.")]
+    ghosts: Annotated[Sequence[str], Field(description="Captions of ghosts.")]
+
+
+class EpisodeView(View):
+    """An episode, sampled."""
+
+    time_s: list[float]
+    ego: EgoView
+    route: Annotated[list[Point], Field(description="Centre line of the ego's lane.")]
+    route_layer: Annotated[int, Field(description="How many surfaces of the scene lie below the route.")]
+    centre: CentreView
+    actors: list[ActorView]
+    scene: list[SurfaceView]
+    shapes: ShapesView
+    seen: Annotated[RowsView, Field(description="Ground truth in the picture: the component's input.")]
+    given: Annotated[RowsView, Field(description="What the driving system was told is there.")]
+    perceived: Annotated[
+        RowsView,
+        Field(
+            description="What the driving system perceives. A box is drawn at `yaw_rad`, `drawn_length_m` by "
+            "`drawn_width_m`; ghost is 1 if nothing of its kind is there."
+        ),
+    ]
+    plan_mode: list[str]
+    target_speed_mps: Column
+    lights: Annotated[list[str], Field(description="State of the ego's traffic light; empty without one.")]
+    robustness: Annotated[dict[str, Column], Field(description="Over time, by requirement.")]
+    units: Annotated[dict[str, str], Field(description="By requirement; empty where unknown.")]
+    events: list[EventView]
+    story: StoryView | None
+    words: EpisodeWords
+    camera: PictureCamera
+    film: FilmView | None
 
 
 def episode_view(trace: Trace, requirement: str | None) -> EpisodeView:
@@ -70,52 +244,60 @@ def episode_view(trace: Trace, requirement: str | None) -> EpisodeView:
 
     Args:
         trace: The episode.
-        requirement: What the campaign judges; what a replay would be about, if not given.
+        requirement: The requirement that the campaign judges; by default the one that a replay is about.
 
     Raises:
         InvalidEpisode: The trace does not fit together, or is too long to be drawn.
     """
     _check(trace)
-    ego = trace.ego
+    scene = EpisodeScene.of(trace)
+    obstacles = scene.obstacles
+    centre_x_m, centre_y_m = map_centres(trace, LOOK_AHEAD_M).T
     return EpisodeView.model_construct(
-        time_s=_column(trace.time_s, _PLACE),
+        time_s=_metres(trace.time_s),
         ego=EgoView.model_construct(
-            x_m=_column(ego[:, 0], _PLACE),
-            y_m=_column(ego[:, 1], _PLACE),
-            yaw_rad=_column(ego[:, 2], _ANGLE),
-            speed_mps=_column(ego[:, 3], _PLACE),
-            accel_mps2=_column(ego[:, 4], _PLACE),
-            length_m=_length(trace.ego_size_m[0]),
-            width_m=_length(trace.ego_size_m[1]),
+            **_track(trace.ego, trace.ego_size_m, scene.ego_brakes), accel_mps2=_metres(trace.ego[:, 4])
         ),
         route=_points(trace.route, _PLACE),
-        actors=[_actor(actor) for actor in trace.actors],
-        scene=[
-            SurfaceView.model_construct(
-                kind=str(surface.kind),
-                closed=bool(surface.closed),
-                width_m=_length(surface.width_m),
-                points=_points(surface.points, _PLACE),
-            )
-            for surface in trace.scene
+        route_layer=scene.route_layer,
+        centre=CentreView.model_construct(x_m=_metres(centre_x_m), y_m=_metres(centre_y_m)),
+        actors=[
+            _actor(actor, brakes) for actor, brakes in zip(trace.actors, scene.actors_brake, strict=True)
         ],
+        scene=[_surface(surface) for surface in trace.scene],
+        shapes=ShapesView.model_construct(**SHAPES._asdict()),
         seen=_rows(trace.seen_boxes),
         given=_rows(trace.given_boxes),
-        perceived=_rows(trace.perceived),
+        perceived=_rows(
+            trace.perceived,
+            yaw_rad=_column(obstacles.yaw_rad, _ANGLE),
+            drawn_length_m=_metres(obstacles.length_m),
+            drawn_width_m=_metres(obstacles.width_m),
+            ghost=obstacles.ghost.astype(int).tolist(),
+        ),
         plan_mode=[str(mode) for mode in trace.plan_mode],
         target_speed_mps=_column(trace.target_speed_mps, 2),
         lights=[str(light) for light in trace.lights],
-        robustness={str(name): _column(series, _PLACE) for name, series in trace.robustness.items()},
-        units={str(name): REQUIREMENT_UNITS.get(plain_name(str(name)), "") for name in trace.robustness},
+        robustness={str(name): _metres(series) for name, series in trace.robustness.items()},
+        units={str(name): unit_of(str(name)) for name in trace.robustness},
         events=[
-            EventView.model_construct(time_s=_length(e.time_s), kind=str(e.kind), text=str(e.text))
-            for e in trace.events
+            EventView.model_construct(
+                time_s=_length(event.time_s),
+                kind=str(event.kind),
+                text=str(event.text),
+                caption=event_caption(event),
+                marked=event.kind != ACTION,
+            )
+            for event in trace.events
         ],
         story=_story(trace, requirement),
         words=EpisodeWords.model_construct(
-            scenario=_said(scenario_words, trace, ""),
-            perturbations=_said(perturbation_words, trace, ""),
+            scenario=_or_empty(scenario_words, trace),
+            perturbations=_or_empty(perturbation_words, trace),
             report=report_word(trace),
+            labels=LABELS,
+            sighted=SIGHTED,
+            ghosts=GHOSTS,
         ),
         camera=_camera(),
         film=None if trace.film is None else _film(trace, trace.film),
@@ -123,7 +305,7 @@ def episode_view(trace: Trace, requirement: str | None) -> EpisodeView:
 
 
 def _check(trace: Trace) -> None:
-    """Raise InvalidEpisode if arrays do not belong together."""
+    """Raise InvalidEpisode if the arrays do not belong together."""
     samples = len(trace.time_s)
     _expect(isinstance(trace.about, Mapping), "about: expected a mapping")
     _expect(
@@ -148,7 +330,7 @@ def _check(trace: Trace) -> None:
     if trace.film is not None:
         ragged |= {"judged": trace.film.judged, "found": trace.film.found}
         pictures = trace.film.samples
-        _expect(pictures.shape == (len(trace.film.pictures),), "film: expected one sample a picture")
+        _expect(pictures.shape == (len(trace.film.pictures),), "film: expected one sample per picture")
         within = ((pictures >= 0) & (pictures < samples)).all() and (np.diff(pictures) > 0).all()
         _expect(bool(within), "film: expected ascending samples of the episode")
     for name, rows in ragged.items():
@@ -177,16 +359,20 @@ def _expect(holds: bool, message: str) -> None:
         raise InvalidEpisode(message)
 
 
-def _column(values: ArrayLike, digits: int) -> Any:
-    """Return numbers rounded; what is not finite is written as null later."""
-    return np.round(np.asarray(values, dtype=np.float64), digits).tolist()
+def _column(values: ArrayLike, decimals: int) -> Any:
+    """Return rounded numbers; pydantic writes those that are not finite as null."""
+    return np.round(np.asarray(values, dtype=np.float64), decimals).tolist()
 
 
-def _points(points: ArrayLike, digits: int) -> list[Point]:
+def _metres(values: ArrayLike) -> Any:
+    return _column(values, _PLACE)
+
+
+def _points(points: ArrayLike, decimals: int) -> list[Point]:
     array = np.asarray(points, dtype=np.float64)
     _expect(array.ndim == 2 and array.shape[1] == 2, f"points: expected shape (k, 2), got {array.shape}")
     _expect(bool(np.isfinite(array).all()), "points: expected finite numbers")
-    return [(x, y) for x, y in np.round(array, digits).tolist()]
+    return [(x, y) for x, y in np.round(array, decimals).tolist()]
 
 
 def _length(value: float) -> float:
@@ -195,44 +381,58 @@ def _length(value: float) -> float:
     return round(number, _PLACE)
 
 
-def _actor(actor: ActorTrack) -> ActorView:
-    x_m, y_m, yaw_rad, speed_mps = actor.motion.T
+def _track(motion: FloatArray, size_m: tuple[float, float], brakes: Flags) -> dict[str, Any]:
+    """Return the fields of a `TrackView`; x_m, y_m, yaw_rad, speed_mps are the first columns of the motion."""
+    names = {"x_m": _PLACE, "y_m": _PLACE, "yaw_rad": _ANGLE, "speed_mps": _PLACE}
+    columns = {name: _column(motion[:, place], names[name]) for place, name in enumerate(names)}
+    return columns | {
+        "length_m": _length(size_m[0]),
+        "width_m": _length(size_m[1]),
+        "brakes": brakes.tolist(),
+    }
+
+
+def _actor(actor: ActorTrack, brakes: Flags) -> ActorView:
     return ActorView.model_construct(
         name=str(actor.name),
         kind=str(actor.kind),
-        length_m=_length(actor.length_m),
-        width_m=_length(actor.width_m),
-        x_m=_column(x_m, _PLACE),
-        y_m=_column(y_m, _PLACE),
-        yaw_rad=_column(yaw_rad, _ANGLE),
-        speed_mps=_column(speed_mps, _PLACE),
+        shape="car" if is_car(actor) else "person",
+        **_track(actor.motion, (actor.length_m, actor.width_m), brakes),
     )
 
 
-def _rows(ragged: Ragged) -> RowsView:
+def _surface(surface: Surface) -> SurfaceView:
+    style = surface_style(str(surface.kind))
+    return SurfaceView.model_construct(
+        kind=str(surface.kind),
+        closed=bool(surface.closed),
+        width_m=_length(surface.width_m),
+        points=_points(surface.points, _PLACE),
+        paint=style.paint,
+        outlined=style.outlined,
+        height_m=style.height_m,
+    )
+
+
+def _rows(ragged: Ragged, **derived: Column) -> RowsView:
+    """Return rows in columns, with columns that the scene model adds."""
     columns: dict[str, Column] = {
-        str(name): _column(ragged.rows[:, place], _DIGITS.get(str(name), _BOX))
+        str(name): _column(ragged.rows[:, place], _DECIMALS.get(str(name), _BOX))
         for place, name in enumerate(ragged.columns)
     }
-    return RowsView.model_construct(first=ragged.first.tolist(), columns=columns)
-
-
-def _surer(found: Ragged) -> Ragged:
-    kept = found.rows[:, FOUND_COLUMNS.index("score")] >= LEAST_SCORE
-    before = np.concatenate([[0], np.cumsum(kept)])
-    return Ragged(columns=found.columns, first=before[found.first], rows=found.rows[kept])
+    return RowsView.model_construct(first=ragged.first.tolist(), columns={**columns, **derived})
 
 
 def _story(trace: Trace, requirement: str | None) -> StoryView | None:
-    """Return what the episode is about: what the campaign judges, or else what is violated first."""
+    """Return what the episode is about: the requirement that the campaign judges, or the first that is violated."""
     try:
-        story = tell(trace, requirement)
+        story = story_of(trace, requirement)
         if requirement is None and not story.violated:
             below = {name: np.flatnonzero(series < 0) for name, series in trace.robustness.items()}
             violated = {name: int(samples[0]) for name, samples in below.items() if samples.size}
-            story = tell(trace, min(violated, key=violated.__getitem__)) if violated else story
+            story = story_of(trace, min(violated, key=violated.__getitem__)) if violated else story
     except ReplayError:
-        if requirement is not None:  # the campaign judges something that the trace does not record
+        if requirement is not None:  # the trace does not record the requirement that the campaign judges
             return _story(trace, None)
         return None
     return StoryView.model_construct(
@@ -240,35 +440,47 @@ def _story(trace: Trace, requirement: str | None) -> StoryView | None:
     )
 
 
-def _said(say: Callable[[Trace], T], trace: Trace, otherwise: T) -> T:
-    """Return words of a trace; what a worker wrote of its scenario may be anything."""
+def _or_empty(describe: Callable[[Trace], str], trace: Trace) -> str:
+    """Return a description of a trace; empty if the trace is malformed, as a worker may have sent anything."""
     try:
-        return say(trace)
+        return describe(trace)
     except (LookupError, TypeError, ValueError, ArithmeticError):
-        return otherwise
+        return ""
 
 
 def _camera() -> PictureCamera:
     camera = Camera()
+    names = ("width_px", "height_px", "centre_x_px", "horizon_px", "height_m", "forward_m")
     return PictureCamera.model_construct(
-        width_px=camera.width_px,
-        height_px=camera.height_px,
+        **{name: getattr(camera, name) for name in names},
         focal_px=round(camera.focal_px, _PLACE),
-        centre_x_px=camera.centre_x_px,
-        horizon_px=camera.horizon_px,
-        height_m=camera.height_m,
-        forward_m=camera.forward_m,
+        from_m=SKETCHED_FROM_M,
+        to_m=SKETCHED_TO_M,
     )
 
 
 def _film(trace: Trace, film: Film) -> FilmView:
     width_px, height_px = (int(side) for side in film.size_px)
     _expect(min(width_px, height_px) > 0, f"film: expected a size above 0, got {film.size_px}")
+    threshold = score_threshold(trace)
+    found = _with_score(film.found, LEAST_SCORE)
+    counts = found.rows[:, FOUND_COLUMNS.index("score")] >= threshold
     return FilmView.model_construct(
         size_px=(width_px, height_px),
         samples=film.samples.tolist(),
+        shown=pictures_shown(film, len(trace.time_s)).tolist() if len(film.samples) else [],
         judged=_rows(film.judged),
-        found=_rows(_surer(film.found)),
-        threshold=_length(threshold_of(trace)),
+        found=_rows(found, counts=counts.astype(int).tolist()),
+        threshold=_length(threshold),
+        least_score=LEAST_SCORE,
         regions={str(name): _points(corners, _BOX) for name, corners in film.regions.items()},
+        person_region=PERSON_REGION,
+        colours={line: "#{:02x}{:02x}{:02x}".format(*colour) for line, colour in PICTURE_COLOURS.items()},
     )
+
+
+def _with_score(found: Ragged, least: float) -> Ragged:
+    """Return the detections with at least some score."""
+    listed = found.rows[:, FOUND_COLUMNS.index("score")] >= least
+    before = np.concatenate([[0], np.cumsum(listed)])
+    return Ragged(columns=found.columns, first=before[found.first], rows=found.rows[listed])

@@ -1,55 +1,202 @@
-"""Routes of what the dashboard draws of an episode: its trace in columns, and the pictures of its film."""
+"""Routes of one solution's episode: its trace, replays of it, the scene that the dashboard draws, its film.
+
+A trace that is not kept is made by a worker while the client waits. Nobody waits, and nothing is enqueued, while no
+live worker could make it.
+"""
 
 import asyncio
-from typing import Annotated
+from collections.abc import Callable
+from concurrent.futures import Executor
+from typing import Annotated, Any, Literal, TypeVar
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from fastapi import Path as PathParameter
+from fastapi.responses import JSONResponse
+from sqlalchemy import Connection
 
-from brink.server.api.context import Services
-from brink.server.api.episode_schemas import EpisodeView
-from brink.server.api.episode_views import episode_view
-from brink.server.api.schemas import MAX_NUMBER
-from brink.server.api.traces import NOT_YET, UNREADABLE, Wait, being_made, trace_of
-from brink.server.errors import Conflict
+from brink.server.api.context import Context, Services, client_gone
+from brink.server.api.episode_views import EpisodeView, episode_view
+from brink.server.api.schemas import MAX_NUMBER, BeingMade, ProblemDetail
+from brink.server.campaigns.traces import TraceStatus, trace_status
+from brink.server.campaigns.values import Campaign
+from brink.server.db.engine import read
+from brink.server.errors import Conflict, NotFound, NoWorker
+from brink.server.queue.workers import can_run
+from brink.server.states import JobStatus
+from brink.sim.errors import SimulatorError
+from brink.sim.replay import render_bytes
 from brink.sim.trace import Trace
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/solutions/{number}", tags=["solutions"])
 
 MOST_PICTURES = 1_000_000
+POLL_S = 0.25
+NO_WORKER_RETRY_S = 5
+REPLAY_MEDIA = {"png": "image/png", "gif": "image/gif", "mp4": "video/mp4"}
+"""Media types of replays, by extension."""
+
+NOT_YET: dict[int | str, dict[str, Any]] = {
+    202: {"model": BeingMade, "description": "A worker is making it; try again after `Retry-After`."},
+    503: {
+        "model": ProblemDetail,
+        "description": "No live worker can make it; try again after `Retry-After`.",
+    },
+}
+"""Responses of a route that needs a trace while there is none."""
+
+UNREADABLE = (
+    SimulatorError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError, MemoryError,
+)  # fmt: skip
+"""Errors that drawing a malformed trace may raise: a worker may send anything."""
+
 Number = Annotated[int, PathParameter(ge=0, le=MAX_NUMBER)]
-Index = Annotated[int, PathParameter(ge=0, lt=MOST_PICTURES, description="Of the film's pictures, from 0.")]
+Index = Annotated[
+    int, PathParameter(ge=0, lt=MOST_PICTURES, description="Index of a picture in the film, from 0.")
+]
+Wait = Annotated[float, Query(ge=0, le=60, description="How long to wait for workers to make the trace.")]
+
+T = TypeVar("T")
+
+
+@router.get(
+    "/trace",
+    response_class=Response,
+    responses={200: {"content": {"application/x-npz": {}}}, **NOT_YET},
+)
+async def get_trace(
+    campaign_id: str, number: Number, request: Request, services: Services, wait_s: Wait = 20.0
+) -> Response:
+    """Return the trace of a solution's episode as npz; a worker re-runs the episode if the trace was not kept."""
+    campaign = await services.campaigns.get(campaign_id)
+    document = await _trace_of(services, campaign, number, request, wait_s)
+    return _being_made() if document is None else Response(document, media_type="application/x-npz")
+
+
+@router.get(
+    "/replay.{extension}",
+    response_class=Response,
+    responses={200: {"content": {media: {} for media in REPLAY_MEDIA.values()}}, **NOT_YET},
+)
+async def get_replay(
+    campaign_id: str,
+    number: Number,
+    extension: Literal["png", "gif", "mp4"],
+    request: Request,
+    services: Services,
+    wait_s: Wait = 20.0,
+) -> Response:
+    """Return a picture or a film of a solution's episode, seen from above."""
+    campaign = await services.campaigns.get(campaign_id)
+    document = await _trace_of(services, campaign, number, request, wait_s)
+    if document is None:
+        return _being_made()
+    requirement = campaign.body.problem.params.get("requirement")
+
+    def draw() -> bytes:
+        return render_bytes(Trace.from_bytes(document), f".{extension}", requirement=requirement)
+
+    return Response(await _drawn(services.drawing, number, draw), media_type=REPLAY_MEDIA[extension])
 
 
 @router.get("/episode", response_model=EpisodeView, responses=NOT_YET)
 async def get_episode(
     campaign_id: str, number: Number, request: Request, services: Services, wait_s: Wait = 20.0
 ) -> Response:
-    """Return a solution's episode in columns; workers re-run the episode if its trace was not kept."""
+    """Return a solution's episode ready to be drawn; a worker re-runs it if its trace was not kept."""
     campaign = await services.campaigns.get(campaign_id)
-    data = await trace_of(services, campaign, number, request, wait_s)
-    if data is None:
-        return being_made()
+    document = await _trace_of(services, campaign, number, request, wait_s)
+    if document is None:
+        return _being_made()
     requirement = campaign.body.problem.params.get("requirement")
 
     def draw() -> str:
-        view = episode_view(Trace.from_bytes(data), str(requirement) if requirement else None)
+        view = episode_view(Trace.from_bytes(document), str(requirement) if requirement else None)
         return view.model_dump_json()
 
-    try:
-        text = await asyncio.get_running_loop().run_in_executor(None, draw)
-    except UNREADABLE as error:
-        raise Conflict(
-            f"solution {number}: its trace cannot be drawn: {type(error).__name__}: {error}"
-        ) from None
-    return Response(text, media_type="application/json")
+    return Response(await _drawn(None, number, draw), media_type="application/json")
 
 
 @router.get(
     "/pictures/{index}.jpg", response_class=Response, responses={200: {"content": {"image/jpeg": {}}}}
 )
 async def get_picture(campaign_id: str, number: Number, index: Index, services: Services) -> Response:
-    """Return a picture of what the camera saw in a solution's episode, if its trace is kept and has a film."""
+    """Return a picture of the film of a solution's episode, if its trace is kept and has a film."""
     campaign = await services.campaigns.get(campaign_id)
     picture = await services.films.picture(campaign, number, index)
     return Response(picture, media_type="image/jpeg")
+
+
+async def _drawn(executor: Executor | None, number: int, draw: Callable[[], T]) -> T:
+    """Draw a solution's trace in a thread.
+
+    Args:
+        executor: Where to draw; None for the event loop's own threads.
+        number: The solution.
+        draw: Draws the trace.
+
+    Raises:
+        Conflict: The trace cannot be drawn.
+    """
+    try:
+        return await asyncio.get_running_loop().run_in_executor(executor, draw)
+    except UNREADABLE as error:
+        raise Conflict(
+            f"solution {number}: its trace cannot be drawn: {type(error).__name__}: {error}"
+        ) from None
+
+
+async def _trace_of(
+    services: Context, campaign: Campaign, number: int, request: Request, wait_s: float
+) -> bytes | None:
+    """Return the trace of a solution, waiting for a worker to make it; None if that takes too long.
+
+    Args:
+        services: The services of this process.
+        campaign: The solution's campaign.
+        number: The solution.
+        request: The client's request; waiting ends when the client disconnects.
+        wait_s: How long to wait.
+
+    Raises:
+        NotFound: There is no such solution, or it was not simulated.
+        Conflict: Its simulator records no traces, or the trace cannot be made.
+        NoWorker: No live worker can make it.
+    """
+    deadline = asyncio.get_running_loop().time() + wait_s
+
+    def look_up(connection: Connection) -> tuple[TraceStatus, bool]:
+        """Return the state of the trace, and whether no live worker could make it."""
+        found = trace_status(connection, campaign.id, number)
+        waits = found.document is None and found.needs is not None and found.job in (None, JobStatus.QUEUED)
+        return found, waits and not can_run(connection, str(found.needs), services.settings.worker_seen_s)
+
+    async with client_gone(request) as gone:
+        while True:
+            found, stuck = await read(services.engines, look_up)
+            if found.document is not None:
+                return found.document
+            if found.needs is None:
+                raise NotFound(f"campaign {campaign.id} has no simulated solution {number}")
+            if stuck:
+                raise NoWorker(
+                    f"solution {number}: no live worker can run {found.needs} to make the trace; start one "
+                    "and try again",
+                    retry_after_s=NO_WORKER_RETRY_S,
+                )
+            if found.job is None:
+                await services.campaigns.request_trace(campaign.id, number)
+                continue
+            if found.job == JobStatus.DONE:
+                raise Conflict(f"solution {number}: its simulator records no traces")
+            if found.job in (JobStatus.QUARANTINED, JobStatus.CANCELLED):
+                raise Conflict(f"solution {number}: the trace cannot be made: {found.last_error}")
+            late = asyncio.get_running_loop().time() >= deadline
+            if late or gone.is_set() or services.queue.stopping:
+                return None
+            await asyncio.sleep(POLL_S)
+
+
+def _being_made() -> JSONResponse:
+    """Return the answer to a client that would have to wait longer."""
+    view = BeingMade(detail="a worker is making the trace; try again soon")
+    return JSONResponse(view.model_dump(), status_code=202, headers={"Retry-After": "2"})

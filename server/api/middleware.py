@@ -21,7 +21,7 @@ from brink.server.api.service import FOLDER as DOCS_FOLDER
 from brink.server.dashboard import page
 from brink.server.metrics import Metrics
 from brink.server.settings import LOOPBACK
-from brink.worker.log import about
+from brink.worker.log import log_fields
 
 OPEN_PATHS = ("/", "/healthz", "/readyz", "/docs", "/openapi.json")
 """What says nothing of any campaign: whether the coordinator lives, what its API is, a page that asks for a token."""
@@ -258,7 +258,7 @@ class MetricsMiddleware:
                 message = {**message, "headers": [*message.get("headers", ()), named]}
             await send(message)
 
-        with about(request=request_id):
+        with log_fields(request=request_id):
             try:
                 await self._app(scope, receive, noted)
             finally:

@@ -1,4 +1,4 @@
-"""Routes of what a campaign found: solutions, their neighbours, boundary, distances, the archive, replays."""
+"""Routes of what a campaign found: solutions, their neighbours, boundary, distances, the archive."""
 
 import asyncio
 import io
@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Query, Response
 from fastapi import Path as PathParameter
 from pydantic import Field
 from sqlalchemy import Connection, Row
@@ -30,17 +30,14 @@ from brink.server.api.schemas import (
     SolutionView,
     View,
 )
-from brink.server.api.traces import NOT_YET, UNREADABLE, Wait, being_made, trace_of
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.campaigns.values import Campaign
 from brink.server.db.engine import read
-from brink.server.errors import Conflict, FieldError, InvalidInput, NotFound
+from brink.server.errors import FieldError, InvalidInput, NotFound
 from brink.server.problems.base import Problem, words_of
-from brink.sim.replay import render_bytes
-from brink.sim.trace import Trace
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
 
@@ -175,53 +172,6 @@ def _choices(space: SearchSpace) -> list[str]:
         for component in space.components
         for parameter in component.parameters
     ]
-
-
-@router.get(
-    "/solutions/{number}/trace",
-    response_class=Response,
-    responses={200: {"content": {"application/x-npz": {}}}, **NOT_YET},
-)
-async def get_trace(
-    campaign_id: str, number: Number, request: Request, services: Services, wait_s: Wait = 20.0
-) -> Response:
-    """Return the trace of a solution's episode as npz; workers re-run the episode if it was not kept."""
-    campaign = await services.campaigns.get(campaign_id)
-    data = await trace_of(services, campaign, number, request, wait_s)
-    return being_made() if data is None else Response(data, media_type="application/x-npz")
-
-
-@router.get(
-    "/solutions/{number}/replay.{extension}",
-    response_class=Response,
-    responses={200: {"content": {"image/png": {}, "image/gif": {}, "video/mp4": {}}}, **NOT_YET},
-)
-async def get_replay(
-    campaign_id: str,
-    number: Number,
-    extension: Literal["png", "gif", "mp4"],
-    request: Request,
-    services: Services,
-    wait_s: Wait = 20.0,
-) -> Response:
-    """Return a picture or an animation of a solution's episode, seen from above."""
-    campaign = await services.campaigns.get(campaign_id)
-    data = await trace_of(services, campaign, number, request, wait_s)
-    if data is None:
-        return being_made()
-    requirement = campaign.body.problem.params.get("requirement")
-
-    def draw() -> bytes:
-        return render_bytes(Trace.from_bytes(data), f".{extension}", requirement=requirement)
-
-    try:
-        picture = await asyncio.get_running_loop().run_in_executor(services.drawing, draw)
-    except UNREADABLE as error:
-        raise Conflict(
-            f"solution {number}: its trace cannot be drawn: {type(error).__name__}: {error}"
-        ) from None
-    media = {"png": "image/png", "gif": "image/gif", "mp4": "video/mp4"}[extension]
-    return Response(picture, media_type=media)
 
 
 def solution_views(

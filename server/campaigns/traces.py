@@ -1,52 +1,144 @@
-"""Traces that are kept, and the jobs that make them."""
+"""Kept traces of solutions, the jobs that make them, and the pictures of their films."""
 
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, TypeAlias
 
 from sqlalchemy import Connection, Row, select
+from sqlalchemy.orm import InstrumentedAttribute
 
 from brink.server.campaigns.step_store import enqueue_traces
 from brink.server.campaigns.values import Campaign
+from brink.server.db.engine import Engines, read
 from brink.server.db.models import JobRow, SolutionRow, TraceRow
-from brink.server.states import JobKind
+from brink.server.errors import NotFound
+from brink.server.single_flight import Latest
+from brink.server.states import JobKind, JobStatus
+from brink.sim.errors import SimulatorError
+from brink.sim.trace import Trace
+
+FILMS_KEPT: Final = 4
+LARGEST_FILM_BYTES: Final = 32 * 1024**2
+"""Size of all pictures of a film; no worker of this project makes a larger one."""
+JPEG_MAGIC: Final = b"\xff\xd8"
+
+Pictures: TypeAlias = Sequence[bytes]
 
 
-def find_trace(connection: Connection, campaign_id: str, number: int) -> bytes | None:
-    """Return the trace of a solution if it is kept."""
-    query = (
-        select(TraceRow.data)
-        .join(SolutionRow, SolutionRow.spec_hash == TraceRow.spec_hash)
-        .where(SolutionRow.campaign_id == campaign_id, SolutionRow.number == number)
-    )
-    return connection.execute(query).scalar_one_or_none()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TraceStatus:
+    """The state of a solution's trace.
+
+    Attributes:
+        document: The trace, if it is kept.
+        needs: Capability that a worker needs to make it; None if the solution was not simulated.
+        job: Status of the job that makes it; None if the trace was not requested.
+        last_error: Last error of that job.
+    """
+
+    document: bytes | None
+    needs: str | None
+    job: JobStatus | None
+    last_error: str | None
 
 
-def trace_key(connection: Connection, campaign_id: str, number: int) -> str | None:
-    """Return by what the trace of a solution is known if it is kept: the same simulation has the same trace."""
-    query = (
-        select(TraceRow.spec_hash)
-        .join(SolutionRow, SolutionRow.spec_hash == TraceRow.spec_hash)
-        .where(SolutionRow.campaign_id == campaign_id, SolutionRow.number == number)
-    )
-    return connection.execute(query).scalar_one_or_none()
+def trace_status(connection: Connection, campaign_id: str, number: int) -> TraceStatus:
+    """Return the state of a solution's trace.
 
-
-def simulator_of(connection: Connection, campaign_id: str, number: int) -> str | None:
-    """Return what a worker must be capable of to make the trace of a solution; None if it was not simulated."""
-    query = select(JobRow.needs).where(
+    Args:
+        connection: To the database.
+        campaign_id: The solution's campaign.
+        number: The solution.
+    """
+    needs = select(JobRow.needs).where(
         JobRow.campaign_id == campaign_id, JobRow.number == number, JobRow.kind == JobKind.EPISODE
     )
-    return connection.execute(query).scalar_one_or_none()
+    job = _trace_job(connection, campaign_id, number)
+    return TraceStatus(
+        document=_kept(connection, TraceRow.data, campaign_id, number),
+        needs=connection.execute(needs).scalar_one_or_none(),
+        job=None if job is None else job.status,
+        last_error=None if job is None else job.last_error,
+    )
 
 
-def trace_job(connection: Connection, campaign_id: str, number: int) -> Row[*tuple[Any, ...]] | None:
-    """Return status and last error of the job that makes a trace, if there is one."""
+def request_trace(connection: Connection, campaign: Campaign, number: int) -> bool:
+    """Enqueue the job that makes the trace of a solution, unless it exists; return whether it exists now.
+
+    Args:
+        connection: To the database.
+        campaign: The solution's campaign.
+        number: The solution.
+    """
+    enqueue_traces(connection, campaign, [number])
+    return _trace_job(connection, campaign.id, number) is not None
+
+
+def _trace_job(connection: Connection, campaign_id: str, number: int) -> Row[*tuple[Any, ...]] | None:
     query = select(JobRow.status, JobRow.last_error).where(
         JobRow.campaign_id == campaign_id, JobRow.number == number, JobRow.kind == JobKind.TRACE
     )
     return connection.execute(query).one_or_none()
 
 
-def request_trace(connection: Connection, campaign: Campaign, number: int) -> bool:
-    """Enqueue the trace of a solution unless it is enqueued already; return whether that is possible."""
-    enqueue_traces(connection, campaign, [number])
-    return trace_job(connection, campaign.id, number) is not None
+def _kept(connection: Connection, column: InstrumentedAttribute[Any], campaign_id: str, number: int) -> Any:
+    """Return a column of a solution's trace; None if no trace is kept."""
+    query = (
+        select(column)
+        .join(SolutionRow, SolutionRow.spec_hash == TraceRow.spec_hash)
+        .where(SolutionRow.campaign_id == campaign_id, SolutionRow.number == number)
+    )
+    return connection.execute(query).scalar_one_or_none()
+
+
+@dataclass(slots=True)
+class Films:
+    """Serves the pictures of films one by one; the latest few films stay unpacked while they are played.
+
+    Attributes:
+        engines: Databases with the traces.
+    """
+
+    engines: Engines
+    _latest: Latest[Pictures] = field(default_factory=lambda: Latest(FILMS_KEPT))
+
+    async def picture(self, campaign: Campaign, number: int, index: int) -> bytes:
+        """Return a picture of a solution's film, as JPEG.
+
+        Args:
+            campaign: The solution's campaign.
+            number: The solution.
+            index: Index of the picture in the film.
+
+        Raises:
+            NotFound: No trace is kept, it has no film, or the film has no such picture.
+        """
+        # Equal simulations share one trace.
+        key = await read(self.engines, lambda c: _kept(c, TraceRow.spec_hash, campaign.id, number))
+        if key is None:
+            raise NotFound(
+                f"campaign {campaign.id}: no trace of solution {number} is kept; request its episode first"
+            )
+        pictures = await self._latest.get(key, 0, lambda: self._pictures(campaign.id, number))
+        if index >= len(pictures):
+            raise NotFound(
+                f"solution {number}: its film has {len(pictures)} pictures, and no picture {index}"
+            )
+        picture = pictures[index]
+        if not picture.startswith(JPEG_MAGIC):
+            raise NotFound(f"solution {number}: picture {index} of its film is no JPEG")
+        return picture
+
+    def _pictures(self, campaign_id: str, number: int) -> Pictures:
+        """Return the pictures of a film; none if there is no film that can be shown."""
+        with self.engines.reader.connect() as connection:
+            document = _kept(connection, TraceRow.data, campaign_id, number)
+        if document is None:
+            raise NotFound(f"campaign {campaign_id}: the trace of solution {number} was just removed")
+        try:
+            film = Trace.from_bytes(document).film
+        except (SimulatorError, LookupError, ValueError, TypeError, MemoryError):
+            return ()  # a worker may send anything
+        if film is None or sum(map(len, film.pictures)) > LARGEST_FILM_BYTES:
+            return ()
+        return film.pictures

@@ -17,12 +17,19 @@ from brink.search.space import Categorical, Component, Real, SearchSpace
 from brink.server.errors import nearest
 from brink.server.problems.base import Vectors
 from brink.server.problems.detectors import wrong_detector
-from brink.sim.aeb.scenario import ARRIVAL_S, CROSSING_M, ONCOMING_M, TIMES, WEATHERS, Obstacle, Occluder
-from brink.sim.aeb.words import words_of_perturbations, words_of_street
+from brink.sim.aeb.specification import (
+    ARRIVAL_S,
+    CROSSING_M,
+    ONCOMING_M,
+    TIMES,
+    WEATHERS,
+    Obstacle,
+    Occluder,
+    describe_perturbations,
+    describe_street,
+)
 from brink.sim.episode import EpisodeSpec, Json
-from brink.sim.perception.coco import read_coco
-from brink.sim.perception.errors import DatasetError
-from brink.sim.perception.weights_file import weights_digest
+from brink.sim.perception.user_files import DatasetError, read_coco, weights_digest
 from brink.sim.perturbations import CATALOGUE
 from brink.worker.wire import Completed
 
@@ -187,8 +194,8 @@ class AebCrossing:
     def words(self, vectors: Vectors) -> str:
         """Return a candidate in words."""
         scenario = {**self.space.decode(tuple(vectors))["scenario"], "obstacle": self.params.obstacle}
-        chain = words_of_perturbations(self.perturbations(vectors)) or "not perturbed"
-        return f"{chain}; {words_of_street(scenario)}"
+        chain = describe_perturbations(self.perturbations(vectors)) or "not perturbed"
+        return f"{chain}; {describe_street(scenario)}"
 
     def evaluation(self, outcome: Completed) -> Evaluation:
         """Return the verdict: in metres of clearance, or in m/s above a stand, whichever is less for any hazard."""

@@ -3,8 +3,7 @@
 from typing import Final
 
 from brink.sim.catalogue import plugin_ids
-from brink.sim.perception.errors import DetectorError
-from brink.sim.perception.weights_file import KINDS, check_loads
+from brink.sim.perception.user_files import KINDS, DetectorError, check_loads
 
 DETECTORS: Final = "brink.detectors"
 

@@ -18,13 +18,10 @@ from brink.search.traffic.motion import roll_out, waypoints
 from brink.search.traffic.participants import MAX_PARTICIPANTS, Participant, RoadLimits
 from brink.server.problems.base import Vectors
 from brink.server.problems.detectors import wrong_detector
-from brink.sim.encounter.lanes import lanes_of
-from brink.sim.encounter.scenario import PLACE_FIELDS
-from brink.sim.encounter.script import stretch_json
-from brink.sim.encounter.words import words_of_script
+from brink.sim.encounter.specification import PLACE_FIELDS, describe_script, get_lane_layout, stretch_to_json
 from brink.sim.episode import EpisodeSpec, Json, JsonObject
-from brink.sim.perception.weights_file import weights_digest
-from brink.sim.urban.scenario import SCENARIO_CHOICES, UrbanScenario
+from brink.sim.perception.user_files import weights_digest
+from brink.sim.world.scenario import SCENARIO_CHOICES, UrbanScenario
 from brink.worker.wire import Completed
 
 SIMULATORS: Final = {"oracle": "brink-encounter@1", "detector": "brink-encounter-camera@1"}
@@ -92,7 +89,7 @@ class NpcActions:
     def __init__(self, params: NpcActionsParams) -> None:
         self.params = params
         self._place: JsonObject = {name: getattr(params, name) for name in PLACE_FIELDS}
-        lanes = lanes_of(UrbanScenario.from_json({**self._place, "pedestrians": 0}))
+        lanes = get_lane_layout(UrbanScenario.from_json({**self._place, "pedestrians": 0}))
         self.road = RoadLimits(
             lane_width_m=lanes.lane_width_m,
             strip_m=lanes.strip_m,
@@ -129,7 +126,7 @@ class NpcActions:
         scripts: list[Json] = []
         for one in self.participants(vectors):
             stretches: list[Json] = [
-                stretch_json(asdict(stretch), one.genes[stretch.gene].action.value)
+                stretch_to_json(asdict(stretch), one.genes[stretch.gene].action.value)
                 for stretch in roll_out(one, self.road, self.params.duration_s)
             ]
             scripts.append({"kind": one.kind.value, "stretches": stretches})
@@ -160,7 +157,7 @@ class NpcActions:
     def words(self, vectors: Vectors) -> str:
         """Return a candidate in words."""
         return "; ".join(
-            words_of_script(script) for script in self.scripts(vectors) if isinstance(script, dict)
+            describe_script(script) for script in self.scripts(vectors) if isinstance(script, dict)
         )
 
     def violations(self, outcome: Completed) -> list[dict[str, Any]]:

@@ -31,8 +31,13 @@ from brink.sim.catalogue import REQUIREMENTS as REQUIREMENT_PLUGINS
 from brink.sim.catalogue import plugin_ids
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.urban import behaviour as b
-from brink.sim.urban.scenario import PEDESTRIAN_COUNTS, ROAD_IDS, ROAD_LENGTHS, SCENARIO_CHOICES
-from brink.sim.urban.words import words_of_behaviour, words_of_scenario
+from brink.sim.world.scenario import (
+    PEDESTRIAN_COUNTS,
+    ROAD_IDS,
+    ROAD_LENGTHS,
+    SCENARIO_CHOICES,
+    words_of_scenario,
+)
 from brink.worker.wire import Completed
 
 SIMULATOR = "brink-drive@1"
@@ -156,8 +161,8 @@ class UrbanInjected:
     def words(self, vectors: Vectors) -> str:
         """Return a candidate in words."""
         decoded = self.space.decode(tuple(vectors))
-        behaviour = _behaviour(decoded["behaviour"])
-        return f"{words_of_scenario(_scenario(decoded['scenario']))}; {words_of_behaviour(behaviour['trajectories'])}"
+        trajectories = _behaviour(decoded["behaviour"])["trajectories"]
+        return f"{words_of_scenario(_scenario(decoded['scenario']))}; {b.words_of_behaviour(trajectories)}"
 
     def evaluation(self, outcome: Completed) -> Evaluation:
         """Return the chosen requirement's verdict and all objectives."""

@@ -12,8 +12,7 @@ from brink.server.db.clock import database_now
 from brink.server.db.locking import locked
 from brink.server.db.many import among
 from brink.server.db.models import IS_LEASED, JobRow, WorkerRow
-from brink.worker.machine import machine_name
-from brink.worker.wire import HeldLease, WorkerIdentity
+from brink.worker.wire import HeldLease, WorkerIdentity, machine_name
 
 _LIVE = select(WorkerRow.id, WorkerRow.machine, WorkerRow.pid, WorkerRow.capabilities).where(
     WorkerRow.last_seen_at >= bindparam("horizon")

@@ -1,1 +1,1 @@
-"""The emergency-braking episode: a camera, a detector, a brake, and somebody who steps out between parked cars."""
+"""Emergency braking: a camera, a detector, a brake, and a pedestrian who steps out between parked cars."""

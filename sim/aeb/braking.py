@@ -1,12 +1,12 @@
-"""Owns the brake: two regions of the picture, and a latch.
+"""The emergency brake: two regions of the picture, and a latch.
 
-The regions are trapezoids, given for a picture of 1280 x 720 and scaled with it: *warning*, in which a person brakes
-the car, and inside it *danger*, in which a vehicle does. A person's box need only meet its region. A vehicle must
-stand in its own with the middle of the box's lower edge: the rectangle around a long vehicle that is parked beside
-the lane reaches far into the picture. It must stand there for a few frames in a row.
+The regions are trapezoids, defined for a picture of 1280 x 720 and scaled with it. A person in the *warning* region
+triggers the brake, and so does a vehicle in the smaller *danger* region. For a person it is enough that the box
+intersects the region. For a vehicle the middle of the box's lower edge must lie in the region for several consecutive
+frames, because the box of a long vehicle parked beside the lane extends far into the picture.
 
-Source: Ferreira et al. 2022, automatic emergency braking; the test is against the trapezoid, not against the
-rectangle around it.
+Source: Ferreira et al. 2022, automatic emergency braking. Boxes are tested against the trapezoid, not against its
+bounding rectangle.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ REFERENCE_PX: Final = (1280, 720)
 TOP_ROW_PX: Final = 470.0
 HOLD_S: Final = 0.5
 VEHICLE_FRAMES: Final = 3
-"""Frames in a row in which a vehicle must stand in its region: a doubled box of a parked one lasts for one or two."""
+"""Consecutive frames with a vehicle in its region; duplicate boxes of parked ones last one or two."""
 
 _Rows = TypeVar("_Rows", float, NDArray[np.floating])
 
@@ -28,7 +28,7 @@ PERSON, VEHICLE = "person", "vehicle"
 
 
 class Detection(NamedTuple):
-    """A box in a picture, in pixels, with what the detector takes it for and how sure it is."""
+    """A box in a picture, in pixels, with its label and score."""
 
     label: str
     x_min_px: float
@@ -40,14 +40,14 @@ class Detection(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Region:
-    """An upright trapezoid that stands on the lower edge of a picture, symmetric to its middle.
+    """An upright trapezoid on the lower edge of a picture, symmetric about its middle.
 
     Attributes:
-        width_px: Of the picture.
-        height_px: Of the picture.
+        width_px: Width of the picture.
+        height_px: Height of the picture.
         base_px: Width at the lower edge.
         top_px: Width at `top_row_px`.
-        top_row_px: Row of its upper edge.
+        top_row_px: Row of the upper edge.
     """
 
     width_px: int
@@ -57,8 +57,15 @@ class Region:
     top_row_px: float
 
     @classmethod
-    def scaled(cls, base_px: float, top_px: float, width_px: int, height_px: int) -> "Region":
-        """Return a region of the reference picture for a picture of another size."""
+    def from_reference(cls, base_px: float, top_px: float, width_px: int, height_px: int) -> "Region":
+        """Scale a region of the reference picture to a picture of another size.
+
+        Args:
+            base_px: Width at the lower edge, in the reference picture.
+            top_px: Width at the upper edge, in the reference picture.
+            width_px: Width of the picture.
+            height_px: Height of the picture.
+        """
         across, down = width_px / REFERENCE_PX[0], height_px / REFERENCE_PX[1]
         return cls(
             width_px=width_px,
@@ -78,16 +85,15 @@ class Region:
             (middle - 0.5 * self.base_px, bottom),
         )
 
-    def meets(self, box: Detection) -> bool:
-        """Return whether a box and the trapezoid share a point.
+    def intersects(self, box: Detection) -> bool:
+        """Return whether a box and the trapezoid have a point in common.
 
-        Rows that both have are an interval; since the trapezoid is widest at its lowest row, the lowest common row
-        decides.
+        Their common rows form an interval; the trapezoid is widest at the lowest of them, so that row decides.
         """
-        return bool(self.met_by(np.array([box[1:5]], np.float64))[0])
+        return bool(self.intersects_each(np.array([box[1:5]], np.float64))[0])
 
-    def met_by(self, boxes: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """Return which boxes share a point with the trapezoid.
+    def intersects_each(self, boxes: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """Return which boxes have a point in common with the trapezoid, shape ``(n,)``.
 
         Args:
             boxes: x_min, y_min, x_max, y_max in px, shape ``(n, 4)``.
@@ -98,7 +104,7 @@ class Region:
         met: NDArray[np.bool_] = high_enough & (boxes[:, 0] <= middle + half) & (boxes[:, 2] >= middle - half)
         return met
 
-    def holds(self, box: Detection) -> bool:
+    def contains_bottom_centre(self, box: Detection) -> bool:
         """Return whether the middle of a box's lower edge lies in the trapezoid."""
         low = min(box.y_max_px, float(self.height_px))
         aside = abs(0.5 * (box.x_min_px + box.x_max_px) - 0.5 * self.width_px)
@@ -112,13 +118,13 @@ class Region:
 
 @dataclass(slots=True)
 class EmergencyBrake:
-    """Brakes for what the detector reports. Changes in place: one is made for every episode.
+    """Brakes for what the detector reports. Stateful: every episode needs its own instance.
 
     Attributes:
-        warning: A person who meets it brakes the car.
-        danger: So does a vehicle that stands in this one.
-        hold_s: How long it brakes on without a trigger.
-        enabled: Whether it brakes at all.
+        warning: A person who intersects this region triggers the brake.
+        danger: A vehicle that stands in this region triggers the brake.
+        hold_s: How long braking continues without a trigger.
+        enabled: Whether the brake works at all.
     """
 
     warning: Region
@@ -132,18 +138,25 @@ class EmergencyBrake:
     def for_picture(
         cls, width_px: int, height_px: int, *, hold_s: float = HOLD_S, enabled: bool = True
     ) -> "EmergencyBrake":
-        """Return the brake of a camera with pictures of that size."""
+        """Return the brake for a camera with pictures of a given size.
+
+        Args:
+            width_px: Width of the picture.
+            height_px: Height of the picture.
+            hold_s: How long braking continues without a trigger.
+            enabled: Whether the brake works at all.
+        """
         return cls(
-            warning=Region.scaled(730.0, 230.0, width_px, height_px),
-            danger=Region.scaled(510.0, 180.0, width_px, height_px),
+            warning=Region.from_reference(730.0, 230.0, width_px, height_px),
+            danger=Region.from_reference(510.0, 180.0, width_px, height_px),
             hold_s=hold_s,
             enabled=enabled,
         )
 
     def decide(self, time_s: float, detections: Sequence[Detection]) -> bool:
-        """Return whether to brake at a time, given what is detected in its frame."""
-        person = any(box.label == PERSON and self.warning.meets(box) for box in detections)
-        vehicle = any(box.label == VEHICLE and self.danger.holds(box) for box in detections)
+        """Return whether to brake at a time, given the detections in its frame."""
+        person = any(box.label == PERSON and self.warning.intersects(box) for box in detections)
+        vehicle = any(box.label == VEHICLE and self.danger.contains_bottom_centre(box) for box in detections)
         self._vehicle_frames = self._vehicle_frames + 1 if vehicle else 0
         if self.enabled and (person or self._vehicle_frames >= VEHICLE_FRAMES):
             self._until_s = time_s + self.hold_s

@@ -1,12 +1,20 @@
-"""Owns the evaluator `brink-dataset@1`: how well a detector does on a data set seen through perturbations.
+"""Labelled pictures of the emergency-braking street, and the evaluator `brink-dataset@1`.
 
-It is run as a simulator is, so that data-set evaluations are jobs like others. Each perturbation is applied to what
-the one before it left, frame by frame; the same specification gives the same figure.
+The pictures show streets at all times of day and in all weather. Training, validation and test use disjoint seeds and
+disjoint looks (colours, textures, shapes). People stand and walk where the emergency-braking episode places them, and
+elsewhere at all distances. Unusual bodies and perturbations never occur, so that both remain unknown to the detector;
+training varies only the exposure.
+
+The evaluator measures a detector on a data set seen through perturbations. It has the interface of a simulator, so
+data-set evaluations are jobs like any other. Perturbations are applied to each frame in order, and the same
+specification gives the same result.
 """
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from enum import IntEnum
 from functools import lru_cache
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -14,54 +22,196 @@ from typing import Final, NamedTuple
 import cv2
 import numpy as np
 
-from brink.sim.aeb.behaviour import Behaviour, SightMode, check_weights
-from brink.sim.aeb.pictures import Split, labelled_frames
+from brink.sim.aeb.specification import (
+    ARRIVAL_S,
+    CROSSING_M,
+    ONCOMING_M,
+    AebScenario,
+    Behaviour,
+    Occluder,
+    SightMode,
+    check_weights,
+)
+from brink.sim.aeb.street import CRUISE_MPS, KERB_M, LANE_M, LANE_Y_M, PERSON_SIZE_M, STRIP_M, make_street
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
-from brink.sim.perception.coco import CocoPicture, read_coco
-from brink.sim.perception.detector import Picture
-from brink.sim.perception.errors import DatasetError
-from brink.sim.perception.quality import Truth, curves
-from brink.sim.perception.registry import find_detector
+from brink.sim.perception.boxes import GroundTruth, LabelledFrame, curves
+from brink.sim.perception.detector import LABELS, Picture, find_detector
+from brink.sim.perception.user_files import CocoPicture, DatasetError, read_coco
 from brink.sim.perturbations import Pipeline
+from brink.sim.rendering.canvas import visible_bodies
+from brink.sim.rendering.renderer import Renderer
+from brink.sim.rendering.scene import Body, BodyKind, Frame, Light, PictureCamera, StreetScene, Viewpoint
 from brink.sim.urban.simulator import instruction_set, versions
+from brink.sim.world.scenario import TimeOfDay, Weather
+
+SIZE_PX: Final = (640, 360)
+FRAMES_A_STREET: Final = 10
+MIN_HEIGHT_SHARE: Final = 12.0 / 360.0
+"""Boxes lower than this share of the picture are ignored: 6 px in the network's half-size input."""
+MIN_WIDTH_SHARE: Final = 6.0 / 640.0
+"""Boxes narrower than this share of the picture are ignored: 3 px in the network's half-size input."""
+MIN_VISIBLE: Final = 0.25
+_LABELS: Final = {BodyKind.VEHICLE: 0, BodyKind.PERSON: 1}
+
+
+class Split(IntEnum):
+    """Purpose of a picture; also offsets its seeds and looks."""
+
+    TRAIN = 1
+    VALIDATION = 2
+    TEST = 3
+
+
+def labelled_frames(split: Split, count: int, seed: int = 0) -> Iterator[LabelledFrame]:
+    """Yield labelled pictures; equal arguments give equal pictures.
+
+    Args:
+        split: One of the three disjoint sets.
+        count: Number of pictures.
+        seed: Selects the pictures within the set.
+    """
+    for street in range(-(-count // FRAMES_A_STREET)):
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(split), street)))
+        for index, frame in enumerate(_street_frames(split, rng)):
+            if street * FRAMES_A_STREET + index < count:
+                yield frame
+
+
+def _street_frames(split: Split, rng: np.random.Generator) -> Iterator[LabelledFrame]:
+    scenario = AebScenario(
+        time_of_day=list(TimeOfDay)[int(rng.integers(len(TimeOfDay)))],
+        weather=list(Weather)[int(rng.integers(len(Weather)))],
+        occluder=list(Occluder)[int(rng.integers(len(Occluder)))],
+        crossing_m=float(rng.uniform(*CROSSING_M)),
+        arrival_s=float(rng.uniform(*ARRIVAL_S)),
+        oncoming_m=float(rng.uniform(*ONCOMING_M)),
+    )
+    street = make_street(scenario, int(split) * 10**6 + int(rng.integers(10**6)))
+    scene = _with_looks(street.scene, split)
+    renderer = Renderer(
+        scene,
+        Light(time_of_day=scenario.time_of_day, weather=scenario.weather),
+        PictureCamera(width_px=SIZE_PX[0], height_px=SIZE_PX[1]),
+        int(split) * 10**6 + int(rng.integers(10**6)),
+    )
+    people_from = 10_000
+    for time_s in np.sort(rng.uniform(0.0, 12.0, FRAMES_A_STREET)).tolist():
+        x_m = CRUISE_MPS * time_s
+        walkers = [_person(people_from + index, x_m, split, rng) for index in range(int(rng.integers(3, 11)))]
+        actors = [_with_look(actor.current_body(), split) for actor in street.actors]
+        moved = [replace(body, x_m=x_m + float(rng.uniform(-5.0, 60.0))) for body in actors]
+        view = Viewpoint(
+            x_m=x_m, y_m=LANE_Y_M + float(rng.uniform(-0.3, 0.3)), yaw_rad=float(rng.normal(0.0, 0.02)),
+            pitch_rad=float(rng.normal(0.0, 0.01)),
+        )  # fmt: skip
+        frame = renderer.frame(view, [*_without_overlaps(moved), *walkers], time_s)
+        yield label_frame(frame)
+
+
+def _without_overlaps(bodies: list[Body]) -> list[Body]:
+    """Return the bodies that do not overlap an earlier one."""
+    kept: list[Body] = []
+    for body in bodies:
+        reach = [0.5 * (body.length_m + other.length_m) for other in kept]
+        if all(
+            abs(body.x_m - other.x_m) > far or abs(body.y_m - other.y_m) > 2.0
+            for other, far in zip(kept, reach, strict=True)
+        ):
+            kept.append(body)
+    return kept
+
+
+def _with_looks(scene: StreetScene, split: Split) -> StreetScene:
+    return replace(
+        scene,
+        buildings=tuple(replace(b, look=b.look + 1000 * split) for b in scene.buildings),
+        trees=tuple(replace(t, look=t.look + 1000 * split) for t in scene.trees),
+        parked=tuple(_with_look(b, split) for b in scene.parked),
+    )
+
+
+def _with_look(body: Body, split: Split) -> Body:
+    return replace(body, look=body.look % 1000 + 1000 * int(split))
+
+
+def _person(number: int, ego_x_m: float, split: Split, rng: np.random.Generator) -> Body:
+    """Return a person on a pavement, between parked vehicles or on the road, usually nearby."""
+    ahead_m = 3.5 + 35.0 * float(rng.random()) ** 1.8
+    place = rng.random()
+    if place < 0.4:
+        y_m = float(rng.choice([-1.0, 1.0])) * (KERB_M + float(rng.uniform(0.5, 2.7)))
+    elif place < 0.6:
+        y_m = float(rng.choice([-1.0, 1.0])) * (LANE_M + float(rng.uniform(0.0, STRIP_M)))
+    else:
+        y_m = float(rng.uniform(-LANE_M, LANE_M))
+    length_m, width_m, height_m = PERSON_SIZE_M
+    return Body(
+        id=number, kind=BodyKind.PERSON, x_m=ego_x_m + ahead_m, y_m=y_m,
+        yaw_rad=float(rng.uniform(-math.pi, math.pi)), length_m=length_m, width_m=width_m,
+        height_m=height_m + float(rng.uniform(-0.25, 0.15)), look=int(rng.integers(1000)) + 1000 * int(split),
+        phase=float(rng.uniform(0.0, 2.0 * math.pi)),
+    )  # fmt: skip
+
+
+def label_frame(frame: Frame) -> LabelledFrame:
+    """Return a rendered picture with its ground truth.
+
+    A box covers the whole body within the picture, including hidden parts; bodies that are almost hidden are ignored.
+    """
+    seen = [body for body in visible_bodies(frame) if body.box is not None and body.kind in _LABELS]
+    boxes = np.array([body.whole_box for body in seen], np.float32).reshape(len(seen), 4)
+    height_px, width_px = frame.image.shape[:2]
+    low = (boxes[:, 3] - boxes[:, 1]) < MIN_HEIGHT_SHARE * height_px
+    low |= (boxes[:, 2] - boxes[:, 0]) < MIN_WIDTH_SHARE * width_px
+    hidden = np.array([body.visible_share < MIN_VISIBLE for body in seen], np.bool_)
+    return LabelledFrame(
+        picture=frame.image,
+        truth=GroundTruth(
+            labels=np.array([_LABELS[body.kind] for body in seen], np.int64),
+            boxes=boxes,
+            ignored=low | hidden,
+        ),
+        depths_m=np.array([body.depth_m for body in seen], np.float32),
+    )
+
 
 EVALUATOR_ID: Final = "brink-dataset@1"
 SIMULATOR_DATA: Final = "simulator"
 MAX_FRAMES: Final = 5000
-LABELS: Final = ("vehicle", "person")
 
 
 class DatasetEvaluator:
-    """Evaluates a detector on a data set. One a process is enough; it keeps the pictures of the last data set."""
+    """Evaluates a detector on a data set. One instance per process is enough; it caches the last data set."""
 
     def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
-        """Evaluate once; the objective ``alpha`` is the mAP at an overlap of one half.
+        """Evaluate once; the objective ``alpha`` is the mAP at an IoU of one half.
 
         Args:
-            spec: `scenario` names the data set and how many of its pictures, `behaviour` detector and perturbations.
-            record: Makes no difference: there is no trace.
+            spec: `scenario` names the data set and the number of pictures, `behaviour` the detector and
+                perturbations.
+            record: Ignored, because there is no trace.
 
         Raises:
             InvalidEpisode: The specification can never run.
-            SimulationCrashed: There was nothing to find in the pictures.
+            SimulationCrashed: No box in the pictures counts.
         """
         cpu_s = time.process_time()
         if spec.simulator != EVALUATOR_ID:
             raise InvalidEpisode(f"simulator: this is {EVALUATOR_ID}, the job asks for {spec.simulator!r}")
         behaviour = Behaviour.from_json({"mode": SightMode.DETECTOR.value, **spec.behaviour})
         check_weights(behaviour)
-        frames = _frames(_wanted(spec))
+        frames = _frames(_parse_request(spec))
         cv2.setNumThreads(1)
         detector = find_detector(behaviour.detector)
         pipeline = Pipeline(behaviour.perturbations, seed=spec.seed, mode=behaviour.fields)
-        found = [detector.detect(pipeline(frame.picture, index)) for index, frame in enumerate(frames)]
+        detections = [detector.detect(pipeline(picture, index)) for index, (picture, _) in enumerate(frames)]
         by_class = {
             LABELS[curve.label]: curve.average_precision
-            for curve in curves([frame.truth for frame in frames], found)
+            for curve in curves([truth for _, truth in frames], detections)
         }
         if not by_class:
-            raise SimulationCrashed("the data set has nothing to find")
+            raise SimulationCrashed("no box in the data set counts")
         alpha = math.fsum(by_class.values()) / len(by_class)
         return EpisodeResult(
             verdicts={},
@@ -77,8 +227,8 @@ class DatasetEvaluator:
         )
 
 
-class _Wanted(NamedTuple):
-    """Which data set: its name or annotations, how many of its pictures, its seed, the digest of its annotations."""
+class _Request(NamedTuple):
+    """Name or annotations of a data set, number of pictures, seed, and expected digest of the annotations."""
 
     dataset: str
     frames: int
@@ -86,8 +236,8 @@ class _Wanted(NamedTuple):
     digest: str
 
 
-def _wanted(spec: EpisodeSpec) -> _Wanted:
-    """Return which data set a specification asks for."""
+def _parse_request(spec: EpisodeSpec) -> _Request:
+    """Return the data set that a specification asks for."""
     known = ("dataset", "frames", "seed", "digest")
     for name in spec.scenario:
         if name not in known:
@@ -96,7 +246,7 @@ def _wanted(spec: EpisodeSpec) -> _Wanted:
     if not isinstance(dataset, str) or not isinstance(digest, str):
         raise InvalidEpisode(f"scenario.dataset: expected {SIMULATOR_DATA!r} or a file, got {dataset!r}")
     frames = _whole("frames", spec.scenario.get("frames"), 1, MAX_FRAMES)
-    return _Wanted(dataset, frames, _whole("seed", spec.scenario.get("seed", 0), 0, 2**31), digest)
+    return _Request(dataset, frames, _whole("seed", spec.scenario.get("seed", 0), 0, 2**31), digest)
 
 
 def _whole(name: str, value: Json, low: int, high: int) -> int:
@@ -105,31 +255,26 @@ def _whole(name: str, value: Json, low: int, high: int) -> int:
     return value
 
 
-class _Labelled(NamedTuple):
-    picture: Picture
-    truth: Truth
-
-
 @lru_cache(maxsize=1)
-def _frames(wanted: _Wanted) -> tuple[_Labelled, ...]:
-    """Return the pictures of a data set; making or reading them takes some 50 ms each, so the last one is kept."""
-    if wanted.dataset == SIMULATOR_DATA:
-        made = labelled_frames(Split.VALIDATION, wanted.frames, seed=wanted.seed + 1)
-        return tuple(_Labelled(frame.picture, frame.truth) for frame in made)
+def _frames(request: _Request) -> tuple[tuple[Picture, GroundTruth], ...]:
+    """Return the pictures of a data set; the last one is cached, as a picture takes about 50 ms to make."""
+    if request.dataset == SIMULATOR_DATA:
+        frames = labelled_frames(Split.VALIDATION, request.frames, seed=request.seed + 1)
+        return tuple((frame.picture, frame.truth) for frame in frames)
     try:
-        data = read_coco(Path(wanted.dataset))
+        data = read_coco(Path(request.dataset))
     except DatasetError as error:
         raise InvalidEpisode(f"scenario.dataset: {error}") from None
-    if wanted.digest and data.digest != wanted.digest:
+    if request.digest and data.digest != request.digest:
         raise InvalidEpisode(
-            f"scenario.dataset: {wanted.dataset} here is not the one that the campaign was submitted with"
+            f"scenario.dataset: {request.dataset} differs from the data set that the campaign was submitted with"
         )
-    chosen = spread(data.pictures, wanted.frames)
-    return tuple(_Labelled(_read_picture(one), one.truth) for one in chosen)
+    chosen = sample_evenly(data.pictures, request.frames)
+    return tuple((_read_picture(one), one.truth) for one in chosen)
 
 
-def spread(pictures: Sequence[CocoPicture], count: int) -> list[CocoPicture]:
-    """Return so many pictures of a data set, evenly over it; all if there are no more."""
+def sample_evenly(pictures: Sequence[CocoPicture], count: int) -> list[CocoPicture]:
+    """Return a number of pictures spread evenly over a data set, or all of them if it has fewer."""
     if count >= len(pictures):
         return list(pictures)
     return [pictures[index * len(pictures) // count] for index in range(count)]
@@ -138,7 +283,7 @@ def spread(pictures: Sequence[CocoPicture], count: int) -> list[CocoPicture]:
 def _read_picture(one: CocoPicture) -> Picture:
     picture = cv2.imread(str(one.file), cv2.IMREAD_COLOR_RGB)
     if picture is None:
-        raise InvalidEpisode(f"scenario.dataset: {one.file} is no picture")
+        raise InvalidEpisode(f"scenario.dataset: {one.file} is not a picture")
     if picture.shape[:2] != (one.height_px, one.width_px):
         raise InvalidEpisode(
             f"scenario.dataset: {one.file}: expected {one.width_px} x {one.height_px} px as its annotations say, "

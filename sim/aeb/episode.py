@@ -1,40 +1,210 @@
-"""Owns the loop of an emergency-braking episode: look, decide, drive, touch, judge, record."""
+"""The emergency-braking episode: the control loop, and the monitor that measures distances and contacts.
 
+Every frame, the loop observes, decides, drives, measures, judges and records. The monitor looks for contacts at 100
+Hz, independently of the camera's frame rate and of the detector.
+"""
+
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
 from brink.sim.aeb.braking import PERSON, EmergencyBrake
-from brink.sim.aeb.facts import Facts
 from brink.sim.aeb.recorder import AebRecorder
-from brink.sim.aeb.sight import Look, Sight
-from brink.sim.aeb.street import CRUISE_MPS, Street
-from brink.sim.requirements.requirement import Collision, Requirement, WorldSample
+from brink.sim.aeb.sight import Observation, Sight
+from brink.sim.aeb.street import CRUISE_MPS, END_M, LANE_M, LANE_Y_M, Actor, Street
+from brink.sim.bullet.engine import BodyId, Box, Engine
+from brink.sim.rendering.scene import Body, BodyKind
+from brink.sim.requirements import Collision, CollisionKind, Requirement, WorldSample
 from brink.sim.world.ego import STEP_S as PHYSICS_STEP_S
 from brink.sim.world.ego import EgoCar
+
+NEAR_M: Final = 8.0
+CREEPING_MPS: Final = 0.05
+"""Contacts at a lower ego speed are not collisions of the ego: the other body moves into it."""
+CAMERA_FORWARD_M: Final = 1.3
+REGION_AHEAD_M: Final = 10.5
+"""How far the warning region extends ahead of the camera on the ground, plus half a car's width."""
+REGION_ASIDE_M: Final = 1.9
+LOOK_AHEAD_S: Final = 2.0
+"""Time within which a body must reach the region, at constant velocities, to be expected in it."""
+
+_KINDS: Final = {BodyKind.VEHICLE: CollisionKind.VEHICLE, BodyKind.PERSON: CollisionKind.PEDESTRIAN}
+
+
+class WorldMonitor:
+    """Measures the true state of an episode.
+
+    Args:
+        street: The street; its bodies are added to the engine.
+        ego: The car under test.
+        engine: An empty physics engine.
+    """
+
+    def __init__(self, street: Street, ego: EgoCar, engine: Engine) -> None:
+        self._street = street
+        self._ego = ego
+        self._engine = engine
+        model = ego.model
+        boxes = [
+            Box(
+                length_m=ego.length_m, width_m=ego.width_m, height_m=model.height_m, x_m=ego.x_m, y_m=ego.y_m,
+                yaw_rad=ego.yaw_rad,
+            ),
+            *(_box(actor.body) for actor in street.actors),
+            *(_box(body) for body in street.scene.parked),
+        ]  # fmt: skip
+        ids = engine.add_boxes(boxes)
+        count = len(street.actors)
+        self._ego_body = ids[0]
+        self._actors = list(zip(street.actors, ids[1 : 1 + count], strict=True))
+        self._parked = list(zip(street.scene.parked, ids[1 + count :], strict=True))
+        self._gap_m: float | None = None
+        self._person_m: float | None = None
+        self._closing_mps = 0.0
+        self._collision: Collision | None = None
+
+    def update(self) -> None:
+        """Measure contacts and clearances now; call it after every step of the ego and before `sample`."""
+        ego = self._ego
+        self._engine.move(self._ego_body, ego.x_m, ego.y_m, ego.yaw_rad, ego.model.height_m)
+        self._gap_m, self._person_m, self._closing_mps = None, None, 0.0
+        for actor, body in self._actors:
+            if self._far(actor.x_m, actor.y_m, actor.body):
+                continue
+            self._engine.move(body, actor.x_m, actor.y_m, actor.body.yaw_rad, actor.body.height_m)
+            heading = actor.body.yaw_rad
+            velocity = (actor.speed_mps * math.cos(heading), actor.speed_mps * math.sin(heading))
+            self._measure(body, actor.body, actor.name, velocity, beside=actor.name.startswith("oncoming"))
+        for still, body in self._parked:
+            if not self._far(still.x_m, still.y_m, still):
+                self._measure(body, still, "parked-car", (0.0, 0.0), beside=True)
+
+    def _far(self, x_m: float, y_m: float, body: Body) -> bool:
+        ego = self._ego
+        reach_m = NEAR_M + 0.5 * (ego.length_m + body.length_m + body.width_m) + 1.0
+        return abs(x_m - ego.x_m) > reach_m or abs(y_m - ego.y_m) > reach_m
+
+    def _measure(
+        self, body: BodyId, shape: Body, name: str, velocity: tuple[float, float], *, beside: bool
+    ) -> None:
+        """Measure a body's clearance to the ego; of a body that passes beside it, only contacts count."""
+        found = self._engine.closest(self._ego_body, body, NEAR_M)
+        if found is None:
+            return
+        ego = self._ego
+        along = velocity[0] - ego.speed_mps * math.cos(ego.yaw_rad)
+        across = velocity[1] - ego.speed_mps * math.sin(ego.yaw_rad)
+        gap_m = max(found.clearance_m, 0.0)
+        if shape.kind is BodyKind.PERSON:
+            self._person_m = gap_m if self._person_m is None else min(gap_m, self._person_m)
+        if not beside and (self._gap_m is None or gap_m < self._gap_m):
+            self._gap_m = gap_m
+            self._closing_mps = along * found.normal_x + across * found.normal_y
+        if found.clearance_m <= 0.0 and abs(ego.speed_mps) > CREEPING_MPS and self._collision is None:
+            kind = _KINDS.get(shape.kind, CollisionKind.OBJECT)
+            self._collision = Collision(
+                kind=kind, counterpart=name, impact_speed_mps=math.hypot(along, across)
+            )
+
+    @property
+    def collided(self) -> bool:
+        """Whether the ego has hit anything."""
+        return self._collision is not None
+
+    def anyone_expected(self) -> bool:
+        """Return whether, by ground truth, anyone is in the warning region or on course into it."""
+        return any(self._expects(actor) for actor, _ in self._actors)
+
+    def _expects(self, actor: Actor) -> bool:
+        ego, body = self._ego, actor.body
+        cos, sin = abs(math.cos(body.yaw_rad)), abs(math.sin(body.yaw_rad))
+        half_along = 0.5 * (body.length_m * cos + body.width_m * sin)
+        half_across = 0.5 * (body.length_m * sin + body.width_m * cos)
+        vx = actor.speed_mps * math.cos(body.yaw_rad)
+        vy = actor.speed_mps * math.sin(body.yaw_rad)
+        for tenth in range(round(LOOK_AHEAD_S / 0.1) + 1):
+            later_s = 0.1 * tenth
+            ahead_m = actor.x_m + vx * later_s - (ego.x_m + ego.speed_mps * later_s + CAMERA_FORWARD_M)
+            aside_m = actor.y_m + vy * later_s - ego.y_m
+            if (
+                -half_along <= ahead_m - half_along <= REGION_AHEAD_M
+                and abs(aside_m) <= REGION_ASIDE_M + half_across
+            ):
+                return True
+        return False
+
+    def sample(self, time_s: float, *, brakes_for_nothing: bool) -> WorldSample:
+        """Return the current true state."""
+        ego = self._ego
+        front_m = self._front_gap()
+        return WorldSample(
+            time_s=time_s,
+            x_m=ego.x_m,
+            y_m=ego.y_m,
+            yaw_rad=ego.yaw_rad,
+            speed_mps=ego.speed_mps,
+            station_m=ego.x_m,
+            offset_m=ego.y_m - LANE_Y_M,
+            heading_error_rad=ego.yaw_rad,
+            ego_length_m=ego.length_m,
+            ego_width_m=ego.width_m,
+            lane_left_m=0.5 * LANE_M,
+            lane_right_m=-0.5 * LANE_M,
+            speed_limit_mps=CRUISE_MPS + 2.0,
+            front_gap_m=front_m,
+            pedestrian_gap_m=self._person_m,
+            nearest_gap_m=self._gap_m,
+            closing_speed_mps=self._closing_mps,
+            collision=self._collision,
+            may_wait=self.anyone_expected(),
+            goal_reached=ego.x_m > END_M - 20.0,
+            brakes_for_nothing=brakes_for_nothing,
+        )
+
+    def _front_gap(self) -> float | None:
+        """Return the bumper-to-bumper gap to the nearest vehicle ahead in the ego's lane."""
+        ego = self._ego
+        gaps = [
+            actor.x_m - 0.5 * actor.body.length_m - ego.x_m - 0.5 * ego.length_m
+            for actor, _ in self._actors
+            if actor.body.kind is not BodyKind.PERSON
+            and abs(actor.y_m - ego.y_m) < 0.5 * (ego.width_m + actor.body.width_m)
+            and actor.x_m > ego.x_m
+        ]
+        nearest_m = min(gaps, default=None)
+        return None if nearest_m is None or nearest_m > 50.0 else max(nearest_m, 0.0)
+
+
+def _box(body: Body) -> Box:
+    return Box(
+        length_m=body.length_m, width_m=body.width_m, height_m=body.height_m, x_m=body.x_m, y_m=body.y_m,
+        yaw_rad=body.yaw_rad,
+    )  # fmt: skip
+
 
 FRAME_S: Final = 0.05
 PHYSICS_STEPS: Final = round(FRAME_S / PHYSICS_STEP_S)
 FULL_BRAKE_MPS2: Final = -12.0
 LOOK_BACK_FRAMES: Final = 10
-"""Somebody who was expected in the region so lately is a reason to brake."""
+"""Braking is justified if someone was expected in the region within this many frames."""
 PAST_LINE_M: Final = 15.0
-"""The episode is over when the ego is past the pedestrian's line by so much."""
+"""The episode ends when the ego is this far beyond the pedestrian's line."""
 
 
 @dataclass(slots=True, kw_only=True)
 class Outcome:
-    """How an episode went, besides what its requirements know.
+    """Result of an episode beyond what its requirements measure.
 
     Attributes:
         ended: ``collision``, ``past`` or ``time``.
-        frames: Frames that were looked at.
-        time_s: When it ended.
-        collision: What the ego hit.
-        first_seen_s: When a person was first detected in the picture.
-        braked_at_s: When the brake first came on.
-        stopped_at_s: When the ego first stood.
-        stopping_gap_m: Clearance then, to the nearest person or to what stands in the lane ahead.
+        frames: Number of frames.
+        time_s: When the episode ended.
+        collision: The ego's collision, if there was one.
+        first_seen_s: When a person was first detected.
+        braked_at_s: When the brake was first applied.
+        stopped_at_s: When the ego first stood still.
+        stopping_gap_m: Clearance at that time to the nearest person or to an obstacle ahead in the lane.
     """
 
     ended: str = "time"
@@ -49,22 +219,22 @@ class Outcome:
 
 @dataclass(slots=True, kw_only=True)
 class Episode:
-    """One episode. Its parts change in place; made anew for each.
+    """One episode. Its parts are stateful and are created for each episode.
 
     Attributes:
-        street: Where it is.
+        street: The street.
         ego: The car under test.
-        facts: What measures it.
-        sight: What gives the frames.
-        brake: What decides.
+        monitor: Measures the true state.
+        sight: Provides the observations.
+        brake: Decides when to brake.
         requirements: By id; they observe every frame.
-        line_m: Way of the ego's bumper to the pedestrian's line.
-        recorder: Takes the trace, if there is one.
+        line_m: Distance from the ego's bumper to the pedestrian's line.
+        recorder: Records the trace, if given.
     """
 
     street: Street
     ego: EgoCar
-    facts: Facts
+    monitor: WorldMonitor
     sight: Sight
     brake: EmergencyBrake
     requirements: Mapping[str, Requirement]
@@ -76,7 +246,7 @@ class Episode:
     _expected_frame: int = -1000
 
     def run(self, duration_s: float) -> Outcome:
-        """Run to the ego's first collision, past the pedestrian's line, or to the end of the time."""
+        """Run until the first collision, until the ego is past the pedestrian's line, or until time is up."""
         for frame in range(round(duration_s / FRAME_S)):
             sample = self._step(frame)
             self.outcome.frames = frame + 1
@@ -88,35 +258,35 @@ class Episode:
                 self.outcome.ended = "past"
                 break
         if self.recorder is not None:
-            self.recorder.end(self.outcome.time_s)
+            self.recorder.finish(self.outcome.time_s)
         return self.outcome
 
     def _step(self, frame: int) -> WorldSample:
         time_s = frame * FRAME_S
-        look = self.sight.look(frame, time_s, self.street, self.ego)
-        brakes = self.brake.decide(time_s, look.detections)
-        self._judge_reason(frame, brakes)
-        self._note(time_s, look, brakes)
+        observation = self.sight.observe(frame, time_s, self.street, self.ego)
+        brakes = self.brake.decide(time_s, observation.detections)
+        self._update_justified(frame, brakes)
+        self._record_events(time_s, observation, brakes)
         if self.recorder is not None:
-            self.recorder.sample(time_s, look, brakes=brakes)
+            self.recorder.record_frame(time_s, observation, brakes=brakes)
         accel_mps2 = FULL_BRAKE_MPS2 if brakes else min(max(CRUISE_MPS - self.ego.speed_mps, -3.0), 2.5)
         for part in range(PHYSICS_STEPS):
             self.ego.drive(accel_mps2, 0.0, 1)
             self.street.advance(time_s + part * PHYSICS_STEP_S, PHYSICS_STEP_S)
-            self.facts.touch()
-            if self.facts.collided:
+            self.monitor.update()
+            if self.monitor.collided:
                 break
-        sample = self.facts.sample(time_s + FRAME_S, brakes_for_nothing=brakes and not self._justified)
+        sample = self.monitor.sample(time_s + FRAME_S, brakes_for_nothing=brakes and not self._justified)
         for name, requirement in self.requirements.items():
             robustness = requirement.observe(sample)
             if self.recorder is not None:
-                self.recorder.judge(name, robustness)
-        self._note_stop(sample, brakes)
+                self.recorder.record_robustness(name, robustness)
+        self._record_stop(sample, brakes)
         return sample
 
-    def _judge_reason(self, frame: int, brakes: bool) -> None:
-        """Keep in mind whether the braking that is on has a reason."""
-        if self.facts.expected():
+    def _update_justified(self, frame: int, brakes: bool) -> None:
+        """Track whether the current braking has a reason."""
+        if self.monitor.anyone_expected():
             self._expected_frame = frame
         if not brakes:
             self._braking = self._justified = False
@@ -125,14 +295,14 @@ class Episode:
         self._justified = recently or (self._braking and self._justified)
         self._braking = True
 
-    def _note(self, time_s: float, look: Look, brakes: bool) -> None:
+    def _record_events(self, time_s: float, observation: Observation, brakes: bool) -> None:
         outcome = self.outcome
-        if outcome.first_seen_s is None and any(box.label == PERSON for box in look.detections):
+        if outcome.first_seen_s is None and any(box.label == PERSON for box in observation.detections):
             outcome.first_seen_s = time_s
         if brakes and outcome.braked_at_s is None:
             outcome.braked_at_s = time_s
 
-    def _note_stop(self, sample: WorldSample, brakes: bool) -> None:
+    def _record_stop(self, sample: WorldSample, brakes: bool) -> None:
         if brakes and sample.speed_mps < 0.05 and self.outcome.stopped_at_s is None:
             self.outcome.stopped_at_s = sample.time_s
             ahead_m = [gap for gap in (sample.pedestrian_gap_m, sample.front_gap_m) if gap is not None]

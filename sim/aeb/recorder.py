@@ -1,7 +1,7 @@
-"""Records an emergency-braking episode as a `brink.sim.trace.Trace`, so that every replay can draw it.
+"""Records an emergency-braking episode as a `brink.sim.trace.Trace` that any replay can draw.
 
-Boxes are in the coordinates of the trace's 800 x 600 picture: cameras with the same horizontal field of view see the
-same there, however many pixels they have.
+Boxes are in coordinates of the trace's 800 x 600 picture. They apply to any resolution, because the horizontal field
+of view is the same.
 """
 
 import io
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from brink.sim.aeb.braking import Detection, EmergencyBrake
-from brink.sim.aeb.sight import Look, Picture, Shot, boxes_of
+from brink.sim.aeb.sight import CameraShot, Observation, Picture, boxes_of
 from brink.sim.aeb.street import CRUISE_MPS, END_M, LANE_Y_M, Street
 from brink.sim.episode import Json
 from brink.sim.rendering.scene import BodyKind, Material
@@ -34,20 +34,20 @@ from brink.sim.world.ego import EgoCar
 
 TRACE_PX: Final = (800.0, 600.0)
 PICTURE_EVERY: Final = 2
-"""One frame in two is kept as a picture: ten a second, as films play."""
+"""Every second frame is kept as a picture: ten a second, the frame rate of films."""
 JPEG_QUALITY: Final = 70
 PICTURE_WIDTH_PX: Final = 480
-"""Wider pictures are kept at this width: a film of ten seconds is one or two megabytes."""
+"""Wider pictures are scaled down to this width, so that a film of ten seconds takes one or two megabytes."""
 _SURFACES: Final = {Material.ASPHALT: "road", Material.PAVEMENT: "pavement", Material.MARKING: "marking"}
 
 
 class AebRecorder:
-    """Takes one sample a frame.
+    """Records one sample per frame.
 
     Args:
-        street: Where it happens.
+        street: The street.
         ego: The car under test.
-        size_px: Of the camera's picture.
+        size_px: Size of the camera's picture.
     """
 
     def __init__(self, street: Street, ego: EgoCar, size_px: tuple[int, int]) -> None:
@@ -64,23 +64,29 @@ class AebRecorder:
         self._events: list[Event] = []
         self._film = _FilmRecorder()
 
-    def sample(self, time_s: float, look: Look, *, brakes: bool) -> None:
-        """Take a frame."""
+    def record_frame(self, time_s: float, observation: Observation, *, brakes: bool) -> None:
+        """Record a frame.
+
+        Args:
+            time_s: Time of the frame.
+            observation: What was observed.
+            brakes: Whether the brake is on.
+        """
         if brakes and not (self._brakes and self._brakes[-1]):
             self._events.append(Event(time_s=time_s, kind="brakes", text="emergency braking begins"))
         self._place(time_s)
-        self._truth.append(self._scaled(look.truth))
-        self._given.append(self._scaled(look.detections))
-        if look.shot is not None:
-            self._film.append(len(self._time_s) - 1, look.shot)
+        self._truth.append(self._scaled(observation.truth))
+        self._given.append(self._scaled(observation.detections))
+        if observation.shot is not None:
+            self._film.append(len(self._time_s) - 1, observation.shot)
         self._brakes.append(brakes)
 
-    def judge(self, name: str, robustness: float) -> None:
-        """Take the robustness of a requirement at the end of the frame."""
+    def record_robustness(self, name: str, robustness: float) -> None:
+        """Record the robustness of a requirement at the end of the frame."""
         self._robustness.setdefault(name, []).append(robustness)
 
-    def end(self, time_s: float) -> None:
-        """Take where everybody is at the end."""
+    def finish(self, time_s: float) -> None:
+        """Record the final positions."""
         if self._brakes:
             self._place(time_s)
             self._truth.append([])
@@ -105,7 +111,7 @@ class AebRecorder:
         ]
 
     def trace(self, about: Mapping[str, Json]) -> Trace:
-        """Return what was recorded."""
+        """Return the recorded trace."""
         count = len(self._time_s)
         tracks = np.array(self._actor_rows, dtype=np.float32).reshape(count, len(self._street.actors), 4)
         return Trace(
@@ -143,7 +149,7 @@ class AebRecorder:
 
 
 class _FilmRecorder:
-    """Takes what the camera saw, every picture's boxes and every second picture."""
+    """Records the camera's boxes of every picture, and every second picture."""
 
     def __init__(self) -> None:
         self._pictures: list[bytes] = []
@@ -151,8 +157,8 @@ class _FilmRecorder:
         self._judged: list[list[tuple[float, ...]]] = []
         self._found: list[list[tuple[float, ...]]] = []
 
-    def append(self, sample: int, shot: Shot) -> None:
-        """Take the shot of a sample."""
+    def append(self, sample: int, shot: CameraShot) -> None:
+        """Record the picture and boxes of a sample."""
         if sample % PICTURE_EVERY == 0:
             self._samples.append(sample)
             self._pictures.append(_jpeg(shot.picture))
@@ -160,7 +166,7 @@ class _FilmRecorder:
         self._found.append(_rows(shot.found.labels, shot.found.boxes, shot.found.scores))
 
     def film(self, samples: int, size_px: tuple[int, int]) -> Film | None:
-        """Return the film of an episode with that many samples; None if there was no camera."""
+        """Return the film of an episode with a number of samples; None if there was no camera."""
         if not self._samples:
             return None
         nothing: list[list[tuple[float, ...]]] = [[]] * (samples - len(self._judged))
@@ -184,7 +190,7 @@ def _jpeg(picture: Picture) -> bytes:
 
 
 def _rows(labels: NDArray[Any], boxes: NDArray[Any], last: NDArray[Any]) -> list[tuple[float, ...]]:
-    """Return boxes as rows of label, x_min, x_max, y_min, y_max and one column more."""
+    """Return boxes as rows of label, x_min, x_max, y_min, y_max and one additional column."""
     whole = np.column_stack([labels, boxes[:, [0, 2, 1, 3]], last])
     return [tuple(row) for row in whole.tolist()]
 
@@ -202,7 +208,7 @@ def _ragged(rows: Sequence[Sequence[tuple[float, ...]]], columns: tuple[str, ...
 
 
 def _surfaces(street: Street) -> tuple[Surface, ...]:
-    """Return what does not move, seen from above."""
+    """Return the static scene from above."""
     scene = street.scene
     surfaces = [
         Surface(kind=_SURFACES[g.material], points=g.points.astype(np.float32), closed=True, width_m=0.0)

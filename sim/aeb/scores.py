@@ -1,6 +1,6 @@
-"""How well a detector did in an episode: everywhere, and apart inside and outside of the warning region.
+"""Detection scores of an episode: overall, and separately inside and outside the warning region.
 
-A box is inside if it meets the region. What lies on the other side is left out, neither for nor against the detector.
+A box is inside if it intersects the region. Boxes on the other side are neutral.
 """
 
 from collections.abc import Sequence
@@ -9,22 +9,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from brink.sim.aeb.braking import EmergencyBrake, Region
-from brink.sim.perception.quality import Found, Truth, mean_average_precision, precision_and_recall
+from brink.sim.perception.boxes import Detections, GroundTruth, mean_average_precision, precision_and_recall
 from brink.sim.trace import Film
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scores:
-    """Figures of one episode at one threshold; NaN where there was nothing to find.
+    """Scores of one episode at one threshold; NaN where there was nothing to detect.
 
     Attributes:
-        alpha: mAP at an overlap of one half.
-        precision: Share of right detections among those with at least the threshold's score.
-        recall: Share of what is there that they find.
-        precision_inside: The same inside the warning region.
-        recall_inside: The same inside the warning region.
-        precision_outside: The same outside of it.
-        recall_outside: The same outside of it.
+        alpha: mAP at an IoU of one half.
+        precision: Share of correct detections among those above the threshold.
+        recall: Share of the true boxes that they find.
+        precision_inside: Precision inside the warning region.
+        recall_inside: Recall inside the warning region.
+        precision_outside: Precision outside the warning region.
+        recall_outside: Recall outside the warning region.
     """
 
     alpha: float
@@ -36,21 +36,23 @@ class Scores:
     recall_outside: float
 
 
-def scored(truths: Sequence[Truth], found: Sequence[Found], threshold: float, warning: Region) -> Scores:
-    """Return the figures of an episode.
+def score_episode(
+    truths: Sequence[GroundTruth], detections: Sequence[Detections], threshold: float, warning: Region
+) -> Scores:
+    """Return the scores of an episode.
 
     Args:
-        truths: What is there, one a frame.
-        found: What was found in the same frames.
-        threshold: Least score of a detection that counts for precision and recall.
-        warning: The region.
+        truths: Ground truth of each frame.
+        detections: Detections in the same frames.
+        threshold: Minimum score of a detection for precision and recall.
+        warning: The warning region.
     """
-    sides = [_side(truths, found, warning, inside=inside) for inside in (True, False)]
+    sides = [_side(truths, detections, warning, inside=inside) for inside in (True, False)]
     (precision, recall), inside, outside = (
-        precision_and_recall(*pair, threshold) for pair in ((truths, found), *sides)
+        precision_and_recall(*pair, threshold) for pair in ((truths, detections), *sides)
     )
     return Scores(
-        alpha=mean_average_precision(truths, found),
+        alpha=mean_average_precision(truths, detections),
         precision=precision,
         recall=recall,
         precision_inside=inside[0],
@@ -60,37 +62,41 @@ def scored(truths: Sequence[Truth], found: Sequence[Found], threshold: float, wa
     )
 
 
-def rescored(film: Film, threshold: float) -> Scores:
-    """Return the figures of a recorded episode at any threshold, without simulating."""
-    truths, found = [], []
+def rescore(film: Film, threshold: float) -> Scores:
+    """Return the scores of a recorded episode at any threshold, without simulating it again."""
+    truths, detections = [], []
     for sample in range(len(film.judged.first) - 1):
-        judged, said = film.judged.at(sample), film.found.at(sample)
+        judged, detected = film.judged.at(sample), film.found.at(sample)
         order = [1, 3, 2, 4]  # x_min, y_min, x_max, y_max
         truths.append(
-            Truth(
+            GroundTruth(
                 labels=judged[:, 0].astype(np.int64),
                 boxes=np.ascontiguousarray(judged[:, order]),
                 ignored=judged[:, 5] > 0,
             )
         )
-        found.append(
-            Found(
-                labels=said[:, 0].astype(np.int64),
-                boxes=np.ascontiguousarray(said[:, order]),
-                scores=np.ascontiguousarray(said[:, 5]),
+        detections.append(
+            Detections(
+                labels=detected[:, 0].astype(np.int64),
+                boxes=np.ascontiguousarray(detected[:, order]),
+                scores=np.ascontiguousarray(detected[:, 5]),
             )
         )
-    return scored(truths, found, threshold, EmergencyBrake.for_picture(*film.size_px).warning)
+    return score_episode(truths, detections, threshold, EmergencyBrake.for_picture(*film.size_px).warning)
 
 
 def _side(
-    truths: Sequence[Truth], found: Sequence[Found], warning: Region, *, inside: bool
-) -> tuple[list[Truth], list[Found]]:
-    """Return the frames with what lies on one side: truth beyond is ignored, what is found beyond dropped."""
+    truths: Sequence[GroundTruth], detections: Sequence[Detections], warning: Region, *, inside: bool
+) -> tuple[list[GroundTruth], list[Detections]]:
+    """Return the frames restricted to one side: other true boxes are ignored, other detections dropped."""
     kept_truths, kept_found = [], []
-    for truth, said in zip(truths, found, strict=True):
-        there = warning.met_by(truth.boxes) == inside
-        kept_truths.append(Truth(labels=truth.labels, boxes=truth.boxes, ignored=truth.ignored | ~there))
-        kept = warning.met_by(said.boxes) == inside
-        kept_found.append(Found(labels=said.labels[kept], boxes=said.boxes[kept], scores=said.scores[kept]))
+    for truth, detected in zip(truths, detections, strict=True):
+        on_side = warning.intersects_each(truth.boxes) == inside
+        kept_truths.append(
+            GroundTruth(labels=truth.labels, boxes=truth.boxes, ignored=truth.ignored | ~on_side)
+        )
+        kept = warning.intersects_each(detected.boxes) == inside
+        kept_found.append(
+            Detections(labels=detected.labels[kept], boxes=detected.boxes[kept], scores=detected.scores[kept])
+        )
     return kept_truths, kept_found

@@ -1,82 +1,95 @@
-"""What the brake is told: by ground truth, by nobody, by boxes that are made up, or by a detector that looks."""
+"""What the brake perceives: ground truth, nothing, injected boxes, or a detector's boxes."""
 
 from collections.abc import Sequence
 from typing import Final, NamedTuple, Protocol, TypeAlias
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from brink.sim.aeb.braking import PERSON, VEHICLE, Detection
+from brink.sim.aeb.braking import PERSON, VEHICLE, Detection, EmergencyBrake
+from brink.sim.aeb.scores import Scores, score_episode
 from brink.sim.aeb.street import Street
 from brink.sim.driving.camera import Body as Prism
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.interface import Box, ObstacleLabel
-from brink.sim.perception.quality import Found, Truth
-from brink.sim.rendering.scene import Body, BodyKind
+from brink.sim.perception.boxes import Detections, GroundTruth
+from brink.sim.perception.detector import LABELS, Detector
+from brink.sim.perturbations import Mode, Perturbation, Pipeline
+from brink.sim.rendering.canvas import visible_bodies
+from brink.sim.rendering.renderer import Renderer
+from brink.sim.rendering.scene import Body, BodyKind, Frame, Light, PictureCamera, Viewpoint
 from brink.sim.urban.behaviour import IMAGE_HEIGHT_PX, IMAGE_WIDTH_PX, PERCEPTION_STEP_S, InjectedTrajectory
 from brink.sim.world.ego import EgoCar
 
 Picture: TypeAlias = NDArray[np.uint8]
 
 MIN_HEIGHT_SHARE: Final = 8.0 / 360.0
-"""Lower ground-truth boxes do not count: 8 px in a picture of 640 x 360."""
+"""Lower ground-truth boxes are ignored: 8 px in a picture of 640 x 360."""
 
 
-class Shot(NamedTuple):
+class CameraShot(NamedTuple):
     """One picture of a camera in the loop.
 
     Attributes:
-        picture: As the detector was shown it, RGB, shape ``(h, w, 3)``.
-        truth: What is there, what does not count included.
-        found: All that the detector found.
+        picture: The picture shown to the detector, RGB, shape ``(h, w, 3)``.
+        truth: Ground truth, including ignored boxes.
+        found: All detections.
     """
 
     picture: Picture
-    truth: Truth
-    found: Found
+    truth: GroundTruth
+    found: Detections
 
 
-class Look(NamedTuple):
-    """What one frame gave.
+class Observation(NamedTuple):
+    """Result of observing one frame.
 
     Attributes:
-        truth: Ground-truth boxes, unusual bodies included: a fallen tree is labelled a vehicle, since it stands in
-            the way like one.
-        detections: What the brake is told.
-        shot: What the camera and the detector gave; None without them.
+        truth: Ground-truth boxes including unusual bodies; a fallen tree is labelled as a vehicle, since it blocks
+            the road like one.
+        detections: Boxes reported to the brake.
+        shot: Picture and detections of the camera, None without one.
     """
 
     truth: tuple[Detection, ...]
     detections: tuple[Detection, ...]
-    shot: Shot | None = None
+    shot: CameraShot | None = None
 
 
 class Sight(Protocol):
-    """Gives each frame of an episode."""
+    """Observes each frame of an episode."""
 
-    def look(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> Look:
-        """Return what is seen in a frame."""
+    def observe(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> Observation:
+        """Observe a frame.
+
+        Args:
+            frame: Index of the frame.
+            time_s: Time of the frame.
+            street: The street.
+            ego: The car under test.
+        """
         ...
 
 
-class GroundTruth:
-    """Boxes of everybody in view, by geometry; a body that a nearer one covers is not seen.
+class OracleSight:
+    """Ground truth by geometry: boxes of all bodies in view that are not covered by a nearer one.
 
     Args:
-        width_px: Of the picture.
-        height_px: Of the picture.
-        told: Whether the brake is told; otherwise it is told nothing.
+        width_px: Width of the picture.
+        height_px: Height of the picture.
+        reported: Whether the boxes are reported to the brake; if not, it gets nothing.
     """
 
-    def __init__(self, width_px: int, height_px: int, *, told: bool = True) -> None:
+    def __init__(self, width_px: int, height_px: int, *, reported: bool = True) -> None:
         self._camera = Camera(
             width_px=width_px, height_px=height_px, min_height_px=MIN_HEIGHT_SHARE * height_px
         )
-        self._told = told
+        self._reported = reported
 
-    def look(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> Look:
-        """Return what is seen in a frame."""
-        bodies = [*(actor.now() for actor in street.actors), *street.scene.parked]
+    def observe(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> Observation:
+        """Observe a frame; see `Sight`."""
+        bodies = [*(actor.current_body() for actor in street.actors), *street.scene.parked]
         seen = self._camera.look(ego.x_m, ego.y_m, ego.yaw_rad, [_prism(body) for body in bodies])
         truth = tuple(
             Detection(
@@ -88,30 +101,30 @@ class GroundTruth:
             )
             for sight in seen
         )
-        return Look(truth, truth if self._told else ())
+        return Observation(truth, truth if self._reported else ())
 
 
-class Injected:
-    """Boxes that are made up: the brake is told nothing else.
+class InjectedSight:
+    """Injected boxes, the only ones that the brake gets.
 
     Args:
-        width_px: Of the picture.
-        height_px: Of the picture.
+        width_px: Width of the picture.
+        height_px: Height of the picture.
         trajectories: The boxes, in the urban simulator's image.
     """
 
     def __init__(self, width_px: int, height_px: int, trajectories: Sequence[InjectedTrajectory]) -> None:
-        self._truth = GroundTruth(width_px, height_px, told=False)
+        self._truth = OracleSight(width_px, height_px, reported=False)
         self._trajectories = trajectories
         self._scale = width_px / IMAGE_WIDTH_PX
-        # Cameras with the same horizontal field of view see the same there, around the same horizon.
+        # Both cameras have the same horizontal field of view and horizon, so scaling and shifting is exact.
         self._shift_px = 0.5 * height_px - 0.5 * IMAGE_HEIGHT_PX * self._scale
 
-    def look(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> Look:
-        """Return what is there, and what was made up for this time."""
+    def observe(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> Observation:
+        """Observe a frame; see `Sight`."""
         boxes = [trajectory.box_at(time_s / PERCEPTION_STEP_S) for trajectory in self._trajectories]
-        said = tuple(self._placed(box) for box in boxes if box is not None)
-        return Look(self._truth.look(frame, time_s, street, ego).truth, said)
+        injected = tuple(self._placed(box) for box in boxes if box is not None)
+        return Observation(self._truth.observe(frame, time_s, street, ego).truth, injected)
 
     def _placed(self, box: Box) -> Detection:
         return Detection(
@@ -131,3 +144,91 @@ def _prism(body: Body) -> Prism:
 def boxes_of(detections: Sequence[Detection]) -> list[tuple[float, float, float, float, float]]:
     """Return boxes as rows of label (0 vehicle, 1 person), x_min, x_max, y_min, y_max."""
     return [(float(d.label == PERSON), d.x_min_px, d.x_max_px, d.y_min_px, d.y_max_px) for d in detections]
+
+
+MIN_VISIBLE: Final = 0.25
+
+
+class CameraSight:
+    """Renders and perturbs each frame and runs a detector on it; keeps all ground truth and detections.
+
+    Args:
+        street: The street.
+        light: Time of day and weather.
+        size_px: Size of the pictures.
+        seed: The episode's seed, for looks and perturbations.
+        detector: The detector.
+        threshold: Minimum score of a detection reported to the brake.
+        perturbations: Applied in order.
+        mode: Whether random fields are drawn for each frame or once.
+    """
+
+    def __init__(
+        self,
+        street: Street,
+        light: Light,
+        size_px: tuple[int, int],
+        *,
+        seed: int,
+        detector: Detector,
+        threshold: float,
+        perturbations: Sequence[Perturbation] = (),
+        mode: Mode = Mode.PER_FRAME,
+    ) -> None:
+        cv2.setNumThreads(1)
+        camera = PictureCamera(width_px=size_px[0], height_px=size_px[1])
+        self._renderer = Renderer(street.scene, light, camera, seed)
+        self._pipeline = Pipeline(tuple(perturbations), seed=seed, mode=mode)
+        self._detector = detector
+        self._threshold = threshold
+        self._warning = EmergencyBrake.for_picture(*size_px).warning
+        self._truths: list[GroundTruth] = []
+        self._found: list[Detections] = []
+
+    def observe(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> Observation:
+        """Observe a frame; see `Sight`."""
+        view = Viewpoint(x_m=ego.x_m, y_m=ego.y_m, yaw_rad=ego.yaw_rad)
+        picture = self._renderer.frame(view, [actor.current_body() for actor in street.actors], time_s)
+        truth, ignored = visible_boxes(picture)
+        shown = self._pipeline(picture.image, frame)
+        shot = CameraShot(shown, _rows(truth, ignored), self._detector.detect(shown))
+        found = shot.found
+        self._truths.append(shot.truth)
+        self._found.append(found)
+        sure = np.flatnonzero(found.scores >= self._threshold).tolist()
+        detections = tuple(_detection(found, place) for place in sure)
+        counting = tuple(box for box, skip in zip(truth, ignored, strict=True) if not skip)
+        return Observation(counting, detections, shot)
+
+    def scores(self) -> Scores:
+        """Return the detector's scores over all frames so far."""
+        return score_episode(self._truths, self._found, self._threshold, self._warning)
+
+
+def visible_boxes(frame: Frame) -> tuple[list[Detection], list[bool]]:
+    """Return the boxes of all visible bodies, and whether each is ignored as too low or almost hidden.
+
+    A fallen tree is labelled as a vehicle, since it blocks the road like one.
+    """
+    boxes, ignored = [], []
+    least_px = MIN_HEIGHT_SHARE * frame.image.shape[0]
+    for body in visible_bodies(frame):
+        if body.box is None:
+            continue
+        label = PERSON if body.kind is BodyKind.PERSON else VEHICLE
+        boxes.append(Detection(label, *(float(edge) for edge in body.box)))
+        ignored.append(body.box.y_max_px - body.box.y_min_px < least_px or body.visible_share < MIN_VISIBLE)
+    return boxes, ignored
+
+
+def _detection(found: Detections, place: int) -> Detection:
+    x_min, y_min, x_max, y_max = found.boxes[place].tolist()
+    return Detection(LABELS[found.labels[place]], x_min, y_min, x_max, y_max, float(found.scores[place]))
+
+
+def _rows(boxes: Sequence[Detection], ignored: Sequence[bool]) -> GroundTruth:
+    return GroundTruth(
+        labels=np.array([LABELS.index(box.label) for box in boxes], np.int64),
+        boxes=np.array([box[1:5] for box in boxes], np.float32).reshape(len(boxes), 4),
+        ignored=np.array(ignored, np.bool_),
+    )

@@ -1,4 +1,4 @@
-"""Owns the simulator `brink-aeb@1`: a specification in, a result out; bit for bit the same each time."""
+"""The simulator `brink-aeb@1`: runs a specification and returns the result, bit for bit reproducible."""
 
 import json
 import math
@@ -6,22 +6,19 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict
 
-from brink.sim.aeb.behaviour import Behaviour, Options, SightMode, check_weights
 from brink.sim.aeb.braking import EmergencyBrake
-from brink.sim.aeb.camera_sight import CameraSight
-from brink.sim.aeb.episode import Episode, Outcome
-from brink.sim.aeb.facts import Facts
+from brink.sim.aeb.episode import Episode, Outcome, WorldMonitor
 from brink.sim.aeb.recorder import AebRecorder
-from brink.sim.aeb.scenario import AebScenario
-from brink.sim.aeb.sight import GroundTruth, Injected, Sight
+from brink.sim.aeb.sight import CameraSight, InjectedSight, OracleSight, Sight
+from brink.sim.aeb.specification import AebScenario, Behaviour, Options, SightMode, check_weights
 from brink.sim.aeb.street import CRUISE_MPS, LANE_Y_M, Street, make_street
 from brink.sim.bullet.engine import EngineError, discard_engine, process_engine
+from brink.sim.catalogue import make_requirements
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
 from brink.sim.errors import SimulationCrashed
-from brink.sim.perception.registry import find_detector
+from brink.sim.perception.detector import find_detector
 from brink.sim.rendering.scene import Light
-from brink.sim.requirements.registry import features_of, make_requirements, verdicts_of
-from brink.sim.requirements.requirement import Requirement
+from brink.sim.requirements import Requirement, features_of, verdicts_of
 from brink.sim.urban.simulator import instruction_set, versions
 from brink.sim.world.ego import EgoCar
 from brink.sim.world.weather import conditions
@@ -31,18 +28,18 @@ MAX_DURATION_S = 60.0
 
 
 class BrinkAeb:
-    """Runs emergency-braking episodes. One a process is enough; it keeps nothing between episodes."""
+    """Runs emergency-braking episodes. Stateless between episodes; one instance per process is enough."""
 
     def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
         """Run one episode.
 
         Args:
-            spec: What to run.
-            record: Whether the result carries the trace.
+            spec: The specification.
+            record: Whether to include the trace in the result.
 
         Raises:
             InvalidEpisode: The specification can never run.
-            SimulationCrashed: The physics engine broke down.
+            SimulationCrashed: The physics engine failed.
         """
         cpu_s = time.process_time()
         spec.check_for(SIMULATOR_ID, MAX_DURATION_S)
@@ -54,7 +51,7 @@ class BrinkAeb:
             episode, recorder = _run(spec, scenario, options, behaviour, requirements, record=record)
         except EngineError as error:
             discard_engine()
-            raise SimulationCrashed(f"the physics engine broke down: {error}") from error
+            raise SimulationCrashed(f"the physics engine failed: {error}") from error
         return _result(spec, episode, requirements, recorder, cpu_s)
 
 
@@ -76,7 +73,7 @@ def _run(
     episode = Episode(
         street=street,
         ego=ego,
-        facts=Facts(street, ego, engine),
+        monitor=WorldMonitor(street, ego, engine),
         sight=_sight(spec, scenario, options, behaviour, street),
         brake=EmergencyBrake.for_picture(*options.size_px, hold_s=options.hold_s, enabled=options.braking),
         requirements=requirements,
@@ -92,9 +89,9 @@ def _sight(
 ) -> Sight:
     check_weights(behaviour)
     if behaviour.mode is SightMode.INJECTED:
-        return Injected(*options.size_px, behaviour.trajectories)
+        return InjectedSight(*options.size_px, behaviour.trajectories)
     if behaviour.mode is not SightMode.DETECTOR:
-        return GroundTruth(*options.size_px, told=behaviour.mode is SightMode.ORACLE)
+        return OracleSight(*options.size_px, reported=behaviour.mode is SightMode.ORACLE)
     return CameraSight(
         street,
         Light(time_of_day=scenario.time_of_day, weather=scenario.weather),

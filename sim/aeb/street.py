@@ -1,8 +1,8 @@
-"""Owns the street of an emergency-braking episode: what stands there, and who moves how.
+"""The street of an emergency-braking episode, and the road users on it.
 
-The street runs along x. The ego's lane lies around y = -1.75 m, the oncoming one around y = +1.75 m, then on each
-side a strip with parked vehicles, a pavement and houses. What no scenario parameter fixes (looks, gaps, who walks on
-the pavement) comes from the episode's seed.
+The street runs along x. The ego's lane lies around y = -1.75 m and the oncoming lane around y = +1.75 m; each side
+has a strip with parked vehicles, a pavement and buildings. Everything that the scenario leaves open (looks, gaps,
+people on the pavement) comes from the episode's seed.
 """
 
 import math
@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from brink.sim.aeb.scenario import AebScenario, Obstacle, Occluder
+from brink.sim.aeb.specification import AebScenario, Obstacle, Occluder
 from brink.sim.rendering.scene import Body, BodyKind, Building, Ground, Lamp, Material, StreetScene, Tree
 from brink.sim.world.streams import Stream, generator
 
@@ -25,33 +25,34 @@ PAVEMENT_M: Final = 3.0
 BEGIN_M: Final = -40.0
 END_M: Final = 160.0
 EGO_FRONT_M: Final = 2.25
-"""From the middle of the ego to its front bumper."""
-PERSON: Final = (0.45, 0.55, 1.75)
-CAR: Final = (4.4, 1.8, 1.5)
-VAN: Final = (5.6, 2.0, 2.3)
-TREE_TRUNK: Final = (2.6, 1.0, 0.9)
-ON_ITS_ROOF: Final = (4.4, 1.8, 1.35)
+"""From the ego's centre to its front bumper."""
+PERSON_SIZE_M: Final = (0.45, 0.55, 1.75)
+CAR_SIZE_M: Final = (4.4, 1.8, 1.5)
+VAN_SIZE_M: Final = (5.6, 2.0, 2.3)
+TREE_SIZE_M: Final = (2.6, 1.0, 0.9)
+OVERTURNED_SIZE_M: Final = (4.4, 1.8, 1.35)
 GAP_M: Final = 1.6
-"""Between the two parked vehicles from which the pedestrian comes."""
+"""Gap between the two parked vehicles that the pedestrian steps out of."""
 BRAKES_MPS2: Final = 5.0
 STARTS_MPS2: Final = 1.5
 YIELDS_WITHIN_M: Final = 16.0
-"""Oncoming vehicles that are nearer to a crossing pedestrian brake."""
+"""Oncoming vehicles closer than this to a crossing pedestrian brake."""
 
 
 @dataclass(slots=True, kw_only=True)
 class Actor:
-    """Somebody or something with a body; moves along its heading.
+    """A moving body; it moves along its heading.
 
     Attributes:
         name: Unique in the episode.
-        body: How it looks and how big it is; its pose is that of the start.
-        x_m: Where it is now.
-        y_m: The same.
-        speed_mps: How fast it moves along its heading now.
+        body: Its looks, size and initial pose.
+        x_m: Current position.
+        y_m: Current position.
+        speed_mps: Current speed along its heading.
+        cruise_mps: Target speed.
         starts_s: When it begins to move.
-        stops_after_m: Way after which it stands.
-        way_m: Way so far.
+        stops_after_m: Distance after which it stops.
+        travelled_m: Distance travelled so far.
     """
 
     name: str
@@ -62,36 +63,36 @@ class Actor:
     cruise_mps: float = 0.0
     starts_s: float = 0.0
     stops_after_m: float = math.inf
-    way_m: float = field(default=0.0)
+    travelled_m: float = field(default=0.0)
 
     def advance(self, time_s: float, dt_s: float, *, waits: bool = False) -> None:
-        """Move on by a step that begins at a time.
+        """Advance by one step.
 
         Args:
-            time_s: When the step begins.
-            dt_s: How long it is.
-            waits: Whether it gives way: a vehicle then brakes.
+            time_s: Start of the step.
+            dt_s: Length of the step.
+            waits: Whether it yields; a vehicle then brakes.
         """
-        moves = time_s >= self.starts_s - 1e-9 and self.way_m < self.stops_after_m and not waits
-        wanted = self.cruise_mps if moves else 0.0
+        moves = time_s >= self.starts_s - 1e-9 and self.travelled_m < self.stops_after_m and not waits
+        target_mps = self.cruise_mps if moves else 0.0
         if self.body.kind is BodyKind.VEHICLE:
-            wanted = min(
-                max(wanted, self.speed_mps - BRAKES_MPS2 * dt_s), self.speed_mps + STARTS_MPS2 * dt_s
+            target_mps = min(
+                max(target_mps, self.speed_mps - BRAKES_MPS2 * dt_s), self.speed_mps + STARTS_MPS2 * dt_s
             )
-        self.speed_mps = wanted
+        self.speed_mps = target_mps
         step_m = self.speed_mps * dt_s
-        self.way_m += step_m
+        self.travelled_m += step_m
         self.x_m += step_m * math.cos(self.body.yaw_rad)
         self.y_m += step_m * math.sin(self.body.yaw_rad)
 
-    def now(self) -> Body:
-        """Return its body where it is now."""
+    def current_body(self) -> Body:
+        """Return its body at the current position."""
         body = self.body
         person = body.kind is BodyKind.PERSON
         return Body(
             id=body.id, kind=body.kind, x_m=self.x_m, y_m=self.y_m, yaw_rad=body.yaw_rad,
             length_m=body.length_m, width_m=body.width_m, height_m=body.height_m, look=body.look,
-            phase=(self.way_m * 2.0 * math.pi / 1.4) if person else 0.0,
+            phase=(self.travelled_m * 2.0 * math.pi / 1.4) if person else 0.0,
         )  # fmt: skip
 
 
@@ -100,15 +101,15 @@ class Street:
     """The street of one episode.
 
     Attributes:
-        scene: All that does not move.
-        actors: Everybody but the ego; changes in place. The pedestrian comes first.
+        scene: Everything that does not move.
+        actors: All road users except the ego, the pedestrian first; stateful.
     """
 
     scene: StreetScene
     actors: tuple[Actor, ...]
 
     def advance(self, time_s: float, dt_s: float) -> None:
-        """Let everybody go on; oncoming vehicles give way to the pedestrian."""
+        """Advance all actors; oncoming vehicles yield to the pedestrian."""
         pedestrian = self.actors[0]
         for actor in self.actors:
             actor.advance(
@@ -118,14 +119,14 @@ class Street:
 
 def _gives_way(vehicle: Actor, pedestrian: Actor) -> bool:
     ahead_m = vehicle.x_m - 0.5 * vehicle.body.length_m - pedestrian.x_m
-    walks = 0.0 < pedestrian.way_m < pedestrian.stops_after_m
+    walks = 0.0 < pedestrian.travelled_m < pedestrian.stops_after_m
     return walks and 0.0 < ahead_m < YIELDS_WITHIN_M and pedestrian.y_m < vehicle.y_m + 2.0
 
 
 def make_street(scenario: AebScenario, seed: int) -> Street:
     """Return the street of an episode at time 0.
 
-    The ego starts with its middle at x = 0; the pedestrian's line is where its bumper has gone `crossing_m`.
+    The ego starts with its centre at x = 0; its bumper reaches the pedestrian's line after `crossing_m`.
     """
     line_x_m = EGO_FRONT_M + scenario.crossing_m
     parked = _parked(scenario, seed, line_x_m)
@@ -204,16 +205,16 @@ def _lamps() -> tuple[Lamp, ...]:
 
 
 def _parked(scenario: AebScenario, seed: int, line_x_m: float) -> tuple[Body, ...]:
-    """Return parked vehicles on both sides; on the ego's side two stand around the pedestrian's gap."""
+    """Return parked vehicles on both sides; on the ego's side, two of them enclose the pedestrian's gap."""
     rng = generator(seed, Stream.LOOKS)
     places: list[tuple[float, float, tuple[float, float, float]]] = []
-    before = VAN if scenario.occluder is Occluder.VAN else CAR
+    before = VAN_SIZE_M if scenario.occluder is Occluder.VAN else CAR_SIZE_M
     first_x_m = line_x_m - 0.5 * GAP_M - 0.5 * before[0]
-    places += [(first_x_m, -1.0, before), (line_x_m + 0.5 * (GAP_M + CAR[0]), -1.0, CAR)]
+    places += [(first_x_m, -1.0, before), (line_x_m + 0.5 * (GAP_M + CAR_SIZE_M[0]), -1.0, CAR_SIZE_M)]
     for side in (-1.0, 1.0):
         x_m = BEGIN_M + 4.0
         while x_m < END_M - 10.0:
-            size = VAN if rng.random() < 0.15 else CAR
+            size = VAN_SIZE_M if rng.random() < 0.15 else CAR_SIZE_M
             free = rng.random() < 0.25
             near_gap = side < 0 and first_x_m - 5.2 - before[0] / 2 < x_m < line_x_m + 10.5
             if not (free or near_gap):
@@ -235,25 +236,25 @@ def _actors(scenario: AebScenario, seed: int, line_x_m: float, first_id: int) ->
     for index, ahead_m in enumerate(
         (scenario.oncoming_m, scenario.oncoming_m + float(traffic.uniform(25.0, 45.0)))
     ):
-        size = VAN if traffic.random() < 0.3 else CAR
+        size = VAN_SIZE_M if traffic.random() < 0.3 else CAR_SIZE_M
         actors.append(
             _vehicle(
                 f"oncoming-{index + 1}", first_id + 2 + index, traffic, size, ahead_m, 0.5 * LANE_M, math.pi
             )
         )
     ahead_m = float(traffic.uniform(38.0, 50.0))
-    actors.append(_vehicle("ahead", first_id + 4, traffic, CAR, ahead_m, LANE_Y_M, 0.0))
+    actors.append(_vehicle("ahead", first_id + 4, traffic, CAR_SIZE_M, ahead_m, LANE_Y_M, 0.0))
     if scenario.obstacle is not Obstacle.NONE:
-        actors.append(_lying(scenario.obstacle, people, line_x_m, first_id + 5))
+        actors.append(_obstacle(scenario.obstacle, people, line_x_m, first_id + 5))
     return tuple(actors)
 
 
 def _pedestrian(scenario: AebScenario, rng: np.random.Generator, line_x_m: float, number: int) -> Actor:
-    """Return the pedestrian, who reaches the middle of the lane when an ego that does not brake is there."""
+    """Return the pedestrian, timed to reach the middle of the lane with an ego that does not brake."""
     from_y_m = -(LANE_M + STRIP_M - 0.3)
-    way_m = LANE_Y_M - from_y_m
+    travelled_m = LANE_Y_M - from_y_m
     arrival_s = scenario.crossing_m / CRUISE_MPS + scenario.arrival_s
-    length_m, width_m, height_m = PERSON
+    length_m, width_m, height_m = PERSON_SIZE_M
     body = Body(
         id=number, kind=BodyKind.PERSON, x_m=line_x_m, y_m=from_y_m, yaw_rad=0.5 * math.pi,
         length_m=length_m, width_m=width_m, height_m=height_m + float(rng.uniform(-0.1, 0.1)),
@@ -261,13 +262,13 @@ def _pedestrian(scenario: AebScenario, rng: np.random.Generator, line_x_m: float
     )  # fmt: skip
     return Actor(
         name="pedestrian", body=body, x_m=line_x_m, y_m=from_y_m, cruise_mps=WALKING_MPS,
-        starts_s=arrival_s - way_m / WALKING_MPS, stops_after_m=2.0 * (KERB_M + 0.8),
+        starts_s=arrival_s - travelled_m / WALKING_MPS, stops_after_m=2.0 * (KERB_M + 0.8),
     )  # fmt: skip
 
 
 def _stroller(rng: np.random.Generator, number: int) -> Actor:
     """Return the second walker, who stays on the pavement."""
-    length_m, width_m, height_m = PERSON
+    length_m, width_m, height_m = PERSON_SIZE_M
     along = float(rng.choice([0.0, math.pi]))
     x_m, y_m = float(rng.uniform(15.0, 50.0)), -(KERB_M + float(rng.uniform(1.3, 2.3)))
     body = Body(
@@ -289,10 +290,10 @@ def _vehicle(
     return Actor(name=name, body=body, x_m=x_m, y_m=y_m, speed_mps=cruise_mps, cruise_mps=cruise_mps)
 
 
-def _lying(obstacle: Obstacle, rng: np.random.Generator, line_x_m: float, number: int) -> Actor:
-    """Return the unusual body, on a random point of the ego's lane before the pedestrian's line."""
+def _obstacle(obstacle: Obstacle, rng: np.random.Generator, line_x_m: float, number: int) -> Actor:
+    """Return the unusual body, at a random position in the ego's lane before the pedestrian's line."""
     tree = obstacle is Obstacle.NOVELTY
-    length_m, width_m, height_m = TREE_TRUNK if tree else ON_ITS_ROOF
+    length_m, width_m, height_m = TREE_SIZE_M if tree else OVERTURNED_SIZE_M
     x_m, y_m = float(rng.uniform(25.0, line_x_m - 12.0)), LANE_Y_M + float(rng.uniform(-0.5, 0.5))
     body = Body(
         id=number, kind=BodyKind.FALLEN_TREE if tree else BodyKind.OVERTURNED_VEHICLE, x_m=x_m, y_m=y_m,

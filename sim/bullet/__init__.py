@@ -1,1 +1,1 @@
-"""Everything that needs PyBullet."""
+"""All code that needs PyBullet."""

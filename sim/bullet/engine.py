@@ -1,9 +1,9 @@
-"""Owns the physics engine: the bodies of an episode, and exact clearances between them.
+"""The physics engine: the bodies of an episode, and exact clearances between them.
 
-The only module that imports PyBullet. One client a process, without graphics, emptied and filled anew for every
-episode; `physicsClientId` is always passed. Bodies are upright boxes on level ground, so a clearance is a
-horizontal distance between rectangles, found by the engine's own closest-point query. Two bodies without mass never
-report contacts, which is why contacts are clearances of zero or less.
+One client per process, without graphics, emptied and refilled for each episode; `physicsClientId` is always passed.
+Bodies are upright boxes on level ground, so a clearance is a horizontal distance between rectangles, found by the
+engine's closest-point query. Two bodies without mass never report contacts; a contact is therefore a clearance of
+zero or less.
 """
 
 import math
@@ -17,12 +17,12 @@ import pybullet
 
 BodyId = NewType("BodyId", int)
 EngineError: type[Exception] = pybullet.error
-"""What the engine raises when it breaks down."""
+"""Raised by the engine when it breaks down."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Box:
-    """An upright box on the ground: its size, and where the middle of its footprint is."""
+    """An upright box on the ground: its size, the centre of its footprint, and its heading."""
 
     length_m: float
     width_m: float
@@ -33,12 +33,12 @@ class Box:
 
 
 class Closest(NamedTuple):
-    """How two bodies lie to each other.
+    """Relative position of two bodies.
 
     Attributes:
-        clearance_m: Distance, negative by the depth of an overlap.
-        normal_x: Unit vector from the other body to the first one.
-        normal_y: The same.
+        clearance_m: Distance; negative by the depth of an overlap.
+        normal_x: Unit vector from the second body to the first.
+        normal_y: Unit vector from the second body to the first.
     """
 
     clearance_m: float
@@ -47,31 +47,31 @@ class Closest(NamedTuple):
 
 
 class Engine:
-    """A PyBullet client. Use `process_engine`, not this, unless a test needs its own."""
+    """A PyBullet client. Use `process_engine` unless a test needs its own."""
 
     def __init__(self) -> None:
         self._client = int(pybullet.connect(pybullet.DIRECT))
 
     @property
     def client(self) -> int:
-        """The physics client, for the ego on wheels."""
+        """Id of the physics client, for the ego on wheels."""
         return self._client
 
     def reset(self) -> None:
-        """Remove all bodies and start afresh."""
+        """Remove all bodies."""
         pybullet.resetSimulation(physicsClientId=self._client)
 
     def close(self) -> None:
-        """Give the client back."""
+        """Disconnect the client."""
         pybullet.disconnect(physicsClientId=self._client)
 
     def add_boxes(self, boxes: Sequence[Box]) -> list[BodyId]:
-        """Put upright boxes on the ground; they move only when they are told to, and push nobody.
+        """Put upright boxes on the ground; they only move by `move` and push nobody.
 
-        Boxes of one size are made in one call, which costs a tenth of making them one by one.
+        Boxes of the same size are created in one call, at a tenth of the cost of creating them one by one.
 
         Returns:
-            One id a box, in the order of the boxes.
+            The id of each box, in the order of the boxes.
         """
         alike: dict[tuple[float, float, float], list[int]] = {}
         for index, box in enumerate(boxes):
@@ -97,7 +97,15 @@ class Engine:
         return ids
 
     def move(self, body: BodyId, x_m: float, y_m: float, yaw_rad: float, height_m: float) -> None:
-        """Put a box of a height elsewhere."""
+        """Move a box to a new pose.
+
+        Args:
+            body: Id of the box.
+            x_m: Centre of its footprint.
+            y_m: Centre of its footprint.
+            yaw_rad: Heading.
+            height_m: Height of the box.
+        """
         pybullet.resetBasePositionAndOrientation(
             body,
             (x_m, y_m, 0.5 * height_m),
@@ -106,7 +114,13 @@ class Engine:
         )
 
     def closest(self, one: BodyId, other: BodyId, within_m: float) -> Closest | None:
-        """Return how two bodies lie to each other, or None if they are farther apart than `within_m`."""
+        """Return the relative position of two bodies, or None if they are farther apart than a limit.
+
+        Args:
+            one: The first body.
+            other: The second body.
+            within_m: Greatest clearance to report.
+        """
         points = pybullet.getClosestPoints(one, other, within_m, physicsClientId=self._client)
         if not points:
             return None
@@ -125,7 +139,7 @@ def process_engine() -> Engine:
 
 
 def discard_engine() -> None:
-    """Give up the engine of this process, which may be broken; the next call of `process_engine` makes a new one."""
+    """Discard the engine of this process, which may be broken; `process_engine` then creates a new one."""
     engine = process_engine()
     process_engine.cache_clear()
     with suppress(EngineError):

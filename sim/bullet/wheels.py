@@ -1,10 +1,9 @@
-"""Owns the ego of `fidelity: wheels`: a chassis on four sphere wheels that the physics engine drives and brakes.
+"""The ego of `fidelity: wheels`: a chassis on four sphere wheels, driven and braked by the physics engine.
 
-The car is our own description, written out as a URDF text: spheres touch the ground in one point, so grip is
-Coulomb friction at four loaded contacts, and load transfer, friction circle and locking come out of the contacts
-instead of formulas. All damping is set to zero: the engine's default for multibodies falsifies braking by a factor
-of 1.4 to 2.5. Nothing but the ground touches the wheels; clearances to others are measured with boxes, as for the
-single-track model.
+The car is described by a URDF text written here. Spheres touch the ground in one point, so grip is Coulomb friction
+at four loaded contacts, and load transfer, friction circle and locking follow from the contacts instead of formulas.
+All damping is set to zero: the engine's default for multibodies distorts braking by a factor of 1.4 to 2.5. Nothing
+but the ground touches the wheels; clearances to others are measured with boxes, as for the single-track model.
 """
 
 import atexit
@@ -27,20 +26,20 @@ SUBSTEPS = 2
 STEER_TORQUE_NM = 20_000.0
 HOLD_BELOW_MPS = 0.03
 ABS_SHARE = 1.0
-"""Brakes go up to this share of what a wheel's load gives, so that the car can still be steered."""
+"""Brakes use up to this share of each wheel's grip, so that the car can still be steered."""
 
 _FRONT, _REAR = ("front_left", "front_right"), ("rear_left", "rear_right")
 
 
 class WheeledCar:
-    """The ego on wheels; a stand-in for `brink.sim.world.ego.EgoCar`. Made anew for every episode.
+    """The ego on wheels, in place of `brink.sim.world.ego.EgoCar`. Created anew for each episode.
 
     Args:
-        engine: Already emptied; gets the ground and the car.
-        pose: Where it starts.
-        speed_mps: How fast.
-        friction: Of the road.
-        model: The same figures as those of the single-track model.
+        engine: An emptied engine; receives the ground and the car.
+        pose: x_m, y_m and yaw_rad at the start.
+        speed_mps: Speed at the start.
+        friction: Friction coefficient of the road.
+        model: Parameters of the car, the same as for the single-track model.
     """
 
     def __init__(
@@ -80,7 +79,7 @@ class WheeledCar:
         pybullet.setGravity(0.0, 0.0, -GRAVITY_MPS2, physicsClientId=self._client)
         shape = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)
         ground = pybullet.createMultiBody(0.0, shape, physicsClientId=self._client)
-        # Bullet multiplies the friction of two bodies: the ground's is 1, the wheels' is that of the road.
+        # Bullet multiplies the friction of both bodies: the ground has 1, the wheels have that of the road.
         pybullet.changeDynamics(
             ground, -1, lateralFriction=1.0, rollingFriction=0.0, physicsClientId=self._client
         )
@@ -126,13 +125,19 @@ class WheeledCar:
         self._brake((*self._front, *self._rear), (0.0,) * 4)
 
     def set_grade(self, grade: float) -> None:
-        """Set how steep the road is here: rise over run along the heading, positive uphill."""
+        """Set the local slope of the road: rise over run along the heading, positive uphill."""
         self._grade = grade
 
     def drive(self, accel_mps2: float, steer_rad: float, steps: int) -> None:
-        """Drive a number of 100 Hz steps with a constant command, cut to what the car can do."""
+        """Drive a number of 100 Hz steps with a constant command, limited to what the car can do.
+
+        Args:
+            accel_mps2: Desired acceleration; negative brakes.
+            steer_rad: Desired angle of the road wheels.
+            steps: Number of steps.
+        """
         m, client = self.model, self._client
-        # Slope and resistance pull at the mass of the car, so they are part of gravity.
+        # Slope and resistance act on the mass of the car, so they are modelled as part of gravity.
         along = GRAVITY_MPS2 * self._grade
         if self.speed_mps > 0.1:
             along += m.rolling_mps2 + m.drag_1pm * self.speed_mps * self.speed_mps
@@ -154,7 +159,7 @@ class WheeledCar:
             before = self.speed_mps
             torque = 0.5 * max(self._drive_mps2, 0.0) * m.mass_kg * WHEEL_RADIUS_M
             for _ in range(SUBSTEPS):
-                # The engine forgets torques after every step; it keeps what motors are set to.
+                # The engine forgets torques after every step, but keeps motor settings.
                 pybullet.setJointMotorControlArray(
                     self._car,
                     self._front,
@@ -206,7 +211,7 @@ class WheeledCar:
         (vx, vy, _), (_, _, yaw_rate) = pybullet.getBaseVelocity(self._car, physicsClientId=client)
         qx, qy, qz, qw = turn
         heading = math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
-        # Yaw goes on beyond half a turn, as it does in the single-track model.
+        # Yaw continues beyond half a turn, as in the single-track model.
         self.yaw_rad += (heading - self.yaw_rad + math.pi) % (2.0 * math.pi) - math.pi
         self.x_m, self.y_m, self.yaw_rate_radps = x_m, y_m, yaw_rate
         self.speed_mps = max(vx * math.cos(self.yaw_rad) + vy * math.sin(self.yaw_rad), 0.0)
@@ -223,7 +228,7 @@ def _urdf_file(model: CarModel) -> Path:
 
 
 def car_urdf(model: CarModel) -> str:
-    """Return the car's description: a chassis without a shape, steered knuckles, and sphere wheels."""
+    """Return the URDF of the car: a chassis without a collision shape, steered knuckles, and sphere wheels."""
     chassis_kg = model.mass_kg - 4.0 * WHEEL_KG - 2.0 * KNUCKLE_KG
     inertia = (
         chassis_kg / 12.0 * (model.width_m**2 + 1.2**2),

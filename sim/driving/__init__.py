@@ -1,1 +1,1 @@
-"""The modular driving system under test: camera geometry, perception after detection, planning, control."""
+"""The modular driving system under test: everything after the obstacle detector, from image boxes to commands."""

@@ -1,14 +1,14 @@
-"""The pin-hole camera: bodies to image boxes, and image rows back to the ground.
+"""The pinhole camera: bodies to image boxes, and image rows back to the ground.
 
 The image is 800 x 600 with a horizontal field of view of 90 degrees, so the focal length is 400 px in both axes and
 the horizon is row 300. The camera sits 1.7 m above the ground and 1.3 m ahead of the ego's centre (behind the
-windscreen), and looks along the ego's yaw without pitch or roll. The nearest ground in the picture is therefore
-400 * 1.7 / 300 = 2.27 m ahead of the camera, which is 1.32 m ahead of the bumper of a 4.5 m car.
+windscreen), and looks along the ego's yaw without pitch or roll. The nearest visible ground is therefore 400 * 1.7 /
+300 = 2.27 m ahead of the camera, which is 1.32 m ahead of the bumper of a 4.5 m car.
 
-A body is an upright prism over an oriented rectangle. Its box is exact: the footprint is cut by the near plane and
-by the sides of the field of view, and only what is left is projected. So the bottom edge of a box is always the
-*nearest visible* ground point of the body. A body is hidden if one nearer box covers most of its box: cheap, and
-right for the cases that matter (a person or a car behind a van).
+A body is an upright prism over an oriented rectangle. Its box is exact: the footprint is clipped by the near plane
+and by the sides of the field of view before it is projected. So the bottom edge of a box is always the *nearest
+visible* ground point of the body. A body is hidden if one nearer box covers most of its box: cheap, and right for the
+cases that matter (a person or a car behind a van).
 """
 
 import math
@@ -31,8 +31,8 @@ class Body(NamedTuple):
     height_m: float
 
 
-class Sight(NamedTuple):
-    """A body that the camera sees: where it is in the list of bodies, its box, and the its nearest depth."""
+class Sighting(NamedTuple):
+    """A visible body: its index in the list of bodies, its box, and the depth of its nearest point."""
 
     body: int
     box: Box
@@ -48,11 +48,11 @@ class Camera:
         height_px: Image height.
         fov_deg: Horizontal field of view, in (0, 180).
         height_m: Height of the camera above the ground, > 0.
-        forward_m: How far ahead of the ego's centre the camera sits.
-        near_m: What is nearer than this along the camera's axis is not projected.
-        far_m: What begins farther than this is not seen.
-        min_width_px: Narrower boxes are not seen.
-        min_height_px: Lower boxes are not seen.
+        forward_m: Distance of the camera ahead of the ego's centre.
+        near_m: Depth of the near plane; nothing closer is projected.
+        far_m: Bodies that begin farther away are not visible.
+        min_width_px: Narrower boxes are not visible.
+        min_height_px: Lower boxes are not visible.
         hidden_fraction: A box is hidden if a nearer one covers at least this share of it.
         focal_px: Focal length, derived.
         centre_x_px: Column of the optical axis, derived.
@@ -83,14 +83,14 @@ class Camera:
         object.__setattr__(self, "horizon_px", self.height_px / 2)
 
     def ground_depth_m(self, y_px: float) -> float | None:
-        """Return how far along the axis the ground lies that is seen in row `y_px`; None from the horizon up."""
+        """Return the depth along the axis of the ground visible in row `y_px`; None at and above the horizon."""
         below_px = y_px - self.horizon_px
         if below_px <= 0:
             return None
         return self.focal_px * self.height_m / below_px
 
     def left_m(self, x_px: float, depth_m: float) -> float:
-        """Return how far left of the axis a point lies that is seen in column `x_px` at a depth."""
+        """Return the distance to the left of the axis of a point visible in column `x_px` at a depth."""
         return (self.centre_x_px - x_px) * depth_m / self.focal_px
 
     def project(self, x_m: float, y_m: float, yaw_rad: float, body: Body) -> tuple[Box, float] | None:
@@ -100,10 +100,10 @@ class Camera:
             x_m: The ego's centre.
             y_m: The ego's centre.
             yaw_rad: The ego's yaw.
-            body: What to project.
+            body: The body to project.
 
         Returns:
-            None if no part of it is in the picture, or too little of it.
+            None if the body is outside the image or too small in it.
         """
         cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
         dx, dy = body.x_m - x_m, body.y_m - y_m
@@ -133,7 +133,7 @@ class Camera:
             return None
         columns = [centre_x - focal * left / depth for depth, left in footprint]
         x_min, x_max = max(0.0, min(columns)), min(float(self.width_px), max(columns))
-        # The top edge is seen highest where it is nearest if it is above the camera, else where it is farthest.
+        # The top edge is highest where it is nearest if it is above the camera, else where it is farthest.
         top_m = self.height_m - body.height_m
         y_min = max(0.0, self.horizon_px + focal * top_m / (nearest if top_m < 0 else farthest))
         y_max = min(float(self.height_px), self.horizon_px + focal * self.height_m / nearest)
@@ -141,22 +141,22 @@ class Camera:
             return None
         return Box(label=body.label, x_min_px=x_min, x_max_px=x_max, y_min_px=y_min, y_max_px=y_max), nearest
 
-    def look(self, x_m: float, y_m: float, yaw_rad: float, bodies: Iterable[Body]) -> list[Sight]:
-        """Return what a perfect detector sees, nearest first: in the picture, large enough, not hidden.
+    def look(self, x_m: float, y_m: float, yaw_rad: float, bodies: Iterable[Body]) -> list[Sighting]:
+        """Return what a perfect detector sees, nearest first: bodies in the image, large enough and not hidden.
 
         Args:
             x_m: The ego's centre.
             y_m: The ego's centre.
             yaw_rad: The ego's yaw.
-            bodies: Everything that stands around the ego, the ego not included.
+            bodies: All bodies around the ego, without the ego.
         """
         sights = []
         for index, body in enumerate(bodies):
             seen = self.project(x_m, y_m, yaw_rad, body)
             if seen is not None:
-                sights.append(Sight(body=index, box=seen[0], depth_m=seen[1]))
+                sights.append(Sighting(body=index, box=seen[0], depth_m=seen[1]))
         sights.sort(key=_by_depth)
-        visible: list[Sight] = []
+        visible: list[Sighting] = []
         for sight in sights:
             _, x_min, x_max, y_min, y_max = sight.box
             needed = self.hidden_fraction * (x_max - x_min) * (y_max - y_min)
@@ -172,7 +172,7 @@ class Camera:
         return visible
 
 
-def _by_depth(sight: Sight) -> tuple[float, int]:
+def _by_depth(sight: Sighting) -> tuple[float, int]:
     return sight.depth_m, sight.body
 
 
@@ -191,7 +191,7 @@ def _footprint(depth: float, left: float, body: Body, turn_rad: float) -> list[t
 
 
 def _clipped(polygon: list[tuple[float, float]], near: float, half_tan: float) -> list[tuple[float, float]]:
-    """Return the part of a convex polygon before the near plane and within the field of view (Sutherland-Hodgman)."""
+    """Clip a convex polygon to the near plane and the field of view (Sutherland-Hodgman)."""
     # Each half plane is depth * a + left * b + c >= 0.
     for a, b, c in ((1.0, 0.0, -near), (half_tan, -1.0, 0.0), (half_tan, 1.0, 0.0)):
         kept: list[tuple[float, float]] = []

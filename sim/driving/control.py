@@ -1,4 +1,4 @@
-"""Control: pure pursuit for steering, a PID for speed."""
+"""The controller: pure pursuit for steering, a PID for speed."""
 
 import math
 from typing import Protocol
@@ -17,7 +17,13 @@ class Controller(Protocol):
 
 
 class PursuitController:
-    """Steers the rear axle towards a point of the path ahead; speed by PID within the plan's acceleration limit."""
+    """Steers the rear axle towards a point on the path ahead, and controls speed within the plan's limit.
+
+    Args:
+        route: Route to follow.
+        shape: Dimensions of the ego.
+        settings: Gains and limits.
+    """
 
     __slots__ = (
         "_accel",
@@ -41,11 +47,11 @@ class PursuitController:
         self._integral = 0.0
 
     def control(self, ego: EgoState, plan: Plan) -> Command:
-        """Return the command for the next control step: finite, within full lock and the asked-for braking."""
+        """Return the command for the next control step; finite, and within the steering and acceleration limits."""
         return Command(self._speed(ego, plan), self._steering(ego, plan))
 
     def _steering(self, ego: EgoState, plan: Plan) -> float:
-        """Pure pursuit (Coulter 1992): the arc from the rear axle through a point of the path."""
+        """Return the steering angle of the arc from the rear axle through a point on the path (Coulter 1992)."""
         settings = self._settings
         ahead = settings.look_ahead_s * ego.speed_mps
         if ahead < settings.min_look_ahead_m:
@@ -77,7 +83,7 @@ class PursuitController:
         )
         bounded = min(max(accel, -settings.decel_mps2), settings.accel_mps2)
         limit = plan.accel_limit_mps2
-        # The integral is for grades and drag: it learns only while the PID alone decides, and near its goal.
+        # The integral compensates for grade and drag: it changes only near the target, while the PID alone decides.
         if bounded == accel and bounded <= limit and -1.0 < error < 1.0:
             share = self._integral + settings.speed_integral_per_s2 * error * settings.period_s
             most = settings.integral_limit_mps2

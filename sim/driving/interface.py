@@ -1,11 +1,11 @@
-"""What the world tells the driving system, and what the driving system answers.
+"""The interface between the world and the driving system.
 
 Frames: world x east, y north, yaw counter-clockwise from x, all on the ground plane. Route coordinates: station s
-along the ego's lane centre line, offset d to its left. The camera looks along the ego's yaw; image x to the
-right, y down, in pixels.
+along the ego's lane centre line, offset d to its left. The camera looks along the ego's yaw; image x points right, y
+down, in pixels.
 
-Values that are made at every step are named tuples: immutable as all values here, and made in less than half the
-time of a frozen dataclass. Make them by keyword.
+Values created at every step are named tuples: immutable like all values here, and created in less than half the time
+of a frozen dataclass. Create them with keywords.
 """
 
 from enum import StrEnum
@@ -13,14 +13,14 @@ from typing import NamedTuple, Protocol
 
 
 class ObstacleLabel(StrEnum):
-    """What the obstacle detector says it sees."""
+    """Label of a detection."""
 
     VEHICLE = "vehicle"
     PERSON = "person"
 
 
 class LightState(StrEnum):
-    """The state of a traffic light as the light detector reports it."""
+    """State of a traffic light as reported by the light detector."""
 
     GREEN = "green"
     AMBER = "amber"
@@ -28,7 +28,7 @@ class LightState(StrEnum):
 
 
 class EgoState(NamedTuple):
-    """The ego's pose and motion, as localisation reports it (reference point: centre of the car)."""
+    """The ego's pose and motion as reported by localisation; the reference point is the centre of the car."""
 
     x_m: float
     y_m: float
@@ -50,20 +50,20 @@ class Box(NamedTuple):
 
 
 class LightReading(NamedTuple):
-    """What the light detector reports of the next traffic light on the route."""
+    """The light detector's report about the next traffic light on the route."""
 
     state: LightState
     stop_line_station_m: float
 
 
 class Observation(NamedTuple):
-    """All that the driving system learns in one control step (20 Hz).
+    """Everything that the driving system learns in one control step (20 Hz).
 
     Attributes:
         time_s: Simulated time.
-        ego: Where localisation says that the ego is.
-        boxes: The detector's output, on perception steps (10 Hz); None on the steps between.
-        light: The next traffic light, or None if none is seen.
+        ego: Localised state of the ego.
+        boxes: The detector's output at perception steps (10 Hz); None at the steps between.
+        light: The next traffic light, or None if none is detected.
     """
 
     time_s: float
@@ -73,14 +73,14 @@ class Observation(NamedTuple):
 
 
 class Command(NamedTuple):
-    """What the ego should do until the next control step."""
+    """Command for the ego until the next control step."""
 
     accel_mps2: float
     steer_rad: float
 
 
 class PlanMode(StrEnum):
-    """What the planner is doing, for traces and replays."""
+    """The planner's current activity, for traces and replays."""
 
     CRUISE = "cruise"
     FOLLOW = "follow"
@@ -91,7 +91,7 @@ class PlanMode(StrEnum):
 
 
 class PlanState(NamedTuple):
-    """What the planner decided, for traces and replays."""
+    """The planner's decision, for traces and replays."""
 
     mode: PlanMode
     target_speed_mps: float
@@ -99,7 +99,7 @@ class PlanState(NamedTuple):
 
 
 class PerceivedObstacle(NamedTuple):
-    """A confirmed track: what the planner believes stands or moves around the ego, in world coordinates."""
+    """A confirmed track: an obstacle that the planner assumes around the ego, in world coordinates."""
 
     track: int
     label: ObstacleLabel
@@ -112,7 +112,7 @@ class PerceivedObstacle(NamedTuple):
 
 
 class Route(Protocol):
-    """The ego's lane centre line from start to goal, with what the map knows of it."""
+    """The ego's lane centre line from start to goal, with map data."""
 
     @property
     def length_m(self) -> float:
@@ -131,11 +131,11 @@ class Route(Protocol):
 
     @property
     def stop_line_stations_m(self) -> tuple[float, ...]:
-        """Stations of the stop lines that a traffic light guards, ascending."""
+        """Stations of the stop lines with a traffic light, ascending."""
         ...
 
     def pose_at(self, station_m: float, offset_m: float = 0.0) -> tuple[float, float, float]:
-        """Return (x, y, yaw) at a station and offset; beyond the ends the route goes on straight."""
+        """Return (x, y, yaw) at a station and offset; the route continues straight beyond its ends."""
         ...
 
     def curvature_at(self, station_m: float) -> float:
@@ -143,27 +143,33 @@ class Route(Protocol):
         ...
 
     def project(self, x_m: float, y_m: float, near_station_m: float) -> tuple[float, float]:
-        """Return (station, offset) of the closest point of the route near a known station."""
+        """Return (station, offset) of the closest point on the route near a known station.
+
+        Args:
+            x_m: Point to project.
+            y_m: Point to project.
+            near_station_m: Station at which the search starts.
+        """
         ...
 
     def oncoming_lane_at(self, station_m: float) -> bool:
-        """Return whether a lane for oncoming traffic lies directly to the left here (for overtaking)."""
+        """Return whether an oncoming lane lies directly to the left of a station."""
         ...
 
 
 class DrivingSystem(Protocol):
-    """The modular driving system under test. Made anew for every episode."""
+    """The driving system under test. Created anew for each episode."""
 
     def step(self, observation: Observation) -> Command:
-        """Take one control step."""
+        """Run one control step and return its command."""
         ...
 
     @property
     def plan(self) -> PlanState:
-        """What the planner decided in the last step."""
+        """The planner's decision in the last step."""
         ...
 
     @property
     def obstacles(self) -> tuple[PerceivedObstacle, ...]:
-        """What the planner believed to be around the ego in the last step."""
+        """The obstacles around the ego that the planner assumed in the last step."""
         ...

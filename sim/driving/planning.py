@@ -1,28 +1,31 @@
 """The planner: from obstacles on the route to a path offset and bounds on speed and acceleration.
 
-Lateral decisions (nudge, overtake, give way) are taken at perception steps; speed is planned at every control step,
-with obstacles carried on at their velocity in between. The most careful law wins: each of them (road, gap, persons,
-light) gives the highest acceleration it allows. The planner knows obstacles by perception alone, and believes all
-of them.
+Lateral decisions (nudge, overtake, give way) are made at perception steps. Speed is planned at every control step,
+with obstacles extrapolated at constant velocity in between. Each longitudinal law (road, gap, give way, light)
+returns the highest acceleration it allows, and the lowest of these applies. The planner knows obstacles through
+perception alone and treats all of them as real.
 
-How a perceived obstacle acts: its label chooses between stopping for it (person) and following, nudging around or
-overtaking it (vehicle); its lateral extent between the lane's middle, edge and outside; its distance and velocity
-between following, comfortable and emergency braking; how long it has stood, overtaking; its disappearance gives the
-road free after the track has died.
+Effects of a perceived obstacle: its label decides between stopping for it (person) and following, nudging around or
+overtaking it (vehicle); its lateral extent between the middle of the lane, its edge, and outside; its distance and
+velocity between following, comfortable and emergency braking; how long it has stood, whether it is overtaken; once it
+disappears, the road is free after the track has been dropped.
 """
 
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
-from brink.sim.driving.gap import NO_LIMIT_MPS2, follow_accel, stop_accel
-from brink.sim.driving.giving_way import GiveWay
 from brink.sim.driving.interface import EgoState, LightReading, ObstacleLabel, PlanMode, Route
-from brink.sim.driving.lights import LightKeeper
-from brink.sim.driving.nudging import Nudging
-from brink.sim.driving.overtaking import Overtaking
-from brink.sim.driving.prediction import RoadObstacle
+from brink.sim.driving.lateral import Nudging, Overtaking
+from brink.sim.driving.longitudinal import (
+    NO_LIMIT_MPS2,
+    GiveWay,
+    SpeedProfile,
+    TrafficLightLaw,
+    follow_accel,
+    stop_accel,
+)
+from brink.sim.driving.obstacles import RoadObstacle, by_distance
 from brink.sim.driving.settings import PlanningSettings, VehicleShape
-from brink.sim.driving.speed_profile import SpeedProfile
 
 _TURNS_WHEELS_BELOW_MPS = 0.3
 _BLOCKS_WITHIN_M = 0.1
@@ -31,10 +34,14 @@ _SHOWN_MODE_BELOW_MPS2 = 0.5
 
 
 class Plan(NamedTuple):
-    """What control is to do.
+    """Input of the controller.
 
-    `cruise_mps` is the speed to reach, `accel_limit_mps2` the highest acceleration allowed, `path_offset_m` where the
-    ego should be now, `target_offset_m` where it is going.
+    Attributes:
+        mode: What the planner is doing.
+        cruise_mps: Speed to reach.
+        accel_limit_mps2: Highest acceleration allowed.
+        path_offset_m: Offset at which the ego should be now.
+        target_offset_m: Offset that the path leads to.
     """
 
     mode: PlanMode
@@ -45,19 +52,37 @@ class Plan(NamedTuple):
 
 
 class Planner(Protocol):
-    """Plans from what is perceived."""
+    """Plans from perceived obstacles."""
 
     def perceive(self, time_s: float, ego: EgoState, obstacles: Sequence[RoadObstacle]) -> None:
-        """Take the obstacles of a perception step; called before `plan` of the same control step."""
+        """Process the obstacles of a perception step; called before `plan` of the same control step.
+
+        Args:
+            time_s: Current time.
+            ego: State of the ego.
+            obstacles: All obstacles.
+        """
         ...
 
     def plan(self, time_s: float, ego: EgoState, light: LightReading | None) -> Plan:
-        """Plan one control step."""
+        """Plan one control step.
+
+        Args:
+            time_s: Current time.
+            ego: State of the ego.
+            light: Next traffic light, or None.
+        """
         ...
 
 
 class RoutePlanner:
-    """Follows the route and reacts to what it believes to be there."""
+    """Follows the route and reacts to perceived obstacles.
+
+    Args:
+        route: Route to follow.
+        shape: Dimensions of the ego.
+        settings: Constants of all behaviours.
+    """
 
     __slots__ = (
         "_blockers",
@@ -82,7 +107,7 @@ class RoutePlanner:
         self._half_length_m = 0.5 * shape.length_m
         self._half_width_m = 0.5 * shape.width_m
         self._profile = SpeedProfile(route, settings.speed)
-        self._lights = LightKeeper(settings.light)
+        self._lights = TrafficLightLaw(settings.light)
         self._give_way = GiveWay(settings.give_way, length_m=shape.length_m, width_m=shape.width_m)
         self._nudging = Nudging(
             settings.nudge,
@@ -100,7 +125,13 @@ class RoutePlanner:
         self._target_m = 0.0
 
     def perceive(self, time_s: float, ego: EgoState, obstacles: Sequence[RoadObstacle]) -> None:
-        """Take the obstacles of a perception step; called before `plan` of the same control step."""
+        """Process the obstacles of a perception step; called before `plan` of the same control step.
+
+        Args:
+            time_s: Current time.
+            ego: State of the ego.
+            obstacles: All obstacles.
+        """
         settings = self._settings
         front_m, rear_m = ego.station_m + self._half_length_m, ego.station_m - self._half_length_m
         self._perceived_s = time_s
@@ -111,7 +142,7 @@ class RoutePlanner:
         blocker = None
         if obstacles and overtaking.track is None:
             blockers = self._in_way(obstacles, front_m, self._nudging.offset_m, None)
-            blocker = min(blockers, key=_by_distance, default=None)
+            blocker = min(blockers, key=by_distance, default=None)
         overtaking.update(time_s, obstacles, blocker, front_m=front_m, rear_m=rear_m)
         passed = overtaking.track
         self._target_m = self._nudging.offset_m if passed is None else overtaking.offset_m
@@ -126,7 +157,7 @@ class RoutePlanner:
     def _in_way(
         self, obstacles: Sequence[RoadObstacle], front_m: float, offset_m: float, passed: int | None
     ) -> list[RoadObstacle]:
-        """Return the vehicles that the ego at an offset would run into; persons are a matter of giving way."""
+        """Return the vehicles that the ego would run into at an offset; persons are handled by giving way."""
         reach_m = self._half_width_m + _BLOCKS_WITHIN_M
         right_m, left_m = offset_m - reach_m, offset_m + reach_m
         last_m = front_m + self._settings.follow.range_m
@@ -144,7 +175,7 @@ class RoutePlanner:
     def _still_beside(
         self, obstacles: Sequence[RoadObstacle], ego: EgoState, front_m: float, passed: int | None
     ) -> list[tuple[RoadObstacle, float]]:
-        """Return what the ego will clear once it has moved over, and how far it has yet to move for that."""
+        """Return the obstacles that the ego clears only by moving over, with the lateral distance left for each."""
         ways = []
         reach_m = self._half_width_m + _BLOCKS_WITHIN_M
         last_m = front_m + self._settings.nudge.look_ahead_m
@@ -170,7 +201,13 @@ class RoutePlanner:
         return slow_mps
 
     def plan(self, time_s: float, ego: EgoState, light: LightReading | None) -> Plan:
-        """Plan one control step."""
+        """Plan one control step.
+
+        Args:
+            time_s: Current time.
+            ego: State of the ego.
+            light: Next traffic light, or None.
+        """
         front_m = ego.station_m + self._half_length_m
         speed_mps = max(ego.speed_mps, 0.0)
         self._move_offset(time_s, ego)
@@ -202,7 +239,7 @@ class RoutePlanner:
         return Plan(mode, cruise_mps, limit, self._offset_m, self._target_m)
 
     def _move_offset(self, time_s: float, ego: EgoState) -> None:
-        """Move the wanted offset towards its target at a bounded rate; a step would be a swerve."""
+        """Move the path offset towards its target at a bounded rate; a step change would be a swerve."""
         elapsed_s = 0.0 if self._time_s is None else time_s - self._time_s
         self._time_s = time_s
         difference = self._target_m - self._offset_m
@@ -232,7 +269,7 @@ class RoutePlanner:
     def _move_over_first(
         self, front_m: float, speed_mps: float, cruise_mps: float, limit: float
     ) -> tuple[float, float]:
-        """Go no faster towards an obstacle than the ego can move over before it."""
+        """Limit the speed towards an obstacle so that the ego can move over before reaching it."""
         settings = self._settings.nudge
         for obstacle, sideways_m in self._moving_over:
             gap_m = obstacle.near_m - front_m
@@ -250,7 +287,7 @@ class RoutePlanner:
     def _pull_out(
         self, ego: EgoState, front_m: float, speed_mps: float, cruise_mps: float, limit: float
     ) -> tuple[float, float]:
-        """Creep until the obstacle is cleared sideways, and rather stop than touch it."""
+        """Creep until the ego has cleared the obstacle sideways, and stop rather than touch it."""
         overtaking, settings = self._overtaking, self._settings.overtake
         if overtaking.clearance_m(ego.offset_m) >= settings.min_clearance_m:
             return cruise_mps, limit
@@ -258,7 +295,7 @@ class RoutePlanner:
         if gap_m < -1.0:
             return cruise_mps, limit
         if speed_mps < _TURNS_WHEELS_BELOW_MPS and self._target_m - self._offset_m > 0.1:
-            # From a standstill the wheels are turned before the ego moves off: there is no room to waste.
+            # From a standstill, turn the wheels before moving off: there is no room to spare.
             return cruise_mps, min(limit, -1.0)
         allowed_mps = max(settings.creep_mps, gap_m / 3.0)
         if overtaking.clearance_m(ego.offset_m) < 0.0 and gap_m < 1.0:
@@ -266,7 +303,3 @@ class RoutePlanner:
         if allowed_mps < speed_mps:
             limit = min(limit, 2.0 * (allowed_mps - speed_mps))
         return min(cruise_mps, allowed_mps), limit
-
-
-def _by_distance(obstacle: RoadObstacle) -> tuple[float, int]:
-    return obstacle.near_m, obstacle.track

@@ -1,4 +1,4 @@
-"""Every constant of the driving system, with its unit. The defaults make a good driver when perception is perfect."""
+"""All constants of the driving system. With perfect perception, the defaults make a good driver."""
 
 from dataclasses import dataclass, field
 
@@ -22,19 +22,19 @@ class VehicleShape:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LocalisationSettings:
-    """How a box becomes a place.
+    """Constants of localisation.
 
     Attributes:
         vehicle_height_m: Assumed height of a vehicle that is placed by its size.
-        person_height_m: Assumed height of a person that is placed by their size.
+        person_height_m: Assumed height of a person who is placed by their size.
         vehicle_width_m: Assumed width of a vehicle.
         vehicle_length_m: Assumed length of a vehicle.
         person_size_m: Assumed extent of a person.
-        min_extent_m: Nothing is taken to be narrower or shorter.
-        max_ground_range_m: Bottom edges that mean a farther place are not trusted: the box is placed by its size.
-        min_range_m: Nothing is placed nearer to the camera than this.
-        pixel_noise_px: Assumed error of a bottom edge, one standard deviation.
-        border_px: A box that comes as near to the image's left or right border may go on beyond it.
+        min_extent_m: Least width and length of an obstacle.
+        max_ground_range_m: Bottom edges that imply a farther place are not trusted; the box is placed by its size.
+        min_range_m: Least distance from the camera.
+        pixel_noise_px: Assumed standard deviation of a bottom edge.
+        border_px: A box this close to the left or right image border may extend beyond it.
     """
 
     vehicle_height_m: float = 1.5
@@ -51,24 +51,23 @@ class LocalisationSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackingSettings:
-    """How places become tracks.
+    """Constants of tracking.
 
     Attributes:
-        birth_hits: Hits after which a track is believed.
-        death_misses: Misses in a row after which a believed track is dropped; an unbelieved one goes at the first.
-        gate_m: A place may lie this far from where its track is expected...
+        birth_hits: Hits that confirm a track.
+        death_misses: Misses in a row that end a confirmed track; a tentative one ends at the first.
+        gate_m: Greatest distance of a place from its track's predicted position...
         gate_per_sigma: ...plus this many standard deviations of its range.
-        min_overlap: A box that overlaps its track's last box by this much (intersection over union) belongs to
-            it, wherever it was placed.
-        manoeuvre_mps2: Acceleration to be expected of others; larger follows faster and smooths less.
-        floor_sigma_m: Standard deviation of a place, besides what its pixels cause.
-        min_position_gain: Least share of a position error that is corrected at once.
-        min_velocity_gain: Least share of a velocity error that is corrected at once.
-        cut_velocity_share: A box that the image's border cuts moves as the border lets it: its velocity errors count
-            by this share only.
-        extent_gain: Share of the width's error that is corrected at once.
-        max_speed_mps: No track is believed to be faster.
-        stands_below_mps: What was slower stands...
+        min_overlap: A box that overlaps its track's last box by at least this intersection over union belongs to the
+            track, wherever it was placed.
+        manoeuvre_mps2: Expected acceleration of others; a larger value follows faster and smooths less.
+        floor_sigma_m: Standard deviation of a place, in addition to the effect of pixel noise.
+        min_position_gain: Lower bound of the position gain.
+        min_velocity_gain: Lower bound of the velocity gain.
+        cut_velocity_share: Factor on the velocity gain of boxes cut by the image border, which move with the border.
+        extent_gain: Gain on the errors of width and length.
+        max_speed_mps: Upper bound of a track's speed.
+        stands_below_mps: A track slower than this is standing...
         moves_above_mps: ...until it is faster than this.
     """
 
@@ -90,10 +89,10 @@ class TrackingSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PredictionSettings:
-    """How far ahead others are predicted.
+    """Constants of prediction.
 
     Attributes:
-        horizon_s: Constant velocity along and across the route for this long.
+        horizon_s: Prediction horizon.
     """
 
     horizon_s: float = 3.0
@@ -101,14 +100,14 @@ class PredictionSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpeedSettings:
-    """How fast the road may be driven.
+    """Constants of the speed profile.
 
     Attributes:
         cruise_mps: Speed on a free straight road.
-        limit_margin_mps: Stays this far below the speed limit.
+        limit_margin_mps: Margin below the speed limit.
         lateral_accel_mps2: Comfortable lateral acceleration in curves; low enough for a wet road.
         curve_decel_mps2: Comfortable braking before curves.
-        min_curve_mps: No curve is taken slower.
+        min_curve_mps: Least speed in curves.
         grid_m: Step of the speed profile.
     """
 
@@ -122,19 +121,19 @@ class SpeedSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FollowSettings:
-    """How a gap is kept (intelligent driver model), and how hard the ego may brake for it.
+    """Constants of the gap law (intelligent driver model) and of emergency braking.
 
     Attributes:
-        standstill_gap_m: Bumper to bumper behind what stands.
-        time_gap_s: Besides, this long at the present speed.
+        standstill_gap_m: Gap to a standing obstacle, bumper to bumper.
+        time_gap_s: Additional gap, as a time at the current speed.
         accel_mps2: Comfortable acceleration.
         decel_mps2: Comfortable braking.
         hold_gap_m: A standing ego stays where it is until the gap exceeds the standstill gap by this much.
-        reserve_gap_m: Emergency braking means to keep this gap.
-        emergency_above_mps2: Braking that must be harder than this is an emergency.
-        emergency_factor: An emergency is braked this many times harder than needed.
-        max_decel_mps2: Hardest braking ever asked for; the road may give less.
-        range_m: What is farther ahead is not looked at.
+        reserve_gap_m: Gap that emergency braking aims to keep.
+        emergency_above_mps2: Necessary braking above this is an emergency.
+        emergency_factor: Braking in an emergency, as a multiple of the necessary braking.
+        max_decel_mps2: Hardest braking ever commanded; the road may allow less.
+        range_m: Obstacles farther ahead are ignored.
     """
 
     standstill_gap_m: float = 4.0
@@ -151,23 +150,24 @@ class FollowSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class YieldSettings:
-    """When the ego stops for persons and for crossing vehicles.
+    """Constants of giving way to persons and crossing vehicles.
 
     Attributes:
-        person_gap_m: Stops this far before a person's station.
-        person_margin_m: Free space kept to a person beside the ego's body.
-        vehicle_margin_m: The same for a vehicle that crosses.
-        crossing_above_mps: Whoever moves across the route faster than this may be heading into the path.
+        person_gap_m: Distance to stop before a person's station.
+        person_margin_m: Free space to keep between a person and the ego's body.
+        vehicle_margin_m: The same for a crossing vehicle.
+        crossing_above_mps: A person who moves across the route faster than this may be heading into the path.
         vehicle_crossing_above_mps: A vehicle crosses if it moves across the route faster than this...
-        vehicle_crossing_slope: ...and than this share of its speed along it; less is a bend, seen badly.
-        time_margin_s: The ego goes first only if it is past this long before the other comes.
+        vehicle_crossing_slope: ...and faster than this share of its speed along the route; less is a misperceived
+            bend.
+        time_margin_s: The ego goes first only if it is clear this long before the other arrives.
         decel_mps2: Comfortable braking for a stop.
-        approach_gain_per_s: How firmly the braking profile is followed.
-        hold_s: Goes on yielding this long after the reason has gone.
-        stay_margin_m: Free space is wanted wider by this for whom the ego already yields to.
-        pass_slowly_within_m: Someone who stands this close beside the body is passed slowly...
+        approach_gain_per_s: Feedback gain on the braking profile.
+        hold_s: The ego keeps yielding this long after the reason is gone.
+        stay_margin_m: Additional free space to those whom the ego already yields to.
+        pass_slowly_within_m: A person this close beside the body is passed slowly...
         pass_person_mps: ...at this speed.
-        range_m: Persons farther ahead are not looked at.
+        range_m: Persons farther ahead are ignored.
     """
 
     person_gap_m: float = 3.5
@@ -188,16 +188,17 @@ class YieldSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LightSettings:
-    """How red and amber lights are met.
+    """Constants of the traffic light law.
 
     Attributes:
-        stop_margin_m: Stops this far before the stop line.
+        stop_margin_m: Distance to stop before the stop line.
         decel_mps2: Comfortable braking.
-        approach_gain_per_s: How firmly the braking profile is followed.
-        amber_go_above_mps2: At amber the ego goes on if stopping would need harder braking.
-        red_go_above_mps2: At red the ego goes on if stopping would need harder braking (it would end past the line).
-        confirm_s: A change of a light is believed once it was reported for this long.
-        memory_s: A light that is no longer reported is believed for this long.
+        approach_gain_per_s: Feedback gain on the braking profile.
+        amber_go_above_mps2: At amber the ego continues if stopping would need harder braking.
+        red_go_above_mps2: At red the ego continues if stopping would need harder braking (it would end past the
+            line).
+        confirm_s: A change of state counts after it has been reported for this long.
+        memory_s: A light that is no longer reported is remembered for this long.
     """
 
     stop_margin_m: float = 1.0
@@ -211,18 +212,18 @@ class LightSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NudgeSettings:
-    """How the ego moves over within its lane.
+    """Constants of nudging.
 
     Attributes:
-        clearance_m: Free space wanted beside the ego's body.
-        edge_margin_m: The ego's body stays this far inside its lane.
-        stay_margin_m: What blocked the lane must leave this much more room before it is passed.
-        hold_s: Keeps the offset this long after the reason has gone.
-        rate_mps: How fast the wanted offset moves.
-        look_ahead_m: What is farther ahead is no reason yet.
-        creep_mps: Speed while the ego has not yet moved over.
-        stop_gap_m: Stops if it comes this close before it has moved over.
-        tight_clearance_m: What leaves less room than this is passed slowly...
+        clearance_m: Free space beside the ego's body.
+        edge_margin_m: Distance to keep between the ego's body and the edge of its lane.
+        stay_margin_m: Additional room that an obstacle must leave before it is passed, once it has blocked the lane.
+        hold_s: The offset is kept this long after its cause is gone.
+        rate_mps: Rate at which the path offset moves.
+        look_ahead_m: Obstacles farther ahead do not cause a nudge yet.
+        creep_mps: Least speed until the ego has moved over.
+        stop_gap_m: The ego stops this close to an obstacle if it has not moved over.
+        tight_clearance_m: An obstacle that leaves less room than this is passed slowly...
         pass_speed_mps: ...at this speed.
     """
 
@@ -240,27 +241,29 @@ class NudgeSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OvertakeSettings:
-    """When and how the ego passes through the oncoming lane.
+    """Constants of overtaking.
 
     Attributes:
-        standing_s: Overtakes what it believes has stood for this long.
-        min_gap_m: Cannot pull out from nearer than this.
-        max_gap_m: Does not think of it from farther away.
-        easy_gap_m: From nearer than this the ego swings out wider...
-        swing_share: ...by this share of what is missing.
+        standing_s: A vehicle must have stood this long to be overtaken.
+        min_gap_m: Least gap from which the ego can pull out.
+        max_gap_m: Greatest gap from which overtaking is considered.
+        easy_gap_m: From a smaller gap than this the ego swings out wider...
+        swing_share: ...by this share of the difference.
         clearance_m: Free space beside the obstacle.
-        min_clearance_m: Goes on while there is at least this.
+        min_clearance_m: Free space below which the ego does not go on.
         speed_mps: Speed in the oncoming lane.
         creep_mps: Speed until the obstacle is cleared sideways.
-        rate_mps: How fast the wanted offset moves.
-        blind_gap_m: What was nearer than this when it went out of sight is remembered: the ego has turned away.
-        oncoming_mps: Oncoming vehicles are taken to be at least this fast.
-        pull_out_s: Time that moving out and in again takes, on top of the way.
-        return_gap_m: Returns when its rear is this far past the obstacle.
-        margin_m: The oncoming lane must exist this far beyond the obstacle.
-        light_margin_m: Never overtakes where a stop line lies within this beyond the obstacle: it may be a queue.
-        give_up_s: Returns at the latest after this long.
-        rest_s: Does not try again for this long after giving up.
+        rate_mps: Rate at which the path offset moves.
+        blind_gap_m: An obstacle that was closer than this when it left the image is remembered: the ego has turned
+            away.
+        oncoming_mps: Least assumed speed of oncoming vehicles.
+        pull_out_s: Time for moving out and back, in addition to the driving time.
+        return_gap_m: The ego returns when its rear is this far past the obstacle.
+        margin_m: The oncoming lane must extend this far beyond the obstacle.
+        light_margin_m: No overtaking if a stop line lies within this distance beyond the obstacle, which may be
+            queueing.
+        give_up_s: The ego returns after this long at the latest.
+        rest_s: Pause before the next attempt after giving up.
     """
 
     standing_s: float = 3.0
@@ -285,22 +288,22 @@ class OvertakeSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ControlSettings:
-    """How the plan becomes steering and acceleration.
+    """Constants of the controller.
 
     Attributes:
-        look_ahead_s: Pure pursuit looks this long ahead at the present speed...
+        look_ahead_s: Look-ahead of pure pursuit, as a time at the current speed...
         min_look_ahead_m: ...but at least this far...
         max_look_ahead_m: ...and at most this far.
-        speed_gain_per_s: PID: proportional.
-        speed_integral_per_s2: PID: integral.
-        speed_derivative: PID: derivative, on the measured acceleration.
-        integral_limit_mps2: Bound of the integral's share.
-        accel_mps2: Most acceleration of the speed PID.
-        decel_mps2: Most braking of the speed PID.
-        jerk_mps3: Acceleration rises no faster than this; braking is never delayed.
-        steer_rate_radps: Steering angle changes no faster than this.
-        hold_below_mps: Slower than this, an ego that should stop is held by the brakes...
-        hold_decel_mps2: ...this hard.
+        speed_gain_per_s: Proportional gain of the PID.
+        speed_integral_per_s2: Integral gain of the PID.
+        speed_derivative: Derivative gain of the PID, on the measured acceleration.
+        integral_limit_mps2: Bound of the integral term.
+        accel_mps2: Largest acceleration of the PID.
+        decel_mps2: Hardest braking of the PID.
+        jerk_mps3: Largest rate at which acceleration rises; braking is never delayed.
+        steer_rate_radps: Largest rate of the steering angle.
+        hold_below_mps: An ego that should stop is held by the brakes below this speed...
+        hold_decel_mps2: ...with this deceleration.
         period_s: Control period, at 20 Hz.
     """
 

@@ -1,30 +1,36 @@
-"""The modular driving system: detections in, commands out, through parts that can each be swapped.
+"""The modular driving system: detections in, commands out, through replaceable parts.
 
     boxes -> localiser -> tracker -> predictor -> planner -> controller -> command
 
-The obstacle detector comes before it, outside: it is the component under test, and its boxes are given.
+The obstacle detector runs before it, outside: it is the component under test, and its boxes are the input.
 """
 
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.control import Controller, PursuitController
 from brink.sim.driving.interface import Command, Observation, PerceivedObstacle, PlanMode, PlanState, Route
-from brink.sim.driving.localisation import GroundPlaneLocaliser, Localiser
+from brink.sim.driving.obstacles import (
+    AlphaBetaTracker,
+    ConstantVelocityPredictor,
+    GroundPlaneLocaliser,
+    Localiser,
+    Predictor,
+    Track,
+    Tracker,
+)
 from brink.sim.driving.planning import Plan, Planner, RoutePlanner
-from brink.sim.driving.prediction import ConstantVelocityPredictor, Predictor
 from brink.sim.driving.settings import DrivingSettings
-from brink.sim.driving.tracking import AlphaBetaTracker, Track, Tracker
 
 _DEFAULT_CAMERA = Camera()
 _DEFAULT_SETTINGS = DrivingSettings()
 
 
 class ModularDriving:
-    """Implements `brink.sim.driving.interface.DrivingSystem`. Made anew for every episode.
+    """Implements `brink.sim.driving.interface.DrivingSystem`. Created anew for each episode.
 
     Args:
-        route: What to follow.
+        route: Route to follow.
         settings: All constants.
-        camera: Where the boxes come from.
+        camera: Camera that the boxes come from.
         localiser: Boxes to places; by default on a ground plane.
         tracker: Places to tracks; by default alpha-beta.
         predictor: Tracks to obstacles on the route; by default at constant velocity.
@@ -65,7 +71,7 @@ class ModularDriving:
         self._plan = Plan(PlanMode.CRUISE, 0.0, 0.0, 0.0, 0.0)
 
     def step(self, observation: Observation) -> Command:
-        """Take one control step."""
+        """Run one control step and return its command."""
         time_s, ego, boxes, light = observation
         if boxes is not None:
             self._tracks = self._tracker.update(time_s, self._localiser.locate(ego, boxes))
@@ -77,7 +83,7 @@ class ModularDriving:
 
     @property
     def plan(self) -> PlanState:
-        """What the planner decided in the last step; the target speed is where its acceleration leads in 1 s."""
+        """The planner's last decision; the target speed is the one that its acceleration limit leads to in 1 s."""
         plan = self._plan
         return PlanState(
             mode=plan.mode,

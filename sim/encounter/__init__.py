@@ -1,1 +1,1 @@
-"""Encounters: an urban road on which every other road user follows a script."""
+"""Encounters: an urban road on which all other road users follow a script."""

@@ -1,7 +1,6 @@
-"""Owns the simulator `brink-encounter@1`: a specification in, a result out; bit for bit the same each time.
+"""The simulator `brink-encounter@1`: runs a specification and returns the result, bit for bit reproducible.
 
-Its driving system is told the ground truth. `brink.sim.encounter.camera_simulator` puts a camera and a
-detector there.
+Its driving system gets the ground truth; `brink.sim.encounter.camera` puts a camera and a detector in its place.
 """
 
 import json
@@ -11,29 +10,27 @@ from collections.abc import Mapping
 from typing import ClassVar, Final
 
 from brink.sim.bullet.engine import EngineError, discard_engine, process_engine
+from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.system import ModularDriving
-from brink.sim.encounter.scenario import EncounterScenario
+from brink.sim.encounter.specification import EncounterScenario
 from brink.sim.encounter.witness import EncounterWitness
 from brink.sim.encounter.world import EncounterWorld, make_encounter
-from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject, check_fields
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
-from brink.sim.requirements.registry import features_of, make_requirements, verdicts_of
-from brink.sim.requirements.requirement import Requirement
+from brink.sim.requirements import Requirement, features_of, verdicts_of
 from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour
-from brink.sim.urban.episode_loop import Outcome, run_loop
+from brink.sim.urban.episode_loop import Detects, Outcome, run_loop
 from brink.sim.urban.recorder import Recorder
-from brink.sim.urban.scenario import check_fields
-from brink.sim.urban.sensing import Detects
 from brink.sim.urban.simulator import instruction_set, versions
 
 MAX_DURATION_S: Final = 120.0
-FARTHEST_GAP_M: Final = 200.0
-"""Gaps are cut at this, so that they are finite where nobody is about."""
+MAX_GAP_M: Final = 200.0
+"""Upper bound of reported gaps, so that they are finite when no road user is present."""
 
 
 class BrinkEncounter:
-    """Runs encounters. One a process is enough; it keeps nothing between episodes."""
+    """Runs encounters. Stateless between episodes; one instance per process is enough."""
 
     id: ClassVar[str] = "brink-encounter@1"
 
@@ -41,7 +38,11 @@ class BrinkEncounter:
         self._camera = Camera()
 
     def _check(self, behaviour: Mapping[str, Json]) -> None:
-        """Raise InvalidEpisode unless this simulator can let the driving system see so."""
+        """Check the behaviour.
+
+        Raises:
+            InvalidEpisode: This simulator does not support it.
+        """
         check_fields("behaviour", behaviour, ("mode",))
         if behaviour["mode"] != BehaviourMode.ORACLE:
             raise InvalidEpisode(
@@ -51,19 +52,19 @@ class BrinkEncounter:
     def _detects(
         self, spec: EpisodeSpec, scenario: EncounterScenario, world: EncounterWorld
     ) -> Detects | None:
-        """Return the detector of an episode; None if the driving system is told the ground truth."""
+        """Return the detector of an episode, None if the driving system gets the ground truth."""
         return None
 
     def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
         """Run one episode.
 
         Args:
-            spec: What to run.
-            record: Whether the result carries the trace.
+            spec: The specification.
+            record: Whether to include the trace in the result.
 
         Raises:
             InvalidEpisode: The specification can never run.
-            SimulationCrashed: The physics engine broke down.
+            SimulationCrashed: The physics engine failed.
         """
         cpu_s = time.process_time()
         spec.check_for(self.id, MAX_DURATION_S)
@@ -76,7 +77,7 @@ class BrinkEncounter:
             return self._run(spec, scenario, requirements, cpu_s, record=record)
         except EngineError as error:
             discard_engine()
-            raise SimulationCrashed(f"the physics engine broke down: {error}") from error
+            raise SimulationCrashed(f"the physics engine failed: {error}") from error
 
     def _run(
         self,
@@ -111,14 +112,13 @@ class BrinkEncounter:
             about: JsonObject = {"spec": json.loads(spec.canonical_json()), "versions": dict(versions())}
             trace = recorder.trace(about).to_bytes()
         gaps = {
-            f"gap_{index}_m": min(gap_m, FARTHEST_GAP_M)
-            for index, gap_m in enumerate(witness.gaps_m, start=1)
+            f"gap_{index}_m": min(gap_m, MAX_GAP_M) for index, gap_m in enumerate(witness.gaps_m, start=1)
         }
         return EpisodeResult(
             verdicts=verdicts,
             objectives={
                 **{f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()},
-                "criticality_m": min(witness.criticality_m, FARTHEST_GAP_M),
+                "criticality_m": min(witness.criticality_m, MAX_GAP_M),
                 **gaps,
             },
             features={**_features(outcome, requirements), "violations": list(witness.violations)},

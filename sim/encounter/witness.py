@@ -1,31 +1,29 @@
-"""Owns what is told of an encounter: how near everybody came to the ego, and the circumstances of each violation.
+"""Observes an encounter: the closest approach of every road user, and the circumstances of each violation.
 
-Circumstances are raw facts of the moment at which a requirement was first violated. Rules elsewhere make types of
-them, and can be changed without simulating again.
+Circumstances are raw facts about the moment at which a requirement was first violated. Rules elsewhere classify
+them and can be changed without simulating again.
 """
 
 import math
 from collections import deque
-from typing import Final
+from typing import Final, NamedTuple, TypeAlias
 
 from brink.sim.driving.interface import DrivingSystem
-from brink.sim.encounter.rectangles import Rectangle, bearing_rad, signed_gap_m
-from brink.sim.encounter.road_users import ScriptedUser
-from brink.sim.encounter.world import EncounterWorld
+from brink.sim.encounter.world import EncounterWorld, ScriptedUser
 from brink.sim.episode import JsonObject
-from brink.sim.requirements.requirement import WorldSample
+from brink.sim.requirements import WorldSample
 from brink.sim.trace import ACTION
 from brink.sim.urban.recorder import Recorder
 from brink.sim.world.world import STEP_S
 
 NEARBY_M: Final = 15.0
-"""A violation that is no collision has the nearest road user as its counterpart if it is within this."""
+"""Without a collision, the nearest road user within this distance is the counterpart of a violation."""
 
 IN_WAY_M: Final = 35.0
-"""A road user is in the ego's way if it is so near ahead and reaches into the width that the ego sweeps."""
+"""A road user is in the ego's way within this distance ahead if it reaches into the swept width."""
 
-_AHEAD: Final = ("front-gap@1",)
-"""Requirements whose counterpart is in the ego's way, however near others are."""
+_COUNTERPART_AHEAD: Final = ("front-gap@1",)
+"""Requirements whose counterpart is the road user in the ego's way, even if others are nearer."""
 
 _LOOKBACK: Final = round(0.5 / STEP_S)
 _JUNCTION_M: Final = 12.0
@@ -33,22 +31,117 @@ _CROSSING_M: Final = 4.0
 _CURVED_1PM: Final = 1e-3
 
 
+Point: TypeAlias = tuple[float, float]
+
+
+class Rectangle(NamedTuple):
+    """A body seen from above.
+
+    Attributes:
+        x_m: Centre.
+        y_m: Centre.
+        yaw_rad: Heading.
+        half_length_m: Half of the extent along the heading.
+        half_width_m: Half of the extent across it.
+    """
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    half_length_m: float
+    half_width_m: float
+
+    def corners(self) -> list[Point]:
+        """Return its corners, counter-clockwise from the front left."""
+        cos_yaw, sin_yaw = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        return [
+            (self.x_m + a * cos_yaw - b * sin_yaw, self.y_m + a * sin_yaw + b * cos_yaw)
+            for a, b in (
+                (self.half_length_m, self.half_width_m),
+                (-self.half_length_m, self.half_width_m),
+                (-self.half_length_m, -self.half_width_m),
+                (self.half_length_m, -self.half_width_m),
+            )
+        ]
+
+    def nearest_point(self, point: Point) -> Point:
+        """Return the point of the rectangle that is nearest to another point."""
+        dx, dy = point[0] - self.x_m, point[1] - self.y_m
+        cos_yaw, sin_yaw = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        along = min(max(dx * cos_yaw + dy * sin_yaw, -self.half_length_m), self.half_length_m)
+        across = min(max(dy * cos_yaw - dx * sin_yaw, -self.half_width_m), self.half_width_m)
+        return self.x_m + along * cos_yaw - across * sin_yaw, self.y_m + along * sin_yaw + across * cos_yaw
+
+
+def _overlap(first: Rectangle, second: Rectangle) -> float:
+    """Return the smallest overlap along the axes of both rectangles; not positive if they are apart."""
+    dx, dy = second.x_m - first.x_m, second.y_m - first.y_m
+    least = math.inf
+    for axis_rad in (
+        first.yaw_rad,
+        first.yaw_rad + 0.5 * math.pi,
+        second.yaw_rad,
+        second.yaw_rad + 0.5 * math.pi,
+    ):
+        cos_axis, sin_axis = math.cos(axis_rad), math.sin(axis_rad)
+        reach = 0.0
+        for one in (first, second):
+            turn = one.yaw_rad - axis_rad
+            reach += one.half_length_m * abs(math.cos(turn)) + one.half_width_m * abs(math.sin(turn))
+        least = min(least, reach - abs(dx * cos_axis + dy * sin_axis))
+    return least
+
+
+def signed_gap_m(first: Rectangle, second: Rectangle) -> float:
+    """Return the clearance between two rectangles, or minus the penetration depth if they overlap."""
+    overlap_m = _overlap(first, second)
+    if overlap_m > 0.0:
+        return -overlap_m
+    least = math.inf
+    for one, other in ((first, second), (second, first)):
+        for corner in one.corners():
+            x_m, y_m = other.nearest_point(corner)
+            least = min(least, math.hypot(corner[0] - x_m, corner[1] - y_m))
+    return least
+
+
+def bearing_rad(ego: Rectangle, other: Rectangle) -> float:
+    """Return the direction of another body's nearest point, relative to the ego, in (-pi, pi].
+
+    Angles are measured after scaling the ego's body to a square, so that its corners lie at 45 degrees.
+    """
+    near_x, near_y = other.nearest_point((ego.x_m, ego.y_m))
+    at_x, at_y = ego.nearest_point((near_x, near_y))
+    # If they overlap, the other's nearest point lies inside the ego and gives the direction.
+    x_m, y_m = (near_x, near_y) if math.hypot(near_x - at_x, near_y - at_y) > 1e-9 else (at_x, at_y)
+    cos_yaw, sin_yaw = math.cos(ego.yaw_rad), math.sin(ego.yaw_rad)
+    dx, dy = x_m - ego.x_m, y_m - ego.y_m
+    along = (dx * cos_yaw + dy * sin_yaw) / ego.half_length_m
+    across = (dy * cos_yaw - dx * sin_yaw) / ego.half_width_m
+    return math.atan2(across, along)
+
+
+def make_rectangle(user: ScriptedUser) -> Rectangle:
+    """Return a road user's footprint."""
+    return Rectangle(user.x_m, user.y_m, user.yaw_rad, 0.5 * user.length_m, 0.5 * user.width_m)
+
+
 class EncounterWitness:
-    """Watches one encounter.
+    """Observes one encounter.
 
     Args:
-        world: What to watch.
-        recorder: Is told what everybody does, if the episode is recorded.
+        world: The world.
+        recorder: Records the road users' actions, if given.
     """
 
     def __init__(self, world: EncounterWorld, recorder: Recorder | None = None) -> None:
         self._world = world
         self._recorder = recorder
-        self._actions = [""] * len(world.everybody)
-        self.gaps_m = [math.inf] * len(world.everybody)
-        self._in_way_since_s: list[float | None] = [None] * len(world.everybody)
+        self._actions = [""] * len(world.road_users)
+        self.gaps_m = [math.inf] * len(world.road_users)
+        self._in_way_since_s: list[float | None] = [None] * len(world.road_users)
         self._history: deque[tuple[float, float, float]] = deque(maxlen=_LOOKBACK + 1)
-        self._speeds: list[deque[float]] = [deque(maxlen=_LOOKBACK + 1) for _ in world.everybody]
+        self._speeds: list[deque[float]] = [deque(maxlen=_LOOKBACK + 1) for _ in world.road_users]
         self._radius_m = 0.5 * math.hypot(world.ego.length_m, world.ego.width_m)
         self._sample: WorldSample | None = None
         self._mode = ""
@@ -56,18 +149,18 @@ class EncounterWitness:
         self.violations: list[JsonObject] = []
 
     def see(self, sample: WorldSample, driving: DrivingSystem) -> None:
-        """Take note of a control step, after everybody has moved."""
+        """Observe a control step, after all road users have moved."""
         self._sample = sample
         self._mode = driving.plan.mode.value
         self._history.append((sample.speed_mps, sample.yaw_rad, sample.offset_m))
         ego: Rectangle | None = None
-        for index, user in enumerate(self._world.everybody):
+        for index, user in enumerate(self._world.road_users):
             self._speeds[index].append(user.speed_mps)
             dx, dy = user.x_m - sample.x_m, user.y_m - sample.y_m
             reach_m = self._radius_m + 0.5 * math.hypot(user.length_m, user.width_m)
             if math.hypot(dx, dy) - reach_m < self.gaps_m[index]:
                 ego = ego or self._ego()
-                gap_m = signed_gap_m(ego, rectangle_of(user))
+                gap_m = signed_gap_m(ego, make_rectangle(user))
                 self.gaps_m[index] = min(self.gaps_m[index], gap_m)
             self._watch_way(index, user, sample)
             if self._recorder is not None and (action := user.stretch.action) != self._actions[index]:
@@ -76,7 +169,7 @@ class EncounterWitness:
 
     @property
     def criticality_m(self) -> float:
-        """How near anybody came to the ego; infinite if nobody is about."""
+        """Smallest distance of any road user to the ego; infinite if there is none."""
         return min(self.gaps_m, default=math.inf)
 
     def _ego(self) -> Rectangle:
@@ -84,33 +177,33 @@ class EncounterWitness:
         return Rectangle(ego.x_m, ego.y_m, ego.yaw_rad, 0.5 * ego.length_m, 0.5 * ego.width_m)
 
     def _watch_way(self, index: int, user: ScriptedUser, sample: WorldSample) -> None:
-        """Note since when somebody has been in the ego's way."""
+        """Track since when a road user has been in the ego's way."""
         dx, dy = user.x_m - sample.x_m, user.y_m - sample.y_m
-        there = -IN_WAY_M < dx < IN_WAY_M and -IN_WAY_M < dy < IN_WAY_M
-        if there:
+        in_way = -IN_WAY_M < dx < IN_WAY_M and -IN_WAY_M < dy < IN_WAY_M
+        if in_way:
             line = self._world.route.line
             at_m, off_m = line.project(user.x_m, user.y_m, sample.station_m)
             turn = user.yaw_rad - line.pose_at(at_m)[2]
             half_m = 0.5 * (abs(math.cos(turn)) * user.width_m + abs(math.sin(turn)) * user.length_m)
             within = abs(off_m - sample.offset_m) < half_m + 0.5 * sample.ego_width_m
-            there = within and 0.0 < at_m - sample.station_m < IN_WAY_M
-        if not there:
+            in_way = within and 0.0 < at_m - sample.station_m < IN_WAY_M
+        if not in_way:
             self._in_way_since_s[index] = None
         elif self._in_way_since_s[index] is None:
             self._in_way_since_s[index] = sample.time_s
 
     def violated(self, requirement: str) -> None:
-        """Take note of the circumstances, the first time that a requirement is violated."""
+        """Record the circumstances of a requirement's first violation."""
         sample = self._sample
         if requirement in self._seen or sample is None:
             return
         self._seen.add(requirement)
         hit = sample.collision
         if hit is not None:
-            names = [user.name for user in self._world.everybody]
+            names = [user.name for user in self._world.road_users]
             index = names.index(hit.counterpart) if hit.counterpart in names else None
         else:
-            index = self._in_way(sample) if requirement in _AHEAD else None
+            index = self._in_way(sample) if requirement in _COUNTERPART_AHEAD else None
             index = self._nearest(sample) if index is None else index
         self.violations.append(
             {
@@ -125,11 +218,11 @@ class EncounterWitness:
         )
 
     def _in_way(self, sample: WorldSample) -> int | None:
-        """Return the nearest of those in the ego's way."""
+        """Return the nearest road user in the ego's way."""
         ego = self._ego()
         gaps = [
-            (signed_gap_m(ego, rectangle_of(user)), index)
-            for index, user in enumerate(self._world.everybody)
+            (signed_gap_m(ego, make_rectangle(user)), index)
+            for index, user in enumerate(self._world.road_users)
             if self._in_way_since_s[index] is not None
         ]
         return min(gaps)[1] if gaps else None
@@ -137,8 +230,8 @@ class EncounterWitness:
     def _nearest(self, sample: WorldSample) -> int | None:
         ego = self._ego()
         gaps = [
-            (signed_gap_m(ego, rectangle_of(user)), index)
-            for index, user in enumerate(self._world.everybody)
+            (signed_gap_m(ego, make_rectangle(user)), index)
+            for index, user in enumerate(self._world.road_users)
             if math.hypot(user.x_m - sample.x_m, user.y_m - sample.y_m) < NEARBY_M + 8.0
         ]
         gap_m, index = min(gaps, default=(math.inf, 0))
@@ -158,8 +251,8 @@ class EncounterWitness:
         }
 
     def _other_facts(self, index: int, sample: WorldSample) -> JsonObject:
-        user = self._world.everybody[index]
-        ego, other = self._ego(), rectangle_of(user)
+        user = self._world.road_users[index]
+        ego, other = self._ego(), make_rectangle(user)
         speeds, since_s = self._speeds[index], self._in_way_since_s[index]
         over_s = max(STEP_S, (len(speeds) - 1) * STEP_S)
         heading = (user.yaw_rad - sample.yaw_rad + math.pi) % (2.0 * math.pi) - math.pi
@@ -192,8 +285,3 @@ class EncounterWitness:
             "element": element,
             "light": None if sample.light is None else sample.light.value,
         }
-
-
-def rectangle_of(user: ScriptedUser) -> Rectangle:
-    """Return the body of a road user from above."""
-    return Rectangle(user.x_m, user.y_m, user.yaw_rad, 0.5 * user.length_m, 0.5 * user.width_m)

@@ -1,1 +1,1 @@
-"""Learned components: the detector, its training, adapters for those of users."""
+"""Detectors: the network that ships with the project, its training and scoring, and users' own networks."""

@@ -1,40 +1,70 @@
-"""What finds vehicles and people in a picture.
+"""Detectors of vehicles and people: `brink-det@1`, networks from users' files, and the lookup by id.
 
-A detector takes any RGB picture and returns boxes in its pixels. `NetworkDetector` runs `brink-det@1` with
-onnxruntime on one thread; weights ship with the package.
+A detector takes an RGB picture of any size and returns boxes in its pixels. `brink-det@1` runs with onnxruntime on
+one thread; its weights ship with the package.
+
+Users name their own detectors as ``onnx:FILE``, ``torchscript:FILE`` or ``ultralytics:FILE``. The network in an
+ONNX or TorchScript file takes one RGB picture, shape ``(1, 3, h, w)``, float32 in [0, 1], scaled to fit and padded
+with grey. Its output, in px of its input, has one of two forms:
+
+- one array of shape ``(1, 4 + c, n)``, as exported from YOLO networks: centre x, centre y, width, height, and a
+  score for each of c classes, of n boxes;
+- three arrays: boxes ``(n, 4)`` as x_min, y_min, x_max, y_max, scores ``(n,)`` and labels ``(n,)``, in this order or
+  named ``boxes``, ``scores`` and ``labels``, as in torchvision's detectors.
+
+Class names are read from ``FILE.json`` beside the weights, ``{"names": ["vehicle", "person"]}``, or from the
+metadata that YOLO's exporter writes. Without names, a single array of two classes means vehicle and person, and of
+any other number COCO's classes in YOLO's order; three arrays use torchvision's COCO numbers. Any other output is
+refused when the network is loaded.
 """
 
+import ast
+import importlib
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Final, Protocol, TypeAlias
+from typing import Any, Final, Protocol, TypeAlias, cast
 
 import cv2
 import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from brink.sim.perception.boxes import FloatArray, suppressed
-from brink.sim.perception.errors import DetectorError
-from brink.sim.perception.quality import Found
+from brink.sim.catalogue import load_plugin, plugin_ids
+from brink.sim.episode import nearest
+from brink.sim.errors import InvalidEpisode
+from brink.sim.perception.boxes import Detections, FloatArray, non_maximum_suppression
+from brink.sim.perception.user_files import CATEGORY_LABELS, KINDS, DetectorError, weights_file
 
 Picture: TypeAlias = NDArray[np.uint8]
 
-INPUT_PX: Final = (320, 192)
-STRIDE: Final = 4
+DETECTORS: Final = "brink.detectors"
 LABELS: Final = ("vehicle", "person")
-SCORE_FLOOR: Final = 0.001
-DOUBLE_OVERLAP: Final = 0.6
-MOST: Final = 100
+INPUT_PX: Final = (320, 192)
+"""Input of `brink-det@1`: width and height."""
+STRIDE: Final = 4
+MIN_SCORE: Final = 0.001
+MAX_DETECTIONS: Final = 100
+NMS_OVERLAP: Final = 0.6
 WEIGHTS: Final = "weights/brink-det-1.onnx"
-_PADDING: Final = 115
+FLEXIBLE_INPUT_PX: Final = (640, 384)
+"""Width and height used for a network that accepts inputs of any size."""
+COCO_LABELS: Final[Mapping[int, int]] = {0: 1, 2: 0, 3: 0, 5: 0, 6: 0, 7: 0}
+"""Labels of COCO's classes numbered from 0: person; car, motorcycle, bus, train, truck."""
+TORCHVISION_LABELS: Final[Mapping[int, int]] = {1: 1, 3: 0, 4: 0, 6: 0, 7: 0, 8: 0}
+"""The same in torchvision's numbers, from 1."""
+_OWN_PADDING: Final = 115
+_PADDING: Final = 114
 
 
 class Detector(Protocol):
     """Finds vehicles and people."""
 
-    def detect(self, picture: Picture) -> Found:
-        """Return what is in a picture: labels 0 (vehicle) and 1 (person), boxes in its pixels, scores.
+    def detect(self, picture: Picture) -> Detections:
+        """Return the detections in a picture: labels 0 (vehicle) and 1 (person), boxes in its pixels, scores.
 
         Args:
             picture: RGB, shape ``(h, w, 3)``.
@@ -42,115 +72,406 @@ class Detector(Protocol):
         ...
 
 
-def check_picture(picture: Picture) -> None:
-    """Raise DetectorError if this is no RGB picture."""
+def find_detector(detector_id: str) -> Detector:
+    """Return the detector with an id; it may be shared, because detectors are stateless.
+
+    Args:
+        detector_id: A registered detector such as ``brink-det@1``, or a user's file: ``onnx:FILE``,
+            ``torchscript:FILE``, ``ultralytics:FILE``.
+
+    Raises:
+        InvalidEpisode: No such detector is registered, or the file is not a detector.
+    """
+    if ":" in detector_id:
+        try:
+            return load_file_detector(detector_id)
+        except DetectorError as error:
+            raise InvalidEpisode(str(error)) from error
+    try:
+        factory = load_plugin(DETECTORS, detector_id)
+    except KeyError:
+        known = plugin_ids(DETECTORS)
+        expected = ", ".join([*known, *(f"{kind}:FILE" for kind in KINDS)]) + nearest(detector_id, known)
+        raise InvalidEpisode(f"detector: expected one of {expected}; got {detector_id!r}") from None
+    return cast(Callable[[], Detector], factory)()
+
+
+def _check_picture(picture: Picture) -> None:
     if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3 or min(picture.shape[:2]) < 1:
         raise DetectorError(
             f"picture: expected uint8 of shape (h, w, 3), got {picture.dtype} of shape {picture.shape}"
         )
 
 
-def onnx_session(file: Path) -> onnxruntime.InferenceSession:
-    """Return a session of an ONNX file on one thread.
+def _scale_to_fit(picture: Picture, size_px: tuple[int, int]) -> tuple[Picture, float]:
+    """Return a picture scaled to fit (width, height), and the scale factor."""
+    height_px, width_px = picture.shape[:2]
+    scale = min(size_px[0] / width_px, size_px[1] / height_px)
+    size = max(1, round(width_px * scale)), max(1, round(height_px * scale))
+    scaled = cv2.resize(picture, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    return scaled.astype(np.uint8, copy=False), scale
+
+
+def _to_planes(canvas: Picture) -> NDArray[np.float32]:
+    """Return an RGB picture as network input, shape ``(1, 3, h, w)``, in [0, 1]."""
+    return np.ascontiguousarray(canvas.transpose(2, 0, 1)[None], dtype=np.float32) / np.float32(255.0)
+
+
+def _load_onnx(file: Path) -> onnxruntime.InferenceSession:
+    """Open an ONNX file for inference on one thread.
 
     Raises:
-        DetectorError: The file does not load.
+        DetectorError: The file cannot be loaded.
     """
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 3
     try:
         return onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime has no common class of its errors
+    except Exception as error:  # onnxruntime's errors have no common class
         raise DetectorError(f"{file}: cannot be loaded as an ONNX network: {error}") from error
 
 
-def fitted(picture: Picture) -> tuple[Picture, float]:
-    """Return a picture as the network takes it, shape ``(192, 320, 3)``, and how much smaller it is.
+def fit_picture(picture: Picture) -> tuple[Picture, float]:
+    """Return a picture as `brink-det@1` takes it, shape ``(192, 320, 3)``, and its scale factor.
 
-    It is scaled to fit, its proportions kept, and padded with grey at the right or below.
+    The picture is scaled with its aspect ratio kept and padded with grey on the right or below.
 
     Raises:
-        DetectorError: It is no RGB picture.
+        DetectorError: It is not an RGB picture.
     """
-    check_picture(picture)
-    height_px, width_px = picture.shape[:2]
-    scale = min(INPUT_PX[0] / width_px, INPUT_PX[1] / height_px)
-    size = max(1, round(width_px * scale)), max(1, round(height_px * scale))
-    small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
-    canvas = np.full((INPUT_PX[1], INPUT_PX[0], 3), _PADDING, np.uint8)
-    canvas[: size[1], : size[0]] = small
+    _check_picture(picture)
+    small, scale = _scale_to_fit(picture, INPUT_PX)
+    canvas = np.full((INPUT_PX[1], INPUT_PX[0], 3), _OWN_PADDING, np.uint8)
+    canvas[: small.shape[0], : small.shape[1]] = small
     return canvas, scale
 
 
-def decoded(heat: FloatArray, edges: FloatArray) -> Found:
-    """Return the boxes of a network's answer, best first, in px of its input.
+def decode(heat: FloatArray, edges: FloatArray) -> Detections:
+    """Decode a network's output to boxes in px of its input, best first.
 
     Args:
-        heat: Logits of centres, shape ``(classes, h, w)``.
-        edges: Distances to left, upper, right and lower edge in px, shape ``(classes, 4, h, w)``.
+        heat: Logits of box centres, shape ``(classes, h, w)``.
+        edges: Distances to the left, upper, right and lower edge in px, shape ``(classes, 4, h, w)``.
     """
     scores = (1.0 / (1.0 + np.exp(-heat))).astype(np.float32)
     peaks = np.stack([cv2.dilate(plane, np.ones((3, 3), np.uint8)) for plane in scores]) == scores
-    labels, rows, columns = np.nonzero(peaks & (scores >= SCORE_FLOOR))
-    found = scores[labels, rows, columns]
-    best = np.argsort(-found, kind="stable")[:MOST]
-    labels, rows, columns, found = labels[best], rows[best], columns[best], found[best]
+    labels, rows, columns = np.nonzero(peaks & (scores >= MIN_SCORE))
+    peak_scores = scores[labels, rows, columns]
+    best = np.argsort(-peak_scores, kind="stable")[:MAX_DETECTIONS]
+    labels, rows, columns, peak_scores = labels[best], rows[best], columns[best], peak_scores[best]
     x, y = (columns + 0.5) * STRIDE, (rows + 0.5) * STRIDE
     left, upper, right, lower = edges[labels, :, rows, columns].T
     boxes = np.stack([x - left, y - upper, x + right, y + lower], axis=1).astype(np.float32)
-    kept = suppressed(boxes, found, labels, DOUBLE_OVERLAP)
-    return Found(labels=labels[kept], boxes=boxes[kept], scores=found[kept])
+    kept = non_maximum_suppression(boxes, peak_scores, labels, NMS_OVERLAP)
+    return Detections(labels=labels[kept], boxes=boxes[kept], scores=peak_scores[kept])
 
 
 class NetworkDetector:
-    """Runs a network with onnxruntime on one thread.
+    """Runs the network of `brink-det@1` with onnxruntime on one thread.
 
     Args:
-        weights: An ONNX file with one input of shape ``(1, 3, 192, 320)`` and the outputs that
-            `brink.sim.perception.network` describes.
+        weights: An ONNX file with one input of shape ``(1, 3, 192, 320)`` and the outputs described in
+            `brink.sim.perception.network`.
 
     Raises:
-        DetectorError: The file does not load, or is not such a network.
+        DetectorError: The file cannot be loaded, or is a different network.
     """
 
     def __init__(self, weights: Path) -> None:
-        self._session = onnx_session(weights)
+        self._session = _load_onnx(weights)
         shapes = [tuple(put.shape) for put in (*self._session.get_inputs(), *self._session.get_outputs())]
-        across, down = INPUT_PX[0] // STRIDE, INPUT_PX[1] // STRIDE
-        grid = (down, across)
+        grid = (INPUT_PX[1] // STRIDE, INPUT_PX[0] // STRIDE)
         expected = [(1, 3, *INPUT_PX[::-1]), (1, len(LABELS), *grid), (1, len(LABELS), 4, *grid)]
         if shapes != expected:
             raise DetectorError(f"{weights}: expected input and outputs of shapes {expected}, got {shapes}")
         self._input = self._session.get_inputs()[0].name
 
-    def answer(self, canvas: Picture) -> tuple[FloatArray, FloatArray]:
-        """Return heat map and edges of a fitted picture."""
-        planes = np.ascontiguousarray(canvas.transpose(2, 0, 1)[None], dtype=np.float32) / np.float32(255.0)
-        heat, edges = self._session.run(None, {self._input: planes})
+    def infer(self, canvas: Picture) -> tuple[FloatArray, FloatArray]:
+        """Return the heat map and the edges for a fitted picture."""
+        heat, edges = self._session.run(None, {self._input: _to_planes(canvas)})
         return heat[0], edges[0]
 
-    def detect(self, picture: Picture) -> Found:
-        """Return what is in a picture."""
-        canvas, scale = fitted(picture)
-        found = decoded(*self.answer(canvas))
-        height_px, width_px = picture.shape[:2]
-        limits = np.array([width_px, height_px, width_px, height_px], np.float32)
-        boxes = np.clip(found.boxes / np.float32(scale), 0.0, limits)
-        return Found(labels=found.labels, boxes=boxes, scores=found.scores)
+    def detect(self, picture: Picture) -> Detections:
+        """Return the detections in a picture."""
+        canvas, scale = fit_picture(picture)
+        found = decode(*self.infer(canvas))
+        boxes = np.clip(found.boxes / np.float32(scale), 0.0, _limits(picture))
+        return Detections(labels=found.labels, boxes=boxes, scores=found.scores)
+
+
+def _limits(picture: Picture) -> FloatArray:
+    return np.array([picture.shape[1], picture.shape[0]] * 2, np.float32)
 
 
 @cache
-def own_detector() -> NetworkDetector:
+def load_brink_det() -> NetworkDetector:
     """Return `brink-det@1` with the weights that ship with the package.
 
     Raises:
-        DetectorError: They are not there.
+        DetectorError: The weights are missing.
     """
     weights = Path(str(files("brink.sim.perception").joinpath(WEIGHTS)))
     if not weights.is_file():
         raise DetectorError(
-            f"brink-det@1 has no weights here: train them with `python -m brink.sim.perception.train --out "
-            f"{weights.parent}`, which takes half an hour"
+            f"brink-det@1: weights are missing; train them with `python -m brink.sim.aeb train --out "
+            f"{weights.parent}`, which takes about an hour"
         )
     return NetworkDetector(weights)
+
+
+class LoadedNetwork(Protocol):
+    """A network loaded from a user's file."""
+
+    @property
+    def input_px(self) -> tuple[int, int]:
+        """Width and height of its input."""
+        ...
+
+    @property
+    def names(self) -> Mapping[int, str]:
+        """Class names by index; empty if unknown."""
+        ...
+
+    def infer(self, planes: NDArray[np.float32]) -> list[NDArray[Any]]:
+        """Return the outputs for a picture, shape ``(1, 3, h, w)``."""
+        ...
+
+
+class FileDetector:
+    """Runs a user's network.
+
+    Args:
+        network: The network.
+        source: Its file, named in messages.
+
+    Raises:
+        DetectorError: Its output for a grey picture is not a detection.
+    """
+
+    def __init__(self, network: LoadedNetwork, source: str) -> None:
+        self._network = network
+        self._source = source
+        width_px, height_px = network.input_px
+        self.detect(np.full((height_px, width_px, 3), _PADDING, np.uint8))
+
+    def detect(self, picture: Picture) -> Detections:
+        """Return the detections in a picture."""
+        _check_picture(picture)
+        canvas, scale, left, top = _letterbox(picture, self._network.input_px)
+        boxes, scores, classes, default_labels = self._parse(self._network.infer(_to_planes(canvas)))
+        label_of = _labels_by_name(self._network.names) or default_labels
+        labels = np.array([label_of.get(int(index), -1) for index in classes], np.int64)
+        known = (labels >= 0) & (scores >= MIN_SCORE)
+        boxes, scores, labels = boxes[known], scores[known], labels[known]
+        best = np.argsort(-scores, kind="stable")[:MAX_DETECTIONS]
+        boxes, scores, labels = boxes[best], scores[best], labels[best]
+        boxes = (boxes - np.array([left, top, left, top], np.float32)) / np.float32(scale)
+        boxes = np.clip(boxes, 0.0, _limits(picture))
+        kept = non_maximum_suppression(boxes, scores, labels, NMS_OVERLAP)
+        return Detections(labels=labels[kept], boxes=boxes[kept], scores=scores[kept])
+
+    def _parse(
+        self, outputs: Sequence[NDArray[Any]]
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.int64], Mapping[int, int]]:
+        """Return boxes, scores, classes, and the labels of classes for a network without class names."""
+        shapes = [array.shape for array in outputs]
+        if (
+            len(outputs) == 1
+            and outputs[0].ndim == 3
+            and outputs[0].shape[0] == 1
+            and outputs[0].shape[1] > 4
+        ):
+            default_labels = {0: 0, 1: 1} if outputs[0].shape[1] == 6 else COCO_LABELS
+            rows = outputs[0][0].T.astype(np.float32)
+            best = rows[:, 4:].argmax(axis=1)
+            half = 0.5 * rows[:, 2:4]
+            boxes = np.hstack([rows[:, :2] - half, rows[:, :2] + half]).astype(np.float32)
+            return boxes, rows[np.arange(len(rows)), 4 + best], best.astype(np.int64), default_labels
+        if len(outputs) == 3 and [a.ndim for a in outputs] == [2, 1, 1] and outputs[0].shape[1] == 4:
+            boxes, scores, classes = outputs
+            if len(boxes) == len(scores) == len(classes):
+                floats = boxes.astype(np.float32), scores.astype(np.float32)
+                return *floats, classes.astype(np.int64), TORCHVISION_LABELS
+        raise DetectorError(
+            f"{self._source}: expected one output (1, 4 + classes, n), or boxes (n, 4), scores (n,) and labels "
+            f"(n,); got outputs of shapes {shapes}"
+        )
+
+
+def _labels_by_name(names: Mapping[int, str]) -> Mapping[int, int]:
+    """Return the label of each class with a known name."""
+    return {
+        index: CATEGORY_LABELS[name.lower()]
+        for index, name in names.items()
+        if name.lower() in CATEGORY_LABELS
+    }
+
+
+def _letterbox(picture: Picture, size_px: tuple[int, int]) -> tuple[Picture, float, int, int]:
+    """Return a picture centred in the network's input, its scale factor, and its left and top edge."""
+    small, scale = _scale_to_fit(picture, size_px)
+    high, wide = small.shape[:2]
+    canvas = np.full((size_px[1], size_px[0], 3), _PADDING, np.uint8)
+    left, top = (size_px[0] - wide) // 2, (size_px[1] - high) // 2
+    canvas[top : top + high, left : left + wide] = small
+    return canvas, scale, left, top
+
+
+class _OnnxNetwork:
+    def __init__(self, file: Path) -> None:
+        self._session = _load_onnx(file)
+        inputs = self._session.get_inputs()
+        shape = list(inputs[0].shape) if inputs else []
+        if len(inputs) != 1 or len(shape) != 4 or shape[1] != 3:
+            raise DetectorError(
+                f"{file}: expected one input of shape (1, 3, h, w), got {[i.shape for i in inputs]}"
+            )
+        fixed = isinstance(shape[2], int) and isinstance(shape[3], int)
+        self.input_px = (shape[3], shape[2]) if fixed else FLEXIBLE_INPUT_PX
+        self._input = inputs[0].name
+        outputs = [output.name for output in self._session.get_outputs()]
+        by_name = ("boxes", "scores", "labels")
+        self._outputs = list(by_name) if set(by_name) <= set(outputs) else outputs
+        metadata = self._session.get_modelmeta().custom_metadata_map
+        self.names = _read_names_file(file) or _parse_names(metadata.get("names"))
+
+    def infer(self, planes: NDArray[np.float32]) -> list[NDArray[Any]]:
+        outputs: list[NDArray[Any]] = self._session.run(self._outputs, {self._input: planes})
+        return outputs
+
+
+class _TorchNetwork:
+    def __init__(self, file: Path) -> None:
+        torch = _import(
+            "torch", "torchscript", "the torch extra (pip install -c constraints.txt -e '.[torch]')"
+        )
+        self._torch = torch
+        torch.set_num_threads(1)
+        extra = {"config.txt": ""}  # written by Ultralytics into its TorchScript files
+        try:
+            self._module = torch.jit.load(str(file), map_location="cpu", _extra_files=extra).eval()
+        except Exception as error:  # torch raises several kinds
+            line = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+            raise DetectorError(f"{file}: cannot be loaded as a TorchScript network: {line}") from error
+        config = _parse_literal(extra["config.txt"])
+        self.input_px = FLEXIBLE_INPUT_PX
+        metadata_names = config.get("names") if isinstance(config, dict) else None
+        self.names = _read_names_file(file) or _parse_names(metadata_names)
+
+    def infer(self, planes: NDArray[np.float32]) -> list[NDArray[Any]]:
+        with self._torch.no_grad():
+            output = self._module(self._torch.from_numpy(planes))
+        while isinstance(output, list | tuple) and len(output) == 1:
+            output = output[0]
+        if isinstance(output, dict):
+            output = [output[name] for name in ("boxes", "scores", "labels") if name in output]
+        parts = list(output) if isinstance(output, list | tuple) else [output]
+        return [part.numpy() for part in parts if self._torch.is_tensor(part)]
+
+
+class UltralyticsDetector:
+    """Runs a YOLO model with the Ultralytics package, if the user has installed it.
+
+    Raises:
+        DetectorError: The package is not installed or cannot load the file.
+    """
+
+    def __init__(self, file: Path) -> None:
+        package = _import(
+            "ultralytics", "ultralytics", "the package ultralytics, which is not part of Brink (AGPL)"
+        )
+        try:
+            self._model = package.YOLO(str(file))
+        except Exception as error:  # its errors have no common class
+            raise DetectorError(f"{file}: cannot be loaded by ultralytics: {error}") from error
+        self._label_of = _labels_by_name(dict(self._model.names))
+
+    def detect(self, picture: Picture) -> Detections:
+        """Return the detections in a picture."""
+        found = self._model.predict(
+            picture[:, :, ::-1], conf=MIN_SCORE, iou=NMS_OVERLAP, max_det=MAX_DETECTIONS, device="cpu",
+            verbose=False,
+        )[0].boxes  # fmt: skip
+        classes = found.cls.cpu().numpy().astype(int)
+        labels = np.array([self._label_of.get(int(index), -1) for index in classes], np.int64)
+        known = labels >= 0
+        return Detections(
+            labels=labels[known],
+            boxes=found.xyxy.cpu().numpy().astype(np.float32)[known],
+            scores=found.conf.cpu().numpy().astype(np.float32)[known],
+        )
+
+
+@cache
+def load_file_detector(detector_id: str) -> Detector:
+    """Load the detector of an id such as ``onnx:FILE``, once per process.
+
+    Raises:
+        DetectorError: The kind is unknown, or the file is missing or not a detector.
+    """
+    file = weights_file(detector_id)
+    if file is None:
+        raise DetectorError(
+            f"detector: expected {', '.join(f'{one}:FILE' for one in KINDS)}; got {detector_id!r}"
+        )
+    kind = detector_id.partition(":")[0]
+    if kind == "ultralytics":
+        return UltralyticsDetector(file)
+    network = _OnnxNetwork(file) if kind == "onnx" else _TorchNetwork(file)
+    return FileDetector(network, str(file))
+
+
+def _import(module: str, kind: str, requirement: str) -> Any:
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise DetectorError(f"detector: {kind} needs {requirement}") from None
+
+
+def _read_names_file(file: Path) -> dict[int, str]:
+    """Return the class names from the JSON file beside the weights; empty if there is no such file.
+
+    Raises:
+        DetectorError: The file is invalid or has no known class.
+    """
+    names_file = file.with_name(file.name + ".json")
+    if not names_file.is_file():
+        return {}
+    try:
+        names = _parse_names(json.loads(names_file.read_text(encoding="utf-8"))["names"])
+    except (ValueError, KeyError, TypeError):
+        names = {}
+    if not _labels_by_name(names):
+        raise DetectorError(
+            f'{names_file}: expected {{"names": ["vehicle", "person"]}} with at least one of them'
+        )
+    return names
+
+
+def _parse_names(value: object) -> dict[int, str]:
+    parsed = _parse_literal(value) if isinstance(value, str) else value
+    if isinstance(parsed, dict):
+        return {int(index): str(name) for index, name in parsed.items()}
+    return dict(enumerate(map(str, parsed))) if isinstance(parsed, list) else {}
+
+
+def _parse_literal(text: object) -> Any:
+    try:
+        return ast.literal_eval(str(text))
+    except (ValueError, SyntaxError):
+        return None
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Load the detector of an id; if that fails, print the reason and return 1."""
+    try:
+        load_file_detector(arguments[0])
+    except DetectorError as error:
+        print(" ".join(str(error).split()))  # noqa: T201
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

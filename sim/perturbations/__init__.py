@@ -1,16 +1,27 @@
-"""Image perturbations: 15 genes in 175 levels, applied to camera frames."""
+"""Image perturbations for camera frames: 15 genes with 175 levels."""
 
-from brink.sim.perturbations.catalogue import CATALOGUE, find_gene, register
-from brink.sim.perturbations.errors import (
+from brink.sim.perturbations.catalogue import (
+    CATALOGUE,
+    Frame,
+    Gene,
     InvalidFrame,
     InvalidPerturbation,
     PerturbationError,
     PerturbationFailed,
+    Transform,
     VisionMissing,
+    find_gene,
+    register,
 )
-from brink.sim.perturbations.gene import Frame, Gene, Transform
-from brink.sim.perturbations.perturbation import Perturbation, mean_intensity, parse_perturbations
-from brink.sim.perturbations.pipeline import Mode, Pipeline, apply, generator
+from brink.sim.perturbations.pipeline import (
+    Mode,
+    Perturbation,
+    Pipeline,
+    apply,
+    generator,
+    mean_intensity,
+    parse_perturbations,
+)
 
 __all__ = [
     "CATALOGUE",

@@ -1,6 +1,6 @@
-"""What the transforms share: pixel sizes, laying light over a frame, lightness, and slow noise.
+"""Building blocks of the transforms: pixel scale, compositing, lightness, and smooth noise.
 
-A layer is two pictures: how much of the frame it lets through, and the light that it adds itself.
+A layer consists of two pictures: the transmission of the frame behind it, and the light that it adds.
 """
 
 from typing import TypeAlias, cast
@@ -9,59 +9,65 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from brink.sim.perturbations.gene import Frame
+from brink.sim.perturbations.catalogue import Frame
 
 Layer: TypeAlias = npt.NDArray[np.uint8]
-"""One number a pixel, uint8, shape ``(height, width)``."""
+"""One uint8 value per pixel, shape ``(height, width)``."""
 Field: TypeAlias = npt.NDArray[np.float32]
-"""One number a pixel, float32, shape ``(height, width)``, mostly in [0, 1]."""
+"""One float32 value per pixel, shape ``(height, width)``, usually in [0, 1]."""
 
 REFERENCE_HEIGHT_PX = 720
 
 
-def scale_of(frame: Frame) -> float:
+def reference_scale(frame: Frame) -> float:
     """Return the size of a reference pixel (of a frame 720 px high) in pixels of this frame."""
     return len(frame) / REFERENCE_HEIGHT_PX
 
 
-def pixels(reference_px: float, scale: float, at_least: int = 1) -> int:
-    """Return a length in whole pixels of a frame."""
+def to_pixels(reference_px: float, scale: float, at_least: int = 1) -> int:
+    """Convert a reference length to whole pixels of a frame.
+
+    Args:
+        reference_px: Length in a frame 720 px high.
+        scale: Size of a reference pixel in the frame.
+        at_least: Lower bound of the result.
+    """
     return max(at_least, round(reference_px * scale))
 
 
-def lay_over(frame: Frame, transmission: Layer | Frame, light: Layer | Frame) -> Frame:
+def composite(frame: Frame, transmission: Layer | Frame, light: Layer | Frame) -> Frame:
     """Return ``frame * transmission / 255 + light``, rounded and clipped.
 
     Args:
         frame: Shape ``(height, width, 3)``.
-        transmission: 255 lets all through; shape ``(height, width)``, or with three channels.
-        light: What the layer adds; shape ``(height, width)``, or with three channels.
+        transmission: 255 is transparent; shape ``(height, width)`` or ``(height, width, 3)``.
+        light: Light that the layer adds; shape ``(height, width)`` or ``(height, width, 3)``.
     """
-    through = cv2.multiply(frame, _three(transmission), scale=1 / 255)
-    return cast(Frame, cv2.add(through, _three(light), dst=through))
+    through = cv2.multiply(frame, _to_rgb(transmission), scale=1 / 255)
+    return cast(Frame, cv2.add(through, _to_rgb(light), dst=through))
 
 
-def lay_white_over(frame: Frame, transmission: Layer | Frame) -> Frame:
-    """Return ``frame * T + 255 (1 - T)`` for a transmission ``T`` that is stored as ``255 T``."""
-    return lay_over(frame, transmission, cast(Frame, cv2.bitwise_not(transmission)))
+def composite_white(frame: Frame, transmission: Layer | Frame) -> Frame:
+    """Return ``frame * T + 255 (1 - T)`` for a transmission ``T`` stored as ``255 T``."""
+    return composite(frame, transmission, cast(Frame, cv2.bitwise_not(transmission)))
 
 
-def _three(layer: Layer | Frame) -> Frame:
+def _to_rgb(layer: Layer | Frame) -> Frame:
     return cast(Frame, layer if layer.ndim == 3 else cv2.cvtColor(layer, cv2.COLOR_GRAY2RGB))
 
 
 def to_layer(field: Field) -> Layer:
-    """Return a field in [0, 1] as whole numbers from 0 to 255."""
+    """Convert a field in [0, 1] to integers from 0 to 255."""
     return cast(Layer, cv2.convertScaleAbs(field, alpha=255))
 
 
 def scale_lightness(frame: Frame, factor: float, below: float = 256.0) -> Frame:
-    """Return the frame with its lightness (L of HLS, 0 to 255) multiplied and clipped; hue and saturation stay.
+    """Multiply the lightness (L of HLS, 0 to 255) of a frame and clip it; hue and saturation do not change.
 
     Args:
         frame: Shape ``(height, width, 3)``.
-        factor: By what to multiply.
-        below: Pixels that are at least as light keep their bytes.
+        factor: Factor on the lightness.
+        below: Pixels at least this light keep their exact values.
     """
     hls = cv2.cvtColor(frame, cv2.COLOR_RGB2HLS)
     lightness = cv2.extractChannel(hls, 1)
@@ -69,7 +75,7 @@ def scale_lightness(frame: Frame, factor: float, below: float = 256.0) -> Frame:
     scaled = cast(Frame, cv2.cvtColor(hls, cv2.COLOR_HLS2RGB, dst=hls))
     if below > 255:
         return scaled
-    # To HLS and back costs a few grey values, which a pixel that keeps its lightness must not lose.
+    # The round trip through HLS loses a few grey values, so unchanged pixels are copied from the frame.
     _, kept = cv2.threshold(lightness, np.ceil(below) - 1, 255, cv2.THRESH_BINARY)
     return cast(Frame, cv2.copyTo(frame, kept, scaled))
 
@@ -80,7 +86,7 @@ def clouds(shape: tuple[int, int], cell_px: float, octaves: int, rng: np.random.
     Args:
         shape: ``(height, width)`` in px.
         cell_px: Size of the largest blobs.
-        octaves: How many sizes of blobs, each half as large and half as strong as the one before.
+        octaves: Number of blob sizes, each half as large and half as strong as the previous one.
         rng: Draws the blobs.
     """
     height, width = shape
@@ -93,6 +99,6 @@ def clouds(shape: tuple[int, int], cell_px: float, octaves: int, rng: np.random.
     return cast(Field, cv2.resize(total, (width, height), interpolation=cv2.INTER_CUBIC))
 
 
-def enlarge(field: Field, shape: tuple[int, int]) -> Field:
-    """Return a field in another size ``(height, width)``, linear between its points."""
+def resize_field(field: Field, shape: tuple[int, int]) -> Field:
+    """Resize a field to ``(height, width)`` by linear interpolation."""
     return cast(Field, cv2.resize(field, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR))

@@ -1,29 +1,121 @@
-"""Applies perturbations to frames, in order, each on what the one before it left.
+"""Applies an ordered list of perturbations to frames, each to the result of the previous one.
 
-What comes out depends on (frame, perturbations, seed, mode, frame index) alone: every random field is drawn from a
-generator that is addressed by (seed, position in the list, frame index), so any frame of an episode can be made
-again on its own, in any process. Tables that do not depend on chance (masks, radial profiles, a pool of noise) are
-cached by size; they are the same whoever makes them, and whenever.
+The result depends only on (frame, perturbations, seed, mode, frame index). Every random field is drawn from a
+generator addressed by (seed, position in the list, frame index), so any frame of an episode can be reproduced on
+its own, in any process. Deterministic tables (masks, radial profiles, a pool of noise) are cached by size.
 """
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from numbers import Integral
+from typing import Self
 
 import numpy as np
 
-from brink.sim.perturbations.catalogue import registered_transform
-from brink.sim.perturbations.errors import (
+from brink.sim.episode import Json, JsonObject
+from brink.sim.perturbations.catalogue import (
+    Frame,
     InvalidFrame,
     InvalidPerturbation,
     PerturbationFailed,
+    Transform,
     VisionMissing,
+    find_gene,
+    find_registered_transform,
 )
-from brink.sim.perturbations.gene import Frame, Transform
-from brink.sim.perturbations.perturbation import Perturbation
+
+
+@dataclass(frozen=True, slots=True)
+class Perturbation:
+    """One gene at one level.
+
+    Attributes:
+        gene: Name of the gene.
+        level: Index of the level; 0 has no effect.
+
+    Raises:
+        InvalidPerturbation: The gene or the level does not exist.
+    """
+
+    gene: str
+    level: int
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.gene, str):
+            raise InvalidPerturbation(f"gene: expected the name of a perturbation, got {self.gene!r}")
+        level: object = self.level
+        if not isinstance(level, bool) and isinstance(level, Integral):
+            object.__setattr__(self, "level", int(level))  # numpy integers cannot be written as JSON
+        find_gene(self.gene).check_level(self.level)
+
+    def __str__(self) -> str:
+        return f"{self.gene}:{self.level}"
+
+    @property
+    def value(self) -> float | None:
+        """The parameter of the level, None for level 0."""
+        return find_gene(self.gene).value(self.level)
+
+    @property
+    def intensity(self) -> float:
+        """The relative rank of the level, in [0, 1]."""
+        return find_gene(self.gene).intensity(self.level)
+
+    def to_json(self) -> JsonObject:
+        """Return the perturbation as a JSON object."""
+        return {"gene": self.gene, "level": self.level}
+
+    @classmethod
+    def from_json(cls, document: Json) -> Self:
+        """Read a perturbation from ``{"gene": "smoke", "level": 3}``.
+
+        Raises:
+            InvalidPerturbation: The document has another form, or the gene or level does not exist.
+        """
+        if not isinstance(document, Mapping) or set(document) != {"gene", "level"}:
+            raise InvalidPerturbation(
+                f'expected a perturbation such as {{"gene": "smoke", "level": 3}}, got {document!r}'
+            )
+        return cls(document["gene"], document["level"])  # type: ignore[arg-type]  # checked on construction
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Read a perturbation from ``gene:level``, such as ``smoke:3``.
+
+        Raises:
+            InvalidPerturbation: The text has another form, or the gene or level does not exist.
+        """
+        gene, _, level = text.partition(":")
+        if not level.isdecimal():
+            raise InvalidPerturbation(f"expected a perturbation such as smoke:3, got {text!r}")
+        return cls(gene, int(level))
+
+
+def parse_perturbations(items: Iterable[Json]) -> tuple[Perturbation, ...]:
+    """Read an ordered list of perturbations, each ``gene:level`` or an object with ``gene`` and ``level``.
+
+    Raises:
+        InvalidPerturbation: An item is invalid; the message gives its position.
+    """
+    parsed = []
+    for place, item in enumerate(items):
+        try:
+            parsed.append(Perturbation.parse(item) if isinstance(item, str) else Perturbation.from_json(item))
+        except InvalidPerturbation as error:
+            raise InvalidPerturbation(f"perturbations[{place}]: {error}") from None
+    return tuple(parsed)
+
+
+def mean_intensity(perturbations: Iterable[Perturbation]) -> float:
+    """Return the mean intensity, in [0, 1]; 0 for an empty list."""
+    ranks = [perturbation.intensity for perturbation in perturbations]
+    return sum(ranks) / len(ranks) if ranks else 0.0
+
 
 MIN_SIDE_PX = 16
 STREAM = 100
-"""First word of every address, so that no generator is one of the driving world's for the same seed."""
+"""First word of every generator's address; keeps these generators apart from those of the driving world."""
 
 
 class Mode(StrEnum):
@@ -38,24 +130,24 @@ def generator(seed: int, position: int, frame: int) -> np.random.Generator:
 
     Args:
         seed: The episode's seed, >= 0.
-        position: Of the perturbation in its list, from 0.
+        position: Position of the perturbation in its list, from 0.
         frame: Index of the frame, from 0.
     """
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(STREAM, position, frame)))
 
 
 def apply(frame: Frame, perturbation: Perturbation, rng: np.random.Generator) -> Frame:
-    """Return a perturbed frame; the given one is not touched.
+    """Return a perturbed copy of a frame.
 
     Args:
         frame: RGB, uint8, shape ``(height, width, 3)``, at least 16 px a side; need not be contiguous or writable.
-        perturbation: What to do. Level 0 returns `frame` itself.
-        rng: Draws the fields of this frame.
+        perturbation: The gene and level to apply; level 0 returns `frame` itself.
+        rng: Draws the random fields of this frame.
 
     Raises:
         InvalidFrame: `frame` is not such a picture.
-        PerturbationFailed: The transform broke; names the gene.
-        VisionMissing: OpenCV is not installed here.
+        PerturbationFailed: The transform raised or returned something else; names the gene.
+        VisionMissing: OpenCV is not installed.
     """
     check_frame(frame)
     value = perturbation.value
@@ -63,10 +155,10 @@ def apply(frame: Frame, perturbation: Perturbation, rng: np.random.Generator) ->
         return frame
     transform = _transform(perturbation.gene)
     given = np.ascontiguousarray(frame).view()
-    given.flags.writeable = False  # a transform that draws on its input is an error, not a changed original
+    given.flags.writeable = False  # writing to the input raises instead of changing the caller's frame
     try:
         perturbed = transform(given, value, rng)
-    except Exception as error:  # (foreign code may raise anything)
+    except Exception as error:  # registered transforms may raise anything
         raise PerturbationFailed(f"{perturbation}: {type(error).__name__}: {error}") from error
     if not isinstance(perturbed, np.ndarray) or (perturbed.shape, perturbed.dtype) != (
         given.shape,
@@ -83,13 +175,13 @@ class Pipeline:
     """Perturbs the frames of one episode.
 
     Attributes:
-        perturbations: Applied from the first to the last, each on the result of the one before.
+        perturbations: Applied in order, each to the result of the previous one.
         seed: The episode's seed, >= 0.
-        mode: `PER_FRAME` draws the fields of every frame afresh; `PER_EPISODE` draws them once, as if dirt stayed
-            where it is on the lens.
+        mode: `PER_FRAME` draws random fields for every frame; `PER_EPISODE` draws them once, so dirt on the lens
+            stays in place.
 
     Raises:
-        InvalidPerturbation: Something in the list is no perturbation, or the seed is negative.
+        InvalidPerturbation: An item is not a perturbation, or the seed is negative.
     """
 
     perturbations: tuple[Perturbation, ...]
@@ -102,13 +194,13 @@ class Pipeline:
         for perturbation in self.perturbations:
             if not isinstance(perturbation, Perturbation):
                 raise InvalidPerturbation(
-                    f"expected perturbations; parse_perturbations reads {perturbation!r}"
+                    f"expected Perturbation objects, got {perturbation!r}; parse_perturbations reads lists"
                 )
         if self.seed < 0:
             raise InvalidPerturbation(f"seed: expected an integer >= 0, got {self.seed!r}")
 
     def __call__(self, frame: Frame, index: int) -> Frame:
-        """Return the perturbed frame; the given one is not touched.
+        """Return a perturbed copy of a frame.
 
         Args:
             frame: RGB, uint8, shape ``(height, width, 3)``, at least 16 px a side.
@@ -116,8 +208,8 @@ class Pipeline:
 
         Raises:
             InvalidFrame: `frame` is not such a picture.
-            PerturbationFailed: A transform broke; names the gene.
-            VisionMissing: OpenCV is not installed here.
+            PerturbationFailed: A transform raised or returned something else; names the gene.
+            VisionMissing: OpenCV is not installed.
         """
         check_frame(frame)
         drawn_at = index if self.mode is Mode.PER_FRAME else 0
@@ -127,11 +219,11 @@ class Pipeline:
 
 
 def _transform(name: str) -> Transform:
-    own = registered_transform(name)
+    own = find_registered_transform(name)
     if own is not None:
         return own
     try:
-        from brink.sim.perturbations.transforms import TRANSFORMS  # loads OpenCV
+        from brink.sim.perturbations.transforms import TRANSFORMS
     except ModuleNotFoundError as error:
         if error.name != "cv2":
             raise
@@ -143,11 +235,11 @@ def _transform(name: str) -> Transform:
 
 
 def check_frame(frame: Frame, where: str = "") -> None:
-    """Check that something is a picture that can be perturbed.
+    """Check that an object is a picture that can be perturbed.
 
     Args:
-        frame: What should be RGB, uint8, shape ``(height, width, 3)``, at least 16 px a side.
-        where: What the message begins with, such as the name of a file.
+        frame: Should be RGB, uint8, shape ``(height, width, 3)``, at least 16 px a side.
+        where: Prefix of the message, such as a file name.
 
     Raises:
         InvalidFrame: It is not.

@@ -1,6 +1,6 @@
-"""Pictures of the driving world: what a camera sees, and which pixel belongs to what."""
+"""Camera pictures of the driving world, with an id mask that tells which body each pixel shows."""
 
-from brink.sim.rendering.errors import InvalidCamera, InvalidScene, RenderingError
+from brink.sim.rendering.canvas import PixelBox, VisibleBody, visible_bodies
 from brink.sim.rendering.renderer import Renderer
 from brink.sim.rendering.scene import (
     Body,
@@ -8,15 +8,17 @@ from brink.sim.rendering.scene import (
     Building,
     Frame,
     Ground,
+    InvalidCamera,
+    InvalidScene,
     Lamp,
     Light,
     Material,
     PictureCamera,
+    RenderingError,
     StreetScene,
     Tree,
     Viewpoint,
 )
-from brink.sim.rendering.visible import PixelBox, VisibleBody, visible_bodies
 
 __all__ = [
     "Body",

@@ -1,4 +1,4 @@
-"""Draw a contact sheet: ``python -m brink.sim.rendering --out FOLDER``."""
+"""Draw contact sheets of the renderer: ``python -m brink.sim.rendering --out FOLDER``."""
 
 import argparse
 import math
@@ -11,19 +11,19 @@ import numpy as np
 from brink.sim.rendering.renderer import Renderer
 from brink.sim.rendering.sample import EGO, fallen_tree, person, sample_street, sample_traffic, vehicle
 from brink.sim.rendering.scene import Body, BodyKind, Light, Picture, PictureCamera, StreetScene
-from brink.sim.rendering.street import street_of
-from brink.sim.urban.scenario import RoadCurve, TimeOfDay, Weather
+from brink.sim.rendering.street import street_from_road
 from brink.sim.world.road import build_road
+from brink.sim.world.scenario import RoadCurve, TimeOfDay, Weather
 
 _CAMERA = PictureCamera(width_px=640, height_px=360)
 _COLUMNS = 3
 
 
 def main() -> None:
-    """Write every picture and the sheets that show them side by side."""
+    """Write all pictures, and sheets that show them side by side."""
     parser = argparse.ArgumentParser(prog="python -m brink.sim.rendering", description=__doc__)
-    parser.add_argument("--out", type=Path, required=True, help="folder for the pictures; made if missing")
-    parser.add_argument("--seed", type=int, default=3, help="of textures, clouds and the place of the sun")
+    parser.add_argument("--out", type=Path, required=True, help="output folder, created if missing")
+    parser.add_argument("--seed", type=int, default=3, help="seed of textures, clouds and the sun's position")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     for name, pictures in (("light", _lights(arguments.seed)), ("cases", _cases(arguments.seed))):
@@ -68,7 +68,7 @@ def _cases(seed: int) -> list[tuple[str, Picture]]:
     ]
     pictures = [(name, drawn.frame(EGO, bodies, 1.0).image) for name, drawn, bodies in scenes]
     for curve, road_id in ((RoadCurve.LEFT, 0), (RoadCurve.STRAIGHT, 0), (RoadCurve.CROSSROAD, 1)):
-        road = street_of(build_road(curve, road_id, 1), seed=seed)
+        road = street_from_road(build_road(curve, road_id, 1), seed=seed)
         pictures.append((f"road-{curve}", _on(road, noon, seed)))
     return pictures
 
@@ -78,7 +78,7 @@ def _on(street: StreetScene, light: Light, seed: int) -> Picture:
 
 
 def _stepping_out(distance_m: float) -> list[Body]:
-    """Return a person between two parked cars whose gap is ahead of the camera."""
+    """Return a person between two parked cars, with the gap at a distance ahead of the camera."""
     x_m = distance_m + 1.3
     return [
         vehicle(1, x_m - 3.0, -4.6),

@@ -1,68 +1,45 @@
-"""Owns the two sheets that are painted together: the picture and the id mask.
+"""The picture and the id mask while they are painted, and the labels that are counted from them.
 
-The picture is painted with smooth edges, the mask with hard ones, from the same polygons, so that they agree within
-a pixel. What is painted for a body is kept as its outline: its silhouette can be counted later, alone.
+The same polygons are painted with smooth edges into the picture and with hard edges into the mask, so both agree
+within a pixel. The marks of each body are kept as its outline, so that its silhouette can be counted separately.
 """
 
 from dataclasses import dataclass, field
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from brink.sim.rendering.scene import BodyKind, IdMask, Picture
-from brink.sim.rendering.view import SHIFT, IntArray
-
-Rgb: TypeAlias = tuple[float, float, float]
-Coverage: TypeAlias = NDArray[np.uint8]
-
-
-class Stroke(NamedTuple):
-    """One polygon of a body, convex: sixteenths of a pixel, its colour, and whether it adds to the silhouette."""
-
-    points: IntArray
-    rgb: Rgb
-    solid: bool
-
-
-class Stamp(NamedTuple):
-    """A piece of texture of a body: where it lies in the picture, its pixels, and which of them count."""
-
-    left_px: int
-    top_px: int
-    pixels: Picture
-    coverage: Coverage
-
-
-Mark: TypeAlias = Stroke | Stamp
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Outline:
-    """How a body was painted: what its silhouette is counted from.
-
-    Attributes:
-        kind: What it is.
-        depth_m: Depth of its nearest corner along the camera's axis, at least 0.
-        marks: What was painted, in order.
-    """
-
-    kind: BodyKind
-    depth_m: float
-    marks: tuple[Mark, ...]
+from brink.sim.rendering.scene import (
+    BodyKind,
+    Coverage,
+    Frame,
+    IdMask,
+    Mark,
+    Outline,
+    Picture,
+    Rgb,
+    Stamp,
+    Stroke,
+)
+from brink.sim.rendering.view import SHIFT
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class Canvas:
-    """The picture and the mask while they are painted."""
+    """A picture and its id mask while they are painted."""
 
     image: Picture
     ids: IdMask
     glows: list[tuple[float, float, float, Rgb]] = field(default_factory=list)
 
     def paint(self, marks: list[Mark], number: int) -> None:
-        """Paint strokes and stamps over what is there; the mask gets `number`, 0 for what has no id."""
+        """Paint marks over the current content.
+
+        Args:
+            marks: Strokes and stamps, in order.
+            number: Id written into the mask, 0 for objects without an id.
+        """
         image, ids = self.image, self.ids
         fill, smooth, hard = cv2.fillConvexPoly, cv2.LINE_AA, cv2.LINE_8
         for mark in marks:
@@ -84,8 +61,8 @@ class Canvas:
         cv2.copyTo(np.full((height, width), number, np.int32), stamp.coverage, region)
 
 
-def silhouette(outline: Outline, width_px: int, height_px: int) -> tuple[int, int, Coverage] | None:
-    """Return left, top and hard-edged silhouette of a body as if it were alone, cropped to the picture."""
+def _silhouette(outline: Outline, width_px: int, height_px: int) -> tuple[int, int, Coverage] | None:
+    """Return the left and top corner and the hard-edged mask of a body alone, cropped to the picture."""
     box = _bounds(outline.marks, width_px, height_px)
     if box is None:
         return None
@@ -123,3 +100,80 @@ def _bounds(marks: tuple[Mark, ...], width_px: int, height_px: int) -> tuple[int
     if right <= left or bottom <= top:
         return None
     return left, top, right, bottom
+
+
+class PixelBox(NamedTuple):
+    """A box of whole pixels; the maxima are exclusive."""
+
+    x_min_px: int
+    y_min_px: int
+    x_max_px: int
+    y_max_px: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VisibleBody:
+    """A body that lies at least partly within the picture.
+
+    Attributes:
+        id: Id of the body.
+        kind: Kind of body.
+        box: Tight box around its visible pixels; None if it is completely hidden.
+        whole_box: Tight box around its unoccluded silhouette, cropped to the picture.
+        visible_px: Number of visible pixels.
+        whole_px: Number of pixels of the unoccluded silhouette within the picture, at least 1.
+        depth_m: Depth of the nearest corner along the camera's axis; 0 if the body reaches behind the camera.
+    """
+
+    id: int
+    kind: BodyKind
+    box: PixelBox | None
+    whole_box: PixelBox
+    visible_px: int
+    whole_px: int
+    depth_m: float
+
+    @property
+    def visible_share(self) -> float:
+        """Visible share of the unoccluded silhouette, in [0, 1]."""
+        return self.visible_px / self.whole_px
+
+
+def visible_bodies(frame: Frame) -> tuple[VisibleBody, ...]:
+    """Return all bodies at least partly within the picture, hidden ones included, sorted by id."""
+    height_px, width_px = frame.ids.shape
+    found = []
+    for number in sorted(frame.outlines):
+        outline = frame.outlines[number]
+        alone = _silhouette(outline, width_px, height_px)
+        if alone is None:
+            continue
+        left, top, mask = alone
+        whole = _tight_box(mask, left, top)
+        if whole is None:
+            continue
+        region = frame.ids[top : top + mask.shape[0], left : left + mask.shape[1]]
+        seen = np.equal(region, number).view(np.uint8)
+        visible_px = int(np.count_nonzero(seen))
+        found.append(
+            VisibleBody(
+                id=number,
+                kind=outline.kind,
+                box=_tight_box(seen, left, top) if visible_px else None,
+                whole_box=whole,
+                visible_px=visible_px,
+                whole_px=int(np.count_nonzero(mask)),
+                depth_m=outline.depth_m,
+            )
+        )
+    return tuple(found)
+
+
+def _tight_box(mask: Coverage, left: int, top: int) -> PixelBox | None:
+    """Return the tight box around the nonzero pixels of a mask at (left, top), None if there are none."""
+    columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
+    if len(rows) == 0:
+        return None
+    return PixelBox(
+        left + int(columns[0]), top + int(rows[0]), left + int(columns[-1]) + 1, top + int(rows[-1]) + 1
+    )

@@ -1,23 +1,37 @@
-"""Owns the ground: surfaces, their texture, the shadows and the light that lie on them, and what a wet road mirrors.
+"""The ground: surfaces with texture, the shadows and lamp light on them, and reflections on a wet road.
 
-Surfaces are painted flat, in order; then one map of brightness (texture times shadow times light) is laid over all of
-them, and haze over that. Rows of the picture are lines of equal depth, so each row knows its texture's scale.
+Surfaces are painted flat, in order. A brightness map (texture times shadow times light) is multiplied over all of
+them, and haze is added. A picture row is a line of constant depth, so each row has one texture scale.
 """
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeAlias
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from brink.sim.rendering.canvas import Rgb
+from brink.sim.rendering.lamps import lamp_head_position, vehicle_light_positions
 from brink.sim.rendering.light import Lighting
-from brink.sim.rendering.scene import FloatArray, Ground, Material, Picture, PictureCamera
+from brink.sim.rendering.scene import (
+    Body,
+    BodyKind,
+    FloatArray,
+    Ground,
+    IntArray,
+    Lamp,
+    Material,
+    Picture,
+    PictureCamera,
+    Rgb,
+    Tree,
+    footprint,
+)
 from brink.sim.rendering.textures import TILE_M, TILE_PX_PER_M, ground_tiles
-from brink.sim.rendering.view import SHIFT, IntArray, View, beyond_near, fixed_point
+from brink.sim.rendering.view import SHIFT, View, clip_near, to_fixed_point
 
 _NEAR_M: Final = 0.4
 _FAR_M: Final = 220.0
@@ -37,19 +51,19 @@ _ON_ASPHALT: Final = (Material.MARKING, Material.CROSSING, Material.GUTTER)
 _WET: Final = {0: 0.62, 1: 0.74, 2: 0.86}
 _BACKDROP: Final = Material.GRASS
 _TILE_SEEDS: Final = 8
-"""Few, so that streets share the tiles of their ground."""
+"""A small number, so that streets share their ground tiles."""
 
 Float32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GroundCover:
-    """What lies on the ground this frame, as polygons in sixteenths of a pixel of the half-size picture.
+    """What lies on the ground in this frame, as polygons in sixteenths of a pixel of the half-size picture.
 
     Attributes:
-        shadows: Polygons and how bright the ground in them still is, 0 to 255, in order.
-        pools: Polygons of lamp light and how much they add, 0 to 255.
-        mirrored: What a wet road shows upside down, in order.
+        shadows: Polygons with the remaining brightness of the ground, 0 to 255, in order.
+        pools: Polygons of lamp light with the brightness that they add, 0 to 255.
+        mirrored: Reflections on a wet road, in order.
     """
 
     shadows: list[tuple[IntArray, int]]
@@ -59,9 +73,9 @@ class GroundCover:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
-    """What the rows below the horizon know, for one pitch.
+    """Precomputed values of the rows below the horizon for one pitch.
 
-    Bands are runs of rows of one level of the texture: first, last, level; -1 is finer than the texture.
+    Bands are runs of rows with the same texture level: first, last, level; level -1 is finer than the texture.
     """
 
     first_px: int
@@ -79,8 +93,8 @@ class GroundPainter:
     Args:
         ground: The surfaces, in order.
         lighting: The light.
-        camera: Whose picture.
-        seed: Of the texture.
+        camera: The camera.
+        seed: Seed of the texture.
     """
 
     def __init__(
@@ -101,7 +115,9 @@ class GroundPainter:
 
     def _lit(self, material: Material) -> Rgb:
         light = self._lighting
-        share = 1.0 if light.night else light.ambient_share + light.sun_share * float(light.sun[2]) ** 0.6
+        share = (
+            1.0 if light.night else light.ambient_strength + light.sun_strength * float(light.sun[2]) ** 0.6
+        )
         wet = _WET[_CHANNEL.get(material, 0)] if light.wet else 1.0
         if material in (Material.MARKING, Material.CROSSING) and light.wet:
             wet = 0.85
@@ -109,7 +125,13 @@ class GroundPainter:
         return red, green, blue
 
     def paint(self, image: Picture, view: View, cover: GroundCover) -> None:
-        """Paint everything below the horizon; `image` already shows the sky above it."""
+        """Paint everything below the horizon.
+
+        Args:
+            image: The picture, with the sky already painted above the horizon.
+            view: The camera.
+            cover: Shadows, lamp light and reflections.
+        """
         rows = self._rows_of(view)
         if rows.first_px >= view.height_px:
             return
@@ -145,7 +167,7 @@ class GroundPainter:
         left_of = np.maximum.reduceat(seen[:, 1] + half * seen[:, 0], starts) < 0
         drawn = (farthest > _NEAR_M) & (nearest < _FAR_M) & ~right_of & ~left_of
         whole = (nearest >= _NEAR_M).tolist()
-        pixels = fixed_point(view.pixels(seen) - (0, first_px))
+        pixels = to_fixed_point(view.project(seen) - (0, first_px))
         bounds = self._starts.tolist()
         pending: list[IntArray] = []
         pending_material = Material.ASPHALT
@@ -154,8 +176,8 @@ class GroundPainter:
             if whole[index]:
                 points = pixels[first:last]
             else:
-                cut = beyond_near(seen[first:last], _NEAR_M)
-                points = fixed_point(view.pixels(cut) - (0, first_px))
+                cut = clip_near(seen[first:last], _NEAR_M)
+                points = to_fixed_point(view.project(cut) - (0, first_px))
             material = self._materials[index]
             joined = material in _ON_ASPHALT and material is pending_material
             if not joined:
@@ -173,13 +195,13 @@ class GroundPainter:
             cv2.fillPoly(channels, polygons, (_CHANNEL.get(material, 0),), cv2.LINE_8, SHIFT)
 
     def _texture(self, view: View, rows: _Rows) -> Picture:
-        """Return the texture as the camera sees it, shape ``(rows, columns, channels)``."""
+        """Return the texture as seen by the camera, shape ``(rows, columns, channels)``."""
         out = np.empty((len(rows.ahead_m), view.width_px, self._tiles[0].shape[2]), np.uint8)
         for first, last, level in rows.bands:
             if level >= 0:
                 self._texture_band(view, rows, (first, last, level, 1), out[first:last])
                 continue
-            # So near, a pixel of the texture covers several of the picture: half of them are enough.
+            # A texture pixel this close covers several picture pixels, so half the resolution is enough.
             half = np.empty(((last - first + 1) // 2, (view.width_px + 1) // 2, out.shape[2]), np.uint8)
             self._texture_band(view, rows, (first, last, 0, 2), half)
             cv2.resize(
@@ -188,7 +210,7 @@ class GroundPainter:
         return out
 
     def _texture_band(self, view: View, rows: _Rows, band: tuple[int, int, int, int], out: Picture) -> None:
-        """Draw some rows of the texture: first and last, level of the tile, and every how many pixels."""
+        """Draw rows of the texture. A band is its first and last row, the tile level and the pixel step."""
         first, last, level, step = band
         ahead, spread = rows.ahead_m[first:last:step], rows.spread_m[first:last:step]
         across = (view.width_px / 2 - 0.5 - np.arange(0, view.width_px, step)) / view.focal_px
@@ -225,17 +247,17 @@ class GroundPainter:
         return full.astype(np.uint8, copy=False)
 
     def _mirror(self, image: Picture, rows: _Rows, cover: GroundCover) -> Picture:
-        """Return what a perfect mirror would show below the horizon, smeared, at half size."""
+        """Return the blurred reflection that a perfect mirror would show below the horizon."""
         height, width = image.shape[0] - rows.first_px, image.shape[1]
         above = image[max(rows.first_px - height, 0) : rows.first_px]
-        half_size = ((width + 1) // 2, (height + 1) // 2)
+        size = ((width + 1) // 2, (height + 1) // 2)
         if above.size == 0:
-            flipped = np.zeros((half_size[1], half_size[0], 3), np.uint8)
+            flipped = np.zeros((size[1], size[0], 3), np.uint8)
         else:
-            flipped = cv2.resize(above, half_size, interpolation=cv2.INTER_NEAREST)[::-1].copy()
+            flipped = cv2.resize(above, size, interpolation=cv2.INTER_NEAREST)[::-1].copy()
         for points, rgb in cover.mirrored:
             cv2.fillConvexPoly(flipped, points, rgb, cv2.LINE_8, SHIFT)
-        tall = max(half_size[1] // 9, 3) | 1
+        tall = max(size[1] // 9, 3) | 1
         smeared = cv2.blur(flipped, (3, tall))
         return cv2.resize(smeared, (width, height), interpolation=cv2.INTER_LINEAR).astype(np.uint8)
 
@@ -264,15 +286,17 @@ class GroundPainter:
         reach = view.height_m / fall
         ahead = reach * (view.cos_pitch - up * view.sin_pitch)
         footprint_m = np.sqrt(reach / view.focal_px * (ahead * reach / (view.focal_px * view.height_m)))
-        wanted = np.log2(np.maximum(footprint_m * TILE_PX_PER_M, 1e-6)) + 0.2
-        levels = np.clip(np.floor(wanted), -1, len(self._tiles) - 1).astype(int)
+        exact_level = np.log2(np.maximum(footprint_m * TILE_PX_PER_M, 1e-6)) + 0.2
+        levels = np.clip(np.floor(exact_level), -1, len(self._tiles) - 1).astype(int)
         breaks = [0, *(np.flatnonzero(np.diff(levels)) + 1).tolist(), len(levels)]
         bands = tuple((a, b, int(levels[a])) for a, b in itertools.pairwise(breaks) if b > a)
         haze = self._lighting.haze(ahead)
         columns = (view.width_px / 2 - 0.5 - np.arange(view.width_px)) / view.focal_px
         share = np.ones((len(ahead), view.width_px))
         if self._lighting.night:
-            share = self._lighting.ambient_share + headlight_share(ahead[:, None], reach[:, None] * columns)
+            share = self._lighting.ambient_strength + headlight_strength(
+                ahead[:, None], reach[:, None] * columns
+            )
         light = np.clip(share, 0, 1) * (1 - haze)[:, None] * 255
         veil = np.repeat(
             (haze[:, None] * np.array(self._lighting.haze_rgb))[:, None, :], view.width_px, axis=1
@@ -289,11 +313,169 @@ class GroundPainter:
         )
 
 
-def headlight_share(ahead_m: FloatArray, left_m: FloatArray) -> FloatArray:
-    """Return how strongly the ego's headlights light a place, 0 to 1, from where it lies to the camera."""
+def headlight_strength(ahead_m: FloatArray, left_m: FloatArray) -> FloatArray:
+    """Return the strength of the ego's headlights, in [0, 1], at positions relative to the camera."""
     ahead = np.maximum(ahead_m, 0.0)
     wide = 1.6 + 0.34 * ahead
     across = np.exp(-((left_m / wide) ** 2))
     along = np.clip((ahead_m - 0.8) / 3.5, 0, 1) * np.exp(-ahead / 24.0)
     share: FloatArray = np.clip(0.72 * across * along, 0, 1)
     return share
+
+
+_GROUND_NEAR_M: Final = 0.4
+_LONGEST: Final = 3.2
+"""Upper bound of a shadow's length, in heights of the object that casts it."""
+_OCTAGON: Final = np.stack(
+    (np.cos(np.arange(8) * np.pi / 4 + 0.39), np.sin(np.arange(8) * np.pi / 4 + 0.39)), axis=1
+)
+_CONTACT: Final = 128
+_WHITE: Final = (255.0, 246.0, 224.0)
+_RED: Final = (220.0, 30.0, 26.0)
+_BRAKE: Final = (255.0, 40.0, 32.0)
+
+Shadow: TypeAlias = tuple[FloatArray, int]
+"""An area of the ground, shape ``(k, 2)``, and its remaining brightness, 0 to 255."""
+
+
+class ShadowCaster:
+    """Computes shadows for one light.
+
+    Args:
+        lighting: The light.
+    """
+
+    def __init__(self, lighting: Lighting) -> None:
+        self._left = round(255 * (1 - lighting.shadow_strength))
+        self._contact = _CONTACT if lighting.shadow_strength < 0.3 else 90
+        rise = max(float(lighting.sun[2]), 1e-3)
+        shift = -lighting.sun[:2] / rise
+        self._shift = shift * min(_LONGEST / max(float(np.hypot(*shift)), 1e-9), 1.0)
+        self._casts = lighting.shadow_strength > 0.3
+
+    def box_shadows(self, corners_m: FloatArray, height_m: float, *, contact: bool) -> list[Shadow]:
+        """Return the cast shadow of an upright box, then its contact shadow.
+
+        Args:
+            corners_m: Footprint, shape ``(4, 2)``.
+            height_m: Height of the box.
+            contact: Whether to darken the ground directly below the box.
+        """
+        found: list[Shadow] = []
+        if self._casts:
+            found.append((self._hull(corners_m, corners_m + self._shift * height_m), self._left))
+        if contact:
+            middle = corners_m.mean(axis=0)
+            found.append((middle + (corners_m - middle) * 1.04, self._contact))
+        return found
+
+    def tree_shadows(self, tree: Tree, low_m: float) -> list[Shadow]:
+        """Return the shadows of a crown that starts at a height, and of its trunk."""
+        if not self._casts:
+            return []
+        place = np.array([tree.x_m, tree.y_m])
+        ring = place + 0.46 * tree.crown_m * _OCTAGON
+        near, far = low_m + 0.15 * tree.crown_m, tree.height_m - 0.15 * tree.crown_m
+        trunk = place + 0.02 * tree.height_m * _OCTAGON
+        return [
+            (self._hull(ring + self._shift * near, ring + self._shift * far), self._left),
+            (self._hull(trunk, trunk + self._shift * near), self._left),
+        ]
+
+    def _hull(self, first: FloatArray, second: FloatArray) -> FloatArray:
+        points = np.concatenate((first, second)).astype(np.float32)
+        return cv2.convexHull(points)[:, 0].astype(np.float64)
+
+
+def to_half_size(polygon: IntArray, first_row_px: int) -> IntArray:
+    """Convert a polygon to a half-size picture that begins at a row."""
+    moved: IntArray = (polygon - np.array([0, first_row_px << SHIFT], np.int32)) >> 1
+    return moved
+
+
+def project_areas(areas: Sequence[Shadow], view: View, first_row_px: int) -> list[tuple[IntArray, int]]:
+    """Project visible areas of the ground to polygons of a half-size picture.
+
+    Args:
+        areas: Areas and their values.
+        view: The camera.
+        first_row_px: Row at which the half-size picture begins.
+    """
+    if not areas:
+        return []
+    seen = view.ground_to_camera(np.concatenate([points for points, _ in areas]))
+    ends = np.cumsum([0, *(len(points) for points, _ in areas)])
+    nearest = np.minimum.reduceat(seen[:, 0], ends[:-1])
+    half = view.width_px / 2 / view.focal_px
+    beside = np.minimum.reduceat(np.abs(seen[:, 1]) - half * seen[:, 0], ends[:-1]) > 0
+    left = np.minimum.reduceat(seen[:, 1], ends[:-1]) > 0
+    right = np.maximum.reduceat(seen[:, 1], ends[:-1]) < 0
+    gone = (np.maximum.reduceat(seen[:, 0], ends[:-1]) < _GROUND_NEAR_M) | (beside & (left | right))
+    pixels = to_half_size(to_fixed_point(view.project(seen)), first_row_px)
+    bounds = ends.tolist()
+    found: list[tuple[IntArray, int]] = []
+    for index, ((_, value), near) in enumerate(zip(areas, nearest.tolist(), strict=True)):
+        if gone[index]:
+            continue
+        first, last = bounds[index], bounds[index + 1]
+        if near >= _GROUND_NEAR_M:
+            found.append((pixels[first:last], value))
+        else:
+            cut = to_fixed_point(view.project(clip_near(seen[first:last], _GROUND_NEAR_M)))
+            found.append((to_half_size(cut, first_row_px), value))
+    return found
+
+
+def lamp_light_pools(lamp: Lamp) -> list[Shadow]:
+    """Return rings of light below a lamp and the brightness that each adds, the widest first."""
+    x_m, y_m = lamp_head_position(lamp)
+    return [
+        (np.array([x_m, y_m]) + radius * lamp.height_m * _OCTAGON, value)
+        for radius, value in ((1.25, 16), (0.95, 34), (0.7, 56), (0.45, 78), (0.22, 94))
+    ]
+
+
+def body_reflections(
+    bodies: Sequence[Body], colours: Sequence[Rgb], lit: Sequence[bool], view: View
+) -> list[list[tuple[IntArray, Rgb]]]:
+    """Return the reflections of each body and its lights on a wet road, as plain polygons.
+
+    Args:
+        bodies: The bodies.
+        colours: Colour of each reflection.
+        lit: Whether each body drives with its lights on.
+        view: The camera.
+    """
+    box = np.zeros((len(bodies), 8, 3))
+    for row, body in enumerate(bodies):
+        box[row, :4, :2] = box[row, 4:, :2] = footprint(
+            body.x_m, body.y_m, body.yaw_rad, body.length_m, body.width_m
+        )
+        box[row, 4:, 2] = -body.height_m
+    seen = view.to_camera(box.reshape(-1, 3))
+    before: list[bool] = np.all(seen[:, 0].reshape(-1, 8) > _GROUND_NEAR_M, axis=1).tolist()
+    pixels = to_fixed_point(view.project(seen)).reshape(-1, 8, 2)
+    found: list[list[tuple[IntArray, Rgb]]] = []
+    for row, (body, rgb, lights) in enumerate(zip(bodies, colours, lit, strict=True)):
+        reflections: list[tuple[IntArray, Rgb]] = []
+        if before[row]:
+            reflections.append((cv2.convexHull(pixels[row])[:, 0].astype(np.int32, copy=False), rgb))
+            if body.kind is BodyKind.VEHICLE and (lights or body.braking):
+                reflections += _light_reflections(body, view, lights=lights)
+        found.append(reflections)
+    return found
+
+
+def _light_reflections(body: Body, view: View, *, lights: bool) -> list[tuple[IntArray, Rgb]]:
+    found: list[tuple[IntArray, Rgb]] = []
+    cosine, sine = math.cos(body.yaw_rad), math.sin(body.yaw_rad)
+    ahead_m = (view.x_m - body.x_m) * cosine + (view.y_m - body.y_m) * sine
+    across_x, across_y = -0.16 * view.sin_yaw, 0.16 * view.cos_yaw
+    for (x, y, z), end in vehicle_light_positions(body):
+        if ahead_m * end <= 0 or (end > 0 and not lights):
+            continue
+        corners = ((-1, -z - 0.5), (1, -z - 0.5), (1, -z + 0.35), (-1, -z + 0.35))
+        quad = np.array([(x + side * across_x, y + side * across_y, up) for side, up in corners])
+        rgb = _WHITE if end > 0 else (_BRAKE if body.braking else _RED)
+        found.append((view.project_polygon(view.to_camera(quad)), rgb))
+    return found

@@ -1,4 +1,4 @@
-"""Owns street lamps and the halos around lights."""
+"""Street lamps, vehicle lights, and the halos around them."""
 
 import math
 from collections.abc import Sequence
@@ -7,14 +7,14 @@ from typing import Final
 import cv2
 import numpy as np
 
-from brink.sim.rendering.canvas import Canvas, Mark, Rgb, Stroke
-from brink.sim.rendering.cover import lamp_head, light_places
-from brink.sim.rendering.foliage import Foliage
-from brink.sim.rendering.items import Thing
-from brink.sim.rendering.rounded import limb_marks
-from brink.sim.rendering.scene import Body, BodyKind, FloatArray, Lamp, Picture
-from brink.sim.rendering.view import NEAR_M, View, fixed_point
+from brink.sim.rendering.canvas import Canvas
+from brink.sim.rendering.light import Lighting
+from brink.sim.rendering.order import Thing
+from brink.sim.rendering.scene import Body, BodyKind, FloatArray, Lamp, Mark, Picture, Rgb, Stroke
+from brink.sim.rendering.solids import draw_limbs
+from brink.sim.rendering.view import NEAR_M, View, to_fixed_point
 
+_ARM_M: Final = 1.6
 _POST: Final = (92.0, 96.0, 98.0)
 _LAMP_LIGHT: Final = (230.0, 190.0, 120.0)
 _HEADLIGHT: Final = (220.0, 214.0, 196.0)
@@ -22,36 +22,61 @@ _TAIL_LIGHT: Final = (120.0, 12.0, 10.0)
 _BRAKE_LIGHT: Final = (200.0, 30.0, 20.0)
 
 
-def lamp_marks(
-    lamps: Sequence[Lamp], foliage: Foliage, view: View, lit: FloatArray, *, burning: bool
+def lamp_head_position(lamp: Lamp) -> tuple[float, float]:
+    """Return the position of a lamp's head."""
+    return lamp.x_m + _ARM_M * float(np.cos(lamp.yaw_rad)), lamp.y_m + _ARM_M * float(np.sin(lamp.yaw_rad))
+
+
+def vehicle_light_positions(body: Body) -> list[tuple[tuple[float, float, float], float]]:
+    """Return the world positions of a vehicle's four lights, each with 1.0 for front or -1.0 for rear."""
+    cosine, sine = math.cos(body.yaw_rad), math.sin(body.yaw_rad)
+    up = min(0.46 * body.height_m, 0.8)
+    places = []
+    for end, side in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)):
+        along, across = end * body.length_m / 2, side * 0.36 * body.width_m
+        x_m, y_m = body.x_m + along * cosine - across * sine, body.y_m + along * sine + across * cosine
+        places.append(((x_m, y_m, up), end))
+    return places
+
+
+def draw_lamps(
+    lamps: Sequence[Lamp], lighting: Lighting, view: View, lit: FloatArray, *, burning: bool
 ) -> list[list[Mark]]:
-    """Return post, arm and head of each lamp, in painting order."""
+    """Return the marks of each lamp's post, arm and head, in painting order.
+
+    Args:
+        lamps: The lamps.
+        lighting: The light.
+        view: The camera.
+        lit: Artificial light on each lamp, in [0, 1], shape ``(n,)``.
+        burning: Whether the lamps are on.
+    """
     if not lamps:
         return []
     joints = np.array([limb for lamp in lamps for limb in _limbs(lamp)])
     radii = np.array([(0.085, 0.055), (0.05, 0.04)] * len(lamps))
     steel = np.array([_POST] * len(joints))
-    colours = foliage.shaded(steel, joints[:, 0], view, np.repeat(lit, 2))
-    limbs = limb_marks(joints, radii, colours, view, flat_feet=False)
+    colours = lighting.shade(steel, joints[:, 0], view, np.repeat(lit, 2))
+    limbs = draw_limbs(joints, radii, colours, view, flat_feet=False)
     rgb = (255.0, 232.0, 184.0) if burning else (150.0, 152.0, 154.0)
     seen = view.to_camera(np.array([corner for lamp in lamps for corner in _head(lamp)]))
-    heads = fixed_point(view.pixels(seen)).reshape(-1, 4, 2)
+    heads = to_fixed_point(view.project(seen)).reshape(-1, 4, 2)
     before: list[bool] = np.all(seen[:, 0].reshape(-1, 4) > NEAR_M, axis=1).tolist()
     marks: list[list[Mark]] = []
     for number, head in enumerate(heads):
-        mine = [*limbs[2 * number], *limbs[2 * number + 1]]
-        marks.append([*mine, Stroke(head, rgb, True)] if before[number] else mine)
+        strokes = [*limbs[2 * number], *limbs[2 * number + 1]]
+        marks.append([*strokes, Stroke(head, rgb, True)] if before[number] else strokes)
     return marks
 
 
 def _limbs(lamp: Lamp) -> list[list[tuple[float, float, float]]]:
-    x_m, y_m = lamp_head(lamp)
+    x_m, y_m = lamp_head_position(lamp)
     top = (lamp.x_m, lamp.y_m, lamp.height_m)
     return [[(lamp.x_m, lamp.y_m, 0.0), top], [top, (x_m, y_m, lamp.height_m + 0.1)]]
 
 
 def _head(lamp: Lamp) -> list[tuple[float, float, float]]:
-    x_m, y_m = lamp_head(lamp)
+    x_m, y_m = lamp_head_position(lamp)
     cosine, sine = math.cos(lamp.yaw_rad), math.sin(lamp.yaw_rad)
     corners = ((-0.15, -0.16), (0.45, -0.16), (0.45, 0.16), (-0.15, 0.16))
     return [
@@ -60,10 +85,10 @@ def _head(lamp: Lamp) -> list[tuple[float, float, float]]:
 
 
 class Halos:
-    """Lays halos around the lights that are seen.
+    """Adds halos around visible lights.
 
     Args:
-        night: Whether it is dark: else halos are faint and lamps do not burn.
+        night: Whether it is dark; by day, halos are faint and street lamps are off.
     """
 
     def __init__(self, *, night: bool) -> None:
@@ -73,27 +98,34 @@ class Halos:
         fall = np.clip(1 - np.hypot(line[:, None], line[None, :]), 0, 1) ** 2.4
         self._disc: Picture = np.clip(255 * fall, 0, 255).astype(np.uint8)
 
-    def lay(self, canvas: Canvas, things: Sequence[Thing], parked: frozenset[int], view: View) -> None:
-        """Lay the halos of what was painted; a light is seen if its pixel belongs to its body."""
+    def add(self, canvas: Canvas, things: Sequence[Thing], parked: frozenset[int], view: View) -> None:
+        """Add the halos of painted objects; a light is visible if its pixel belongs to its own body.
+
+        Args:
+            canvas: The finished picture and mask.
+            things: Painted objects.
+            parked: Ids of parked vehicles, which have their lights off.
+            view: The camera.
+        """
         for thing in things:
             if isinstance(thing, Lamp) and self._lamps_burn:
-                x_m, y_m = lamp_head(thing)
-                self._lay(canvas, (x_m, y_m, thing.height_m), 1.5, _LAMP_LIGHT, 0, view)
+                x_m, y_m = lamp_head_position(thing)
+                self._add(canvas, (x_m, y_m, thing.height_m), 1.5, _LAMP_LIGHT, 0, view)
             elif isinstance(thing, Body) and thing.kind is BodyKind.VEHICLE and thing.id not in parked:
-                self._lay_vehicle(canvas, thing, view)
+                self._add_vehicle(canvas, thing, view)
 
-    def _lay_vehicle(self, canvas: Canvas, body: Body, view: View) -> None:
+    def _add_vehicle(self, canvas: Canvas, body: Body, view: View) -> None:
         ahead_m = (view.x_m - body.x_m) * math.cos(body.yaw_rad) + (view.y_m - body.y_m) * math.sin(
             body.yaw_rad
         )
-        for place, end in light_places(body):
+        for place, end in vehicle_light_positions(body):
             if ahead_m * end <= body.length_m / 2:
                 continue
             rgb = _HEADLIGHT if end > 0 else (_BRAKE_LIGHT if body.braking else _TAIL_LIGHT)
             red, green, blue = (self._strength * part for part in rgb)
-            self._lay(canvas, place, 0.75 if end > 0 else 0.4, (red, green, blue), body.id, view)
+            self._add(canvas, place, 0.75 if end > 0 else 0.4, (red, green, blue), body.id, view)
 
-    def _lay(
+    def _add(
         self,
         canvas: Canvas,
         place: tuple[float, float, float],
@@ -102,7 +134,7 @@ class Halos:
         number: int,
         view: View,
     ) -> None:
-        depth, left_m, up_m = view.place(*place)
+        depth, left_m, up_m = view.point_to_camera(*place)
         if depth < 1.0:
             return
         scale = view.focal_px / depth

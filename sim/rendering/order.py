@@ -1,17 +1,183 @@
-"""Owns the painter's order: what must be painted before what, from planes that separate bodies.
+"""Painter's order: which objects may be in view, and in which sequence they are painted.
 
-If a plane separates two bodies, the one on the camera's side can never be hidden by the other. So a body is painted
-before another exactly if the other may hide it: no plane says that it cannot. Upright planes through the edges of the
-footprints and level planes between heights are tried; if two planes disagree, neither body hides the other and
-nothing is demanded. Bodies that no plane separates overlap: then the one whose centre is nearer is painted later.
+If a plane separates two objects, the one on the camera's side can never be hidden by the other. An object is painted
+before another exactly if the other may hide it, that is, if no plane rules that out. Vertical planes through the
+edges of the footprints and horizontal planes between heights are tried. If two planes disagree, neither object hides
+the other and their order is free. Objects that no plane separates overlap; the one with the nearer centre is then
+painted later.
 """
 
 import heapq
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from brink.sim.rendering.scene import FloatArray
+from brink.sim.rendering.scene import (
+    TRUNK_SHARE,
+    Body,
+    Building,
+    FloatArray,
+    Lamp,
+    StreetScene,
+    Tree,
+    footprint,
+)
+from brink.sim.rendering.view import NEAR_M, View
+
+_BODY_FAR_M: Final = 140.0
+_HOUSE_FAR_M: Final = 260.0
+_TRUNK_WIDTH: Final = 0.07
+_LAMP_WIDTH_M: Final = 0.2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class House:
+    """A building and its index in the scene."""
+
+    number: int
+    building: Building
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Crown:
+    """The upper part of a tree, which is ordered separately from its trunk."""
+
+    tree: Tree
+
+
+Thing: TypeAlias = Body | House | Tree | Crown | Lamp
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Items:
+    """Objects and their positions.
+
+    Attributes:
+        things: The objects.
+        corners: Footprints, counter-clockwise, shape ``(n, 4, 2)``.
+        heights: Bottom and top, shape ``(n, 2)``.
+        far_m: Distance beyond which an object is not drawn, shape ``(n,)``.
+    """
+
+    things: tuple[Thing, ...]
+    corners: FloatArray
+    heights: FloatArray
+    far_m: FloatArray
+
+    def joined(self, other: "Items") -> "Items":
+        """Return these items followed by others."""
+        return Items(
+            things=self.things + other.things,
+            corners=np.concatenate((self.corners, other.corners)),
+            heights=np.concatenate((self.heights, other.heights)),
+            far_m=np.concatenate((self.far_m, other.far_m)),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class VisibleItems:
+    """Objects that may be visible from one viewpoint, in painting order.
+
+    Attributes:
+        things: The objects.
+        centres: Centres of their footprints, shape ``(n, 2)``.
+        depths: Depths of their nearest corners, shape ``(n,)``; negative behind the camera.
+    """
+
+    things: tuple[Thing, ...]
+    centres: FloatArray
+    depths: FloatArray
+
+
+_Row: TypeAlias = tuple[Thing, FloatArray, float, float, float]
+
+
+def make_static_items(scene: StreetScene) -> Items:
+    """Return the items of everything that does not move."""
+    rows: list[_Row] = []
+    for number, house in enumerate(scene.buildings):
+        corners = footprint(house.x_m, house.y_m, house.yaw_rad, house.length_m, house.width_m)
+        rows.append((House(number=number, building=house), corners, 0.0, house.height_m, _HOUSE_FAR_M))
+    for tree in scene.trees:
+        low, thick = TRUNK_SHARE * tree.height_m, _TRUNK_WIDTH * tree.height_m
+        trunk = footprint(tree.x_m, tree.y_m, 0.0, thick, thick)
+        crown = footprint(tree.x_m, tree.y_m, 0.0, tree.crown_m, tree.crown_m)
+        rows.append((tree, trunk, 0.0, low, _BODY_FAR_M))
+        rows.append((Crown(tree=tree), crown, low, tree.height_m, _HOUSE_FAR_M))
+    for lamp in scene.lamps:
+        post = footprint(lamp.x_m, lamp.y_m, 0.0, _LAMP_WIDTH_M, _LAMP_WIDTH_M)
+        rows.append((lamp, post, 0.0, lamp.height_m, _BODY_FAR_M))
+    return _stacked(rows).joined(make_body_items(scene.parked))
+
+
+def make_body_items(bodies: Sequence[Body]) -> Items:
+    """Return the items of bodies, sorted by id so that the order of the argument does not matter."""
+    ordered = sorted(bodies, key=lambda body: body.id)
+    return _stacked(
+        [
+            (
+                body,
+                footprint(body.x_m, body.y_m, body.yaw_rad, body.length_m, body.width_m),
+                0.0,
+                body.height_m,
+                _BODY_FAR_M,
+            )
+            for body in ordered
+        ]
+    )
+
+
+def _stacked(rows: list[_Row]) -> Items:
+    return Items(
+        things=tuple(row[0] for row in rows),
+        corners=np.array([row[1] for row in rows]).reshape(-1, 4, 2),
+        heights=np.array([row[2:4] for row in rows]).reshape(-1, 2),
+        far_m=np.array([row[4] for row in rows]),
+    )
+
+
+def cull_and_sort(items: Items, view: View) -> VisibleItems:
+    """Return the items that may be visible, in painting order."""
+    if not items.things:
+        return VisibleItems(things=(), centres=np.zeros((0, 2)), depths=np.zeros(0))
+    rows, columns, nearest = _in_view(items, view)
+    eye = (view.x_m, view.y_m, view.height_m)
+    order = rows[paint_order(items.corners[rows], items.heights[rows], columns, eye)]
+    return VisibleItems(
+        things=tuple(items.things[row] for row in order.tolist()),
+        centres=items.corners[order].mean(axis=1),
+        depths=nearest[order],
+    )
+
+
+def _in_view(items: Items, view: View) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+    """Find the items that may be visible.
+
+    Returns:
+        Rows of these items, shape ``(k,)``; their column ranges, shape ``(k, 2)``; nearest depths of all items.
+    """
+    count = len(items.things)
+    points = np.empty((count, 8, 3))
+    points[:, :4, :2] = points[:, 4:, :2] = items.corners
+    points[:, :4, 2] = items.heights[:, 0, None]
+    points[:, 4:, 2] = items.heights[:, 1, None]
+    seen = view.to_camera(points.reshape(-1, 3))
+    pixels = view.project(seen)[:, 0].reshape(count, 8)
+    depth, left = seen[:, 0].reshape(count, 8), seen[:, 1].reshape(count, 8)
+    nearest, farthest = depth.min(axis=1), depth.max(axis=1)
+    crosses = nearest < NEAR_M
+    first = np.where(crosses, -1.0, pixels.min(axis=1) - 2)
+    last = np.where(crosses, view.width_px, pixels.max(axis=1) + 2)
+    half = view.width_px / 2 / view.focal_px
+    beside = (left > half * depth).all(axis=1) | (left < -half * depth).all(axis=1)
+    in_range = (farthest > NEAR_M) & (nearest < items.far_m) & (first < view.width_px) & (last > 0)
+    # A lamp's arm and a crown's leaves may extend beyond the footprint, so only items well outside are dropped.
+    rows = np.flatnonzero(in_range & ~(beside & (first < last)))
+    return rows, np.stack((first, last), axis=1)[rows], nearest
+
 
 _SLACK_M = 0.03
 
@@ -22,16 +188,16 @@ def paint_order(
     columns_px: FloatArray,
     eye_m: tuple[float, float, float],
 ) -> list[int]:
-    """Return the order in which bodies are painted, first to last.
+    """Return the order in which objects are painted, first to last.
 
     Args:
         corners_m: Footprints, convex and counter-clockwise, shape ``(n, 4, 2)``.
-        heights_m: Bottom and top of each, shape ``(n, 2)``.
-        columns_px: First and last column of the picture that each may touch, shape ``(n, 2)``.
-        eye_m: The camera's place.
+        heights_m: Bottom and top of each object, shape ``(n, 2)``.
+        columns_px: First and last picture column that each object may touch, shape ``(n, 2)``.
+        eye_m: Position of the camera.
 
     Returns:
-        Indices; ties go to the farther, then to the lower index.
+        Indices; of equals, the farther comes first, then the lower index.
     """
     count = len(corners_m)
     if count < 2:
@@ -43,19 +209,19 @@ def paint_order(
         (distance[:, None] == distance[None, :]) & (np.arange(count)[:, None] > np.arange(count)[None, :])
     )
     hides &= ~both | nearer
-    return _sorted(hides, distance.tolist())
+    return _sort_topologically(hides, distance.tolist())
 
 
 def _may_hide(
     corners_m: FloatArray, heights_m: FloatArray, columns_px: FloatArray, eye_m: tuple[float, float, float]
 ) -> NDArray[np.bool_]:
-    """Return whether a may hide b, shape ``(a, b)``."""
+    """Return whether object a may hide object b, shape ``(a, b)``."""
     count = len(corners_m)
     edges = np.roll(corners_m, -1, axis=1) - corners_m
     normals = np.stack((edges[..., 1], -edges[..., 0]), axis=-1)
     normals /= np.maximum(np.hypot(normals[..., 0], normals[..., 1]), 1e-9)[..., None]
     offsets = np.einsum("aek,aek->ae", normals, corners_m)
-    # Written out: a threaded matrix product costs more than it saves at these sizes.
+    # Written out because a threaded matrix product costs more than it saves at these sizes.
     x_m, y_m = corners_m[..., 0], corners_m[..., 1]
     normal_x, normal_y = normals[..., 0][..., None], normals[..., 1][..., None]
     nearest = normal_x * x_m[:, 0] + normal_y * y_m[:, 0]
@@ -76,8 +242,8 @@ def _may_hide(
     return hides
 
 
-def _sorted(hides: NDArray[np.bool_], distance: list[float]) -> list[int]:
-    """Sort topologically, hidden before hiding; a ring is broken at its farthest member."""
+def _sort_topologically(hides: NDArray[np.bool_], distance: list[float]) -> list[int]:
+    """Sort hidden objects before those that hide them; a cycle is broken at its farthest member."""
     count = len(distance)
     waits = hides.sum(axis=1).tolist()
     behind: list[list[int]] = [[] for _ in range(count)]

@@ -1,6 +1,6 @@
-"""Owns how walking people look: limbs, each a rounded stroke between two joints, nearer ones painted later.
+"""Walking people: limbs with rounded ends between joints, painted from far to near.
 
-Joints are shares of the height: x ahead, y left, z up. The joints of all people of a frame are placed at once.
+Joints are shares of the body height: x ahead, y left, z up. The joints of all people in a frame are placed at once.
 """
 
 from collections.abc import Sequence
@@ -9,35 +9,23 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from brink.sim.rendering.canvas import Mark, Stroke
 from brink.sim.rendering.light import Lighting
-from brink.sim.rendering.looks import choice, share
-from brink.sim.rendering.rounded import cut_at_near, radius_px, rounded
-from brink.sim.rendering.scene import Body, FloatArray
+from brink.sim.rendering.scene import Body, FloatArray, Mark, Stroke, choose, choose_fraction
+from brink.sim.rendering.solids import capsule_polygons, clip_segments_near, radius_px
 from brink.sim.rendering.view import View
 
 _SKINS: Final = ((236, 196, 168), (214, 164, 128), (172, 120, 84), (116, 76, 52), (224, 180, 150))
 _HAIRS: Final = ((34, 26, 22), (78, 54, 36), (150, 112, 62), (120, 116, 112), (52, 38, 30))
 _TOPS: Final = (
-    (168, 40, 44),
-    (38, 62, 118),
-    (226, 224, 216),
-    (52, 54, 58),
-    (70, 112, 80),
-    (222, 176, 56),
-    (116, 70, 122),
-    (92, 134, 168),
-    (142, 104, 76),
-    (206, 110, 60),
-    (30, 32, 36),
-    (176, 178, 176),
-)
+    (168, 40, 44), (38, 62, 118), (226, 224, 216), (52, 54, 58), (70, 112, 80), (222, 176, 56),
+    (116, 70, 122), (92, 134, 168), (142, 104, 76), (206, 110, 60), (30, 32, 36), (176, 178, 176),
+)  # fmt: skip
 _BOTTOMS: Final = ((42, 54, 84), (32, 33, 38), (92, 84, 74), (70, 78, 96), (122, 112, 96), (58, 62, 60))
 _SHOES: Final = ((28, 26, 26), (214, 212, 206), (88, 60, 42))
 
 
 class _Limb(NamedTuple):
-    """Joints, radii across and along the body at each end, which colour, and from which height it is drawn."""
+    """Joints, radii across and along the body, colour index, and the height in px from which it is drawn."""
 
     start: tuple[float, float, float]
     end: tuple[float, float, float]
@@ -50,14 +38,14 @@ class _Limb(NamedTuple):
 _SKIN, _HAIR, _TOP, _BOTTOM, _SHOE, _EXTRA = range(6)
 
 
-def person_marks(people: Sequence[Body], view: View, lighting: Lighting, lit: FloatArray) -> list[list[Mark]]:
+def draw_people(people: Sequence[Body], view: View, lighting: Lighting, lit: FloatArray) -> list[list[Mark]]:
     """Return the strokes of each person, in painting order.
 
     Args:
         people: Bodies of kind `PERSON`.
-        view: Whence they are seen.
+        view: The camera.
         lighting: The light.
-        lit: How strongly the ego's headlights light each, shape ``(n,)``.
+        lit: Artificial light on each person, in [0, 1], shape ``(n,)``.
     """
     if not people:
         return []
@@ -68,42 +56,42 @@ def person_marks(people: Sequence[Body], view: View, lighting: Lighting, lit: Fl
     radii = np.array([(*limb.across, *limb.along) for own in limbs for limb in own])
     pose = np.array([(body.x_m, body.y_m, body.yaw_rad, body.height_m) for body in people])
     seen, radius_m = _placed(joints, radii, pose[owner], view)
-    gone = cut_at_near(seen).tolist()
+    gone = clip_segments_near(seen).tolist()
     rgb = _colours(people, limbs, pose, lighting, lit, view)
     ahead = np.hypot(pose[:, 0] - view.x_m, pose[:, 1] - view.y_m)
     tall_px = view.focal_px * pose[:, 3] / np.maximum(ahead, 0.3)
-    polygons, shades = rounded(seen, radius_px(seen, radius_m, view), view)
+    polygons, shades = capsule_polygons(seen, radius_px(seen, radius_m, view), view)
     middle = seen[:, :, 0].mean(axis=1)
     marks: list[list[Mark]] = []
     first = 0
-    shaded = lighting.sun_share > 0.1
+    shaded = lighting.sun_strength > 0.1
     for index, own in enumerate(limbs):
         last = first + len(own)
         order = np.argsort(-middle[first:last], kind="stable") + first
-        mine: list[Mark] = []
+        strokes: list[Mark] = []
         for limb in order.tolist():
             if gone[limb] or own[limb - first].shown_px > tall_px[index]:
                 continue
-            mine.append(Stroke(polygons[limb], rgb[limb], True))
+            strokes.append(Stroke(polygons[limb], rgb[limb], True))
             if tall_px[index] > 46 and shaded:
                 dark = rgb[limb][0] * 0.78, rgb[limb][1] * 0.78, rgb[limb][2] * 0.8
-                mine.append(Stroke(shades[limb], dark, False))
-        marks.append(mine)
+                strokes.append(Stroke(shades[limb], dark, False))
+        marks.append(strokes)
         first = last
     return marks
 
 
 def _limbs(body: Body) -> list[_Limb]:
-    """Return the limbs of a person in its stride, as shares of its height."""
+    """Return the limbs of a walking person, as shares of the body height."""
     swing = float(np.sin(body.phase))
     look = body.look
-    broad = 0.90 + 0.25 * share(look, 11)
+    broad = 0.90 + 0.25 * choose_fraction(look, 11)
     limbs: list[_Limb] = []
     for side, stride in ((1.0, swing), (-1.0, -swing)):
         limbs += _leg(side, stride, broad)
-        limbs += _arm(side, -stride, broad, bare=choice(look, 12, 4) == 0)
+        limbs += _arm(side, -stride, broad, bare=choose(look, 12, 4) == 0)
     chest, waist = 0.092 * broad, 0.074 * broad
-    long_top = choice(look, 13, 4) == 0
+    long_top = choose(look, 13, 4) == 0
     limbs.append(_Limb((0, 0, 0.50), (0, 0, 0.56), (0.080 * broad, waist), (0.062, 0.056), _BOTTOM))
     limbs.append(_Limb((0, 0, 0.575), (0.008, 0, 0.765), (waist, chest), (0.056, 0.060), _TOP))
     if long_top:
@@ -111,14 +99,14 @@ def _limbs(body: Body) -> list[_Limb]:
     limbs.append(_Limb((0.004, 0, 0.80), (0.014, 0, 0.87), (0.032, 0.030), (0.032, 0.030), _SKIN, 26))
     limbs.append(_Limb((0.022, 0, 0.900), (0.014, 0, 0.938), (0.043, 0.050), (0.045, 0.054), _SKIN))
     limbs.append(_Limb((-0.010, 0, 0.925), (0.000, 0, 0.947), (0.047, 0.053), (0.042, 0.051), _HAIR))
-    if choice(look, 14, 5) == 0:
+    if choose(look, 14, 5) == 0:
         limbs.append(_Limb((-0.075, 0, 0.60), (-0.075, 0, 0.74), (0.062, 0.058), (0.045, 0.045), _EXTRA, 18))
     return limbs
 
 
 def _leg(side: float, stride: float, broad: float) -> list[_Limb]:
     angle = 0.46 * stride
-    # The leg that is behind bends its knee and lifts its heel.
+    # The rear leg bends its knee and lifts its heel.
     bend = 0.18 + 0.42 * max(-stride, 0.0) if stride < 0 else 0.10 * stride
     hip = (0.0, 0.046 * side * broad, 0.505)
     knee = (hip[0] + 0.245 * np.sin(angle), hip[1], hip[2] - 0.245 * np.cos(angle))
@@ -183,7 +171,7 @@ def _colours(
     veil = np.array(lighting.haze_rgb)
     colours: list[tuple[float, float, float]] = []
     for index, body in enumerate(people):
-        light = lighting.ambient_share + 0.55 * lighting.sun_share + 0.85 * float(lit[index])
+        light = lighting.ambient_strength + 0.55 * lighting.sun_strength + 0.85 * float(lit[index])
         shades = np.array(_palette(body.look)) * (light * lighting.tint)
         mixed = np.clip(shades * (1 - haze[index]) + veil * haze[index], 0, 255).tolist()
         colours += [tuple(mixed[limb.colour]) for limb in limbs[index]]
@@ -194,10 +182,10 @@ def _colours(
 def _palette(look: int) -> tuple[tuple[int, int, int], ...]:
     """Return the colours of skin, hair, top, bottom, shoes and bag."""
     return (
-        _SKINS[choice(look, 21, len(_SKINS))],
-        _HAIRS[choice(look, 22, len(_HAIRS))],
-        _TOPS[choice(look, 23, len(_TOPS))],
-        _BOTTOMS[choice(look, 24, len(_BOTTOMS))],
-        _SHOES[choice(look, 25, len(_SHOES))],
-        _TOPS[choice(look, 26, len(_TOPS))],
+        _SKINS[choose(look, 21, len(_SKINS))],
+        _HAIRS[choose(look, 22, len(_HAIRS))],
+        _TOPS[choose(look, 23, len(_TOPS))],
+        _BOTTOMS[choose(look, 24, len(_BOTTOMS))],
+        _SHOES[choose(look, 25, len(_SHOES))],
+        _TOPS[choose(look, 26, len(_TOPS))],
     )

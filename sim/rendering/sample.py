@@ -1,4 +1,4 @@
-"""Owns a sample street and its traffic: what the contact sheet shows and what the benchmark measures."""
+"""A sample street and traffic for the contact sheet and the rendering benchmark."""
 
 import math
 from typing import Final
@@ -24,7 +24,13 @@ _VAN: Final = (5.6, 2.0, 2.3)
 
 
 def sample_street(*, parked: int = 8, houses: int = 8, trees: int = 7) -> StreetScene:
-    """Return a straight street with a crossing; the numbers of houses and trees are those of each side."""
+    """Return a straight street with a pedestrian crossing.
+
+    Args:
+        parked: Number of parked vehicles.
+        houses: Number of buildings on each side.
+        trees: Number of trees on each side.
+    """
     return StreetScene(
         ground=tuple(_ground()),
         buildings=tuple(_house(number, side) for number in range(houses) for side in (1, -1)),
@@ -38,7 +44,7 @@ def sample_street(*, parked: int = 8, houses: int = 8, trees: int = 7) -> Street
 
 
 def sample_traffic(phase: float = 1.0) -> tuple[Body, ...]:
-    """Return four vehicles that drive and eight people who walk."""
+    """Return four driving vehicles and eight walking people."""
     return (
         vehicle(1, 17.0, -1.75, braking=True),
         vehicle(2, 30.0, 1.75, yaw_rad=math.pi),
@@ -66,7 +72,18 @@ def vehicle(
     van: bool = False,
     kind: BodyKind = BodyKind.VEHICLE,
 ) -> Body:
-    """Return a car or a van."""
+    """Return a car or a van.
+
+    Args:
+        number: Id.
+        x_m: Position.
+        y_m: Position.
+        yaw_rad: Heading.
+        look: Selects colour and shape; derived from the id by default.
+        braking: Whether the brake lights are on.
+        van: Whether it is a van.
+        kind: Upright or overturned.
+    """
     length_m, width_m, height_m = _VAN if van else _CAR
     return Body(
         id=number,
@@ -85,7 +102,16 @@ def vehicle(
 def person(
     number: int, x_m: float, y_m: float, *, yaw_rad: float, phase: float = 1.0, height_m: float = 1.74
 ) -> Body:
-    """Return a person in their stride."""
+    """Return a walking person.
+
+    Args:
+        number: Id.
+        x_m: Position.
+        y_m: Position.
+        yaw_rad: Heading.
+        phase: Phase of the walk in radians.
+        height_m: Height.
+    """
     return Body(
         id=number,
         kind=BodyKind.PERSON,
@@ -101,7 +127,14 @@ def person(
 
 
 def fallen_tree(number: int, x_m: float, y_m: float, *, yaw_rad: float) -> Body:
-    """Return a tree that lies on the road."""
+    """Return a tree that lies on the road.
+
+    Args:
+        number: Id.
+        x_m: Position of the centre.
+        y_m: Position of the centre.
+        yaw_rad: Direction of the crown.
+    """
     return Body(
         id=number,
         kind=BodyKind.FALLEN_TREE,

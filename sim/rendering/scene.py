@@ -1,25 +1,28 @@
-"""Owns the types of what is drawn: surfaces, buildings, trees, bodies, light, camera and picture.
+"""The types of a scene: surfaces, buildings, trees, bodies, light, camera and rendered frame; and their errors.
 
-Lengths in m, angles in radians counter-clockwise, z up; the ground is the plane z = 0. `look` is any integer: it
-chooses colours and shape, and the same look always looks the same.
+Lengths are in m, angles in radians counter-clockwise, z points up, and the ground is the plane z = 0. `look` is an
+arbitrary integer that selects colours and shape; the same look always gives the same result.
+
+SimulatorError
+└── RenderingError          root of this package's errors
+    ├── InvalidScene        final: a body, building or surface cannot be drawn; fix the scene
+    └── InvalidCamera       final: the camera's size, position or field of view is impossible
 """
 
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from brink.sim.rendering.errors import InvalidCamera, InvalidScene
-from brink.sim.urban.scenario import TimeOfDay, Weather
-
-if TYPE_CHECKING:
-    from brink.sim.rendering.canvas import Outline
+from brink.sim.errors import SimulatorError
+from brink.sim.world.scenario import TimeOfDay, Weather
 
 FloatArray: TypeAlias = NDArray[np.float64]
+IntArray: TypeAlias = NDArray[np.int32]
 Picture: TypeAlias = NDArray[np.uint8]
 IdMask: TypeAlias = NDArray[np.int32]
 
@@ -27,8 +30,14 @@ MAX_SIDE_PX = 8192
 MAX_ID = 2**31 - 1
 
 
+Rgb: TypeAlias = tuple[float, float, float]
+
+
+Coverage: TypeAlias = NDArray[np.uint8]
+
+
 class Material(StrEnum):
-    """What the ground is made of."""
+    """Material of a ground surface."""
 
     ASPHALT = "asphalt"
     PAVEMENT = "pavement"
@@ -41,7 +50,7 @@ class Material(StrEnum):
 
 
 class BodyKind(StrEnum):
-    """What a body is; the last two are never met in ordinary traffic."""
+    """Kind of a body; the last two never occur in ordinary traffic."""
 
     VEHICLE = "vehicle"
     PERSON = "person"
@@ -51,11 +60,11 @@ class BodyKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ground:
-    """A surface of the ground; later ones lie on earlier ones.
+    """A ground surface; later surfaces cover earlier ones.
 
     Attributes:
-        material: What it is made of.
-        points: Its outline, shape ``(k, 2)``, k >= 3; need not be convex.
+        material: Material of the surface.
+        points: Outline, shape ``(k, 2)``, k >= 3; need not be convex.
     """
 
     material: Material
@@ -70,7 +79,7 @@ class Ground:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Building:
-    """A house: an upright box over an oriented rectangle."""
+    """A building: an upright box over an oriented rectangle."""
 
     x_m: float
     y_m: float
@@ -81,13 +90,17 @@ class Building:
     look: int
 
     def __post_init__(self) -> None:
-        _finite("building", x_m=self.x_m, y_m=self.y_m, yaw_rad=self.yaw_rad)
-        _positive("building", length_m=self.length_m, width_m=self.width_m, height_m=self.height_m)
+        _check_finite("building", x_m=self.x_m, y_m=self.y_m, yaw_rad=self.yaw_rad)
+        _check_positive("building", length_m=self.length_m, width_m=self.width_m, height_m=self.height_m)
+
+
+TRUNK_SHARE: Final = 0.42
+"""Height of the crown's lower end, as a share of the tree's height."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tree:
-    """A tree: a trunk, and from about two fifths of its height a crown of diameter `crown_m`."""
+    """A tree: a trunk and a crown of diameter `crown_m`."""
 
     x_m: float
     y_m: float
@@ -96,13 +109,13 @@ class Tree:
     look: int
 
     def __post_init__(self) -> None:
-        _finite("tree", x_m=self.x_m, y_m=self.y_m)
-        _positive("tree", height_m=self.height_m, crown_m=self.crown_m)
+        _check_finite("tree", x_m=self.x_m, y_m=self.y_m)
+        _check_positive("tree", height_m=self.height_m, crown_m=self.crown_m)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lamp:
-    """A street lamp; it shines at night. Its arm points along `yaw_rad`."""
+    """A street lamp, lit at night. Its arm points along `yaw_rad`."""
 
     x_m: float
     y_m: float
@@ -110,26 +123,26 @@ class Lamp:
     height_m: float = 6.0
 
     def __post_init__(self) -> None:
-        _finite("lamp", x_m=self.x_m, y_m=self.y_m, yaw_rad=self.yaw_rad)
-        _positive("lamp", height_m=self.height_m)
+        _check_finite("lamp", x_m=self.x_m, y_m=self.y_m, yaw_rad=self.yaw_rad)
+        _check_positive("lamp", height_m=self.height_m)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Body:
-    """Something with an id: it stands in an upright box over an oriented rectangle and fills it.
+    """An object with an id. It fills an upright box over an oriented rectangle.
 
     Attributes:
-        id: Positive, unique in a picture, parked vehicles included.
-        kind: What it is.
-        x_m: Centre of its footprint.
-        y_m: The same.
-        yaw_rad: Its heading.
-        length_m: Extent along its heading.
-        width_m: Extent across its heading.
-        height_m: Its height.
-        look: Chooses its colours and its shape.
-        phase: Of a walk, in radians; 0 and pi stand with closed feet.
-        braking: Whether its brake lights burn.
+        id: Positive and unique in a picture, parked vehicles included.
+        kind: Kind of object.
+        x_m: Centre of the footprint.
+        y_m: Centre of the footprint.
+        yaw_rad: Heading.
+        length_m: Extent along the heading.
+        width_m: Extent across the heading.
+        height_m: Height.
+        look: Selects colours and shape.
+        phase: Phase of the walk in radians; the feet are together at 0 and pi.
+        braking: Whether the brake lights are on.
     """
 
     id: int
@@ -148,13 +161,13 @@ class Body:
         if not 0 < self.id <= MAX_ID:
             raise InvalidScene(f"body.id: expected 1 to {MAX_ID}, got {self.id!r}")
         where = f"body {self.id}"
-        _finite(where, x_m=self.x_m, y_m=self.y_m, yaw_rad=self.yaw_rad, phase=self.phase)
-        _positive(where, length_m=self.length_m, width_m=self.width_m, height_m=self.height_m)
+        _check_finite(where, x_m=self.x_m, y_m=self.y_m, yaw_rad=self.yaw_rad, phase=self.phase)
+        _check_positive(where, length_m=self.length_m, width_m=self.width_m, height_m=self.height_m)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreetScene:
-    """All that does not move."""
+    """Everything that does not move."""
 
     ground: tuple[Ground, ...] = ()
     buildings: tuple[Building, ...] = ()
@@ -163,12 +176,12 @@ class StreetScene:
     lamps: tuple[Lamp, ...] = ()
 
     def __post_init__(self) -> None:
-        check_unique(body.id for body in self.parked)
+        check_unique_ids(body.id for body in self.parked)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Light:
-    """Sun and sky."""
+    """Time of day and weather."""
 
     time_of_day: TimeOfDay
     weather: Weather
@@ -176,14 +189,14 @@ class Light:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureCamera:
-    """A pin-hole camera with square pixels, the optical axis in the middle of the picture.
+    """A pinhole camera with square pixels and its optical axis in the middle of the picture.
 
     Attributes:
         width_px: Width of the picture.
         height_px: Height of the picture.
         fov_deg: Horizontal field of view, in (0, 180).
         height_m: Height above the ground.
-        forward_m: How far ahead of the ego's centre it sits.
+        forward_m: Distance ahead of the ego's centre.
         focal_px: Focal length, derived.
     """
 
@@ -207,7 +220,7 @@ class PictureCamera:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Viewpoint:
-    """Where the ego's centre is; `pitch_rad` > 0 looks up, at most 0.6 either way."""
+    """Pose of the ego's centre; a positive `pitch_rad` looks up, and its magnitude is at most 0.6."""
 
     x_m: float
     y_m: float
@@ -220,26 +233,61 @@ class Viewpoint:
             raise InvalidCamera(f"viewpoint: expected finite numbers and |pitch_rad| <= 0.6, got {numbers}")
 
 
+class Stroke(NamedTuple):
+    """A convex polygon of a body, in sixteenths of a pixel; only solid strokes count towards the silhouette."""
+
+    points: IntArray
+    rgb: Rgb
+    solid: bool
+
+
+class Stamp(NamedTuple):
+    """A textured piece of a body: its position in the picture, its pixels, and which of them are opaque."""
+
+    left_px: int
+    top_px: int
+    pixels: Picture
+    coverage: Coverage
+
+
+Mark: TypeAlias = Stroke | Stamp
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Outline:
+    """The marks that a body was painted with; its silhouette is counted from them.
+
+    Attributes:
+        kind: Kind of body.
+        depth_m: Depth of the nearest corner along the camera's axis, at least 0.
+        marks: What was painted, in order.
+    """
+
+    kind: BodyKind
+    depth_m: float
+    marks: tuple[Mark, ...]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Frame:
     """What the camera sees.
 
     Attributes:
         image: RGB, shape ``(height, width, 3)``.
-        ids: Id of the body that is frontmost in each pixel, else 0, shape ``(height, width)``.
-        outlines: How each body within the view was painted, by id: what `visible_bodies` counts.
+        ids: Id of the frontmost body in each pixel, 0 where there is none, shape ``(height, width)``.
+        outlines: Outline of each body in view, by id.
     """
 
     image: Picture
     ids: IdMask
-    outlines: Mapping[int, "Outline"]
+    outlines: Mapping[int, Outline]
 
 
-def check_unique(ids: Iterable[int]) -> None:
-    """Refuse ids that occur twice.
+def check_unique_ids(ids: Iterable[int]) -> None:
+    """Check that no id occurs twice.
 
     Raises:
-        InvalidScene: Names the first of them.
+        InvalidScene: An id occurs twice.
     """
     seen: set[int] = set()
     for number in ids:
@@ -248,13 +296,73 @@ def check_unique(ids: Iterable[int]) -> None:
         seen.add(number)
 
 
-def _finite(where: str, **numbers: float) -> None:
+def _check_finite(where: str, **numbers: float) -> None:
     for name, number in numbers.items():
         if not math.isfinite(number):
             raise InvalidScene(f"{where}.{name}: expected a finite number, got {number!r}")
 
 
-def _positive(where: str, **lengths_m: float) -> None:
+def _check_positive(where: str, **lengths_m: float) -> None:
     for name, length_m in lengths_m.items():
         if not (math.isfinite(length_m) and length_m > 0):
             raise InvalidScene(f"{where}.{name}: expected a positive length, got {length_m!r}")
+
+
+class RenderingError(SimulatorError):
+    """Root of this package's errors."""
+
+
+class InvalidScene(RenderingError):
+    """Part of a scene has an impossible size, position or id."""
+
+
+class InvalidCamera(RenderingError):
+    """The camera has an impossible size, position or field of view."""
+
+
+_MULTIPLIER: Final = 0x9E3779B97F4A7C15
+_MASK: Final = (1 << 64) - 1
+
+
+def choose(look: int, question: int, count: int) -> int:
+    """Return a pseudo-random integer in [0, count) for a look.
+
+    Args:
+        look: Selects the value; equal looks give equal values.
+        question: Identifies the choice, so that different choices for one look are independent.
+        count: Number of options.
+    """
+    mixed = (look * _MULTIPLIER + question * 0xD1B54A32D192ED03 + 0x632BE59BD9B4E019) & _MASK
+    mixed ^= mixed >> 31
+    mixed = (mixed * 0xBF58476D1CE4E5B9) & _MASK
+    mixed ^= mixed >> 29
+    return (mixed >> 11) % count
+
+
+def choose_fraction(look: int, question: int) -> float:
+    """Return a pseudo-random number in [0, 1) for a look."""
+    return choose(look, question, 4096) / 4096
+
+
+def footprint(x_m: float, y_m: float, yaw_rad: float, length_m: float, width_m: float) -> FloatArray:
+    """Return the corners of an oriented rectangle, counter-clockwise.
+
+    Args:
+        x_m: Centre.
+        y_m: Centre.
+        yaw_rad: Heading.
+        length_m: Extent along the heading.
+        width_m: Extent across the heading.
+
+    Returns:
+        Corners, shape ``(4, 2)``.
+    """
+    cosine, sine = math.cos(yaw_rad), math.sin(yaw_rad)
+    along = (length_m / 2 * cosine, length_m / 2 * sine)
+    across = (-width_m / 2 * sine, width_m / 2 * cosine)
+    return np.array(
+        [(x_m + a * along[0] + b * across[0], y_m + a * along[1] + b * across[1]) for a, b in _CORNERS]
+    )
+
+
+_CORNERS: Final = ((1, 1), (-1, 1), (-1, -1), (1, -1))

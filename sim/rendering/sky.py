@@ -1,4 +1,4 @@
-"""Owns what lies behind everything, as one panorama: sky, sun, clouds, and the far edge of the town."""
+"""The sky panorama behind the street, and the rain and image noise in front of it."""
 
 import math
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ _SKY_STREAM: Final = 74
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rays:
-    """Where in the panorama the pixels of a small picture of the sky lie, for one pitch."""
+    """Panorama coordinates of the pixels of a reduced sky picture, for one pitch."""
 
     columns: NDArray[np.float32]
     rows: NDArray[np.float32]
@@ -34,8 +34,8 @@ class Sky:
 
     Args:
         lighting: The light.
-        camera: Whose picture.
-        seed: Of the clouds and of the far edge of the town.
+        camera: The camera.
+        seed: Seed of clouds and skyline.
     """
 
     def __init__(self, lighting: Lighting, camera: PictureCamera, seed: int) -> None:
@@ -44,7 +44,7 @@ class Sky:
         self._rays: dict[float, _Rays] = {}
 
     def paint(self, image: Picture, view: View) -> None:
-        """Paint sky from the top row to the horizon."""
+        """Paint the sky from the top row to the horizon."""
         pitch = math.atan2(view.sin_pitch, view.cos_pitch)
         rays = self._rays.get(pitch)
         if rays is None:
@@ -77,7 +77,7 @@ class Sky:
 
 
 def _panorama(lighting: Lighting, seed: int) -> Picture:
-    """Return two turns, shape ``(rows, columns, 3)``: clockwise, yaw 0 a quarter of the way along."""
+    """Return the sky over two clockwise turns, ``(rows, columns, 3)``; yaw 0 is a quarter of the way."""
     rng = np.random.default_rng((seed, _SKY_STREAM))
     elevation = _HIGH - (np.arange(_ROWS) + 0.5) / _ROWS * (_HIGH - _LOW)
     azimuth = -(np.arange(_WIDTH_PX) + 0.5) / _WIDTH_PX * 2 * math.pi
@@ -95,7 +95,7 @@ def _panorama(lighting: Lighting, seed: int) -> Picture:
 
 
 def _sun_glow(lighting: Lighting, elevation: FloatArray, azimuth: FloatArray) -> FloatArray:
-    if lighting.sun_share < 0.3:
+    if lighting.sun_strength < 0.3:
         return np.zeros((len(elevation), len(azimuth), 3))
     sun_elevation = math.asin(float(lighting.sun[2]))
     sun_azimuth = math.atan2(float(lighting.sun[1]), float(lighting.sun[0]))
@@ -117,7 +117,7 @@ def _clouded(
         cv2.resize(noise, (_WIDTH_PX, _ROWS), interpolation=cv2.INTER_LINEAR)
         for noise in (smooth_noise(rng, half, (7, 12), 5), smooth_noise(rng, half, (9, 14), 4))
     )
-    cut = 1.9 - 3.4 * lighting.cloud_share
+    cut = 1.9 - 3.4 * lighting.cloud_cover
     cover = np.clip((field - cut) / 0.9, 0, 1) * np.clip(np.degrees(elevation) / 9.0, 0, 1)[:, None]
     cover *= 0.55 if lighting.night else 0.92
     shade = np.clip(0.92 + 0.07 * relief - 0.05 * np.maximum(field, 0.0), 0.55, 1.06)
@@ -129,7 +129,7 @@ def _clouded(
 def _with_town(
     rng: np.random.Generator, lighting: Lighting, sky: FloatArray, elevation: FloatArray
 ) -> FloatArray:
-    """Put far trees and roofs along the horizon, already half haze."""
+    """Add distant trees and roofs along the horizon, half hidden in haze."""
     trees = 1.7 + 0.55 * smooth_noise(rng, (1, _WIDTH_PX), (1, 60), 4)[0]
     roofs = np.zeros(_WIDTH_PX)
     for _ in range(90):
@@ -137,7 +137,7 @@ def _with_town(
         top = float(rng.uniform(1.6, 4.6))
         roofs[start : start + wide] = np.maximum(roofs[start : start + wide], top)
     degrees = np.degrees(elevation)[:, None]
-    light = lighting.ambient_share + 0.5 * lighting.sun_share
+    light = lighting.ambient_strength + 0.5 * lighting.sun_strength
     haze = np.array(lighting.haze_rgb)
     far = float(lighting.haze(np.array(260.0)))
     for skyline, rgb in ((roofs, (126, 118, 112)), (trees, (72, 88, 62))):
@@ -145,3 +145,62 @@ def _with_town(
         colour = np.array(rgb) * lighting.tint * light * (1 - far) + haze * far
         sky = sky * (1 - cover) + colour * cover
     return sky
+
+
+_SHEETS: Final = 3
+_AIR_STREAM: Final = 77
+_TURNS_PER_S: Final = 30.0
+
+
+class RainAndGrain:
+    """Adds rain streaks and image noise to a finished picture; the time selects a layer and its offset.
+
+    Args:
+        lighting: The light.
+        camera: The camera.
+        seed: Seed of streaks and noise.
+    """
+
+    def __init__(self, lighting: Lighting, camera: PictureCamera, seed: int) -> None:
+        rng = np.random.default_rng((seed, _AIR_STREAM))
+        shape = (camera.height_px, camera.width_px)
+        self._rain = [
+            _streaks(rng, lighting, shape) for _ in range(_SHEETS if lighting.rain_intensity else 0)
+        ]
+        self._grain = [_grain(rng, shape) for _ in range(_SHEETS if lighting.night else 0)]
+
+    def apply(self, image: Picture, time_s: float) -> None:
+        """Change the picture in place."""
+        turn = round(time_s * _TURNS_PER_S)
+        for sheets, operation in ((self._rain, cv2.add), (self._grain, cv2.subtract)):
+            if not sheets:
+                continue
+            sheet = sheets[turn % len(sheets)]
+            height = image.shape[0]
+            down = (turn * 131) % height
+            operation(image[down:], sheet[: height - down], dst=image[down:])
+            if down:
+                operation(image[:down], sheet[height - down :], dst=image[:down])
+
+
+def _streaks(rng: np.random.Generator, lighting: Lighting, shape: tuple[int, int]) -> Picture:
+    """Return slanted streaks, long and pale nearby, short and fine far away, shape ``(height, width, 3)``."""
+    height, width = shape
+    sheet = np.zeros(shape, np.uint8)
+    bright = 0.35 if lighting.night else 1.0
+    slant = float(rng.uniform(-0.16, 0.16))
+    for count, length, value, thick in ((520, 0.035, 30, 1), (260, 0.07, 40, 1), (46, 0.14, 26, 2)):
+        layer = np.zeros(shape, np.uint8)
+        for _ in range(round(count * lighting.rain_intensity)):
+            x, y = float(rng.uniform(-0.1, 1.1)) * width, float(rng.uniform(-0.1, 1.0)) * height
+            reach = length * height * float(rng.uniform(0.6, 1.3))
+            ends = ((round(x), round(y)), (round(x + slant * reach), round(y + reach)))
+            across = max(round(thick * height / 720), 1)
+            cv2.line(layer, *ends, value * bright * float(rng.uniform(0.5, 1.0)), across, cv2.LINE_AA)
+        sheet = np.maximum(sheet, layer)
+    return cv2.cvtColor(sheet, cv2.COLOR_GRAY2RGB).astype(np.uint8, copy=False)
+
+
+def _grain(rng: np.random.Generator, shape: tuple[int, int]) -> Picture:
+    noise = np.abs(rng.normal(0.0, 2.6, (*shape, 3)))
+    return np.clip(noise, 0, 12).astype(np.uint8)

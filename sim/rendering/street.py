@@ -1,11 +1,10 @@
-"""Owns how a road of the simulator becomes a street that can be drawn."""
+"""Converts a road of the simulator to a scene that can be rendered."""
 
 import math
 from typing import Final
 
 import numpy as np
 
-from brink.sim.rendering.looks import choice, share
 from brink.sim.rendering.scene import (
     Body,
     BodyKind,
@@ -16,15 +15,16 @@ from brink.sim.rendering.scene import (
     Material,
     StreetScene,
     Tree,
+    choose,
+    choose_fraction,
 )
 from brink.sim.trace import Surface
 from brink.sim.world.line import Piece, ReferenceLine
 from brink.sim.world.road import Road
-from brink.sim.world.roadside import Fixture, fixtures
-from brink.sim.world.scene import BEFORE_M, BEYOND_M, scene_surfaces
+from brink.sim.world.scenery import BEFORE_M, BEYOND_M, Fixture, fixtures, scene_surfaces
 
 FIRST_PARKED_ID: Final = 1_000_001
-"""Parked vehicles are numbered from here, in the order of the road's fixtures."""
+"""Id of the first parked vehicle; the others follow in the order of the road's fixtures."""
 _MATERIALS: Final = {
     "pavement": Material.PAVEMENT,
     "road": Material.ASPHALT,
@@ -39,26 +39,26 @@ _CROWN_M: Final = 3.2
 _STEP_M: Final = 2.0
 _CAR_LOOKS: Final = 64
 _HOUSE_LOOKS: Final = 24
-"""Few, so that streets share models and textures, which cost more to make than to draw."""
+"""A small number, so that streets share models and textures, which are expensive to make."""
 
 
-def street_of(road: Road, *, seed: int = 0) -> StreetScene:
-    """Return a road with its surfaces, houses, trees, parked vehicles and lamps.
+def street_from_road(road: Road, *, seed: int = 0) -> StreetScene:
+    """Return a road with its surfaces, buildings, trees, parked vehicles and lamps.
 
     Args:
         road: The road.
-        seed: Chooses how houses, trees and parked vehicles look; where they stand is the road's.
+        seed: Selects the looks of buildings, trees and parked vehicles; the road fixes their positions.
     """
-    surfaces = [surface for surface in scene_surfaces(road) if surface.kind in _MATERIALS]
-    beside = [_ground(surface) for surface in surfaces if surface.kind == "pavement"]
-    upon = [_ground(surface) for surface in surfaces if surface.kind != "pavement"]
+    surfaces = road_surfaces(road)
+    beside = [surface for surface in surfaces if surface.material is Material.PAVEMENT]
+    upon = [surface for surface in surfaces if surface.material is not Material.PAVEMENT]
     buildings: list[Building] = []
     trees: list[Tree] = []
     parked: list[Body] = []
     for number, fixture in enumerate(fixtures(road)):
-        look = choice(seed, 1000 + number, 1 << 20)
+        look = choose(seed, 1000 + number, 1 << 20)
         if fixture.kind == "building":
-            buildings.append(_building(fixture, look % _HOUSE_LOOKS))
+            buildings.append(building_from_fixture(fixture, look % _HOUSE_LOOKS))
         elif fixture.kind == "tree":
             trees.append(_tree(fixture, look))
         else:
@@ -72,6 +72,11 @@ def street_of(road: Road, *, seed: int = 0) -> StreetScene:
     )
 
 
+def road_surfaces(road: Road) -> list[Ground]:
+    """Return the ground surfaces of a road, in painting order."""
+    return [_ground(surface) for surface in scene_surfaces(road) if surface.kind in _MATERIALS]
+
+
 def _ground(surface: Surface) -> Ground:
     points = surface.points.astype(np.float64)
     if not surface.closed:
@@ -80,19 +85,19 @@ def _ground(surface: Surface) -> Ground:
 
 
 def _widened(points: FloatArray, width_m: float) -> FloatArray:
-    """Return a line of a width as an area."""
+    """Return the outline of a line of a given width."""
     along = np.gradient(points, axis=0)
-    along /= np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
-    across = np.stack((-along[:, 1], along[:, 0]), axis=1) * (width_m / 2)
-    return np.concatenate((points + across, (points - across)[::-1]))
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    across *= 0.5 * width_m / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+    return np.concatenate([points + across, (points - across)[::-1]])
 
 
 def _kerbs(road: Road) -> list[Ground]:
-    """Return kerbs and gutters as strips wider than the asphalt that will cover them."""
+    """Return kerbs and gutters as strips that are wider than the asphalt painted over them."""
     lines = [(road.centre, -BEFORE_M, road.length_m + BEYOND_M)]
     for junction in road.junctions:
-        for turn, there in ((-0.5, junction.right), (0.5, junction.left)):
-            if there:
+        for turn, exists in ((-0.5, junction.right), (0.5, junction.left)):
+            if exists:
                 yaw_rad = junction.yaw_rad + turn * math.pi
                 street = ReferenceLine(junction.x_m, junction.y_m, yaw_rad, (Piece(road.side_street_m),))
                 lines.append((street, 0.0, street.length_m))
@@ -111,7 +116,8 @@ def _strip(line: ReferenceLine, from_m: float, to_m: float, half_m: float, mater
     return Ground(material=material, points=np.array(left + right[::-1]))
 
 
-def _building(fixture: Fixture, look: int) -> Building:
+def building_from_fixture(fixture: Fixture, look: int) -> Building:
+    """Return a building of the roadside."""
     return Building(
         x_m=fixture.x_m,
         y_m=fixture.y_m,
@@ -124,12 +130,12 @@ def _building(fixture: Fixture, look: int) -> Building:
 
 
 def _tree(fixture: Fixture, look: int) -> Tree:
-    height_m = fixture.height_m * (1.0 + 0.3 * share(look, 1))
+    height_m = fixture.height_m * (1.0 + 0.3 * choose_fraction(look, 1))
     return Tree(x_m=fixture.x_m, y_m=fixture.y_m, height_m=height_m, crown_m=_CROWN_M, look=look)
 
 
 def _parked(road: Road, fixture: Fixture, number: int, look: int) -> Body:
-    """Return a parked vehicle, which faces as the traffic on its side does."""
+    """Return a parked vehicle that faces in the direction of its side's traffic."""
     nearest_m = min(
         np.arange(0.0, road.length_m + _STEP_M, _STEP_M).tolist(),
         key=lambda station_m: math.dist(road.centre.pose_at(station_m)[:2], (fixture.x_m, fixture.y_m)),
@@ -149,7 +155,7 @@ def _parked(road: Road, fixture: Fixture, number: int, look: int) -> Body:
 
 
 def _lamps(road: Road) -> list[Lamp]:
-    """Return lamps on alternating sides, out of the way of side streets and of the crossing."""
+    """Return lamps on alternating sides, away from side streets and the crossing."""
     found = []
     for number in range(int((road.length_m + BEYOND_M) / _LAMP_EVERY_M)):
         station_m, side = 8.0 + _LAMP_EVERY_M * number, 1.0 if number % 2 else -1.0

@@ -1,6 +1,6 @@
-"""Owns the textures that are drawn once, from a seed: noise, ground tiles and leaves.
+"""Seeded textures that are drawn once: noise, ground tiles and leaves.
 
-Ground tiles repeat without a seam. A tile holds how bright the ground is, 128 being its plain colour.
+Ground tiles repeat without a seam and hold brightness, where 128 is the plain colour of the surface.
 """
 
 from functools import lru_cache
@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from brink.sim.rendering.canvas import Coverage
-from brink.sim.rendering.scene import Picture
+from brink.sim.rendering.scene import Coverage, Picture
 
 TILE_PX: Final = 512
 TILE_PX_PER_M: Final = 32.0
@@ -27,7 +26,14 @@ Noise = NDArray[np.float32]
 def smooth_noise(
     rng: np.random.Generator, shape: tuple[int, int], cells: tuple[int, int], octaves: int
 ) -> Noise:
-    """Return noise of about zero mean and unit spread that repeats along both axes, shape ``shape``."""
+    """Return noise with zero mean and unit variance that repeats along both axes.
+
+    Args:
+        rng: Draws the noise.
+        shape: Shape of the result.
+        cells: Number of cells of the coarsest octave along each axis.
+        octaves: Number of octaves, each twice as fine as the previous one.
+    """
     total = np.zeros(shape, np.float32)
     for octave in range(octaves):
         rows, columns = (min(side << octave, full) for side, full in zip(cells, shape, strict=True))
@@ -44,9 +50,9 @@ def smooth_noise(
 
 @lru_cache(maxsize=16)
 def ground_tiles(seed: int, *, wet: bool) -> tuple[Picture, ...]:
-    """Return the tile of the ground and its halvings, each of shape ``(side, side, 4)``.
+    """Return the ground tile and its successive halvings, each of shape ``(side, side, 4)``.
 
-    The channels are asphalt, pavement, grass, and how much the ground mirrors (255: a puddle).
+    The channels are asphalt, pavement, grass, and reflectivity (255 is a puddle).
     """
     rng = np.random.default_rng((seed, _GROUND_STREAM))
     shape = (TILE_PX, TILE_PX)
@@ -68,7 +74,7 @@ def ground_tiles(seed: int, *, wet: bool) -> tuple[Picture, ...]:
 
 
 def _mended(rng: np.random.Generator) -> Noise:
-    """Return patches of newer asphalt: -1 where the road was opened and closed again."""
+    """Return the patches of newer asphalt where the road was repaired."""
     field = np.zeros((TILE_PX, TILE_PX), np.float32)
     for _ in range(4):
         x, y = rng.integers(20, TILE_PX - 160, 2).tolist()
@@ -97,10 +103,15 @@ def _slabs(rng: np.random.Generator) -> Noise:
     return field
 
 
-def leaves(look: int, *, fallen: bool) -> list[tuple[Picture, Coverage]]:
-    """Return a crown of leaves and its halvings: colours ``(side, side, 3)`` and coverage ``(side, side)``, 0 or 255.
+def draw_leaves(look: int, *, fallen: bool) -> list[tuple[Picture, Coverage]]:
+    """Draw a crown of leaves and its successive halvings.
 
-    A fallen crown is browner and ragged.
+    Args:
+        look: Selects the colour.
+        fallen: Whether the crown is browner and ragged.
+
+    Returns:
+        Colours, shape ``(side, side, 3)``, and coverage, shape ``(side, side)``, 0 or 255, for each size.
     """
     rng = np.random.default_rng((look & 0xFFFFFFFF, _LEAVES_STREAM, int(fallen)))
     side = _LEAVES_PX
@@ -132,18 +143,20 @@ def leaves(look: int, *, fallen: bool) -> list[tuple[Picture, Coverage]]:
 
 
 def _speckle(rng: np.random.Generator, colour: Noise, cover: Coverage, hue: Noise) -> None:
-    """Roughen a crown: single leaves, light and dark, and holes through which the sky is seen."""
+    """Roughen a crown with light and dark leaves, and with holes through which the background shows."""
     side = cover.shape[0]
     for _ in range(2600):
         x, y = rng.integers(3, side - 3, 2).tolist()
-        if cover[y, x] or rng.random() < 0.0:
-            base = colour[y, x]
-            if not base.any():
-                continue
-            turn = float(rng.uniform(0, 180))
-            shade = (base * float(rng.uniform(0.62, 1.42))).tolist()
-            cv2.ellipse(colour, (x, y), (4, 2), turn, 0, 360, shade, -1)
-            cv2.ellipse(cover, (x, y), (4, 2), turn, 0, 360, 255, -1)
+        if not cover[y, x]:
+            rng.random()  # unused, but the textures depend on how many numbers are drawn
+            continue
+        base = colour[y, x]
+        if not base.any():
+            continue
+        turn = float(rng.uniform(0, 180))
+        shade = (base * float(rng.uniform(0.62, 1.42))).tolist()
+        cv2.ellipse(colour, (x, y), (4, 2), turn, 0, 360, shade, -1)
+        cv2.ellipse(cover, (x, y), (4, 2), turn, 0, 360, 255, -1)
     holes = rng.integers(3, side - 3, (110, 2))
     for x, y in holes.tolist():
         cv2.ellipse(cover, (x, y), (4, 3), float(rng.uniform(0, 180)), 0, 360, 0, -1)

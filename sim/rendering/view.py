@@ -1,28 +1,25 @@
-"""Owns the perspective: world to camera, camera to pixels, and the cut at the near plane.
+"""Perspective projection: from world to camera to pixels, with clipping at the near plane.
 
-Camera coordinates are (depth along the axis, left, up). Pixel centres have whole coordinates, as OpenCV has it, so
-that the left edge of the picture is at -0.5. Polygons go to OpenCV as whole sixteenths of a pixel.
+Camera coordinates are (depth along the axis, left, up) in m. Pixel centres have integer coordinates, as in OpenCV, so
+the left edge of the picture is at -0.5. OpenCV gets polygons in integer sixteenths of a pixel.
 """
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from brink.sim.rendering.scene import FloatArray, PictureCamera, Viewpoint
+from brink.sim.rendering.scene import FloatArray, IntArray, PictureCamera, Viewpoint
 
 NEAR_M = 0.12
 SHIFT = 4
 _SUBPIXELS = float(1 << SHIFT)
 _REACH_PX = 60000.0
 
-IntArray = NDArray[np.int32]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:
-    """A camera at a place."""
+    """A camera at a fixed pose."""
 
     width_px: int
     height_px: int
@@ -42,14 +39,20 @@ class View:
         return self.height_px / 2 + self.focal_px * self.sin_pitch / self.cos_pitch
 
     def to_camera(self, points_m: FloatArray) -> FloatArray:
-        """Return world points, shape ``(n, 3)``, as (depth, left, up) in m, shape ``(n, 3)``."""
+        """Convert world points, shape ``(n, 3)``, to camera coordinates, shape ``(n, 3)``."""
         dx, dy = points_m[:, 0] - self.x_m, points_m[:, 1] - self.y_m
         ahead = dx * self.cos_yaw + dy * self.sin_yaw
         left = dy * self.cos_yaw - dx * self.sin_yaw
-        return self.pitched(ahead, left, points_m[:, 2] - self.height_m)
+        return self.apply_pitch(ahead, left, points_m[:, 2] - self.height_m)
 
-    def place(self, x_m: float, y_m: float, z_m: float) -> tuple[float, float, float]:
-        """Return one world point as (depth, left, up) in m."""
+    def point_to_camera(self, x_m: float, y_m: float, z_m: float) -> tuple[float, float, float]:
+        """Convert one world point to camera coordinates.
+
+        Args:
+            x_m: World position.
+            y_m: World position.
+            z_m: Height above the ground.
+        """
         dx, dy = x_m - self.x_m, y_m - self.y_m
         ahead = dx * self.cos_yaw + dy * self.sin_yaw
         up = z_m - self.height_m
@@ -60,14 +63,23 @@ class View:
         )
 
     def ground_to_camera(self, points_m: FloatArray) -> FloatArray:
-        """Return points of the ground, shape ``(n, 2)``, as (depth, left, up) in m, shape ``(n, 3)``."""
+        """Convert points on the ground, shape ``(n, 2)``, to camera coordinates, shape ``(n, 3)``."""
         dx, dy = points_m[:, 0] - self.x_m, points_m[:, 1] - self.y_m
         ahead = dx * self.cos_yaw + dy * self.sin_yaw
         left = dy * self.cos_yaw - dx * self.sin_yaw
-        return self.pitched(ahead, left, np.full(len(points_m), -self.height_m))
+        return self.apply_pitch(ahead, left, np.full(len(points_m), -self.height_m))
 
-    def pitched(self, ahead: FloatArray, left: FloatArray, up: FloatArray) -> FloatArray:
-        """Return level camera coordinates in the frame of the pitched camera, shape ``(n, 3)``."""
+    def apply_pitch(self, ahead: FloatArray, left: FloatArray, up: FloatArray) -> FloatArray:
+        """Rotate coordinates of a level camera into the pitched camera.
+
+        Args:
+            ahead: Shape ``(n,)``.
+            left: Shape ``(n,)``.
+            up: Shape ``(n,)``.
+
+        Returns:
+            Camera coordinates, shape ``(n, 3)``.
+        """
         seen = np.empty((len(ahead), 3))
         seen[:, 1] = left
         if self.sin_pitch == 0.0:
@@ -77,21 +89,21 @@ class View:
             seen[:, 2] = up * self.cos_pitch - ahead * self.sin_pitch
         return seen
 
-    def pixels(self, seen: FloatArray) -> FloatArray:
-        """Return camera coordinates as pixels, shape ``(n, 2)``; depths below the near plane count as it."""
-        scale = self.focal_px / np.maximum(seen[:, 0], NEAR_M)
-        out = np.empty((len(seen), 2))
-        out[:, 0] = self.width_px / 2 - 0.5 - seen[:, 1] * scale
-        out[:, 1] = self.height_px / 2 - 0.5 - seen[:, 2] * scale
+    def project(self, points_m: FloatArray) -> FloatArray:
+        """Project camera coordinates to pixels; depths in front of the near plane are raised to it."""
+        scale = self.focal_px / np.maximum(points_m[:, 0], NEAR_M)
+        out = np.empty((len(points_m), 2))
+        out[:, 0] = self.width_px / 2 - 0.5 - points_m[:, 1] * scale
+        out[:, 1] = self.height_px / 2 - 0.5 - points_m[:, 2] * scale
         return out
 
-    def polygon(self, seen: FloatArray) -> IntArray:
-        """Return the part of a polygon before the near plane, in sixteenths of a pixel, shape ``(k, 2)``."""
-        return fixed_point(self.pixels(beyond_near(seen)))
+    def project_polygon(self, points_m: FloatArray) -> IntArray:
+        """Clip a polygon in camera coordinates and project it to fixed point, shape ``(k, 2)``."""
+        return to_fixed_point(self.project(clip_near(points_m)))
 
 
-def view_from(camera: PictureCamera, viewpoint: Viewpoint) -> View:
-    """Return the view of a camera that an ego carries."""
+def make_view(camera: PictureCamera, viewpoint: Viewpoint) -> View:
+    """Return the view of a camera mounted on an ego."""
     cos_yaw, sin_yaw = math.cos(viewpoint.yaw_rad), math.sin(viewpoint.yaw_rad)
     return View(
         width_px=camera.width_px,
@@ -108,28 +120,32 @@ def view_from(camera: PictureCamera, viewpoint: Viewpoint) -> View:
     )
 
 
-def fixed_point(pixels: FloatArray) -> IntArray:
-    """Return pixels in whole sixteenths, as OpenCV takes them."""
+def to_fixed_point(pixels: FloatArray) -> IntArray:
+    """Convert pixels to integer sixteenths of a pixel."""
     bounded = np.clip(pixels, -_REACH_PX, _REACH_PX)
     whole: IntArray = np.rint(bounded * _SUBPIXELS).astype(np.int32)
     return whole
 
 
-def beyond_near(seen: FloatArray, near_m: float = NEAR_M) -> FloatArray:
-    """Return the part of a polygon of camera coordinates, shape ``(k, 3)``, beyond the near plane.
+def clip_near(points_m: FloatArray, near_m: float = NEAR_M) -> FloatArray:
+    """Clip a polygon at the near plane and return the part beyond it.
 
-    A polygon that is not convex may come back with edges that run along the plane and back: filling ignores them.
+    A concave polygon may come back with edges that run back and forth along the plane; filling ignores them.
+
+    Args:
+        points_m: Polygon in camera coordinates, shape ``(k, 3)``.
+        near_m: Depth of the near plane.
     """
-    inside = seen[:, 0] >= near_m
+    inside = points_m[:, 0] >= near_m
     if inside.all():
-        return seen
+        return points_m
     if not inside.any():
-        return seen[:0]
-    following = np.roll(seen, -1, axis=0)
+        return points_m[:0]
+    following = np.roll(points_m, -1, axis=0)
     crossing = inside != np.roll(inside, -1)
-    step = np.where(crossing, following[:, 0] - seen[:, 0], 1.0)
-    share = (near_m - seen[:, 0]) / step
-    cut = seen + share[:, None] * (following - seen)
-    both = np.stack((seen, cut), axis=1).reshape(-1, 3)
-    kept: FloatArray = both[np.stack((inside, crossing), axis=1).ravel()]
-    return kept
+    step = np.where(crossing, following[:, 0] - points_m[:, 0], 1.0)
+    share = (near_m - points_m[:, 0]) / step
+    cut = points_m + share[:, None] * (following - points_m)
+    both = np.stack((points_m, cut), axis=1).reshape(-1, 3)
+    clipped: FloatArray = both[np.stack((inside, crossing), axis=1).ravel()]
+    return clipped

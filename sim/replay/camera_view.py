@@ -1,48 +1,63 @@
-"""The camera's picture of a frame, as a sketch: the flat scene in perspective, what is there, what was reported.
+"""The camera's picture in a frame: a sketch in perspective of a trace without a film, or a picture of its film.
 
-Green solid boxes are the ground truth, the component's input; vermilion dashed ones are what it was made to say.
+On a sketch, green solid boxes are the ground truth and vermilion dashed ones what the driving system was told. On a
+film, green boxes are the ground truth, red ones the detections that counted, and yellow lines the regions in which a
+detection triggers the brake.
 """
 
+import io
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from brink.sim.driving.camera import Camera
-from brink.sim.replay.geometry import Points, dashes
-from brink.sim.replay.palette import (
+from brink.sim.replay.scene import (
+    LABELS,
+    PERSON,
+    PERSON_REGION,
+    SKETCHED_FROM_M,
+    SKETCHED_TO_M,
+    Points,
+    SurfaceStyle,
+    label_index,
+    pictures_shown,
+    score_threshold,
+    surface_style,
+)
+from brink.sim.replay.style import (
     BLURRED_PEDESTRIAN,
     BLURRED_VEHICLE,
+    EDGES,
+    FILLS,
+    FOUND_ON_PICTURE,
     GHOST,
     GROUND,
+    INK,
     PAPER,
+    REGION_ON_PICTURE,
     SEEN,
+    SEEN_ON_PICTURE,
     SKY,
-    SURFACES,
-    UNKNOWN_SURFACE,
+    SUPERSAMPLING,
+    Rgb,
+    draw_dashed,
     typeface,
 )
-from brink.sim.replay.scene import SUPERSAMPLING
-from brink.sim.trace import Trace
+from brink.sim.trace import Film, FloatArray, Trace
 
-DRAWN_FROM_M: Final = 0.4
-DRAWN_TO_M: Final = 90.0
 FAR_PX: Final = 4000.0
-"""Points are drawn at most this far outside of the picture."""
-UPRIGHT_M: Final = {"building": 6.0, "parked-car": 1.4, "tree": 4.5}
-"""How high the sketch makes what stands up; the trace knows footprints only."""
-LABELS: Final = ("vehicle", "person")
+"""Points are drawn at most this far outside the picture."""
 
 
 class _Area(NamedTuple):
-    kind: str
+    style: SurfaceStyle
     first: int
     last: int
 
 
-class CameraView:
-    """Draws the camera's picture of any sample of one episode.
+class SketchView:
+    """Sketches the camera's picture of any sample of one episode.
 
     Args:
         trace: The episode.
@@ -55,7 +70,9 @@ class CameraView:
         self._camera = Camera()
         surfaces = [surface for surface in trace.scene if surface.closed and len(surface.points) > 2]
         ends = np.cumsum([0, *(len(surface.points) for surface in surfaces)]).tolist()
-        self._areas = [_Area(s.kind, a, b) for s, a, b in zip(surfaces, ends[:-1], ends[1:], strict=True)]
+        self._areas = [
+            _Area(surface_style(s.kind), a, b) for s, a, b in zip(surfaces, ends[:-1], ends[1:], strict=True)
+        ]
         self._points = np.vstack([np.zeros((0, 2)), *(s.points.astype(np.float64) for s in surfaces)])
         self._scale = np.array(size_px) / (self._camera.width_px, self._camera.height_px)
         self._font = typeface(max(8, round(size_px[1] / 18)), bold=True)
@@ -66,13 +83,13 @@ class CameraView:
         image = Image.new("RGB", (width, height), SKY)
         draw = ImageDraw.Draw(image)
         draw.rectangle((0, height / 2, width, height), fill=GROUND)
-        self._draw_scene(draw, sample)
-        self._draw_bodies(draw, sample)
+        self._draw_areas(draw, sample)
+        self._draw_ground_truth(draw, sample)
         image = image.reduce(SUPERSAMPLING)
         self._draw_reported(ImageDraw.Draw(image), sample)
         return image
 
-    def _draw_scene(self, draw: ImageDraw.ImageDraw, sample: int) -> None:
+    def _draw_areas(self, draw: ImageDraw.ImageDraw, sample: int) -> None:
         if not self._areas:
             return
         x_m, y_m, yaw_rad = (float(value) for value in self._trace.ego[sample, :3])
@@ -83,46 +100,46 @@ class CameraView:
         starts = [area.first for area in self._areas]
         nearest, farthest = np.minimum.reduceat(seen[:, 0], starts), np.maximum.reduceat(seen[:, 0], starts)
         beside = np.minimum.reduceat(np.abs(seen[:, 1]) - np.maximum(seen[:, 0], 0.0), starts) > 0
-        sides = np.minimum.reduceat(seen[:, 1], starts) * np.maximum.reduceat(seen[:, 1], starts) > 0
-        drawn = (farthest > DRAWN_FROM_M) & (nearest < DRAWN_TO_M) & ~(beside & sides & (nearest > 0))
-        upright: list[tuple[float, str, Points]] = []
+        one_side = np.minimum.reduceat(seen[:, 1], starts) * np.maximum.reduceat(seen[:, 1], starts) > 0
+        drawn = (farthest > SKETCHED_FROM_M) & (nearest < SKETCHED_TO_M)
+        drawn &= ~(beside & one_side & (nearest > 0))
+        standing: list[tuple[float, SurfaceStyle, Points]] = []
         for index in np.flatnonzero(drawn).tolist():
-            kind, first, last = self._areas[index]
-            if kind in UPRIGHT_M:
-                upright.append((float(nearest[index] + farthest[index]), kind, seen[first:last]))
+            style, first, last = self._areas[index]
+            if style.height_m > 0:
+                standing.append((float(nearest[index] + farthest[index]), style, seen[first:last]))
                 continue
-            whole = nearest[index] >= DRAWN_FROM_M
+            whole = nearest[index] >= SKETCHED_FROM_M
             corners = ground[first:last] if whole else self._project(_cut(seen[first:last]), 0.0)
             if len(corners) > 2:
-                draw.polygon(corners.ravel().tolist(), fill=SURFACES.get(kind, UNKNOWN_SURFACE)[0])
-        for _, kind, points in sorted(upright, key=lambda item: -item[0]):
-            self._draw_upright(draw, kind, points)
+                draw.polygon(corners.ravel().tolist(), fill=FILLS[style.paint])
+        for _, style, points in sorted(standing, key=lambda item: -item[0]):
+            self._draw_walls(draw, style, points)
 
-    def _draw_upright(self, draw: ImageDraw.ImageDraw, kind: str, points: Points) -> None:
-        """Draw the walls over a footprint, farthest first; those across the view lighter than those along it."""
-        fill, edge = SURFACES[kind]
+    def _draw_walls(self, draw: ImageDraw.ImageDraw, style: SurfaceStyle, points: Points) -> None:
+        """Draw the walls over a footprint, farthest first; walls across the view are lighter than those along it."""
         corners = _cut(points)
         if len(corners) < 2:
             return
-        foot, top = self._project(corners, 0.0), self._project(corners, UPRIGHT_M[kind])
+        foot, top = self._project(corners, 0.0), self._project(corners, style.height_m)
         depth = corners[:, 0] + np.roll(corners[:, 0], 1)
         along = np.abs(np.diff(corners, axis=0, prepend=corners[-1:]))
         for index in np.argsort(-depth).tolist():
             wall = np.vstack([foot[index - 1], foot[index], top[index], top[index - 1]])
-            shade = edge if edge is not None and along[index, 0] > along[index, 1] else fill
-            draw.polygon(wall.ravel().tolist(), fill=shade)
+            shades = EDGES if along[index, 0] > along[index, 1] else FILLS
+            draw.polygon(wall.ravel().tolist(), fill=shades[style.paint])
 
-    def _project(self, points: Points, height_m: float) -> NDArray[np.float64]:
+    def _project(self, points: Points, height_m: float) -> Points:
         """Return (depth, left) at a height above the ground as supersampled pixels of the view."""
         camera = self._camera
-        depth = np.maximum(points[:, 0], DRAWN_FROM_M)
+        depth = np.maximum(points[:, 0], SKETCHED_FROM_M)
         pixels = np.empty((len(points), 2))
         pixels[:, 0] = camera.centre_x_px - camera.focal_px * points[:, 1] / depth
         pixels[:, 1] = camera.horizon_px + camera.focal_px * (camera.height_m - height_m) / depth
         return np.clip(pixels, -FAR_PX, FAR_PX) * (self._scale * SUPERSAMPLING)
 
-    def _draw_bodies(self, draw: ImageDraw.ImageDraw, sample: int) -> None:
-        """Draw the ground truth: a silhouette and a solid box each, the nearest last."""
+    def _draw_ground_truth(self, draw: ImageDraw.ImageDraw, sample: int) -> None:
+        """Draw a silhouette and a solid box for each road user in the picture, the nearest last."""
         rows = self._trace.seen_boxes.at(sample)
         for row in rows[np.argsort(rows[:, 4])]:
             box = self._corners(row) * SUPERSAMPLING
@@ -133,29 +150,118 @@ class CameraView:
         for row in self._trace.given_boxes.at(sample):
             (left, top), (right, bottom) = self._corners(row).tolist()
             corners = np.array([(left, top), (right, top), (right, bottom), (left, bottom)])
-            for piece in dashes(corners, 7.0, 4.0, closed=True):
-                draw.line(piece.ravel().tolist(), fill=GHOST, width=2)
-            word = LABELS[int(row[0])] if int(row[0]) in (0, 1) else "obstacle"
+            draw_dashed(draw, corners, GHOST, dash=7.0, gap=4.0, width=2)
+            word = LABELS[label_index(row[0])]
             wide = draw.textlength(word, font=self._font)
             at = (min(left + 3, self._size[0] - wide - 3), max(2.0, top - self._font.size - 3))
             draw.text(at, word, fill=GHOST, font=self._font, stroke_width=2, stroke_fill=PAPER)
 
-    def _corners(self, row: NDArray[np.float32]) -> Points:
+    def _corners(self, row: FloatArray) -> Points:
         """Return top left and bottom right of an image box in pixels of the view, inside it."""
         corners = np.array([(row[1], row[3]), (row[2], row[4])], dtype=np.float64) * self._scale
         return np.clip(corners, 1.0, np.array(self._size) - 2.0)
 
 
 def _cut(points: Points) -> Points:
-    """Return the part of a polygon of (depth, left) beyond the nearest depth that is drawn."""
-    if (points[:, 0] >= DRAWN_FROM_M).all():
+    """Return the part of a polygon of (depth, left) beyond the least depth that is drawn."""
+    if (points[:, 0] >= SKETCHED_FROM_M).all():
         return points
-    kept: list[Points] = []
+    corners: list[Points] = []
     for index, here in enumerate(points):
-        if here[0] >= DRAWN_FROM_M:
-            kept.append(here)
+        if here[0] >= SKETCHED_FROM_M:
+            corners.append(here)
         following = points[(index + 1) % len(points)]
-        if (here[0] >= DRAWN_FROM_M) != (following[0] >= DRAWN_FROM_M):
-            share = (DRAWN_FROM_M - here[0]) / (following[0] - here[0])
-            kept.append(here + share * (following - here))
-    return np.array(kept).reshape(-1, 2)
+        if (here[0] >= SKETCHED_FROM_M) != (following[0] >= SKETCHED_FROM_M):
+            share = (SKETCHED_FROM_M - here[0]) / (following[0] - here[0])
+            corners.append(here + share * (following - here))
+    return np.array(corners).reshape(-1, 2)
+
+
+class FilmView:
+    """Draws the picture that a film shows at any sample of one episode, with its boxes.
+
+    Args:
+        trace: The episode.
+        film: Its film.
+        size_px: Width and height of the drawing; the picture is stretched to it.
+    """
+
+    def __init__(self, trace: Trace, film: Film, *, size_px: tuple[int, int]) -> None:
+        self._film = film
+        self._shown = pictures_shown(film, len(trace.time_s))
+        self._threshold = score_threshold(trace)
+        self._size = size_px
+        self._scale = np.array(size_px) / np.array(film.size_px)
+        self._font = typeface(max(9, round(size_px[1] / 28)), bold=True)
+
+    def draw(self, sample: int) -> Image.Image:
+        """Return the picture at a sample, in RGB, of the view's size."""
+        film = self._film
+        index = int(self._shown[sample])
+        with Image.open(io.BytesIO(film.pictures[index])) as picture:
+            image = picture.convert("RGB").resize(self._size, Image.Resampling.BILINEAR)
+        draw = ImageDraw.Draw(image)
+        for name, corners in film.regions.items():
+            self._draw_region(draw, corners, solid=name == PERSON_REGION)
+        shown = int(film.samples[index])
+        for row in film.judged.at(shown):
+            if not row[5]:
+                draw.rectangle(self._corners(row), outline=SEEN_ON_PICTURE, width=1)
+        for row in film.found.at(shown)[::-1]:
+            if row[5] >= self._threshold:
+                draw.rectangle(self._corners(row), outline=FOUND_ON_PICTURE, width=2)
+                if row[0] == PERSON:
+                    self._write_score(draw, row)
+        return image
+
+    def _draw_region(self, draw: ImageDraw.ImageDraw, corners: FloatArray, *, solid: bool) -> None:
+        points = corners * self._scale
+        points[:, 1] = np.minimum(points[:, 1], self._size[1] - 1)
+        if solid:
+            draw.line([*points.ravel().tolist(), *points[0].tolist()], fill=REGION_ON_PICTURE, width=2)
+        else:
+            draw_dashed(draw, points, REGION_ON_PICTURE, dash=6.0, gap=6.0, width=1)
+
+    def _write_score(self, draw: ImageDraw.ImageDraw, row: FloatArray) -> None:
+        left, top, _, bottom = self._corners(row)
+        text = f"{LABELS[PERSON]} {row[5]:.2f}".replace("0.", ".")
+        high = self._font.size
+        y = top - high - 3 if top > high + 4 else bottom + 1
+        draw.text((left, y), text, fill=FOUND_ON_PICTURE, font=self._font, stroke_width=2, stroke_fill=PAPER)
+
+    def _corners(self, row: FloatArray) -> tuple[float, float, float, float]:
+        """Return left, top, right, bottom of an image box in pixels of the view, inside it."""
+        low = np.array([row[1], row[3]], np.float64) * self._scale
+        high = np.array([row[2], row[4]], np.float64) * self._scale
+        limit = np.array(self._size) - 1.0
+        (left, top), (right, bottom) = np.clip(low, 0.0, limit), np.clip(high, 0.0, limit)
+        return float(left), float(top), float(max(right, left)), float(max(bottom, top))
+
+
+def camera_view(trace: Trace, size_px: tuple[int, int]) -> FilmView | SketchView:
+    """Return the view of an episode's film, or a sketch if there is none."""
+    if trace.film is None:
+        return SketchView(trace, size_px=size_px)
+    return FilmView(trace, trace.film, size_px=size_px)
+
+
+def draw_film_legend(draw: ImageDraw.ImageDraw, at: tuple[float, float], unit: float) -> None:
+    """Draw the legend of a film's picture in one row.
+
+    Args:
+        draw: Where to draw.
+        at: Left end and middle of the row in pixels.
+        unit: Scale of text and lines, 1 in a frame of 540 px height.
+    """
+    x, y = at
+    font = typeface(round(11 * unit))
+    entries: tuple[tuple[Rgb, str], ...] = (
+        (SEEN_ON_PICTURE, "ground truth"),
+        (FOUND_ON_PICTURE, "detected"),
+        (REGION_ON_PICTURE, "a person here triggers the brake (dashed: a vehicle)"),
+    )
+    for colour, text in entries:
+        box = (x, y - 6 * unit, x + 20 * unit, y + 6 * unit)
+        draw.rectangle(box, fill=(70, 74, 78), outline=colour, width=2)
+        draw.text((x + 26 * unit, y), text, fill=INK, font=font, anchor="lm")
+        x += 26 * unit + draw.textlength(text, font=font) + 14 * unit

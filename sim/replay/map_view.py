@@ -1,50 +1,134 @@
-"""The map of a frame: the scene from above, and on it whatever moves, is believed to be there, or is judged."""
+"""The map of a frame: the scene from above, the road users on it, and what the driving system perceives.
 
-from typing import Final, TypeAlias
+Everything that stands still is painted once, on a canvas around the whole drive with one byte a pixel. A frame cuts
+its part out, draws what moves on it, and is reduced to half its size, which smooths the edges.
+"""
+
+from dataclasses import dataclass
+from typing import Final, Self, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from brink.sim.replay import bodies
-from brink.sim.replay.gap import FrontGap, front_gap
-from brink.sim.replay.geometry import Points, dashes, outline
-from brink.sim.replay.moments import Story
-from brink.sim.replay.palette import (
+from brink.sim.replay.scene import (
+    GHOSTS,
+    SHAPES,
+    SIGHTED,
+    EpisodeScene,
+    Flags,
+    FrontGap,
+    Points,
+    front_gap,
+    is_car,
+    label_index,
+    map_centres,
+    outline,
+    surface_style,
+)
+from brink.sim.replay.style import (
     BRAKE,
+    EDGES,
     EGO,
     EGO_TRAIL,
+    FILLS,
     GHOST,
     GLASS,
+    GROUND,
     INK,
     PAPER,
     PEDESTRIAN,
+    ROUTE,
+    SUPERSAMPLING,
     VEHICLE,
     VIOLATION,
     Rgb,
+    draw_dashed,
     typeface,
 )
-from brink.sim.replay.scene import SUPERSAMPLING, paint_scene
-from brink.sim.replay.viewport import Viewport
-from brink.sim.requirements.front_gap import REQUIRED_GAP_M
-from brink.sim.trace import Trace
+from brink.sim.trace import FloatArray, Surface, Trace
 
-SMOOTHING_S: Final = 2.0
-BRAKING_MPS2: Final = -1.0
-MATCH_M: Final = 2.5
-"""A perceived obstacle this close to a road user of its kind is that road user; any other is a ghost."""
-LABELS: Final = ("vehicle", "person")
-KINDS: Final = ("vehicle", "pedestrian")
+ROUTE_WIDTH_M: Final = 0.3
+LEAST_PERSON_PX: Final = 3.0
 
-Text: TypeAlias = tuple[tuple[float, float], str, Rgb]
+_RINGS: Final = (SHAPES.car_body, *SHAPES.car_windows, *SHAPES.car_brake_lights)
+_CAR_CORNERS: Final = np.array([corner for ring in _RINGS for corner in ring])
+_ENDS: Final = np.cumsum([len(ring) for ring in _RINGS]).tolist()
+_BODY, *_DETAILS = (slice(end - len(ring), end) for ring, end in zip(_RINGS, _ENDS, strict=True))
+_WINDOWS, _BRAKE_LIGHTS = _DETAILS[: len(SHAPES.car_windows)], _DETAILS[len(SHAPES.car_windows) :]
+_PERSON_CORNERS: Final = np.array([(0.0, 0.0), (1.6, 0.0)])
+"""Centre of a person, and a point ahead of it."""
+
+Label: TypeAlias = tuple[tuple[float, float], str, Rgb]
+"""Centre in pixels, text, colour."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Viewport:
+    """A map from world coordinates to pixels of the canvas.
+
+    Attributes:
+        px_per_m: Scale.
+        turn_rad: The world is turned counter-clockwise by this angle before it is drawn.
+        left_m: Least x of the turned world on the canvas.
+        top_m: Greatest y of the turned world on the canvas.
+        size_px: Width and height of the canvas.
+    """
+
+    px_per_m: float
+    turn_rad: float
+    left_m: float
+    top_m: float
+    size_px: tuple[int, int]
+
+    @classmethod
+    def along(
+        cls, route: FloatArray, ego: FloatArray, *, px_per_m: float, margin_m: tuple[float, float]
+    ) -> Self:
+        """Return a canvas around the whole drive, turned so that the drive starts to the right.
+
+        Args:
+            route: The route, shape ``(k, 2)``.
+            ego: The ego's poses, shape ``(n, 5)``.
+            px_per_m: Scale.
+            margin_m: How far the canvas extends beyond the ego's positions, horizontally and vertically.
+        """
+        turn_rad = -float(ego[0, 2])
+        places = np.asarray(ego[:, :2], dtype=np.float64)
+        if len(route) > 1:
+            # Take the heading of the road: a swerve in the first sample must not turn the map.
+            nearest = int(np.hypot(*(route - ego[0, :2]).T).argmin())
+            start = min(nearest, len(route) - 2)
+            step = route[start + 1] - route[start]
+            turn_rad = -float(np.arctan2(step[1], step[0]))
+        turned = _turned(places, turn_rad)
+        low = turned.min(axis=0) - margin_m
+        high = turned.max(axis=0) + margin_m
+        width, height = np.ceil((high - low) * px_per_m).astype(int)
+        return cls(
+            px_per_m=px_per_m,
+            turn_rad=turn_rad,
+            left_m=float(low[0]),
+            top_m=float(high[1]),
+            size_px=(int(width), int(height)),
+        )
+
+    def to_px(self, points: Points | FloatArray) -> Points:
+        """Return world coordinates as pixels of the canvas, shape ``(k, 2)``."""
+        turned = _turned(np.asarray(points, dtype=np.float64), self.turn_rad)
+        return (turned - (self.left_m, self.top_m)) * (self.px_per_m, -self.px_per_m)
+
+
+def _turned(points: Points, turn_rad: float) -> Points:
+    cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
+    turned: Points = points @ np.array([[cosine, sine], [-sine, cosine]])
+    return turned
 
 
 class MapView:
     """Draws the map of any sample of one episode.
 
     Args:
-        trace: The episode.
-        story: What the replay is about.
+        scene: The episode.
         size_px: Width and height of the map.
         px_per_m: Scale of the map.
         look_ahead_m: How far ahead of the ego the middle of the map lies.
@@ -53,29 +137,28 @@ class MapView:
 
     def __init__(
         self,
-        trace: Trace,
-        story: Story,
+        scene: EpisodeScene,
         *,
         size_px: tuple[int, int],
         px_per_m: float,
         look_ahead_m: float,
         font_px: int,
     ) -> None:
+        trace = scene.trace
+        self._scene = scene
         self._trace = trace
-        self._story = story
         self._size = size_px
-        self._px_per_m = px_per_m
         margin_m = tuple(side / 2 / px_per_m + look_ahead_m + 2.0 for side in size_px)
         self._viewport = Viewport.along(
             trace.route, trace.ego, px_per_m=px_per_m * SUPERSAMPLING, margin_m=(margin_m[0], margin_m[1])
         )
-        self._canvas = paint_scene(trace, self._viewport)
-        self._centres = self._viewport.to_px(_centres(trace, look_ahead_m))
+        self._canvas = _paint_canvas(scene, self._viewport)
+        self._centres = self._viewport.to_px(map_centres(trace, look_ahead_m))
         self._trail = self._viewport.to_px(trace.ego[:, :2])
-        self._ego = bodies.shape_over_time(bodies.CAR, trace.ego, *trace.ego_size_m, self._viewport)
+        self._ego, _ = _placed(_CAR_CORNERS, trace.ego, *trace.ego_size_m, self._viewport)
         self._actors = [
-            bodies.shape_over_time(
-                bodies.CAR if actor.kind == "vehicle" else bodies.WALKER,
+            _placed(
+                _CAR_CORNERS if is_car(actor) else _PERSON_CORNERS,
                 actor.motion,
                 actor.length_m,
                 actor.width_m,
@@ -92,16 +175,16 @@ class MapView:
         left, top = (int(value) for value in corner)
         image = self._canvas.crop((left, top, left + wide, top + high)).convert("RGB")
         draw = ImageDraw.Draw(image)
-        texts: list[Text] = []
+        labels: list[Label] = []
         gap = front_gap(self._trace, sample)
         self._draw_trail(draw, sample, corner)
         self._draw_actors(draw, sample, corner, gap)
-        self._draw_perceived(draw, sample, corner, texts)
-        self._draw_car(draw, self._ego.corners_px[sample] - corner, EGO, float(self._trace.ego[sample, 4]))
+        self._draw_obstacles(draw, sample, corner, labels)
+        self._draw_car(draw, self._ego[sample] - corner, EGO, brakes=bool(self._scene.ego_brakes[sample]))
         if gap is not None:
-            self._draw_gap(draw, gap, corner, texts)
+            self._draw_gap(draw, gap, corner, labels)
         image = image.reduce(SUPERSAMPLING)
-        self._write(ImageDraw.Draw(image), texts)
+        self._write(ImageDraw.Draw(image), labels)
         return image
 
     def _draw_trail(self, draw: ImageDraw.ImageDraw, sample: int, corner: Points) -> None:
@@ -114,74 +197,59 @@ class MapView:
     ) -> None:
         limit = np.array(self._size) * SUPERSAMPLING
         reach = 4 * self._viewport.px_per_m
-        for index, (actor, shape) in enumerate(zip(self._trace.actors, self._actors, strict=True)):
-            if not shape.present[sample]:
+        for index, (actor, (shape, present)) in enumerate(zip(self._trace.actors, self._actors, strict=True)):
+            if not present[sample]:
                 continue
-            corners = shape.corners_px[sample] - corner
+            corners = shape[sample] - corner
             if (corners[0] < -reach).any() or (corners[0] > limit + reach).any():
                 continue
-            if actor.kind == "vehicle":
-                self._draw_car(draw, corners, VEHICLE, self._accel(index, sample))
-                if gap is not None and gap.actor == index and gap.gap_m < REQUIRED_GAP_M:
-                    _outline(draw, corners[bodies.BODY], VIOLATION, 2 * SUPERSAMPLING)
-            else:
-                self._draw_walker(draw, corners)
+            if not is_car(actor):
+                self._draw_person(draw, corners)
+                continue
+            self._draw_car(draw, corners, VEHICLE, brakes=bool(self._scene.actors_brake[index][sample]))
+            if gap is not None and gap.actor == index and gap.too_short:
+                closed = np.vstack([corners[_BODY], corners[_BODY][:2]])
+                draw.line(closed.ravel().tolist(), fill=VIOLATION, width=2 * SUPERSAMPLING, joint="curve")
 
-    def _accel(self, actor: int, sample: int) -> float:
-        if sample == 0:
-            return 0.0
-        speed = self._trace.actors[actor].motion[sample - 1 : sample + 1, 3]
-        time_s = self._trace.time_s[sample - 1 : sample + 1]
-        return float((speed[1] - speed[0]) / max(1e-6, float(time_s[1] - time_s[0])))
-
-    def _draw_car(
-        self, draw: ImageDraw.ImageDraw, corners: NDArray[np.float64], colour: Rgb, accel_mps2: float
-    ) -> None:
-        draw.polygon(corners[bodies.BODY].ravel().tolist(), fill=colour)
-        draw.polygon(corners[bodies.WINDSCREEN].ravel().tolist(), fill=GLASS)
-        draw.polygon(corners[bodies.REAR_WINDOW].ravel().tolist(), fill=GLASS)
-        if accel_mps2 < BRAKING_MPS2:
-            for light in bodies.BRAKE_LIGHTS:
+    def _draw_car(self, draw: ImageDraw.ImageDraw, corners: Points, colour: Rgb, *, brakes: bool) -> None:
+        draw.polygon(corners[_BODY].ravel().tolist(), fill=colour)
+        for window in _WINDOWS:
+            draw.polygon(corners[window].ravel().tolist(), fill=GLASS)
+        if brakes:
+            for light in _BRAKE_LIGHTS:
                 draw.polygon(corners[light].ravel().tolist(), fill=BRAKE)
 
-    def _draw_walker(self, draw: ImageDraw.ImageDraw, corners: NDArray[np.float64]) -> None:
-        radius = max(3.0 * SUPERSAMPLING, 0.35 * self._viewport.px_per_m)
+    def _draw_person(self, draw: ImageDraw.ImageDraw, corners: Points) -> None:
+        radius = max(LEAST_PERSON_PX * SUPERSAMPLING, SHAPES.person_radius_m * self._viewport.px_per_m)
         (x, y), nose = corners[0], corners[1] - corners[0]
         length = max(1e-9, float(np.hypot(*nose)))
-        tip = corners[0] + nose / length * radius * 1.9
+        tip = corners[0] + nose / length * radius * SHAPES.person_nose
         draw.line([x, y, *tip.tolist()], fill=PEDESTRIAN, width=round(radius * 0.6))
         draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=PEDESTRIAN, outline=PAPER)
 
-    def _draw_perceived(
-        self, draw: ImageDraw.ImageDraw, sample: int, corner: Points, texts: list[Text]
+    def _draw_obstacles(
+        self, draw: ImageDraw.ImageDraw, sample: int, corner: Points, labels: list[Label]
     ) -> None:
-        yaw_rad = float(self._trace.ego[sample, 2])
-        for row in self._trace.perceived.at(sample):
-            _, label, x_m, y_m, vx_mps, vy_mps, length_m, width_m = (float(value) for value in row)
-            heading = float(np.arctan2(vy_mps, vx_mps)) if np.hypot(vx_mps, vy_mps) > 1.0 else yaw_rad
-            ghost = not self._is_real(sample, int(label), x_m, y_m)
-            box = outline(x_m, y_m, heading, max(length_m, 0.8), max(width_m, 0.8))
+        perceived, obstacles = self._trace.perceived, self._scene.obstacles
+        line = 0.45 * self._viewport.px_per_m
+        for row in range(perceived.first[sample], perceived.first[sample + 1]):
+            label, x_m, y_m = (float(value) for value in perceived.rows[row, 1:4])
+            box = outline(x_m, y_m, obstacles.yaw_rad[row], obstacles.length_m[row], obstacles.width_m[row])
             corners = self._viewport.to_px(box) - corner
-            line = 0.45 * self._viewport.px_per_m
-            for piece in dashes(corners, 1.2 * line, 0.9 * line, closed=True):
-                draw.line(piece.ravel().tolist(), fill=GHOST, width=2 * SUPERSAMPLING)
-            if ghost:
-                _cross(draw, corners, GHOST)
-            word = LABELS[int(label)] if int(label) in (0, 1) else "obstacle"
-            anchor = (float(corners[:, 0].mean()), float(corners[:, 1].min()))
-            texts.append((_halved(anchor, -0.85), f"ghost {word}" if ghost else f"sees {word}", GHOST))
+            draw_dashed(draw, corners, GHOST, dash=1.2 * line, gap=0.9 * line, width=2 * SUPERSAMPLING)
+            if obstacles.ghost[row]:
+                for one, other in ((0, 2), (1, 3)):
+                    diagonal = np.vstack([corners[one], corners[other]])
+                    draw.line(diagonal.ravel().tolist(), fill=GHOST, width=SUPERSAMPLING)
+            captions = GHOSTS if obstacles.ghost[row] else SIGHTED
+            anchor = float(corners[:, 0].mean()), float(corners[:, 1].min())
+            labels.append((_reduced(anchor, -0.85), captions[label_index(label)], GHOST))
 
-    def _is_real(self, sample: int, label: int, x_m: float, y_m: float) -> bool:
-        for actor in self._trace.actors:
-            if actor.kind == KINDS[label if label in (0, 1) else 0]:
-                there = actor.motion[sample]
-                if np.hypot(there[0] - x_m, there[1] - y_m) < MATCH_M:
-                    return True
-        return False
-
-    def _draw_gap(self, draw: ImageDraw.ImageDraw, gap: FrontGap, corner: Points, texts: list[Text]) -> None:
+    def _draw_gap(
+        self, draw: ImageDraw.ImageDraw, gap: FrontGap, corner: Points, labels: list[Label]
+    ) -> None:
         ends = self._viewport.to_px(gap.ends) - corner
-        colour = VIOLATION if gap.gap_m < REQUIRED_GAP_M else INK
+        colour = VIOLATION if gap.too_short else INK
         draw.line(ends.ravel().tolist(), fill=colour, width=round(1.5 * SUPERSAMPLING))
         across = ends[1] - ends[0]
         across = np.array([-across[1], across[0]]) / max(1e-9, float(np.hypot(*across)))
@@ -191,15 +259,15 @@ class MapView:
             draw.line(stroke.ravel().tolist(), fill=colour, width=round(1.5 * SUPERSAMPLING))
         x, y = ends.mean(axis=0).tolist()
         below = y + 1.7 * self._viewport.px_per_m
-        texts.append((_halved((x, below), 0.6), f"gap {gap.gap_m:.1f} m", colour))
+        labels.append((_reduced((x, below), 0.6), f"gap {gap.gap_m:.1f} m", colour))
 
-    def _write(self, draw: ImageDraw.ImageDraw, texts: list[Text]) -> None:
+    def _write(self, draw: ImageDraw.ImageDraw, labels: list[Label]) -> None:
         line = self._font.size * 1.25
         placed: list[tuple[float, float]] = []
-        for (wanted, y), text, colour in texts:
+        for (wanted, y), text, colour in labels:
             half = draw.textlength(text, font=self._font) / 2 + 3
             x, at = min(max(wanted, half), self._size[0] - half), y
-            # Two labels on one spot read as neither: the later one makes way.
+            # Two labels in one place are illegible: move the later one up.
             while any(abs(x - px) < half * 2 and abs(at - py) < line for px, py in placed):
                 at -= line
             placed.append((x, at))
@@ -208,31 +276,86 @@ class MapView:
             )
 
 
-def _centres(trace: Trace, look_ahead_m: float) -> Points:
-    """Return where each map is centred: ahead of the ego, moving smoothly, in world coordinates."""
-    yaw = np.asarray(trace.ego[:, 2], dtype=np.float64)
-    ahead = np.asarray(trace.ego[:, :2], dtype=np.float64)
-    ahead = ahead + look_ahead_m * np.column_stack([np.cos(yaw), np.sin(yaw)])
-    if len(ahead) < 3:
-        return ahead
-    step_s = float(np.median(np.diff(trace.time_s)))
-    half = int(min(len(ahead) - 1, SMOOTHING_S / 2 / max(step_s, 1e-6)))
-    padded = np.pad(ahead, ((half, half), (0, 0)), mode="edge")
-    kernel = np.ones(2 * half + 1) / (2 * half + 1)
-    return np.column_stack([np.convolve(padded[:, axis], kernel, mode="valid") for axis in (0, 1)])
-
-
-def _outline(draw: ImageDraw.ImageDraw, corners: NDArray[np.float64], colour: Rgb, width: int) -> None:
-    closed = np.vstack([corners, corners[:2]])
-    draw.line(closed.ravel().tolist(), fill=colour, width=width, joint="curve")
-
-
-def _cross(draw: ImageDraw.ImageDraw, corners: NDArray[np.float64], colour: Rgb) -> None:
-    for one, other in ((0, 2), (1, 3)):
-        draw.line(
-            np.vstack([corners[one], corners[other]]).ravel().tolist(), fill=colour, width=SUPERSAMPLING
-        )
-
-
-def _halved(point: tuple[float, float], lines: float) -> tuple[float, float]:
+def _reduced(point: tuple[float, float], lines: float) -> tuple[float, float]:
+    """Return a supersampled point in pixels of the map, moved down by lines of text."""
     return point[0] / SUPERSAMPLING, point[1] / SUPERSAMPLING + lines * 12
+
+
+def _placed(
+    template: Points, poses: FloatArray, length_m: float, width_m: float, viewport: Viewport
+) -> tuple[Points, Flags]:
+    """Return a shape at all its poses, so that a frame only has to shift it.
+
+    Args:
+        template: Corners in half lengths ahead and half widths to the left, shape ``(k, 2)``.
+        poses: x_m, y_m, yaw_rad in the first columns, shape ``(n, 3 or more)``.
+        length_m: Extent along the heading.
+        width_m: Extent across the heading.
+        viewport: The canvas.
+
+    Returns:
+        Corners in pixels of the canvas, shape ``(n, k, 2)``, and whether the shape is present, shape ``(n,)``.
+    """
+    places = np.asarray(poses[:, :3], dtype=np.float64)
+    local = template * (length_m / 2, width_m / 2)
+    cosine, sine = np.cos(places[:, 2]), np.sin(places[:, 2])
+    turn = np.stack([np.stack([cosine, sine], axis=1), np.stack([-sine, cosine], axis=1)], axis=1)
+    world = local @ turn + places[:, None, :2]
+    return viewport.to_px(world.reshape(-1, 2)).reshape(world.shape), np.isfinite(places.sum(axis=1))
+
+
+def _paint_canvas(scene: EpisodeScene, viewport: Viewport) -> Image.Image:
+    """Return the canvas of an episode, in palette mode, of the viewport's size."""
+    colours = {
+        colour: i for i, colour in enumerate(dict.fromkeys([GROUND, ROUTE, *FILLS.values(), *EDGES.values()]))
+    }
+    canvas = Image.new("P", viewport.size_px, colours[GROUND])
+    canvas.putpalette([channel for colour in colours for channel in colour])
+    draw = ImageDraw.Draw(canvas)
+    surfaces = scene.trace.scene
+    for surface in surfaces[: scene.route_layer]:
+        _draw_surface(draw, surface, viewport, colours)
+    _draw_route(draw, scene.trace, viewport, colours[ROUTE])
+    for surface in surfaces[scene.route_layer :]:
+        _draw_surface(draw, surface, viewport, colours)
+    return canvas
+
+
+def _draw_surface(
+    draw: ImageDraw.ImageDraw, surface: Surface, viewport: Viewport, colours: dict[Rgb, int]
+) -> None:
+    if len(surface.points) < 2:
+        return
+    style = surface_style(surface.kind)
+    points = viewport.to_px(surface.points)
+    width, height = viewport.size_px
+    low, high = points.min(axis=0), points.max(axis=0)
+    if high[0] < 0 or high[1] < 0 or low[0] > width or low[1] > height:
+        return
+    flat = [tuple(point) for point in points.tolist()]
+    fill = colours[FILLS[style.paint]]
+    if surface.closed:
+        draw.polygon(flat, fill=fill)
+        if style.outlined:
+            edge = colours[EDGES[style.paint]]
+            draw.line([*flat, flat[0], flat[1]], fill=edge, width=SUPERSAMPLING, joint="curve")
+    else:
+        line = max(SUPERSAMPLING, round(surface.width_m * viewport.px_per_m))
+        draw.line(flat, fill=fill, width=line, joint="curve")
+
+
+def _draw_route(draw: ImageDraw.ImageDraw, trace: Trace, viewport: Viewport, colour: int) -> None:
+    """Draw the route as a line that ends in an arrow."""
+    if len(trace.route) < 2:
+        return
+    route = viewport.to_px(trace.route)
+    width = max(SUPERSAMPLING, round(ROUTE_WIDTH_M * viewport.px_per_m))
+    draw.line([tuple(point) for point in route.tolist()], fill=colour, width=width, joint="curve")
+    step = route[-1] - route[-2]
+    length = float(np.hypot(*step))
+    if length < 1e-9:
+        return
+    ahead = step / length * 3.0 * width
+    left = np.array([-ahead[1], ahead[0]]) * 0.7
+    corners = [route[-1] + ahead, route[-1] + left, route[-1] - left]
+    draw.polygon([tuple(corner.tolist()) for corner in corners], fill=colour)

@@ -1,89 +1,382 @@
-"""The still part of the map: everything that does not move, drawn once an episode on one large canvas.
+"""The scene model of an episode: what film, still picture and web page draw, worked out once from its trace.
 
-The canvas keeps palette indices, one byte a pixel, at twice the map's resolution: a frame cuts its part out, draws
-what moves on it and halves it, which is what makes edges smooth.
+Every rule that they share stands here: which perceived obstacles are ghosts, who is braking, how tall a building is
+drawn, where the map is centred, which vehicle the front gap is measured to. A drawing only adds colours and pixels.
+
+SimulatorError
+└── ReplayError         the picture or film cannot be drawn; the message says what can
 """
 
-from typing import Final
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, NamedTuple, Self, TypeAlias
 
 import numpy as np
-from PIL import Image, ImageDraw
+from numpy.typing import NDArray
 
-from brink.sim.replay.palette import GROUND, ROUTE, SURFACES, UNKNOWN_SURFACE, Rgb
-from brink.sim.replay.viewport import Viewport
-from brink.sim.trace import Surface, Trace
+from brink.sim.episode import Json
+from brink.sim.errors import SimulatorError
+from brink.sim.requirements import REQUIRED_GAP_M
+from brink.sim.trace import ActorTrack, Film, Trace
 
-SUPERSAMPLING: Final = 2
-ROUTE_WIDTH_M: Final = 0.3
+Points: TypeAlias = NDArray[np.float64]
+"""Corners, shape ``(k, 2)``."""
 
+Flags: TypeAlias = NDArray[np.bool_]
 
-def paint_scene(trace: Trace, viewport: Viewport) -> Image.Image:
-    """Return the canvas of an episode, in palette mode, of the viewport's size."""
-    fills = [GROUND, ROUTE, *UNKNOWN_SURFACE[:1]]
-    for fill, edge in SURFACES.values():
-        fills += [fill] if edge is None else [fill, edge]
-    colours: dict[Rgb, int] = {colour: index for index, colour in enumerate(dict.fromkeys(fills))}
-    canvas = Image.new("P", viewport.size_px, colours[GROUND])
-    canvas.putpalette([channel for colour in colours for channel in colour])
-    draw = ImageDraw.Draw(canvas)
-    route_drawn = False
-    for surface in trace.scene:
-        # The route lies on the road and under whatever stands beside it.
-        if not route_drawn and surface.kind in {"building", "parked-car", "tree"}:
-            _draw_route(draw, trace, viewport, colours[ROUTE])
-            route_drawn = True
-        _draw_surface(draw, surface, viewport, colours)
-    if not route_drawn:
-        _draw_route(draw, trace, viewport, colours[ROUTE])
-    return canvas
+LABELS: Final = ("vehicle", "person", "obstacle")
+"""Names of the labels 0 and 1 of boxes and obstacles; the last one is for any other label."""
+SIGHTED: Final = tuple(f"sees {label}" for label in LABELS)
+"""Captions of perceived obstacles that are there, by label."""
+GHOSTS: Final = tuple(f"ghost {label}" for label in LABELS)
+"""Captions of ghosts, by label."""
+PERSON: Final = 1
+"""Label of a person."""
+PERSON_REGION: Final = "warning"
+"""Region of a film's pictures in which a person triggers the brake; in the others a vehicle does."""
+PICTURE_COLOURS: Final = {"judged": (64, 222, 128), "found": (255, 52, 52), "region": (255, 214, 64)}
+"""Colours of lines that show on a picture by day and night: ground truth, detections, brake regions."""
 
+_MATCH_M: Final = 2.5
+"""A perceived obstacle this close to a road user of its kind is that road user; any other is a ghost."""
+_ACTOR_KINDS: Final = ("vehicle", "pedestrian", "vehicle")
+"""The kind of road user that an obstacle matches, by label."""
+_MOVING_MPS: Final = 1.0
+"""A slower obstacle has no heading of its own."""
+_LEAST_SIDE_M: Final = 0.8
+"""Smaller obstacles are drawn this large."""
+SKETCHED_FROM_M: Final = 0.4
+SKETCHED_TO_M: Final = 90.0
+"""Least and greatest distance of what a sketch of the camera's picture shows."""
 
-def _draw_surface(
-    draw: ImageDraw.ImageDraw, surface: Surface, viewport: Viewport, colours: dict[Rgb, int]
-) -> None:
-    if len(surface.points) < 2:
-        return
-    fill, edge = SURFACES.get(surface.kind, UNKNOWN_SURFACE)
-    points = viewport.to_px(surface.points)
-    width, height = viewport.size_px
-    low, high = points.min(axis=0), points.max(axis=0)
-    if high[0] < 0 or high[1] < 0 or low[0] > width or low[1] > height:
-        return
-    flat = [tuple(point) for point in points.tolist()]
-    if surface.closed:
-        draw.polygon(flat, fill=colours[fill])
-        if edge is not None:
-            draw.line([*flat, flat[0], flat[1]], fill=colours[edge], width=SUPERSAMPLING, joint="curve")
-    else:
-        draw.line(
-            flat,
-            fill=colours[fill],
-            width=max(SUPERSAMPLING, round(surface.width_m * viewport.px_per_m)),
-            joint="curve",
-        )
+_BRAKING_MPS2: Final = -1.0
+_SMOOTHING_S: Final = 2.0
+_GAP_DRAWN_UP_TO_M: Final = 40.0
+_CORRIDOR_M: Final = 2.5
+"""How far off the ego's axis a vehicle may be and still count as ahead, if no front gap was recorded."""
+_TOUCHING_M: Final = 1.0
+"""Vehicles that collide bounce off between two samples: a gap below this counts as contact."""
+_GAP_TOLERANCE_M: Final = 0.75
+"""How far a clearance between outlines may differ from the recorded gap: float32 poses, sampling, slopes."""
+_TIED_M: Final = 0.02
+"""Distances this close count as equal."""
 
 
-def _draw_route(draw: ImageDraw.ImageDraw, trace: Trace, viewport: Viewport, colour: int) -> None:
-    if len(trace.route) < 2:
-        return
-    route = viewport.to_px(trace.route)
-    width = max(SUPERSAMPLING, round(ROUTE_WIDTH_M * viewport.px_per_m))
-    draw.line([tuple(point) for point in route.tolist()], fill=colour, width=width, joint="curve")
-    _draw_arrow(draw, route, colour, 3.0 * width)
+class ReplayError(SimulatorError, ValueError):
+    """The picture or film cannot be drawn from this trace."""
 
 
-def _draw_arrow(
-    draw: ImageDraw.ImageDraw,
-    route: "np.ndarray[tuple[int, int], np.dtype[np.float64]]",
-    colour: int,
-    size: float,
-) -> None:
-    step = route[-1] - route[-2]
-    length = float(np.hypot(*step))
-    if length < 1e-9:
-        return
-    ahead = step / length
-    left = np.array([-ahead[1], ahead[0]])
-    tip = route[-1] + ahead * size
-    corners = [tip, route[-1] + left * size * 0.7, route[-1] - left * size * 0.7]
-    draw.polygon([tuple(corner.tolist()) for corner in corners], fill=colour)
+class SurfaceStyle(NamedTuple):
+    """How a kind of surface is drawn: in which paint, with an outline or without, and how tall."""
+
+    paint: str
+    outlined: bool = False
+    height_m: float = 0.0
+
+
+_SURFACE_STYLES: Final[Mapping[str, SurfaceStyle]] = {
+    "road": SurfaceStyle("road"),
+    "pavement": SurfaceStyle("pavement", outlined=True),
+    "marking": SurfaceStyle("marking"),
+    "crossing": SurfaceStyle("marking"),
+    "stop-line": SurfaceStyle("marking"),
+    "building": SurfaceStyle("building", outlined=True, height_m=6.0),
+    "parked-car": SurfaceStyle("parked-car", outlined=True, height_m=1.4),
+    "tree": SurfaceStyle("tree", outlined=True, height_m=4.5),
+}
+_UNKNOWN_SURFACE: Final = SurfaceStyle("unknown")
+
+
+def surface_style(kind: str) -> SurfaceStyle:
+    """Return how a kind of surface is drawn; heights are made up, as traces record footprints only."""
+    return _SURFACE_STYLES.get(kind, _UNKNOWN_SURFACE)
+
+
+Ring: TypeAlias = tuple[tuple[float, float], ...]
+
+
+class Shapes(NamedTuple):
+    """Road users from above.
+
+    Corners of a car are in half lengths ahead and half widths to the left of its centre. A person is a disc.
+    """
+
+    car_body: Ring
+    car_windows: tuple[Ring, ...]
+    car_brake_lights: tuple[Ring, ...]
+    person_radius_m: float
+    person_nose: float
+    """How far the nose reaches from the centre, in radii."""
+
+
+SHAPES: Final = Shapes(
+    car_body=(
+        (1.0, 0.62), (0.9, 0.94), (0.72, 1.0), (-0.8, 1.0), (-0.95, 0.92), (-1.0, 0.7),
+        (-1.0, -0.7), (-0.95, -0.92), (-0.8, -1.0), (0.72, -1.0), (0.9, -0.94), (1.0, -0.62),
+    ),
+    car_windows=(
+        ((0.42, 0.8), (0.42, -0.8), (0.12, -0.68), (0.12, 0.68)),
+        ((-0.58, 0.66), (-0.58, -0.66), (-0.76, -0.74), (-0.76, 0.74)),
+    ),
+    car_brake_lights=(
+        ((-0.9, 0.9), (-0.9, 0.42), (-1.0, 0.42), (-1.0, 0.8)),
+        ((-0.9, -0.9), (-0.9, -0.42), (-1.0, -0.42), (-1.0, -0.8)),
+    ),
+    person_radius_m=0.35,
+    person_nose=1.9,
+)  # fmt: skip
+
+
+def is_car(actor: ActorTrack) -> bool:
+    """Return whether a road user is drawn as a car; any other is drawn as a person."""
+    return actor.kind == "vehicle"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Obstacles:
+    """Perceived obstacles as they are drawn, a row for each row of ``trace.perceived``.
+
+    Attributes:
+        yaw_rad: Headings: of the motion, or the ego's for an obstacle that hardly moves, shape ``(k,)``.
+        length_m: Extents along the headings, shape ``(k,)``.
+        width_m: Extents across the headings, shape ``(k,)``.
+        ghost: Whether nothing of the kind is there, shape ``(k,)``.
+    """
+
+    yaw_rad: Points
+    length_m: Points
+    width_m: Points
+    ghost: Flags
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeScene:
+    """An episode with everything that its drawings derive from it.
+
+    Attributes:
+        trace: The episode.
+        obstacles: What the driving system perceives.
+        ego_brakes: Whether the ego is braking at each sample, shape ``(n,)``.
+        actors_brake: The same for each actor of the trace.
+        route_layer: Number of surfaces below the route, which lies on the road and under everything that stands.
+    """
+
+    trace: Trace
+    obstacles: Obstacles
+    ego_brakes: Flags
+    actors_brake: tuple[Flags, ...]
+    route_layer: int
+
+    @classmethod
+    def of(cls, trace: Trace) -> Self:
+        """Return the scene of a trace whose arrays fit together."""
+        standing = [index for index, s in enumerate(trace.scene) if surface_style(s.kind).height_m > 0]
+        with np.errstate(all="ignore"):  # a trace may hold any number
+            return cls(
+                trace=trace,
+                obstacles=_obstacles(trace),
+                ego_brakes=trace.ego[:, 4] < _BRAKING_MPS2,
+                actors_brake=tuple(_brakes(actor, trace) for actor in trace.actors),
+                route_layer=standing[0] if standing else len(trace.scene),
+            )
+
+
+def _obstacles(trace: Trace) -> Obstacles:
+    rows = trace.perceived.rows.astype(np.float64)
+    label, x_m, y_m, vx_mps, vy_mps, length_m, width_m = rows[:, 1:].T
+    samples = np.repeat(np.arange(len(trace.time_s)), np.diff(trace.perceived.first))
+    moving = np.hypot(vx_mps, vy_mps) > _MOVING_MPS
+    kinds = np.array([_ACTOR_KINDS[label_index(value)] for value in label.tolist()], dtype=np.str_)
+    real = np.zeros(len(rows), dtype=np.bool_)
+    for actor in trace.actors:
+        there = actor.motion[samples]
+        # A comparison with NaN is false: an actor that is absent matches nothing.
+        near = np.hypot(there[:, 0] - x_m, there[:, 1] - y_m) < _MATCH_M
+        real |= near & (kinds == str(actor.kind))
+    return Obstacles(
+        yaw_rad=np.where(moving, np.arctan2(vy_mps, vx_mps), trace.ego[samples, 2]),
+        length_m=np.fmax(length_m, _LEAST_SIDE_M),
+        width_m=np.fmax(width_m, _LEAST_SIDE_M),
+        ghost=~real,
+    )
+
+
+def label_index(label: float) -> int:
+    """Return the index of a label in `LABELS` and in the captions by label."""
+    return int(label) if label in (0, PERSON) else len(LABELS) - 1
+
+
+def _brakes(actor: ActorTrack, trace: Trace) -> Flags:
+    accel_mps2 = np.diff(actor.motion[:, 3]) / np.maximum(1e-6, np.diff(trace.time_s))
+    return np.concatenate([[False], accel_mps2 < _BRAKING_MPS2])
+
+
+def map_centres(trace: Trace, look_ahead_m: float) -> Points:
+    """Return the centre of the map at each sample: ahead of the ego, smoothed so that the map does not swing.
+
+    Args:
+        trace: The episode.
+        look_ahead_m: How far ahead of the ego the centre lies.
+
+    Returns:
+        World coordinates, shape ``(n, 2)``. Where the ego's pose is not finite, the last finite one counts.
+    """
+    pose = np.asarray(trace.ego[:, :3], dtype=np.float64)
+    known = np.flatnonzero(np.isfinite(pose).all(axis=1))
+    if not known.size:
+        return np.zeros((len(pose), 2))
+    pose = pose[known[np.maximum(0, np.searchsorted(known, np.arange(len(pose)), side="right") - 1)]]
+    ahead = pose[:, :2] + look_ahead_m * np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])])
+    if len(ahead) < 3:
+        return ahead
+    step_s = float(np.median(np.diff(trace.time_s)))
+    half = int(min(len(ahead) - 1, _SMOOTHING_S / 2 / max(step_s, 1e-6)))
+    padded = np.pad(ahead, ((half, half), (0, 0)), mode="edge")
+    kernel = np.ones(2 * half + 1) / (2 * half + 1)
+    return np.column_stack([np.convolve(padded[:, axis], kernel, mode="valid") for axis in (0, 1)])
+
+
+def pictures_shown(film: Film, samples: int) -> NDArray[np.int64]:
+    """Return the index of the picture that each sample shows: the latest so far, or else the first."""
+    latest = np.searchsorted(film.samples, np.arange(samples), side="right") - 1
+    return np.asarray(np.maximum(0, latest), dtype=np.int64)
+
+
+def plain_name(plugin_id: str) -> str:
+    """Return an id without its version: ``front-gap`` for ``front-gap@1``."""
+    return plugin_id.partition("@")[0]
+
+
+def spec_part(trace: Trace, name: str) -> Mapping[str, Json]:
+    """Return an object of the episode's specification, such as ``behaviour``; empty if it is missing."""
+    spec = trace.about.get("spec")
+    part = spec.get(name) if isinstance(spec, Mapping) else None
+    return part if isinstance(part, Mapping) else {}
+
+
+def score_threshold(trace: Trace) -> float:
+    """Return the score threshold of an episode's detector; 0 if the trace does not record it."""
+    value = spec_part(trace, "behaviour").get("threshold")
+    return float(value) if isinstance(value, int | float) else 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrontGap:
+    """The line from the ego to the vehicle ahead.
+
+    Attributes:
+        actor: Index of the vehicle among the trace's actors.
+        ends: A point of the ego's outline and one of the vehicle's, shape ``(2, 2)``.
+        gap_m: Length, as the requirement measured it if it was recorded.
+    """
+
+    actor: int
+    ends: Points
+    gap_m: float
+
+    @property
+    def too_short(self) -> bool:
+        """Whether the gap is shorter than required."""
+        return self.gap_m < REQUIRED_GAP_M
+
+
+def front_gap(trace: Trace, sample: int) -> FrontGap | None:
+    """Return the gap to the vehicle ahead; None if there is none within 40 m, or the ego has hit that vehicle."""
+    series = {plain_name(name): values for name, values in trace.robustness.items()}
+    recorded = series.get("front-gap")
+    gap_m = None if recorded is None else float(recorded[sample]) + REQUIRED_GAP_M
+    if gap_m is not None and gap_m > _GAP_DRAWN_UP_TO_M:
+        return None
+    x_m, y_m, yaw_rad = (float(value) for value in trace.ego[sample, :3])
+    ego = outline(x_m, y_m, yaw_rad, *trace.ego_size_m)
+    route = trace.route if len(trace.route) else trace.ego[sample : sample + 1, :2]
+    found: list[tuple[float, FrontGap]] = []
+    for index, actor in enumerate(trace.actors):
+        there = actor.motion[sample].tolist()
+        dx_m, dy_m = there[0] - x_m, there[1] - y_m
+        reach_m = _GAP_DRAWN_UP_TO_M + trace.ego_size_m[0] + actor.length_m
+        # A comparison with NaN is false: an actor that is absent is not ahead.
+        ahead = dx_m * np.cos(yaw_rad) + dy_m * np.sin(yaw_rad) > 0 and np.hypot(dx_m, dy_m) < reach_m
+        if not is_car(actor) or not ahead:
+            continue
+        other = outline(there[0], there[1], there[2], actor.length_m, actor.width_m)
+        start, end, clearance_m = closest_points(ego, other)
+        if gap_m is None:
+            if abs(dy_m * np.cos(yaw_rad) - dx_m * np.sin(yaw_rad)) > _CORRIDOR_M:
+                continue
+            rank = clearance_m
+        elif abs(clearance_m - gap_m) > _GAP_TOLERANCE_M:
+            continue
+        else:
+            # An oncoming vehicle may pass at just that distance: the one ahead is the one on the route.
+            rank = float(np.hypot(*(route - actor.motion[sample, :2]).T).min())
+        line_m = clearance_m if gap_m is None else max(0.0, gap_m)
+        found.append((rank, FrontGap(actor=index, ends=np.vstack([start, end]), gap_m=line_m)))
+    nearest = min(found, key=lambda pair: pair[0])[1] if found else None
+    collided = "no-collision" in series and bool(series["no-collision"][sample] < 0)
+    return None if nearest is None or (collided and nearest.gap_m < _TOUCHING_M) else nearest
+
+
+def outline(x_m: float, y_m: float, yaw_rad: float, length_m: float, width_m: float) -> Points:
+    """Return the outline of a road user as a rectangle.
+
+    Args:
+        x_m: World coordinate of its centre.
+        y_m: World coordinate of its centre.
+        yaw_rad: Heading, counter-clockwise from x.
+        length_m: Extent along the heading.
+        width_m: Extent across the heading.
+
+    Returns:
+        Corners front left, front right, rear right, rear left, shape ``(4, 2)``.
+    """
+    local = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * (length_m / 2, width_m / 2)
+    cosine, sine = np.cos(yaw_rad), np.sin(yaw_rad)
+    world: Points = local @ np.array([[cosine, sine], [-sine, cosine]]) + (x_m, y_m)
+    return world
+
+
+def closest_points(one: Points, other: Points) -> tuple[Points, Points, float]:
+    """Return the closest points of two convex polygons and the distance between the polygons.
+
+    Where parallel edges face each other, the points are in the middle of the part that they share.
+
+    Args:
+        one: Corners in order, shape ``(k, 2)``.
+        other: Corners in order, shape ``(l, 2)``.
+
+    Returns:
+        A point of each polygon, shape ``(2,)``, and the distance; 0 if the polygons overlap.
+    """
+    if _overlap(one, other):
+        middle = (one.mean(axis=0) + other.mean(axis=0)) / 2
+        return middle, middle, 0.0
+    from_one, on_other, distance = _corners_to_edges(one, other)
+    from_other, on_one, back = _corners_to_edges(other, one)
+    starts = np.vstack([from_one, on_one])
+    ends = np.vstack([on_other, from_other])
+    distances = np.concatenate([distance, back])
+    least = float(distances.min())
+    tied = distances <= least + _TIED_M
+    return starts[tied].mean(axis=0), ends[tied].mean(axis=0), least
+
+
+def _corners_to_edges(corners: Points, polygon: Points) -> tuple[Points, Points, Points]:
+    """Return each corner with its closest point on each edge: points ``(k * l, 2)`` twice, distances ``(k * l,)``."""
+    along = np.roll(polygon, -1, axis=0) - polygon
+    square = np.maximum((along**2).sum(axis=1), 1e-12)
+    offset = corners[:, None, :] - polygon[None, :, :]
+    fraction = np.clip((offset * along).sum(axis=2) / square, 0.0, 1.0)
+    foot = (polygon + fraction[..., None] * along).reshape(-1, 2)
+    start = np.repeat(corners, len(polygon), axis=0)
+    return start, foot, np.hypot(*(start - foot).T)
+
+
+def _overlap(one: Points, other: Points) -> bool:
+    for polygon in (one, other):
+        edges = np.roll(polygon, -1, axis=0) - polygon
+        for normal in np.column_stack([-edges[:, 1], edges[:, 0]]):
+            a, b = one @ normal, other @ normal
+            if a.max() < b.min() or b.max() < a.min():
+                return False
+    return True

@@ -1,4 +1,4 @@
-"""Plots of an episode over time: speed, what the requirement says, and bands of what the system does and is told."""
+"""Plots of an episode over time: speed, robustness, and bands of plan modes, lights, reports and scripted actions."""
 
 from typing import Final
 
@@ -6,12 +6,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from PIL import Image
 
-from brink.sim.replay.captions import REQUIREMENT_UNITS, UNITS, report_word
-from brink.sim.replay.moments import Story, tell, told_events
-from brink.sim.replay.palette import (
+from brink.sim.replay.scene import LABELS, PERSON
+from brink.sim.replay.story import Story, notable_events, report_word, reported, runs, story_of, unit_of
+from brink.sim.replay.style import (
     EGO,
     GHOST,
     HAIRLINE,
@@ -26,15 +25,13 @@ from brink.sim.replay.palette import (
     hexadecimal,
     readable_on,
 )
-from brink.sim.replay.time_bar import runs
 from brink.sim.trace import ACTION, Trace
 
 DPI: Final = 100
-TOLD_ROBUSTNESS: Final = 12.0
-"""Robustness is drawn up to this much in its unit: what lies beyond is no danger and would flatten the rest."""
+GREATEST_ROBUSTNESS: Final = 12.0
+"""Robustness is drawn up to this value: beyond it there is no danger, and the rest would look flat."""
 QUIET: Final = ("keep",)
-"""Actions that are no event."""
-LABELS: Final = {"vehicle": 0, "person": 1}
+"""Actions in which a scripted road user just drives on."""
 
 
 def timeline_figure(
@@ -44,13 +41,13 @@ def timeline_figure(
 
     Args:
         trace: The episode.
-        requirement: Id of the requirement to show; the front gap, or the first of the trace, if not given.
+        requirement: Id of the requirement to show; for the default see `story_of`.
         size: Width and height in pixels.
 
     Raises:
         ReplayError: The trace is empty, or lacks the requirement.
     """
-    story = tell(trace, requirement)
+    story = story_of(trace, requirement)
     figure = Figure(figsize=(size[0] / DPI, size[1] / DPI), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     left, right = 124 / size[0], 1 - 108 / size[0]
@@ -75,7 +72,16 @@ def timeline_figure(
 def timeline_image(
     trace: Trace, *, requirement: str | None = None, size: tuple[int, int] = (1200, 620)
 ) -> Image.Image:
-    """Return `timeline_figure` as a picture in RGB, of exactly the given size."""
+    """Return `timeline_figure` as a picture in RGB.
+
+    Args:
+        trace: The episode.
+        requirement: As for `timeline_figure`.
+        size: Exact width and height in pixels.
+
+    Raises:
+        ReplayError: As for `timeline_figure`.
+    """
     canvas = FigureCanvasAgg(timeline_figure(trace, requirement=requirement, size=size))
     canvas.draw()  # type: ignore[no-untyped-call]
     pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
@@ -96,7 +102,7 @@ def _plot_speed(axes: Axes, trace: Trace) -> None:
     highest = max(1.0, float(trace.ego[:, 3].max()), float(trace.target_speed_mps.max()))
     axes.set_ylim(min(0.0, float(trace.ego[:, 3].min())), highest * 1.12)
     axes.set_ylabel("m/s")
-    _tidy(axes)
+    _style_axes(axes)
     _label_ends(
         axes,
         [(float(trace.ego[-1, 3]), "speed", EGO), (float(trace.target_speed_mps[-1]), "target speed", MUTED)],
@@ -106,7 +112,7 @@ def _plot_speed(axes: Axes, trace: Trace) -> None:
 def _plot_robustness(axes: Axes, trace: Trace, story: Story) -> None:
     values = np.asarray(trace.robustness[story.requirement], dtype=np.float64)
     least = min(story.least, 0.0) if np.isfinite(story.least) else 0.0
-    most = min(TOLD_ROBUSTNESS, float(values[np.isfinite(values)].max(initial=1.0)))
+    most = min(GREATEST_ROBUSTNESS, float(values[np.isfinite(values)].max(initial=1.0)))
     most = max(most, 1.0, 1.3 * story.least if np.isfinite(story.least) else 0.0)
     shown = np.minimum(np.where(np.isfinite(values), values, most * 2), most * 2)
     axes.axhspan(least - 2 * most, 0, color=hexadecimal(VIOLATION), alpha=0.07, linewidth=0)
@@ -116,9 +122,8 @@ def _plot_robustness(axes: Axes, trace: Trace, story: Story) -> None:
         trace.time_s, np.minimum(shown, 0), 0, color=hexadecimal(VIOLATION), alpha=0.55, linewidth=0
     )
     axes.set_ylim(least - 0.22 * (most - least), most * 1.08)
-    unit = UNITS.get(REQUIREMENT_UNITS.get(story.title, ""), "").strip()
-    axes.set_ylabel(unit or "robustness")
-    _tidy(axes)
+    axes.set_ylabel(unit_of(story.requirement) or "robustness")
+    _style_axes(axes)
     axes.text(
         1.008, 0.97, f"{story.title}\nto spare", transform=axes.transAxes, va="top", fontsize=9,
         color=hexadecimal(INK), linespacing=1.25,
@@ -131,8 +136,8 @@ def _plot_robustness(axes: Axes, trace: Trace, story: Story) -> None:
 
 def _plot_bands(axes: Axes, trace: Trace) -> None:
     scripts = _scripts(trace)
-    told = [] if scripts else [f"{report_word(trace)} {label}" for label in LABELS]
-    names = ["plan", *(["light"] if any(trace.lights) else []), *told, *scripts]
+    reports = {} if scripts else {f"{report_word(trace)} {LABELS[i]}": i for i in range(PERSON + 1)}
+    names = ["plan", *(["light"] if any(trace.lights) else []), *reports, *scripts]
     for row, name in enumerate(names):
         axes.axhspan(row - 0.36, row + 0.36, color="#f0f2f4", linewidth=0)
         if name == "plan":
@@ -147,27 +152,26 @@ def _plot_bands(axes: Axes, trace: Trace) -> None:
                 colour = VEHICLE if action in QUIET else GHOST
                 _band(axes, trace, row, first, last, colour, action.replace("_", " "))
         else:
-            counts = _reported(trace, LABELS[name.split()[-1]])
-            for count, first, last in runs(counts.tolist()):
+            for count, first, last in runs(reported(trace, reports[name]).tolist()):
                 if count:
                     _band(axes, trace, row, first, last, GHOST, f"{count}" if count != 1 else "")
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_yticks(range(len(names)), names)
-    _tidy(axes)
+    _style_axes(axes)
     axes.grid(visible=False)
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
 
 
 def _scripts(trace: Trace) -> dict[str, list[str]]:
-    """Return what each scripted road user does at each sample, by name; empty if nobody has a script."""
+    """Return the action of each scripted road user at each sample, by name; empty if there are no scripts."""
     scripts: dict[str, list[str]] = {}
     for event in trace.events:
         if event.kind == ACTION:
             name, _, action = event.text.partition(":")
-            doing = scripts.setdefault(name, [""] * len(trace.time_s))
+            actions = scripts.setdefault(name, [""] * len(trace.time_s))
             first = int(np.searchsorted(trace.time_s, event.time_s - 0.06))
-            doing[first:] = [action] * (len(doing) - first)
+            actions[first:] = [action] * (len(actions) - first)
     return dict(sorted(scripts.items(), key=lambda item: int(item[0].rpartition("-")[2])))
 
 
@@ -185,20 +189,13 @@ def _band(axes: Axes, trace: Trace, row: int, first: int, last: int, colour: Rgb
         )  # fmt: skip
 
 
-def _reported(trace: Trace, label: int) -> NDArray[np.int64]:
-    """Return how many boxes of a label the detector was made to report at each sample, shape ``(n,)``."""
-    boxes = trace.given_boxes
-    sums = np.concatenate([[0], np.cumsum(boxes.rows[:, 0].astype(np.int64) == label)])
-    return np.asarray(sums[boxes.first[1:]] - sums[boxes.first[:-1]], dtype=np.int64)
-
-
 def _mark_events(top: Axes, others: tuple[Axes, ...], trace: Trace, story: Story) -> None:
-    """Draw a thin line for each event through all panels, with its word above where there is room."""
+    """Draw a thin line through all panels for each event, labelled above if there is room."""
     span_s = max(1e-6, float(trace.time_s[-1] - trace.time_s[0]))
     marks = [(float(trace.time_s[story.decisive]), "violation" if story.violated else "closest", VIOLATION)]
     if not story.violated:
         marks = [(marks[0][0], marks[0][1], INK)]
-    marks += [(event.time_s, event.kind, MUTED) for event in told_events(trace)]
+    marks += [(event.time_s, event.kind, MUTED) for event in notable_events(trace)]
     written: list[tuple[float, float]] = []
     for time_s, word, colour in marks:
         for axes in (top, *others):
@@ -213,7 +210,7 @@ def _mark_events(top: Axes, others: tuple[Axes, ...], trace: Trace, story: Story
 
 
 def _label_ends(axes: Axes, ends: list[tuple[float, str, Rgb]]) -> None:
-    """Write the names of lines beside their ends, apart from each other."""
+    """Label lines at their right ends without overlaps."""
     low, high = axes.get_ylim()
     apart = 0.14 * (high - low)
     at = -np.inf
@@ -229,7 +226,7 @@ def _label_ends(axes: Axes, ends: list[tuple[float, str, Rgb]]) -> None:
         )  # fmt: skip
 
 
-def _tidy(axes: Axes) -> None:
+def _style_axes(axes: Axes) -> None:
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     for side in ("left", "bottom"):

@@ -1,33 +1,35 @@
-"""Films: frames written as GIF or as H.264 in MP4, ten a simulated second, so that they play in real time."""
+"""Films: frames as a GIF or as H.264 in MP4, ten per simulated second, so that they play in real time."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from fractions import Fraction
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeAlias
 
 import av
 import numpy as np
 from PIL import Image
 
-from brink.sim.replay.progress import Progress
-from brink.sim.replay.top_down import FramePainter
+from brink.sim.replay.frame import FramePainter
+
+ProgressCallback: TypeAlias = Callable[[int, int], None]
+"""Called with the number of frames drawn and of all."""
 
 FRAMES_PER_S: Final = 10
 HOLD_S: Final = 1.0
-"""How long the last frame stays."""
+"""How long the last frame is held."""
 GIF_COLOURS: Final = 96
 MP4_QUALITY: Final = "23"
-"""x264's constant rate factor: flat drawings need no better."""
+"""Constant rate factor of x264: flat drawings need no better."""
 MOST_FRAMES: Final = 3000
 
 
 def film_samples(painter: FramePainter) -> list[int]:
-    """Return the sample of each frame: one every tenth of a second, the last one held for a second."""
+    """Return the sample that each frame shows: one every tenth of a second, the last one held for a second."""
     time_s = np.asarray(painter.trace.time_s, dtype=np.float64)
     count = min(MOST_FRAMES, round((time_s[-1] - time_s[0]) * FRAMES_PER_S) + 1)
     wanted = time_s[0] + np.arange(count) / FRAMES_PER_S
-    # Float32 times lie a little off the grid: nearest, not next.
+    # Float32 times lie slightly off the grid: take the nearest sample, not the next.
     right = np.clip(np.searchsorted(time_s, wanted), 1, max(1, len(time_s) - 1))
     right = np.minimum(right, len(time_s) - 1)
     left = np.maximum(right - 1, 0)
@@ -36,8 +38,14 @@ def film_samples(painter: FramePainter) -> list[int]:
     return samples + samples[-1:] * round(HOLD_S * FRAMES_PER_S)
 
 
-def write_mp4(painter: FramePainter, path: Path, on_progress: Progress | None = None) -> None:
-    """Write the film of an episode as MP4 (H.264, yuv420p, index first, so that browsers play it at once)."""
+def write_mp4(painter: FramePainter, path: Path, on_progress: ProgressCallback | None = None) -> None:
+    """Write the film of an episode as MP4: H.264, yuv420p, index first, so that browsers play it at once.
+
+    Args:
+        painter: Draws the frames.
+        path: The file.
+        on_progress: Called after each frame.
+    """
     width, height = painter.layout.size
     with av.open(os.fspath(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
         stream = container.add_stream("libx264", rate=FRAMES_PER_S)
@@ -51,8 +59,14 @@ def write_mp4(painter: FramePainter, path: Path, on_progress: Progress | None = 
         container.mux(stream.encode(None))
 
 
-def write_gif(painter: FramePainter, path: Path, on_progress: Progress | None = None) -> None:
-    """Write the film of an episode as GIF that repeats; one palette for all frames."""
+def write_gif(painter: FramePainter, path: Path, on_progress: ProgressCallback | None = None) -> None:
+    """Write the film of an episode as a looping GIF with one palette for all frames.
+
+    Args:
+        painter: Draws the frames.
+        path: The file.
+        on_progress: Called after each frame.
+    """
     palette = _film_palette(painter)
     frames = (
         image.quantize(palette=palette, dither=Image.Dither.NONE) for image in _frames(painter, on_progress)
@@ -70,7 +84,7 @@ def write_gif(painter: FramePainter, path: Path, on_progress: Progress | None = 
 
 
 def _film_palette(painter: FramePainter) -> Image.Image:
-    """Return a palette that suits all moments of the story, so that colours do not flicker."""
+    """Return one palette for all moments of the story, so that colours do not flicker."""
     pictures = [painter.frame(moment.sample) for moment in painter.story.moments]
     width, height = painter.layout.size
     sheet = Image.new("RGB", (width, height * len(pictures)))
@@ -79,7 +93,7 @@ def _film_palette(painter: FramePainter) -> Image.Image:
     return sheet.quantize(colors=GIF_COLOURS, method=Image.Quantize.MEDIANCUT)
 
 
-def _frames(painter: FramePainter, on_progress: Progress | None) -> Iterator[Image.Image]:
+def _frames(painter: FramePainter, on_progress: ProgressCallback | None) -> Iterator[Image.Image]:
     samples = film_samples(painter)
     last: tuple[int, Image.Image] | None = None
     for done, sample in enumerate(samples, start=1):

@@ -1,6 +1,6 @@
-"""Owns the behaviour of the obstacle detector: injected trajectories of image boxes, or the ground truth.
+"""The behaviour of the obstacle detector: injected trajectories of image boxes, or the ground truth.
 
-Imports nothing heavy, so that whoever builds a search space can read the parameters from here.
+Imports nothing heavy, so that code that builds a search space can read the parameters from here.
 """
 
 from collections.abc import Mapping
@@ -9,22 +9,21 @@ from enum import StrEnum
 from typing import Self
 
 from brink.sim.driving.interface import Box, ObstacleLabel
-from brink.sim.episode import Json, JsonObject
+from brink.sim.episode import Json, JsonObject, check_fields, nearest
 from brink.sim.errors import InvalidEpisode
-from brink.sim.urban.scenario import check_fields, nearest
 
 IMAGE_WIDTH_PX = 800
 IMAGE_HEIGHT_PX = 600
 MIN_BOX_PX = 50.0
-"""Least width and height of a sampled box; an episode itself takes any box with a positive extent."""
+"""Least width and height of a sampled box; an episode accepts any box with a positive extent."""
 
 PERCEPTION_STEP_S = 0.1
 DEFAULT_DURATION_S = 30.0
 MIN_DURATION_SHARE = 1.0 / 18.0
-"""Least length of a sampled trajectory, as a share of the episode."""
+"""Least duration of a sampled trajectory, as a share of the episode."""
 
 TRAJECTORY_COUNT = 2
-"""Trajectories of a sampled behaviour; an episode itself takes up to `MAX_TRAJECTORIES`."""
+"""Number of trajectories in a sampled behaviour; an episode accepts up to `MAX_TRAJECTORIES`."""
 MAX_TRAJECTORIES = 16
 
 NULL_LABEL = "null"
@@ -48,12 +47,12 @@ def trajectory_ranges(duration_s: float = DEFAULT_DURATION_S) -> dict[str, tuple
 
 
 def last_perception_step(duration_s: float) -> int:
-    """Return T, the end of an episode in perception steps: the detector is asked at 0 to T - 1."""
+    """Return T, the end of an episode in perception steps; the detector runs at steps 0 to T - 1."""
     return round(duration_s / PERCEPTION_STEP_S)
 
 
 class BehaviourMode(StrEnum):
-    """Where the detector's output comes from."""
+    """Source of the detector's output."""
 
     INJECTED = "injected"
     ORACLE = "oracle"
@@ -61,12 +60,12 @@ class BehaviourMode(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InjectedTrajectory:
-    """A ghost: a box that moves in a straight line through the image.
+    """A ghost: a box that moves linearly through the image.
 
     Attributes:
-        label: What the detector calls it.
-        t0_step: First perception step at which it is there, perhaps a fraction.
-        t1_step: Last one, > `t0_step`.
+        label: Label that the detector reports.
+        t0_step: First perception step with the box; may be fractional.
+        t1_step: Last perception step with the box, > `t0_step`.
         first_px: x_min, x_max, y_min, y_max at `t0_step`.
         last_px: The same at `t1_step`.
     """
@@ -78,7 +77,7 @@ class InjectedTrajectory:
     last_px: tuple[float, float, float, float]
 
     def box_at(self, step: float) -> Box | None:
-        """Return the box at a perception step, perhaps a fraction; None before and after."""
+        """Return the box at a perception step, which may be fractional; None before and after the trajectory."""
         if not self.t0_step <= step <= self.t1_step:
             return None
         share = (step - self.t0_step) / (self.t1_step - self.t0_step)
@@ -100,11 +99,11 @@ class InjectedTrajectory:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DetectorBehaviour:
-    """What the obstacle detector says during an episode.
+    """The obstacle detector's output during an episode.
 
     Attributes:
         mode: Injected boxes or the ground truth.
-        trajectories: The injected boxes that are not null; empty unless injected.
+        trajectories: The injected trajectories that are not null; empty unless `mode` is injected.
     """
 
     mode: BehaviourMode
@@ -116,23 +115,23 @@ class DetectorBehaviour:
         return tuple(box for box in boxes if box is not None)
 
     def to_json(self) -> JsonObject:
-        """Return the behaviour as a JSON object; null trajectories are not kept."""
+        """Return the behaviour as a JSON object, without null trajectories."""
         if self.mode is BehaviourMode.ORACLE:
             return {"mode": self.mode.value}
         return {"mode": self.mode.value, "trajectories": [item.to_json() for item in self.trajectories]}
 
     @classmethod
     def from_json(cls, document: Mapping[str, Json], duration_s: float = DEFAULT_DURATION_S) -> Self:
-        """Read a behaviour from a JSON object.
+        """Parse a behaviour from a JSON object.
 
-        A null trajectory is checked like any other, but its numbers may all be 0.
+        A null trajectory is validated like any other, except that all its numbers may be 0.
 
         Args:
             document: ``{"mode": "oracle"}`` or ``{"mode": "injected", "trajectories": [...]}``.
             duration_s: Length of the episode, which bounds the time steps.
 
         Raises:
-            InvalidEpisode: A field is missing, unknown, or has a value out of its range.
+            InvalidEpisode: A field is missing or unknown, or its value is out of range.
         """
         known = tuple(item.value for item in BehaviourMode)
         mode = document.get("mode")
@@ -151,6 +150,18 @@ class DetectorBehaviour:
             )
         read = [_trajectory(f"behaviour.trajectories[{i}]", item, duration_s) for i, item in enumerate(items)]
         return cls(mode=BehaviourMode.INJECTED, trajectories=tuple(t for t in read if t is not None))
+
+
+def words_of_behaviour(trajectories: Json) -> str:
+    """Return a description of injected detections with their times, such as ``detected: person 17.4-26.7 s``."""
+    if not isinstance(trajectories, list) or not trajectories:
+        return "nothing detected"
+    detections = []
+    for trajectory in trajectories:
+        if isinstance(trajectory, Mapping):
+            start, end = (float(str(trajectory[name])) * PERCEPTION_STEP_S for name in ("t0_step", "t1_step"))
+            detections.append(f"{trajectory['label']} {start:.1f}-{end:.1f} s")
+    return "detected: " + ", ".join(detections)
 
 
 def _trajectory(where: str, document: Json, duration_s: float) -> InjectedTrajectory | None:

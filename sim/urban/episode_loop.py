@@ -1,45 +1,205 @@
-"""Owns the loop of an episode: sense, decide, drive, let the others go on, measure, judge."""
+"""The loop of an episode: sense, decide, drive, advance the others, measure, and evaluate the requirements.
 
-from collections.abc import Mapping
+`Sensing` produces what the driving system is told: the localised ego with its errors, the light detector's readings
+and the obstacle boxes. The obstacle detector is the component under test: its boxes are injected or the ground truth,
+never noisy. The quality of the other parts depends on time of day and weather.
+"""
+
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 from brink.sim.bullet.engine import Engine
-from brink.sim.driving.camera import Camera
-from brink.sim.driving.interface import Command, DrivingSystem, LightReading, Observation
-from brink.sim.requirements.requirement import Requirement, WorldSample
-from brink.sim.urban.behaviour import PERCEPTION_STEP_S, DetectorBehaviour, last_perception_step
+from brink.sim.driving.camera import Body, Camera
+from brink.sim.driving.interface import (
+    Box,
+    Command,
+    DrivingSystem,
+    EgoState,
+    LightReading,
+    LightState,
+    Observation,
+    ObstacleLabel,
+)
+from brink.sim.requirements import Requirement, WorldSample
+from brink.sim.urban.behaviour import (
+    PERCEPTION_STEP_S,
+    BehaviourMode,
+    DetectorBehaviour,
+    last_perception_step,
+)
 from brink.sim.urban.facts import Facts
 from brink.sim.urban.recorder import Recorder
-from brink.sim.urban.sensing import Detects, Sensing
+from brink.sim.world.pedestrians import PERSON_HEIGHT_M
+from brink.sim.world.streams import Stream, generator
 from brink.sim.world.world import EGO_STEPS, STEP_S, World
+
+Detects: TypeAlias = Callable[[float], tuple[Box, ...]]
+"""Returns the detections of an obstacle detector at a simulated time."""
+
+DRIFT_S = 1.5
+"""Time constant of localisation errors."""
+
+YAW_ERROR_RAD_PER_M = 0.03
+
+
+class Sensing:
+    """Produces the observations of an episode.
+
+    Args:
+        world: The world to sense.
+        behaviour: The obstacle detector's behaviour.
+        camera: The detector's camera.
+        seed: The episode's seed.
+        perception_steps: Number of perception steps.
+        step_s: Time between perception steps.
+        detects: The obstacle detector, if it is used in place of `behaviour`.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        behaviour: DetectorBehaviour,
+        camera: Camera,
+        *,
+        seed: int,
+        perception_steps: int,
+        step_s: float,
+        detects: Detects | None = None,
+    ) -> None:
+        self._world = world
+        self._step_s = step_s
+        self._detects = detects
+        self._behaviour = behaviour
+        self._camera = camera
+        self._station_m = 0.0
+        weather = world.weather
+        errors = generator(seed, Stream.LOCALISATION).normal(size=(perception_steps + 2, 3))
+        keep = math.exp(-step_s / DRIFT_S)
+        self._keep = keep
+        self._fresh = weather.position_noise_m * math.sqrt(1.0 - keep * keep)
+        self._errors: list[list[float]] = errors.tolist()
+        self._along_bias_m = weather.position_bias_m * self._errors[-1][0]
+        self._side_bias_m = weather.position_bias_m * self._errors[-1][1]
+        self._along_m = weather.position_noise_m * self._errors[-2][0]
+        self._side_m = weather.position_noise_m * self._errors[-2][1]
+        self._yaw_rad = 0.0
+        chances = generator(seed, Stream.LIGHT_DETECTION).random(size=perception_steps)
+        self._light_chances: list[float] = chances.tolist()
+
+    def localise(self, perception_step: int | None) -> EgoState:
+        """Return the localised state of the ego.
+
+        Args:
+            perception_step: Number of the perception step, at which errors change; None between perception steps.
+        """
+        if perception_step is not None:
+            along, side, yaw = self._errors[perception_step]
+            self._along_m = self._keep * self._along_m + self._fresh * along
+            self._side_m = self._keep * self._side_m + self._fresh * side
+            self._yaw_rad = self._keep * self._yaw_rad + self._fresh * YAW_ERROR_RAD_PER_M * yaw
+        ego, line = self._world.ego, self._world.route.line
+        yaw_rad = ego.yaw_rad + self._yaw_rad
+        along_m, side_m = self._along_m + self._along_bias_m, self._side_m + self._side_bias_m
+        cos_yaw, sin_yaw = math.cos(ego.yaw_rad), math.sin(ego.yaw_rad)
+        x_m = ego.x_m + along_m * cos_yaw - side_m * sin_yaw
+        y_m = ego.y_m + along_m * sin_yaw + side_m * cos_yaw
+        self._station_m, offset_m = line.project(x_m, y_m, self._station_m)
+        return EgoState(
+            x_m=x_m,
+            y_m=y_m,
+            yaw_rad=yaw_rad,
+            speed_mps=ego.speed_mps,
+            accel_mps2=ego.accel_mps2,
+            station_m=self._station_m,
+            offset_m=offset_m,
+        )
+
+    def light(self, perception_step: int, time_s: float) -> LightReading | None:
+        """Return the light detector's report at a perception step."""
+        world = self._world
+        if world.signals is None:
+            return None
+        weather = world.weather
+        bumper_m = self._station_m + 0.5 * world.ego.length_m
+        for line_m in world.route.stop_line_stations_m:
+            if not -1.0 < line_m - bumper_m < weather.light_range_m:
+                continue
+            chance = self._light_chances[perception_step]
+            if chance < weather.light_miss_share:
+                return None
+            state = world.signals.main_at(time_s)
+            if chance > 1.0 - weather.light_confusion_share:
+                state = LightState.GREEN if state is not LightState.GREEN else LightState.RED
+            return LightReading(state=state, stop_line_station_m=line_m)
+        return None
+
+    def boxes(self, perception_step: int) -> tuple[Box, ...]:
+        """Return the obstacle detector's output at a perception step."""
+        if self._detects is not None:
+            return self._detects(perception_step * self._step_s)
+        if self._behaviour.mode is BehaviourMode.ORACLE:
+            return self.truth()
+        return self._behaviour.boxes_at(perception_step)
+
+    def truth(self) -> tuple[Box, ...]:
+        """Return the boxes of all bodies visible to the camera."""
+        world = self._world
+        ego = world.ego
+        bodies = [
+            Body(
+                ObstacleLabel.VEHICLE,
+                vehicle.x_m,
+                vehicle.y_m,
+                vehicle.yaw_rad,
+                vehicle.length_m,
+                vehicle.width_m,
+                vehicle.size.height_m,
+            )
+            for vehicle in world.vehicles
+        ]
+        bodies += [
+            Body(
+                ObstacleLabel.PERSON,
+                walker.x_m,
+                walker.y_m,
+                walker.yaw_rad,
+                walker.length_m,
+                walker.width_m,
+                PERSON_HEIGHT_M,
+            )
+            for walker in world.walkers
+        ]
+        return tuple(sight.box for sight in self._camera.look(ego.x_m, ego.y_m, ego.yaw_rad, bodies))
+
 
 CONTROL_PER_PERCEPTION = round(PERCEPTION_STEP_S / STEP_S)
 STANDS_BELOW_MPS = 0.1
 
 
 class Witness(Protocol):
-    """Watches an episode for more than requirements and traces keep."""
+    """Observes an episode to record more than requirements and traces do."""
 
     def see(self, sample: WorldSample, driving: DrivingSystem) -> None:
-        """Take note of a control step, after everybody has moved."""
+        """Observe a control step, after everybody has moved."""
         ...
 
     def violated(self, requirement: str) -> None:
-        """Take note that a requirement is violated in the step last seen, for the first time or again."""
+        """Observe that a requirement is violated in the step last seen, whether or not for the first time."""
         ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """How an episode went, besides what its requirements know.
+    """The outcome of an episode, apart from the requirements.
 
     Attributes:
         ended: ``goal``, ``collision`` or ``time``.
-        last: What was true at its end.
-        way_m: How far along its route the ego came.
+        last: The last sample.
+        way_m: Distance that the ego covered along its route.
         least_front_gap_m: Smallest front gap, or None if there never was one.
-        stood_s: How long the ego stood.
+        stood_s: How long the ego stood still.
     """
 
     ended: str
@@ -64,21 +224,21 @@ def run_loop(
     detects: Detects | None = None,
     to_the_end: bool = False,
 ) -> Outcome:
-    """Run an episode to its end: the goal, the ego's first collision, or the end of its time.
+    """Run an episode until the goal, the ego's first collision, or the end of its duration.
 
     Args:
-        world: At time 0; is changed.
+        world: The world at time 0; modified.
         driving: The system under test, new.
-        behaviour: What its obstacle detector says.
-        requirements: By id, new; they observe every control step.
-        engine: Emptied before the world was made; gets its bodies.
-        camera: What the obstacle detector sees with.
+        behaviour: The obstacle detector's behaviour.
+        requirements: New requirements by id; they observe every control step.
+        engine: The physics engine, emptied before the world was made; receives the world's bodies.
+        camera: The obstacle detector's camera.
         seed: The episode's seed.
-        duration_s: Its time.
-        recorder: Takes the trace, if there is one.
-        witness: Watches, if there is one.
-        detects: The obstacle detector, if it is not the behaviour's matter.
-        to_the_end: Go on after the goal and after collisions, to measure what an episode costs.
+        duration_s: Longest simulated time.
+        recorder: Records the trace, if given.
+        witness: Observes the episode, if given.
+        detects: The obstacle detector, if it is used in place of `behaviour`.
+        to_the_end: Continue after the goal and after collisions, to measure the cost of a full episode.
     """
     last_step = last_perception_step(duration_s)
     sensing = Sensing(
@@ -90,7 +250,17 @@ def run_loop(
         step_s=PERCEPTION_STEP_S,
         detects=detects,
     )
-    loop = _Loop(world, driving, sensing, Facts(world, engine), requirements, recorder, witness)
+    facts = Facts(world, engine)
+    loop = _Loop(
+        world=world,
+        driving=driving,
+        sensing=sensing,
+        facts=facts,
+        requirements=requirements,
+        recorder=recorder,
+        witness=witness,
+        sample=facts.measure(0.0),
+    )
     for step in range(CONTROL_PER_PERCEPTION * last_step):
         sample = loop.step(step)
         if (sample.collision is not None or sample.goal_reached) and not to_the_end:
@@ -99,58 +269,35 @@ def run_loop(
     return loop.outcome()
 
 
+@dataclass(slots=True, kw_only=True)
 class _Loop:
-    """What an episode carries from step to step."""
+    """The state of an episode between steps."""
 
-    __slots__ = (
-        "_driving",
-        "_facts",
-        "_least_front_m",
-        "_light",
-        "_observers",
-        "_recorder",
-        "_sample",
-        "_sensing",
-        "_standing",
-        "_witness",
-        "_world",
-    )
-
-    def __init__(
-        self,
-        world: World,
-        driving: DrivingSystem,
-        sensing: Sensing,
-        facts: Facts,
-        requirements: Mapping[str, Requirement],
-        recorder: Recorder | None,
-        witness: Witness | None,
-    ) -> None:
-        self._world = world
-        self._witness = witness
-        self._driving = driving
-        self._sensing = sensing
-        self._facts = facts
-        self._observers = tuple(requirements.items())
-        self._recorder = recorder
-        self._light: LightReading | None = None
-        self._sample = facts.measure(0.0)
-        self._least_front_m: float | None = None
-        self._standing = 0
+    world: World
+    driving: DrivingSystem
+    sensing: Sensing
+    facts: Facts
+    requirements: Mapping[str, Requirement]
+    recorder: Recorder | None
+    witness: Witness | None
+    sample: WorldSample
+    light: LightReading | None = None
+    least_front_m: float | None = None
+    standing: int = 0
 
     def step(self, step: int) -> WorldSample:
-        """Take one control step and return what is true after it."""
+        """Run one control step and return the facts after it."""
         command = self._decide(step)
-        world = self._world
+        world = self.world
         ego = world.ego
-        ego.set_grade(world.grade_at(self._sample.station_m))
+        ego.set_grade(world.grade_at(self.sample.station_m))
         ego.drive(command.accel_mps2, command.steer_rad, EGO_STEPS)
         world.advance(step)
-        self._sample = sample = self._facts.measure((step + 1) * STEP_S)
-        recorder, witness = self._recorder, self._witness
+        self.sample = sample = self.facts.measure((step + 1) * STEP_S)
+        recorder, witness = self.recorder, self.witness
         if witness is not None:
-            witness.see(sample, self._driving)
-        for name, requirement in self._observers:
+            witness.see(sample, self.driving)
+        for name, requirement in self.requirements.items():
             robustness = requirement.observe(sample)
             if recorder is not None:
                 recorder.judge(name, robustness)
@@ -159,43 +306,43 @@ class _Loop:
         if recorder is not None:
             recorder.watch(sample)
         front_m = sample.front_gap_m
-        if front_m is not None and (self._least_front_m is None or front_m < self._least_front_m):
-            self._least_front_m = front_m
+        if front_m is not None and (self.least_front_m is None or front_m < self.least_front_m):
+            self.least_front_m = front_m
         if sample.speed_mps < STANDS_BELOW_MPS:
-            self._standing += 1
+            self.standing += 1
         return sample
 
     def _decide(self, step: int) -> Command:
         """Let the driving system sense and decide."""
         time_s = step * STEP_S
-        sensing = self._sensing
+        sensing = self.sensing
         if step % CONTROL_PER_PERCEPTION:
             state = sensing.localise(None)
-            return self._driving.step(Observation(time_s=time_s, ego=state, boxes=None, light=self._light))
+            return self.driving.step(Observation(time_s=time_s, ego=state, boxes=None, light=self.light))
         perception_step = step // CONTROL_PER_PERCEPTION
         boxes = sensing.boxes(perception_step)
         state = sensing.localise(perception_step)
-        self._light = light = sensing.light(perception_step, time_s)
-        command = self._driving.step(Observation(time_s=time_s, ego=state, boxes=boxes, light=light))
-        if self._recorder is not None:
-            shown = self._sample.light.value if self._sample.light is not None else ""
-            self._recorder.sample(time_s, self._driving, sensing.truth(), boxes, shown)
+        self.light = light = sensing.light(perception_step, time_s)
+        command = self.driving.step(Observation(time_s=time_s, ego=state, boxes=boxes, light=light))
+        if self.recorder is not None:
+            shown = self.sample.light.value if self.sample.light is not None else ""
+            self.recorder.sample(time_s, self.driving, sensing.truth(), boxes, shown)
         return command
 
     def close(self, time_s: float) -> None:
-        """Record where everybody is at the end, which may be a collision between two perception steps."""
-        if self._recorder is not None:
-            shown = self._sample.light.value if self._sample.light is not None else ""
-            self._recorder.end(time_s, self._driving, shown)
+        """Record the final state, which may be a collision between two perception steps."""
+        if self.recorder is not None:
+            shown = self.sample.light.value if self.sample.light is not None else ""
+            self.recorder.end(time_s, self.driving, shown)
 
     def outcome(self) -> Outcome:
-        """Return how it went."""
-        sample = self._sample
+        """Return the outcome."""
+        sample = self.sample
         ended = "goal" if sample.goal_reached else "time"
         return Outcome(
             ended=ended if sample.collision is None else "collision",
             last=sample,
             way_m=sample.station_m,
-            least_front_gap_m=self._least_front_m,
-            stood_s=self._standing * STEP_S,
+            least_front_gap_m=self.least_front_m,
+            stood_s=self.standing * STEP_S,
         )

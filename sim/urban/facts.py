@@ -1,7 +1,7 @@
-"""Owns the exact facts of an episode: bodies in the physics engine, and what is true of the ego at each step.
+"""Exact facts of an episode: bodies in the physics engine, and a `WorldSample` of the ego at each step.
 
-The engine is asked only for pairs that could be near: cheap bounds from centre distances decide. What moves is put
-in its place in the engine right before it is asked for, so far-away bodies cost nothing.
+The engine is queried only for pairs that may be close, as decided by cheap bounds on centre distances. A moving body
+is put in its place right before it is queried, so distant bodies cost nothing.
 """
 
 import math
@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 from brink.sim.bullet.engine import BodyId, Box, Closest, Engine
 from brink.sim.driving.interface import LightState
-from brink.sim.requirements.requirement import Collision, CollisionKind, WorldSample
-from brink.sim.world.roadside import fixtures
-from brink.sim.world.walker import HEIGHT_M as WALKER_HEIGHT_M
+from brink.sim.requirements import Collision, CollisionKind, WorldSample
+from brink.sim.world.pedestrians import PERSON_HEIGHT_M
+from brink.sim.world.scenery import fixtures
 from brink.sim.world.world import RoadUser, World
 
 FRONT_RANGE_M = 50.0
@@ -19,29 +19,29 @@ NEAR_M = 8.0
 CORRIDOR_MARGIN_M = 0.2
 BESIDE_WITHIN_M = 5.0
 AHEAD_COS = math.cos(math.radians(45.0))
-"""Nearer than `BESIDE_WITHIN_M`, only what lies within this angle of the heading is ahead of the bumper.
+"""Within `BESIDE_WITHIN_M`, only bodies within this angle of the heading are ahead of the bumper.
 
-Where the route bends across the oncoming lane, a car that passes beside a waiting ego is in its corridor, too, and
-yet not ahead of it.
+Where the route bends across the oncoming lane, a car that passes beside the waiting ego is inside the ego's corridor
+without being ahead of it.
 """
 
 CREEPING_MPS = 0.05
-"""An ego that is slower hits nobody: they walk or drive into it."""
+"""An ego slower than this hits nobody: others run into it."""
 
 SUNK_IN_M = 0.3
 SUNK_IN_S = 0.1
-"""A vehicle is still ahead when the ego's bumper has gone into it by this much, and this much of its way."""
+"""A vehicle still counts as ahead if the bumper is inside it by up to `SUNK_IN_M` plus this driving time."""
 
 WAITING_RANGE_M = 10.0
 WAITING_ASIDE_M = 3.0
-"""A person so far aside of the ego's middle, or nearer, is in its way."""
+"""A person within this lateral distance of the ego's centre is in its way."""
 JUNCTION_REACH_M = 7.0
 CROSSING_REACH_M = 2.0
 
 
 @dataclass(slots=True, kw_only=True)
 class _Body:
-    """A body in the engine, and how big a circle around its middle it fills."""
+    """A static body in the engine, with the radius of its bounding circle."""
 
     body: BodyId
     kind: CollisionKind
@@ -63,11 +63,11 @@ class _Nearest:
 
 
 class Facts:
-    """Measures an episode.
+    """Measures the facts of an episode.
 
     Args:
-        world: What to measure. The engine's bodies are made from it.
-        engine: Gets the bodies.
+        world: The world to measure; the engine's bodies are created from it.
+        engine: Receives the bodies.
     """
 
     def __init__(self, world: World, engine: Engine) -> None:
@@ -86,7 +86,7 @@ class Facts:
             _box(v.length_m, v.width_m, v.size.height_m, v.x_m, v.y_m, v.yaw_rad) for v in world.vehicles
         ]
         boxes += [
-            _box(w.length_m, w.width_m, WALKER_HEIGHT_M, w.x_m, w.y_m, w.yaw_rad) for w in world.walkers
+            _box(w.length_m, w.width_m, PERSON_HEIGHT_M, w.x_m, w.y_m, w.yaw_rad) for w in world.walkers
         ]
         still = fixtures(world.road)
         boxes += [_box(f.length_m, f.width_m, f.height_m, f.x_m, f.y_m, f.yaw_rad) for f in still]
@@ -109,7 +109,7 @@ class Facts:
         ]
 
     def measure(self, time_s: float) -> WorldSample:
-        """Return what is true of the ego now."""
+        """Return the current facts about the ego."""
         world = self._world
         ego, route = world.ego, world.route
         self._engine.move(self._ego_body, ego.x_m, ego.y_m, ego.yaw_rad, self._ego_height_m)
@@ -155,12 +155,13 @@ class Facts:
             light=light,
             stop_line_gap_m=line_gap_m,
             may_wait=waiting,
-            in_conflict_area=offset_m + 0.5 * ego.width_m > half_lane_m or self._in_the_way(station_m),
+            in_conflict_area=offset_m + 0.5 * ego.width_m > half_lane_m
+            or self._on_junction_or_crossing(station_m),
             goal_reached=goal,
         )
 
     def _vehicles_around(self, station_m: float, offset_m: float, nearest: _Nearest) -> float | None:
-        """Return the front gap, and take note of the nearest vehicle."""
+        """Return the front gap, and update the nearest body."""
         ego, line = self._world.ego, self._world.route.line
         x_m, y_m, radius_m = ego.x_m, ego.y_m, self._ego_radius_m
         front_m: float | None = None
@@ -185,7 +186,7 @@ class Facts:
                 continue
             self._engine.move(body, vehicle.x_m, vehicle.y_m, vehicle.yaw_rad, vehicle.size.height_m)
             limit_m = FRONT_RANGE_M if ahead else nearest.gap_m
-            found = self._ask(vehicle, body, CollisionKind.VEHICLE, limit_m, nearest)
+            found = self._query(vehicle, body, CollisionKind.VEHICLE, limit_m, nearest)
             if not ahead or found is None or (front_m is not None and found.clearance_m >= front_m):
                 continue
             if found.clearance_m > BESIDE_WITHIN_M or self._before_bumper(found):
@@ -193,7 +194,7 @@ class Facts:
         return front_m
 
     def _before_bumper(self, found: Closest) -> bool:
-        """Return whether the shortest line to somebody leads ahead rather than to the side."""
+        """Return whether the shortest line to a body leads ahead rather than to the side."""
         yaw_rad = self._world.ego.yaw_rad
         return -(found.normal_x * math.cos(yaw_rad) + found.normal_y * math.sin(yaw_rad)) > AHEAD_COS
 
@@ -210,13 +211,13 @@ class Facts:
                 nearest.person_ahead |= abs(dy * cos_yaw - dx * sin_yaw) < WAITING_ASIDE_M
             bound_m = math.sqrt(dx * dx + dy * dy) - radius_m - 0.4
             if bound_m < nearest.pedestrian_m:
-                self._engine.move(body, walker.x_m, walker.y_m, walker.yaw_rad, WALKER_HEIGHT_M)
+                self._engine.move(body, walker.x_m, walker.y_m, walker.yaw_rad, PERSON_HEIGHT_M)
                 limit_m = nearest.pedestrian_m
-                found = self._ask(walker, body, CollisionKind.PEDESTRIAN, limit_m, nearest)
+                found = self._query(walker, body, CollisionKind.PEDESTRIAN, limit_m, nearest)
                 if found is not None and found.clearance_m < nearest.pedestrian_m:
                     nearest.pedestrian_m = max(found.clearance_m, 0.0)
 
-    def _ask(
+    def _query(
         self,
         mover: RoadUser,
         body: BodyId,
@@ -224,7 +225,7 @@ class Facts:
         limit_m: float,
         nearest: _Nearest,
     ) -> Closest | None:
-        """Return how somebody lies to the ego, and take note if nobody is nearer."""
+        """Return how a body lies relative to the ego, and update the nearest body."""
         found = self._engine.closest(self._ego_body, body, limit_m)
         if found is None:
             return None
@@ -237,13 +238,13 @@ class Facts:
             nearest.gap_m = max(gap_m, 0.0)
             nearest.closing_mps = (other_x - ego_x) * normal_x + (other_y - ego_y) * normal_y
             if gap_m <= 0.0 and abs(ego.speed_mps) > CREEPING_MPS:
-                # The way out of an overlap may lead sideways though the ego came from behind: so not by the normal.
+                # Not the speed along the normal, which may point sideways even in a rear-end collision.
                 impact_mps = math.hypot(other_x - ego_x, other_y - ego_y)
                 nearest.collision = Collision(kind=kind, counterpart=mover.name, impact_speed_mps=impact_mps)
         return found
 
     def _fixtures_around(self, nearest: _Nearest) -> None:
-        """Take note of the nearest body that never moves, if the ego could have come near one since the last."""
+        """Update the nearest body with static bodies, if the ego may have come near one since the last check."""
         ego = self._world.ego
         self._still_clear_m -= ego.speed_mps * 0.055
         if self._still_clear_m > min(nearest.gap_m, 1.0):
@@ -282,9 +283,9 @@ class Facts:
                 return signals.main_at(time_s), line_m - bumper_m
         return None, None
 
-    def _in_the_way(self, station_m: float) -> bool:
+    def _on_junction_or_crossing(self, station_m: float) -> bool:
         world = self._world
-        on_road = station_m < world.leaves_road_m  # a side street's stations are not those of the road
+        on_road = station_m < world.leaves_road_m  # stations on a side street do not refer to the road
         if on_road and abs(station_m - world.road.crossing_m) < CROSSING_REACH_M + 2.0:
             return True
         ego = world.ego

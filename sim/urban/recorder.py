@@ -1,4 +1,4 @@
-"""Owns the making of traces: takes samples while an episode runs, and gives the `Trace` at its end."""
+"""The recorder: samples an episode while it runs and builds its `Trace` at the end."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -7,9 +7,9 @@ import numpy as np
 
 from brink.sim.driving.interface import Box, DrivingSystem, ObstacleLabel, PlanMode
 from brink.sim.episode import Json
-from brink.sim.requirements.requirement import WorldSample
+from brink.sim.requirements import WorldSample
 from brink.sim.trace import BOX_COLUMNS, PERCEIVED_COLUMNS, ActorTrack, Event, Ragged, Trace
-from brink.sim.world.scene import scene_surfaces
+from brink.sim.world.scenery import scene_surfaces
 from brink.sim.world.world import RoadUser, World
 
 ROUTE_EVERY_M = 1.0
@@ -18,7 +18,7 @@ _LABELS = {ObstacleLabel.VEHICLE: 0.0, ObstacleLabel.PERSON: 1.0}
 
 
 class _Rows:
-    """Collects ragged rows."""
+    """Accumulates rows of a `Ragged` array."""
 
     def __init__(self, columns: tuple[str, ...]) -> None:
         self._columns = columns
@@ -38,7 +38,7 @@ class Recorder:
     """Records an episode at the perception rate.
 
     Args:
-        world: What to record.
+        world: The world to record.
         requirements: Ids of the requirements, in order.
     """
 
@@ -65,7 +65,15 @@ class Recorder:
     def sample(
         self, time_s: float, driving: DrivingSystem, seen: Sequence[Box], given: Sequence[Box], light: str
     ) -> None:
-        """Record a perception step, after the driving system has decided."""
+        """Record a perception step, after the driving system has decided.
+
+        Args:
+            time_s: Simulated time.
+            driving: The system under test.
+            seen: Ground-truth boxes.
+            given: Boxes that the obstacle detector reported.
+            light: State of the ego's traffic light, empty if there is none.
+        """
         ego = self._world.ego
         self._shown = seen, given
         self._close_sample()
@@ -101,11 +109,17 @@ class Recorder:
         self._lights.append(light)
 
     def end(self, time_s: float, driving: DrivingSystem, light: str) -> None:
-        """Record the end of the episode, with what was last seen and given."""
+        """Record the end of the episode, with the boxes of the last perception step.
+
+        Args:
+            time_s: Simulated time.
+            driving: The system under test.
+            light: State of the ego's traffic light, empty if there is none.
+        """
         self.sample(time_s, driving, *self._shown, light)
 
     def judge(self, requirement: str, robustness: float) -> None:
-        """Record a requirement's robustness at a control step; a sample keeps the least since the last one."""
+        """Record a requirement's robustness at a control step; a sample keeps the smallest since the last one."""
         if robustness < self._least[requirement]:
             self._least[requirement] = robustness
 
@@ -113,12 +127,18 @@ class Recorder:
         if len(self._times) > len(next(iter(self._robustness.values()), self._times)):
             for name, series in self._robustness.items():
                 least = self._least[name]
-                # Nothing is judged after the end: it stands as it stood.
+                # Requirements are not evaluated after the end, so the last value stays.
                 series.append(series[-1] if series and math.isinf(least) else least)
                 self._least[name] = math.inf
 
     def event(self, time_s: float, kind: str, text: str) -> None:
-        """Record that something happened."""
+        """Record an event.
+
+        Args:
+            time_s: Simulated time.
+            kind: Kind of the event, such as ``collision``.
+            text: Description for people.
+        """
         self._events.append(Event(time_s=time_s, kind=kind, text=text))
 
     def watch(self, sample: WorldSample) -> None:

@@ -1,7 +1,7 @@
-"""Owns the simulator `brink-drive@1`: a specification in, a result out.
+"""The simulator `brink-drive@1`: a specification in, a result out.
 
 The same specification gives the same verdicts and the same trace, bit for bit, in any process and after any other
-episodes on the same class of processor: every draw comes from a stream addressed by position, every object is made
+episodes on the same class of processor: random draws come from streams addressed by position, all objects are created
 anew, and the physics engine is emptied first.
 """
 
@@ -16,28 +16,28 @@ from importlib.metadata import version
 from brink import __version__
 from brink.sim.bullet.engine import Engine, EngineError, discard_engine, engine_version, process_engine
 from brink.sim.bullet.wheels import WheeledCar
+from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.system import ModularDriving
-from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject, nearest
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
-from brink.sim.requirements.registry import features_of, make_requirements, verdicts_of
-from brink.sim.requirements.requirement import Requirement
+from brink.sim.requirements import Requirement, features_of, verdicts_of
 from brink.sim.urban.behaviour import DetectorBehaviour
 from brink.sim.urban.episode_loop import Outcome, run_loop
 from brink.sim.urban.recorder import Recorder
-from brink.sim.urban.scenario import UrbanScenario, nearest
 from brink.sim.world.ego import EgoCar, MakeEgo
+from brink.sim.world.scenario import UrbanScenario
 from brink.sim.world.world import make_world
 
 SIMULATOR_ID = "brink-drive@1"
 MAX_DURATION_S = 600.0
 BICYCLE, WHEELS = "bicycle", "wheels"
 FIDELITIES = (BICYCLE, WHEELS)
-"""How the ego moves: by the single-track model, or on four wheels in the physics engine (some ten times slower)."""
+"""Motion model of the ego: single-track, or four wheels in the physics engine (about ten times slower)."""
 
 
 class BrinkDrive:
-    """Runs urban episodes. One a process is enough; it keeps nothing between episodes."""
+    """Runs urban episodes. One instance serves a whole process and keeps no state between episodes."""
 
     def __init__(self) -> None:
         self._camera = Camera()
@@ -46,8 +46,8 @@ class BrinkDrive:
         """Run one episode.
 
         Args:
-            spec: What to run.
-            record: Whether the result carries the trace.
+            spec: The episode.
+            record: Whether the result includes the trace.
 
         Raises:
             InvalidEpisode: The specification can never run.
@@ -89,7 +89,7 @@ class BrinkDrive:
         verdicts = verdicts_of(requirements)
         trace = None
         if recorder is not None:
-            # From the canonical text, so that the trace does not depend on the order of the fields.
+            # From the canonical text, so that the trace does not depend on the order of fields.
             about: JsonObject = {"spec": json.loads(spec.canonical_json()), "versions": dict(versions())}
             trace = recorder.trace(about).to_bytes()
         return EpisodeResult(
@@ -108,10 +108,10 @@ class BrinkDrive:
 
 
 def _read(spec: EpisodeSpec) -> tuple[UrbanScenario, DetectorBehaviour]:
-    """Check a specification and return what it says.
+    """Parse the scenario and behaviour of a specification.
 
     Raises:
-        InvalidEpisode: It can never run.
+        InvalidEpisode: The specification can never run.
     """
     spec.check_for(SIMULATOR_ID, MAX_DURATION_S)
     for name, value in spec.options.items():
@@ -160,10 +160,10 @@ def versions() -> Mapping[str, str]:
 
 @cache
 def instruction_set() -> str:
-    """Return the class of processor, and a fingerprint of its floating-point arithmetic.
+    """Return the class of processor with a fingerprint of its floating-point arithmetic.
 
-    Two machines with the same text give the same episodes; the fingerprint is the low bits of a few functions whose
-    last digit may depend on the mathematics library and the processor.
+    Machines with the same text give the same episodes. The fingerprint is made of the low bits of functions whose
+    last digits may depend on the mathematics library and the processor.
     """
     probes = [math.sin(1e5 + 0.1 * i) * math.exp(0.37 * i) * math.atan2(i, 3.3) for i in range(1, 40)]
     digits = "".join(value.hex()[-8:] for value in probes)

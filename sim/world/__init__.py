@@ -1,1 +1,1 @@
-"""The world around the ego: roads, weather, lights, traffic, people, and the ego's own motion."""
+"""The world around the ego: roads, weather, lights, traffic, pedestrians, and the ego's motion."""

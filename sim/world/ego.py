@@ -1,8 +1,8 @@
-"""Owns the ego's motion: a single-track model with friction circle, load transfer, grade, brake and engine limits.
+"""The ego's motion: a single-track model with friction circle, load transfer, grade, brake and engine limits.
 
-Integrated at 100 Hz in plain floats. The reference point is the middle of the car, halfway between the axles. Each
-axle can give at most friction times its load; what cornering takes of it is not there for braking. Beyond the grip
-of an axle the car pushes straight on (it understeers) and brakes less: it never gets more than physics allows.
+Integrated at 100 Hz in plain floats. The reference point is the centre of the car, halfway between the axles. Each
+axle transmits at most friction times its load; cornering reduces what is left for braking. Beyond the grip of an axle
+the car understeers and brakes less, so it never exceeds what physics allows.
 """
 
 import math
@@ -15,24 +15,24 @@ GRAVITY_MPS2 = 9.81
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CarModel:
-    """The figures of a mid-size car.
+    """Parameters of a mid-size car.
 
     Attributes:
-        length_m: Of its body.
-        width_m: Of its body.
-        height_m: Of its body.
-        wheelbase_m: Between the axles.
+        length_m: Length of the body.
+        width_m: Width of the body.
+        height_m: Height of the body.
+        wheelbase_m: Distance between the axles.
         gravity_height_m: Height of the centre of gravity.
-        mass_kg: With driver.
-        power_w: Of the engine, at the wheels.
-        engine_mps2: Most that the gearbox lets the engine give.
-        brake_mps2: Most that the brakes give on perfect grip.
+        mass_kg: Mass with driver.
+        power_w: Engine power at the wheels.
+        engine_mps2: Largest acceleration in any gear.
+        brake_mps2: Largest deceleration of the brakes on perfect grip.
         engine_lag_s: Time constant of the engine.
         brake_lag_s: Time constant of the brakes.
-        steer_limit_rad: Of the road wheels, to each side.
-        steer_rate_radps: How fast the road wheels turn.
-        drag_1pm: Deceleration by air, divided by speed squared.
-        rolling_mps2: Deceleration by rolling.
+        steer_limit_rad: Largest angle of the road wheels to either side.
+        steer_rate_radps: Largest rate of the road wheels' angle.
+        drag_1pm: Deceleration by air drag, divided by speed squared.
+        rolling_mps2: Deceleration by rolling resistance.
     """
 
     length_m: float = 4.5
@@ -56,7 +56,7 @@ EGO_CAR = CarModel()
 
 
 class EgoMotion(Protocol):
-    """What the world needs of an ego, however it is simulated."""
+    """The interface of an ego, whichever model simulates it."""
 
     x_m: float
     y_m: float
@@ -70,16 +70,22 @@ class EgoMotion(Protocol):
     model: CarModel
 
     def set_grade(self, grade: float) -> None:
-        """Set how steep the road is here: rise over run along the heading, positive uphill."""
+        """Set the local slope of the road: rise over run along the heading, positive uphill."""
         ...
 
     def drive(self, accel_mps2: float, steer_rad: float, steps: int) -> None:
-        """Drive a number of 100 Hz steps with a constant command."""
+        """Drive a number of 100 Hz steps with a constant command, limited to what the car can do.
+
+        Args:
+            accel_mps2: Desired acceleration; negative brakes.
+            steer_rad: Desired angle of the road wheels.
+            steps: Number of steps.
+        """
         ...
 
 
 class MakeEgo(Protocol):
-    """Makes an ego at a pose."""
+    """Creates an ego at a pose."""
 
     def __call__(self, pose: tuple[float, float, float], speed_mps: float, *, friction: float) -> EgoMotion:
         """Return a new ego."""
@@ -87,16 +93,22 @@ class MakeEgo(Protocol):
 
 
 class EgoCar:
-    """The ego. Changes in place: one is made for every episode.
+    """The ego as a single-track model. Mutable: created anew for each episode.
+
+    Args:
+        pose: x_m, y_m and yaw_rad at the start.
+        speed_mps: Speed at the start.
+        friction: Friction coefficient of the road.
+        model: Parameters of the car.
 
     Attributes:
-        x_m: Where its middle is.
-        y_m: The same.
-        yaw_rad: Where it points.
-        speed_mps: Along its heading, >= 0.
-        accel_mps2: Along its heading, over the last step.
-        steer_rad: Of the road wheels.
-        yaw_rate_radps: How fast it turns.
+        x_m: Centre of the car.
+        y_m: Centre of the car.
+        yaw_rad: Heading.
+        speed_mps: Speed along the heading, >= 0.
+        accel_mps2: Acceleration along the heading in the last step.
+        steer_rad: Angle of the road wheels.
+        yaw_rate_radps: Yaw rate.
     """
 
     __slots__ = (
@@ -136,16 +148,16 @@ class EgoCar:
         self._friction = friction
 
     def set_grade(self, grade: float) -> None:
-        """Set how steep the road is here: rise over run along the heading, positive uphill."""
+        """Set the local slope of the road: rise over run along the heading, positive uphill."""
         self._grade_mps2 = GRAVITY_MPS2 * grade
 
     def drive(self, accel_mps2: float, steer_rad: float, steps: int) -> None:
-        """Drive a number of 100 Hz steps with a constant command.
+        """Drive a number of 100 Hz steps with a constant command, limited to what the car can do.
 
         Args:
-            accel_mps2: Wanted acceleration; negative brakes. Cut to what the car can do.
-            steer_rad: Wanted angle of the road wheels; cut to what the car can do.
-            steps: How many.
+            accel_mps2: Desired acceleration; negative brakes.
+            steer_rad: Desired angle of the road wheels.
+            steps: Number of steps.
         """
         m = self.model
         sqrt, cos, sin, tan = math.sqrt, math.cos, math.sin, math.tan
@@ -158,7 +170,7 @@ class EgoCar:
         friction, brakes = self._friction, -m.brake_mps2
         slow_mps = m.power_w / (m.mass_kg * m.engine_mps2)
         for _ in range(steps):
-            # Comparisons instead of min and max: this loop runs 3,000 times in an episode.
+            # Comparisons instead of min and max: this loop runs 3,000 times per episode.
             turn = steer_goal - steer
             steer += turn if -turn_most < turn < turn_most else (turn_most if turn > 0.0 else -turn_most)
             top = m.engine_mps2
@@ -182,7 +194,7 @@ class EgoCar:
             rear_squared = grip_rear * grip_rear - quarter
             left_front = sqrt(front_squared) if front_squared > 0.0 else 0.0
             left_rear = sqrt(rear_squared) if rear_squared > 0.0 else 0.0
-            # Brakes act on both axles and give way on each before it locks; the engine drives the front.
+            # The brakes act on both axles, each limited before it locks; the engine drives the front axle.
             force = (drive if drive < left_front else left_front) - m.rolling_mps2
             if force < -(left_front + left_rear):
                 force = -(left_front + left_rear)
@@ -194,7 +206,7 @@ class EgoCar:
                 accel, faster = -v / STEP_S, 0.0
             middle = 0.5 * (v + faster)
             yaw_rate = side / v if v > 0.1 else wanted_rate
-            # The middle of the wheelbase moves at an angle to the heading, as on rails without slip.
+            # Without slip, the centre of the wheelbase moves at an angle to the heading.
             course = yaw + 0.5 * yaw_rate * STEP_S
             if v > 0.1:
                 course += 0.5 * m.wheelbase_m * yaw_rate / v

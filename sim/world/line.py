@@ -1,6 +1,6 @@
-"""Owns reference lines: smooth plane curves of straights and arcs, with stations along and offsets across.
+"""Reference lines: smooth plane curves of straights and arcs, with stations along them and offsets across them.
 
-A line starts at station 0 and goes on straight beyond both ends, so that every station and nearby point has
+A line starts at station 0 and continues straight beyond both ends, so that every station and every nearby point has
 coordinates. Offsets are positive to the left of the direction of travel.
 """
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Self
 
 RUN_OUT_M = 2000.0
-"""How far a line goes on straight beyond each end."""
+"""Length of the straight extension beyond each end of a line."""
 
 _TWO_PI = 2.0 * math.pi
 
@@ -28,9 +28,9 @@ class ReferenceLine:
     """A smooth curve of straights and arcs. Immutable.
 
     Args:
-        x_m: Where it starts.
-        y_m: Where it starts.
-        yaw_rad: Direction in which it starts.
+        x_m: Start point.
+        y_m: Start point.
+        yaw_rad: Direction at the start.
         pieces: At least one, each longer than 0.
     """
 
@@ -89,10 +89,15 @@ class ReferenceLine:
         return self._rows[bisect_right(self._inner_starts, station_m)][5]
 
     def project(self, x_m: float, y_m: float, near_station_m: float) -> tuple[float, float]:
-        """Return (station, offset) of the closest point of the line near a known station.
+        """Return (station, offset) of the closest point on the line near a known station.
 
-        Searches piece by piece from the known station, so the answer is local: a line that comes back to where
-        it has been is no trap.
+        The search moves piece by piece from the known station, so the result is local: a line may return close to an
+        earlier part of itself.
+
+        Args:
+            x_m: Point to project.
+            y_m: Point to project.
+            near_station_m: Station at which the search starts.
         """
         rows = self._rows
         index = bisect_right(self._inner_starts, near_station_m)
@@ -120,7 +125,7 @@ class ReferenceLine:
             came_from, index = index, following
 
     def parallel(self, offset_m: float) -> Self:
-        """Return the line that runs beside this one.
+        """Return the parallel line at an offset.
 
         Raises:
             ValueError: The offset reaches the centre of an arc.
@@ -137,13 +142,13 @@ class ReferenceLine:
         return type(self)(x_m, y_m, yaw_rad, pieces)
 
     def backwards(self) -> Self:
-        """Return the same curve, travelled from its end to its start."""
+        """Return the same curve, travelled from end to start."""
         x_m, y_m, yaw_rad = self.pose_at(self.length_m)
         pieces = [Piece(piece.length_m, -piece.curvature_1pm) for piece in reversed(self.pieces)]
         return type(self)(x_m, y_m, yaw_rad + math.pi, pieces)
 
     def up_to(self, station_m: float, *then: Piece) -> Self:
-        """Return the line from its start to a station > 0, and then the given pieces."""
+        """Return the line from its start to a station > 0, followed by the given pieces."""
         pieces: list[Piece] = []
         left_m = station_m
         for piece in (*self.pieces, Piece(RUN_OUT_M)):
@@ -154,7 +159,7 @@ class ReferenceLine:
         return type(self)(*self.start, [*pieces, *then])
 
     def pieces_from(self, station_m: float) -> tuple[Piece, ...]:
-        """Return what is left of the line from a station on, at least 1 m of it."""
+        """Return the rest of the line from a station on, at least 1 m."""
         pieces: list[Piece] = []
         skip_m = station_m
         for piece in self.pieces:

@@ -1,6 +1,6 @@
-"""Owns the random streams of an episode: one generator for each thing that chance decides.
+"""Random streams of an episode: one generator for each random quantity.
 
-Addressed by position, so that one actor more, or one draw more, never shifts what another one draws.
+Generators are addressed by position, so adding an actor or a draw never changes what another actor draws.
 """
 
 from enum import IntEnum
@@ -9,7 +9,7 @@ import numpy as np
 
 
 class Stream(IntEnum):
-    """What a stream of random numbers is for. Values are part of what makes episodes repeatable."""
+    """Purpose of a random stream. Changing a value changes episodes."""
 
     START = 0
     LOCALISATION = 1
@@ -29,7 +29,7 @@ def generator(seed: int, stream: Stream, index: int = 0) -> np.random.Generator:
 
     Args:
         seed: The episode's seed.
-        stream: What it is for.
-        index: Which of them, such as the number of a vehicle.
+        stream: Purpose of the stream.
+        index: Index within the stream, such as the number of a vehicle.
     """
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(stream), index)))

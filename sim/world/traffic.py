@@ -1,7 +1,7 @@
-"""Owns who drives on a road besides the ego: the lead, oncoming and crossing cars, and cars that join.
+"""Traffic on a road besides the ego: the lead vehicle, oncoming and crossing cars, and cars that join.
 
-What a scenario fixes (the road, the weather, the hour) decides how they drive; the episode's seed only decides by
-how much each differs from its kind. Every vehicle has its own random stream.
+The scenario (road, weather, time of day) decides how they drive; the episode's seed only varies each vehicle around
+its type. Every vehicle has its own random stream.
 """
 
 import math
@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from brink.sim.driving.interface import LightState
-from brink.sim.world.lights import SignalPlan
 from brink.sim.world.line import Piece, ReferenceLine
+from brink.sim.world.pedestrians import Walker
 from brink.sim.world.road import (
     CROSSING_WIDTH_M,
     PARKING_STRIP_M,
@@ -19,35 +19,36 @@ from brink.sim.world.road import (
     STOP_LINE_BEFORE_CROSSING_M,
     Junction,
     Road,
+    SignalPlan,
+    exit_junction,
     joining_lane,
     side_lane,
+    stream_lane,
     turn_begins_m,
     turn_piece,
 )
 from brink.sim.world.streams import Stream, generator
-from brink.sim.world.task import exit_junction, stream_lane
-from brink.sim.world.vehicle import CAR, VAN, Manner, Mover, MustStop, PullOut, StopPoint, Vehicle
-from brink.sim.world.walker import Walker
+from brink.sim.world.vehicle import CAR, VAN, DrivingStyle, Mover, MustStop, PullOut, StopPoint, Vehicle
 from brink.sim.world.weather import Conditions
 
 JOINING_GAP_S = 4.5
-"""Nobody joins a lane, or crosses one, if somebody on it would be there sooner than this."""
+"""Drivers join or cross a lane only if nobody on it would arrive within this time."""
 
 MERGING_ROOM_M = 7.0
 HALF_LANE_M = 1.9
-"""Nobody joins where somebody is within this, along and across the lane."""
+"""Drivers do not join where somebody is within `MERGING_ROOM_M` along and `HALF_LANE_M` across the lane."""
 
 MOUTH_SETBACK_M = 2.5
-"""How far from the kerb line those wait who come out of a side street."""
+"""Distance from the kerb line at which drivers wait to leave a side street."""
 
 ROOM_TO_STOP_M = 28.0
 LEAD_STARTS_AHEAD_M = 26.0
-"""From the ego's middle to the lead's, when the episode begins."""
+"""Distance between the centres of the ego and the lead vehicle at the start."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Surroundings:
-    """What vehicles look at to decide whether they may go. The lists are filled once everybody is made."""
+    """What vehicles look at to decide whether they may go. The lists are filled once everybody has been created."""
 
     signals: SignalPlan | None
     movers: list[Mover]
@@ -57,87 +58,87 @@ class Surroundings:
 def make_traffic(
     road: Road, weather: Conditions, around: Surroundings, *, seed: int, exit_right: bool | None
 ) -> list[Vehicle]:
-    """Return all other vehicles of an episode, the lead first.
+    """Return all other vehicles of an episode, the lead vehicle first.
 
     Args:
-        road: Where they drive.
-        weather: How they drive.
+        road: The road they drive on.
+        weather: Sets how they drive.
         around: What they look at.
         seed: The episode's seed.
-        exit_right: Which exit the ego takes; None if it follows the road.
+        exit_right: Whether the ego takes the right exit (False: the left one); None if it follows the road.
     """
-    makers = _Makers(road=road, weather=weather, around=around, seed=seed)
-    vehicles = [makers.lead(), *makers.oncoming()]
+    builder = _TrafficBuilder(road=road, weather=weather, around=around, seed=seed)
+    vehicles = [builder.lead(), *builder.oncoming()]
     if road.junctions[0].lit:
-        vehicles += makers.crossing()
+        vehicles += builder.crossing()
     else:
-        vehicles.append(makers.joining())
+        vehicles.append(builder.joining())
     if road.style.parking:
-        vehicles.append(makers.pulling_out())
+        vehicles.append(builder.pulling_out())
     if exit_right is not None:
-        vehicles.append(makers.local(right=exit_right))
+        vehicles.append(builder.local(right=exit_right))
     return vehicles
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Makers:
+class _TrafficBuilder:
     road: Road
     weather: Conditions
     around: Surroundings
     seed: int
 
-    def _manner(
+    def _style(
         self, index: int, share: float = 1.0, slowdowns: tuple[tuple[float, float, float], ...] = ()
-    ) -> Manner:
+    ) -> DrivingStyle:
         rng = generator(self.seed, Stream.VEHICLE, index)
-        temper = float(rng.normal(0.0, 0.02))
+        variation = float(rng.normal(0.0, 0.02))
         speed = SPEED_LIMIT_MPS * self.weather.speed_share * self.road.style.pace * share
-        return Manner(
-            speed_mps=speed * (1.0 + temper),
+        return DrivingStyle(
+            speed_mps=speed * (1.0 + variation),
             headway_s=self.weather.headway_s,
-            firmness_mps2=self.weather.firmness_mps2,
+            braking_mps2=self.weather.braking_mps2,
             friction=self.weather.friction,
             slowdowns=slowdowns,
         )
 
     def lead(self) -> Vehicle:
-        """The vehicle ahead of the ego: it slows down again and again, for no reason that the ego knows."""
+        """Return the vehicle ahead of the ego; it slows down repeatedly, for no reason that the ego can perceive."""
         rng = generator(self.seed, Stream.VEHICLE, 100)
-        style = self.road.style
+        main_stream = self.road.style.main_stream
         slowdowns = []
         for number in range(4):
             begins_s = 5.0 + 8.0 * number + float(rng.uniform(-0.7, 0.7))
             lasts_s = float(rng.uniform(1.6, 2.4))
             slowdowns.append((begins_s, begins_s + lasts_s, 0.6))
-        path = stream_lane(self.road, style.main_stream)
-        manner = self._manner(0, slowdowns=tuple(slowdowns))
+        path = stream_lane(self.road, main_stream)
+        style = self._style(0, slowdowns=tuple(slowdowns))
         stops = self._stops(forward=True)
-        if style.main_stream == 2:
+        if main_stream == 2:
             junction = exit_junction(self.road, right=False)
-            stops.append(self._give_way_left(junction, path))
+            stops.append(self._give_way_left(junction))
         return Vehicle(
             name="lead",
             size=CAR,
             path=path,
             station_m=LEAD_STARTS_AHEAD_M + float(rng.uniform(-1.0, 1.0)),
-            speed_mps=manner.speed_mps,
-            manner=manner,
+            speed_mps=style.speed_mps,
+            style=style,
             stops=stops,
             phase=0,
         )
 
     def oncoming(self) -> list[Vehicle]:
-        """Cars on the other lane."""
+        """Return the cars in the oncoming lane."""
         vehicles = []
         lane = self.road.backward
         distances_m = (65.0, 125.0, 180.0)
         for number, ahead_m in enumerate(distances_m if self.road.length_m > 180.0 else distances_m[:2]):
             rng = generator(self.seed, Stream.VEHICLE, 110 + number)
-            manner = self._manner(10 + number)
+            style = self._style(10 + number)
             stops = self._stops(forward=False)
             station_m = lane.length_m - ahead_m + float(rng.uniform(-4.0, 4.0))
             for stop in stops:
-                # Nobody begins so close before a line that they could not stop there.
+                # Oncoming cars start far enough before a line to be able to stop there.
                 if stop.station_m - ROOM_TO_STOP_M < station_m < stop.station_m + CAR.length_m:
                     station_m = stop.station_m - ROOM_TO_STOP_M
             vehicles.append(
@@ -146,8 +147,8 @@ class _Makers:
                     size=VAN if number == 1 else CAR,
                     path=lane,
                     station_m=station_m,
-                    speed_mps=manner.speed_mps,
-                    manner=manner,
+                    speed_mps=style.speed_mps,
+                    style=style,
                     stops=stops,
                     phase=1 + number,
                 )
@@ -155,22 +156,22 @@ class _Makers:
         return vehicles
 
     def crossing(self) -> list[Vehicle]:
-        """Cars that cross at the lights, one from either side."""
+        """Return the cars that cross at the lights, one from either side."""
         junction = self.road.junctions[0]
         vehicles = []
         for number, from_right in enumerate((True, False)):
             rng = generator(self.seed, Stream.VEHICLE, 120 + number)
             path = side_lane(junction, self.road.style.lane_width_m, from_right=from_right)
             line_m = SIDE_STREET_M - self.road.stop_line_before_junction_m
-            manner = self._manner(3 + number)
+            style = self._style(3 + number)
             vehicles.append(
                 Vehicle(
                     name=f"crossing-{number + 1}",
                     size=CAR,
                     path=path,
                     station_m=4.0 + float(rng.uniform(0.0, 16.0)),
-                    speed_mps=manner.speed_mps,
-                    manner=manner,
+                    speed_mps=style.speed_mps,
+                    style=style,
                     stops=(StopPoint(line_m, self._side_red),),
                     phase=3 + number,
                 )
@@ -178,38 +179,38 @@ class _Makers:
         return vehicles
 
     def joining(self) -> Vehicle:
-        """A car that comes out of the right side street and joins the ego's lane when there is a gap."""
+        """Return a car that leaves the right side street and joins the ego's lane when there is a gap."""
         rng = generator(self.seed, Stream.VEHICLE, 130)
         junction = self.road.junctions[0]
         path = joining_lane(self.road, junction)
         half_lane_m = 0.5 * self.road.style.lane_width_m
         mouth_m = SIDE_STREET_M - self.road.kerb_m - MOUTH_SETBACK_M
         point = self.road.forward.pose_at(junction.forward_m + half_lane_m)
-        manner = self._manner(3, share=0.8)
+        style = self._style(3, share=0.8)
         return Vehicle(
             name="joining",
             size=CAR,
             path=path,
             station_m=mouth_m - 14.0 + float(rng.uniform(-1.0, 1.0)),
             speed_mps=3.0,
-            manner=manner,
+            style=style,
             stops=(StopPoint(mouth_m, self._not_free(point)),),
             phase=3,
         )
 
     def pulling_out(self) -> Vehicle:
-        """A parked car that pulls out into the ego's lane when there is a gap."""
+        """Return a parked car that pulls out into the ego's lane when there is a gap."""
         rng = generator(self.seed, Stream.VEHICLE, 140)
         lane = self.road.forward
         at_m = 0.62 * self.road.length_m
-        manner = self._manner(6, share=0.7)
+        style = self._style(6, share=0.7)
         return Vehicle(
             name="pulling-out",
             size=CAR,
             path=lane,
             station_m=at_m,
             speed_mps=0.0,
-            manner=manner,
+            style=style,
             stops=(
                 StopPoint(at_m + 0.5 * CAR.length_m, self._not_free(lane.pose_at(at_m))),
                 *self._stops(forward=True),
@@ -220,7 +221,7 @@ class _Makers:
         )
 
     def local(self, *, right: bool) -> Vehicle:
-        """A slow car in the street that the ego turns into."""
+        """Return a slow car in the street that the ego turns into."""
         rng = generator(self.seed, Stream.VEHICLE, 150)
         junction = exit_junction(self.road, right=right)
         width_m = self.road.style.lane_width_m
@@ -233,13 +234,13 @@ class _Makers:
             path=path,
             station_m=begins_m + arc.length_m + 14.0 + float(rng.uniform(-1.5, 1.5)),
             speed_mps=0.0,
-            manner=self._manner(5, share=0.55),
+            style=self._style(5, share=0.55),
             starts_s=0.45 * begins_m / 8.0,
             phase=2,
         )
 
     def _stops(self, *, forward: bool) -> list[StopPoint]:
-        """Return the crossing or the stop line of a lane of the road."""
+        """Return the crossing or the stop line on a lane of the road."""
         lane = self.road.forward if forward else self.road.backward
         junction = self.road.junctions[0]
         if junction.lit:
@@ -258,10 +259,10 @@ class _Makers:
         return signals is not None and signals.side_at(time_s) is not LightState.GREEN
 
     def _people_cross(self, vehicle: Vehicle, time_s: float) -> bool:
-        return any(walker.wants_zebra for walker in self.around.walkers)
+        return any(walker.has_right_of_way for walker in self.around.walkers)
 
     def _not_free(self, point: tuple[float, float, float]) -> MustStop:
-        """Return a rule to wait while anybody on the lane of a point is about to arrive there."""
+        """Return a rule: wait while anybody on the lane is about to arrive at a point."""
         x_m, y_m, yaw_rad = point
 
         def must_stop(vehicle: Vehicle, time_s: float) -> bool:
@@ -269,8 +270,8 @@ class _Makers:
 
         return must_stop
 
-    def _give_way_left(self, junction: Junction, path: ReferenceLine) -> StopPoint:
-        """Return a rule to let oncoming cars pass before turning left."""
+    def _give_way_left(self, junction: Junction) -> StopPoint:
+        """Return the point at which a left turn gives way to oncoming cars."""
         begins_m = turn_begins_m(junction.forward_m, self.road.style.lane_width_m, right=False)
         point = self.road.backward.pose_at(junction.backward_m)
         return StopPoint(begins_m, self._not_free(point))
@@ -284,15 +285,15 @@ def lane_is_free(
     yaw_rad: float,
     gap_s: float = JOINING_GAP_S,
 ) -> bool:
-    """Return whether nobody on a lane will be at a point of it within a time.
+    """Return whether nobody on a lane will reach a point within a time gap.
 
     Args:
-        movers: Everybody.
-        asking: Who wants to know; never in its own way.
+        movers: Everybody, the asking vehicle included.
+        asking: The vehicle that wants to enter the lane; it is never in its own way.
         x_m: The point.
         y_m: The point.
-        yaw_rad: Direction of the lane there.
-        gap_s: The time.
+        yaw_rad: Direction of the lane at the point.
+        gap_s: The time gap.
     """
     cos_lane, sin_lane = math.cos(yaw_rad), math.sin(yaw_rad)
     for mover in movers:

@@ -1,7 +1,7 @@
-"""Owns how another vehicle moves: along its lane, at its own pace, behind whatever is in its way.
+"""Motion of other vehicles: along their lane, at their desired speed, behind whatever is ahead.
 
-The Intelligent Driver Model decides the acceleration; the lane decides where it goes. A vehicle looks around five
-times a second and moves twenty times a second.
+The Intelligent Driver Model sets the acceleration; the lane sets the path. A vehicle looks around five times per
+second and moves twenty times per second.
 
 References:
     Treiber, Hennecke, Helbing 2000, Congested traffic states in empirical observations and microscopic simulations.
@@ -25,7 +25,7 @@ EMERGENCY_MPS2 = 6.5
 
 
 class Mover(Protocol):
-    """Whatever has a place, a heading, a speed and an extent."""
+    """Anything with a position, a heading, a speed and an extent."""
 
     x_m: float
     y_m: float
@@ -45,7 +45,7 @@ class Mover(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class VehicleSize:
-    """Extents of a vehicle's body."""
+    """Dimensions of a vehicle's body."""
 
     length_m: float
     width_m: float
@@ -57,20 +57,20 @@ VAN = VehicleSize(5.6, 2.0, 2.3)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Manner:
-    """How somebody drives.
+class DrivingStyle:
+    """A driving style.
 
     Attributes:
-        speed_mps: Wanted speed on a free, straight road.
-        headway_s: Time gap kept.
-        firmness_mps2: Hardest braking by choice, rather than in an emergency.
-        slowdowns: Stretches (from, to, share) in seconds during which only a share of the wanted speed is wanted.
-        friction: Of the road: no braking beyond it.
+        speed_mps: Desired speed on a free, straight road.
+        headway_s: Time gap to the vehicle ahead.
+        braking_mps2: Hardest braking outside emergencies.
+        friction: Friction of the road, which limits braking.
+        slowdowns: Periods (from, to, share) in seconds during which the desired speed is reduced to a share.
     """
 
     speed_mps: float
     headway_s: float
-    firmness_mps2: float
+    braking_mps2: float
     friction: float
     slowdowns: tuple[tuple[float, float, float], ...] = ()
 
@@ -80,11 +80,11 @@ MustStop: TypeAlias = "Callable[[Vehicle, float], bool]"
 
 @dataclass(frozen=True, slots=True)
 class StopPoint:
-    """Somewhere on a path where a vehicle may have to wait.
+    """A point on a path where a vehicle may have to wait.
 
     Attributes:
         station_m: Where its front bumper stops.
-        must_stop: Says whether a vehicle has to stop there at a time.
+        must_stop: Returns whether a vehicle has to stop there at a time.
     """
 
     station_m: float
@@ -93,7 +93,7 @@ class StopPoint:
 
 @dataclass(frozen=True, slots=True)
 class PullOut:
-    """A move from the roadside into the lane: from an offset at a station to 0 over a length."""
+    """A move from the roadside into the lane: from an offset at a station to 0 over a distance."""
 
     offset_m: float
     from_m: float
@@ -101,19 +101,19 @@ class PullOut:
 
 
 class Vehicle:
-    """Another vehicle. Changes in place: made anew for every episode.
+    """Another vehicle. Mutable: created anew for each episode.
 
     Args:
-        name: Unique in the episode.
-        size: Its body.
-        path: Its lane.
-        station_m: Where its middle is on it.
-        speed_mps: Its speed.
-        manner: How it is driven.
+        name: Unique name in the episode.
+        size: Dimensions of its body.
+        path: Centre line of its lane.
+        station_m: Station of its centre on the path.
+        speed_mps: Initial speed.
+        style: How it is driven.
         stops: Where it may have to wait, in any order.
         pull_out: Its move into the lane, if it starts at the roadside.
-        starts_s: It stands still before this time.
-        phase: Which of every four steps it looks around in.
+        starts_s: Time before which it stands still.
+        phase: Offset of its turn to look around, in steps.
     """
 
     __slots__ = (
@@ -124,7 +124,6 @@ class Vehicle:
         "_stop_m",
         "accel_mps2",
         "length_m",
-        "manner",
         "name",
         "offset_m",
         "path",
@@ -134,6 +133,7 @@ class Vehicle:
         "starts_s",
         "station_m",
         "stops",
+        "style",
         "width_m",
         "x_m",
         "y_m",
@@ -148,7 +148,7 @@ class Vehicle:
         path: ReferenceLine,
         station_m: float,
         speed_mps: float,
-        manner: Manner,
+        style: DrivingStyle,
         stops: Sequence[StopPoint] = (),
         pull_out: PullOut | None = None,
         starts_s: float = 0.0,
@@ -163,7 +163,7 @@ class Vehicle:
         self.offset_m = pull_out.offset_m if pull_out else 0.0
         self.speed_mps = speed_mps
         self.accel_mps2 = 0.0
-        self.manner = manner
+        self.style = style
         self.stops = tuple(sorted(stops, key=lambda stop: stop.station_m))
         self.pull_out = pull_out
         self.starts_s = starts_s
@@ -175,15 +175,15 @@ class Vehicle:
         self.x_m, self.y_m, self.yaw_rad = path.pose_at(station_m, self.offset_m)
 
     def looks_at(self, step: int) -> bool:
-        """Return whether it is this vehicle's turn to look around at a 20 Hz step."""
+        """Return whether it is this vehicle's turn to look around in a 20 Hz step."""
         return step % LOOK_EVERY_STEPS == self._phase or step == 0
 
     def look(self, time_s: float, movers: Sequence[Mover]) -> None:
-        """Look for what is in the way.
+        """Look for obstacles and stop points ahead.
 
         Args:
             time_s: Simulated time.
-            movers: Everything that could be in its way; may include itself.
+            movers: All possible obstacles; may include the vehicle itself.
         """
         self._gap_m, self._gap_speed_mps = self._nearest(movers)
         front_m = self.station_m + 0.5 * self.length_m
@@ -192,12 +192,12 @@ class Vehicle:
             ahead_m = stop.station_m - front_m
             if -0.5 <= ahead_m < LOOK_AHEAD_M and stop.must_stop(self, time_s):
                 braking_mps2 = self.speed_mps * self.speed_mps / (2.0 * max(ahead_m, 0.1))
-                if braking_mps2 < self.manner.firmness_mps2 + 1.5:
+                if braking_mps2 < self.style.braking_mps2 + 1.5:
                     self._stop_m = stop.station_m
                     break
 
     def _nearest(self, movers: Sequence[Mover]) -> tuple[float, float]:
-        """Return the gap to the nearest thing in the way, and its speed along the path."""
+        """Return the gap to the nearest obstacle on the path, and its speed along the path."""
         cos_yaw, sin_yaw = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         x_m, y_m, station_m = self.x_m, self.y_m, self.station_m
         reach_m = min(LOOK_AHEAD_M, 12.0 + 4.5 * self.speed_mps)
@@ -214,7 +214,7 @@ class Vehicle:
             turn = other.yaw_rad - self.path.pose_at(at_m)[2]
             cos_turn, sin_turn = math.cos(turn), abs(math.sin(turn))
             half_across = 0.5 * (abs(cos_turn) * other.width_m + sin_turn * other.length_m)
-            # A vehicle at the roadside looks where it will be, not where it is.
+            # A vehicle at the roadside checks the lane that it will enter, not where it stands.
             if abs(off_m) > half_across + 0.5 * self.width_m + SIDE_CLEARANCE_M:
                 continue
             half_along = 0.5 * (abs(cos_turn) * other.length_m + sin_turn * other.width_m)
@@ -224,14 +224,14 @@ class Vehicle:
         return gap_m, gap_speed
 
     def move(self, time_s: float, dt_s: float) -> None:
-        """Move on by one step."""
+        """Advance by one time step."""
         if time_s < self.starts_s:
             self.speed_mps = 0.0
             return
-        manner = self.manner
+        style = self.style
         speed = self.speed_mps
-        wanted = manner.speed_mps
-        for from_s, to_s, share in manner.slowdowns:
+        wanted = style.speed_mps
+        for from_s, to_s, share in style.slowdowns:
             if from_s <= time_s < to_s:
                 wanted *= share
         station_m = self.station_m
@@ -244,16 +244,16 @@ class Vehicle:
                     wanted = min(wanted, math.sqrt(arc_mps * arc_mps + 2.0 * COMFORT_MPS2 * before_m))
         squared = (speed / wanted) * (speed / wanted) if wanted > 0.1 else math.inf
         accel = ACCEL_MPS2 * (1.0 - squared * squared)
-        if accel < -manner.firmness_mps2:
-            accel = -manner.firmness_mps2
+        if accel < -style.braking_mps2:
+            accel = -style.braking_mps2
         gap_m, gap_speed = self._gap_m, self._gap_speed_mps
         if gap_m < LOOK_AHEAD_M:
-            accel = min(accel, _follow(speed, gap_speed, gap_m, manner.headway_s, STANDSTILL_GAP_M))
+            accel = min(accel, _follow(speed, gap_speed, gap_m, style.headway_s, STANDSTILL_GAP_M))
             self._gap_m = gap_m + (gap_speed - speed) * dt_s
         if self._stop_m < math.inf:
             to_line_m = self._stop_m - station_m - 0.5 * self.length_m
             accel = min(accel, _follow(speed, 0.0, to_line_m + 0.6, 0.5, 0.5))
-        hardest = min(EMERGENCY_MPS2, 9.0 * manner.friction)
+        hardest = min(EMERGENCY_MPS2, 9.0 * style.friction)
         if accel < -hardest:
             accel = -hardest
         faster = speed + accel * dt_s
@@ -275,7 +275,7 @@ class Vehicle:
 
 
 def _follow(speed: float, ahead_speed: float, gap_m: float, headway_s: float, standstill_m: float) -> float:
-    """Return the acceleration behind something ahead, without the free-road term."""
+    """Return the acceleration behind an obstacle, without the free-road term."""
     if gap_m <= 0.05:
         return -EMERGENCY_MPS2
     wanted_m = standstill_m + max(
@@ -286,7 +286,7 @@ def _follow(speed: float, ahead_speed: float, gap_m: float, headway_s: float, st
 
 
 def _arc_speeds(path: ReferenceLine) -> tuple[tuple[float, float, float], ...]:
-    """Return (from, to, speed) for every arc of a path."""
+    """Return (from, to, speed) for each arc of a path."""
     arcs = []
     at_m = 0.0
     for piece in path.pieces:

@@ -1,30 +1,30 @@
-"""Owns what time of day and weather do: to friction, to the other perception parts, to how people behave.
+"""Effects of time of day and weather on friction, on perception, and on how other people behave.
 
-Friction follows common figures for asphalt; the rest are modelling choices, kept in one place to be read.
+Friction follows common figures for asphalt; the rest are modelling choices, collected here.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from brink.sim.urban.scenario import TimeOfDay, Weather
+from brink.sim.world.scenario import TimeOfDay, Weather
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Conditions:
-    """What time of day and weather amount to.
+    """Driving conditions that result from time of day and weather.
 
     Attributes:
         friction: Tyre-road friction coefficient.
         position_noise_m: Standard deviation of lane-position errors.
-        position_bias_m: Standard deviation of the error that stays for a whole episode.
-        light_range_m: How far the light detector sees.
-        light_miss_share: Share of readings in which it sees nothing.
+        position_bias_m: Standard deviation of the position error that is constant during an episode.
+        light_range_m: Range of the light detector.
+        light_miss_share: Share of readings in which it detects nothing.
         light_confusion_share: Share of readings with the wrong colour.
-        speed_share: How fast other drivers want to go, as a share of the limit.
+        speed_share: Desired speed of other drivers, as a share of the limit.
         headway_s: Time gap that other drivers keep.
-        firmness_mps2: How hard they brake when they choose to.
-        walking_mps: How fast people walk.
-        patience_s: How long people wait at the kerb.
+        braking_mps2: Their hardest braking outside emergencies.
+        walking_mps: Walking speed of pedestrians.
+        patience_s: How long pedestrians wait at the kerb.
     """
 
     friction: float
@@ -35,7 +35,7 @@ class Conditions:
     light_confusion_share: float
     speed_share: float
     headway_s: float
-    firmness_mps2: float
+    braking_mps2: float
     walking_mps: float
     patience_s: float
 
@@ -61,9 +61,9 @@ _DARKNESS: Mapping[TimeOfDay, float] = {TimeOfDay.NOON: 0.0, TimeOfDay.SUNSET: 0
 
 
 def conditions(time_of_day: TimeOfDay, weather: Weather) -> Conditions:
-    """Return what a time of day and a weather amount to.
+    """Return the driving conditions for a time of day and a weather.
 
-    A low sun dazzles only in a clear sky, most on a wet road; clouds take away glare and make it darker.
+    A low sun dazzles only in a clear sky, and most on a wet road; clouds remove glare and make it darker.
     """
     sky = _SKIES[weather]
     dark = _DARKNESS[time_of_day] + 0.1 * sky.overcast
@@ -78,7 +78,7 @@ def conditions(time_of_day: TimeOfDay, weather: Weather) -> Conditions:
         light_confusion_share=0.002 + 0.006 * sky.rain + 0.012 * glare,
         speed_share=1.06 - 0.14 * sky.rain - 0.03 * sky.wet - 0.08 * dark - 0.08 * glare,
         headway_s=1.2 + 0.4 * sky.rain + 0.2 * dark,
-        firmness_mps2=2.8 - 0.8 * sky.rain - 0.3 * sky.wet,
+        braking_mps2=2.8 - 0.8 * sky.rain - 0.3 * sky.wet,
         walking_mps=1.25 + 0.35 * sky.rain + 0.1 * sky.wet,
         patience_s=2.0 - 1.0 * sky.rain,
     )

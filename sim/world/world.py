@@ -1,62 +1,67 @@
-"""Owns the world of one episode: the road, everybody on it but the ego, and their common clock."""
+"""The world of one episode: the road, all road users except the ego, and their common clock."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from brink.sim.urban.scenario import DrivingTask, UrbanScenario
 from brink.sim.world.ego import EgoCar, EgoMotion, MakeEgo
-from brink.sim.world.lights import CYCLE_S, SignalPlan
-from brink.sim.world.people import make_people
-from brink.sim.world.road import Road, build_road, turn_begins_m
-from brink.sim.world.route import LaneRoute
+from brink.sim.world.pedestrians import Phase, Walker, make_people
+from brink.sim.world.road import (
+    CYCLE_S,
+    LaneRoute,
+    Road,
+    SignalPlan,
+    build_road,
+    ego_route,
+    exit_junction,
+    turn_begins_m,
+)
+from brink.sim.world.scenario import DrivingTask, UrbanScenario
 from brink.sim.world.streams import Stream, generator
-from brink.sim.world.task import ego_route, exit_junction
 from brink.sim.world.traffic import Surroundings, make_traffic
 from brink.sim.world.vehicle import Mover, Vehicle, VehicleSize
-from brink.sim.world.walker import Phase, Walker
 from brink.sim.world.weather import Conditions, conditions
 
 STEP_S = 0.05
 START_SPEED_MPS = 6.0
 EGO_STEPS = 5
-"""100 Hz steps of the ego in one step of the world."""
+"""100 Hz steps of the ego per step of the world."""
 
 
 class RoadUser(Mover, Protocol):
-    """Somebody on the road besides the ego. Changes in place."""
+    """A road user other than the ego. Mutable."""
 
     name: str
 
 
-class Driven(RoadUser, Protocol):
-    """A vehicle."""
+class OtherVehicle(RoadUser, Protocol):
+    """A vehicle with its dimensions."""
 
     size: VehicleSize
 
 
 class World(Protocol):
-    """What an episode is about, as the loop, the camera and the recorder see it. Its members change in place."""
+    """The world of an episode as the loop, the camera and the recorder see it. Its members are mutable."""
 
     @property
     def road(self) -> Road:
-        """Where it is."""
+        """The road."""
         ...
 
     @property
     def route(self) -> LaneRoute:
-        """Where the ego is to go."""
+        """The ego's route."""
         ...
 
     @property
     def weather(self) -> Conditions:
-        """What time of day and weather amount to."""
+        """The driving conditions."""
         ...
 
     @property
     def signals(self) -> SignalPlan | None:
-        """The traffic lights, at a crossroad."""
+        """The traffic lights; None except at a crossroad."""
         ...
 
     @property
@@ -65,13 +70,13 @@ class World(Protocol):
         ...
 
     @property
-    def vehicles(self) -> Sequence[Driven]:
+    def vehicles(self) -> Sequence[OtherVehicle]:
         """All other vehicles."""
         ...
 
     @property
     def walkers(self) -> Sequence[RoadUser]:
-        """Everybody on foot."""
+        """All pedestrians."""
         ...
 
     @property
@@ -80,11 +85,11 @@ class World(Protocol):
         ...
 
     def advance(self, step: int) -> None:
-        """Let everybody but the ego go on by `STEP_S`; steps count from 0."""
+        """Advance all road users except the ego by `STEP_S`; steps count from 0."""
         ...
 
     def grade_at(self, station_m: float) -> float:
-        """Return how steep the ego's route is."""
+        """Return the slope of the ego's route at a station."""
         ...
 
 
@@ -93,13 +98,13 @@ class UrbanWorld:
     """The world of an urban episode.
 
     Attributes:
-        road: Where it is.
-        route: Where the ego is to go.
-        weather: What time of day and weather amount to.
-        signals: The traffic lights, at a crossroad.
+        road: The road.
+        route: The ego's route.
+        weather: The driving conditions.
+        signals: The traffic lights; None except at a crossroad.
         ego: The car under test.
-        vehicles: All others, the lead first.
-        walkers: Everybody on foot.
+        vehicles: All other vehicles, the lead vehicle first.
+        walkers: All pedestrians.
         movers: The ego and the vehicles.
         leaves_road_m: Station at which the ego's route leaves the road.
     """
@@ -115,7 +120,7 @@ class UrbanWorld:
     leaves_road_m: float
 
     def advance(self, step: int) -> None:
-        """Let everybody but the ego go on by `STEP_S`.
+        """Advance all road users except the ego by `STEP_S`.
 
         Args:
             step: Number of the step, from 0.
@@ -138,7 +143,7 @@ class UrbanWorld:
                 walker.move()
 
     def grade_at(self, station_m: float) -> float:
-        """Return how steep the ego's route is; the road slopes, its side streets do not."""
+        """Return the slope of the ego's route at a station; the road may slope, its side streets are level."""
         return self.road.style.grade if station_m < self.leaves_road_m else 0.0
 
 
@@ -146,14 +151,14 @@ def make_world(scenario: UrbanScenario, seed: int, make_ego: MakeEgo = EgoCar) -
     """Return the world of an episode at time 0.
 
     Args:
-        scenario: What it is like.
+        scenario: Parameters of the world.
         seed: The episode's seed.
-        make_ego: Decides how the ego's motion is simulated.
+        make_ego: Creates the ego, and so selects its motion model.
     """
     road = build_road(scenario.road_curve, scenario.road_id, scenario.road_length)
     route = ego_route(road, scenario.driving_task)
     weather = conditions(scenario.time_of_day, scenario.weather)
-    signals = signal_plan(road, scenario, seed) if road.junctions[0].lit else None
+    signals = signal_plan(scenario, seed) if road.junctions[0].lit else None
     start = generator(seed, Stream.START)
     ego = make_ego(
         route.pose_at(0.0, float(start.normal(0.0, 0.05))), START_SPEED_MPS, friction=weather.friction
@@ -180,15 +185,15 @@ def make_world(scenario: UrbanScenario, seed: int, make_ego: MakeEgo = EgoCar) -
 
 
 def leaves_road_m(road: Road, task: DrivingTask) -> float:
-    """Return the station at which the ego's route leaves the road; infinite if it does not."""
+    """Return the station at which the ego's route leaves the road; infinite if it stays on it."""
     if task is DrivingTask.FOLLOW_ROAD:
         return math.inf
     right = task is DrivingTask.FIRST_EXIT
     return turn_begins_m(exit_junction(road, right=right).forward_m, road.style.lane_width_m, right=right)
 
 
-def signal_plan(road: Road, scenario: UrbanScenario, seed: int) -> SignalPlan:
-    """Return the lights; every crossroad has its own cycle offset, which drifts a little."""
+def signal_plan(scenario: UrbanScenario, seed: int) -> SignalPlan:
+    """Return the traffic-light plan; each crossroad has its own cycle offset, slightly varied by the seed."""
     offset_s = 0.19 * CYCLE_S * (3 * scenario.road_id + scenario.road_length)
     drift_s = float(generator(seed, Stream.SIGNALS).normal(0.0, 0.6))
     return SignalPlan(phase_s=(offset_s + drift_s) % CYCLE_S)

@@ -1,4 +1,4 @@
-"""The page of one solution: its episode is made by a worker if it was not kept, played, scrubbed and saved."""
+"""The page of one solution: its episode is re-run if its trace was not kept, played, scrubbed and saved."""
 
 import base64
 import json
@@ -27,7 +27,7 @@ TRACE = base64.b64encode(make_trace().to_bytes()).decode()
 
 @pytest.fixture
 def solution(site: Served, visit: Visits) -> Page:
-    """The page of an unsafe boundary solution, opened from the table, with its replay there."""
+    """The page of an unsafe boundary solution, opened from the table, with its replay loaded."""
     number = unsafe_one(site)["number"]
     page = visit(site.url, loose(site.urban))
     table = page.get_by_role("region", name="Boundary solutions", exact=True)
@@ -46,7 +46,7 @@ def clock(page: Page) -> float:
     return float(page.locator("output.clock").inner_text().split(" / ")[0])
 
 
-def test_a_replay_that_plays_advances_and_changes_the_picture(solution: Page) -> None:
+def test_playing_replay_advances_and_changes_the_picture(solution: Page) -> None:
     sheet = above(solution)
     sheet.scroll_into_view_if_needed()
     first = picture(sheet)
@@ -59,10 +59,10 @@ def test_a_replay_that_plays_advances_and_changes_the_picture(solution: Page) ->
     changes(sheet, first)
     still, at = picture(sheet), clock(solution)
     solution.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
-    assert (picture(sheet), clock(solution)) == (still, at), "it is paused"
+    assert (picture(sheet), clock(solution)) == (still, at), "the replay is paused"
 
 
-def test_the_scrubber_shows_any_moment_and_the_same_moment_the_same_picture(solution: Page) -> None:
+def test_scrubber_shows_the_same_picture_for_the_same_moment(solution: Page) -> None:
     sheet, scrubber = above(solution), solution.get_by_label("Time in the episode")
     first = picture(sheet)
     last = int(scrubber.get_attribute("max") or 0)
@@ -78,7 +78,7 @@ def test_the_scrubber_shows_any_moment_and_the_same_moment_the_same_picture(solu
     becomes(sheet, middle)
 
 
-def test_space_plays_and_the_way_to_the_violation_is_a_button(solution: Page) -> None:
+def test_space_toggles_playback_and_a_button_jumps_to_the_violation(solution: Page) -> None:
     solution.get_by_role("heading", name="Replay", exact=True).scroll_into_view_if_needed()
     solution.get_by_role("main").focus()
     solution.keyboard.press("Space")
@@ -91,20 +91,20 @@ def test_space_plays_and_the_way_to_the_violation_is_a_button(solution: Page) ->
     assert clock(solution) == pytest.approx(seconds, abs=0.11)
 
 
-def test_what_the_page_says_is_what_the_api_says(site: Served, solution: Page) -> None:
+def test_page_shows_what_the_api_returns(site: Served, solution: Page) -> None:
     one = unsafe_one(site)
     shown(solution.locator(".head .badge")).to_have_text("unsafe")
-    shown(solution.get_by_role("region", name="What it is")).to_contain_text(one["words"])
-    with solution.expect_download() as coming:
+    shown(solution.get_by_role("region", name="Description")).to_contain_text(one["words"])
+    with solution.expect_download() as download:
         solution.get_by_role("button", name="Specification, JSON").click()
-    told = expect(site.client.get(f"{API}/campaigns/{site.urban}/solutions/{one['number']}"))
-    assert json.loads(Path(coming.value.path()).read_text(encoding="utf-8")) == told["spec"]
+    found = expect(site.client.get(f"{API}/campaigns/{site.urban}/solutions/{one['number']}"))
+    assert json.loads(Path(download.value.path()).read_text(encoding="utf-8")) == found["spec"]
     solution.get_by_role("link", name="Open on the map").click()
     panel = solution.get_by_role("complementary", name="Chosen on the map")
     shown(panel.get_by_role("heading", name=f"Solution {one['number']}")).to_be_visible()
 
 
-def test_an_episode_that_nobody_can_make_is_made_once_somebody_can(
+def test_episode_without_a_capable_worker_is_made_when_one_appears(
     own: httpx.Client, own_database: str, visit: Visits, console: Console
 ) -> None:
     worker = FakeWorker(own, judge=with_trace)
@@ -122,15 +122,15 @@ def test_an_episode_that_nobody_can_make_is_made_once_somebody_can(
     shown(page.locator("output.clock")).to_have_text("0.0 / 19.9 s")
 
 
-def test_a_solution_can_be_simulated_again_as_soon_as_its_campaign_has_ended(
+def test_solution_can_be_simulated_again_when_its_campaign_has_ended(
     own: httpx.Client, visit: Visits
 ) -> None:
     campaign, worker = submit(own, ball()), FakeWorker(own, judge=with_trace)
     while not progress(own, campaign)["generations"]:
         worker.report(worker.lease(4))
     page = visit(origin(own), f"#/campaigns/{campaign}/solutions/0")
-    again = page.get_by_role("region", name="With other seeds")
-    shown(again).to_contain_text("it is running now")
+    again = page.get_by_role("region", name="Repeats with other seeds")
+    shown(again).to_contain_text("the campaign is running")
     worker.work(campaign)
     shown(again.get_by_role("button", name="Simulate")).to_be_visible()
 

@@ -1,34 +1,35 @@
-"""A cheap simulator, ``faulty@1``, that breaks down in real ways when its scenario says so.
+"""A cheap simulator, ``faulty@1``, that fails in real ways when its scenario says so.
 
 Import it through ``BRINK_PLUGINS=faulty_simulator`` with this folder on ``PYTHONPATH``, or as
 ``tests.plugins.faulty_simulator`` from the repository root.
 
-Without a fault it returns, for each requirement, a robustness that depends on nothing but the numbers of scenario
-and behaviour (Booleans and everything else are skipped): their distance from the origin minus ``limit``. So the
-unsafe region is a ball; the objective ``distance`` is the distance itself. The provenance tells the process id,
-the monotonic times at which the run began and ended, and how long the process had waited for a processor by then.
+Without a fault, the robustness of every requirement is the distance of the episode from the origin minus ``limit``.
+The distance is computed from all numbers in scenario and behaviour, so the unsafe region is a ball; the objective
+``distance`` is the distance itself. The provenance gives the process id, the monotonic times at which the run began
+and ended, and how long the process had waited for a processor by then.
 
-Scenario fields that are read, all optional; none of the numbers among them enters the distance:
+Optional scenario fields, none of which enters the distance:
 
-    fault           what goes wrong, ``none`` if absent:
-        none            nothing
-        segfault        reads address 0: the process is killed by SIGSEGV
-        hang            sleeps in C with the interpreter lock held, for an hour
-        out-of-memory   takes memory until it is refused: MemoryError under a memory limit
-        exit            ends the process with status 3, without a word
-        error           raises a RuntimeError
-        crashed         raises SimulationCrashed
-        invalid         raises InvalidEpisode
-        nan             returns a verdict that is not a number
-        print           writes noise to both standard streams, below Python too, then returns a verdict
-        slow            works on the processor for ``slow_s``, then returns a verdict
-        wait            sleeps for ``slow_s``, then returns a verdict
-    once            path of a file: the fault happens only if the file cannot be found, and creates it first,
-                    so that the next attempt gets through
-    slow_s          for ``slow`` and ``wait``, default 0.1
-    limit           radius of the unsafe ball, default 1.0
+    fault           the fault to cause, ``none`` by default:
+        none            no fault
+        segfault        read address 0: SIGSEGV kills the process
+        hang            sleep in C for an hour while holding the interpreter lock
+        out-of-memory   allocate memory until an allocation fails: MemoryError under a memory limit
+        exit            end the process with status 3, silently
+        error           raise a RuntimeError
+        crashed         raise SimulationCrashed
+        invalid         raise InvalidEpisode
+        nan             return a verdict of NaN
+        print           write noise to both standard streams, below Python too, then return a verdict
+        slow            keep the processor busy for ``slow_s``, then return a verdict
+        wait            sleep for ``slow_s``, or until the file ``until`` exists, then return a verdict
+    once            path of a file: the fault happens only if the file does not exist, and creates it first,
+                    so that the next attempt succeeds
+    slow_s          duration of ``slow`` and ``wait`` in seconds, 0.1 by default
+    until           path of a file that ends ``wait``
+    limit           radius of the unsafe ball, 1.0 by default
 
-With ``record`` the result carries a small trace (not one that `brink.sim.trace` can read).
+With ``record`` the result carries a small trace, which `brink.sim.trace` cannot read.
 """
 
 import ctypes
@@ -44,20 +45,20 @@ from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, Verdict
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
 
 SIMULATOR_ID = "faulty@1"
-_SETTINGS = ("fault", "once", "slow_s", "limit")
+_SETTINGS = ("fault", "once", "slow_s", "until", "limit")
 _BLOCK_BYTES = 64 * 1024 * 1024
-_MOST_BLOCKS = 1024
+_MAX_BLOCKS = 1024
 
 
 class FaultySimulator:
-    """Returns a distance from the origin, or breaks down as it is told."""
+    """Returns the distance from the origin, or fails as the scenario says."""
 
     def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
         """Run one episode."""
         began_s, began_queued_s = time.monotonic(), _queued_s()
         fault = str(spec.scenario.get("fault", "none"))
-        if fault != "none" and _wanted(spec.scenario.get("once")):
-            break_down(fault, _number(spec.scenario, "slow_s", 0.1))
+        if fault != "none" and _is_due(spec.scenario.get("once")):
+            cause(fault, _number(spec.scenario, "slow_s", 0.1), spec.scenario.get("until"))
         distance = _distance(spec)
         robustness = math.nan if fault == "nan" else distance - _number(spec.scenario, "limit", 1.0)
         violated_at_s = 0.0 if robustness < 0 else None
@@ -79,13 +80,19 @@ class FaultySimulator:
         )
 
 
-def break_down(fault: str, slow_s: float) -> None:
-    """Do what a fault says; return if it lets the episode end with a verdict."""
+def cause(fault: str, slow_s: float, until: Json) -> None:
+    """Cause a fault; return if it lets the episode end with a verdict.
+
+    Args:
+        fault: Name of the fault.
+        slow_s: Duration of ``slow`` and ``wait`` in seconds.
+        until: Path of a file that ends ``wait``, or None.
+    """
     match fault:
         case "segfault":
             ctypes.string_at(0)
         case "hang":
-            # PyDLL, unlike CDLL, keeps the interpreter lock: no Python code can run meanwhile.
+            # Unlike CDLL, PyDLL keeps the interpreter lock, so no Python code can run.
             ctypes.PyDLL(None).sleep(3600)
         case "out-of-memory":
             _take_memory()
@@ -103,6 +110,9 @@ def break_down(fault: str, slow_s: float) -> None:
             end_s = time.monotonic() + slow_s
             while time.monotonic() < end_s:
                 math.sqrt(2.0)
+        case "wait" if isinstance(until, str):
+            while not Path(until).exists():
+                time.sleep(0.005)
         case "wait":
             time.sleep(slow_s)
         case "nan":
@@ -114,10 +124,10 @@ def break_down(fault: str, slow_s: float) -> None:
 
 
 def _take_memory() -> None:
-    # `bytes` of a size is zeroed by the system when touched, so that a missing limit does not hurt the machine.
-    blocks = [bytes(_BLOCK_BYTES) for _ in range(_MOST_BLOCKS)]
+    # The system zeroes `bytes` only when they are touched, so a missing limit does not harm the machine.
+    blocks = [bytes(_BLOCK_BYTES) for _ in range(_MAX_BLOCKS)]
     raise RuntimeError(
-        f"{len(blocks)} blocks of {_BLOCK_BYTES} bytes were not refused: is there no memory limit?"
+        f"{len(blocks)} blocks of {_BLOCK_BYTES} bytes were allocated: is there no memory limit?"
     )
 
 
@@ -130,14 +140,14 @@ def _make_noise() -> None:
 
 
 def _queued_s() -> float:
-    """Return how long this thread has been ready to run while others had the processor; 0 where that is unknown."""
+    """Return how long this thread has waited for a processor; 0 if that is unknown."""
     try:
         return int(Path("/proc/thread-self/schedstat").read_text().split()[1]) / 1e9
     except OSError:
         return 0.0
 
 
-def _wanted(once: Json) -> bool:
+def _is_due(once: Json) -> bool:
     if not isinstance(once, str):
         return True
     try:

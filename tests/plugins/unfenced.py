@@ -1,4 +1,4 @@
-"""Breaks the coordinator that imports it: results are taken whatever their lease, as by queues without fences."""
+"""Breaks the coordinator that imports it: it then accepts results without a valid lease, like an unfenced queue."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ from brink.server.queue import report_store
 
 
 def judge(row: Any, *_: Any) -> str:
-    """Take every result of a job that there is."""
+    """Accept every result of an existing job."""
     return "stale" if row is None else "accepted"
 
 

@@ -17,12 +17,12 @@ from playwright.sync_api import Browser, CDPSession, Page
 from prometheus_client.parser import text_string_to_metric_families
 
 from brink.bench.endurance.archive import filled
+from brink.bench.figures import Row
 from brink.bench.load.problem import MODULE
 from brink.bench.telling import Told
 from brink.bench.temporary.chromium import chromium, executable
 from brink.bench.temporary.coordinator import CoordinatorProcess
 from brink.sim.catalogue import PLUGINS_VARIABLE
-from brink.sim.figures import Row
 
 FIRST_VIEW_S: Final = 1.0
 FIRST_VIEW_KB: Final = 500.0

@@ -12,7 +12,7 @@ from typing import Any, Self
 from urllib.parse import urlsplit
 
 from brink.bench.load.problem import LOAD, REQUIREMENT
-from brink.worker.machine import machine_name
+from brink.worker.wire import machine_name
 
 OUTCOME = {
     "kind": "completed",

@@ -15,20 +15,20 @@ from typing import Final
 
 import numpy as np
 
+from brink.bench.figures import Row
 from brink.bench.mumoea.measures import Measures, first_of_each_type, measured, types_over
 from brink.bench.mumoea.runs import ADAPTIVE, ALWAYS, METHODS, SearchRun, Task, run_or_read
 from brink.bench.telling import Told
+from brink.bench.trials import code_fingerprint, single_threaded
 from brink.search.algorithm import Origin
 from brink.search.analysis.statistics import compared
 from brink.server.problems.npc_actions import NpcActionsParams
-from brink.sim.figures import Row
-from brink.sim.trials import code_fingerprint, single_threaded
 
 """Called with what is being measured, how much of it is done, and how much there is."""
 
 DECIDING: Final = (
     "search", "server/problems", "server/violations", "sim/bullet", "sim/driving", "sim/encounter",
-    "sim/requirements", "sim/urban", "sim/world",
+    "sim/requirements.py", "sim/urban", "sim/world",
 )  # fmt: skip
 """Parts of the code that decide what a search finds: searches of other code are not taken for this one's."""
 

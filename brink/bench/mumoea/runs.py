@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from brink.bench.trials import run_record
 from brink.search.algorithm import Algorithm, Candidate, Evaluation, Failed, Scored
 from brink.search.algorithms.multi_objective import Child
 from brink.search.algorithms.mumoea import Mumoea, MumoeaConfig
@@ -19,7 +20,6 @@ from brink.search.streams import episode_seed
 from brink.search.traffic.variation import TrafficGenome
 from brink.server.problems.npc_actions import NpcActions, NpcActionsParams
 from brink.sim.errors import SimulatorError
-from brink.sim.trials import run_record
 
 ADAPTIVE: Final = "muMOEA"
 ALWAYS: Final = "differential seeds always"

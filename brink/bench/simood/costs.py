@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Final
 
+from brink.bench.figures import Row
 from brink.bench.simood.places import Chain, Places
 from brink.bench.telling import Told
+from brink.bench.trials import Progress, Record, Records, run_record, single_threaded
 from brink.search.algorithms.simood import SimoodConfig
 from brink.server.problems.aeb_crossing import AebCrossingParams
 from brink.sim.episode import EpisodeSpec
-from brink.sim.figures import Row
 from brink.sim.perturbations import CATALOGUE
-from brink.sim.trials import Progress, Record, Records, run_record, single_threaded
 
 FASTER: Final = 10.0
 MOST_TIME: Final = 0.20

@@ -5,16 +5,17 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from brink.bench.figures import Row
 from brink.bench.simood.costs import Costs
 from brink.bench.simood.hazards import Hazards
 from brink.bench.simood.searches import Searches
 from brink.bench.telling import Told
-from brink.sim.figures import Row
-from brink.sim.trials import Records, code_fingerprint
+from brink.bench.trials import Records, code_fingerprint
 
 CRITERIA: Final = ("A0", "A1", "A2", "A3", "A4", "A5", "A6", "A7", "A8")
 DECIDING: Final = (
-    "sim/aeb", "sim/bullet", "sim/perception", "sim/perturbations", "sim/rendering", "sim/requirements", "sim/world",
+    "sim/aeb", "sim/bullet", "sim/perception", "sim/perturbations", "sim/rendering", "sim/requirements.py",
+    "sim/world",
 )  # fmt: skip
 """Parts of the simulator that decide what comes out: outcomes of other code are not taken for this one's."""
 

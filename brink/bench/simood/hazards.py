@@ -5,6 +5,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from brink.bench.figures import Row
 from brink.bench.simood.places import (
     ACCIDENT,
     DANGEROUS_STOP,
@@ -16,11 +17,10 @@ from brink.bench.simood.places import (
     words,
 )
 from brink.bench.telling import Told
+from brink.bench.trials import Record, Records
 from brink.server.problems.aeb_crossing import AebCrossingParams
 from brink.sim.episode import EpisodeSpec
-from brink.sim.figures import Row
 from brink.sim.perturbations import CATALOGUE
-from brink.sim.trials import Record, Records
 
 """Called with what is being measured, how much of it is done, and how much there is."""
 

@@ -9,14 +9,14 @@ from typing import Any, Final
 import numpy as np
 from scipy import stats
 
+from brink.bench.figures import Row
 from brink.bench.simood.places import Chain, Places
 from brink.bench.telling import Told
+from brink.bench.trials import Records
 from brink.search.algorithm import Evaluation, Measured
 from brink.search.algorithms.simood import Simood, SimoodConfig, SimoodState, Stage, finalists_of
 from brink.search.analysis.statistics import compared
-from brink.sim.figures import Row
 from brink.sim.perturbations import CATALOGUE
-from brink.sim.trials import Records
 
 SEEDS: Final = range(10)
 REPEATS: Final = range(3)

@@ -12,13 +12,12 @@ from rich.console import Console
 from rich.table import Table
 
 from brink.api.client import Api, CoordinatorSaid
+from brink.cli.draw import FetchedArchive, NoTrace, fetch_trace
 from brink.cli.findings.drawing import Drawing
 from brink.cli.options import AsJson, CampaignId, Database, Server, console, print_json, with_api
-from brink.cli.pictures import FetchedArchive
-from brink.cli.replays import NoTrace, fetch_trace
 from brink.search.errors import UnsupportedSpace
 from brink.search.slots import slots_of
-from brink.sim.replay.side_by_side import Row, side_by_side
+from brink.sim.replay.sheets import Row, side_by_side
 
 SHOWN = 10
 PICTURES = 3

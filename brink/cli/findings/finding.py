@@ -7,10 +7,10 @@ from typing import Protocol
 from rich.console import Console
 
 from brink.api.client import Api
+from brink.cli.draw import FetchedArchive
 from brink.cli.findings.combinations import fetch_combinations
 from brink.cli.findings.drawing import Drawing
 from brink.cli.findings.violations import fetch_violations
-from brink.cli.pictures import FetchedArchive
 
 
 class Findings(Protocol):

@@ -14,10 +14,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from brink.api.client import Api, CoordinatorSaid
+from brink.cli.draw import FetchedArchive, NoTrace, fetch_trace
 from brink.cli.findings.drawing import Drawing
 from brink.cli.options import AsJson, CampaignId, Database, Server, console, print_json, with_api
-from brink.cli.pictures import FetchedArchive
-from brink.cli.replays import NoTrace, fetch_trace
 from brink.search.algorithms.multi_objective import CRITICALITY, MultiObjectiveConfig
 from brink.search.space import FloatArray
 from brink.server.errors import FieldError, InvalidInput

@@ -1,4 +1,4 @@
-"""The files under deploy/ and docker-compose.yml name what there is: options, variables, ports, paths, metrics."""
+"""The files under deploy/ and docker-compose.yml use existing options, variables, ports, paths and metrics."""
 
 import re
 from collections.abc import Iterator
@@ -23,9 +23,10 @@ from brink.worker.settings import TOKEN_VARIABLE
 ROOT = Path(__file__).resolve().parents[3]
 KUBERNETES = ROOT / "deploy" / "kubernetes"
 DOCS = (ROOT / "docs" / "how-to" / "run-many-workers.md").read_text()
-COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+GROUP: Any = typer.main.get_command(app)
+COMMANDS = {name: GROUP.get_command(None, name) for name in GROUP.list_commands(None)}
 MARGIN_S = 5.0
-"""For the start of the shutdown, and for processes to end."""
+"""Time for the shutdown to start and for processes to end."""
 
 
 def documents() -> Iterator[dict[str, Any]]:
@@ -33,42 +34,41 @@ def documents() -> Iterator[dict[str, Any]]:
         yield from yaml.safe_load_all(path.read_text())
 
 
-def found(kind: str, name: str) -> dict[str, Any]:
+def resource(kind: str, name: str) -> dict[str, Any]:
     [one] = [d for d in documents() if d["kind"] == kind and d["metadata"]["name"] == name]
     return one
 
 
 def pod(name: str) -> dict[str, Any]:
-    spec: dict[str, Any] = found("Deployment", name)["spec"]["template"]["spec"]
+    spec: dict[str, Any] = resource("Deployment", name)["spec"]["template"]["spec"]
     return spec
 
 
 def container(name: str) -> dict[str, Any]:
     [one] = pod(name)["containers"]
-    made: dict[str, Any] = one
-    return made
+    only: dict[str, Any] = one
+    return only
 
 
 def compose(service: str) -> dict[str, Any]:
-    found: dict[str, Any] = yaml.safe_load((ROOT / "docker-compose.yml").read_text())["services"][service]
-    return found
+    document = yaml.safe_load((ROOT / "docker-compose.yml").read_text())
+    spec: dict[str, Any] = document["services"][service]
+    return spec
 
 
 def options(command: list[str]) -> dict[str, str]:
-    """Return what a command line says, checked against the command that there is."""
+    """Return the options of a command line, after checking that the command has them."""
     name, *rest = command
     known = {option for parameter in COMMANDS[name].params for option in parameter.opts}
-    said = dict(zip(rest[::2], rest[1::2], strict=True))
-    assert set(said) <= known, f"brink {name} has no {set(said) - known}"
-    return said
+    used = dict(zip(rest[::2], rest[1::2], strict=True))
+    assert set(used) <= known, f"brink {name} has no {set(used) - known}"
+    return used
 
 
 def known_variables() -> set[str]:
-    of_settings = {f"BRINK_{name.upper()}" for name in Settings.model_fields}
-    of_commands = {
-        p.envvar for command in COMMANDS.values() for p in getattr(command, "params", ()) if p.envvar
-    }
-    return of_settings | of_commands | {PLUGINS_VARIABLE, TOKEN_VARIABLE, FORMAT_VARIABLE, LEVEL_VARIABLE}
+    settings = {f"BRINK_{name.upper()}" for name in Settings.model_fields}
+    commands = {p.envvar for command in COMMANDS.values() for p in getattr(command, "params", ()) if p.envvar}
+    return settings | commands | {PLUGINS_VARIABLE, TOKEN_VARIABLE, FORMAT_VARIABLE, LEVEL_VARIABLE}
 
 
 WORKERS = {
@@ -82,14 +82,14 @@ COORDINATORS = {
 
 
 @pytest.mark.parametrize("where", WORKERS)
-def test_workers_have_the_time_to_finish_and_find_the_coordinator(where: str) -> None:
+def test_workers_have_time_to_finish_and_know_the_coordinator(where: str) -> None:
     command, grace_s = WORKERS[where]
-    said = options(command)
-    assert grace_s >= float(said["--grace-s"]) + LAST_REPORT_S + MARGIN_S
-    server = httpx.URL(said["--server"])
+    used = options(command)
+    assert grace_s >= float(used["--grace-s"]) + LAST_REPORT_S + MARGIN_S
+    server = httpx.URL(used["--server"])
     assert server.port == int(options(COORDINATORS[where])["--port"])
     if where == "kubernetes":
-        service = found("Service", server.host)
+        service = resource("Service", server.host)
         assert service["spec"]["ports"][0]["port"] == server.port
         assert service["spec"]["selector"].items() <= _labels("brink-coordinator").items()
     else:
@@ -98,22 +98,22 @@ def test_workers_have_the_time_to_finish_and_find_the_coordinator(where: str) ->
 
 def test_compose_can_run_any_number_of_workers() -> None:
     worker = compose("worker")
-    assert not {"container_name", "ports", "hostname"} & set(worker), "these exist once"
+    assert not {"container_name", "ports", "hostname"} & set(worker), "these must be unique"
 
 
 @pytest.mark.parametrize("where", COORDINATORS)
-def test_the_coordinator_listens_where_it_is_looked_for(where: str) -> None:
-    said = options(COORDINATORS[where])
-    assert said["--host"] == "0.0.0.0"
+def test_the_coordinator_listens_on_the_published_port(where: str) -> None:
+    used = options(COORDINATORS[where])
+    assert used["--host"] == "0.0.0.0"
     if where == "compose":
-        assert any(mapping.endswith(f":{said['--port']}") for mapping in compose("coordinator")["ports"])
+        assert any(mapping.endswith(f":{used['--port']}") for mapping in compose("coordinator")["ports"])
         return
     [port] = container("brink-coordinator")["ports"]
-    assert port["containerPort"] == int(said["--port"])
-    assert found("Service", "brink-coordinator")["spec"]["ports"][0]["targetPort"] == port["name"]
+    assert port["containerPort"] == int(used["--port"])
+    assert resource("Service", "brink-coordinator")["spec"]["ports"][0]["targetPort"] == port["name"]
 
 
-def test_probes_ask_what_the_coordinator_answers(client: httpx.Client) -> None:
+def test_probes_use_endpoints_of_the_coordinator(client: httpx.Client) -> None:
     probes = {name: probe for name, probe in container("brink-coordinator").items() if name.endswith("Probe")}
     assert set(probes) == {"startupProbe", "livenessProbe", "readinessProbe"}
     for probe in probes.values():
@@ -126,17 +126,17 @@ def test_probes_ask_what_the_coordinator_answers(client: httpx.Client) -> None:
     assert client.get(path).status_code == 200
 
 
-def test_every_variable_is_one_that_brink_reads() -> None:
-    named = {
+def test_every_variable_is_read_by_brink() -> None:
+    variables = {
         variable["name"]
         for name in ("brink-coordinator", "brink-worker")
         for variable in container(name)["env"]
     }
-    named |= {key for service in ("coordinator", "worker") for key in compose(service)["environment"]}
-    assert named <= known_variables()
+    variables |= {key for service in ("coordinator", "worker") for key in compose(service)["environment"]}
+    assert variables <= known_variables()
 
 
-def test_every_secret_is_explained() -> None:
+def test_every_secret_is_documented() -> None:
     texts = [path.read_text() for path in KUBERNETES.glob("*.yaml")]
     secrets = {pair for text in texts for pair in re.findall(r"\{name: (brink-\w+), key: (\w+)\}", text)}
     assert secrets == {
@@ -147,7 +147,7 @@ def test_every_secret_is_explained() -> None:
         assert f"--from-literal={key}=" in DOCS or rf"\"{key}\"" in DOCS, f"{name} {key}"
 
 
-def test_all_files_are_applied_and_run_the_same_image() -> None:
+def test_all_files_are_applied_and_use_the_same_image() -> None:
     kustomization = yaml.safe_load((KUBERNETES / "kustomization.yaml").read_text())
     files = {path.name for path in KUBERNETES.glob("*.yaml")} - {"kustomization.yaml"}
     assert set(kustomization["resources"]) == files
@@ -158,46 +158,46 @@ def test_all_files_are_applied_and_run_the_same_image() -> None:
     assert "useradd --create-home --uid 1000" in (ROOT / "Dockerfile").read_text()
 
 
-def test_scaling_asks_for_metrics_that_there_are(client: httpx.Client) -> None:
+def test_scaling_queries_existing_metrics(client: httpx.Client) -> None:
     submit(client, ball())
-    scaled = found("ScaledObject", "brink-worker")["spec"]
-    assert found("Deployment", scaled["scaleTargetRef"]["name"])["spec"].get("replicas") is None, (
-        "KEDA decides"
+    scaled = resource("ScaledObject", "brink-worker")["spec"]
+    assert resource("Deployment", scaled["scaleTargetRef"]["name"])["spec"].get("replicas") is None, (
+        "KEDA sets the number"
     )
     assert scaled["minReplicaCount"] == 0
     [trigger] = scaled["triggers"]
     query = trigger["metadata"]["query"]
-    monitor = found("ServiceMonitor", "brink-coordinator")["spec"]
+    monitor = resource("ServiceMonitor", "brink-coordinator")["spec"]
     [endpoint] = monitor["endpoints"]
     assert (
         monitor["selector"]["matchLabels"].items()
-        <= found("Service", "brink-coordinator")["metadata"]["labels"].items()
+        <= resource("Service", "brink-coordinator")["metadata"]["labels"].items()
     )
-    assert endpoint["port"] == found("Service", "brink-coordinator")["spec"]["ports"][0]["name"]
+    assert endpoint["port"] == resource("Service", "brink-coordinator")["spec"]["ports"][0]["name"]
 
     text = client.get(endpoint["path"]).text
     labels = {
         family.name: {label for sample in family.samples for label in sample.labels}
         for family in text_string_to_metric_families(text)
     }
-    asked = re.findall(r"max by \(([\w, ]+)\) \((\w+)(?:\{([^}]*)\})?\)", query)
-    assert {metric for _, metric, _ in asked} == {"brink_queue_depth", "brink_jobs"}
-    for by, metric, matchers in asked:
-        wanted = {*by.split(", "), *re.findall(r"(\w+)=~?", matchers)}
-        assert wanted == labels[metric], "summed over every label but that of the process"
+    queried = re.findall(r"max by \(([\w, ]+)\) \((\w+)(?:\{([^}]*)\})?\)", query)
+    assert {metric for _, metric, _ in queried} == {"brink_queue_depth", "brink_jobs"}
+    for by, metric, matchers in queried:
+        expected = {*by.split(", "), *re.findall(r"(\w+)=~?", matchers)}
+        assert expected == labels[metric], "the sum covers all labels except that of the process"
     assert re.search(r'kind="(\w+)"', query)[1] == JobKind.TRACE  # type: ignore[index]
     open_states = re.search(r'status=~"([\w|]+)"', query)[1].split("|")  # type: ignore[index]
     assert set(open_states) == {JobStatus.QUEUED, JobStatus.LEASED}
 
 
-def test_the_page_about_machines_gives_options_that_workers_have() -> None:
+def test_the_guide_to_many_machines_uses_existing_worker_options() -> None:
     known = {option for parameter in COMMANDS["worker"].params for option in parameter.opts}
-    said = [set(re.findall(r"(?<!\S)--[a-z-]+", line)) for line in re.findall(r"brink worker([^`\n]*)", DOCS)]
-    assert {"--server", "--ray"} <= set().union(*said) <= known
+    used = [set(re.findall(r"(?<!\S)--[a-z-]+", line)) for line in re.findall(r"brink worker([^`\n]*)", DOCS)]
+    assert {"--server", "--ray"} <= set().union(*used) <= known
 
 
 def _labels(deployment: str) -> dict[str, str]:
-    spec = found("Deployment", deployment)["spec"]
+    spec = resource("Deployment", deployment)["spec"]
     labels: dict[str, str] = spec["template"]["metadata"]["labels"]
     assert spec["selector"]["matchLabels"].items() <= labels.items()
     return labels

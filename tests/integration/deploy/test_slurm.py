@@ -1,4 +1,4 @@
-"""The SLURM script, run by bash as SLURM would run it, against a real coordinator."""
+"""The SLURM script, run by bash as SLURM does, against a real coordinator."""
 
 import os
 import secrets
@@ -25,7 +25,7 @@ TOKEN = f"token-{secrets.token_hex(12)}"
 
 @pytest.fixture
 def running(databases: Databases, tmp_path: Path) -> Iterator[Site]:
-    """A coordinator that wants a token."""
+    """A running coordinator that requires a token."""
     settings = {**TOY, "BRINK_SWEEP_S": "0.1", "BRINK_TOKEN": TOKEN}
     with databases.database() as url, site(tmp_path, url, settings) as made:
         yield made
@@ -40,7 +40,7 @@ def token_file(tmp_path: Path) -> Path:
 
 
 def task(running: Site, token_file: Path) -> Program:
-    """Start a task of the array."""
+    """Start one task of the array."""
     settings = {
         **TOY, **TASK, "BRINK": BRINK, "BRINK_SERVER": running.url, "BRINK_TOKEN_FILE": str(token_file),
     }  # fmt: skip
@@ -50,25 +50,25 @@ def task(running: Site, token_file: Path) -> Program:
 
 
 def leased(running: Site) -> list[str]:
-    told = running.get("/metrics").text.splitlines()
-    return [line for line in told if line.startswith("brink_jobs{") and 'status="leased"' in line]
+    lines = running.get("/metrics").text.splitlines()
+    return [line for line in lines if line.startswith("brink_jobs{") and 'status="leased"' in line]
 
 
-def test_bash_can_read_it() -> None:
+def test_the_script_is_valid_bash() -> None:
     subprocess.run(["bash", "-n", str(SCRIPT)], check=True)
 
 
-def test_slurm_signals_the_worker_in_time() -> None:
-    asked = [
+def test_slurm_signals_the_worker_before_the_time_limit() -> None:
+    directives = [
         line.split(maxsplit=1)[1] for line in SCRIPT.read_text().splitlines() if line.startswith("#SBATCH ")
     ]
-    assert "--signal=B:TERM@90" in asked, "to the batch shell, whose place the worker takes"
-    assert "--cpus-per-task=1" in asked
-    assert any(option.startswith("--array=") for option in asked)
+    assert "--signal=B:TERM@90" in directives, "sent to the batch shell, which the worker replaces"
+    assert "--cpus-per-task=1" in directives
+    assert any(option.startswith("--array=") for option in directives)
 
 
 @pytest.mark.parametrize("databases", ["sqlite"], indirect=True)
-def test_a_task_works_a_campaign_and_leaves_in_good_order(
+def test_a_task_runs_a_campaign_and_exits_cleanly(
     running: Site, token_file: Path, small_problems: None
 ) -> None:
     started = task(running, token_file)
@@ -77,21 +77,21 @@ def test_a_task_works_a_campaign_and_leaves_in_good_order(
     assert (done["status"], done["digest"]) == ("finished", undisturbed_digest(ball()))
 
     long = running.submit(ball(problem={"id": "ball@1", "params": {"slow_s": 1.0}}))
-    # A lease alone says only that the first is about to run; once that is done, the next runs for a second.
-    eventually(lambda: running.progress(long)["simulations"] > 0, "the worker has simulated one")
+    # Once the first job is done, the second is running for a second; a lease alone would not guarantee that.
+    eventually(lambda: running.progress(long)["simulations"] > 0, "the worker has simulated one job")
     before = running.progress(long)["simulations"]
-    os.killpg(started.process.pid, signal.SIGTERM)  # as scancel does: every process of the task
+    os.killpg(started.process.pid, signal.SIGTERM)  # like scancel: to every process of the task
     assert started.wait() == 0, started.output
-    assert leased(running) == [], "what was not simulated was given back"
-    assert running.progress(long)["simulations"] > before, "what was running was finished"
+    assert leased(running) == [], "jobs that were not simulated were released"
+    assert running.progress(long)["simulations"] > before, "the running job was finished"
     assert "task 3 of job 4711" in started.output
     assert TOKEN not in started.output
 
 
 @pytest.mark.parametrize(
-    ("mode", "words"), [(0o644, "chmod 600"), (0o660, "chmod 600"), (None, "there is no such file")]
+    ("mode", "words"), [(0o644, "chmod 600"), (0o660, "chmod 600"), (None, "no such file")]
 )
-def test_a_token_that_others_can_read_is_not_used(tmp_path: Path, mode: int | None, words: str) -> None:
+def test_a_token_file_that_others_can_read_is_rejected(tmp_path: Path, mode: int | None, words: str) -> None:
     file = tmp_path / "token"
     if mode is not None:
         file.write_text(TOKEN)
@@ -105,7 +105,7 @@ def test_a_token_that_others_can_read_is_not_used(tmp_path: Path, mode: int | No
     assert TOKEN not in done.stderr
 
 
-def test_it_says_that_it_needs_the_address_of_a_coordinator() -> None:
+def test_a_missing_coordinator_address_is_reported() -> None:
     done = subprocess.run(
         ["bash", str(SCRIPT)], env=environment(TASK), capture_output=True, text=True, check=False
     )

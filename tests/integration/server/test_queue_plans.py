@@ -29,8 +29,7 @@ from brink.server.queue.exchange import Exchange, exchange
 from brink.server.queue.service import QueueService
 from brink.server.queue.values import LeaseWanted, Outcome
 from brink.server.states import JobStatus
-from brink.worker.machine import machine_name
-from brink.worker.wire import WorkerIdentity
+from brink.worker.wire import WorkerIdentity, machine_name
 
 DONE = 3000
 NO_PROCESS = 2**22 + 1

@@ -19,8 +19,7 @@ from brink.server.db.clock import database_now
 from brink.server.db.models import WorkerRow
 from brink.server.queue import holding_store, workers
 from brink.server.queue.service import QueueService
-from brink.worker.machine import machine_name
-from brink.worker.wire import JobFailed, JobResult, LeaseRequest, ResultsRequest, WorkerIdentity
+from brink.worker.wire import JobFailed, JobResult, LeaseRequest, ResultsRequest, WorkerIdentity, machine_name
 
 PATIENCE_S = 30.0
 
@@ -63,7 +62,7 @@ def test_a_machine_is_this_boot_seen_from_this_pid_namespace() -> None:
         assert file.read().strip() in machine_name()
     assert os.readlink("/proc/self/ns/pid") in machine_name()
     child = subprocess.run(
-        [sys.executable, "-c", "from worker.machine import machine_name; print(machine_name())"],
+        [sys.executable, "-c", "from brink.worker.wire import machine_name; print(machine_name())"],
         capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert child.stdout.strip() == machine_name()

@@ -1,4 +1,4 @@
-"""Traces are made by workers when they are asked for, and kept."""
+"""Traces are made by workers on request, and kept."""
 
 import base64
 import threading
@@ -39,26 +39,26 @@ def finished(client: httpx.Client, worker: FakeWorker) -> str:
     return campaign
 
 
-def traces(text: bytes | None) -> Callable[[LeasedJob], Completed | JobFailed]:
-    """Judge with that trace wherever one is asked for."""
+def traces(document: bytes | None) -> Callable[[LeasedJob], Completed | JobFailed]:
+    """Return a judge that adds this trace to the outcome of every job that requests one."""
 
     def judge(job: LeasedJob) -> Completed | JobFailed:
         outcome = completes(job)
-        if not job.record or text is None:
+        if not job.record or document is None:
             return outcome
-        return outcome.model_copy(update={"trace": base64.b64encode(text).decode()})
+        return outcome.model_copy(update={"trace": base64.b64encode(document).decode()})
 
     return judge
 
 
-def test_a_trace_is_being_made_then_kept(client: httpx.Client) -> None:
+def test_trace_is_made_once_and_then_kept(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = finished(client, worker)
     path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
     being_made = client.get(path, params={"wait_s": 0})
     assert being_made.status_code == 202
     assert being_made.headers["Retry-After"] == "2"
-    assert client.get(path, params={"wait_s": 0}).status_code == 202  # asked for once
+    assert client.get(path, params={"wait_s": 0}).status_code == 202  # requested only once
     (job,) = worker.lease()
     assert job.record
     assert worker.lease() == []
@@ -67,7 +67,7 @@ def test_a_trace_is_being_made_then_kept(client: httpx.Client) -> None:
     assert (kept.status_code, kept.content) == (200, b"the trace")
 
 
-def test_asking_for_a_trace_waits_for_the_worker(client: httpx.Client) -> None:
+def test_request_for_a_trace_waits_for_the_worker(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = finished(client, worker)
     answers: list[httpx.Response] = []
@@ -82,7 +82,7 @@ def test_asking_for_a_trace_waits_for_the_worker(client: httpx.Client) -> None:
     assert (answers[0].status_code, answers[0].content) == (200, b"the trace")
 
 
-def test_traces_that_were_deleted_can_be_made_again(client: httpx.Client, engines: Engines) -> None:
+def test_deleted_trace_can_be_made_again(client: httpx.Client, engines: Engines) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = finished(client, worker)
     path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
@@ -96,7 +96,7 @@ def test_traces_that_were_deleted_can_be_made_again(client: httpx.Client, engine
     assert client.get(path, params={"wait_s": 0}).content == b"the trace"
 
 
-def test_whoever_can_make_a_trace_is_woken_behind_one_who_cannot(
+def test_capable_worker_is_woken_behind_an_incapable_one(
     client: httpx.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(service, "RECHECK_S", 600.0)
@@ -129,7 +129,7 @@ def test_whoever_can_make_a_trace_is_woken_behind_one_who_cannot(
 
 
 @pytest.mark.parametrize("what", ["trace", "replay.png", "replay.mp4"])
-def test_nobody_waits_for_a_trace_that_no_worker_can_make(
+def test_trace_that_no_worker_can_make_is_refused_at_once(
     client: httpx.Client, engines: Engines, what: str
 ) -> None:
     campaign = submit(client, ball())
@@ -141,7 +141,7 @@ def test_nobody_waits_for_a_trace_that_no_worker_can_make(
     assert "no live worker can run faulty@1" in expect(answer, 503)["detail"]
     assert answer.headers["content-type"] == "application/problem+json"
     assert answer.headers["Retry-After"] == "5"
-    assert row_counts(engines) == before, "nothing is asked for"
+    assert row_counts(engines) == before, "no job is enqueued"
     worker = FakeWorker(client, id="who-can", judge=traces(b"the trace"))
     worker.lease(max_jobs=1)
     path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
@@ -149,14 +149,14 @@ def test_nobody_waits_for_a_trace_that_no_worker_can_make(
 
 
 @pytest.mark.parametrize("what", ["trace", "replay.{extension}"])
-def test_that_a_trace_is_not_there_yet_is_described(client: httpx.Client, what: str) -> None:
+def test_responses_for_a_missing_trace_are_documented(client: httpx.Client, what: str) -> None:
     paths = expect(client.get("/openapi.json"))["paths"]
     answers = paths[f"/api/v1/campaigns/{{campaign_id}}/solutions/{{number}}/{what}"]["get"]["responses"]
     assert set(answers["202"]["content"]) == {"application/json"}
     assert set(answers["503"]["content"]) == {"application/problem+json"}
 
 
-def test_the_command_says_at_once_that_no_worker_can_make_a_trace(
+def test_replay_command_fails_at_once_if_no_worker_can_make_the_trace(
     client: httpx.Client, tmp_path: Path
 ) -> None:
     campaign = submit(client, ball())
@@ -166,7 +166,7 @@ def test_the_command_says_at_once_that_no_worker_can_make_a_trace(
     assert "no live worker can run faulty@1" in str(said.exception)
 
 
-def test_waiting_for_a_trace_ends_when_its_workers_have_left(
+def test_waiting_for_a_trace_ends_when_its_workers_leave(
     database_url: str, engines: Engines, small_problems: None
 ) -> None:
     with coordinator(database_url) as client:
@@ -179,7 +179,7 @@ def test_waiting_for_a_trace_ends_when_its_workers_have_left(
         expect(client.get(path, params={"wait_s": 20}), 503)
 
 
-def test_a_worker_whose_lease_still_holds_can_make_a_trace(client: httpx.Client, engines: Engines) -> None:
+def test_worker_with_a_live_lease_can_make_a_trace(client: httpx.Client, engines: Engines) -> None:
     campaign = submit(client, ball())
     worker = FakeWorker(client)
     worker.lease(max_jobs=1)
@@ -190,7 +190,7 @@ def test_a_worker_whose_lease_still_holds_can_make_a_trace(client: httpx.Client,
     assert client.get(path, params={"wait_s": 0}).status_code == 202
 
 
-def test_a_trace_goes_before_episodes(client: httpx.Client) -> None:
+def test_trace_job_is_leased_before_episodes(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = finished(client, worker)
     submit(client, ball(seed=2, priority=100))
@@ -198,7 +198,7 @@ def test_a_trace_goes_before_episodes(client: httpx.Client) -> None:
     assert worker.lease(max_jobs=1)[0].record
 
 
-def test_a_trace_that_cannot_be_made_says_why_until_it_is_retried(client: httpx.Client) -> None:
+def test_failed_trace_reports_its_error_until_it_is_retried(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=lambda _: JobFailed(reason="invalid", message="no such road"))
     campaign = finished(client, FakeWorker(client))
     path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
@@ -213,7 +213,7 @@ def test_a_trace_that_cannot_be_made_says_why_until_it_is_retried(client: httpx.
     assert client.get(path, params={"wait_s": 5}).content == b"the trace"
 
 
-def test_a_simulator_without_traces_is_told_at_once(client: httpx.Client) -> None:
+def test_simulator_that_records_no_traces_is_a_conflict(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(None))
     campaign = finished(client, worker)
     path = f"/api/v1/campaigns/{campaign}/solutions/3/trace"
@@ -223,7 +223,7 @@ def test_a_simulator_without_traces_is_told_at_once(client: httpx.Client) -> Non
     assert "records no trace" in document["detail"]
 
 
-def test_a_trace_that_cannot_be_drawn_is_a_conflict(client: httpx.Client) -> None:
+def test_trace_that_cannot_be_drawn_is_a_conflict(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = finished(client, worker)
     client.get(f"/api/v1/campaigns/{campaign}/solutions/3/trace", params={"wait_s": 0})
@@ -233,13 +233,13 @@ def test_a_trace_that_cannot_be_drawn_is_a_conflict(client: httpx.Client) -> Non
     expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/3/replay.exe"), 422)
 
 
-def test_an_unknown_solution_has_no_trace(client: httpx.Client) -> None:
+def test_unknown_solution_has_no_trace(client: httpx.Client) -> None:
     campaign = finished(client, FakeWorker(client))
     expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/9999/trace"), 404)
 
 
 @pytest.mark.parametrize("garbage", ["no base64!", "AAA", "\u00fc"])
-def test_a_trace_that_is_no_base64_is_refused(client: httpx.Client, garbage: str) -> None:
+def test_trace_that_is_not_base64_is_rejected(client: httpx.Client, garbage: str) -> None:
     worker = FakeWorker(client)
     submit(client, ball())
     (job,) = worker.lease(max_jobs=1)
@@ -249,7 +249,7 @@ def test_a_trace_that_is_no_base64_is_refused(client: httpx.Client, garbage: str
     assert error["pointer"] == "/results/0/outcome/trace"
 
 
-def test_the_best_boundary_solutions_are_kept_as_evidence(client: httpx.Client) -> None:
+def test_traces_of_the_best_boundary_solutions_are_kept(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"evidence"))
     campaign = submit(client, ball(execution={"keep_traces": 2}, simulations=120))
     done = worker.work(campaign)
@@ -262,7 +262,7 @@ def test_the_best_boundary_solutions_are_kept_as_evidence(client: httpx.Client) 
         assert client.get(path, params={"wait_s": 0}).content == b"evidence"
 
 
-def test_pictures_that_were_looked_at_do_not_keep_a_campaign_from_its_end(client: httpx.Client) -> None:
+def test_requested_traces_do_not_keep_a_campaign_from_finishing(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = submit(client, ball(execution={"keep_traces": 12}, simulations=120))
     worker.work(campaign, until=lambda now: now["generation"] >= 1)
@@ -272,7 +272,7 @@ def test_pictures_that_were_looked_at_do_not_keep_a_campaign_from_its_end(client
     assert (done["status"], done["status_reason"]) == ("finished", "")
 
 
-def test_a_cancelled_campaign_still_shows_pictures(client: httpx.Client) -> None:
+def test_cancelled_campaign_still_makes_traces(client: httpx.Client) -> None:
     worker = FakeWorker(client, judge=traces(b"the trace"))
     campaign = submit(client, ball())
     FakeWorker(client, id="another").lease(max_jobs=1)

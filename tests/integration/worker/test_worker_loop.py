@@ -1,22 +1,28 @@
-"""A worker against a real HTTP coordinator that fails in every way a coordinator can."""
+"""A worker against a coordinator over real HTTP that fails in every way a coordinator can."""
 
 import logging
 import os
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
-from fake_coordinator import FakeCoordinator, Fault
-from working import use_faulty_simulator, working
+from worker_harness import TIMEOUT_S, FakeCoordinator, Fault, running_worker, use_faulty_simulator
 
-from brink.worker.machine import machine_name
-from brink.worker.wire import Completed, HeartbeatRequest, JobFailed, LeaseRequest, ResultsRequest
+from brink.worker.wire import (
+    Completed,
+    HeartbeatRequest,
+    JobFailed,
+    LeaseRequest,
+    ResultsRequest,
+    machine_name,
+)
 
 
 @pytest.fixture(autouse=True)
-def _plugins(monkeypatch: pytest.MonkeyPatch) -> None:
-    use_faulty_simulator(monkeypatch)
+def _plugins(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    use_faulty_simulator(monkeypatch, tmp_path)
 
 
 @pytest.fixture
@@ -27,7 +33,7 @@ def coordinator() -> Iterator[FakeCoordinator]:
 
 def test_every_job_is_run_once_and_accepted(coordinator: FakeCoordinator) -> None:
     jobs = [coordinator.add() for _ in range(40)]
-    with working(coordinator.url):
+    with running_worker(coordinator.url):
         coordinator.wait_for_all()
     assert sorted(status.job for status in coordinator.statuses) == jobs
     assert {status.status for status in coordinator.statuses} == {"accepted"}
@@ -37,27 +43,27 @@ def test_every_job_is_run_once_and_accepted(coordinator: FakeCoordinator) -> Non
         assert job.outcome.objectives["distance"] == pytest.approx(job.spec["behaviour"]["x"])
 
 
-def test_a_worker_says_where_its_process_can_be_looked_up(coordinator: FakeCoordinator) -> None:
+def test_a_worker_identifies_its_process_and_machine(coordinator: FakeCoordinator) -> None:
     coordinator.add()
-    with working(coordinator.url):
+    with running_worker(coordinator.url):
         coordinator.wait_for_all()
-    identities = {asked.worker for asked in coordinator.of(LeaseRequest) if isinstance(asked, LeaseRequest)}
+    identities = {request.worker for request in coordinator.served(LeaseRequest)}
     assert [(who.pid, who.machine) for who in identities] == [(os.getpid(), machine_name())]
 
 
-def test_results_travel_in_batches_with_the_next_lease(coordinator: FakeCoordinator) -> None:
+def test_results_are_reported_in_batches_with_the_next_lease_request(coordinator: FakeCoordinator) -> None:
     for _ in range(60):
         coordinator.add()
-    with working(coordinator.url, max_jobs=8):
+    with running_worker(coordinator.url, max_jobs=8):
         coordinator.wait_for_all()
-    reports = [r for r in coordinator.of(ResultsRequest) if isinstance(r, ResultsRequest)]
+    reports = coordinator.served(ResultsRequest)
     assert len(reports) <= 30
     assert any(report.lease is not None and report.results for report in reports)
     assert all(report.lease is None or report.lease.wait_s == 0 for report in reports)
 
 
-def test_the_last_results_of_a_generation_do_not_wait(coordinator: FakeCoordinator) -> None:
-    with working(coordinator.url, report_after_s=3600.0, prefetch_s=10.0):
+def test_the_last_results_of_a_generation_are_reported_at_once(coordinator: FakeCoordinator) -> None:
+    with running_worker(coordinator.url, report_after_s=3600.0, prefetch_s=10.0):
         for _ in range(5):
             for _ in range(3):
                 coordinator.add()
@@ -79,7 +85,7 @@ def test_a_faulty_job_is_reported_with_its_reason_and_its_neighbours_complete(
     before = [coordinator.add() for _ in range(3)]
     faulty = coordinator.add({"fault": fault})
     after = [coordinator.add() for _ in range(3)]
-    with working(coordinator.url, prefetch_s=10.0):
+    with running_worker(coordinator.url, prefetch_s=10.0):
         coordinator.wait_for_all()
     outcome = coordinator.jobs[faulty].outcome
     assert isinstance(outcome, JobFailed)
@@ -90,7 +96,7 @@ def test_a_faulty_job_is_reported_with_its_reason_and_its_neighbours_complete(
 def test_a_hanging_job_is_reported_as_a_timeout(coordinator: FakeCoordinator) -> None:
     hanging = coordinator.add({"fault": "hang"}, timeout_s=0.3)
     after = coordinator.add()
-    with working(coordinator.url):
+    with running_worker(coordinator.url):
         coordinator.wait_for_all()
     outcome = coordinator.jobs[hanging].outcome
     assert isinstance(outcome, JobFailed)
@@ -98,16 +104,18 @@ def test_a_hanging_job_is_reported_as_a_timeout(coordinator: FakeCoordinator) ->
     assert isinstance(coordinator.jobs[after].outcome, Completed)
 
 
-def test_results_survive_a_coordinator_that_vanishes_and_comes_back(
-    coordinator: FakeCoordinator, caplog: pytest.LogCaptureFixture
+def test_results_survive_a_coordinator_that_vanishes_and_returns(
+    coordinator: FakeCoordinator, caplog: pytest.LogCaptureFixture, tmp_path: Path
 ) -> None:
-    with working(coordinator.url, prefetch_s=10.0) as running:
+    vanished = tmp_path / "vanished"
+    with running_worker(coordinator.url, prefetch_s=10.0) as running:
         coordinator.add()
         coordinator.wait_for_all()
-        jobs = [coordinator.add({"fault": "wait", "slow_s": 0.05}) for _ in range(8)]
+        jobs = [coordinator.add({"fault": "wait", "until": str(vanished)}) for _ in range(8)]
         coordinator.wait_until(lambda c: c.delivered.issuperset(jobs))
         with caplog.at_level(logging.INFO):
             coordinator.disappear()
+            vanished.touch()
             _wait_for_line(caplog, "waiting for the coordinator")
             coordinator.appear()
             coordinator.wait_for_all()
@@ -116,51 +124,56 @@ def test_results_survive_a_coordinator_that_vanishes_and_comes_back(
     assert all(job.attempt == 1 for job in coordinator.jobs.values())
 
 
-def test_a_reply_that_is_lost_makes_a_duplicate_not_a_loss(coordinator: FakeCoordinator) -> None:
+def test_a_lost_reply_causes_a_duplicate_report_and_no_loss(coordinator: FakeCoordinator) -> None:
     coordinator.faults["results"].append(Fault.DROP_REPLY)
     job = coordinator.add()
-    with working(coordinator.url):
+    with running_worker(coordinator.url):
         coordinator.wait_until(lambda c: len(c.statuses) == 2)
     assert [(s.job, s.status) for s in coordinator.statuses] == [(job, "accepted"), (job, "duplicate")]
 
 
-def test_a_request_that_is_lost_is_sent_again(coordinator: FakeCoordinator) -> None:
+def test_a_lost_request_is_sent_again(coordinator: FakeCoordinator) -> None:
     coordinator.faults["results"] += [Fault.DROP_REQUEST, 500, 429, 503, 500, 500]
     coordinator.faults["lease"] += [500, Fault.DROP_REQUEST]
     coordinator.add()
-    with working(coordinator.url):
+    with running_worker(coordinator.url):
         coordinator.wait_for_all()
     assert [status.status for status in coordinator.statuses] == ["accepted"]
 
 
-def test_an_outcome_whose_lease_was_lost_is_answered_stale_and_the_worker_goes_on(
-    coordinator: FakeCoordinator,
+def test_an_outcome_whose_lease_was_lost_is_answered_stale_and_the_worker_continues(
+    coordinator: FakeCoordinator, tmp_path: Path
 ) -> None:
-    lost = coordinator.add({"fault": "wait", "slow_s": 0.3})
-    with working(coordinator.url):
+    revoked = tmp_path / "revoked"
+    lost = coordinator.add({"fault": "wait", "until": str(revoked)})
+    with running_worker(coordinator.url):
         coordinator.wait_until(lambda c: c.jobs[lost].token is not None)
         coordinator.revoke(lost)
+        revoked.touch()
         coordinator.wait_until(lambda c: bool(c.statuses))
         coordinator.wait_for_outcome(coordinator.add())
     assert (coordinator.statuses[0].job, coordinator.statuses[0].status) == (lost, "stale")
     assert coordinator.jobs[lost].outcome is None
 
 
-def test_leases_are_renewed_during_a_long_episode() -> None:
+def test_leases_are_renewed_during_a_long_episode(tmp_path: Path) -> None:
+    renewed = tmp_path / "renewed"
     with FakeCoordinator(lease_s=0.6) as coordinator:
-        job = coordinator.add({"fault": "wait", "slow_s": 1.5})
-        with working(coordinator.url):
+        job = coordinator.add({"fault": "wait", "until": str(renewed)})
+        with running_worker(coordinator.url):
+            # Five renewals at thirds of the lease: without them it would have expired by now.
+            coordinator.wait_until(lambda c: len(c.served(HeartbeatRequest)) >= 5)
+            renewed.touch()
             coordinator.wait_for_all()
         assert coordinator.jobs[job].attempt == 1
         assert [status.status for status in coordinator.statuses] == ["accepted"]
-        assert len(coordinator.of(HeartbeatRequest)) >= 3
 
 
-def test_jobs_that_a_heartbeat_no_longer_lists_are_dropped_and_a_long_one_is_given_up() -> None:
+def test_jobs_missing_from_a_heartbeat_reply_are_dropped_and_a_long_one_is_abandoned() -> None:
     with FakeCoordinator(lease_s=0.6) as coordinator:
-        # One quick job first: a worker that knows no duration yet holds a single job.
+        # One quick job first: until it has measured an episode, a worker holds a single job.
         coordinator.add()
-        with working(coordinator.url, abandon_after_s=0.0, prefetch_s=10.0, max_jobs=3):
+        with running_worker(coordinator.url, abandon_after_s=0.0, prefetch_s=10.0, max_jobs=3):
             coordinator.wait_for_all()
             lost = [coordinator.add({"fault": "hang"}, timeout_s=3600.0) for _ in range(3)]
             coordinator.wait_until(lambda c: all(c.jobs[job].token is not None for job in lost))
@@ -170,10 +183,10 @@ def test_jobs_that_a_heartbeat_no_longer_lists_are_dropped_and_a_long_one_is_giv
         assert [status.job for status in coordinator.statuses if status.job in lost] == []
 
 
-def test_an_outcome_that_the_coordinator_refuses_becomes_an_error_and_its_neighbours_get_through(
+def test_a_refused_outcome_becomes_an_error_and_the_others_are_accepted(
     coordinator: FakeCoordinator,
 ) -> None:
-    with working(coordinator.url, prefetch_s=10.0) as running:
+    with running_worker(coordinator.url, prefetch_s=10.0) as running:
         coordinator.add()
         coordinator.wait_for_all()
         with coordinator.changed:
@@ -181,13 +194,12 @@ def test_an_outcome_that_the_coordinator_refuses_becomes_an_error_and_its_neighb
             coordinator.refused_jobs.add(jobs[2])
         good = [job for number, job in enumerate(jobs) if number != 2]
         coordinator.wait_until(lambda c: all(c.jobs[job].outcome is not None for job in good))
-        # Even the error is refused, so that outcome is dropped; the worker goes on.
+        # The error is refused too, so the job is dropped; the worker continues.
         coordinator.wait_for_outcome(coordinator.add())
         assert running.status is None
     sent = [
         result.outcome
-        for request in coordinator.of(ResultsRequest)
-        if isinstance(request, ResultsRequest)
+        for request in coordinator.served(ResultsRequest)
         for result in request.results
         if result.job == jobs[2]
     ]
@@ -197,14 +209,19 @@ def test_an_outcome_that_the_coordinator_refuses_becomes_an_error_and_its_neighb
     assert "\n" not in sent[-1].message
 
 
-def test_stopping_lets_the_running_episode_end_and_gives_the_rest_back(coordinator: FakeCoordinator) -> None:
+def test_stopping_finishes_the_running_episode_and_releases_the_others(
+    coordinator: FakeCoordinator, tmp_path: Path
+) -> None:
+    stopped = tmp_path / "stopped"
     coordinator.add()
-    with working(coordinator.url, prefetch_s=10.0, report_after_s=0.0) as running:
+    with running_worker(coordinator.url, prefetch_s=10.0, report_after_s=0.0) as running:
         coordinator.wait_for_all()
         with coordinator.changed:
-            jobs = [coordinator.add({"fault": "wait", "slow_s": 0.3}) for _ in range(5)]
+            jobs = [coordinator.add({"fault": "wait", "slow_s": 0.05})]
+            jobs += [coordinator.add({"fault": "wait", "until": str(stopped)}) for _ in range(4)]
         coordinator.wait_for_outcome(jobs[0])
         running.worker.stop()
+        stopped.touch()
         assert running.join() == 0
     done = [job for job in jobs if coordinator.jobs[job].outcome is not None]
     assert done == jobs[: len(done)]
@@ -213,9 +230,9 @@ def test_stopping_lets_the_running_episode_end_and_gives_the_rest_back(coordinat
     assert all(coordinator.jobs[job].attempt == 0 for job in coordinator.queued())
 
 
-def test_an_episode_that_outlives_the_grace_is_given_back(coordinator: FakeCoordinator) -> None:
+def test_an_episode_that_exceeds_the_grace_period_is_released(coordinator: FakeCoordinator) -> None:
     job = coordinator.add({"fault": "hang"}, timeout_s=3600.0)
-    with working(coordinator.url, grace_s=0.2) as running:
+    with running_worker(coordinator.url, grace_s=0.2) as running:
         coordinator.wait_until(lambda c: c.jobs[job].token is not None)
         running.worker.stop()
         assert running.join() == 0
@@ -223,7 +240,7 @@ def test_an_episode_that_outlives_the_grace_is_given_back(coordinator: FakeCoord
 
 
 def test_an_idle_worker_stops_at_once(coordinator: FakeCoordinator) -> None:
-    with working(coordinator.url, wait_s=60.0) as running:
+    with running_worker(coordinator.url, wait_s=60.0) as running:
         coordinator.wait_for_outcome(coordinator.add())
         began_s = time.monotonic()
         running.worker.stop()
@@ -231,14 +248,14 @@ def test_an_idle_worker_stops_at_once(coordinator: FakeCoordinator) -> None:
     assert time.monotonic() - began_s < 5.0
 
 
-def test_a_worker_leaves_after_an_idle_time(coordinator: FakeCoordinator) -> None:
+def test_a_worker_exits_when_idle(coordinator: FakeCoordinator) -> None:
     coordinator.add()
-    with working(coordinator.url, exit_when_idle_s=0.3) as running:
+    with running_worker(coordinator.url, exit_when_idle_s=0.3) as running:
         assert running.join() == 0
     coordinator.wait_for_all()
 
 
-def test_a_worker_without_a_coordinator_leaves_after_an_idle_time_and_says_why(
+def test_a_worker_without_a_coordinator_exits_when_idle_and_logs_why(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     with (
@@ -246,7 +263,7 @@ def test_a_worker_without_a_coordinator_leaves_after_an_idle_time_and_says_why(
         caplog.at_level(logging.WARNING),
     ):
         gone.disappear()
-        with working(gone.url, exit_when_idle_s=0.3) as running:
+        with running_worker(gone.url, exit_when_idle_s=0.3) as running:
             assert running.join() == 1
     assert "waiting for the coordinator" in caplog.text
     assert "no coordinator" in caplog.text
@@ -256,50 +273,49 @@ def test_a_worker_waits_for_a_coordinator_that_starts_later(caplog: pytest.LogCa
     with FakeCoordinator() as coordinator:
         coordinator.disappear()
         coordinator.add()
-        with caplog.at_level(logging.WARNING), working(coordinator.url):
+        with caplog.at_level(logging.WARNING), running_worker(coordinator.url):
             _wait_for_line(caplog, "waiting for the coordinator")
             coordinator.appear()
             coordinator.wait_for_all()
 
 
-def test_a_worker_that_is_not_admitted_leaves_with_the_reason(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_worker_whose_token_is_rejected_exits_with_the_reason(caplog: pytest.LogCaptureFixture) -> None:
     with FakeCoordinator(token="right") as coordinator:
-        with working(coordinator.url, token="wrong") as running:
+        with running_worker(coordinator.url, token="wrong") as running:
             assert running.join() == 1
         assert "401 Unauthorized: a bearer token is needed" in caplog.text
         coordinator.add()
-        with working(coordinator.url, token="right"):
+        with running_worker(coordinator.url, token="right"):
             coordinator.wait_for_all()
 
 
-def test_a_worker_asks_only_for_what_it_can_run(coordinator: FakeCoordinator) -> None:
+def test_a_worker_leases_only_jobs_that_it_can_run(coordinator: FakeCoordinator) -> None:
     foreign = coordinator.add(simulator="elsewhere@1")
     coordinator.add()
-    with working(coordinator.url):
+    with running_worker(coordinator.url):
         coordinator.wait_until(lambda c: bool(c.statuses))
     assert coordinator.queued() == [foreign]
     assert all(
         "faulty@1" in request.capabilities and "elsewhere@1" not in request.capabilities
-        for request in coordinator.of(LeaseRequest)
-        if isinstance(request, LeaseRequest)
+        for request in coordinator.served(LeaseRequest)
     )
 
 
 def test_two_workers_share_a_queue(coordinator: FakeCoordinator) -> None:
     for _ in range(30):
         coordinator.add({"fault": "wait", "slow_s": 0.02})
-    with working(coordinator.url, worker_id="a"), working(coordinator.url, worker_id="b"):
+    with running_worker(coordinator.url, worker_id="a"), running_worker(coordinator.url, worker_id="b"):
         coordinator.wait_for_all()
     pids = {o.provenance["pid"] for j in coordinator.jobs.values() if isinstance(o := j.outcome, Completed)}
     assert len(pids) == 2
     assert {status.status for status in coordinator.statuses} == {"accepted"}
 
 
-def test_a_process_that_never_comes_up_again_ends_the_worker_and_gives_its_jobs_back(
+def test_a_process_that_cannot_be_restarted_ends_the_worker_and_its_jobs_are_released(
     coordinator: FakeCoordinator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = coordinator.add()
-    with working(coordinator.url, start_timeout_s=5.0) as running:
+    with running_worker(coordinator.url, start_timeout_s=5.0) as running:
         coordinator.wait_for_outcome(first)
         monkeypatch.setenv("BRINK_PLUGINS", "no_such_plugin")
         crashing, after = coordinator.add({"fault": "segfault"}), coordinator.add()
@@ -309,7 +325,7 @@ def test_a_process_that_never_comes_up_again_ends_the_worker_and_gives_its_jobs_
 
 
 def _wait_for_line(caplog: pytest.LogCaptureFixture, text: str) -> None:
-    """Wait until a line was logged."""
+    """Wait until a line with this text is logged."""
     seen = threading.Event()
 
     class Listener(logging.Handler):
@@ -320,6 +336,6 @@ def _wait_for_line(caplog: pytest.LogCaptureFixture, text: str) -> None:
     listener = Listener()
     logging.getLogger().addHandler(listener)
     try:
-        assert text in caplog.text or seen.wait(30.0), f"nobody said {text!r}"
+        assert text in caplog.text or seen.wait(TIMEOUT_S), f"nothing was logged with {text!r}"
     finally:
         logging.getLogger().removeHandler(listener)

@@ -1,4 +1,4 @@
-"""The simulation process and its parent: whatever an episode does, its parent tells what it was and goes on."""
+"""The simulation process: whatever an episode does, its failure is reported and the next episode runs."""
 
 import os
 import select
@@ -6,28 +6,42 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
-from working import ROOT, use_faulty_simulator
+from worker_harness import ROOT, use_faulty_simulator
 
-from brink.worker.child_handle import ONE_THREAD
 from brink.worker.errors import ChildFailedToStart, EpisodeAbandoned
-from brink.worker.process import Episode, EpisodeProcess
+from brink.worker.process import ONE_THREAD, Episode, EpisodeProcess
 from brink.worker.wire import Completed, JobFailed
 
 
 @pytest.fixture(autouse=True)
-def _plugins(monkeypatch: pytest.MonkeyPatch) -> None:
-    use_faulty_simulator(monkeypatch)
+def _plugins(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    use_faulty_simulator(monkeypatch, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def shared_processes() -> Iterator[list[EpisodeProcess]]:
+    """Running processes that a test may use; at most one."""
+    processes: list[EpisodeProcess] = []
+    yield processes
+    for process in processes:
+        process.close()
 
 
 @pytest.fixture
-def process() -> Iterator[EpisodeProcess]:
-    process = EpisodeProcess(memory_mib=256)
-    process.start()
+def process(shared_processes: list[EpisodeProcess]) -> Iterator[EpisodeProcess]:
+    """A running process; the next test gets the same one unless this test fails or closes it."""
+    process = shared_processes.pop() if shared_processes else EpisodeProcess(memory_mib=256)
+    if process.pid is None:
+        process.start()
     yield process
-    process.close()
+    if process.pending or process.pid is None:
+        process.close()
+    else:
+        shared_processes.append(process)
 
 
 def spec(**scenario: Any) -> dict[str, Any]:
@@ -59,7 +73,7 @@ def works(process: EpisodeProcess) -> bool:
 
 
 def await_death(pid: int) -> None:
-    """Wait for the end of a process that need not be a child of this one."""
+    """Wait for the end of any process, child or not."""
     try:
         handle = os.pidfd_open(pid)
     except ProcessLookupError:
@@ -71,7 +85,7 @@ def await_death(pid: int) -> None:
         os.close(handle)
 
 
-def test_an_episode_gives_its_verdict(process: EpisodeProcess) -> None:
+def test_an_episode_returns_its_verdict(process: EpisodeProcess) -> None:
     assert works(process)
 
 
@@ -93,7 +107,7 @@ def test_a_recorded_episode_carries_its_trace(process: EpisodeProcess) -> None:
         ("nan", "error", ("cannot be sent", "verdicts.distance@1.robustness")),
     ],
 )
-def test_a_fault_is_told_with_its_reason_and_the_next_episode_runs(
+def test_a_fault_is_reported_with_its_reason_and_the_next_episode_runs(
     process: EpisodeProcess, fault: str, reason: str, words: tuple[str, ...]
 ) -> None:
     outcome = failure(process, fault=fault)
@@ -103,11 +117,11 @@ def test_a_fault_is_told_with_its_reason_and_the_next_episode_runs(
     assert works(process)
 
 
-def test_a_hang_is_killed_and_its_place_is_told(process: EpisodeProcess) -> None:
+def test_a_hang_is_killed_and_reported_with_its_stack(process: EpisodeProcess) -> None:
     outcome = failure(process, fault="hang", timeout_s=0.3)
     assert outcome.reason == "timeout"
     assert "0.3 s" in outcome.message
-    assert "in break_down" in outcome.message
+    assert "in cause" in outcome.message
     assert works(process)
 
 
@@ -146,7 +160,7 @@ def test_a_specification_larger_than_the_pipe_does_not_block(process: EpisodePro
     assert [process.receive().ticket for _ in range(2)] == [1, 2]
 
 
-def test_episodes_sent_ahead_of_a_crash_run_in_the_next_process(process: EpisodeProcess) -> None:
+def test_episodes_sent_behind_a_crashing_one_run_in_the_next_process(process: EpisodeProcess) -> None:
     process.send(Episode(ticket=7, spec=spec(fault="segfault"), record=False, timeout_s=20.0))
     process.send(Episode(ticket=8, spec=spec(), record=False, timeout_s=20.0))
     first, second = process.receive(), process.receive()
@@ -156,6 +170,7 @@ def test_episodes_sent_ahead_of_a_crash_run_in_the_next_process(process: Episode
 
 
 def test_a_process_that_died_while_idle_is_not_blamed_on_the_next_episode(process: EpisodeProcess) -> None:
+    assert works(process)
     assert process.pid is not None
     os.kill(process.pid, signal.SIGKILL)
     await_death(process.pid)
@@ -177,20 +192,19 @@ def test_an_abandoned_episode_has_no_outcome_and_the_next_one_runs(process: Epis
     assert isinstance(process.receive().outcome, Completed)
 
 
-def test_closing_gives_back_what_has_no_outcome(process: EpisodeProcess) -> None:
+def test_closing_returns_the_episodes_without_an_outcome(process: EpisodeProcess) -> None:
     for ticket in (4, 5):
         process.send(Episode(ticket=ticket, spec=spec(fault="hang"), record=False, timeout_s=20.0))
     assert process.close() == (4, 5)
 
 
-def test_what_cannot_be_imported_is_left_out_with_its_reason(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Any
+def test_a_simulator_that_cannot_be_imported_is_left_out_with_the_reason(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     installed = tmp_path / "lost-1.0.dist-info"
     installed.mkdir()
     (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: lost\nVersion: 1.0\n")
     (installed / "entry_points.txt").write_text("[brink.simulators]\nlost@1 = no_such_module:Simulator\n")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join((str(tmp_path), os.environ["PYTHONPATH"])))
     process = EpisodeProcess()
     try:
         hello = process.start()
@@ -207,26 +221,25 @@ def test_a_plug_in_that_cannot_be_imported_is_named() -> None:
     process.close()
 
 
-def test_the_process_computes_on_one_thread_and_does_not_see_the_token(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Any
+def test_the_process_uses_one_thread_and_does_not_see_the_token(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    (tmp_path / "environment_teller.py").write_text(
+    (tmp_path / "environment_reader.py").write_text(
         "import os\n"
         "from brink.sim.catalogue import register\n"
         "from brink.sim.episode import EpisodeResult\n"
-        "class Teller:\n"
+        "class Reader:\n"
         "    def run(self, spec, *, record=False):\n"
         "        return EpisodeResult(verdicts={}, objectives={}, provenance={}, features=dict(os.environ))\n"
-        "register('brink.simulators', 'teller@1', Teller)\n"
+        "register('brink.simulators', 'reader@1', Reader)\n"
     )
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join((str(tmp_path), str(ROOT))))
-    monkeypatch.setenv("BRINK_PLUGINS", "environment_teller")
+    monkeypatch.setenv("BRINK_PLUGINS", "environment_reader")
     monkeypatch.setenv("BRINK_TOKEN", "secret")
     monkeypatch.setenv("OMP_NUM_THREADS", "16")
     process = EpisodeProcess()
     try:
         process.start()
-        outcome = process.run({**spec(), "simulator": "teller@1"}, record=False, timeout_s=20.0)
+        outcome = process.run({**spec(), "simulator": "reader@1"}, record=False, timeout_s=20.0)
     finally:
         process.close()
     assert isinstance(outcome, Completed)
@@ -234,10 +247,10 @@ def test_the_process_computes_on_one_thread_and_does_not_see_the_token(
     assert {name: outcome.features[name] for name in ONE_THREAD} == ONE_THREAD
 
 
-def test_the_process_dies_with_its_parent_even_when_it_hangs_with_the_interpreter_lock() -> None:
+def test_the_process_dies_with_its_parent_even_while_it_holds_the_interpreter_lock() -> None:
     parent = (
         "import os, sys\n"
-        "from worker.process import Episode, EpisodeProcess\n"
+        "from brink.worker.process import Episode, EpisodeProcess\n"
         "process = EpisodeProcess()\n"
         "process.start()\n"
         "spec = dict(simulator='faulty@1', scenario={'fault': 'hang'}, behaviour={}, requirements=[], seed=1,\n"
@@ -260,9 +273,10 @@ def test_the_process_dies_with_its_parent_even_when_it_hangs_with_the_interprete
     assert ended
 
 
-def test_signals_of_the_terminal_do_not_reach_the_process(process: EpisodeProcess) -> None:
-    assert process.pid is not None
+def test_the_process_ignores_signals_of_the_terminal(process: EpisodeProcess) -> None:
+    assert works(process)
     pid = process.pid
+    assert pid is not None
     for number in (signal.SIGINT, signal.SIGTERM):
         os.kill(pid, number)
     assert works(process)

@@ -1,24 +1,36 @@
-"""The worker as a program: its signals, its exit status, and that it leaves nothing behind."""
+"""Workers as programs: signals, exit status and processes of Brink's worker; the example of the worker guide."""
 
+import json
 import os
+import re
 import select
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
-from fake_coordinator import FakeCoordinator
-from working import ROOT, use_faulty_simulator, worker_program
+from worker_harness import ROOT, TIMEOUT_S, FakeCoordinator, Fault, use_faulty_simulator, worker_program
 
-from brink.worker.wire import LeaseRequest
+from brink.worker.wire import (
+    Completed,
+    HeartbeatReply,
+    HeartbeatRequest,
+    JobFailed,
+    LeaseReply,
+    LeaseRequest,
+    Message,
+    ResultsReply,
+    ResultsRequest,
+)
 
-PATIENCE_S = 30.0
+GUIDE = (ROOT / "docs" / "how-to" / "write-a-worker.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(autouse=True)
-def _plugins(monkeypatch: pytest.MonkeyPatch) -> None:
-    use_faulty_simulator(monkeypatch)
+def _plugins(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    use_faulty_simulator(monkeypatch, tmp_path)
 
 
 @pytest.fixture
@@ -28,15 +40,18 @@ def coordinator() -> Iterator[FakeCoordinator]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_lets_the_running_episode_end_and_the_program_exits_with_0(
-    coordinator: FakeCoordinator, number: signal.Signals
+def test_after_a_signal_the_program_finishes_the_running_episode_and_exits_with_0(
+    coordinator: FakeCoordinator, number: signal.Signals, tmp_path: Path
 ) -> None:
-    job = coordinator.add({"fault": "wait", "slow_s": 0.5})
+    stopping = tmp_path / "stopping"
+    job = coordinator.add({"fault": "wait", "until": str(stopping)})
     with worker_program(coordinator.url) as program:
         coordinator.wait_until(lambda c: c.jobs[job].token is not None)
         program.send_signal(number)
-        assert program.wait(PATIENCE_S) == 0
-    # It may have been granted and not begun; then it was given back.
+        _read_until(program, "stopping")
+        stopping.touch()
+        assert program.wait(TIMEOUT_S) == 0
+    # If the job was granted but had not begun, it was released.
     assert (coordinator.jobs[job].outcome is not None) or coordinator.queued() == [job]
 
 
@@ -44,7 +59,7 @@ def test_an_idle_program_exits_with_0_at_once(coordinator: FakeCoordinator) -> N
     with worker_program(coordinator.url, "--wait", "60") as program:
         coordinator.wait_for_outcome(coordinator.add())
         program.terminate()
-        assert program.wait(PATIENCE_S) == 0
+        assert program.wait(TIMEOUT_S) == 0
 
 
 def test_a_second_signal_ends_the_program_at_once(coordinator: FakeCoordinator) -> None:
@@ -56,7 +71,7 @@ def test_a_second_signal_ends_the_program_at_once(coordinator: FakeCoordinator) 
         assert program.stderr is not None
         _read_until(program, "stopping")
         program.terminate()
-        assert program.wait(PATIENCE_S) == 128 + signal.SIGTERM
+        assert program.wait(TIMEOUT_S) == 128 + signal.SIGTERM
     _await_deaths(children)
 
 
@@ -67,11 +82,11 @@ def test_a_killed_program_leaves_no_process_behind(coordinator: FakeCoordinator)
         children = _children(program.pid)
         assert children
         program.kill()
-        program.wait(PATIENCE_S)
+        program.wait(TIMEOUT_S)
         _await_deaths(children)
 
 
-def test_a_program_that_lives_with_its_parent_leaves_when_standard_input_ends(
+def test_a_program_told_to_exit_with_its_parent_ends_with_standard_input(
     coordinator: FakeCoordinator,
 ) -> None:
     job = coordinator.add({"fault": "hang"}, timeout_s=3600.0)
@@ -79,27 +94,27 @@ def test_a_program_that_lives_with_its_parent_leaves_when_standard_input_ends(
         coordinator.wait_until(lambda c: c.jobs[job].token is not None)
         assert program.stdin is not None
         program.stdin.close()
-        assert program.wait(PATIENCE_S) == 0
+        assert program.wait(TIMEOUT_S) == 0
     assert coordinator.queued() == [job]
 
 
-def test_the_log_names_worker_job_and_reason_on_one_line(coordinator: FakeCoordinator) -> None:
+def test_a_failed_job_is_logged_on_one_line_with_worker_job_and_reason(coordinator: FakeCoordinator) -> None:
     job = coordinator.add({"fault": "exit"})
     with worker_program(coordinator.url, "--id", "w-17", "--exit-when-idle", "0") as program:
-        _, log = program.communicate(timeout=PATIENCE_S)
+        _, log = program.communicate(timeout=TIMEOUT_S)
     assert program.returncode == 0
     [line] = [line for line in log.splitlines() if "job failed" in line]
     for field in ("WARNING", "worker=w-17", f"job={job}", "attempt=1", "reason=crashed", "status 3"):
         assert field in line
 
 
-def test_the_program_runs_what_there_is_and_leaves(coordinator: FakeCoordinator) -> None:
+def test_the_program_runs_all_jobs_and_exits_when_idle(coordinator: FakeCoordinator) -> None:
     for _ in range(5):
         coordinator.add()
     with worker_program(coordinator.url, "--exit-when-idle", "0") as program:
-        assert program.wait(PATIENCE_S) == 0
+        assert program.wait(TIMEOUT_S) == 0
     assert coordinator.queued() == []
-    assert coordinator.of(LeaseRequest)
+    assert coordinator.served(LeaseRequest)
 
 
 def test_a_bad_setting_is_a_usage_error() -> None:
@@ -114,16 +129,74 @@ def test_a_bad_setting_is_a_usage_error() -> None:
     assert "expected a URL" in done.stderr
 
 
+def guide_blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", GUIDE, flags=re.DOTALL)
+
+
+def test_every_message_in_the_guide_is_valid() -> None:
+    kinds: list[type[Message]] = [
+        LeaseRequest,
+        LeaseReply,
+        HeartbeatRequest,
+        HeartbeatReply,
+        ResultsRequest,
+        ResultsReply,
+    ]
+    examples = guide_blocks("json")
+    assert len(examples) == len(kinds)
+    for kind, example in zip(kinds, examples, strict=True):
+        message = kind.model_validate_json(example)
+        assert message.model_dump(exclude_unset=True) == json.loads(example)
+
+
+def test_the_example_in_the_guide_is_a_worker(tmp_path: Path) -> None:
+    [source] = guide_blocks("python")
+    program_file = tmp_path / "minimal.py"
+    program_file.write_text(source, encoding="utf-8")
+    # The lost reply carried a lease too: that job is queued again when its lease expires.
+    with FakeCoordinator(lease_s=0.5) as coordinator:
+        coordinator.faults["results"] += [Fault.DROP_REPLY, 503]
+        good = [coordinator.add({"fog": fog}, simulator="my-simulator@1") for fog in (0.25, 1.5)]
+        bad = coordinator.add({}, simulator="my-simulator@1")
+        with subprocess.Popen([sys.executable, str(program_file), coordinator.url]) as program:
+            try:
+                coordinator.wait_for_all()
+            finally:
+                program.kill()
+        outcomes = [coordinator.jobs[job].outcome for job in good]
+        robustness = [o.verdicts["distance@1"].robustness for o in outcomes if isinstance(o, Completed)]
+        assert robustness == [0.75, -0.5]
+        failure = coordinator.jobs[bad].outcome
+        assert isinstance(failure, JobFailed)
+        assert "fog" in failure.message
+
+
+def test_the_example_in_the_guide_exits_when_its_token_is_rejected(tmp_path: Path) -> None:
+    [source] = guide_blocks("python")
+    program_file = tmp_path / "minimal.py"
+    program_file.write_text(source, encoding="utf-8")
+    with FakeCoordinator(token="secret") as coordinator:
+        done = subprocess.run(
+            [sys.executable, str(program_file), coordinator.url],
+            capture_output=True,
+            text=True,
+            timeout=30,
+            check=False,
+        )
+    assert done.returncode == 1
+    assert "a bearer token is needed" in done.stderr
+
+
 def _read_until(program: subprocess.Popen[str], text: str) -> None:
     assert program.stderr is not None
     for line in program.stderr:
         if text in line:
             return
-    raise AssertionError(f"the program ended without saying {text!r}")
+    raise AssertionError(f"the program ended without logging {text!r}")
 
 
 def _children(pid: int) -> list[int]:
-    """Return handles of the processes that a process has started."""
+    """Return handles of the child processes of a process."""
     found = []
     for name in os.listdir(f"/proc/{pid}/task"):
         with open(f"/proc/{pid}/task/{name}/children", encoding="ascii") as children:
@@ -133,6 +206,6 @@ def _children(pid: int) -> list[int]:
 
 def _await_deaths(handles: list[int]) -> None:
     for handle in handles:
-        ended, _, _ = select.select([handle], [], [], PATIENCE_S)
+        ended, _, _ = select.select([handle], [], [], TIMEOUT_S)
         os.close(handle)
         assert ended, "a simulation process is still alive"

@@ -15,8 +15,7 @@ from brink.server.campaigns.submission import check_submission
 from brink.server.errors import InvalidInput
 from brink.server.problems.aeb_crossing import ACCIDENT, DANGEROUS_STOP, AebCrossing, AebCrossingParams
 from brink.server.problems.base import MeasuresOnData, SimulatedProblem
-from brink.sim.aeb.behaviour import Behaviour, Options
-from brink.sim.aeb.scenario import AebScenario
+from brink.sim.aeb.specification import AebScenario, Behaviour, Options
 from brink.sim.perturbations import CATALOGUE
 from brink.worker.wire import Completed, WireVerdict
 
@@ -45,7 +44,7 @@ def test_genes_keep_their_order_and_levels_their_rank() -> None:
     vectors = PROBLEM.space.encode(values)
     assert PROBLEM.perturbations(vectors) == [{"gene": "smoke", "level": 3}, {"gene": "rain", "level": 5}]
     assert PROBLEM.words(vectors) == (
-        "smoke 3/10, then rain 5/5; noon, clear, somebody from behind a van after 50 m"
+        "smoke 3/10, then rain 5/5; noon, clear, pedestrian from behind a van after 50 m"
     )
     spec = PROBLEM.dataset_evaluation(vectors)
     assert spec.behaviour["perturbations"] == PROBLEM.perturbations(vectors)
@@ -110,7 +109,7 @@ def test_what_is_missing_or_broken_is_told_at_submission(tmp_path: Path) -> None
     weights = tmp_path / "weights.onnx"
     weights.write_text("nothing")
     assert refused(dataset=str(broken)) == {
-        "/problem/params/dataset": f"{broken}: expected a list of images that is not empty, as COCO has it"
+        "/problem/params/dataset": f"{broken}: expected a non-empty list of images, as in COCO format"
     }
     assert "No such file" in refused(dataset="nowhere.json")["/problem/params/dataset"]
     assert "no such file" in refused(detector="onnx:nowhere.onnx")["/problem/params/detector"]

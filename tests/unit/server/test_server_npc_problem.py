@@ -11,7 +11,7 @@ from brink.search.analysis.violations import signature_of
 from brink.search.errors import ConfigError
 from brink.server.problems.base import Describes, SimulatedProblem, TellsViolations
 from brink.server.problems.npc_actions import ORACLES, NpcActions, NpcActionsParams
-from brink.sim.encounter.scenario import EncounterScenario
+from brink.sim.encounter.specification import EncounterScenario
 from brink.worker.wire import Completed, WireVerdict
 
 PROBLEM = NpcActions(NpcActionsParams())

@@ -1,15 +1,18 @@
-"""The client tells what can be tried again from what cannot, and tries again itself while that is cheap."""
+"""The HTTP client retries short failures, backs off, and tells retryable errors from final ones."""
 
 import json
+import logging
 from collections.abc import Iterator
 from random import Random
 
 import httpx
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from brink.worker.backoff import Backoff
+from brink.worker.backoff import Backoff, Outage
 from brink.worker.client import CoordinatorClient
-from brink.worker.errors import CoordinatorAway, RequestRefused, UnexpectedReply
+from brink.worker.errors import CoordinatorUnavailable, RequestRefused, UnexpectedReply
 from brink.worker.wire import (
     HeartbeatRequest,
     JobFailed,
@@ -25,7 +28,7 @@ GRANT = {"jobs": [], "lease_s": 60.0}
 
 
 class Script(httpx.BaseTransport):
-    """Answers requests in turn, and keeps them."""
+    """A transport that answers requests in turn and records them."""
 
     def __init__(self, *answers: httpx.Response | Exception) -> None:
         self.requests: list[httpx.Request] = []
@@ -50,7 +53,7 @@ def client(script: Script, pauses: list[float] | None = None, token: str | None 
     )
 
 
-def test_a_request_is_json_with_the_token_at_the_right_address() -> None:
+def test_a_request_is_json_with_a_bearer_token() -> None:
     script = Script(httpx.Response(200, json=GRANT))
     with client(script, token="secret") as c:
         assert c.lease(LEASE).lease_s == 60.0
@@ -61,7 +64,7 @@ def test_a_request_is_json_with_the_token_at_the_right_address() -> None:
     assert json.loads(request.content) == LEASE.model_dump()
 
 
-def test_without_a_token_no_authorisation_is_sent() -> None:
+def test_without_a_token_no_authorization_header_is_sent() -> None:
     script = Script(httpx.Response(200, json=GRANT))
     with client(script) as c:
         c.lease(LEASE)
@@ -69,7 +72,7 @@ def test_without_a_token_no_authorisation_is_sent() -> None:
 
 
 @pytest.mark.parametrize(
-    "trouble",
+    "failure",
     [
         httpx.ConnectError("refused"),
         httpx.RemoteProtocolError("closed"),
@@ -80,32 +83,32 @@ def test_without_a_token_no_authorisation_is_sent() -> None:
         httpx.Response(408),
     ],
 )
-def test_a_short_disturbance_is_tried_again_with_growing_pauses(trouble: httpx.Response | Exception) -> None:
+def test_a_transient_failure_is_retried_with_growing_pauses(failure: httpx.Response | Exception) -> None:
     pauses: list[float] = []
-    with client(Script(trouble, trouble, httpx.Response(200, json=GRANT)), pauses) as c:
+    with client(Script(failure, failure, httpx.Response(200, json=GRANT)), pauses) as c:
         c.lease(LEASE)
     assert len(pauses) == 2
     assert 0.05 <= pauses[0] <= 0.1 <= pauses[1] <= 0.2
 
 
-def test_a_long_disturbance_is_left_to_the_caller() -> None:
+def test_a_lasting_failure_is_raised_after_the_last_attempt() -> None:
     script = Script(*[httpx.ConnectError("refused")] * 4)
     with (
         client(script) as c,
-        pytest.raises(CoordinatorAway, match=r"http://coordinator: no answer \(refused\)"),
+        pytest.raises(CoordinatorUnavailable, match=r"http://coordinator: no answer \(refused\)"),
     ):
         c.lease(LEASE)
     assert len(script.requests) == 4
 
 
-def test_a_timeout_is_left_to_the_caller_at_once() -> None:
+def test_a_timeout_is_raised_without_a_retry() -> None:
     script = Script(httpx.ReadTimeout("slow"))
-    with client(script) as c, pytest.raises(CoordinatorAway):
+    with client(script) as c, pytest.raises(CoordinatorUnavailable):
         c.lease(LEASE)
     assert len(script.requests) == 1
 
 
-def test_a_short_retry_after_is_obeyed_here() -> None:
+def test_a_short_retry_after_is_obeyed() -> None:
     pauses: list[float] = []
     script = Script(httpx.Response(429, headers={"Retry-After": "1"}), httpx.Response(200, json=GRANT))
     with client(script, pauses) as c:
@@ -113,15 +116,15 @@ def test_a_short_retry_after_is_obeyed_here() -> None:
     assert pauses == [1.0]
 
 
-def test_a_long_retry_after_is_left_to_the_caller() -> None:
+def test_a_long_retry_after_is_raised_to_the_caller() -> None:
     script = Script(httpx.Response(503, headers={"Retry-After": "30"}))
-    with client(script) as c, pytest.raises(CoordinatorAway) as caught:
+    with client(script) as c, pytest.raises(CoordinatorUnavailable) as caught:
         c.lease(LEASE)
     assert caught.value.retry_after_s == 30.0
 
 
 @pytest.mark.parametrize("value", ["Wed, 21 Oct 2026 07:28:00 GMT", "-3", "inf", "nan", ""])
-def test_a_retry_after_that_is_no_number_of_seconds_falls_back_to_the_backoff(value: str) -> None:
+def test_a_retry_after_that_is_not_a_number_of_seconds_is_ignored(value: str) -> None:
     script = Script(httpx.Response(503, headers={"Retry-After": value}), httpx.Response(200, json=GRANT))
     pauses: list[float] = []
     with client(script, pauses) as c:
@@ -130,7 +133,7 @@ def test_a_retry_after_that_is_no_number_of_seconds_falls_back_to_the_backoff(va
 
 
 @pytest.mark.parametrize("status", [400, 401, 403, 404, 413, 422])
-def test_a_refusal_is_final_and_tells_the_detail_on_one_line(status: int) -> None:
+def test_a_refusal_is_final_and_gives_the_detail_on_one_line(status: int) -> None:
     script = Script(
         httpx.Response(
             status, json={"title": "No", "detail": "max_jobs:\n  expected 1 to 256", "status": status}
@@ -143,7 +146,7 @@ def test_a_refusal_is_final_and_tells_the_detail_on_one_line(status: int) -> Non
     assert len(script.requests) == 1
 
 
-def test_a_refusal_that_is_no_problem_document_is_told_as_it_is() -> None:
+def test_a_refusal_that_is_not_problem_json_is_quoted() -> None:
     script = Script(httpx.Response(404, text="<html>\nnot here</html>"))
     with client(script) as c, pytest.raises(RequestRefused, match="404 <html> not here</html>"):
         c.lease(LEASE)
@@ -158,12 +161,12 @@ def test_a_refusal_that_is_no_problem_document_is_told_as_it_is() -> None:
         httpx.Response(204),
     ],
 )
-def test_what_does_not_speak_the_wire_is_no_coordinator(answer: httpx.Response) -> None:
+def test_an_unexpected_reply_asks_whether_this_is_a_coordinator(answer: httpx.Response) -> None:
     with client(Script(answer)) as c, pytest.raises(UnexpectedReply, match="Is this the address"):
         c.lease(LEASE)
 
 
-def test_a_report_without_one_status_a_result_is_not_believed() -> None:
+def test_a_report_reply_needs_one_status_per_result() -> None:
     failed = JobFailed(reason="error", message="no")
     request = ResultsRequest(worker=WORKER, results=[JobResult(job=1, token="t", outcome=failed)])
     script = Script(httpx.Response(200, json={"statuses": [], "lease": None}))
@@ -171,7 +174,36 @@ def test_a_report_without_one_status_a_result_is_not_believed() -> None:
         c.report(request)
 
 
-def test_a_heartbeat_tells_what_is_held() -> None:
+def test_a_heartbeat_returns_the_held_jobs() -> None:
     script = Script(httpx.Response(200, json={"held": [3], "lease_s": 60.0}))
     with client(script) as c:
         assert c.heartbeat(HeartbeatRequest(worker=WORKER, leases=[])).held == [3]
+
+
+@given(failures=st.integers(1, 10_000), seed=st.integers(0, 2**32))
+def test_backoff_doubles_up_to_its_cap_with_jitter(failures: int, seed: int) -> None:
+    delay_s = Backoff(first_s=0.5, cap_s=10.0).delay_s(failures, Random(seed))
+    longest_s = min(10.0, 0.5 * 2 ** min(failures - 1, 20))
+    assert longest_s / 2 <= delay_s <= longest_s
+
+
+def test_an_outage_is_logged_at_growing_intervals_and_its_end_once(caplog: pytest.LogCaptureFixture) -> None:
+    now_s = 0.0
+    outage = Outage("http://c", Backoff(first_s=0.5, cap_s=10.0), Random(1), clock=lambda: now_s)
+    logged_at_s = []
+    with caplog.at_level(logging.INFO):
+        for second in range(1000):
+            now_s = float(second)
+            outage.record_failure(CoordinatorUnavailable("no answer"), unsent=3)
+            if caplog.records:
+                logged_at_s.append(second)
+                caplog.clear()
+        outage.record_success()
+        outage.record_success()
+    assert logged_at_s == [0, 5, 15, 35, 75, 155, 315, 615, 915]
+    assert [record.getMessage() for record in caplog.records] == ["the coordinator at http://c is back"]
+
+
+def test_an_outage_waits_as_long_as_the_coordinator_asks() -> None:
+    outage = Outage("http://c", Backoff(first_s=0.5, cap_s=10.0), Random(1), clock=lambda: 0.0)
+    assert outage.record_failure(CoordinatorUnavailable("busy", retry_after_s=42.0), unsent=0) == 42.0

@@ -1,10 +1,10 @@
-"""Specifications of emergency-braking episodes for tests."""
+"""Specifications of emergency-braking episodes, and fake detectors."""
 
 from typing import Any
 
 import numpy as np
 
-from brink.sim.aeb.scenario import ARRIVAL_S, CROSSING_M, ONCOMING_M, TIMES, WEATHERS, Occluder
+from brink.sim.aeb.specification import ARRIVAL_S, CROSSING_M, ONCOMING_M, TIMES, WEATHERS, Occluder
 from brink.sim.episode import EpisodeSpec
 
 REQUIREMENTS = ("no-collision@1", "no-dangerous-stop@1")

@@ -1,10 +1,15 @@
-"""The brake: its regions to the pixel, its latch to the frame."""
+"""The emergency brake: its regions to the pixel, and its latch to the frame."""
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from brink.sim.aeb.braking import Detection, EmergencyBrake, Region
+from brink.sim.aeb.braking import PERSON, Detection, EmergencyBrake, Region
 
-WARNING = Region.scaled(730.0, 230.0, 1280, 720)
+WARNING = Region.from_reference(730.0, 230.0, 1280, 720)
+SMALL = Region.from_reference(730.0, 230.0, 640, 360)
+COLUMN, ROW = st.floats(-50, 700, width=32), st.floats(-50, 360, width=32)
 
 
 def box(x_min: float, y_min: float, x_max: float, y_max: float, label: str = "person") -> Detection:
@@ -20,27 +25,28 @@ def test_corners_are_those_of_the_paper() -> None:
     ("candidate", "meets"),
     [
         (box(600, 300, 680, 600), True),
-        (box(600, 300, 680, 469), False),  # ends above it
-        (box(280, 480, 490, 500), False),  # in the rectangle around the trapezoid, not in the trapezoid
-        (box(280, 480, 490, 719), True),  # its lower end reaches the wide part
+        (box(600, 300, 680, 469), False),  # ends above the region
+        (box(280, 480, 490, 500), False),  # in the bounding rectangle, but not in the trapezoid
+        (box(280, 480, 490, 719), True),  # its lower end reaches the wide part of the region
         (box(1004, 500, 1200, 720), True),  # touches the corner
         (box(1006, 500, 1200, 720), False),
         (box(0, 0, 1280, 720), True),
-        (box(600, 700, 610, 900), True),  # goes on below the picture
+        (box(600, 700, 610, 900), True),  # extends below the picture
     ],
 )
-def test_a_box_meets_the_trapezoid_and_not_the_rectangle_around_it(candidate: Detection, meets: bool) -> None:
-    assert WARNING.meets(candidate) is meets
+def test_a_box_is_tested_against_the_trapezoid_not_its_bounding_rectangle(
+    candidate: Detection, meets: bool
+) -> None:
+    assert WARNING.intersects(candidate) is meets
 
 
 def test_regions_scale_with_the_picture() -> None:
-    small = Region.scaled(730.0, 230.0, 640, 360)
     for candidate in (box(280, 480, 500, 500), box(280, 480, 500, 719), box(1004, 500, 1200, 720)):
         half = Detection(candidate.label, *(0.5 * value for value in candidate[1:5]))
-        assert small.meets(half) is WARNING.meets(candidate)
+        assert SMALL.intersects(half) is WARNING.intersects(candidate)
 
 
-def test_a_vehicle_beside_the_lane_does_not_brake_and_one_in_it_does() -> None:
+def test_only_a_vehicle_in_the_lane_triggers_the_brake() -> None:
     brake = EmergencyBrake.for_picture(640, 360)
     beside, ahead = box(438, 150, 640, 360, "vehicle"), box(260, 200, 380, 300, "vehicle")
     farther = box(260, 180, 380, 230, "vehicle")
@@ -48,13 +54,13 @@ def test_a_vehicle_beside_the_lane_does_not_brake_and_one_in_it_does() -> None:
     assert [brake.decide(1.0 + 0.05 * frame, [ahead]) for frame in range(4)] == [False, False, True, True]
 
 
-def test_a_vehicle_that_flickers_does_not_brake() -> None:
+def test_a_flickering_vehicle_does_not_trigger_the_brake() -> None:
     brake = EmergencyBrake.for_picture(640, 360)
     ahead = [box(260, 200, 380, 300, "vehicle")]
     assert not any(brake.decide(0.05 * frame, ahead if frame % 3 else []) for frame in range(30))
 
 
-def test_the_latch_holds_and_lets_go() -> None:
+def test_the_latch_holds_and_releases() -> None:
     brake = EmergencyBrake.for_picture(1280, 720, hold_s=0.5)
     person = [box(600, 300, 680, 600)]
     assert not brake.decide(0.0, [])
@@ -64,6 +70,16 @@ def test_the_latch_holds_and_lets_go() -> None:
     assert brake.decide(0.60, person)
 
 
-def test_a_brake_that_is_off_never_brakes() -> None:
+def test_a_disabled_brake_never_brakes() -> None:
     brake = EmergencyBrake.for_picture(1280, 720, enabled=False)
     assert not brake.decide(0.0, [box(600, 300, 680, 600)])
+
+
+@given(COLUMN, COLUMN, ROW, ROW)
+def test_a_box_intersects_the_region_if_any_of_its_rows_does(a: float, b: float, c: float, d: float) -> None:
+    box = Detection(PERSON, min(a, b), min(c, d), max(a, b), max(c, d))
+    rows = np.linspace(box.y_min_px, min(box.y_max_px, 360.0), 400)
+    inside = rows[rows >= 235.0]
+    half = 0.5 * (115.0 + (inside - 235.0) / 125.0 * 250.0)
+    touches = bool(np.any((box.x_min_px <= 320 + half) & (box.x_max_px >= 320 - half)))
+    assert SMALL.intersects(box) is touches

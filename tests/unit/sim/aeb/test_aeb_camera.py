@@ -1,4 +1,4 @@
-"""The camera in the loop and the data set, with detectors whose answers are known."""
+"""The camera in the loop and the data-set evaluator, with fake detectors."""
 
 import json
 from dataclasses import replace
@@ -10,35 +10,40 @@ import numpy as np
 import pytest
 from aeb_episodes import spec
 from numpy.typing import NDArray
+from PIL import Image
 
 from brink.sim import catalogue
-from brink.sim.aeb.dataset import DatasetEvaluator
-from brink.sim.aeb.pictures import LabelledFrame, Split, labelled_frames
+from brink.sim.aeb.dataset import DatasetEvaluator, Split, labelled_frames
+from brink.sim.aeb.scores import rescore
 from brink.sim.aeb.simulator import BrinkAeb
 from brink.sim.episode import EpisodeSpec, Json
 from brink.sim.errors import InvalidEpisode
-from brink.sim.perception.coco import read_coco
-from brink.sim.perception.quality import Found
-from brink.sim.perception.registry import DETECTORS
+from brink.sim.perception.boxes import Detections, LabelledFrame
+from brink.sim.perception.detector import DETECTORS
+from brink.sim.perception.user_files import read_coco
 from brink.sim.perturbations import Pipeline, parse_perturbations
-from brink.sim.trace import Trace
+from brink.sim.replay import ReplayError, render
+from brink.sim.replay.frame import FramePainter
+from brink.sim.replay.sheets import HEADER_PX, MARGIN, TILE_PX, Row, side_by_side
+from brink.sim.replay.style import FOUND_ON_PICTURE, SEEN_ON_PICTURE
+from brink.sim.trace import Film, Trace
 
 SIMULATOR, EVALUATOR = BrinkAeb(), DatasetEvaluator()
-NOTHING = Found(
+NOTHING = Detections(
     labels=np.empty(0, np.int64), boxes=np.empty((0, 4), np.float32), scores=np.empty(0, np.float32)
 )
 FLARE: list[Json] = [{"gene": "sun_flare", "level": 6}, {"gene": "rain", "level": 2}]
 
 
 class Known:
-    """Finds what it was told to find, and keeps what it was shown."""
+    """Returns fixed detections and records the pictures that it was shown."""
 
     def __init__(self) -> None:
         self.shown: list[NDArray[np.uint8]] = []
         self.found = NOTHING
 
-    def detect(self, picture: NDArray[np.uint8]) -> Found:
-        """Return what was told."""
+    def detect(self, picture: NDArray[np.uint8]) -> Detections:
+        """Return the fixed detections."""
         self.shown.append(picture.copy())
         return self.found
 
@@ -50,9 +55,9 @@ def known(monkeypatch: pytest.MonkeyPatch) -> Known:
     return detector
 
 
-def person(score: float) -> Found:
+def person(score: float) -> Detections:
     box = np.array([[300.0, 150.0, 340.0, 320.0]], np.float32)
-    return Found(labels=np.array([1]), boxes=box, scores=np.array([score], np.float32))
+    return Detections(labels=np.array([1]), boxes=box, scores=np.array([score], np.float32))
 
 
 def seen_by(seed: int, **behaviour: Any) -> EpisodeSpec:
@@ -60,7 +65,7 @@ def seen_by(seed: int, **behaviour: Any) -> EpisodeSpec:
     return replace(base, behaviour={"mode": "detector", "detector": "known@1", **behaviour})
 
 
-def test_who_finds_nobody_hits_the_pedestrian(known: Known) -> None:
+def test_a_detector_that_finds_nothing_hits_the_pedestrian(known: Known) -> None:
     result = SIMULATOR.run(seen_by(1))
     assert result.features["collided_with"] == "pedestrian"
     assert result.objectives["alpha"] == 0.0
@@ -69,9 +74,7 @@ def test_who_finds_nobody_hits_the_pedestrian(known: Known) -> None:
 
 
 @pytest.mark.parametrize(("score", "stops"), [(0.9, 1), (0.2, 0)])
-def test_a_person_who_is_not_there_is_a_dangerous_stop_if_the_detector_is_sure(
-    known: Known, score: float, stops: int
-) -> None:
+def test_a_confident_false_positive_causes_a_dangerous_stop(known: Known, score: float, stops: int) -> None:
     known.found = person(score)
     result = SIMULATOR.run(replace(seen_by(1), duration_s=3.0))
     assert result.features["no-dangerous-stop@1:dangerous_stops"] == stops
@@ -102,7 +105,7 @@ def test_the_same_specification_gives_the_same_pictures_and_trace(known: Known) 
     assert len(Trace.from_bytes(first.trace).seen_boxes.rows) > 0
 
 
-def test_pictures_are_labelled_the_same_each_time_and_differ_between_splits() -> None:
+def test_labelled_pictures_are_reproducible_and_differ_between_splits() -> None:
     first, again = list(labelled_frames(Split.TRAIN, 3)), list(labelled_frames(Split.TRAIN, 3))
     other = list(labelled_frames(Split.TEST, 3))
     assert all(np.array_equal(a.picture, b.picture) for a, b in zip(first, again, strict=True))
@@ -120,19 +123,21 @@ def evaluation(*, frames: int = 12, **behaviour: Any) -> EpisodeSpec:
 
 
 class Cheating(Known):
-    """Finds the truth of the pictures in their order."""
+    """Returns the ground truth of each picture in turn."""
 
     def __init__(self, frames: list[LabelledFrame]) -> None:
         super().__init__()
         self.frames = iter(frames)
 
-    def detect(self, picture: NDArray[np.uint8]) -> Found:
-        """Return the truth of the next picture."""
+    def detect(self, picture: NDArray[np.uint8]) -> Detections:
+        """Return the ground truth of the next picture."""
         truth = next(self.frames).truth
-        return Found(labels=truth.labels, boxes=truth.boxes, scores=np.ones(len(truth.labels), np.float32))
+        return Detections(
+            labels=truth.labels, boxes=truth.boxes, scores=np.ones(len(truth.labels), np.float32)
+        )
 
 
-def test_alpha_is_one_for_the_truth_and_nothing_for_nothing(
+def test_alpha_is_one_for_the_ground_truth_and_zero_for_no_detections(
     monkeypatch: pytest.MonkeyPatch, known: Known
 ) -> None:
     assert EVALUATOR.run(evaluation()).objectives == {"alpha": 0.0}
@@ -143,7 +148,7 @@ def test_alpha_is_one_for_the_truth_and_nothing_for_nothing(
     assert result.verdicts == {}
 
 
-def test_the_second_gene_works_on_what_the_first_one_left(known: Known) -> None:
+def test_the_second_gene_is_applied_to_the_result_of_the_first(known: Known) -> None:
     EVALUATOR.run(evaluation(perturbations=FLARE))
     both, known.shown = known.shown, []
     EVALUATOR.run(evaluation(perturbations=FLARE[1:]))
@@ -167,12 +172,12 @@ def test_the_second_gene_works_on_what_the_first_one_left(known: Known) -> None:
         ({"simulator": "brink-aeb@1"}, "this is brink-dataset@1"),
     ],
 )
-def test_what_can_never_be_evaluated_is_told(known: Known, changes: dict[str, Any], message: str) -> None:
+def test_an_invalid_evaluation_is_refused(known: Known, changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidEpisode, match=message):
         EVALUATOR.run(replace(evaluation(), **changes))
 
 
-def test_a_user_s_own_pictures_are_measured(known: Known, tmp_path: Path) -> None:
+def test_users_pictures_are_evaluated(known: Known, tmp_path: Path) -> None:
     picture = np.full((180, 320, 3), 90, np.uint8)
     for name in ("a.png", "b.png", "c.png"):
         cv2.imwrite(str(tmp_path / name), picture)
@@ -194,9 +199,102 @@ def test_a_user_s_own_pictures_are_measured(known: Known, tmp_path: Path) -> Non
     assert [shown.shape for shown in known.shown] == [(180, 320, 3)] * 2
     assert 0.0 <= result.objectives["alpha"] <= 1.0
     file.write_text(json.dumps({**document, "info": {}}))
-    with pytest.raises(InvalidEpisode, match="not the one that the campaign was submitted with"):
+    with pytest.raises(
+        InvalidEpisode, match="differs from the data set that the campaign was submitted with"
+    ):
         EVALUATOR.run(replace(evaluation(), scenario={**data, "seed": 1}))
     file.write_text(json.dumps(document))
     cv2.imwrite(str(tmp_path / "a.png"), picture[:90])
     with pytest.raises(InvalidEpisode, match="expected 320 x 180 px"):
         EVALUATOR.run(replace(evaluation(), scenario={**data, "seed": 2}))
+
+
+class Half:
+    """Finds a person in the lane with high confidence in every second picture, and a vehicle that does not exist."""
+
+    def __init__(self) -> None:
+        self.looks = 0
+
+    def detect(self, picture: NDArray[np.uint8]) -> Detections:
+        """Return two boxes."""
+        self.looks += 1
+        boxes = np.array([[300, 150, 340, 320], [20, 20, 80, 60]], np.float32)
+        scores = np.array([0.9 if self.looks % 2 else 0.1, 0.5], np.float32)
+        return Detections(labels=np.array([1, 0]), boxes=boxes, scores=scores)
+
+
+@pytest.fixture(scope="module")
+def trace() -> Trace:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(catalogue._registered, DETECTORS, {"half@1": Half})
+        behaviour: dict[str, Json] = {"mode": "detector", "detector": "half@1", "threshold": 0.4,
+                     "perturbations": [{"gene": "snow", "level": 3}]}  # fmt: skip
+        result = BrinkAeb().run(replace(spec(3), behaviour=behaviour, duration_s=4.0), record=True)
+    assert result.trace is not None
+    kept = Trace.from_bytes(result.trace)
+    assert kept.film is not None
+    again = rescore(kept.film, 0.4)
+    assert again.recall_inside == pytest.approx(result.features["recall_inside"])
+    assert again.precision == pytest.approx(result.features["precision"])
+    assert again.alpha == pytest.approx(result.objectives["alpha"])
+    return kept
+
+
+def film_of(trace: Trace) -> Film:
+    assert trace.film is not None
+    return trace.film
+
+
+def test_a_film_survives_its_file(trace: Trace) -> None:
+    film = film_of(trace)
+    again = film_of(Trace.from_bytes(trace.to_bytes()))
+    assert again.pictures == film.pictures
+    assert np.array_equal(again.found.rows, film.found.rows)
+    assert np.array_equal(again.judged.rows, film.judged.rows)
+    assert {name: corners.tolist() for name, corners in again.regions.items()} == {
+        name: corners.tolist() for name, corners in film.regions.items()
+    }
+
+
+def test_a_film_can_be_rescored_at_another_threshold(trace: Trace) -> None:
+    film = film_of(trace)
+    sure, unsure = rescore(film, 0.4), rescore(film, 0.05)
+    assert sure.alpha == unsure.alpha
+    assert unsure.recall >= sure.recall
+    assert np.isnan(rescore(film, 0.99).precision), "no detection has this score"
+
+
+def test_every_frame_has_boxes_and_every_second_a_picture(trace: Trace) -> None:
+    film = film_of(trace)
+    frames = len(trace.time_s) - 1
+    assert film.samples.tolist() == list(range(0, frames, 2))
+    assert np.diff(film.found.first)[:frames].tolist() == [2] * frames
+
+
+def test_the_picture_is_drawn_with_boxes_and_regions(trace: Trace, tmp_path: Path) -> None:
+    painter = FramePainter(trace)
+    picture = np.asarray(painter.camera(0)).reshape(-1, 3)
+    for colour in (SEEN_ON_PICTURE, FOUND_ON_PICTURE):
+        assert (picture == colour).all(axis=1).any()
+    files = [render(trace, tmp_path / f"film{suffix}") for suffix in (".png", ".mp4")]
+    with Image.open(files[0]) as picture_file:
+        assert picture_file.size[0] == 1280
+    assert files[1].stat().st_size > 10_000
+
+
+def test_episodes_side_by_side_show_the_same_moments(trace: Trace) -> None:
+    one = side_by_side([Row(words="snow 3/5", trace=trace)], title="one")
+    both = side_by_side(
+        [Row(words="nothing", trace=trace), Row(words="snow 3/5, then rain 5/5", trace=trace)]
+    )
+    assert both.width == one.width
+    assert both.height - one.height == TILE_PX[1] + MARGIN
+    pixels = np.asarray(both)
+    assert np.array_equal(
+        pixels[HEADER_PX : HEADER_PX + TILE_PX[1], -TILE_PX[0] :],
+        pixels[HEADER_PX + TILE_PX[1] + MARGIN : HEADER_PX + 2 * TILE_PX[1] + MARGIN, -TILE_PX[0] :],
+    )
+    with pytest.raises(ReplayError, match="no pictures"):
+        side_by_side([Row(words="x", trace=replace(trace, film=None))])
+    with pytest.raises(ReplayError, match="no episodes"):
+        side_by_side([])

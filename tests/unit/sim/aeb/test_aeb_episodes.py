@@ -1,4 +1,4 @@
-"""Emergency-braking episodes: the safe baseline, what counts as a hazard, repeatability, bad input."""
+"""Emergency-braking episodes: safe baseline, hazards, reproducibility, invalid input."""
 
 import hashlib
 import subprocess
@@ -10,17 +10,16 @@ import pytest
 from aeb_episodes import spec
 
 from brink.sim.aeb.braking import Detection, EmergencyBrake
-from brink.sim.aeb.episode import Episode
-from brink.sim.aeb.facts import Facts
-from brink.sim.aeb.scenario import AebScenario
-from brink.sim.aeb.sight import GroundTruth, Look
+from brink.sim.aeb.episode import Episode, WorldMonitor
+from brink.sim.aeb.sight import Observation, OracleSight
 from brink.sim.aeb.simulator import BrinkAeb
+from brink.sim.aeb.specification import AebScenario
 from brink.sim.aeb.street import CRUISE_MPS, LANE_Y_M, Street, make_street
 from brink.sim.bullet.engine import process_engine
+from brink.sim.catalogue import make_requirements
 from brink.sim.episode import EpisodeResult, Json
 from brink.sim.errors import InvalidEpisode
 from brink.sim.replay import render_bytes
-from brink.sim.requirements.registry import make_requirements
 from brink.sim.trace import Trace
 from brink.sim.world.ego import EgoCar
 
@@ -32,7 +31,7 @@ def stops(result: EpisodeResult) -> Json:
     return result.features["no-dangerous-stop@1:dangerous_stops"]
 
 
-def test_with_ground_truth_nobody_is_hit_and_nothing_stops_for_nothing() -> None:
+def test_with_ground_truth_there_is_no_collision_and_no_dangerous_stop() -> None:
     for seed in SEEDS:
         result = SIMULATOR.run(spec(seed))
         assert result.features["collision"] is None, seed
@@ -46,7 +45,7 @@ def test_with_ground_truth_nobody_is_hit_and_nothing_stops_for_nothing() -> None
 
 
 @pytest.mark.parametrize("off", [{"mode": "blind"}, {"braking": False}])
-def test_without_braking_the_pedestrian_is_hit_every_time(off: dict[str, Any]) -> None:
+def test_without_braking_the_pedestrian_is_always_hit(off: dict[str, Any]) -> None:
     for seed in SEEDS:
         result = SIMULATOR.run(spec(seed, **off))
         assert result.features["collided_with"] == "pedestrian", seed
@@ -55,7 +54,7 @@ def test_without_braking_the_pedestrian_is_hit_every_time(off: dict[str, Any]) -
 
 
 @pytest.mark.parametrize("obstacle", ["novelty", "anomaly"])
-def test_an_unusual_body_is_hit_by_who_does_not_see_it(obstacle: str) -> None:
+def test_an_unusual_body_is_hit_if_it_is_not_seen(obstacle: str) -> None:
     for seed in range(5):
         assert (
             SIMULATOR.run(spec(seed, mode="blind", obstacle=obstacle)).features["collided_with"] == obstacle
@@ -64,17 +63,17 @@ def test_an_unusual_body_is_hit_by_who_does_not_see_it(obstacle: str) -> None:
 
 
 class Ghost:
-    """Ground truth, and for a while a person who is not there."""
+    """Ground truth plus, for a while, a person who does not exist."""
 
     def __init__(self, from_s: float, to_s: float) -> None:
-        self.truth = GroundTruth(640, 360)
+        self.truth = OracleSight(640, 360)
         self.span_s = from_s, to_s
 
-    def look(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> Look:
-        """Return what is seen in a frame."""
-        truth = self.truth.look(frame, time_s, street, ego).truth
+    def observe(self, frame: int, time_s: float, street: Street, ego: EgoCar) -> Observation:
+        """Observe a frame."""
+        truth = self.truth.observe(frame, time_s, street, ego).truth
         ghost = (Detection("person", 300.0, 150.0, 340.0, 300.0),)
-        return Look(truth, truth + (ghost if self.span_s[0] <= time_s < self.span_s[1] else ()))
+        return Observation(truth, truth + (ghost if self.span_s[0] <= time_s < self.span_s[1] else ()))
 
 
 def played(seed: int, ghost: Ghost) -> tuple[Episode, dict[str, Json]]:
@@ -86,7 +85,7 @@ def played(seed: int, ghost: Ghost) -> tuple[Episode, dict[str, Json]]:
     ego = EgoCar((0.0, LANE_Y_M, 0.0), CRUISE_MPS, friction=0.9)
     requirements = make_requirements(episode_spec.requirements)
     episode = Episode(
-        street=street, ego=ego, facts=Facts(street, ego, engine), sight=ghost,
+        street=street, ego=ego, monitor=WorldMonitor(street, ego, engine), sight=ghost,
         brake=EmergencyBrake.for_picture(640, 360), requirements=requirements, line_m=scenario.crossing_m,
     )  # fmt: skip
     episode.run(15.0)
@@ -100,13 +99,13 @@ def test_a_stop_for_a_ghost_is_dangerous() -> None:
     assert (features["dangerous_stops"], features["violated"]) == (1, True)
 
 
-def test_a_ghost_that_vanishes_before_the_car_stands_is_none() -> None:
+def test_a_ghost_that_vanishes_before_the_car_stops_is_not_dangerous() -> None:
     episode, features = played(3, Ghost(1.0, 1.1))
     assert (features["dangerous_stops"], features["violated"]) == (0, False)
     assert episode.outcome.braked_at_s == 1.0
 
 
-def test_a_ghost_beside_a_real_pedestrian_is_no_dangerous_stop() -> None:
+def test_a_stop_for_a_ghost_beside_a_real_pedestrian_is_not_dangerous() -> None:
     _, features = played(3, Ghost(7.0, 9.5))
     assert features["dangerous_stops"] == 0
 
@@ -153,7 +152,7 @@ def test_a_trace_can_be_drawn() -> None:
         ({"duration_s": 600.0}, "duration_s: expected at most 60"),
     ],
 )
-def test_what_can_never_run_is_told(changes: dict[str, Any], message: str) -> None:
+def test_an_invalid_specification_is_refused(changes: dict[str, Any], message: str) -> None:
     good = spec(1)
     merged: dict[str, Any] = {
         name: {**getattr(good, name), **value} if isinstance(value, dict) else value
@@ -170,7 +169,7 @@ def test_a_missing_field_is_named() -> None:
         SIMULATOR.run(replace(good, scenario=scenario))
 
 
-def test_injected_boxes_are_all_that_the_brake_is_told() -> None:
+def test_the_brake_gets_only_the_injected_boxes() -> None:
     ghost: dict[str, Json] = {
         "label": "person", "t0_step": 10, "t1_step": 30,
         "x_min_0_px": 360, "x_max_0_px": 440, "y_min_0_px": 300, "y_max_0_px": 480,
@@ -178,14 +177,14 @@ def test_injected_boxes_are_all_that_the_brake_is_told() -> None:
     }  # fmt: skip
     nothing = SIMULATOR.run(replace(spec(2), behaviour={"mode": "injected", "trajectories": []}))
     assert nothing.features["collided_with"] == "pedestrian"
-    told = replace(spec(2), duration_s=5.0, behaviour={"mode": "injected", "trajectories": [ghost]})
-    result = SIMULATOR.run(told)
+    reported = replace(spec(2), duration_s=5.0, behaviour={"mode": "injected", "trajectories": [ghost]})
+    result = SIMULATOR.run(reported)
     assert result.features["braked_at_s"] == pytest.approx(1.0)
     assert result.verdicts["no-dangerous-stop@1"].violated
     aside = {**ghost, "x_min_0_px": 0, "x_max_0_px": 60, "x_min_1_px": 0, "x_max_1_px": 60}
-    told = replace(told, behaviour={"mode": "injected", "trajectories": [aside]})
-    assert SIMULATOR.run(told).features["braked_at_s"] is None
+    reported = replace(reported, behaviour={"mode": "injected", "trajectories": [aside]})
+    assert SIMULATOR.run(reported).features["braked_at_s"] is None
     with pytest.raises(InvalidEpisode, match="t1_step"):
         SIMULATOR.run(
-            replace(told, behaviour={"mode": "injected", "trajectories": [{**ghost, "t1_step": 5}]})
+            replace(reported, behaviour={"mode": "injected", "trajectories": [{**ghost, "t1_step": 5}]})
         )

@@ -1,4 +1,4 @@
-"""A small closed loop for the tests of the driving system: road, ego, actors on rails, a perfect detector."""
+"""A closed loop for tests of the driving system: road, ego, actors on fixed paths, a perfect detector."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ from brink.sim.driving.settings import DrivingSettings
 from brink.sim.driving.system import ModularDriving
 from brink.sim.world.ego import EgoCar
 from brink.sim.world.line import Piece, ReferenceLine
-from brink.sim.world.route import LaneRoute
+from brink.sim.world.road import LaneRoute
 
 CONTROL_S = 0.05
 
@@ -29,7 +29,7 @@ def road(
     stop_lines_m: tuple[float, ...] = (),
     oncoming: bool = True,
 ) -> LaneRoute:
-    """A route from the origin to the east; by default 300 m straight."""
+    """Return a route from the origin to the east, by default 300 m straight."""
     line = ReferenceLine(0.0, 0.0, 0.0, pieces or (Piece(300.0),))
     return LaneRoute(
         line=line,
@@ -42,7 +42,7 @@ def road(
 
 @dataclass
 class Actor:
-    """Somebody on rails: station and offset of the middle over time."""
+    """A road user on a fixed path: station and offset of its centre over time."""
 
     label: ObstacleLabel
     at: Callable[[float], tuple[float, float]]
@@ -65,7 +65,7 @@ def person(at: Callable[[float], tuple[float, float]]) -> Actor:
 
 @dataclass
 class Drive:
-    """What happened, one entry a control step."""
+    """The recorded drive, with one entry per control step."""
 
     time_s: list[float] = field(default_factory=list)
     station_m: list[float] = field(default_factory=list)
@@ -94,7 +94,7 @@ def drive(
     oracle: bool = True,
     settings: DrivingSettings | None = None,
 ) -> Drive:
-    """Drive along a route among actors; with `oracle` the detector sees them, and ghosts in any case."""
+    """Drive along a route among actors; the detector reports ghosts, and with `oracle` the actors too."""
     camera = Camera()
     system = ModularDriving(route, settings=settings or DrivingSettings(), camera=camera)
     ego = EgoCar(route.pose_at(station_m), speed_mps, friction=friction)
@@ -152,7 +152,7 @@ def _front_gap(
 
 
 def _clearance(ego: EgoCar, body: Body) -> float:
-    """Distance of two rectangles, by their corners and edges; 0 if they overlap."""
+    """Return the distance of two rectangles, 0 if they overlap."""
     ours = _corners(ego.x_m, ego.y_m, ego.yaw_rad, ego.length_m, ego.width_m)
     theirs = _corners(body.x_m, body.y_m, body.yaw_rad, body.length_m, body.width_m)
     if math.hypot(ego.x_m - body.x_m, ego.y_m - body.y_m) > 15.0:

@@ -1,4 +1,4 @@
-"""The whole driving system in a closed loop: road, car, a perfect detector or ghosts."""
+"""The driving system in a closed loop with a road, a car, and a perfect detector or ghosts."""
 
 import math
 
@@ -46,7 +46,7 @@ def final_gap_m(done: Drive, rear_m: float) -> float:
     ],
 )
 @pytest.mark.parametrize("friction", [DRY, WET])
-def test_a_free_road_is_followed_in_its_lane(route: object, friction: float) -> None:
+def test_a_free_road_is_followed_within_the_lane(route: object, friction: float) -> None:
     assert isinstance(route, type(STRAIGHT))
     done = drive(route, friction=friction, duration_s=25.0)
     assert max(map(abs, done.offset_m)) < 0.3
@@ -57,7 +57,7 @@ def test_a_free_road_is_followed_in_its_lane(route: object, friction: float) -> 
 
 @pytest.mark.parametrize("friction", [DRY, WET])
 @pytest.mark.parametrize("route", [STRAIGHT, LEFT_BEND, RIGHT_BEND])
-def test_stops_about_four_metres_behind_what_stands(route: object, friction: float) -> None:
+def test_stops_about_four_metres_behind_a_standing_vehicle(route: object, friction: float) -> None:
     assert isinstance(route, type(STRAIGHT))
     done = drive(route, [standing(100.0)], friction=friction, duration_s=25.0)
     assert done.speed_mps[-1] == 0.0
@@ -86,7 +86,7 @@ def test_follows_a_slower_vehicle_at_its_speed_with_a_time_gap() -> None:
     assert done.mode[-1] is PlanMode.FOLLOW
 
 
-def test_nudges_around_what_stands_at_the_lanes_edge_and_stays_in_the_lane() -> None:
+def test_nudges_around_an_obstacle_at_the_lane_edge_without_leaving_the_lane() -> None:
     done = drive(STRAIGHT, [standing(80.0, -1.95)], duration_s=20.0)
     assert PlanMode.NUDGE in done.modes()
     assert 0.2 < max(done.offset_m) < 0.85
@@ -95,21 +95,21 @@ def test_nudges_around_what_stands_at_the_lanes_edge_and_stays_in_the_lane() -> 
     assert done.offset_m[-1] == pytest.approx(0.0, abs=0.05)
 
 
-def test_what_stands_outside_the_lane_changes_nothing() -> None:
+def test_ignores_parked_vehicles_outside_the_lane() -> None:
     parked = [standing(60.0 + 7.0 * n, -3.2) for n in range(5)]
     done = drive(STRAIGHT, parked, duration_s=18.0)
     assert max(map(abs, done.offset_m)) < 0.05
     assert min(done.speed_mps) > 7.5
 
 
-def test_an_oncoming_vehicle_in_its_lane_changes_nothing() -> None:
+def test_ignores_an_oncoming_vehicle_in_its_own_lane() -> None:
     for route in (STRAIGHT, LEFT_BEND):
         done = drive(route, [comes(180.0)], duration_s=18.0)
         assert min(done.speed_mps) > 6.0
         assert max(map(abs, done.offset_m)) < 0.3
 
 
-def test_overtakes_what_stands_when_the_oncoming_lane_is_clear() -> None:
+def test_overtakes_a_standing_vehicle_when_the_oncoming_lane_is_clear() -> None:
     done = drive(road(), [standing(80.0)], duration_s=25.0)
     assert PlanMode.OVERTAKE in done.modes()
     assert done.station_m[-1] > 120.0
@@ -118,14 +118,14 @@ def test_overtakes_what_stands_when_the_oncoming_lane_is_clear() -> None:
     assert max(done.offset_m) < 4.2
 
 
-def test_overtakes_from_a_standstill_without_coming_close() -> None:
+def test_overtakes_from_a_standstill_with_enough_clearance() -> None:
     done = drive(road(), [standing(60.0)], duration_s=20.0, speed_mps=0.0, station_m=51.5)
     assert done.station_m[-1] > 80.0
     assert min(done.clearance_m) > 1.2
     assert min(c for c, d in zip(done.clearance_m, done.offset_m, strict=True) if d < 2.0) > 1.5
 
 
-def test_does_not_overtake_while_somebody_comes_and_does_afterwards() -> None:
+def test_overtakes_only_after_oncoming_traffic_has_passed() -> None:
     oncoming = [comes(130.0 + 35.0 * n) for n in range(3)]
     done = drive(road(), [standing(60.0), *oncoming], duration_s=35.0)
     last_passes_s = next(t for t in done.time_s if 200.0 - 8.0 * t < 45.0)
@@ -140,14 +140,14 @@ def test_does_not_overtake_while_somebody_comes_and_does_afterwards() -> None:
     [road(oncoming=False), road(stop_lines_m=(95.0,))],
     ids=["no oncoming lane", "a queue at a light"],
 )
-def test_does_not_overtake_where_it_must_not(route: object) -> None:
+def test_does_not_overtake_where_it_is_forbidden(route: object) -> None:
     assert isinstance(route, type(STRAIGHT))
     done = drive(route, [standing(80.0)], duration_s=25.0)
     assert PlanMode.OVERTAKE not in done.modes()
     assert done.speed_mps[-1] == 0.0
 
 
-def test_stops_before_the_line_at_red_and_goes_on_at_green() -> None:
+def test_stops_at_the_line_on_red_and_continues_on_green() -> None:
     route = road(stop_lines_m=(90.0,))
     done = drive(route, light=lambda t: LightState.RED if t < 18.0 else LightState.GREEN, duration_s=30.0)
     waiting = [
@@ -158,26 +158,26 @@ def test_stops_before_the_line_at_red_and_goes_on_at_green() -> None:
     assert min(done.accel_mps2) > -3.0
 
 
-def test_stops_for_a_person_who_crosses_and_then_goes_on() -> None:
+def test_stops_for_a_crossing_person_and_then_continues() -> None:
     done = drive(STRAIGHT, [person(lambda t: (60.0, -6.0 + max(0.0, t - 2.0) * 1.3))], duration_s=20.0)
     assert PlanMode.YIELD in done.modes()
     assert min(done.clearance_m) > 1.5
     assert done.station_m[-1] > 90.0
 
 
-def test_waits_for_a_person_who_stands_in_the_lane() -> None:
+def test_waits_for_a_person_standing_in_the_lane() -> None:
     done = drive(road(), [person(lambda _: (60.0, 0.0))], duration_s=25.0)
     assert done.speed_mps[-1] == 0.0
     assert 2.5 < final_gap_m(done, 59.75) < 5.0
     assert PlanMode.OVERTAKE not in done.modes()
 
 
-def test_passes_a_person_on_the_pavement() -> None:
+def test_does_not_slow_down_for_a_person_on_the_pavement() -> None:
     done = drive(STRAIGHT, [person(lambda t: (40.0 + 1.3 * t, -3.2))], duration_s=15.0)
     assert min(done.speed_mps) > 7.5
 
 
-def test_reacts_only_to_what_it_perceives() -> None:
+def test_reacts_only_to_perceived_obstacles() -> None:
     done = drive(STRAIGHT, [standing(80.0)], oracle=False, duration_s=15.0)
     assert min(done.clearance_m) == 0.0
 
@@ -192,7 +192,7 @@ def reaction(box: Box | None, *, until_s: float = 99.0, route: object = STRAIGHT
     )
 
 
-def test_a_ghost_in_the_lane_is_followed_and_its_bottom_edge_is_its_distance() -> None:
+def test_the_bottom_edge_of_a_followed_ghost_determines_its_distance() -> None:
     ends = [
         reaction(ghost(ObstacleLabel.VEHICLE, 370.0, 430.0, 280.0, y_px)).station_m[-1]
         for y_px in (320.0, 360.0, 400.0, 480.0)
@@ -202,7 +202,7 @@ def test_a_ghost_in_the_lane_is_followed_and_its_bottom_edge_is_its_distance() -
     assert ends[-1] < free - 30.0
 
 
-def test_where_a_ghost_is_in_the_image_decides_between_stop_nudge_and_nothing() -> None:
+def test_the_image_position_of_a_ghost_decides_between_stopping_nudging_and_ignoring_it() -> None:
     # 80 px below the horizon is 8.5 m; 47 px are a metre there.
     blocking = reaction(ghost(ObstacleLabel.VEHICLE, 360.0, 440.0, 300.0, 380.0))
     at_edge = drive(STRAIGHT, ghosts=lambda t: approaching(t, -2.0), oracle=False, duration_s=14.0)
@@ -215,14 +215,14 @@ def test_where_a_ghost_is_in_the_image_decides_between_stop_nudge_and_nothing() 
 
 
 def approaching(time_s: float, middle_m: float) -> tuple[Box, ...]:
-    """What a car that stands 60 m ahead of the start looks like to an ego that goes on at 8 m/s."""
+    """Return the box of a car standing 60 m ahead of the start, seen by an ego at a constant 8 m/s."""
     seen = Camera().project(
         8.0 * time_s, 0.0, 0.0, Body(ObstacleLabel.VEHICLE, 60.0, middle_m, 0.0, 4.5, 1.8, 1.5)
     )
     return () if seen is None else (seen[0],)
 
 
-def test_the_label_decides_between_following_and_stopping() -> None:
+def test_the_label_of_a_ghost_decides_between_following_and_stopping() -> None:
     follows = reaction(ghost(ObstacleLabel.VEHICLE, 360.0, 440.0, 250.0, 360.0))
     stops = reaction(ghost(ObstacleLabel.PERSON, 360.0, 440.0, 250.0, 360.0))
     assert follows.speed_mps[-1] > 2.0
@@ -230,13 +230,13 @@ def test_the_label_decides_between_following_and_stopping() -> None:
     assert stops.station_m[-1] < follows.station_m[-1]
 
 
-def test_the_height_of_a_ghost_above_the_horizon_is_its_distance() -> None:
+def test_the_height_of_a_ghost_above_the_horizon_determines_its_distance() -> None:
     tall = reaction(ghost(ObstacleLabel.VEHICLE, 360.0, 440.0, 100.0, 280.0))
     small = reaction(ghost(ObstacleLabel.VEHICLE, 360.0, 440.0, 225.0, 280.0))
     assert tall.station_m[-1] < small.station_m[-1]
 
 
-def test_the_ego_resumes_when_a_ghost_disappears() -> None:
+def test_continues_when_a_ghost_disappears() -> None:
     stays = reaction(ghost(ObstacleLabel.PERSON, 360.0, 440.0, 250.0, 480.0))
     goes = reaction(ghost(ObstacleLabel.PERSON, 360.0, 440.0, 250.0, 480.0), until_s=7.0)
     assert stays.speed_mps[-1] == 0.0
@@ -261,7 +261,7 @@ any_box = st.builds(
 
 @settings(max_examples=60)
 @given(frames=st.lists(st.lists(any_box, max_size=4), min_size=3, max_size=12), repeat=st.integers(1, 4))
-def test_commands_are_finite_and_bounded_whatever_the_boxes_say(frames: list[list[Box]], repeat: int) -> None:
+def test_commands_are_finite_and_bounded_for_arbitrary_boxes(frames: list[list[Box]], repeat: int) -> None:
     route = road()
     system = ModularDriving(route)
     station_m = 10.0

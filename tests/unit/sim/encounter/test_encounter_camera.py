@@ -1,4 +1,4 @@
-"""Encounters with a camera in the loop: what a detector finds is what the driving system is told."""
+"""Encounters with a camera in the loop: the driving system gets the detector's boxes."""
 
 import math
 from dataclasses import replace
@@ -9,17 +9,16 @@ from test_encounter_simulator import BRAKES, KEEPS, spec, user
 
 from brink.server.problems.npc_actions import NpcActionsParams
 from brink.sim.driving.camera import Camera
-from brink.sim.encounter.camera_sight import EncounterCamera, street_scene
-from brink.sim.encounter.camera_simulator import BrinkEncounterCamera
-from brink.sim.encounter.scenario import EncounterScenario
+from brink.sim.encounter.camera import BrinkEncounterCamera, EncounterCamera, street_scene
 from brink.sim.encounter.simulator import BrinkEncounter
+from brink.sim.encounter.specification import EncounterScenario
 from brink.sim.encounter.world import make_encounter
 from brink.sim.episode import EpisodeSpec, Json, JsonObject
 from brink.sim.errors import InvalidEpisode
-from brink.sim.perception.registry import find_detector
+from brink.sim.perception.detector import find_detector
 from brink.sim.trace import Trace
-from brink.sim.urban.scenario import RoadCurve
 from brink.sim.world.road import build_road
+from brink.sim.world.scenario import RoadCurve
 
 DETECTOR: JsonObject = {"mode": "detector", "detector": "brink-det@1", "threshold": 0.5}
 
@@ -29,7 +28,7 @@ def seen(*users: JsonObject, duration_s: float = 4.0) -> EpisodeSpec:
     return replace(told, simulator="brink-encounter-camera@1", behaviour=DETECTOR)
 
 
-def test_the_ego_stops_for_whom_its_detector_finds() -> None:
+def test_the_ego_stops_for_detected_road_users() -> None:
     simulator = BrinkEncounterCamera()
     result = simulator.run(seen(BRAKES, duration_s=9.0), record=True)
     assert result.features["collision"] is None
@@ -41,7 +40,7 @@ def test_the_ego_stops_for_whom_its_detector_finds() -> None:
     assert again.trace == result.trace
 
 
-def test_boxes_are_told_in_the_driving_systems_image() -> None:
+def test_boxes_are_converted_to_the_driving_systems_image() -> None:
     ahead = user("car", {**KEEPS, "s_m": 15.0})
     person = user("pedestrian", {**KEEPS, "s_m": 14.0, "d_m": -3.0})
     scenario = EncounterScenario.from_json(spec(ahead, person).scenario)
@@ -60,7 +59,7 @@ def test_boxes_are_told_in_the_driving_systems_image() -> None:
 
 
 @pytest.mark.parametrize("curve", list(RoadCurve))
-def test_with_nobody_about_nothing_is_violated_at_the_default_threshold(curve: RoadCurve) -> None:
+def test_an_empty_road_causes_no_violation_at_the_default_threshold(curve: RoadCurve) -> None:
     away = user("pedestrian", {**KEEPS, "d_m": 45.0})
     told = seen(away, duration_s=20.0)
     place: dict[str, Json] = {"road_curve": curve.value, "road_id": 1, "road_length": 0}
@@ -92,17 +91,17 @@ def test_every_road_can_be_rendered(curve: RoadCurve, road_id: int) -> None:
         ({"mode": "oracle"}, "behaviour.mode: expected detector"),
         ({"threshold": 1.5}, r"threshold: expected a number in \(0, 1\)"),
         ({"detector": 3}, "expected an id such as brink-det@1"),
-        ({"weights": "0" * 64}, "not the file that the campaign was submitted with"),
+        ({"weights": "0" * 64}, "differs from the file that the campaign was submitted with"),
         ({"sharpness": 1}, "unknown field 'sharpness'"),
     ],
 )
-def test_what_can_never_run_is_refused(changes: JsonObject, message: str) -> None:
+def test_an_invalid_specification_is_refused(changes: JsonObject, message: str) -> None:
     wrong = replace(seen(), behaviour={**DETECTOR, **changes})
     with pytest.raises(InvalidEpisode, match=message):
         BrinkEncounterCamera().run(wrong)
 
 
-def test_each_of_both_simulators_runs_its_own_episodes() -> None:
+def test_each_simulator_runs_only_its_own_episodes() -> None:
     with pytest.raises(InvalidEpisode, match="this is brink-encounter@1"):
         BrinkEncounter().run(seen())
     with pytest.raises(InvalidEpisode, match="this is brink-encounter-camera@1"):

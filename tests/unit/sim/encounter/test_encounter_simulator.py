@@ -1,4 +1,4 @@
-"""Encounters: scripts are followed, gaps are true, violations are told with their circumstances."""
+"""Encounters: scripts are followed, gaps are exact, violations come with their circumstances."""
 
 import hashlib
 import math
@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from brink.sim.encounter.rectangles import Rectangle, bearing_rad, signed_gap_m
 from brink.sim.encounter.simulator import BrinkEncounter
-from brink.sim.encounter.words import words_of_script
+from brink.sim.encounter.specification import describe_script
+from brink.sim.encounter.witness import Rectangle, bearing_rad, signed_gap_m
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
 from brink.sim.errors import InvalidEpisode
 from brink.sim.trace import Trace
@@ -53,7 +53,7 @@ def spec(*users: JsonObject, seed: int = 3, duration_s: float = 25.0, **place: J
 
 
 def facts(value: Json) -> JsonObject:
-    """Return a JSON value that is an object."""
+    """Return a JSON value that must be an object."""
     assert isinstance(value, dict)
     return value
 
@@ -85,7 +85,7 @@ FROM_BEHIND = user("car", stretch("keep", 0.0, 30.0, s_m=-25.0, speed_mps=14.0))
 
 @pytest.mark.parametrize("task", ["follow_road", "first_exit", "second_exit"])
 @pytest.mark.parametrize("curve", ["straight", "left", "right", "crossroad"])
-def test_with_nobody_about_the_ego_arrives_and_violates_nothing(
+def test_on_an_empty_road_the_ego_arrives_without_a_violation(
     simulator: BrinkEncounter, curve: str, task: str
 ) -> None:
     result = simulator.run(spec(duration_s=60.0, road_curve=curve, driving_task=task, road_length=0))
@@ -115,7 +115,7 @@ def test_a_script_is_followed_to_the_centimetre(simulator: BrinkEncounter) -> No
     assert (van.kind, van.name) == ("vehicle", "van-1")
 
 
-def test_the_ego_stops_for_whom_it_sees_and_gaps_say_how_near_everybody_came(
+def test_the_ego_stops_for_visible_road_users_and_gaps_are_reported(
     simulator: BrinkEncounter,
 ) -> None:
     far = user("pedestrian", stretch("keep", 0.0, 30.0, s_m=60.0, d_m=-4.0, speed_mps=0.0))
@@ -126,7 +126,7 @@ def test_the_ego_stops_for_whom_it_sees_and_gaps_say_how_near_everybody_came(
     assert result.objectives["gap_2_m"] > result.objectives["gap_1_m"]
 
 
-def test_somebody_who_does_not_look_hits_the_ego_from_behind(simulator: BrinkEncounter) -> None:
+def test_a_scripted_car_can_hit_the_ego_from_behind(simulator: BrinkEncounter) -> None:
     result = simulator.run(spec(FROM_BEHIND))
     assert result.features["collided_with"] == "car-1"
     (violation,) = told(result)
@@ -139,7 +139,7 @@ def test_somebody_who_does_not_look_hits_the_ego_from_behind(simulator: BrinkEnc
     assert facts(violation["place"])["element"] == "straight"
 
 
-def test_vehicles_brake_for_each_other_though_not_for_the_ego(simulator: BrinkEncounter) -> None:
+def test_scripted_vehicles_brake_for_each_other(simulator: BrinkEncounter) -> None:
     stands = user("car", stretch("keep", 0.0, 30.0, s_m=80.0, d_m=3.5, heading_rad=math.pi, speed_mps=0.0))
     comes = user("van", stretch("keep", 0.0, 30.0, s_m=140.0, d_m=3.5, heading_rad=math.pi, speed_mps=10.0))
     result = simulator.run(spec(stands, comes, duration_s=15.0), record=True)
@@ -165,7 +165,7 @@ def test_a_person_on_the_road_is_a_pedestrian_in_trace_and_collision(simulator: 
     assert (other["kind"], other["action"]) == ("pedestrian", "cross")
 
 
-def test_a_requirement_is_told_once_with_the_first_violation(simulator: BrinkEncounter) -> None:
+def test_only_the_first_violation_of_a_requirement_is_reported(simulator: BrinkEncounter) -> None:
     stands = user("car", stretch("keep", 0.0, 30.0, s_m=30.0, d_m=1.6, speed_mps=0.0))
     result = simulator.run(spec(stands, duration_s=20.0))
     requirements = [violation["requirement"] for violation in told(result)]
@@ -180,7 +180,7 @@ def fingerprint(result: EpisodeResult) -> str:
     return hashlib.sha256(repr(features).encode() + (result.trace or b"")).hexdigest()
 
 
-def test_the_same_specification_gives_the_same_bits_after_others_and_elsewhere(
+def test_the_same_specification_gives_the_same_bits_in_any_process(
     simulator: BrinkEncounter,
 ) -> None:
     first = fingerprint(simulator.run(spec(BRAKES, FROM_BEHIND), record=True))
@@ -226,7 +226,7 @@ KEEPS = stretch("keep", 0.0, 5.0)
         ({"simulator": "brink-drive@1"}, "this is brink-encounter@1"),
     ],
 )
-def test_what_can_never_run_is_refused(
+def test_an_invalid_specification_is_refused(
     simulator: BrinkEncounter, changed: dict[str, object], message: str
 ) -> None:
     with pytest.raises(InvalidEpisode, match=message):
@@ -255,7 +255,7 @@ def test_gaps_of_rectangles(other: Rectangle, gap_m: float) -> None:
     ("x_m", "y_m", "degrees"),
     [(6.0, 0.0, 0.0), (6.0, 3.0, 45.0), (0.0, 4.0, 90.0), (-6.0, 0.0, 180.0), (6.0, -3.0, -45.0)],
 )
-def test_bearings_have_the_egos_corners_at_45_degrees(x_m: float, y_m: float, degrees: float) -> None:
+def test_bearings_place_the_egos_corners_at_45_degrees(x_m: float, y_m: float, degrees: float) -> None:
     point = Rectangle(x_m, y_m, 0.0, 1e-6, 1e-6)
     expected = math.degrees(math.atan2(y_m / CAR.half_width_m, x_m / CAR.half_length_m))
     assert math.degrees(bearing_rad(CAR, point)) == pytest.approx(expected, abs=1e-3)
@@ -263,10 +263,10 @@ def test_bearings_have_the_egos_corners_at_45_degrees(x_m: float, y_m: float, de
     assert abs(math.degrees(bearing_rad(CAR, point)) - degrees) < 25.0
 
 
-def test_a_script_in_words() -> None:
-    assert words_of_script(BRAKES) == "car 20 m ahead at 8 m/s: brakes hard"
-    assert words_of_script(FROM_BEHIND) == "car 25 m behind at 14 m/s: goes on"
+def test_a_script_is_described_in_words() -> None:
+    assert describe_script(BRAKES) == "car 20 m ahead at 8 m/s: brakes hard"
+    assert describe_script(FROM_BEHIND) == "car 25 m behind at 14 m/s: keeps going"
     leans = stretch("change_left", 0.0, 1.5, s_m=40.0, d_m=3.5, heading_rad=math.pi, speed_mps=9.0)
-    assert words_of_script(user("van", leans, {**leans, "action": "brake"}, {**leans, "action": "keep"})) == (
+    assert describe_script(user("van", leans, {**leans, "action": "brake"}, {**leans, "action": "keep"})) == (
         "van 40 m ahead, 3.5 m to the left, oncoming at 9 m/s: moves to its left, brakes hard"
     )

@@ -1,4 +1,4 @@
-"""What users bring: networks in files, labelled pictures in COCO format, and what is wrong with them."""
+"""Users' files: networks, labelled pictures in COCO format, and faults in them."""
 
 import json
 from pathlib import Path
@@ -11,18 +11,22 @@ import torch
 from torch import Tensor, nn
 
 from brink.sim.errors import InvalidEpisode
-from brink.sim.perception.adapters import file_detector
-from brink.sim.perception.coco import read_coco
-from brink.sim.perception.errors import DatasetError, DetectorError
-from brink.sim.perception.registry import find_detector
-from brink.sim.perception.weights_file import check_loads, file_of, weights_digest
+from brink.sim.perception.detector import find_detector, load_file_detector
+from brink.sim.perception.user_files import (
+    DatasetError,
+    DetectorError,
+    check_loads,
+    read_coco,
+    weights_digest,
+    weights_file,
+)
 
 BRIGHT = np.zeros((180, 320, 3), np.uint8)
 BRIGHT[40:120, 100:140] = 255
 
 
 class Yolo(nn.Module):
-    """Answers (1, 4 + c, 2): a box whose score of one class is the picture's greatest value, and an unsure one."""
+    """Returns (1, 4 + c, 2): a box whose score for one class is the picture's maximum, and an uncertain one."""
 
     def __init__(self, classes: int, index: int) -> None:
         super().__init__()
@@ -41,7 +45,7 @@ class Yolo(nn.Module):
 
 
 class Parts(nn.Module):
-    """Answers boxes, scores and labels as torchvision does: the bright part is a person (1)."""
+    """Returns boxes, scores and labels as torchvision does: the bright part is a person (1)."""
 
     def forward(self, picture: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return three arrays."""
@@ -50,7 +54,7 @@ class Parts(nn.Module):
 
 
 class Nonsense(nn.Module):
-    """Answers a picture with a number."""
+    """Returns a number."""
 
     def forward(self, picture: Tensor) -> Tensor:
         """Return the mean."""
@@ -71,32 +75,30 @@ def exported(network: nn.Module, file: Path, *, outputs: list[str] | None = None
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::torch.jit.TracerWarning")
 class TestNetworks:
-    """Networks in files."""
+    """Networks in users' files."""
 
     @pytest.mark.parametrize(("classes", "index", "label"), [(2, 1, 1), (2, 0, 0), (80, 0, 1), (80, 5, 0)])
-    def test_a_network_in_yolo_s_way_is_read(
-        self, tmp_path: Path, classes: int, index: int, label: int
-    ) -> None:
-        detector = file_detector(exported(Yolo(classes, index), tmp_path / "net.onnx"))
+    def test_yolo_output_is_read(self, tmp_path: Path, classes: int, index: int, label: int) -> None:
+        detector = load_file_detector(exported(Yolo(classes, index), tmp_path / "net.onnx"))
         found = detector.detect(BRIGHT)
-        # The input is 160 x 96: pictures of 320 x 180 are halved, with 3 px of grey above.
+        # The input is 160 x 96, so pictures of 320 x 180 are halved and get 3 px of padding at the top.
         assert found.labels.tolist() == [label]
         assert found.boxes[0] == pytest.approx([100, 50, 140, 130])
         assert found.scores[0] == pytest.approx(1.0)
 
-    def test_a_class_that_is_neither_is_left_out(self, tmp_path: Path) -> None:
-        detector = file_detector(exported(Yolo(80, 1), tmp_path / "net.onnx"))
+    def test_other_classes_are_left_out(self, tmp_path: Path) -> None:
+        detector = load_file_detector(exported(Yolo(80, 1), tmp_path / "net.onnx"))
         assert len(detector.detect(BRIGHT).labels) == 0
 
-    def test_names_beside_the_file_decide(self, tmp_path: Path) -> None:
+    def test_names_beside_the_weights_take_precedence(self, tmp_path: Path) -> None:
         name = exported(Yolo(2, 0), tmp_path / "net.onnx")
         (tmp_path / "net.onnx.json").write_text(json.dumps({"names": ["pedestrian", "dog"]}))
-        assert file_detector(name).detect(BRIGHT).labels.tolist() == [1]
+        assert load_file_detector(name).detect(BRIGHT).labels.tolist() == [1]
         (tmp_path / "other.onnx.json").write_text(json.dumps({"names": ["cat", "dog"]}))
-        with pytest.raises(DetectorError, match="one of them at least"):
-            file_detector(exported(Yolo(2, 0), tmp_path / "other.onnx"))
+        with pytest.raises(DetectorError, match="at least one of them"):
+            load_file_detector(exported(Yolo(2, 0), tmp_path / "other.onnx"))
 
-    def test_a_network_in_torchvision_s_way_is_read(self, tmp_path: Path) -> None:
+    def test_torchvision_output_is_read(self, tmp_path: Path) -> None:
         for name in (
             exported(Parts(), tmp_path / "parts.onnx", outputs=["boxes", "scores", "labels"]),
             exported(Yolo(2, 1), tmp_path / "yolo.pt"),
@@ -106,7 +108,7 @@ class TestNetworks:
             assert found.labels.tolist() == [1]
             assert found.boxes.shape == (1, 4)
 
-    def test_what_is_no_detector_is_refused_when_it_is_loaded(self, tmp_path: Path) -> None:
+    def test_files_that_are_not_detectors_are_refused_on_loading(self, tmp_path: Path) -> None:
         (tmp_path / "text.onnx").write_text("nothing")
         (tmp_path / "text.pt").write_text("nothing")
         for name, message in (
@@ -122,7 +124,7 @@ class TestNetworks:
         with pytest.raises(DetectorError, match="expected one output"):
             check_loads(f"onnx:{tmp_path}/nonsense.onnx")
 
-    def test_weights_are_known_by_their_content(self, tmp_path: Path) -> None:
+    def test_weights_are_identified_by_their_content(self, tmp_path: Path) -> None:
         one = exported(Yolo(2, 1), tmp_path / "one.onnx")
         before = weights_digest(one)
         exported(Yolo(2, 0), tmp_path / "one.onnx")
@@ -167,19 +169,19 @@ def test_boxes_of_known_categories_are_kept_and_cropped_to_the_picture(tmp_path:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"images": []}, "images that is not empty"),
+        ({"images": []}, "non-empty list of images"),
         ({"annotations": None}, "list of annotations"),
         ({"categories": [{"id": 9, "name": "kite"}]}, "category named one of vehicle, car"),
         ({"annotations": [{"id": 5, "image_id": 7, "category_id": 1, "bbox": [1, 2, 3]}]}, "annotation 5: bbox: exp"),
         ({"annotations": [{"id": 5, "image_id": 7, "category_id": 1, "bbox": [1, 2, 0, 3]}]}, "above 0"),
-        ({"annotations": [{"id": 5, "image_id": 7, "category_id": 1, "bbox": [999, 2, 5, 3]}]}, "outside of its"),
+        ({"annotations": [{"id": 5, "image_id": 7, "category_id": 1, "bbox": [999, 2, 5, 3]}]}, "outside its"),
         ({"annotations": [{"id": 5, "image_id": 6, "category_id": 1, "bbox": [1, 2, 5, 3]}]}, "image_id 6"),
         ({"images": [{"id": 7, "file_name": "a.png", "width": "320", "height": 180}]}, "width and height"),
         ({"images": [{"id": 7, "width": 320, "height": 180}]}, "'file_name' is missing"),
-        ({"annotations": [{"id": 3, "image_id": 8, "category_id": 9, "bbox": [0, 0, 5, 5]}]}, "no box of a category"),
+        ({"annotations": [{"id": 3, "image_id": 8, "category_id": 9, "bbox": [0, 0, 5, 5]}]}, "no box belongs"),
     ],
 )  # fmt: skip
-def test_a_broken_file_is_refused_with_the_first_things_wrong(
+def test_an_invalid_file_is_refused_with_its_first_faults(
     tmp_path: Path, changes: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(DatasetError, match=message):
@@ -190,23 +192,23 @@ def test_a_broken_file_is_refused_with_the_first_things_wrong(
     "name",
     ["\0", "x" * 5000, "/proc/kmsg", "/proc/self/mem", "/dev/zero", "/dev/null", "/sys/kernel/notes", "ring"],
 )
-def test_what_is_no_plain_file_is_never_read(tmp_path: Path, name: str) -> None:
+def test_only_plain_files_are_read(tmp_path: Path, name: str) -> None:
     (tmp_path / "ring").symlink_to(tmp_path / "ring")
     (tmp_path / "link").symlink_to("/proc/kmsg")
     for given in (str(tmp_path / name), str(tmp_path / "link")):
         with pytest.raises(DatasetError):
             read_coco(Path(given))
         with pytest.raises(DetectorError):
-            file_of(f"onnx:{given}")
+            weights_file(f"onnx:{given}")
 
 
-def test_a_file_without_end_of_nesting_is_refused(tmp_path: Path) -> None:
+def test_deeply_nested_json_is_refused(tmp_path: Path) -> None:
     (tmp_path / "deep.json").write_text("[" * 100_000)
     with pytest.raises(DatasetError, match="nested too deeply"):
         read_coco(tmp_path / "deep.json")
 
 
-def test_pictures_that_are_missing_are_named(tmp_path: Path) -> None:
+def test_missing_pictures_are_listed(tmp_path: Path) -> None:
     file = written(tmp_path)
     (tmp_path / "a.png").unlink()
     with pytest.raises(DatasetError, match=r"not found .*: a\.png"):

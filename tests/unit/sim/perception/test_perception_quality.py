@@ -1,4 +1,4 @@
-"""Average precision against cases that can be counted by hand, and its invariants."""
+"""Average precision in cases computed by hand, and its invariants."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from brink.sim.perception.boxes import overlaps, suppressed
-from brink.sim.perception.quality import Found, Truth, calibration, curves, mean_average_precision
+from brink.sim.perception.boxes import (
+    Detections,
+    GroundTruth,
+    calibration,
+    curves,
+    mean_average_precision,
+    non_maximum_suppression,
+    overlaps,
+)
 
 PERSON, VEHICLE = 1, 0
 
@@ -18,15 +25,15 @@ def boxes(*rows: tuple[float, float, float, float]) -> NDArray[np.float32]:
 
 def truth(
     *rows: tuple[float, float, float, float], label: int = PERSON, ignored: tuple[int, ...] = ()
-) -> Truth:
+) -> GroundTruth:
     flags = np.zeros(len(rows), np.bool_)
     flags[list(ignored)] = True
-    return Truth(labels=np.full(len(rows), label), boxes=boxes(*rows), ignored=flags)
+    return GroundTruth(labels=np.full(len(rows), label), boxes=boxes(*rows), ignored=flags)
 
 
-def found(*rows: tuple[float, float, float, float, float], label: int = PERSON) -> Found:
+def found(*rows: tuple[float, float, float, float, float], label: int = PERSON) -> Detections:
     array = np.array(rows, np.float32).reshape(len(rows), 5)
-    return Found(labels=np.full(len(rows), label), boxes=array[:, :4], scores=array[:, 4])
+    return Detections(labels=np.full(len(rows), label), boxes=array[:, :4], scores=array[:, 4])
 
 
 A, B, C = (0.0, 0.0, 10.0, 20.0), (50.0, 0.0, 60.0, 20.0), (100.0, 0.0, 110.0, 20.0)
@@ -37,36 +44,36 @@ def test_overlap_is_intersection_over_union() -> None:
     assert got == pytest.approx(np.array([[1.0, 0.0, 0.0], [1 / 3, 0.0, 0.0]]))
 
 
-def test_everything_found_and_nothing_else_is_one() -> None:
+def test_a_perfect_result_has_an_average_precision_of_one() -> None:
     assert mean_average_precision([truth(A, B)], [found((*A, 0.9), (*B, 0.8))]) == pytest.approx(1.0)
 
 
-def test_half_found_without_a_mistake_reaches_half_of_the_recalls() -> None:
+def test_finding_half_without_a_mistake_reaches_half_of_the_recalls() -> None:
     # Precision 1 up to a recall of .5: 51 of the 101 recalls.
     assert mean_average_precision([truth(A, B)], [found((*A, 0.9))]) == pytest.approx(51 / 101)
 
 
-def test_a_mistake_before_the_last_hit_costs_precision_beyond_it() -> None:
+def test_a_false_positive_before_the_last_hit_lowers_precision_beyond_it() -> None:
     # Hit, miss, hit: precision 1 up to a recall of .5, then 2/3.
     got = mean_average_precision([truth(A, B)], [found((*A, 0.9), (*C, 0.8), (*B, 0.7))])
     assert got == pytest.approx((51 + 50 * 2 / 3) / 101)
 
 
-def test_a_double_is_a_mistake() -> None:
+def test_a_duplicate_is_a_false_positive() -> None:
     (curve,) = curves([truth(A)], [found((*A, 0.9), (*A, 0.8))])
     assert curve.hits.tolist() == [True, False]
 
 
-def test_less_than_half_an_overlap_is_a_mistake() -> None:
+def test_an_iou_below_one_half_is_a_false_positive() -> None:
     assert mean_average_precision([truth(A)], [found((4.0, 0.0, 14.0, 20.0, 0.9))]) == 0.0
 
 
-def test_ignored_truth_counts_neither_for_nor_against() -> None:
+def test_ignored_ground_truth_is_neutral() -> None:
     assert mean_average_precision([truth(A, B, ignored=(1,))], [found((*B, 0.9), (*A, 0.8))]) == 1.0
     assert mean_average_precision([truth(A, B, ignored=(1,))], [found((*A, 0.8))]) == 1.0
 
 
-def test_pictures_are_judged_together_and_matched_apart() -> None:
+def test_pictures_are_matched_separately_and_scored_together() -> None:
     (curve,) = curves([truth(A), truth(B)], [found((*B, 0.95)), found((*B, 0.9), (*A, 0.5))])
     assert curve.hits.tolist() == [False, True, False]
     assert curve.positives == 2
@@ -76,7 +83,7 @@ def test_pictures_are_judged_together_and_matched_apart() -> None:
 
 def test_the_mean_is_over_the_classes_that_occur() -> None:
     people, cars = truth(A), truth(B, label=VEHICLE)
-    both = Truth(
+    both = GroundTruth(
         labels=np.concatenate([people.labels, cars.labels]),
         boxes=np.concatenate([people.boxes, cars.boxes]),
         ignored=np.concatenate([people.ignored, cars.ignored]),
@@ -86,13 +93,13 @@ def test_the_mean_is_over_the_classes_that_occur() -> None:
     assert np.isnan(mean_average_precision([truth()], [found()]))
 
 
-def test_pictures_must_be_the_same() -> None:
-    with pytest.raises(ValueError, match="as many pictures"):
+def test_the_numbers_of_pictures_must_agree() -> None:
+    with pytest.raises(ValueError, match="equally many"):
         curves([truth(A)], [])
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=30), st.integers(0, 20))
-def test_it_equals_the_definition_written_out(hits: list[bool], missed: int) -> None:
+def test_average_precision_equals_its_definition(hits: list[bool], missed: int) -> None:
     places = [(20.0 * i, 0.0, 20.0 * i + 10.0, 10.0) for i in range(len(hits))]
     real = [place for place, hit in zip(places, hits, strict=True) if hit]
     absent = [(20.0 * i, 100.0, 20.0 * i + 10.0, 110.0) for i in range(missed)]
@@ -107,14 +114,14 @@ def test_it_equals_the_definition_written_out(hits: list[bool], missed: int) -> 
     assert mean_average_precision([truth(*real, *absent)], [found(*said)]) == pytest.approx(expected)
 
 
-def test_suppression_keeps_the_best_of_each_label() -> None:
+def test_suppression_keeps_the_best_box_of_each_label() -> None:
     close = (1.0, 0.0, 11.0, 20.0)
-    got = suppressed(
+    got = non_maximum_suppression(
         boxes(A, close, close, B), np.array([0.5, 0.9, 0.4, 0.3], np.float32), np.array([1, 1, 0, 1]), 0.6
     )
     assert got.tolist() == [1, 2, 3]
 
 
-def test_calibration_says_how_often_scores_are_right() -> None:
+def test_calibration_is_the_share_of_correct_detections_by_score() -> None:
     (curve,) = curves([truth(A, B)], [found((*A, 0.95), (*C, 0.92), (*B, 0.15))])
     assert calibration(curve) == [pytest.approx((0.15, 1.0, 1)), pytest.approx((0.935, 0.5, 2))]

@@ -1,9 +1,9 @@
-"""Pictures to perturb, and all perturbations there are."""
+"""Pictures to perturb, and all perturbations that have an effect."""
 
 import numpy as np
 
 from brink.sim.perturbations import CATALOGUE, Frame, Perturbation, apply, generator
-from brink.sim.perturbations.street import draw_street
+from brink.sim.perturbations.pictures import draw_street
 
 EFFECTIVE = [Perturbation(gene.name, level) for gene in CATALOGUE.values() for level in range(1, gene.levels)]
 
@@ -13,12 +13,12 @@ def street(height: int = 180) -> Frame:
 
 
 def night(height: int = 180) -> Frame:
-    """The street, so dark that nothing in it is lighter than 63 of 255."""
+    """Return the street with no value above 63 of 255."""
     return (draw_street(height) // 4).astype(np.uint8)
 
 
 def blocks(height: int = 180) -> Frame:
-    """Random colours in blocks of 6 px, every value of every channel among them."""
+    """Return random colours in blocks of 6 px that include every value of every channel."""
     rng = np.random.default_rng(11)
     coarse = rng.integers(0, 256, (height // 6 + 1, height * 16 // 54 + 1, 3), dtype=np.uint8)
     return np.ascontiguousarray(coarse.repeat(6, axis=0).repeat(6, axis=1)[:height, : height * 16 // 9])

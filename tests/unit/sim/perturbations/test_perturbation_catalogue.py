@@ -1,4 +1,4 @@
-"""The table of genes and levels, and how perturbations are named."""
+"""The catalogue of genes, how perturbations are written, and which frames and transforms are accepted."""
 
 import subprocess
 import sys
@@ -8,15 +8,19 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from perturbed_pictures import perturb, street
 
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perturbations import (
     CATALOGUE,
     Frame,
     Gene,
+    InvalidFrame,
     InvalidPerturbation,
     Perturbation,
+    PerturbationFailed,
     Pipeline,
+    Transform,
     apply,
     catalogue,
     find_gene,
@@ -42,7 +46,7 @@ def test_there_are_15_genes_with_the_published_175_levels_of_which_160_have_an_e
     assert sum(len(gene.values) for gene in CATALOGUE.values()) == 160
 
 
-def test_values_are_those_of_the_table() -> None:
+def test_values_match_the_published_table() -> None:
     values = {name: gene.values for name, gene in CATALOGUE.items()}
     assert values["shifted_pixels"] == (0.5, 0.45, 0.4, 0.35, 0.3, 0.25, 0.2, 0.15, 0.1, 0.05)
     assert values["gaussian_noise"] == (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
@@ -56,9 +60,9 @@ def test_values_are_those_of_the_table() -> None:
         assert values[name] == pytest.approx(np.linspace(*ends, 10), abs=0.5 if name == "sun_flare" else 1e-4)
 
 
-def test_the_two_levels_that_did_nothing_are_replaced() -> None:
+def test_the_two_published_levels_without_effect_are_replaced() -> None:
     assert list(CATALOGUE["snow"].values) == [1.5, 2, 3, 4, 5]
-    assert CATALOGUE["gaussian_blur"].values[0] == 1  # on a kernel of 3: see the known values
+    assert CATALOGUE["gaussian_blur"].values[0] == 1  # its kernel is 3 px
 
 
 def test_intensity_is_the_rank_of_the_level_not_its_value() -> None:
@@ -71,20 +75,20 @@ def test_intensity_is_the_rank_of_the_level_not_its_value() -> None:
         assert (ranks[0], ranks[-1]) == (0, 1)
 
 
-def test_levels_may_be_numpy_integers_and_are_kept_as_plain_ones() -> None:
+def test_numpy_levels_are_stored_as_plain_integers() -> None:
     perturbation = Perturbation("rain", np.int64(3))  # type: ignore[arg-type]
     assert perturbation == Perturbation("rain", 3)
     assert type(perturbation.to_json()["level"]) is int
 
 
-def test_a_pipeline_refuses_what_is_no_perturbation_and_negative_seeds() -> None:
-    with pytest.raises(InvalidPerturbation, match="parse_perturbations reads 'rain:3'"):
+def test_a_pipeline_refuses_other_objects_and_negative_seeds() -> None:
+    with pytest.raises(InvalidPerturbation, match="got 'rain:3'; parse_perturbations"):
         Pipeline(("rain:3",), seed=0)  # type: ignore[arg-type]
     with pytest.raises(InvalidPerturbation, match="seed: expected an integer >= 0, got -1"):
         Pipeline((), seed=-1)
 
 
-def test_mean_intensity_is_over_the_genes() -> None:
+def test_mean_intensity_averages_over_the_genes() -> None:
     assert mean_intensity([Perturbation("smoke", 10), Perturbation("snow", 0)]) == 0.5
     assert mean_intensity([]) == 0
 
@@ -96,7 +100,7 @@ def test_a_perturbation_survives_json_and_text(gene: Gene, data: st.DataObject) 
     assert Perturbation.parse(str(perturbation)) == perturbation
 
 
-def test_an_ordered_list_is_read_in_its_order() -> None:
+def test_a_list_of_perturbations_keeps_its_order() -> None:
     read = parse_perturbations(["rain:2", {"gene": "smoke", "level": 3}])
     assert read == (Perturbation("rain", 2), Perturbation("smoke", 3))
 
@@ -116,37 +120,37 @@ def test_an_ordered_list_is_read_in_its_order() -> None:
         (None, "expected a perturbation such as"),
     ],
 )
-def test_what_is_no_perturbation_is_refused_with_its_place(item: object, words: str) -> None:
+def test_an_invalid_perturbation_is_refused_with_its_position(item: object, words: str) -> None:
     with pytest.raises(InvalidPerturbation, match=rf"^perturbations\[1\]: .*{words}") as caught:
         parse_perturbations(["rain:1", item])  # type: ignore[list-item]
-    assert isinstance(caught.value, InvalidEpisode)  # final: a worker must not try it again
+    assert isinstance(caught.value, InvalidEpisode)  # final: workers do not retry it
 
 
 @pytest.fixture
 def own_gene() -> Iterator[Gene]:
-    gene = Gene(name="upside_down", values=(1,), unit="", effect="turned over")
+    gene = Gene(name="custom", values=(1,), unit="", effect="")
     yield gene
     catalogue._registered.pop(gene.name, None)
 
 
-def test_a_registered_gene_is_used_like_those_of_the_catalogue(own_gene: Gene) -> None:
+def test_a_registered_gene_works_like_those_of_the_catalogue(own_gene: Gene) -> None:
     def turn(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
         return frame[::-1]
 
     register(own_gene, turn)
-    assert find_gene("upside_down") is own_gene
+    assert find_gene("custom") is own_gene
     frame = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
-    turned = apply(frame, Perturbation.parse("upside_down:1"), generator(0, 0, 0))
+    turned = apply(frame, Perturbation.parse("custom:1"), generator(0, 0, 0))
     np.testing.assert_array_equal(turned, frame[::-1])
 
 
-def test_a_registered_gene_cannot_take_a_name_of_the_catalogue() -> None:
+def test_a_registered_gene_cannot_reuse_a_name_of_the_catalogue() -> None:
     gene = Gene(name="rain", values=(1,), unit="", effect="")
-    with pytest.raises(InvalidPerturbation, match="rain: the catalogue has a gene of that name"):
+    with pytest.raises(InvalidPerturbation, match="rain: the catalogue already has a gene of that name"):
         register(gene, lambda frame, value, rng: frame)
 
 
-def test_the_catalogue_is_read_without_opencv() -> None:
+def test_the_catalogue_can_be_read_without_opencv() -> None:
     code = (
         "import sys; sys.modules['cv2'] = None\n"
         "import numpy as np\n"
@@ -157,3 +161,93 @@ def test_the_catalogue_is_read_without_opencv() -> None:
     )
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert ".venv/bin/pip install -c constraints.txt -e '.[vision]'" in said
+
+
+SIZES = [(48, 64), (192, 320), (359, 641), (720, 1280), (400, 120), (16, 16)]
+
+
+@pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[1]}x{size[0]}")
+def test_every_size_works_at_representative_levels(size: tuple[int, int]) -> None:
+    frame = np.random.default_rng(2).integers(30, 220, (*size, 3), dtype=np.uint8)
+    for gene in CATALOGUE.values():
+        for level in gene.representative_levels:
+            perturbed = perturb(frame, gene.name, level)
+            assert (perturbed.shape, perturbed.dtype) == (frame.shape, frame.dtype), gene.name
+            assert not np.array_equal(perturbed, frame), (gene.name, level)
+
+
+@given(
+    st.integers(16, 90),
+    st.integers(16, 120),
+    st.sampled_from(list(CATALOGUE.values())),
+    st.integers(0, 2**53 - 1),
+)
+def test_no_size_and_seed_breaks_a_gene(height: int, width: int, gene: Gene, seed: int) -> None:
+    frame = np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
+    for level in gene.representative_levels:
+        assert perturb(frame, gene.name, level, seed=seed).shape == frame.shape
+
+
+@pytest.mark.parametrize("gene", CATALOGUE)
+def test_frames_may_be_read_only_and_need_not_be_contiguous(gene: str) -> None:
+    frame = street(96)
+    expected = perturb(np.ascontiguousarray(frame[:, ::-1, ::-1]), gene, 2)
+    mirrored = frame[:, ::-1, ::-1]  # a view, as after swapping colour channels
+    mirrored.flags.writeable = False
+    np.testing.assert_array_equal(perturb(mirrored, gene, 2), expected)
+
+
+@pytest.mark.parametrize(
+    ("frame", "words"),
+    [
+        (np.zeros((40, 40, 3), dtype=np.float32), r"got a float32 array of shape \(40, 40, 3\)"),
+        (np.zeros((40, 40), dtype=np.uint8), r"got a uint8 array of shape \(40, 40\)"),
+        (np.zeros((40, 40, 4), dtype=np.uint8), r"got a uint8 array of shape \(40, 40, 4\)"),
+        (
+            np.zeros((15, 40, 3), dtype=np.uint8),
+            r"at least 16 px a side; got a uint8 array of shape \(15, 40, 3\)",
+        ),
+        (np.zeros((0, 0, 3), dtype=np.uint8), r"shape \(0, 0, 3\)"),
+        ([[1, 2, 3]], "got a list"),
+    ],
+)
+def test_arrays_other_than_rgb_pictures_are_refused(frame: Frame, words: str) -> None:
+    for level in (0, 3):
+        with pytest.raises(InvalidFrame, match=rf"expected an RGB picture: uint8.*{words}"):
+            apply(frame, Perturbation("smoke", level), generator(0, 0, 0))
+    with pytest.raises(InvalidFrame, match=words):
+        Pipeline((), seed=0)(frame, 0)
+
+
+def _breaks(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
+    raise ZeroDivisionError("out of fog")
+
+
+def _draws_on_its_input(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
+    frame[0] = 0
+    return frame
+
+
+@pytest.mark.parametrize(
+    ("transform", "words"),
+    [
+        (_breaks, "custom:1: ZeroDivisionError: out of fog"),
+        (_draws_on_its_input, "custom:1: ValueError: .*read-only"),
+        (lambda frame, value, rng: None, "custom:1: expected a uint8 frame .* back, got a NoneType"),
+        (
+            lambda frame, value, rng: frame[1:],
+            r"custom:1: .* of shape \(48, 85, 3\) back, got .* \(47, 85, 3\)",
+        ),
+        (lambda frame, value, rng: frame * 1.0, "custom:1: expected a uint8 frame .* got a float64 array"),
+    ],
+)
+def test_a_failing_transform_raises_an_error_that_names_the_gene(
+    own_gene: Gene, transform: Transform, words: str
+) -> None:
+    register(own_gene, transform)
+    frame = street(48)
+    before = frame.copy()
+    pipeline = Pipeline((Perturbation("rain", 1), Perturbation("custom", 1)), seed=0)
+    with pytest.raises(PerturbationFailed, match=words):
+        pipeline(frame, 0)
+    np.testing.assert_array_equal(frame, before)

@@ -1,4 +1,4 @@
-"""A perturbation is a pure function of frame, level and address: nothing else decides a byte."""
+"""A perturbation is a pure function of frame, level and address."""
 
 import hashlib
 import itertools
@@ -23,19 +23,19 @@ def digest(frame: Frame) -> str:
 
 
 def all_digests() -> str:
-    """One line for each gene's top level at an address, in the order of the catalogue."""
+    """Return one digest a line for the highest level of each gene, in the order of the catalogue."""
     frame = street()
     return "\n".join(digest(perturb(frame, gene, TOP[gene], seed=9, position=1, index=4)) for gene in GENES)
 
 
 @pytest.mark.parametrize("gene", GENES)
-def test_level_0_is_the_frame_byte_for_byte(gene: str) -> None:
+def test_level_0_returns_the_frame_byte_for_byte(gene: str) -> None:
     frame = street()
     assert digest(perturb(frame, gene, 0)) == digest(frame)
 
 
 @pytest.mark.parametrize("perturbation", EFFECTIVE, ids=str)
-def test_every_other_level_changes_the_frame_and_leaves_the_original_alone(
+def test_every_other_level_changes_a_copy_of_the_frame(
     perturbation: Perturbation,
 ) -> None:
     for draw in (street, night, blocks):
@@ -49,7 +49,7 @@ def test_every_other_level_changes_the_frame_and_leaves_the_original_alone(
 
 
 @pytest.mark.parametrize("gene", GENES)
-def test_the_same_address_gives_the_same_bytes_whatever_came_before(gene: str) -> None:
+def test_the_same_address_gives_the_same_bytes_independent_of_history(gene: str) -> None:
     frame = street()
     first = digest(perturb(frame, gene, TOP[gene], seed=1, index=5))
     for height, level in ((100, 1), (180, 2), (216, TOP[gene])):
@@ -66,7 +66,7 @@ def test_another_process_gives_the_same_bytes() -> None:
 
 
 @pytest.mark.parametrize("gene", [gene for gene in GENES if gene not in DETERMINISTIC])
-def test_seed_position_and_frame_each_draw_other_fields(gene: str) -> None:
+def test_seed_position_and_frame_each_change_the_random_fields(gene: str) -> None:
     frame = blocks()
     level = 1 if gene == "channel_dropout" else TOP[gene]
     for word in ("seed", "position", "index"):
@@ -75,12 +75,12 @@ def test_seed_position_and_frame_each_draw_other_fields(gene: str) -> None:
 
 
 @pytest.mark.parametrize("gene", sorted(DETERMINISTIC))
-def test_genes_without_chance_do_not_depend_on_the_address(gene: str) -> None:
+def test_deterministic_genes_do_not_depend_on_the_address(gene: str) -> None:
     frame = blocks()
     assert digest(perturb(frame, gene, 3, seed=1)) == digest(perturb(frame, gene, 3, seed=2, index=7))
 
 
-def test_generators_are_none_of_the_driving_world() -> None:
+def test_generators_differ_from_those_of_the_driving_world() -> None:
     ours = generator(5, 1, 2).random()
     world = np.random.default_rng(np.random.SeedSequence(5, spawn_key=(1, 2))).random()
     assert ours != world
@@ -105,7 +105,7 @@ def test_order_matters() -> None:
     assert steps[0] > 5 * steps[1]
 
 
-def test_the_second_gene_works_on_what_the_first_one_left() -> None:
+def test_the_second_gene_is_applied_to_the_result_of_the_first() -> None:
     frame = street()
     first, second = Perturbation("smoke", 5), Perturbation("rain", 3)
     both = Pipeline((first, second), seed=4)(frame, 7)
@@ -115,7 +115,7 @@ def test_the_second_gene_works_on_what_the_first_one_left() -> None:
 
 
 @pytest.mark.parametrize("gene", ["dirty", "broken_lens", "gaussian_noise", "rain"])
-def test_fields_stay_for_an_episode_or_are_drawn_for_each_frame(gene: str) -> None:
+def test_random_fields_are_drawn_per_episode_or_per_frame(gene: str) -> None:
     frame = street()
     perturbations = (Perturbation(gene, TOP[gene]),)
     static = Pipeline(perturbations, seed=2, mode=Mode.PER_EPISODE)
@@ -125,7 +125,7 @@ def test_fields_stay_for_an_episode_or_are_drawn_for_each_frame(gene: str) -> No
     assert digest(changing(frame, 9)) != digest(changing(frame, 0))
 
 
-def test_an_empty_list_and_levels_0_leave_the_frame() -> None:
+def test_an_empty_list_and_level_0_return_the_frame_itself() -> None:
     frame = street()
     assert Pipeline((), seed=0)(frame, 0) is frame
     assert Pipeline((Perturbation("rain", 0), Perturbation("smoke", 0)), seed=0)(frame, 3) is frame

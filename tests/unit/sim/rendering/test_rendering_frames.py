@@ -1,6 +1,9 @@
+"""Frames: reproducible, valid, lit as their light says; and roads as streets that can be rendered."""
+
 import hashlib
 import subprocess
 import sys
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -20,9 +23,13 @@ from brink.sim.rendering import (
     StreetScene,
     Tree,
     Viewpoint,
+    visible_bodies,
 )
 from brink.sim.rendering.sample import EGO, fallen_tree, sample_street, sample_traffic, vehicle
-from brink.sim.urban.scenario import TimeOfDay, Weather
+from brink.sim.rendering.street import FIRST_PARKED_ID, street_from_road
+from brink.sim.world.road import Road, build_road
+from brink.sim.world.scenario import RoadCurve, TimeOfDay, Weather
+from brink.sim.world.scenery import fixtures
 
 CAMERA = PictureCamera(width_px=320, height_px=192)
 STREET = sample_street()
@@ -48,7 +55,7 @@ def test_another_process_draws_the_same_bytes() -> None:
 
 @settings(max_examples=8, deadline=None)
 @given(st.permutations((*sample_traffic(), *UNUSUAL)))
-def test_the_order_in_which_bodies_are_given_does_not_matter(bodies: list[Body]) -> None:
+def test_the_order_of_the_bodies_does_not_matter(bodies: list[Body]) -> None:
     expected = NOON.frame(EGO, (*sample_traffic(), *UNUSUAL), 0.0)
     found = NOON.frame(EGO, bodies, 0.0)
     assert np.array_equal(found.image, expected.image)
@@ -125,7 +132,7 @@ def test_impossible_sizes_are_refused(name: str, value: float) -> None:
         Body(id=1, kind=BodyKind.VEHICLE, x_m=0.0, y_m=0.0, yaw_rad=0.0, look=0, **sizes)  # type: ignore[arg-type]
 
 
-def test_trees_and_surfaces_must_be_possible_too() -> None:
+def test_impossible_trees_and_surfaces_are_refused() -> None:
     with pytest.raises(InvalidScene, match="crown_m"):
         Tree(x_m=0.0, y_m=0.0, height_m=5.0, crown_m=0.0, look=1)
     with pytest.raises(InvalidScene, match="points"):
@@ -138,7 +145,7 @@ def test_ids_must_be_positive_and_fit_the_mask(number: int) -> None:
         vehicle(number, 10.0, 0.0)
 
 
-def test_ids_must_be_unique_parked_vehicles_included() -> None:
+def test_ids_must_be_unique_including_parked_vehicles() -> None:
     twice = vehicle(9, 10.0, 0.0)
     with pytest.raises(InvalidScene, match="9 twice"):
         NOON.frame(EGO, [twice, twice], 0.0)
@@ -165,3 +172,50 @@ def test_impossible_cameras_are_refused(arguments: dict[str, float]) -> None:
 def test_a_viewpoint_must_be_finite() -> None:
     with pytest.raises(InvalidCamera):
         Viewpoint(x_m=float("nan"), y_m=0.0, yaw_rad=0.0)
+
+
+def roads() -> Iterator[Road]:
+    for curve in RoadCurve:
+        for road_id in range(3):
+            yield build_road(curve, road_id, 0)
+
+
+@pytest.mark.parametrize("road", list(roads()), ids=lambda road: f"{road.curve}-{road.style.lane_width_m}")
+def test_every_road_becomes_a_street_with_all_its_fixtures(road: Road) -> None:
+    street = street_from_road(road)
+    kinds = [fixture.kind for fixture in fixtures(road)]
+    assert len(street.buildings) == kinds.count("building")
+    assert len(street.trees) == kinds.count("tree")
+    assert [body.id for body in street.parked] == list(
+        range(FIRST_PARKED_ID, FIRST_PARKED_ID + kinds.count("parked-car"))
+    )
+    materials = {surface.material for surface in street.ground}
+    assert materials >= {
+        Material.ASPHALT,
+        Material.PAVEMENT,
+        Material.KERB,
+        Material.MARKING,
+        Material.CROSSING,
+    }
+
+
+def test_parked_vehicles_are_visible_and_face_with_their_traffic() -> None:
+    road = build_road(RoadCurve.STRAIGHT, 1, 0)
+    street = street_from_road(road)
+    assert all((np.cos(body.yaw_rad) > 0) == (body.y_m < 0) for body in street.parked)
+    light = Light(time_of_day=TimeOfDay.NOON, weather=Weather.CLEAR)
+    renderer = Renderer(street, light, PictureCamera(width_px=320, height_px=192), 1)
+    x_m, y_m, yaw_rad = road.forward.pose_at(0.0)
+    found = visible_bodies(renderer.frame(Viewpoint(x_m=x_m, y_m=y_m, yaw_rad=yaw_rad), (), 0.0))
+    assert any(body.visible_share == 1.0 for body in found)
+    assert any(body.visible_share < 1.0 for body in found)
+
+
+def test_asphalt_lies_ahead_and_brighter_pavement_beside_it() -> None:
+    road = build_road(RoadCurve.STRAIGHT, 0, 0)
+    light = Light(time_of_day=TimeOfDay.NOON, weather=Weather.CLOUDY)
+    renderer = Renderer(street_from_road(road), light, PictureCamera(width_px=320, height_px=192), 1)
+    x_m, y_m, yaw_rad = road.forward.pose_at(0.0)
+    image = renderer.frame(Viewpoint(x_m=x_m, y_m=y_m, yaw_rad=yaw_rad), (), 0.0).image.astype(int)
+    asphalt, pavement = image[150:160, 150:170].mean(), image[150:160, 300:318].mean()
+    assert pavement > 1.25 * asphalt

@@ -1,3 +1,5 @@
+"""Painter's order: nearer bodies are painted later, and every body exactly once."""
+
 import math
 from typing import TypeAlias
 
@@ -5,8 +7,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from brink.sim.rendering.buildings import footprint
 from brink.sim.rendering.order import paint_order
+from brink.sim.rendering.scene import footprint
 
 EVERYWHERE = (0.0, 640.0)
 Rectangle: TypeAlias = tuple[float, float, float, float, float]
@@ -20,7 +22,7 @@ def order_of(rectangles: list[Rectangle], eye: tuple[float, float, float]) -> li
 
 
 def hits(rectangle: Rectangle, angle_rad: float) -> float | None:
-    """Return how far from the origin a ray enters a rectangle."""
+    """Return the distance from the origin at which a ray enters a rectangle."""
     x_m, y_m, yaw_rad, length_m, width_m = rectangle
     nearest, farthest = 0.0, math.inf
     for turn, half in ((yaw_rad, length_m / 2), (yaw_rad + math.pi / 2, width_m / 2)):
@@ -75,8 +77,8 @@ def test_every_body_is_painted_once(bodies: list[Rectangle]) -> None:
     assert sorted(order_of(bodies, (0.0, 0.0, 1.7))) == list(range(len(bodies)))
 
 
-def test_three_bodies_that_hide_each_other_in_a_ring_are_still_all_painted() -> None:
-    # A pinwheel around a point ahead: each long side is before the next one's end.
+def test_three_bodies_that_hide_each_other_in_a_cycle_are_all_painted() -> None:
+    # A pinwheel around a point ahead: each long side is in front of the next one's end.
     ring = [
         (20.0 + 3.0 * math.cos(turn), 3.0 * math.sin(turn), turn + math.pi / 2 + 0.55, 9.0, 0.5)
         for turn in (0.0, 2 * math.pi / 3, 4 * math.pi / 3)
@@ -84,7 +86,7 @@ def test_three_bodies_that_hide_each_other_in_a_ring_are_still_all_painted() -> 
     assert sorted(order_of(ring, (0.0, 0.0, 1.7))) == [0, 1, 2]
 
 
-def test_what_hangs_above_the_eye_is_painted_before_what_stands_up_into_its_way() -> None:
+def test_an_overhanging_crown_is_painted_before_a_van_in_front_of_it() -> None:
     crown, van = footprint(10.0, 0.0, 0.0, 4.0, 4.0), footprint(11.0, 0.5, 0.0, 4.4, 1.8)
     heights = np.array([(2.6, 7.0), (0.0, 2.4)])
     order = paint_order(np.array([crown, van]), heights, np.array([EVERYWHERE] * 2), (0.0, 0.0, 1.7))

@@ -1,5 +1,6 @@
 import hashlib
 import math
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -7,13 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from brink.bench.urban_candidates import draw_candidate
 from brink.sim.bullet.engine import process_engine
-from brink.sim.catalogue import make_simulator
+from brink.sim.catalogue import make_simulator, requirement_ids
 from brink.sim.episode import EpisodeResult, EpisodeSpec, JsonObject
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
-from brink.sim.requirements.registry import requirement_ids
 from brink.sim.trace import Trace
-from brink.sim.urban.draws import draw
 from brink.sim.urban.simulator import BrinkDrive
 
 SCENARIO: JsonObject = {
@@ -42,18 +42,18 @@ def _simulator() -> BrinkDrive:
 
 
 def fingerprint(result: EpisodeResult) -> str:
-    told = (
+    parts = (
         sorted((name, repr(verdict)) for name, verdict in result.verdicts.items()),
         sorted((name, repr(value)) for name, value in result.features.items()),
     )
-    return hashlib.sha256(repr(told).encode() + (result.trace or b"")).hexdigest()
+    return hashlib.sha256(repr(parts).encode() + (result.trace or b"")).hexdigest()
 
 
-def test_the_catalogue_makes_it() -> None:
+def test_the_catalogue_makes_the_simulator() -> None:
     assert isinstance(make_simulator("brink-drive@1"), BrinkDrive)
 
 
-def test_every_requirement_of_the_specification_gets_a_finite_verdict(simulator: BrinkDrive) -> None:
+def test_every_requirement_has_a_finite_verdict(simulator: BrinkDrive) -> None:
     result = simulator.run(ORACLE)
     assert tuple(result.verdicts) == ORACLE.requirements
     assert all(np.isfinite(verdict.robustness) for verdict in result.verdicts.values())
@@ -63,7 +63,7 @@ def test_every_requirement_of_the_specification_gets_a_finite_verdict(simulator:
     assert result.provenance["instruction_set"]
 
 
-def test_an_episode_repeats_bit_for_bit_whatever_ran_before(simulator: BrinkDrive) -> None:
+def test_an_episode_is_bit_identical_regardless_of_earlier_episodes(simulator: BrinkDrive) -> None:
     first = fingerprint(simulator.run(ORACLE, record=True))
     simulator.run(BLIND)
     simulator.run(replace(BLIND, seed=99, scenario={**SCENARIO, "pedestrians": 0}))
@@ -71,7 +71,7 @@ def test_an_episode_repeats_bit_for_bit_whatever_ran_before(simulator: BrinkDriv
     assert fingerprint(BrinkDrive().run(ORACLE, record=True)) == first
 
 
-def test_an_episode_repeats_bit_for_bit_in_another_process(simulator: BrinkDrive) -> None:
+def test_an_episode_is_bit_identical_in_another_process(simulator: BrinkDrive) -> None:
     code = (
         "import json, sys\n"
         "sys.path.insert(0, sys.argv[1])\n"
@@ -86,13 +86,13 @@ def test_an_episode_repeats_bit_for_bit_in_another_process(simulator: BrinkDrive
         check=True,
         capture_output=True,
         text=True,
-        env={"PYTHONHASHSEED": "77"},
+        env={**os.environ, "PYTHONHASHSEED": "77"},
     )
     there = done.stdout.split("fingerprint ")[1].strip()
     assert there == fingerprint(simulator.run(ORACLE, record=True))
 
 
-def test_another_seed_is_another_episode(simulator: BrinkDrive) -> None:
+def test_another_seed_gives_another_episode(simulator: BrinkDrive) -> None:
     one, other = simulator.run(ORACLE, record=True), simulator.run(replace(ORACLE, seed=13), record=True)
     assert one.trace is not None
     assert other.trace is not None
@@ -100,7 +100,7 @@ def test_another_seed_is_another_episode(simulator: BrinkDrive) -> None:
     assert not np.array_equal(first.actors[0].motion, second.actors[0].motion)
 
 
-def test_one_pedestrian_more_or_less_shifts_nobodys_chance(simulator: BrinkDrive) -> None:
+def test_pedestrians_do_not_affect_the_random_draws_of_others(simulator: BrinkDrive) -> None:
     crowd = simulator.run(replace(BLIND, duration_s=1.0), record=True)
     empty = simulator.run(
         replace(BLIND, duration_s=1.0, scenario={**SCENARIO, "pedestrians": 0}), record=True
@@ -114,12 +114,12 @@ def test_one_pedestrian_more_or_less_shifts_nobodys_chance(simulator: BrinkDrive
         assert np.array_equal(one.motion, other.motion)
 
 
-def test_a_trace_is_complete_and_agrees_with_the_verdicts(simulator: BrinkDrive) -> None:
+def test_a_trace_is_complete_and_consistent_with_the_verdicts(simulator: BrinkDrive) -> None:
     result = simulator.run(ORACLE, record=True)
     assert result.trace is not None
     trace = Trace.from_bytes(result.trace)
     count = len(trace.time_s)
-    assert count == 121 or result.features["ended"] != "time"  # 120 perception steps, and the end
+    assert count == 121 or result.features["ended"] != "time"  # 120 perception steps and the end
     assert np.allclose(np.diff(trace.time_s), 0.1, atol=1e-5)
     assert trace.ego.shape == (count, 5)
     assert all(actor.motion.shape == (count, 4) for actor in trace.actors)
@@ -135,10 +135,10 @@ def test_a_trace_is_complete_and_agrees_with_the_verdicts(simulator: BrinkDrive)
         assert float(series.min()) == pytest.approx(verdict.robustness, abs=1e-4)
 
 
-def test_the_last_picture_of_a_collision_shows_the_contact(simulator: BrinkDrive) -> None:
+def test_the_last_sample_of_a_collision_shows_the_contact(simulator: BrinkDrive) -> None:
     collisions = 0
     for seed in range(60):
-        spec = draw(np.random.default_rng(seed)).spec(seed, ("no-collision@1",))
+        spec = draw_candidate(np.random.default_rng(seed)).spec(seed, ("no-collision@1",))
         if simulator.run(spec).features["ended"] != "collision":
             continue
         result = simulator.run(spec, record=True)
@@ -154,10 +154,10 @@ def test_the_last_picture_of_a_collision_shows_the_contact(simulator: BrinkDrive
         collisions += bool(named)
         if collisions == 3:
             return
-    pytest.fail("too few collisions with somebody to look at")
+    pytest.fail("too few collisions with other road users")
 
 
-def test_injected_boxes_are_what_the_driving_system_gets_and_truth_is_what_the_camera_sees(
+def test_injected_boxes_reach_the_driving_system_and_true_boxes_are_recorded_too(
     simulator: BrinkDrive,
 ) -> None:
     ghost: JsonObject = {"label": "person", "t0_step": 5.0, "t1_step": 40.0}
@@ -171,10 +171,10 @@ def test_injected_boxes_are_what_the_driving_system_gets_and_truth_is_what_the_c
     given = [len(trace.given_boxes.at(sample)) for sample in range(len(trace.time_s))]
     assert given == [int(5 <= step <= 40) for step in range(len(given))]
     assert len(trace.seen_boxes.at(0)) >= 1
-    assert trace.ego[25:40, 3].max() < 3.0  # it stays behind the ghost of a person
+    assert trace.ego[25:40, 3].max() < 3.0  # it stops for the ghost of a person
 
 
-def test_an_ego_that_sees_nothing_drives_into_slow_traffic(simulator: BrinkDrive) -> None:
+def test_an_ego_without_detections_drives_into_slow_traffic(simulator: BrinkDrive) -> None:
     scenario: JsonObject = {
         **SCENARIO,
         "weather": "hard_rain",
@@ -201,14 +201,14 @@ def test_an_ego_that_sees_nothing_drives_into_slow_traffic(simulator: BrinkDrive
         ({"behaviour": {"mode": "injected"}}, "behaviour.trajectories: missing"),
     ],
 )
-def test_what_can_never_run_is_refused(
+def test_invalid_specifications_are_rejected(
     simulator: BrinkDrive, changes: dict[str, object], expected: str
 ) -> None:
     with pytest.raises(InvalidEpisode, match=expected):
         simulator.run(replace(ORACLE, **changes))  # type: ignore[arg-type]
 
 
-def test_a_broken_engine_is_a_crash_and_the_next_episode_runs(simulator: BrinkDrive) -> None:
+def test_a_broken_engine_is_a_crash_and_does_not_affect_the_next_episode(simulator: BrinkDrive) -> None:
     before = fingerprint(simulator.run(ORACLE, record=True))
     process_engine().close()
     with pytest.raises(SimulationCrashed, match="physics engine"):
@@ -216,9 +216,9 @@ def test_a_broken_engine_is_a_crash_and_the_next_episode_runs(simulator: BrinkDr
     assert fingerprint(simulator.run(ORACLE, record=True)) == before
 
 
-def test_random_candidates_all_run(simulator: BrinkDrive) -> None:
+def test_random_candidates_run(simulator: BrinkDrive) -> None:
     for index in range(12):
-        spec = draw(np.random.default_rng(index)).spec(index, ("front-gap@1",))
+        spec = draw_candidate(np.random.default_rng(index)).spec(index, ("front-gap@1",))
         result = simulator.run(spec)
         assert -1.5 <= result.verdicts["front-gap@1"].robustness <= 50.0
         assert result.features["ended"] in ("goal", "collision", "time")

@@ -1,13 +1,82 @@
+"""Reference lines, roads, scenery, traffic lights, weather and random streams."""
+
 import itertools
 import math
+from dataclasses import astuple
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from brink.sim.urban.scenario import DrivingTask, RoadCurve
-from brink.sim.world.road import LENGTHS_M, Road, build_road
-from brink.sim.world.roadside import fixtures
-from brink.sim.world.scene import scene_surfaces
-from brink.sim.world.task import ego_route, stream_lane
+from brink.sim.driving.interface import LightState
+from brink.sim.world.line import Piece, ReferenceLine
+from brink.sim.world.road import CYCLE_S, LENGTHS_M, Road, SignalPlan, build_road, ego_route, stream_lane
+from brink.sim.world.scenario import DrivingTask, RoadCurve, TimeOfDay, Weather
+from brink.sim.world.scenery import fixtures, scene_surfaces
+from brink.sim.world.streams import Stream, generator
+from brink.sim.world.weather import conditions
+
+curvatures = st.one_of(st.just(0.0), st.floats(1 / 60, 1 / 8), st.floats(-1 / 8, -1 / 60))
+pieces = st.lists(
+    st.builds(Piece, st.floats(0.5, 11.0), curvatures), min_size=1, max_size=5
+)  # at most a quarter circle each
+lines = st.builds(ReferenceLine, st.floats(-50, 50), st.floats(-50, 50), st.floats(-math.pi, math.pi), pieces)
+
+
+@given(lines, st.floats(-40, 80), st.floats(-3, 3), st.floats(-3, 3))
+def test_projection_inverts_placement(
+    line: ReferenceLine, station_m: float, offset_m: float, hint_m: float
+) -> None:
+    x_m, y_m, _ = line.pose_at(station_m, offset_m)
+    found = line.project(x_m, y_m, station_m + hint_m)
+    assert found == pytest.approx((station_m, offset_m), abs=1e-6)
+
+
+@given(lines)
+def test_a_line_has_no_gaps_and_no_kinks(line: ReferenceLine) -> None:
+    at_m = 0.0
+    for piece in line.pieces:
+        before, after = line.pose_at(at_m - 1e-7), line.pose_at(at_m + 1e-7)
+        assert math.dist(before[:2], after[:2]) < 1e-6
+        assert math.cos(before[2] - after[2]) > 1 - 1e-9
+        at_m += piece.length_m
+
+
+@given(lines, st.floats(-3, 3), st.floats(0, 1))
+def test_a_parallel_line_keeps_its_offset(line: ReferenceLine, offset_m: float, share: float) -> None:
+    beside = line.parallel(offset_m)
+    x_m, y_m, yaw_rad = beside.pose_at(share * beside.length_m)
+    station_m, found_m = line.project(x_m, y_m, share * line.length_m)
+    assert found_m == pytest.approx(offset_m, abs=1e-6)
+    assert math.cos(line.pose_at(station_m)[2] - yaw_rad) == pytest.approx(1.0)
+
+
+@given(lines, st.floats(0, 1))
+def test_a_reversed_line_is_the_same_curve_in_the_other_direction(line: ReferenceLine, share: float) -> None:
+    station_m = share * line.length_m
+    there = line.pose_at(station_m, 1.0)
+    back = line.backwards().pose_at(line.length_m - station_m, -1.0)
+    assert there[:2] == pytest.approx(back[:2], abs=1e-6)
+    assert math.cos(there[2] - back[2]) == pytest.approx(-1.0)
+
+
+@given(lines, st.floats(0.1, 1.5))
+def test_the_head_and_tail_of_a_line_add_up_to_the_line(line: ReferenceLine, share: float) -> None:
+    cut_m = share * line.length_m
+    whole = line.up_to(cut_m, *line.pieces_from(cut_m))
+    for station_m in (0.0, 0.5 * cut_m, cut_m, 0.5 * (cut_m + line.length_m)):
+        assert whole.pose_at(station_m) == pytest.approx(line.pose_at(station_m), abs=1e-6)
+
+
+def test_a_line_without_pieces_is_rejected() -> None:
+    with pytest.raises(ValueError, match="at least one"):
+        ReferenceLine(0.0, 0.0, 0.0, [])
+
+
+def test_a_parallel_line_beyond_the_centre_of_an_arc_is_rejected() -> None:
+    with pytest.raises(ValueError, match="centre of an arc"):
+        ReferenceLine(0.0, 0.0, 0.0, [Piece(5.0, 0.1)]).parallel(10.0)
+
 
 ROADS = [
     build_road(curve, road_id, length)
@@ -16,7 +85,7 @@ ROADS = [
 
 
 @pytest.mark.parametrize("length", range(3))
-def test_roads_are_about_as_long_as_they_say(length: int) -> None:
+def test_roads_have_roughly_their_nominal_length(length: int) -> None:
     for curve in RoadCurve:
         assert build_road(curve, 0, length).forward.length_m == pytest.approx(LENGTHS_M[length], rel=0.05)
 
@@ -28,7 +97,7 @@ def test_the_three_roads_of_a_shape_differ() -> None:
 
 
 @pytest.mark.parametrize("task", list(DrivingTask))
-def test_routes_have_no_gaps_and_end_where_the_task_says(task: DrivingTask) -> None:
+def test_routes_have_no_gaps_and_lead_where_the_task_says(task: DrivingTask) -> None:
     turned = {
         DrivingTask.FOLLOW_ROAD: 0.0,
         DrivingTask.FIRST_EXIT: -0.5 * math.pi,
@@ -48,7 +117,7 @@ def test_routes_have_no_gaps_and_end_where_the_task_says(task: DrivingTask) -> N
         assert min(steps) > 0.49
 
 
-def test_stop_lines_are_there_only_at_lights_and_before_the_junction() -> None:
+def test_only_junctions_with_lights_have_stop_lines_before_them() -> None:
     for road, task in itertools.product(ROADS, DrivingTask):
         route = ego_route(road, task)
         if road.curve is RoadCurve.CROSSROAD:
@@ -69,7 +138,7 @@ def test_there_is_no_oncoming_lane_inside_a_turn() -> None:
         assert route.oncoming_lane_at(2.0)
 
 
-def test_nothing_stands_on_any_lane() -> None:
+def test_no_fixture_stands_on_a_lane() -> None:
     for road in ROADS:
         lanes = [road.forward, road.backward, stream_lane(road, 1), stream_lane(road, 2)]
         samples = [lane.pose_at(2.0 * i)[:2] for lane in lanes for i in range(int(road.length_m / 2))]
@@ -82,7 +151,7 @@ def test_nothing_stands_on_any_lane() -> None:
                 assert not inside, (road.curve, fixture)
 
 
-def test_scenes_show_every_kind_of_surface() -> None:
+def test_scenes_contain_every_kind_of_surface() -> None:
     kinds = {surface.kind for road in ROADS for surface in scene_surfaces(road)}
     assert kinds == {
         "road",
@@ -96,6 +165,54 @@ def test_scenes_show_every_kind_of_surface() -> None:
     }
 
 
-def test_equal_roads_are_one_object() -> None:
+def test_equal_roads_are_the_same_object() -> None:
     road: Road = build_road(RoadCurve.LEFT, 1, 2)
     assert build_road(RoadCurve.LEFT, 1, 2) is road
+
+
+@given(st.floats(0, CYCLE_S), st.floats(0, 200))
+def test_one_direction_is_always_red(phase_s: float, time_s: float) -> None:
+    plan = SignalPlan(phase_s=phase_s)
+    assert LightState.RED in (plan.main_at(time_s), plan.side_at(time_s))
+
+
+@given(st.floats(0, CYCLE_S), st.floats(0, 200))
+def test_red_lasts_for_the_predicted_time(phase_s: float, time_s: float) -> None:
+    plan = SignalPlan(phase_s=phase_s)
+    left_s = plan.main_red_for_s(time_s)
+    if plan.main_at(time_s) is LightState.RED:
+        assert plan.main_at(time_s + left_s - 1e-6) is LightState.RED
+        assert plan.main_at(time_s + left_s + 1e-6) is LightState.GREEN
+    else:
+        assert left_s == 0.0
+
+
+def test_friction_depends_on_the_road_surface() -> None:
+    expected = {
+        Weather.CLEAR: 0.9,
+        Weather.CLOUDY: 0.9,
+        Weather.WET: 0.6,
+        Weather.WET_CLOUDY: 0.6,
+        Weather.MEDIUM_RAIN: 0.5,
+        Weather.HARD_RAIN: 0.4,
+    }
+    for weather, friction in expected.items():
+        assert conditions(TimeOfDay.NOON, weather).friction == friction
+    assert 0.5 < conditions(TimeOfDay.NOON, Weather.SOFT_RAIN).friction < 0.6
+
+
+def test_each_combination_of_time_and_weather_is_distinct() -> None:
+    kinds = {astuple(conditions(t, w)) for t, w in itertools.product(TimeOfDay, Weather)}
+    assert len(kinds) == len(TimeOfDay) * len(Weather)
+
+
+def test_random_streams_are_independent() -> None:
+    first = generator(7, Stream.VEHICLE, 1).random(4)
+    generator(7, Stream.VEHICLE, 0).random(100)
+    assert (generator(7, Stream.VEHICLE, 1).random(4) == first).all()
+    others = [
+        generator(8, Stream.VEHICLE, 1),
+        generator(7, Stream.PEDESTRIAN, 1),
+        generator(7, Stream.VEHICLE),
+    ]
+    assert all((other.random(4) != first).all() for other in others)

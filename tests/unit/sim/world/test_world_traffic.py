@@ -1,15 +1,30 @@
+"""Single road users, and how they interact in whole worlds."""
+
 import itertools
+import math
+from dataclasses import replace
 
 import pytest
 
-from brink.sim.urban.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
+from brink.sim.driving.interface import LightState
 from brink.sim.world.line import Piece, ReferenceLine
-from brink.sim.world.vehicle import CAR, Manner, Mover, StopPoint, Vehicle
-from brink.sim.world.walker import Phase, Walker
-from brink.sim.world.world import STEP_S, make_world
+from brink.sim.world.pedestrians import Phase, Walker
+from brink.sim.world.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
+from brink.sim.world.traffic import lane_is_free
+from brink.sim.world.vehicle import CAR, DrivingStyle, Mover, StopPoint, Vehicle
+from brink.sim.world.world import STEP_S, UrbanWorld, make_world
 
 ROAD = ReferenceLine(0.0, 0.0, 0.0, [Piece(300.0)])
-MANNER = Manner(speed_mps=8.0, headway_s=1.2, firmness_mps2=2.8, friction=0.9)
+STYLE = DrivingStyle(speed_mps=8.0, headway_s=1.2, braking_mps2=2.8, friction=0.9)
+SCENARIO = UrbanScenario(
+    time_of_day=TimeOfDay.NOON,
+    weather=Weather.CLEAR,
+    pedestrians=18,
+    road_curve=RoadCurve.STRAIGHT,
+    road_id=1,
+    road_length=2,
+    driving_task=DrivingTask.FOLLOW_ROAD,
+)
 
 
 def vehicle(station_m: float, *, speed_mps: float = 8.0, stops: tuple[StopPoint, ...] = ()) -> Vehicle:
@@ -19,7 +34,7 @@ def vehicle(station_m: float, *, speed_mps: float = 8.0, stops: tuple[StopPoint,
         path=ROAD,
         station_m=station_m,
         speed_mps=speed_mps,
-        manner=MANNER,
+        style=STYLE,
         stops=stops,
     )
 
@@ -58,13 +73,13 @@ def test_a_vehicle_stops_behind_a_standing_one() -> None:
     assert 1.0 < gap_m < 5.0
 
 
-def test_a_free_vehicle_reaches_its_own_speed() -> None:
+def test_an_unobstructed_vehicle_reaches_its_desired_speed() -> None:
     free = vehicle(0.0, speed_mps=0.0)
     drive([free], 25.0)
-    assert free.speed_mps == pytest.approx(MANNER.speed_mps, rel=0.02)
+    assert free.speed_mps == pytest.approx(STYLE.speed_mps, rel=0.02)
 
 
-def test_a_vehicle_waits_at_its_line_for_as_long_as_it_must() -> None:
+def test_a_vehicle_waits_at_its_stop_point_as_long_as_it_has_to() -> None:
     waiting = vehicle(10.0, stops=(StopPoint(60.0, lambda _, time_s: time_s < 20.0),))
     drive([waiting], 19.0)
     front_m = waiting.station_m + 0.5 * CAR.length_m
@@ -76,7 +91,7 @@ def test_a_vehicle_waits_at_its_line_for_as_long_as_it_must() -> None:
 
 def test_a_vehicle_slows_down_before_a_bend() -> None:
     bend = ReferenceLine(0.0, 0.0, 0.0, [Piece(60.0), Piece(10.0, 1 / 7), Piece(60.0)])
-    turning = Vehicle(name="t", size=CAR, path=bend, station_m=5.0, speed_mps=8.0, manner=MANNER)
+    turning = Vehicle(name="t", size=CAR, path=bend, station_m=5.0, speed_mps=8.0, style=STYLE)
     speeds = []
     for step in range(200):
         turning.look(step * STEP_S, [turning])
@@ -103,7 +118,7 @@ def test_a_walker_lets_a_car_pass_and_then_crosses() -> None:
     assert on_foot.phase is Phase.ALONG
 
 
-def test_a_walker_on_the_pavement_keeps_to_it() -> None:
+def test_a_walker_stays_on_the_pavement() -> None:
     on_foot = walker(None)
     for _ in range(300):
         on_foot.look(0.0, [])
@@ -112,18 +127,11 @@ def test_a_walker_on_the_pavement_keeps_to_it() -> None:
     assert on_foot.station_m == pytest.approx(40.0 + 300 * 0.13)
 
 
-def test_every_scenario_has_a_lead_ahead_and_others_at_other_places() -> None:
+def test_every_scenario_has_a_lead_vehicle_and_uniquely_named_road_users() -> None:
     for curve, road_id, task in itertools.product(RoadCurve, range(3), DrivingTask):
-        scenario = UrbanScenario(
-            time_of_day=TimeOfDay.NOON,
-            weather=Weather.CLEAR,
-            pedestrians=18,
-            road_curve=curve,
-            road_id=road_id,
-            road_length=1,
-            driving_task=task,
+        world = make_world(
+            replace(SCENARIO, road_curve=curve, road_id=road_id, road_length=1, driving_task=task), seed=3
         )
-        world = make_world(scenario, seed=3)
         assert len(world.walkers) == 18
         assert world.vehicles[0].name == "lead"
         assert 20.0 < world.vehicles[0].x_m - world.ego.x_m < 30.0
@@ -133,16 +141,8 @@ def test_every_scenario_has_a_lead_ahead_and_others_at_other_places() -> None:
 
 def test_other_vehicles_do_not_drive_through_each_other() -> None:
     for seed, curve in itertools.product(range(3), RoadCurve):
-        scenario = UrbanScenario(
-            time_of_day=TimeOfDay.NIGHT,
-            weather=Weather.MEDIUM_RAIN,
-            pedestrians=18,
-            road_curve=curve,
-            road_id=seed,
-            road_length=1,
-            driving_task=DrivingTask.FOLLOW_ROAD,
-        )
-        world = make_world(scenario, seed)
+        rainy_night = replace(SCENARIO, time_of_day=TimeOfDay.NIGHT, weather=Weather.MEDIUM_RAIN)
+        world = make_world(replace(rainy_night, road_curve=curve, road_id=seed, road_length=1), seed)
         for step in range(400):
             world.advance(step)
             for a, b in itertools.combinations(world.vehicles, 2):
@@ -152,13 +152,125 @@ def test_other_vehicles_do_not_drive_through_each_other() -> None:
 
 @pytest.mark.parametrize("curve", list(RoadCurve))
 @pytest.mark.parametrize("road_id", [0, 1, 2])
-def test_every_vehicle_has_a_temper_of_its_own(curve: RoadCurve, road_id: int) -> None:
-    scenario = UrbanScenario(
-        time_of_day=TimeOfDay.NOON, weather=Weather.CLEAR, pedestrians=0, road_curve=curve, road_id=road_id,
-        road_length=1, driving_task=DrivingTask.FIRST_EXIT,
-    )  # fmt: skip
+def test_every_vehicle_has_its_own_desired_speed(curve: RoadCurve, road_id: int) -> None:
+    road = replace(SCENARIO, pedestrians=0, road_curve=curve, road_id=road_id, road_length=1)
+    scenario = replace(road, driving_task=DrivingTask.FIRST_EXIT)
     for seed in range(3):
         vehicles = make_world(scenario, seed).vehicles
         shares = {"joining": 0.8, "pulling-out": 0.7, "local": 0.55}
-        tempers = [vehicle.manner.speed_mps / shares.get(vehicle.name, 1.0) for vehicle in vehicles]
-        assert len({round(temper, 9) for temper in tempers}) == len(vehicles)
+        speeds = [vehicle.style.speed_mps / shares.get(vehicle.name, 1.0) for vehicle in vehicles]
+        assert len({round(speed, 9) for speed in speeds}) == len(vehicles)
+
+
+def far_away_ego(world: UrbanWorld) -> None:
+    """Move the ego far away from everybody."""
+    world.ego.x_m -= 1000.0
+    world.ego.speed_mps = 0.0
+
+
+def parked(x_m: float, y_m: float, speed_mps: float = 0.0, yaw_rad: float = 0.0) -> Vehicle:
+    style = DrivingStyle(speed_mps=8.0, headway_s=1.2, braking_mps2=2.8, friction=0.9)
+    world = make_world(SCENARIO, 1)
+    one = Vehicle(
+        name="x", size=CAR, path=world.road.forward, station_m=0.0, speed_mps=speed_mps, style=style
+    )
+    one.x_m, one.y_m, one.yaw_rad = x_m, y_m, yaw_rad
+    return one
+
+
+def test_vehicles_give_way_to_people_on_the_crossing() -> None:
+    for seed, road_id in itertools.product(range(2), range(3)):
+        world = make_world(replace(SCENARIO, road_id=road_id), seed)
+        far_away_ego(world)
+        waited = False
+        for step in range(600):
+            world.advance(step)
+            on_zebra = [w for w in world.walkers if w.on_zebra and w.phase is Phase.CROSSING]
+            for vehicle, person in itertools.product(world.vehicles, on_zebra):
+                apart_m = math.hypot(vehicle.x_m - person.x_m, vehicle.y_m - person.y_m)
+                assert apart_m > 1.0 or vehicle.speed_mps < 1.0, (vehicle.name, person.name, step)
+                waited = waited or (apart_m < 12.0 and vehicle.speed_mps < 0.1)
+        assert waited
+
+
+def test_pedestrians_reach_the_other_side_without_a_light() -> None:
+    world = make_world(SCENARIO, 2)
+    far_away_ego(world)
+    sides = {walker.name: math.copysign(1.0, walker.offset_m) for walker in world.walkers}
+    for step in range(600):
+        world.advance(step)
+    crossed = [walker for walker in world.walkers if walker.offset_m * sides[walker.name] < -3.0]
+    assert len(crossed) >= 4
+
+
+def test_vehicles_enter_a_junction_only_on_green_or_amber() -> None:
+    for seed, road_id in itertools.product(range(2), range(3)):
+        world = make_world(
+            replace(SCENARIO, road_curve=RoadCurve.CROSSROAD, road_id=road_id, pedestrians=0), seed
+        )
+        far_away_ego(world)
+        assert world.signals is not None
+        fronts: dict[str, float] = {}
+        for step in range(600):
+            world.advance(step)
+            for vehicle in world.vehicles:
+                if vehicle.name == "local" or not vehicle.stops:
+                    continue
+                line_m = vehicle.stops[0].station_m
+                front_m = vehicle.station_m + 0.5 * vehicle.length_m
+                before_m = fronts.get(vehicle.name, front_m)
+                fronts[vehicle.name] = front_m
+                if before_m <= line_m + 1.0 < front_m and vehicle.name.startswith(("oncoming", "crossing")):
+                    on_side = vehicle.name.startswith("crossing")
+                    state = world.signals.side_at if on_side else world.signals.main_at
+                    assert state(step * STEP_S) is not LightState.RED, (vehicle.name, step * STEP_S)
+
+
+def test_a_car_joins_a_lane_only_in_a_gap() -> None:
+    for seed in range(4):
+        world = make_world(replace(SCENARIO, pedestrians=0), seed)
+        joining = next(v for v in world.vehicles if v.name == "joining")
+        lane_y = world.road.forward.pose_at(0.0)[1]
+        joined = False
+        for step in range(600):
+            world.ego.x_m += world.ego.speed_mps * STEP_S
+            world.advance(step)
+            if not joined and abs(joining.y_m - lane_y) < 0.5 * CAR.width_m:
+                joined = True
+                behind = [
+                    (joining.x_m - other.x_m, other.speed_mps)
+                    for other in world.movers
+                    if other is not joining and abs(other.y_m - lane_y) < 1.0 and other.x_m < joining.x_m
+                ]
+                assert all(gap_m > 4.5 + 0.5 * speed for gap_m, speed in behind), (seed, behind)
+        assert joined
+
+
+@pytest.mark.parametrize(
+    ("other", "free"),
+    [
+        (parked(-30.0, 0.0, 8.0), False),
+        (parked(-50.0, 0.0, 8.0), True),
+        (parked(-30.0, 0.0, 0.0), True),
+        (parked(3.0, 0.0), False),
+        (parked(3.0, 3.2), True),
+        (parked(30.0, 0.0, 8.0), True),
+        (parked(20.0, 3.2, 8.0, math.pi), True),
+    ],
+    ids=["coming", "too far", "standing", "there", "on the other lane", "gone", "oncoming"],
+)
+def test_a_lane_is_free_unless_somebody_on_it_is_about_to_arrive(other: Vehicle, free: bool) -> None:
+    asking = parked(0.0, -6.0)
+    assert lane_is_free([other, asking], asking, 0.0, 0.0, 0.0) is free
+
+
+def test_the_lead_vehicle_slows_down_repeatedly() -> None:
+    world = make_world(replace(SCENARIO, road_id=0, pedestrians=0), 4)
+    lead = world.vehicles[0]
+    speeds = []
+    for step in range(560):
+        world.advance(step)
+        speeds.append(lead.speed_mps)
+    assert max(speeds) > 7.5
+    dips = sum(a >= 6.0 > b for a, b in itertools.pairwise(speeds))
+    assert dips >= 2

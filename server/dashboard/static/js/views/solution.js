@@ -1,18 +1,13 @@
-/** One solution: what it is, how it was judged, its neighbourhood, and its episode to look at. */
+/** One solution: its description, its verdicts, its neighbourhood, and the replay of its episode. */
 
-import { h, replace, text } from "../dom.js";
+import { h, replace } from "../dom.js";
 import { count, figure, plainId, spaced } from "../format.js";
 import { badge } from "../parts/badge.js";
 import { facts } from "../parts/facts.js";
 import { link } from "../router.js";
 import { isOpen } from "../status.js";
-import { again } from "./solution/again.js";
-import { downloads } from "./solution/downloads.js";
-import { made } from "./solution/made.js";
-import { neighbourhood } from "./solution/neighbourhood.js";
-import { parameters } from "./solution/parameters.js";
-import { replay } from "./solution/replay.js";
-import { judgedBy, verdicts, withUnit } from "./solution/verdicts.js";
+import { judgedBy, neighbourhood, parameters, repeats, verdicts, withUnit } from "./solution/cards.js";
+import { downloads, loading, replay } from "./solution/replay.js";
 
 export async function show(main, context, { parts }) {
   const number = Number(parts[3]);
@@ -29,16 +24,15 @@ export async function show(main, context, { parts }) {
   const figures = facts();
   figures.classList.add("wide");
   const around = neighbourhood(campaign);
-  // What was computed or measured says the same with any seed: there is nothing to simulate again.
-  const rerun = evaluated && solution.spec && again(context, campaign, number);
-  const shown = h("div.stack.replay-place");
+  // A solution without a specification was computed or measured: another seed would change nothing.
+  const again = evaluated && solution.spec && repeats(context, campaign, number);
+  const place = h("div.stack.replay-place");
   let player = null;
 
   function goTo(time_s) {
     if (!player) return;
-    player.pause();
-    player.seek(time_s);
-    shown.scrollIntoView({ block: "start" });
+    player.hold(time_s);
+    place.scrollIntoView({ block: "start" });
   }
 
   const table = verdicts(solution, judged, goTo);
@@ -47,17 +41,17 @@ export async function show(main, context, { parts }) {
     h("div.stack", null,
       h("div.grid-2", null,
         h("div.stack", null,
-          h("section.card", { "aria-label": "What it is" }, h("h2", null, "What it is"), h("p", null, solution.words || "–"),
-            solution.failure && h("p.trouble", null, `It failed: ${solution.failure}`), figures),
+          h("section.card", { "aria-label": "Description" }, h("h2", null, "Description"), h("p", null, solution.words || "–"),
+            solution.failure && h("p.trouble", null, `Failed: ${solution.failure}`), figures),
           evaluated && around.card),
         table ?? h("div")),
-      shown,
-      h("div.grid-2.uneven", null, h("div.stack", null, rerun, parameters(solution.parameters)), evaluated && around.table)));
-  fill(solution);
+      place,
+      h("div.grid-2.uneven", null, h("div.stack", null, again, parameters(solution.parameters)), evaluated && around.table)));
+  update(solution);
 
-  function fill(read) {
+  function update(read) {
     if (read.verdict !== solution.verdict) {
-      dispatchEvent(new Event("hashchange")); // there is more to show now than there is room for here
+      dispatchEvent(new Event("hashchange")); // an evaluated solution has more cards: show the view anew
       return;
     }
     verdict.update(read.verdict);
@@ -67,24 +61,24 @@ export async function show(main, context, { parts }) {
     });
   }
 
-  const news = isOpen(campaign.status) ? context.watch(path, fill) : null;
-  if (evaluated) look();
+  const running = isOpen(campaign.status);
+  if (running) context.watch(path, update);
+  if (evaluated) loadNeighbours();
 
-  async function look() {
-    const take = around.update;
-    if (news === null) await context.tell(async () => take(await context.get(`${path}/neighbours`)));
-    else context.watch(`${path}/neighbours`, take, { refuse: () => {} });
+  async function loadNeighbours() {
+    if (running) context.watch(`${path}/neighbours`, around.update, { refuse: () => {} });
+    else await context.tell(async () => around.update(await context.get(`${path}/neighbours`)));
   }
 
-  const absent = withoutEpisode(solution);
-  if (absent) {
-    replace(shown, h("section.card", { "aria-label": "Replay" }, h("h2", null, "Replay"), h("p.hint", null, absent)));
+  const reason = withoutEpisode(solution);
+  if (reason) {
+    replace(place, h("section.card", { "aria-label": "Replay" }, h("h2", null, "Replay"), h("p.hint", null, reason)));
     return;
   }
-  replace(shown, made(context, path, (told) => {
-    const found = replay(context, told, solution, path, downloads(context, path, `${campaign.id}-${number}`, solution.spec));
+  replace(place, loading(context, path, (data) => {
+    const found = replay(context, data, solution, path, downloads(context, path, `${campaign.id}-${number}`, solution.spec));
     player = found.player;
-    replace(shown, found.cards);
+    replace(place, found.cards);
   }));
 }
 
@@ -92,14 +86,14 @@ function isEvaluated({ verdict }) {
   return verdict === "safe" || verdict === "unsafe";
 }
 
-/** Return the way here, the heading, and the ways on. */
+/** Return the breadcrumb, the heading, and the links to other solutions. */
 function head({ campaign, solution, judged, verdict, next }) {
   const { id, body } = campaign;
-  const { number, robustness, verdicts: told } = solution;
+  const { number, robustness, verdicts: found } = solution;
   return [
     h("p.crumb", null, h("a", { href: link("campaigns") }, "Campaigns"), " / ", h("a", { href: link("campaigns", id) }, body.name)),
     h("div.head", null, h("h1", null, `Solution ${number}`), verdict,
-      isEvaluated(solution) && h("span.figure", null, `${judged ? spaced(plainId(judged)) : "robustness"} ${withUnit(robustness, told?.[judged]?.unit)}`),
+      isEvaluated(solution) && h("span.figure", null, `${judged ? spaced(plainId(judged)) : "robustness"} ${withUnit(robustness, found?.[judged]?.unit)}`),
       h("nav.actions.push", { "aria-label": "Solutions" },
         number > 0 && h("a.button", { href: link("campaigns", id, "solutions", number - 1) }, "Previous"),
         next !== undefined && h("a.button", { href: link("campaigns", id, "solutions", next) }, "Next"),
@@ -107,9 +101,9 @@ function head({ campaign, solution, judged, verdict, next }) {
   ];
 }
 
-/** Return why a solution has no episode to look at; empty if it has one. */
+/** Return the reason why a solution has no episode to show; empty if it has one. */
 function withoutEpisode({ spec, verdict, verdicts: judged }) {
-  if (verdict === "measured") return "This solution was measured on a data set: there is no episode.";
-  if (!spec) return "This solution was computed, not simulated: there is no episode.";
-  return verdict === "pending" && !judged ? "This solution is not simulated yet." : "";
+  if (verdict === "measured") return "This solution was measured on a data set, so there is no episode.";
+  if (!spec) return "This solution was computed, not simulated, so there is no episode.";
+  return verdict === "pending" && !judged ? "This solution has not been simulated yet." : "";
 }

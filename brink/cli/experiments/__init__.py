@@ -1,1 +1,0 @@
-"""`brink experiment`: several methods with several seeds, compared."""

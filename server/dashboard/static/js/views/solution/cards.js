@@ -1,0 +1,221 @@
+/** The cards of a solution besides its replay: verdicts, parameters, neighbourhood, repeats with other seeds. */
+
+import { h, replace, text } from "../../dom.js";
+import { capital, count, figure, percent, plainId, plural, spaced, value } from "../../format.js";
+import { badge } from "../../parts/badge.js";
+import { link } from "../../router.js";
+import { isOpen } from "../../status.js";
+import { seconds } from "./episode.js";
+
+const USUAL_REPEATS = 20;
+const MOST_REPEATS = 10_000;
+const NO_GENERATION = 1_000_000_000;
+
+/** Return the requirement that decides a solution: the one the campaign names, or else the one with the solution's robustness. */
+export function judgedBy(solution, campaign) {
+  const verdicts = Object.entries(solution.verdicts ?? {});
+  const wanted = campaign.body.problem.params.requirement;
+  const found = verdicts.find(([name]) => name === wanted) ?? verdicts.find(([, one]) => one.robustness === solution.robustness);
+  return found?.[0] ?? null;
+}
+
+/** Return a robustness with its unit: ``−0.5 m``. */
+export function withUnit(robustness, unit) {
+  return `${figure(robustness)}${unit ? ` ${unit}` : ""}`;
+}
+
+/**
+ * Return the card of a solution's verdicts; null if it has none.
+ *
+ * @param {object} solution
+ * @param {string|null} judged The requirement that decides.
+ * @param {(time_s: number) => void} goTo Jumps to a time of the episode.
+ */
+export function verdicts(solution, judged, goTo) {
+  const found = Object.entries(solution.verdicts ?? {});
+  if (found.length === 0) return null;
+  found.sort(([a], [b]) => (b === judged) - (a === judged));
+  return h("section.card", { "aria-label": "Verdicts" }, h("h2", null, "Verdicts"), h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Table of verdicts" }, h("table.verdicts", null,
+    h("caption", null, "Robustness is the distance to violation; below zero the requirement is violated."),
+    h("thead", null, h("tr", null, ["Requirement", "Verdict"].map((name) => h("th", { scope: "col" }, name)),
+      h("th.right", { scope: "col" }, "Robustness"), h("th.right", { scope: "col" }, "First violated"))),
+    h("tbody", null, found.map(([name, verdict]) => {
+      const at = verdict.violated_at_s;
+      const violated = verdict.robustness < 0;
+      return h("tr", { class: name === judged ? "chosen" : null },
+        h("th", { scope: "row" }, spaced(plainId(name)), name === judged && h("span.small.muted", null, ", decisive")),
+        h("td", null, badge(violated ? "unsafe" : "safe", violated ? "violated" : "holds")),
+        h("td.right", null, withUnit(verdict.robustness, verdict.unit)),
+        h("td.right", null, at === null ? "–" : h("button.quiet.figure", { type: "button", onclick: () => goTo(at) }, `at ${seconds(at)}`)));
+    })))));
+}
+
+/** Return the cards of a solution's parameters, one per component; names with a common prefix become columns. */
+export function parameters(given) {
+  return Object.entries(given).map(([component, values]) => h("section.card", { "aria-label": `Parameters: ${spaced(component)}` },
+    h("h2", null, capital(spaced(component))),
+    h("div.scroll.tall", { tabindex: 0, role: "region", "aria-label": `Table of ${spaced(component)}` },
+      grouped(values).map((group) => (group.prefixes ? crossTable(group) : plainTable(group, component))))));
+}
+
+function plainTable({ entries }, component) {
+  return h("table", null, h("caption.read-out", null, `Parameters of ${spaced(component)}`),
+    h("tbody", null, entries.map(([name, one]) => h("tr", null, h("th", { scope: "row" }, spaced(name)), h("td", null, value(one))))));
+}
+
+/** Return a table of groups that have the same parameters; its longer side goes down. */
+function crossTable({ prefixes, names, at }) {
+  const groupsDown = prefixes.length > names.length;
+  const [rows, columns] = groupsDown ? [prefixes, names] : [names, prefixes];
+  return h("table", null, h("caption.read-out", null, `${prefixes.length} groups of parameters`),
+    h("thead", null, h("tr", null, h("td"), columns.map((name) => h("th", { scope: "col" }, readable(name))))),
+    h("tbody", null, rows.map((row) => h("tr", null, h("th", { scope: "row" }, readable(row)),
+      columns.map((column) => h("td", null, value(groupsDown ? at(row, column) : at(column, row))))))));
+}
+
+function readable(name) {
+  return spaced(name).replaceAll(".", " ");
+}
+
+/** Return parameters in groups: first those without a dot, then the others by the part of their name before the last dot. */
+function grouped(values) {
+  const found = new Map();
+  const loose = [];
+  for (const [name, one] of Object.entries(values)) {
+    const dot = name.lastIndexOf(".");
+    if (dot < 0) loose.push([name, one]);
+    else getOr(found, name.slice(0, dot), () => new Map()).set(name.slice(dot + 1), one);
+  }
+  const alike = new Map();
+  for (const [prefix, members] of found) {
+    const names = [...members.keys()];
+    getOr(alike, names.join("\n"), () => ({ prefixes: [], names, at: (group, name) => found.get(group).get(name) })).prefixes.push(prefix);
+  }
+  return [...(loose.length ? [{ entries: loose }] : []), ...alike.values()];
+}
+
+function getOr(mapping, key, make) {
+  if (!mapping.has(key)) mapping.set(key, make());
+  return mapping.get(key);
+}
+
+/** Return the cards of a solution's neighbourhood and of its nearest solutions; ``update`` takes the answer of the API. */
+export function neighbourhood(campaign) {
+  const words = h("p", { id: "neighbourhood-words" });
+  const bar = intervalBar();
+  const card = h("section.card", { "aria-label": "Neighbourhood" }, h("h2", null, "Neighbourhood"), words, bar);
+  const caption = h("caption");
+  const rows = h("tbody");
+  const table = h("section.card", { "aria-label": "Nearest solutions" }, h("h2", null, "Nearest solutions"),
+    h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Table of the nearest solutions" }, h("table", null, caption,
+      h("thead", null, h("tr", null, h("th", { scope: "col" }, "Solution"), h("th", { scope: "col" }, "Verdict"),
+        ["Distance", "Robustness", "Fitness"].map((name) => h("th.right", { scope: "col" }, name)))),
+      rows)));
+
+  function update(read) {
+    text(words, neighbourhoodWords(read));
+    bar.update({ low: read.interval[0], high: read.interval[1], part: read.unsafe_neighbours / read.neighbours, p_th: read.p_th });
+    text(caption, `The ${plural(read.nearest.length, "nearest", "nearest")} of ${count(read.evaluated)} evaluated solutions; those within a distance of ${figure(read.radius)} are neighbours.`);
+    replace(rows, read.nearest.map((one) => h("tr", null,
+      h("th", { scope: "row" }, h("a.row", { href: link("campaigns", campaign.id, "solutions", one.number) }, String(one.number))),
+      h("td", null, badge(one.unsafe ? "unsafe" : "safe")),
+      h("td.right", null, figure(one.distance), h("span.read-out", null, one.within ? ", a neighbour" : ""), !one.within && h("span.small.muted", null, " beyond")),
+      h("td.right", null, figure(one.robustness)), h("td.right", null, figure(one.fitness)))));
+  }
+  return { card, table, update };
+}
+
+/** Return a bar from 0 to 1 with an unsafe share, its interval and p_th; ``update`` takes other values. */
+function intervalBar() {
+  const range = h("i.range");
+  const share = h("i.share");
+  const edge = h("i.p-th");
+  const bar = h("div.interval", { role: "img" }, range, edge, share);
+  const node = h("div.interval-box", null, bar,
+    h("div.interval-scale.small.muted", { "aria-hidden": "true" }, [0, 0.25, 0.5, 0.75, 1].map((at) => h("span", null, percent(at)))),
+    h("ul.legend", null, h("li", null, h("i.key.share"), "unsafe share"), h("li", null, h("i.key.range"), "its interval"),
+      h("li", null, h("i.key.p-th"), "boundary (p_th)")));
+  node.update = ({ low, high, part, p_th }) => {
+    range.style.left = `${100 * low}%`;
+    range.style.width = `${100 * (high - low)}%`;
+    share.style.left = `${100 * part}%`;
+    edge.style.left = `${100 * p_th}%`;
+    bar.setAttribute("aria-label", `${percent(part)} unsafe, interval ${percent(low)} to ${percent(high)}; the boundary is at ${percent(p_th)}`);
+  };
+  return node;
+}
+
+function neighbourhoodWords({ neighbours, unsafe_neighbours, radius, interval: [low, high], p_th, confidence, looks_for_boundary }) {
+  const level = `${Number((100 * confidence).toFixed(1))}%`;
+  const counts = `${count(unsafe_neighbours)} of ${plural(neighbours, "solution")} within a distance of ${figure(radius)} ${unsafe_neighbours === 1 ? "is" : "are"} unsafe`;
+  const share = `${counts}: ${percent(unsafe_neighbours / neighbours)}, ${level} interval ${percent(low)} to ${percent(high)}.`;
+  return `${share} ${looks_for_boundary ? boundaryWords(low, high, p_th) : "This search does not look for a boundary."}`;
+}
+
+function boundaryWords(low, high, p_th) {
+  const side = low > p_th ? "below" : high < p_th ? "above" : "within";
+  return `The boundary at ${percent(p_th)} lies ${side} this interval.`;
+}
+
+/** Return the card that simulates a solution again with other seeds, and shows the results. */
+export function repeats(context, campaign, number) {
+  const words = h("div", { "aria-live": "polite" });
+  const rows = h("tbody");
+  const table = h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Table of repeats", hidden: true }, h("table", null,
+    h("caption", null, "Each row is a campaign that simulates this solution with other seeds."),
+    h("thead", null, h("tr", null, ["Campaign", "Status", "Simulated", "Unsafe", "Share", "Interval"].map((name, index) => h(index > 1 ? "th.right" : "th", { scope: "col" }, name)))),
+    rows));
+  const wanted = h("input", { id: "repeats", type: "number", min: 2, max: MOST_REPEATS, step: 1, value: USUAL_REPEATS, required: true });
+  const go = h("button.primary", { type: "submit" }, "Simulate");
+  const form = h("form.inline", { onsubmit: submit }, h("label", { for: "repeats" }, "Simulate again"), wanted, h("span", null, "times with other seeds"), go);
+  const place = h("div");
+  const card = h("section.card", { "aria-label": "Repeats with other seeds" }, h("h2", null, "Repeats with other seeds"),
+    h("p", null, "This solution was simulated once. Simulating it again, with other pedestrians and other noise, shows how likely it is to be unsafe."),
+    place, words, table);
+
+  async function submit(event) {
+    event.preventDefault();
+    go.disabled = true;
+    const answer = await context.act("POST", `campaigns/${campaign.id}/repeats`, null, { json: { numbers: [number], repeats: Number(wanted.value) } });
+    go.disabled = false;
+    if (answer) polling.now();
+  }
+
+  function update(read) {
+    const found = read.map((one) => ({ ...one, result: one.solutions.find((solution) => solution.number === number) })).filter((one) => one.result).reverse();
+    table.hidden = found.length === 0;
+    replace(rows, found.map(({ result, ...one }) => h("tr", null,
+      h("td", null, h("a", { href: link("campaigns", one.campaign) }, one.boundary ? "whole boundary" : one.solutions.length > 1 ? `this and ${plural(one.solutions.length - 1, "other")}` : "this solution")),
+      h("td", null, badge(one.status)),
+      h("td.right", null, `${count(result.evaluated)} of ${count(one.repeats)}`), h("td.right", null, count(result.unsafe)),
+      h("td.right", null, result.evaluated ? percent(result.probability) : "–"),
+      h("td.right", null, result.evaluated ? `${percent(result.low)} to ${percent(result.high)}` : "–"))));
+    text(words, found.length ? repeatsWords(found[0]) : "");
+  }
+
+  function offer(status) {
+    if (!context.may.steer || place.firstChild === form) return;
+    replace(place, isOpen(status) ? h("p.hint", null, `You can simulate it again when its campaign has ended; the campaign is ${status}.`) : form);
+  }
+
+  offer(campaign.status);
+  if (context.may.steer && isOpen(campaign.status)) {
+    const ended = new AbortController();
+    context.watch(`campaigns/${campaign.id}/progress?since=${NO_GENERATION}`, (read) => {
+      offer(read.status);
+      if (!isOpen(read.status)) ended.abort();
+    }, { refuse: () => {}, until: ended.signal });
+  }
+  const polling = context.watch(`campaigns/${campaign.id}/repeats`, update, {
+    busy: (read) => read.some((one) => one.status === "running"), refuse: () => {},
+  });
+  return card;
+}
+
+function repeatsWords({ result, repeats: wanted, p_th, status }) {
+  if (!result.evaluated) return status === "running" ? "Workers are simulating it." : "There are no results yet.";
+  const soFar = result.evaluated < wanted ? " so far" : "";
+  const counts = `${count(result.unsafe)} of ${plural(result.evaluated, "simulation")} with other seeds ${result.unsafe === 1 ? "was" : "were"} unsafe${soFar}`;
+  const share = `${percent(result.probability)}, interval ${percent(result.low)} to ${percent(result.high)}`;
+  return `${counts}: ${share}. ${boundaryWords(result.low, result.high, p_th)}`;
+}

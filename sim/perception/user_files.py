@@ -1,0 +1,313 @@
+"""Files that users provide: detector weights and labelled data sets in COCO format, checked before use.
+
+Loads no network, so a coordinator can validate a submission with it. Only plain files on a disk are read: reading a
+device or a pipe might never end.
+
+A data set is read completely or refused. Boxes of persons and vehicles are kept, other categories are left out.
+Crowds and very small boxes are ignored, as in COCO's own evaluation.
+
+SimulatorError
+├── DetectorError    a detector cannot be loaded, or cannot process a picture
+└── DatasetError     a data set is missing or invalid
+
+Source: the COCO data format, https://cocodataset.org/#format-data.
+"""
+
+import hashlib
+import json
+import stat
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+
+from brink.sim.errors import SimulatorError
+from brink.sim.perception.boxes import GroundTruth
+
+MAX_BYTES: Final = 2 * 1024**3
+LOAD_TIMEOUT_S: Final = 120.0
+KINDS: Final = ("onnx", "torchscript", "ultralytics")
+CATEGORY_LABELS: Final[Mapping[str, int]] = {
+    "vehicle": 0, "car": 0, "truck": 0, "bus": 0, "van": 0, "motorcycle": 0, "train": 0,
+    "person": 1, "pedestrian": 1,
+}  # fmt: skip
+"""Label of each known category: 0 for a vehicle, 1 for a person."""
+MIN_HEIGHT_SHARE: Final = 8.0 / 360.0
+"""Boxes lower than this share of the picture's height are ignored."""
+MAX_LISTED: Final = 3
+"""Number of faults that a message lists."""
+_SYSTEM_FOLDERS: Final = ("/proc", "/sys")
+
+_Box: TypeAlias = tuple[int, tuple[float, float, float, float], bool]
+"""Label, corners, and whether the box is a crowd."""
+
+
+class DetectorError(SimulatorError):
+    """A detector cannot be loaded, or cannot process a picture."""
+
+
+class DatasetError(SimulatorError):
+    """A data set is missing or invalid."""
+
+
+def _unreadable(file: Path) -> str | None:
+    """Return the reason why a file must not be read, None if it may be."""
+    try:
+        real = file.resolve()
+        status = real.stat()
+    except (OSError, ValueError, RuntimeError) as error:  # missing, name too long, NUL in it, cycle of links
+        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        return "no such file" if isinstance(error, FileNotFoundError) else f"no file: {reason}"
+    if stat.S_ISDIR(status.st_mode):
+        return "expected a file, got a folder"
+    if not stat.S_ISREG(status.st_mode) or any(real.is_relative_to(folder) for folder in _SYSTEM_FOLDERS):
+        return "expected a file on a disk"
+    if status.st_size > MAX_BYTES:
+        return f"expected at most {MAX_BYTES} bytes, got {status.st_size}"
+    return None
+
+
+def weights_file(detector_id: str) -> Path | None:
+    """Return the weights file named by a detector id, None for a registered detector.
+
+    Raises:
+        DetectorError: The kind is unknown, or the file cannot be read.
+    """
+    kind, colon, name = detector_id.partition(":")
+    if not colon:
+        return None
+    if kind not in KINDS:
+        raise DetectorError(
+            f"detector: expected {', '.join(f'{one}:FILE' for one in KINDS)}; got {detector_id!r}"
+        )
+    if reason := "no such file" if not name else _unreadable(Path(name)):
+        raise DetectorError(f"detector: {name or 'a file'}: {reason}")
+    return Path(name)
+
+
+def weights_digest(detector_id: str) -> str:
+    """Return a digest of the weights file, 16 hexadecimal digits; empty for a registered detector.
+
+    Raises:
+        DetectorError: The kind is unknown, or the file cannot be read.
+    """
+    file = weights_file(detector_id)
+    if file is None:
+        return ""
+    status = file.stat()
+    return _digest(file, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=8)
+def _digest(file: Path, _modified_ns: int, _size: int) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
+
+
+def check_loads(detector_id: str) -> None:
+    """Load a weights file in a separate process, if this machine has the libraries for it.
+
+    Raises:
+        DetectorError: The file is not a detector.
+    """
+    file = weights_file(detector_id)
+    if file is not None and all(find_spec(module) is not None for module in ("cv2", "onnxruntime")):
+        _check_loads(detector_id, weights_digest(detector_id))
+
+
+@lru_cache(maxsize=8)
+def _check_loads(detector_id: str, _content: str) -> None:
+    command = [sys.executable, "-m", "brink.sim.perception.detector", detector_id]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=LOAD_TIMEOUT_S)
+    except subprocess.TimeoutExpired:
+        raise DetectorError(f"{detector_id}: loading took more than {LOAD_TIMEOUT_S:g} s") from None
+    if done.returncode != 0:
+        output = (done.stdout or done.stderr).strip().splitlines()
+        raise DetectorError(output[-1] if output else f"{detector_id}: cannot be loaded")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CocoPicture:
+    """One picture of a data set.
+
+    Attributes:
+        file: Path of the picture.
+        width_px: Width stated by the annotations.
+        height_px: Height stated by the annotations.
+        truth: Ground truth in pixels of the picture.
+    """
+
+    file: Path
+    width_px: int
+    height_px: int
+    truth: GroundTruth
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CocoDataset:
+    """A labelled data set.
+
+    Attributes:
+        file: The annotations.
+        digest: Digest of the annotations, 16 hexadecimal digits.
+        pictures: In the order of the file, including pictures without boxes.
+    """
+
+    file: Path
+    digest: str
+    pictures: tuple[CocoPicture, ...]
+
+
+def read_coco(file: Path) -> CocoDataset:
+    """Read a data set; an unchanged file is read only once.
+
+    Args:
+        file: Annotations in JSON. Pictures are searched for in its folder and in the subfolder ``images``.
+
+    Raises:
+        DatasetError: The file is missing or invalid, a box is invalid, or a picture is missing.
+    """
+    try:
+        status = file.stat()
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{file}: {getattr(error, 'strerror', None) or error}") from None
+    if reason := _unreadable(file):
+        raise DatasetError(f"{file}: {reason}; it should be JSON in COCO format")
+    return _read_coco(file, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=4)
+def _read_coco(file: Path, _modified_ns: int, _size: int) -> CocoDataset:
+    try:
+        raw = file.read_bytes()
+        document = json.loads(raw)
+    except OSError as error:
+        raise DatasetError(f"{file}: {error.strerror or error}") from None
+    except ValueError as error:
+        raise DatasetError(f"{file}: not JSON: {error}") from None
+    except RecursionError:
+        raise DatasetError(f"{file}: JSON is nested too deeply") from None
+    try:
+        images, annotations, categories = (
+            _rows(document, name) for name in ("images", "annotations", "categories")
+        )
+        labels = {row["id"]: CATEGORY_LABELS.get(str(row["name"]).lower()) for row in categories}
+        sizes = {row["id"]: _image(row) for row in images}
+    except (DatasetError, KeyError, TypeError, ValueError) as error:
+        reason = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
+        raise DatasetError(f"{file}: {reason}") from None
+    if all(label is None for label in labels.values()):
+        raise DatasetError(f"{file}: expected a category named one of {', '.join(CATEGORY_LABELS)}")
+    boxes = _boxes_by_image(file, annotations, labels, sizes)
+    paths = {key: _find(file, name) for key, (name, _, _) in sizes.items()}
+    missing = [name for key, (name, _, _) in sizes.items() if paths[key] is None]
+    if missing:
+        more = f" and {len(missing) - MAX_LISTED} more" if len(missing) > MAX_LISTED else ""
+        raise DatasetError(
+            f"{file}: pictures not found beside it or in images/: {', '.join(missing[:MAX_LISTED])}{more}"
+        )
+    pictures = tuple(
+        CocoPicture(file=path, width_px=wide, height_px=high, truth=_truth(boxes[key], high))
+        for (key, path), (_, wide, high) in zip(paths.items(), sizes.values(), strict=True)
+        if path is not None
+    )
+    if not any(len(picture.truth.labels) for picture in pictures):
+        raise DatasetError(f"{file}: no box belongs to one of the categories {', '.join(CATEGORY_LABELS)}")
+    return CocoDataset(file=file, digest=hashlib.sha256(raw).hexdigest()[:16], pictures=pictures)
+
+
+def _rows(document: object, name: str) -> list[Any]:
+    rows = document.get(name) if isinstance(document, dict) else None
+    if not isinstance(rows, list) or not rows:
+        raise DatasetError(f"expected a non-empty list of {name}, as in COCO format")
+    return rows
+
+
+def _image(row: Any) -> tuple[str, int, int]:
+    width_px, height_px = row["width"], row["height"]
+    if not (isinstance(width_px, int) and isinstance(height_px, int) and width_px > 0 and height_px > 0):
+        raise DatasetError(
+            f"image {row.get('id')!r}: expected width and height in px, got {width_px!r}, {height_px!r}"
+        )
+    return str(row["file_name"]), width_px, height_px
+
+
+def _boxes_by_image(
+    file: Path,
+    annotations: list[Any],
+    labels: Mapping[Any, int | None],
+    sizes: Mapping[Any, tuple[str, int, int]],
+) -> dict[Any, list[_Box]]:
+    """Return the boxes of known categories for each image.
+
+    Raises:
+        DatasetError: Lists the first invalid annotations.
+    """
+    boxes: dict[Any, list[_Box]] = {key: [] for key in sizes}
+    faults: list[str] = []
+    for index, annotation in enumerate(annotations):
+        try:
+            box = _box(annotation, labels, sizes)
+        except DatasetError as error:
+            number = annotation.get("id", index) if isinstance(annotation, dict) else index
+            faults.append(f"annotation {number}: {error}")
+            continue
+        if box is not None:
+            boxes[annotation["image_id"]].append(box)
+    if faults:
+        more = f"; and {len(faults) - MAX_LISTED} more" if len(faults) > MAX_LISTED else ""
+        raise DatasetError(f"{file}: {'; '.join(faults[:MAX_LISTED])}{more}")
+    return boxes
+
+
+def _box(
+    annotation: Any, labels: Mapping[Any, int | None], sizes: Mapping[Any, tuple[str, int, int]]
+) -> _Box | None:
+    """Return an annotation's box, None if its category is unknown to detectors."""
+    if not isinstance(annotation, dict):
+        raise DatasetError(f"expected an object, got {annotation!r}")
+    if annotation.get("image_id") not in sizes:
+        raise DatasetError(f"image_id {annotation.get('image_id')!r} is not among the images")
+    if annotation.get("category_id") not in labels:
+        raise DatasetError(f"category_id {annotation.get('category_id')!r} is not among the categories")
+    label = labels[annotation["category_id"]]
+    if label is None:
+        return None
+    box = annotation.get("bbox")
+    if not isinstance(box, list) or len(box) != 4 or not all(_is_number(number) for number in box):
+        raise DatasetError(f"bbox: expected [x, y, width, height] in px, got {box!r}")
+    x, y, wide, high = (float(number) for number in box)
+    if wide <= 0 or high <= 0:
+        raise DatasetError(f"bbox: expected a width and a height above 0, got {box!r}")
+    _, width_px, height_px = sizes[annotation["image_id"]]
+    if x >= width_px or y >= height_px or x + wide <= 0 or y + high <= 0:
+        raise DatasetError(f"bbox: {box!r} lies outside its picture of {width_px} x {height_px}")
+    corners = (max(0.0, x), max(0.0, y), min(float(width_px), x + wide), min(float(height_px), y + high))
+    return label, corners, bool(annotation.get("iscrowd", 0))
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+def _truth(boxes: list[_Box], height_px: int) -> GroundTruth:
+    corners = np.array([box for _, box, _ in boxes], np.float32).reshape(len(boxes), 4)
+    low = (corners[:, 3] - corners[:, 1]) < MIN_HEIGHT_SHARE * height_px
+    return GroundTruth(
+        labels=np.array([label for label, _, _ in boxes], np.int64),
+        boxes=corners,
+        ignored=low | np.array([crowd for _, _, crowd in boxes], np.bool_),
+    )
+
+
+def _find(file: Path, name: str) -> Path | None:
+    for folder in (file.parent, file.parent / "images"):
+        if _unreadable(folder / name) is None:
+            return folder / name
+    return None

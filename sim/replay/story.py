@@ -1,0 +1,239 @@
+"""What an episode is about: the requirement it is judged by, the moments that explain it, and the words for it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, TypeVar
+
+import numpy as np
+
+from brink.sim.aeb.specification import describe_perturbations, describe_street
+from brink.sim.replay.scene import LABELS, PERSON, ReplayError, plain_name, spec_part
+from brink.sim.trace import ACTION, Event, Trace
+from brink.sim.world.scenario import words_of_scenario
+
+PREFERRED: Final = ("front-gap", "no-collision")
+"""Requirements that an episode is about if none is named, in order of preference."""
+
+REQUIREMENT_UNITS: Final = {
+    "front-gap": "m",
+    "no-collision": "m",
+    "no-dangerous-stop": "m/s",
+    "lane-keeping": "m",
+    "red-light": "m",
+    "speed-limit": "m/s",
+    "progress": "s",
+}
+"""Units of robustness, by id without version, of the requirements that ship with the project."""
+
+_MOST_MOMENTS: Final = 6
+_LEAD_UP_S: Final = (1.0, 2.5, 5.0)
+"""How long before the decisive moment to look for others."""
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moment:
+    """A sample worth a picture, and the reason."""
+
+    sample: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Story:
+    """What the replay of an episode is about.
+
+    Attributes:
+        requirement: Id of the requirement, as the trace records it.
+        title: The same without its version.
+        violated: Whether it is violated.
+        decisive: Sample of the first violation, or of the least robustness.
+        least: Least robustness of the episode, +inf if the requirement never applied.
+        moments: At most six, in order of time; the decisive one is among them.
+    """
+
+    requirement: str
+    title: str
+    violated: bool
+    decisive: int
+    least: float
+    moments: tuple[Moment, ...]
+
+
+def story_of(trace: Trace, requirement: str | None = None) -> Story:
+    """Return the story of an episode.
+
+    Args:
+        trace: The episode.
+        requirement: Id of the requirement to judge, with or without version. By default the front gap or, if the
+            trace does not record it, its first requirement.
+
+    Raises:
+        ReplayError: The trace is empty, or does not record the requirement.
+    """
+    if len(trace.time_s) == 0:
+        raise ReplayError("the trace has no samples: there is nothing to draw")
+    chosen = _choose(trace, requirement)
+    series = np.asarray(trace.robustness[chosen], dtype=np.float64)
+    series = np.where(np.isnan(series), np.inf, series)
+    below = np.flatnonzero(series < 0)
+    decisive = int(below[0]) if below.size else int(series.argmin())
+    return Story(
+        requirement=chosen,
+        title=plain_name(chosen),
+        violated=bool(below.size),
+        decisive=decisive,
+        least=float(series.min()),
+        moments=_moments(trace, decisive, violated=bool(below.size)),
+    )
+
+
+def _choose(trace: Trace, requirement: str | None) -> str:
+    if requirement is None:
+        if not trace.robustness:
+            raise ReplayError("the trace records no requirement: there is nothing to judge")
+        preferred = min(
+            trace.robustness,
+            key=lambda name: PREFERRED.index(plain_name(name)) if plain_name(name) in PREFERRED else 9,
+        )
+        # An episode with a film is about any hazard: show one that happened if the preferred one did not.
+        violated = [
+            name for name, series in trace.robustness.items() if trace.film is not None and np.any(series < 0)
+        ]
+        return preferred if preferred in violated or not violated else violated[0]
+    matching = [name for name in trace.robustness if requirement in (name, plain_name(name))]
+    if not matching:
+        known = ", ".join(trace.robustness) or "none"
+        raise ReplayError(f"requirement: expected one that the trace records ({known}), got {requirement!r}")
+    return requirement if requirement in matching else matching[0]
+
+
+def _moments(trace: Trace, decisive: int, *, violated: bool) -> tuple[Moment, ...]:
+    """Pick the weightiest moments that are at least a twentieth of the episode apart."""
+    last = len(trace.time_s) - 1
+    candidates = [Moment(sample=decisive, reason="violation" if violated else "closest")]
+    candidates += _lead_up(trace, decisive)
+    candidates += [Moment(sample=0, reason="start"), Moment(sample=last, reason="end")]
+    apart = max(1, min(8, last // 20))
+    chosen: list[Moment] = []
+    for candidate in candidates:
+        if len(chosen) < _MOST_MOMENTS and all(
+            abs(candidate.sample - other.sample) >= apart for other in chosen
+        ):
+            chosen.append(candidate)
+    return tuple(sorted(chosen, key=lambda moment: moment.sample))
+
+
+def _lead_up(trace: Trace, decisive: int) -> list[Moment]:
+    """Return moments, those that explain most first: just before, injections, plan changes, events, earlier."""
+    time_s = trace.time_s
+    found: list[Moment] = []
+
+    def look_back(seconds: float) -> None:
+        at_s = time_s[decisive] - seconds
+        if at_s >= time_s[0]:
+            sample = int(np.abs(time_s - at_s).argmin())
+            found.append(Moment(sample=sample, reason=f"{seconds:g} s before"))
+
+    look_back(_LEAD_UP_S[0])
+    if report_word(trace) == "injected":
+        found += [
+            Moment(sample=sample, reason=f"injected {label}")
+            for sample, label in _injections(trace, decisive)
+        ]
+    changes = [i for i in range(1, decisive + 1) if trace.plan_mode[i] != trace.plan_mode[i - 1]]
+    found += [Moment(sample=i, reason=f"plan: {trace.plan_mode[i]}") for i in changes[::-1][:2]]
+    for event in reversed(notable_events(trace)):
+        sample = int(np.abs(time_s - event.time_s).argmin())
+        if sample <= decisive:
+            found.append(Moment(sample=sample, reason=event.kind))
+    for seconds in _LEAD_UP_S[1:]:
+        look_back(seconds)
+    return found
+
+
+def _injections(trace: Trace, decisive: int) -> list[tuple[int, str]]:
+    """Return a sample within each injected detection and its label, those before the decisive sample first."""
+    before: list[tuple[int, str]] = []
+    after: list[tuple[int, str]] = []
+    for label, name in enumerate(LABELS[: PERSON + 1]):
+        edges = np.flatnonzero(np.diff((reported(trace, label) > 0).astype(int), prepend=0, append=0))
+        for start, end in edges.reshape(-1, 2).tolist():
+            if start <= decisive:
+                before.append(((start + min(end - 1, decisive)) // 2, name))
+            else:
+                after.append(((start + end - 1) // 2, name))
+    return [*sorted(before, reverse=True), *sorted(after)]
+
+
+def reported(trace: Trace, label: int) -> "np.ndarray[tuple[int], np.dtype[np.int64]]":
+    """Return the number of boxes of a label reported to the driving system at each sample, shape ``(n,)``."""
+    boxes = trace.given_boxes
+    sums = np.concatenate([[0], np.cumsum(boxes.rows[:, 0].astype(np.int64) == label)])
+    return np.asarray(sums[boxes.first[1:]] - sums[boxes.first[:-1]], dtype=np.int64)
+
+
+def notable_events(trace: Trace) -> list[Event]:
+    """Return the events except plan changes and actions, which replays show as bands."""
+    return [event for event in trace.events if event.kind != ACTION and not event.kind.startswith("plan-")]
+
+
+def event_caption(event: Event) -> str:
+    """Return an event in words; an action names the road user, such as ``car-1: change lane``."""
+    text = str(event.text)
+    return text.replace("_", " ").replace(":", ": ", 1) if event.kind == ACTION else text
+
+
+def runs(values: Sequence[T]) -> list[tuple[T, int, int]]:
+    """Return each run of equal values as value, first and last index."""
+    found: list[tuple[T, int, int]] = []
+    for index, value in enumerate(values):
+        if found and found[-1][0] == value:
+            found[-1] = (value, found[-1][1], index)
+        else:
+            found.append((value, index, index))
+    return found
+
+
+def scenario_words(trace: Trace) -> str:
+    """Return the scenario as a line of words; empty if the trace does not describe it."""
+    scenario = spec_part(trace, "scenario")
+    words = ""
+    if scenario:
+        words = describe_street(scenario) if "crossing_m" in scenario else words_of_scenario(scenario)
+    if spec_part(trace, "behaviour").get("trajectories") and not len(trace.given_boxes.rows):
+        words += "; ends before the first injection"
+    return words
+
+
+def perturbation_words(trace: Trace) -> str:
+    """Return the perturbations of the camera's pictures, in order; empty if there were none."""
+    steps = spec_part(trace, "behaviour").get("perturbations")
+    if not isinstance(steps, list):
+        return ""
+    return describe_perturbations([step for step in steps if isinstance(step, Mapping)])
+
+
+def report_word(trace: Trace) -> str:
+    """Return how the reported boxes came about: ``injected``, ``detected`` in pictures, or ``seen`` as they are."""
+    mode = spec_part(trace, "behaviour").get("mode")
+    if trace.film is not None or mode == "detector":
+        return "detected"
+    return "seen" if mode == "oracle" else "injected"
+
+
+def unit_of(requirement: str) -> str:
+    """Return the unit of a requirement's robustness; empty if it is unknown.
+
+    Args:
+        requirement: Its id, with or without version.
+    """
+    return REQUIREMENT_UNITS.get(plain_name(requirement), "")
+
+
+def with_unit(value: float, requirement: str) -> str:
+    """Return a robustness with sign and unit, such as ``−0.8 m``; with two decimals if it is close to zero."""
+    unit = unit_of(requirement)
+    decimals = 1 if abs(value) >= 0.1 else 2
+    return f"{value:+.{decimals}f}{f' {unit}' if unit else ''}".replace("-", "−")

@@ -1,0 +1,156 @@
+"""Colours, typeface and line styles of every replay.
+
+The hues are Okabe and Ito's, which people with colour vision deficiencies can tell apart; red and green things also
+differ in their lines. Blue is the ego, vermilion what the driving system was told, crimson a violation.
+"""
+
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Final, TypeAlias
+
+import numpy as np
+from PIL import ImageDraw, ImageFont
+
+from brink.sim.replay.scene import PICTURE_COLOURS, Points
+
+SUPERSAMPLING: Final = 2
+"""Moving pictures are drawn this much larger and then reduced, which smooths their edges."""
+
+Rgb: TypeAlias = tuple[int, int, int]
+
+PAPER: Final[Rgb] = (255, 255, 255)
+PANEL: Final[Rgb] = (246, 247, 248)
+INK: Final[Rgb] = (31, 37, 43)
+MUTED: Final[Rgb] = (104, 114, 123)
+HAIRLINE: Final[Rgb] = (208, 213, 217)
+
+EGO: Final[Rgb] = (0, 114, 178)
+EGO_TRAIL: Final[Rgb] = (86, 160, 205)
+ROUTE: Final[Rgb] = (141, 190, 222)
+GHOST: Final[Rgb] = (213, 94, 0)
+SEEN: Final[Rgb] = (0, 145, 105)
+VIOLATION: Final[Rgb] = (176, 0, 45)
+VEHICLE: Final[Rgb] = (84, 94, 103)
+PEDESTRIAN: Final[Rgb] = (120, 62, 145)
+BLURRED_VEHICLE: Final[Rgb] = (146, 154, 162)
+BLURRED_PEDESTRIAN: Final[Rgb] = (178, 150, 192)
+GLASS: Final[Rgb] = (205, 216, 224)
+BRAKE: Final[Rgb] = (226, 40, 40)
+
+GROUND: Final[Rgb] = (233, 238, 228)
+FILLS: Final[dict[str, Rgb]] = {
+    "road": (196, 200, 204),
+    "pavement": (224, 222, 216),
+    "marking": (250, 250, 248),
+    "building": (203, 193, 182),
+    "parked-car": (161, 169, 176),
+    "tree": (176, 201, 164),
+    "unknown": (215, 215, 215),
+}
+"""Colours of surfaces, by paint."""
+EDGES: Final[dict[str, Rgb]] = {
+    "pavement": (205, 203, 196),
+    "building": (168, 157, 145),
+    "parked-car": (128, 136, 143),
+    "tree": (146, 176, 134),
+}
+"""Colours of the outlines of surfaces that have one, by paint."""
+
+SEEN_ON_PICTURE, FOUND_ON_PICTURE, REGION_ON_PICTURE = PICTURE_COLOURS.values()
+
+SKY: Final[Rgb] = (226, 235, 243)
+
+PLAN_MODES: Final[dict[str, Rgb]] = {
+    "cruise": (203, 212, 219),
+    "follow": (86, 180, 233),
+    "stop": (70, 82, 94),
+    "yield": (230, 159, 0),
+    "nudge": (240, 228, 66),
+    "overtake": (204, 121, 167),
+}
+UNKNOWN_MODE: Final[Rgb] = (150, 150, 150)
+
+LIGHTS: Final[dict[str, Rgb]] = {
+    "red": (204, 32, 32),
+    "amber": (240, 170, 20),
+    "green": (0, 158, 105),
+}
+LAMP_OFF: Final[Rgb] = (78, 84, 90)
+
+
+def hexadecimal(colour: Rgb) -> str:
+    """Return a colour as matplotlib reads it, such as ``#d55e00``."""
+    return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+def readable_on(colour: Rgb) -> Rgb:
+    """Return ink or paper, whichever reads better on a background of this colour."""
+    red, green, blue = colour
+    return INK if 0.299 * red + 0.587 * green + 0.114 * blue > 140 else PAPER
+
+
+@cache
+def typeface(size_px: int, bold: bool = False) -> ImageFont.FreeTypeFont:
+    """Return DejaVu Sans, which ships with matplotlib, so that pictures look the same on every machine."""
+    import matplotlib as mpl  # slow to load: not before something is drawn
+
+    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+    return ImageFont.truetype(str(Path(mpl.get_data_path()) / "fonts" / "ttf" / name), max(6, size_px))
+
+
+def dashes(points: Points, dash: float, gap: float, *, closed: bool = False) -> list[Points]:
+    """Cut a line into dashes, each of shape ``(2, 2)``; dashes do not bend around corners.
+
+    Args:
+        points: Corners of the line, shape ``(k, 2)``.
+        dash: Length of a dash, in the unit of the points.
+        gap: Length of the space between two dashes.
+        closed: Whether the line returns to its first corner.
+    """
+    corners = np.vstack([points, points[:1]]) if closed else points
+    pieces: list[Points] = []
+    for start, end in pairwise(corners):
+        length = float(np.hypot(*(end - start)))
+        if length < 1e-9:
+            continue
+        for at in np.arange(0.0, length, dash + gap):
+            ends = np.array([at, min(at + dash, length)]) / length
+            pieces.append(start + ends[:, None] * (end - start))
+    return pieces
+
+
+def draw_dashed(
+    draw: ImageDraw.ImageDraw, corners: Points, colour: Rgb, *, dash: float, gap: float, width: int
+) -> None:
+    """Draw a closed dashed line.
+
+    Args:
+        draw: Where to draw.
+        corners: Corners of the line in pixels, shape ``(k, 2)``.
+        colour: Its colour.
+        dash: Length of a dash in pixels.
+        gap: Length of the space between two dashes in pixels.
+        width: Width of the line in pixels.
+    """
+    for piece in dashes(corners, dash, gap, closed=True):
+        draw.line(piece.ravel().tolist(), fill=colour, width=width)
+
+
+def draw_banner(
+    draw: ImageDraw.ImageDraw, centre: tuple[float, float], text: str, unit: float, colour: Rgb = VIOLATION
+) -> None:
+    """Draw white words on a filled plate.
+
+    Args:
+        draw: Where to draw.
+        centre: Middle of the plate in pixels.
+        text: The words.
+        unit: Scale of text and lines, 1 in a frame of 540 px height.
+        colour: Colour of the plate.
+    """
+    font = typeface(round(14 * unit), bold=True)
+    half = draw.textlength(text, font=font) / 2 + 12 * unit
+    x, y = centre
+    draw.rounded_rectangle((x - half, y - 13 * unit, x + half, y + 13 * unit), radius=5 * unit, fill=colour)
+    draw.text(centre, text, fill=PAPER, font=font, anchor="mm")

@@ -1,1 +1,0 @@
-"""Safety requirements: robustness over time, judged on exact facts of the world."""

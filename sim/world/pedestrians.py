@@ -1,0 +1,266 @@
+"""Pedestrians: how they walk, and which of them use the pavement, the crossing, or cross elsewhere.
+
+A walker follows the pavement (a station and an offset on the road's centre line). To cross, it stops at the kerb,
+turns to the road, waits for a gap, and walks straight across. Walkers look around five times per second and move ten
+times per second.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from enum import IntEnum
+from typing import TypeAlias
+
+from brink.sim.world.line import ReferenceLine
+from brink.sim.world.road import Road, SignalPlan
+from brink.sim.world.scenario import DrivingTask
+from brink.sim.world.streams import Stream, generator
+from brink.sim.world.vehicle import Mover
+from brink.sim.world.weather import Conditions
+
+PERSON_LENGTH_M = 0.45
+PERSON_WIDTH_M = 0.55
+PERSON_HEIGHT_M = 1.75
+WALKER_STEP_S = 0.1
+KERB_SETBACK_M = 0.45
+GAP_S = 3.5
+"""Pedestrians do not step in front of vehicles that would reach them within this time."""
+
+ZEBRA_SHARE = 1.0 / 3.0
+ELSEWHERE_SHARE = 1.0 / 6.0
+CLEAR_OF_JUNCTION_M = 6.0
+NEEDED_RED_S = 4.0
+"""Pedestrians start across a crossing with lights only if the road stays red for at least this long."""
+
+
+class Phase(IntEnum):
+    """What a walker is doing."""
+
+    ALONG = 0
+    WAITING = 1
+    CROSSING = 2
+
+
+GoAhead: TypeAlias = Callable[[float], bool]
+"""Returns whether pedestrians have the right of way at a time, for example by a traffic light."""
+
+
+class Walker:
+    """A pedestrian. Mutable: created anew for each episode.
+
+    Args:
+        name: Unique name in the episode.
+        centre: The road's centre line.
+        station_m: Position along the road.
+        offset_m: Position across the road; the sign selects the pavement.
+        speed_mps: Walking speed.
+        ahead: Whether it walks in the direction of the centre line.
+        crosses_at_m: Station at which it crosses the road, or None.
+        kerb_m: Distance of the kerb from the centre line.
+        patience_s: Waiting time at the kerb after which it accepts any gap that lets vehicles stop.
+        go_ahead: Returns whether it has the right of way, whatever approaches; None where there is no light.
+        on_zebra: Whether it uses a crossing where vehicles must give way.
+    """
+
+    __slots__ = (
+        "_go_ahead",
+        "_target_m",
+        "_vx",
+        "_vy",
+        "_waited_s",
+        "ahead",
+        "centre",
+        "crosses_at_m",
+        "kerb_m",
+        "length_m",
+        "name",
+        "offset_m",
+        "on_zebra",
+        "patience_s",
+        "phase",
+        "speed_mps",
+        "station_m",
+        "walking_mps",
+        "width_m",
+        "x_m",
+        "y_m",
+        "yaw_rad",
+    )
+
+    def __init__(
+        self,
+        *,
+        name: str,
+        centre: ReferenceLine,
+        station_m: float,
+        offset_m: float,
+        speed_mps: float,
+        ahead: bool,
+        crosses_at_m: float | None,
+        kerb_m: float,
+        patience_s: float,
+        go_ahead: GoAhead | None = None,
+        on_zebra: bool = False,
+    ) -> None:
+        self.name = name
+        self.length_m = PERSON_LENGTH_M
+        self.width_m = PERSON_WIDTH_M
+        self.centre = centre
+        self.station_m = station_m
+        self.offset_m = offset_m
+        self.walking_mps = speed_mps
+        self.speed_mps = speed_mps
+        self.ahead = ahead
+        self.crosses_at_m = crosses_at_m
+        self.kerb_m = kerb_m
+        self.patience_s = patience_s
+        self.phase = Phase.ALONG
+        self.on_zebra = on_zebra
+        self._go_ahead = go_ahead
+        self._waited_s = 0.0
+        self._target_m = -offset_m
+        self._place()
+
+    @property
+    def has_right_of_way(self) -> bool:
+        """Whether vehicles must give way to it."""
+        return self.on_zebra and self.phase is not Phase.ALONG
+
+    def _place(self) -> None:
+        self.x_m, self.y_m, along = self.centre.pose_at(self.station_m, self.offset_m)
+        if self.phase is Phase.ALONG:
+            yaw = along if self.ahead else along + math.pi
+        else:
+            yaw = along + (0.5 * math.pi if self._target_m > 0 else -0.5 * math.pi)
+        self.yaw_rad = yaw
+        speed = self.speed_mps
+        self._vx = speed * math.cos(yaw)
+        self._vy = speed * math.sin(yaw)
+
+    def look(self, time_s: float, movers: Sequence[Mover]) -> None:
+        """Look around and decide what to do next.
+
+        Args:
+            time_s: Simulated time.
+            movers: The vehicles and the ego.
+        """
+        if self.phase is Phase.ALONG:
+            at_m = self.crosses_at_m
+            if at_m is not None and (self.station_m >= at_m if self.ahead else self.station_m <= at_m):
+                self.phase = Phase.WAITING
+                self.speed_mps = 0.0
+                self.offset_m = math.copysign(self.kerb_m + KERB_SETBACK_M, self.offset_m)
+        elif self.phase is Phase.WAITING:
+            self._waited_s += 2.0 * WALKER_STEP_S
+            if self._may_go(time_s, movers):
+                self.phase = Phase.CROSSING
+                self.speed_mps = self.walking_mps * 1.1
+        elif abs(self.offset_m - self._target_m) < 0.3:
+            self.phase = Phase.ALONG
+            self.crosses_at_m = None
+            self.speed_mps = self.walking_mps
+        self._place()
+
+    def _may_go(self, time_s: float, movers: Sequence[Mover]) -> bool:
+        if self._go_ahead is not None:
+            return self._go_ahead(time_s)
+        # On a zebra crossing, an impatient walker also steps out in front of drivers who can still stop.
+        trusting = self.on_zebra and self._waited_s > self.patience_s
+        for mover in movers:
+            dx, dy = self.x_m - mover.x_m, self.y_m - mover.y_m
+            distance_m = math.hypot(dx, dy)
+            speed = mover.speed_mps
+            if distance_m > 40.0:
+                continue
+            ahead_m = dx * math.cos(mover.yaw_rad) + dy * math.sin(mover.yaw_rad)
+            room_m = 0.5 * mover.length_m + 0.5
+            if ahead_m < -room_m or (speed < 0.3 and ahead_m > room_m):
+                continue
+            gap_m = 0.8 * speed + speed * speed / 6.0 if trusting else GAP_S * speed
+            if ahead_m < 4.0 + gap_m:
+                return False
+        return True
+
+    def move(self) -> None:
+        """Advance by `WALKER_STEP_S`."""
+        step_m = self.speed_mps * WALKER_STEP_S
+        if step_m == 0.0:
+            return
+        if self.phase is Phase.ALONG:
+            self.station_m += step_m if self.ahead else -step_m
+        else:
+            self.offset_m += step_m if self._target_m > 0 else -step_m
+        self.x_m += self._vx * WALKER_STEP_S
+        self.y_m += self._vy * WALKER_STEP_S
+
+
+def make_people(
+    road: Road, weather: Conditions, signals: SignalPlan | None, *, count: int, seed: int, task: DrivingTask
+) -> list[Walker]:
+    """Return all walkers of an episode.
+
+    Args:
+        road: The road they walk along.
+        weather: Sets their walking speed and patience.
+        signals: The lights of the crossing, if it has any.
+        count: Number of walkers.
+        seed: The episode's seed.
+        task: The ego's task; walkers who cross elsewhere do so where the ego passes.
+    """
+    walkers = []
+    at_zebra, elsewhere = round(count * ZEBRA_SHARE), round(count * ELSEWHERE_SHARE)
+    reach_m = road.length_m if task is DrivingTask.FOLLOW_ROAD else 0.8 * road.length_m
+    go_ahead: GoAhead | None = None
+    if signals is not None:
+        go_ahead = _with_light(signals)
+    for index in range(count):
+        rng = generator(seed, Stream.PEDESTRIAN, index)
+        speed = weather.walking_mps * float(rng.uniform(0.92, 1.08))
+        ahead = index % 2 == 0
+        side = 1.0 if index % 4 < 2 else -1.0
+        direction = 1.0 if ahead else -1.0
+        crosses_at_m: float | None = None
+        if index < at_zebra:
+            crosses_at_m = road.crossing_m + float(rng.uniform(-0.8, 0.8))
+            arrives_s = 1.0 + 9.0 * (index // 2) + 0.8 * (index % 2) + float(rng.uniform(-0.5, 0.5))
+            station_m = crosses_at_m - direction * speed * arrives_s
+        elif index < at_zebra + elsewhere:
+            place = (index - at_zebra + 1) / (elsewhere + 1)
+            wanted_m = reach_m * (0.30 + 0.65 * place) + float(rng.uniform(-1.5, 1.5))
+            crosses_at_m = _clear_of_junctions(road, wanted_m)
+            arrives_s = crosses_at_m / 7.0 + 3.0 + float(rng.uniform(-1.0, 1.0))
+            station_m = crosses_at_m - direction * speed * arrives_s
+        else:
+            station_m = road.length_m * index / count + float(rng.uniform(-3.0, 3.0))
+        walkers.append(
+            Walker(
+                name=f"pedestrian-{index + 1}",
+                centre=road.centre,
+                station_m=station_m,
+                offset_m=side * (road.walkway_m + float(rng.uniform(-0.4, 0.4))),
+                speed_mps=speed,
+                ahead=ahead,
+                crosses_at_m=crosses_at_m,
+                kerb_m=road.kerb_m,
+                patience_s=weather.patience_s,
+                go_ahead=go_ahead if index < at_zebra else None,
+                on_zebra=index < at_zebra and signals is None,
+            )
+        )
+    return walkers
+
+
+def _clear_of_junctions(road: Road, station_m: float) -> float:
+    """Return the nearest station for crossing the road outside every junction."""
+    reach_m = road.kerb_m + road.style.pavement_m + CLEAR_OF_JUNCTION_M
+    for junction in road.junctions:
+        beyond_m = station_m - junction.station_m
+        if abs(beyond_m) < reach_m:
+            return junction.station_m + math.copysign(reach_m, beyond_m)
+    return station_m
+
+
+def _with_light(signals: SignalPlan) -> GoAhead:
+    def go_ahead(time_s: float) -> bool:
+        return signals.main_red_for_s(time_s) > NEEDED_RED_S
+
+    return go_ahead

@@ -1,0 +1,312 @@
+"""The scene model and the story of an episode: ghosts, braking, gaps; the decisive moment, its lead-up, captions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.traces import filmed, make_trace, ragged
+
+from brink.sim.replay import ReplayError
+from brink.sim.replay.frame import FramePainter
+from brink.sim.replay.scene import (
+    EpisodeScene,
+    closest_points,
+    front_gap,
+    map_centres,
+    outline,
+    pictures_shown,
+    surface_style,
+)
+from brink.sim.replay.sheets import still
+from brink.sim.replay.story import event_caption, scenario_words, story_of, with_unit
+from brink.sim.replay.style import EDGES, FILLS, dashes
+from brink.sim.trace import ACTION, PERCEIVED_COLUMNS, Event, Trace
+
+metres = st.floats(-50, 50)
+sides = st.floats(0.5, 10)
+angles = st.floats(-7, 7)
+
+
+def perceiving(trace: Trace, *rows: tuple[float, ...]) -> Trace:
+    """Return an episode in which these obstacles are perceived at sample 10, and none at any other."""
+    samples = [list(rows) if sample == 10 else [] for sample in range(len(trace.time_s))]
+    return replace(trace, perceived=ragged(PERCEIVED_COLUMNS, samples))
+
+
+def test_perceived_obstacle_is_a_ghost_unless_a_road_user_of_its_kind_is_near() -> None:
+    trace = make_trace()
+    x_m, y_m, _, _ = trace.actors[0].motion[10].tolist()
+    person_x_m, person_y_m, _, _ = trace.actors[2].motion[10].tolist()
+    size = (0.0, 0.0, 4.5, 1.8)
+    rows = [
+        (1.0, 0.0, x_m + 2.4, y_m, *size),
+        (2.0, 0.0, x_m + 2.6, y_m, *size),
+        (3.0, 1.0, x_m, y_m, *size),
+        (4.0, 1.0, person_x_m, person_y_m, *size),
+        (5.0, 7.0, x_m, y_m, *size),
+    ]
+    ghosts = EpisodeScene.of(perceiving(trace, *rows)).obstacles.ghost
+    assert ghosts.tolist() == [False, True, True, False, False], "an unknown label counts as a vehicle"
+
+
+def test_absent_road_user_makes_no_obstacle_real() -> None:
+    trace = make_trace()
+    absent = trace.actors[0].motion.copy()
+    x_m, y_m = absent[10, :2].tolist()
+    absent[10] = np.nan
+    there = replace(trace, actors=(replace(trace.actors[0], motion=absent),))
+    scene = EpisodeScene.of(perceiving(there, (1.0, 0.0, x_m, y_m, 0.0, 0.0, 4.5, 1.8)))
+    assert scene.obstacles.ghost.tolist() == [True]
+
+
+def test_obstacle_points_where_it_moves_or_as_the_ego_and_is_never_too_small_to_see() -> None:
+    trace = make_trace()
+    rows = [(1.0, 0.0, 5.0, 5.0, 0.0, 2.0, 4.5, 1.8), (2.0, 1.0, 9.0, 9.0, 0.0, 0.5, 0.3, 0.2)]
+    obstacles = EpisodeScene.of(perceiving(trace, *rows)).obstacles
+    np.testing.assert_allclose(obstacles.yaw_rad, [np.pi / 2, trace.ego[10, 2]])
+    np.testing.assert_allclose(obstacles.length_m, [4.5, 0.8])
+    np.testing.assert_allclose(obstacles.width_m, [1.8, 0.8], rtol=1e-6)
+
+
+def test_brake_lights_are_on_beyond_one_metre_per_second_squared() -> None:
+    trace = make_trace(samples=4)
+    lead = trace.actors[0].motion.copy()
+    lead[:, 3] = [5.0, 4.95, 4.8, 4.8]
+    ego = trace.ego.copy()
+    ego[:, 4] = [-0.9, -1.1, 0.0, -3.0]
+    changed = replace(trace, ego=ego, actors=(replace(trace.actors[0], motion=lead),))
+    scene = EpisodeScene.of(changed)
+    assert scene.ego_brakes.tolist() == [False, True, False, True]
+    assert scene.actors_brake[0].tolist() == [False, False, True, False]
+
+
+def test_route_lies_on_the_road_and_below_whatever_stands() -> None:
+    trace = make_trace()
+    kinds = [surface.kind for surface in trace.scene]
+    assert EpisodeScene.of(trace).route_layer == kinds.index("building")
+    flat = replace(trace, scene=trace.scene[:4])
+    assert EpisodeScene.of(flat).route_layer == 4
+
+
+def test_every_paint_has_a_colour_and_every_outline_too() -> None:
+    kinds = ("road", "pavement", "marking", "crossing", "stop-line", "building", "parked-car", "tree", "?")
+    for style in map(surface_style, kinds):
+        assert style.paint in FILLS
+        assert (style.paint in EDGES) == style.outlined
+        assert style.outlined or style.height_m == 0
+
+
+def test_map_stays_where_the_ego_was_last_known() -> None:
+    trace = make_trace()
+    whole = map_centres(trace, 9.0)
+    assert whole.shape == (200, 2)
+    lost = trace.ego.copy()
+    lost[150:] = np.nan
+    centres = map_centres(replace(trace, ego=lost), 9.0)
+    assert np.isfinite(centres).all()
+    np.testing.assert_array_equal(centres[:140], whole[:140])
+    np.testing.assert_allclose(centres[-1], centres[170])
+    assert (
+        map_centres(replace(trace, ego=np.full((200, 5), np.nan, np.float32)), 9.0).tolist() == [[0, 0]] * 200
+    )
+
+
+def test_sample_shows_the_latest_picture_of_the_film() -> None:
+    film = filmed(make_trace(samples=10)).film
+    assert film is not None
+    later = replace(film, samples=film.samples + 1)
+    assert pictures_shown(film, 6).tolist() == [0, 0, 1, 1, 2, 2]
+    assert pictures_shown(later, 6).tolist() == [0, 0, 0, 1, 1, 2]
+
+
+def test_action_is_captioned_with_its_road_user() -> None:
+    assert event_caption(Event(time_s=1.0, kind=ACTION, text="car-1:change_lane")) == "car-1: change lane"
+    assert event_caption(Event(time_s=1.0, kind="nudge", text="nudges: a_b")) == "nudges: a_b"
+
+
+def test_first_violation_is_the_decisive_moment() -> None:
+    trace = make_trace()
+    story = story_of(trace)
+    series = trace.robustness["front-gap@1"]
+    assert story.requirement == "front-gap@1"
+    assert story.violated
+    assert series[story.decisive] < 0
+    assert (series[: story.decisive] >= 0).all()
+    assert story.least == pytest.approx(series.min())
+
+
+def test_closest_approach_is_the_decisive_moment_if_nothing_is_violated() -> None:
+    trace = make_trace(violated=False)
+    story = story_of(trace)
+    assert not story.violated
+    assert story.decisive == trace.robustness["front-gap@1"].argmin()
+
+
+def test_moments_ascend_and_include_the_decisive_one_and_its_lead_up() -> None:
+    story = story_of(make_trace())
+    samples = [moment.sample for moment in story.moments]
+    assert samples == sorted(set(samples))
+    assert 4 <= len(samples) <= 6
+    reasons = {moment.sample: moment.reason for moment in story.moments}
+    assert reasons[story.decisive] == "violation"
+    assert "injected vehicle" in reasons.values()
+    assert "1 s before" in reasons.values()
+
+
+@pytest.mark.parametrize("violated", [True, False])
+def test_every_injected_detection_has_a_moment_while_it_is_reported(violated: bool) -> None:
+    trace = make_trace(violated=violated)
+    injected = [moment for moment in story_of(trace).moments if moment.reason.startswith("injected ")]
+    assert injected
+    for moment in injected:
+        labels = trace.given_boxes.at(moment.sample)[:, 0].astype(int)
+        assert ("vehicle", "person").index(moment.reason.removeprefix("injected ")) in labels
+
+
+@pytest.mark.parametrize("name", ["progress", "progress@1"])
+def test_requirement_is_found_with_or_without_version(name: str) -> None:
+    assert story_of(make_trace(), name).requirement == "progress@1"
+
+
+def test_unknown_requirement_is_rejected_with_the_known_ones() -> None:
+    with pytest.raises(ReplayError, match=r"front-gap@1, progress@1.*got 'speed'"):
+        story_of(make_trace(), "speed")
+
+
+def test_trace_without_samples_or_requirements_is_rejected() -> None:
+    trace = make_trace()
+    with pytest.raises(ReplayError, match="no samples"):
+        story_of(replace(trace, time_s=np.empty(0, np.float32)))
+    with pytest.raises(ReplayError, match="no requirement"):
+        story_of(replace(trace, robustness={}))
+
+
+def test_requirement_that_never_applies_is_not_violated() -> None:
+    trace = make_trace()
+    never = replace(trace, robustness={"front-gap@1": np.full(200, np.inf, np.float32)})
+    assert not story_of(never).violated
+    assert np.isinf(story_of(never).least)
+    assert FramePainter(never).verdict() == "front-gap never applied"
+    assert still(never).width == 1280
+
+
+def test_scenario_is_described_in_words() -> None:
+    assert scenario_words(make_trace()) == (
+        "Medium straight road (road 1), sunset, wet cloudy, 18 pedestrians, task: follow the road"
+    )
+    assert scenario_words(replace(make_trace(), about={})) == ""
+    unknown: dict[str, object] = {"spec": {"scenario": {"fog_density": 0.5, "pedestrians": 0}}}
+    assert scenario_words(replace(make_trace(), about=unknown)) == "no pedestrians, fog density 0.5"  # type: ignore[arg-type]
+
+
+def test_no_moment_lies_before_the_start_of_the_episode() -> None:
+    trace = make_trace()
+    early = np.ones(len(trace.time_s), np.float32)
+    early[int(np.searchsorted(trace.time_s, 1.5))] = -1.0
+    reasons = [m.reason for m in story_of(replace(trace, robustness={"front-gap@1": early})).moments]
+    assert "1 s before" in reasons
+    assert "2.5 s before" not in reasons
+    assert "5 s before" not in reasons
+
+
+def test_robustness_is_written_with_sign_and_unit() -> None:
+    assert with_unit(-0.84, "front-gap@1") == "−0.8 m"
+    assert with_unit(-0.021, "front-gap@1") == "−0.02 m"
+    assert with_unit(3.0, "speed-limit@1") == "+3.0 m/s"
+    assert with_unit(3.0, "mine@2") == "+3.0"
+
+
+def test_gap_line_ends_at_the_vehicle_ahead_and_has_the_recorded_length() -> None:
+    trace = make_trace()
+    found = front_gap(trace, story_of(trace).decisive)
+    assert found is not None
+    assert trace.actors[found.actor].name == "lead"
+    assert np.hypot(*(found.ends[0] - found.ends[1])) == pytest.approx(found.gap_m, abs=0.05)
+
+
+def test_gap_line_is_not_drawn_to_an_oncoming_vehicle_at_the_same_distance() -> None:
+    trace = make_trace()
+    sample = 10
+    lead, oncoming = trace.actors[0].motion.copy(), trace.actors[1].motion.copy()
+    oncoming[sample, :2] = lead[sample, 0], 1.75
+    actors = (replace(trace.actors[1], motion=oncoming), replace(trace.actors[0], motion=lead))
+    found = front_gap(replace(trace, actors=actors), sample)
+    assert found is not None
+    assert found.actor == 1
+
+
+def test_no_gap_is_drawn_to_a_vehicle_that_was_hit() -> None:
+    trace = make_trace()
+    sample = story_of(trace).decisive
+    hit = np.ones(len(trace.time_s), np.float32)
+    touching = trace.actors[0].motion.copy()
+    touching[sample - 1 : sample + 1, 0] -= 1.2
+    actors = (replace(trace.actors[0], motion=touching), *trace.actors[1:])
+    judged = replace(trace, actors=actors, robustness={"no-collision@1": hit})
+    near = front_gap(judged, sample)
+    assert near is not None
+    assert near.gap_m < 1.0
+    hit[sample] = -0.4
+    assert front_gap(judged, sample) is None
+    assert front_gap(judged, sample - 1) is not None
+
+
+def test_gap_ahead_is_drawn_while_another_road_user_is_hit() -> None:
+    trace = make_trace()
+    hit = np.full(len(trace.time_s), -0.4, np.float32)
+    judged = replace(trace, robustness={**trace.robustness, "no-collision@1": hit})
+    found = front_gap(judged, 10)
+    assert found is not None
+    assert found.gap_m > 1.0
+
+
+def test_unrecorded_gap_ends_at_the_nearest_vehicle_in_the_corridor() -> None:
+    trace = replace(make_trace(), robustness={"progress@1": np.zeros(200, np.float32)})
+    found = front_gap(trace, 50)
+    assert found is not None
+    assert trace.actors[found.actor].name == "lead"
+
+
+def test_no_gap_is_drawn_if_no_vehicle_is_ahead() -> None:
+    trace = make_trace()
+    far = {"front-gap@1": np.full(200, 48.5, np.float32)}
+    assert front_gap(replace(trace, robustness=far), 50) is None
+    assert front_gap(replace(trace, actors=()), 50) is None
+
+
+def test_outline_starts_at_the_front_left_corner() -> None:
+    np.testing.assert_allclose(outline(10, 5, np.pi / 2, 4, 2)[0], (9, 7), atol=1e-12)
+
+
+def test_facing_bumpers_are_measured_in_the_middle() -> None:
+    start, end, gap_m = closest_points(outline(0, 0, 0, 4, 2), outline(10, 0, 0, 4, 2))
+    assert gap_m == pytest.approx(6)
+    np.testing.assert_allclose(start, (2, 0))
+    np.testing.assert_allclose(end, (8, 0))
+
+
+@given(metres, metres, angles, sides, sides, metres, metres, angles, sides, sides)
+def test_shortest_line_is_symmetric_and_no_longer_than_between_corners(
+    x: float, y: float, yaw: float, a: float, b: float, u: float, v: float, turn: float, c: float, d: float
+) -> None:
+    one, other = outline(x, y, yaw, a, b), outline(u, v, turn, c, d)
+    start, end, gap_m = closest_points(one, other)
+    assert gap_m == pytest.approx(closest_points(other, one)[2], abs=1e-9)
+    assert gap_m <= np.hypot(*(one[:, None] - other).T).min() + 1e-9
+    # The ends are averages of points whose distances differ by at most two centimetres.
+    assert np.hypot(*(start - end)) <= gap_m + 0.03 or gap_m == 0
+
+
+@given(metres, metres, angles)
+def test_overlapping_outlines_have_no_gap(x: float, y: float, yaw: float) -> None:
+    assert closest_points(outline(x, y, yaw, 4, 2), outline(x + 0.5, y, yaw + 1, 3, 1))[2] == 0
+
+
+def test_dashes_cover_a_closed_line_and_stay_on_it() -> None:
+    square = np.array([(0.0, 0), (10, 0), (10, 10), (0, 10)])
+    pieces = dashes(square, 2, 3, closed=True)
+    assert len(pieces) == 8
+    assert sum(float(np.hypot(*(piece[1] - piece[0]))) for piece in pieces) == pytest.approx(16)
+    assert dashes(np.zeros((2, 2)), 1, 1) == []
