@@ -14,7 +14,7 @@ import difflib
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Protocol, TypeAlias
 
 import numpy as np
@@ -291,10 +291,9 @@ def _number(parameters: Mapping[str, Parameter], name: str, kind: str) -> Number
     return parameter
 
 
+@dataclass(frozen=True, slots=True)
 class _Pair:
     """Two numbers in [0, size] of which the second exceeds the first by at least a minimum."""
-
-    __slots__ = ()
 
     @property
     def names(self) -> tuple[str, str]:
@@ -329,6 +328,10 @@ class _Pair:
         if _are_apart(low, high, gap):
             return None
         return f"expected {self.names[1]} at least {gap:g} above {self.names[0]}, got {low!r} and {high!r}"
+
+    def describe(self) -> dict[str, Any]:
+        """Return the constraint as a JSON object."""
+        return {"type": type(self).__name__.lower(), **asdict(self)}
 
     def _gap(self, parameters: Mapping[str, Parameter]) -> float:
         """Return the minimum, rounded up for integers."""
@@ -385,16 +388,6 @@ class Extent(_Pair):
             high = low + gap
         values[self.low], values[self.high] = _stretched(max(low, 0.0), min(high, size), gap, size)
 
-    def describe(self) -> dict[str, Any]:
-        """Return the constraint as a JSON object."""
-        return {
-            "type": "extent",
-            "low": self.low,
-            "high": self.high,
-            "minimum": self.minimum,
-            "size": self.size,
-        }
-
 
 @dataclass(frozen=True, slots=True)
 class Duration(_Pair):
@@ -428,16 +421,6 @@ class Duration(_Pair):
         horizon = float(self.horizon)
         start, end = sorted(min(max(values[name], 0.0), horizon) for name in self.names)
         values[self.start], values[self.end] = _stretched(start, end, self._gap(parameters), horizon)
-
-    def describe(self) -> dict[str, Any]:
-        """Return the constraint as a JSON object."""
-        return {
-            "type": "duration",
-            "start": self.start,
-            "end": self.end,
-            "minimum": self.minimum,
-            "horizon": self.horizon,
-        }
 
 
 @dataclass(frozen=True, slots=True)

@@ -235,11 +235,7 @@ class ParameterNames:
             kind=prefix + "kind",
             start=(prefix + "ds_m", prefix + "dd_m", prefix + "dyaw_rad", prefix + "speed_mps"),
             genes=tuple(
-                (
-                    f"{prefix}a{number}.action",
-                    f"{prefix}a{number}.duration_s",
-                    f"{prefix}a{number}.magnitude",
-                )
+                (f"{prefix}a{number}.action", f"{prefix}a{number}.duration_s", f"{prefix}a{number}.magnitude")
                 for number in range(1, MAX_ACTIONS + 1)
             ),
         )

@@ -114,9 +114,7 @@ def test_monitor_survives_storage(tmp_path: Path) -> None:
     assert again.ask(decoded) == monitor.ask(decoded)
 
 
-def test_fitting_on_a_random_subset_is_reproducible(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_fitting_on_a_random_subset_is_reproducible(monkeypatch: pytest.MonkeyPatch) -> None:
     rows, unsafe = plane(400)
     monkeypatch.setattr(brink.search.analysis.monitor, "MAX_LEARNED", 150)
     monkeypatch.setattr(brink.search.analysis.monitor, "MAX_PREDICTED", 100)

@@ -177,11 +177,7 @@ def test_search_can_run_in_the_simulator() -> None:
 
 @pytest.mark.parametrize(
     ("changes", "budget", "field"),
-    [
-        ({}, 94, "budget"),
-        ({"parents": 30}, BUDGET, "parents"),
-        ({"finalists": 0}, BUDGET, "finalists"),
-    ],
+    [({}, 94, "budget"), ({"parents": 30}, BUDGET, "parents"), ({"finalists": 0}, BUDGET, "finalists")],
 )
 def test_inconsistent_settings_are_rejected(changes: dict[str, Any], budget: int, field: str) -> None:
     with pytest.raises(ConfigError) as caught:
