@@ -6,7 +6,6 @@ pydantic models, so that input is checked and described in one way.
 
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, fields
-from functools import cache
 from typing import Any, Literal, cast, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError, create_model
@@ -26,9 +25,17 @@ ALGORITHMS = "brink.algorithms"
 _BOUNDS = ("ge", "gt", "le", "lt")
 
 
-@cache
+_MODELS: dict[type[Any], type[BaseModel]] = {}
+
+
 def params_model(params_type: type[Any]) -> type[BaseModel]:
-    """Return the pydantic model of a parameter dataclass."""
+    """Return the pydantic model of a parameter dataclass, built once."""
+    if params_type not in _MODELS:
+        _MODELS[params_type] = _build_model(params_type)
+    return _MODELS[params_type]
+
+
+def _build_model(params_type: type[Any]) -> type[BaseModel]:
     hints = get_type_hints(params_type)
     definitions: dict[str, Any] = {}
     for item in fields(params_type):

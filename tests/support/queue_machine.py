@@ -187,13 +187,16 @@ class Model:
 def step(**arguments: st.SearchStrategy[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Make a method a rule of the machine that notes itself in the machine's history."""
 
+    as_rule: Callable[[Callable[..., None]], Any] = rule(**arguments)  # type: ignore[call-overload]
+
     def decorate(method: Callable[..., None]) -> Callable[..., None]:
         @wraps(method)
         def noted(self: "QueueMachine", **given: Any) -> None:
             self.history.append((method.__name__, given))
             method(self, **given)
 
-        return rule(**arguments)(noted)
+        made: Callable[..., None] = as_rule(noted)
+        return made
 
     return decorate
 

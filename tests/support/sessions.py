@@ -41,7 +41,7 @@ def _roomy(folder: Path) -> bool:
 class LongestFirst(LoadFileScheduling):  # type: ignore[misc]
     """Distributes whole files, since the tests of a file share fixtures, and starts with those that take longest."""
 
-    FIRST = ()
+    FIRST: tuple[str, ...] = ()
 
     def _assign_work_unit(self, node: WorkerController) -> None:
         for scope in reversed(self.FIRST):

@@ -436,7 +436,7 @@ def test_contact_sheet_without_opencv_says_what_to_install(
 ) -> None:
     monkeypatch.setattr(perturbations, "find_spec", lambda name: None)
     assert brink("perturbations", "show", "--out", "s.png").line == (
-        "brink: drawing pictures needs OpenCV; install it with: "
+        "brink: drawing images needs OpenCV; install it with: "
         ".venv/bin/pip install -c constraints.txt -e '.[vision]'"
     )
     assert brink("perturbations", "list").status == 0

@@ -310,7 +310,7 @@ def test_equally_near_neighbours_come_by_number() -> None:
     found = nearest_solutions(archive, 0, 3)
     assert archive.numbers[found.positions].tolist() == [0, 1, 2]
     assert found.distances == pytest.approx([0.0, 0.25, 0.25])
-    assert archive.numbers[nearest_solutions(archive, 0, 10).places].tolist() == [0, 1, 2, 8, 9]
+    assert archive.numbers[nearest_solutions(archive, 0, 10).positions].tolist() == [0, 1, 2, 8, 9]
 
 
 SLOTS: dict[str, Any] = {

@@ -66,7 +66,7 @@ def test_every_import_against_the_layers_is_reported(copied: Path) -> None:
     result = lint(copied)
 
     assert result.returncode == 1
-    reported = set(re.findall(r"(brink[\w.]+ -> brink[\w.]+) \(l\.", result.stdout))
+    reported = set(re.findall(r"(brink[\w.]+ -> brink[\w.]+)\s+\(l\.", result.stdout))
     assert [pair for pair in expected if pair not in reported] == []
 
 

@@ -1,0 +1,1 @@
+"""What depends on the SQL dialect: all of it runs on SQLite and on Postgres."""
