@@ -25,8 +25,7 @@ from brink.server.api.schemas import LlmCalls
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
 from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import FieldError, InvalidInput
-from brink.server.llm.check import EndpointReport, check_endpoint
-from brink.server.llm.estimate import estimate
+from brink.server.llm.preflight import EndpointReport, check_endpoint, estimate
 from brink.server.llm.prompts import example, question
 from brink.server.llm.settings import LlmSettings
 from brink.server.problems.base import Describes
@@ -108,15 +107,17 @@ def dry_run(
     config: Any = plan.config
     initial = config.population_size if getattr(config, "initial", "") == "seeds" else 0
     request = SeedRequest(number=0, count=initial or config.seeds)
-    messages = question(request, problem.road, problem.most, problem.system)
-    known = (example(problem.road, problem.most),)
+    messages = question(request, problem.road, problem.max_participants, problem.system)
+    known = (example(problem.road, problem.max_participants),)
     later = SeedRequest(number=1, count=config.seeds, exposed=known, silent=known)
     asks_later = getattr(config, "differential", "never") != "never"
-    differential = question(later, problem.road, problem.most, problem.system) if asks_later else ()
+    differential = (
+        question(later, problem.road, problem.max_participants, problem.system) if asks_later else ()
+    )
     requests = requests if asks_later else 0
     found = estimate(
-        settings, road=problem.road, most=problem.most, system=problem.system, initial=initial,
-        differential=config.seeds, differential_calls=requests,
+        settings, road=problem.road, max_participants=problem.max_participants, system=problem.system,
+        initial=initial, differential=config.seeds, differential_calls=requests,
     )  # fmt: skip
     if as_json:
         print_json(

@@ -1,8 +1,9 @@
-"""What a language model is told. Pure: the same request gives the same messages, so that calls are known again.
+"""Prompts for seeds. Pure: equal requests give equal messages, so that stored calls are found by their prompt's hash.
 
 The structure is the paper's: a starting prompt, the understanding of the task with one worked example, rule 1 for
-seeds that differ, rule 2 for those that did not differ enough. A repair turn quotes our own errors and the solutions
-that were accepted, rewritten by us; nothing that a model wrote is sent back as it came.
+seeds that differ, rule 2 for those that did not differ enough. A repair prompt quotes our own errors and our
+rendering of the accepted solutions; text that a model wrote is never sent back. The wording must not change, or
+campaigns that were started before could not be resumed.
 
 Source: Tian et al., "An LLM-Empowered Adaptive Evolutionary Algorithm for Multi-Component Deep Learning Systems".
 """
@@ -32,18 +33,17 @@ from brink.search.traffic.participants import (
     Solution,
 )
 from brink.server.errors import FieldError
-from brink.server.llm.drivable import apart_m, kept_clear_m
-from brink.server.llm.form import SCHEMA, as_text
-from brink.server.llm.wire import Message, Messages
+from brink.server.llm.protocol import Message, Messages
+from brink.server.llm.replies import SCHEMA, apart_m, kept_clear_m, to_text
 
-MOST_SHOWN: Final = 10
-"""Known solutions of a kind that a prompt shows at most."""
-MOST_ERRORS: Final = 20
+MAX_SHOWN: Final = 10
+"""Maximum number of known solutions of each kind in a prompt."""
+MAX_ERRORS: Final = 20
 _SYSTEM_CHARS: Final = 400
 
 
-def example(road: RoadLimits, most: int) -> Solution:
-    """Return the worked example: somebody overtakes and cuts in while a person steps onto the road."""
+def example(road: RoadLimits, max_participants: int) -> Solution:
+    """Return the worked example: a car overtakes and cuts in while a pedestrian steps onto the road."""
     overtakes = Participant(
         kind=Kind.CAR,
         ds_m=-12.0,
@@ -67,41 +67,41 @@ def example(road: RoadLimits, most: int) -> Solution:
             Gene(action=Action.CROSS, duration_s=3.0, magnitude=1.9),
         ),
     )
-    return (overtakes, steps_out)[:most]
+    return (overtakes, steps_out)[:max_participants]
 
 
-def question(request: SeedRequest, road: RoadLimits, most: int, system: str) -> Messages:
-    """Return the messages that ask for solutions.
+def question(request: SeedRequest, road: RoadLimits, max_participants: int, system: str) -> Messages:
+    """Return the prompt that asks for solutions.
 
     Args:
-        request: What is wanted.
-        road: Where participants are.
-        most: Most participants of a solution.
-        system: The system under test, in a few words.
+        request: Number of solutions, and the known ones.
+        road: The road.
+        max_participants: Maximum number of participants in a solution.
+        system: Short description of the system under test.
     """
-    parts = [_understanding(road, most), _worked(road, most)]
+    parts = [_understanding(road, max_participants), _worked(road, max_participants)]
     if request.exposed or request.silent:
         parts.append(_rule_1(request))
     if request.rejected:
         parts.append(_rule_2(request))
-    parts.append(_order(request.count, most))
+    parts.append(_order(request.count, max_participants))
     return Message("system", _start(request.count, system)), Message("user", "\n\n".join(parts))
 
 
 def repair(
     asked: Messages, accepted: Sequence[Solution], errors: Sequence[FieldError], count: int
 ) -> Messages:
-    """Return the messages that ask for what is missing after a reply with errors.
+    """Return the prompt that asks for the missing solutions after a reply with errors.
 
     Args:
-        asked: The messages that were answered.
-        accepted: What was taken of the answer.
-        errors: What was wrong with the rest.
-        count: How many solutions are still wanted.
+        asked: The original prompt.
+        accepted: The valid solutions of the reply.
+        errors: The errors of the other items.
+        count: Number of solutions still wanted.
     """
-    lines = [f"- {error.pointer or '/'}: {error.message}" for error in errors[:MOST_ERRORS]]
-    if len(errors) > MOST_ERRORS:
-        lines.append(f"- and {len(errors) - MOST_ERRORS} more")
+    lines = [f"- {error.pointer or '/'}: {error.message}" for error in errors[:MAX_ERRORS]]
+    if len(errors) > MAX_ERRORS:
+        lines.append(f"- and {len(errors) - MAX_ERRORS} more")
     text = "\n".join(
         (
             "Of your answer only the solutions above can be used. Errors, by JSON pointer into what you wrote:",
@@ -110,15 +110,15 @@ def repair(
             "above. Answer with the JSON object alone.",
         )
     )
-    return *asked, Message("assistant", as_text(accepted)), Message("user", text)
+    return *asked, Message("assistant", to_text(accepted)), Message("user", text)
 
 
 def _solutions(count: int) -> str:
     return "solution" if count == 1 else "solutions"
 
 
-def _people(most: int) -> str:
-    return f"1 to {most} participants" if most > 1 else "1 participant"
+def _people(max_participants: int) -> str:
+    return f"1 to {max_participants} participants" if max_participants > 1 else "1 participant"
 
 
 def _start(count: int, system: str) -> str:
@@ -130,7 +130,7 @@ def _start(count: int, system: str) -> str:
     )
 
 
-def _understanding(road: RoadLimits, most: int) -> str:
+def _understanding(road: RoadLimits, max_participants: int) -> str:
     kinds = "; ".join(
         f"{kind} ({SIZES_M[kind][0]:g} m long, {SIZES_M[kind][1]:g} m wide, at most {MAX_SPEEDS_MPS[kind]:g} m/s)"
         for kind in Kind
@@ -138,7 +138,7 @@ def _understanding(road: RoadLimits, most: int) -> str:
     return "\n".join(
         (
             "# Task",
-            f"A solution is {_people(most)}: other road users who act by a timed script around the ego.",
+            f"A solution is {_people(max_participants)}: other road users who act by a timed script around the ego.",
             _road(road),
             "# Parameters of a participant",
             f"- kind: {kinds}.",
@@ -182,7 +182,7 @@ def _road(road: RoadLimits) -> str:
 
 
 def _streets(road: RoadLimits) -> list[str]:
-    """Return where vehicles may come out of crossing streets."""
+    """Return lines that say where vehicles may come out of crossing streets."""
     half_m = 0.5 * road.lane_width_m
     sides = (
         ("right", half_m, f"dd_m {road.right_kerb_m - WAITS_M:.2f} or less"),
@@ -211,21 +211,21 @@ def _actions() -> list[str]:
     return lines
 
 
-def _worked(road: RoadLimits, most: int) -> str:
-    shown = example(road, most)
+def _worked(road: RoadLimits, max_participants: int) -> str:
+    shown = example(road, max_participants)
     story = "a car overtakes on the oncoming lane, cuts in before the ego and brakes"
     if len(shown) > 1:
         story += ", while a pedestrian steps onto the road ahead"
-    return f"# Example\nOne solution: {story}.\n{as_text([shown])}"
+    return f"# Example\nOne solution: {story}.\n{to_text([shown])}"
 
 
 def _rule_1(request: SeedRequest) -> str:
-    exposed, silent = request.exposed[:MOST_SHOWN], request.silent[:MOST_SHOWN]
+    exposed, silent = request.exposed[:MAX_SHOWN], request.silent[:MAX_SHOWN]
     lines = ["# Known solutions"]
     if exposed:
-        lines += ["SE exposed a violation; such solutions are wanted:", as_text(exposed)]
+        lines += ["SE exposed a violation; such solutions are wanted:", to_text(exposed)]
     if silent:
-        lines += ["SN exposed none; such solutions are not wanted:", as_text(silent)]
+        lines += ["SN exposed none; such solutions are not wanted:", to_text(silent)]
     differ = " and differ from those in SE: other participants, places, directions and orders of actions"
     lines.append(f"Rule 1: give solutions that expose violations{differ if exposed else ''}.")
     return "\n".join(lines)
@@ -237,17 +237,17 @@ def _rule_2(request: SeedRequest) -> str:
             "# Not different enough",
             "Rule 2: these, which you gave before, are not different enough from the known solutions. Do not give "
             "them, or any like them, again:",
-            as_text(request.rejected[:MOST_SHOWN]),
+            to_text(request.rejected[:MAX_SHOWN]),
         )
     )
 
 
-def _order(count: int, most: int) -> str:
+def _order(count: int, max_participants: int) -> str:
     return "\n".join(
         (
             "# Answer",
-            f"Give {count} {_solutions(count)} of {_people(most)} each, all different from each other and from the "
-            "example.",
+            f"Give {count} {_solutions(count)} of {_people(max_participants)} each, all different from each other "
+            "and from the example.",
             'Answer with one JSON object {"solutions": [...]} and nothing else: no text around it, no comments, '
             "plain numbers. It must comply with this JSON schema:",
             json.dumps(SCHEMA, separators=(",", ":")),

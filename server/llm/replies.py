@@ -1,27 +1,376 @@
-"""Solutions from the text of a reply, one by one: what is valid is kept, the rest is listed with its errors.
+"""Solutions as a language model writes them: the JSON schema, and how replies become valid solutions.
 
-Never trusted: text may be anything. JSON is looked for plain, in fences, after chatter or thoughts; a list that
-breaks off gives its complete items. Errors are words of ours with JSON pointers, fit to be sent back.
+Replies are untrusted text. JSON is found anywhere in it: plain, in fences, after other text or reasoning; from a
+truncated list the complete items are used. Each item is checked for shape, ranges and suitable actions, then placed
+on the road by the search's own repair. A solution that repair would change noticeably is physically impossible, and
+is rejected rather than turned into a different one.
+
+Error messages become part of repair prompts. They quote numbers but never text that a model wrote, and their wording
+must not change: stored calls are found by the hash of their prompt.
 """
 
 import itertools
+import json
+import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from enum import StrEnum
+from typing import Annotated, Any, Final
 
-from brink.search.traffic.participants import Solution
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from brink.search.traffic.constraint import ALONG_M, Participants, participants_component
+from brink.search.traffic.participants import (
+    MAGNITUDES,
+    MAX_ACTIONS,
+    MAX_DURATION_S,
+    MAX_SPEEDS_MPS,
+    MIN_ACTIONS,
+    MIN_DURATION_S,
+    PEDESTRIAN_ACTIONS,
+    REACH_M,
+    SIZES_M,
+    VEHICLE_ACTIONS,
+    Action,
+    Gene,
+    Kind,
+    Participant,
+    RoadLimits,
+    Solution,
+)
 from brink.server.errors import FieldError
-from brink.server.llm.drivable import Drivable
-from brink.server.llm.form import read
-from brink.server.llm.untrusted_json import BadJson, decoded_at
+from brink.server.llm.protocol import BadJson, decode_json_at
 
-MOST_CHARS: Final = 1_000_000
-"""Text after so much is not looked at."""
-MOST_ERRORS: Final = 40
+MAX_ITEM_ERRORS: Final = 4
+"""Maximum number of errors reported for one item."""
 
-_MOST_BROKEN: Final = 8
-_MOST_LISTS: Final = 4
+
+class Heading(StrEnum):
+    """Direction that a participant faces at the start."""
+
+    WITH_EGO = "with_ego"
+    ONCOMING = "oncoming"
+    ACROSS = "across"
+
+
+def heading_of(dyaw_rad: float) -> Heading:
+    """Return the name of a heading relative to the ego's lane."""
+    if abs(math.cos(dyaw_rad)) < 0.5:
+        return Heading.ACROSS
+    return Heading.WITH_EGO if math.cos(dyaw_rad) > 0 else Heading.ONCOMING
+
+
+def _object(**properties: Any) -> dict[str, Any]:
+    return {
+        "type": "object",
+        "properties": properties,
+        "required": list(properties),
+        "additionalProperties": False,
+    }
+
+
+def _list(items: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "array", "items": items}
+
+
+def _words(choices: type[StrEnum]) -> dict[str, Any]:
+    return {"type": "string", "enum": [choice.value for choice in choices]}
+
+
+_NUMBER: Final = {"type": "number"}
+SCHEMA: Final[Mapping[str, Any]] = _object(
+    solutions=_list(
+        _object(
+            participants=_list(
+                _object(
+                    kind=_words(Kind),
+                    ds_m=_NUMBER,
+                    dd_m=_NUMBER,
+                    heading=_words(Heading),
+                    speed_mps=_NUMBER,
+                    actions=_list(_object(action=_words(Action), duration_s=_NUMBER, magnitude=_NUMBER)),
+                )
+            )
+        )
+    )
+)
+"""Contains only what all endpoints with structured output support: objects, arrays, enums and numbers."""
+
+
+class _Form(BaseModel):
+    """Base of the models of a reply. Unknown fields are ignored."""
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+class _ActionForm(_Form):
+    action: Annotated[Action, Field(strict=False)]
+    duration_s: Annotated[float, Field(ge=MIN_DURATION_S, le=MAX_DURATION_S)]
+    magnitude: float
+
+
+class _ParticipantForm(_Form):
+    kind: Annotated[Kind, Field(strict=False)]
+    ds_m: Annotated[float, Field(ge=-REACH_M, le=REACH_M)]
+    dd_m: Annotated[float, Field(ge=-REACH_M, le=REACH_M)]
+    heading: Annotated[Heading, Field(strict=False)]
+    speed_mps: Annotated[float, Field(ge=0.0)]
+    actions: Annotated[list[_ActionForm], Field(min_length=MIN_ACTIONS, max_length=MAX_ACTIONS)]
+
+
+class _SolutionForm(_Form):
+    participants: Annotated[list[_ParticipantForm], Field(min_length=1)]
+
+
+def _of(choices: type[StrEnum]) -> str:
+    *first, last = choices
+    return f"{', '.join(first)} or {last}"
+
+
+_EXPECTED: Final[Mapping[str, str]] = {
+    "participants": "a list of participants",
+    "kind": _of(Kind),
+    "ds_m": f"a number from {-REACH_M:g} to {REACH_M:g} (m)",
+    "dd_m": f"a number from {-REACH_M:g} to {REACH_M:g} (m)",
+    "heading": _of(Heading),
+    "speed_mps": f"a number from 0 to {max(MAX_SPEEDS_MPS.values()):g} (m/s)",
+    "actions": f"a list of {MIN_ACTIONS} to {MAX_ACTIONS} actions",
+    "action": _of(Action),
+    "duration_s": f"a number from {MIN_DURATION_S:g} to {MAX_DURATION_S:g} (s)",
+    "magnitude": "a finite number",
+}
+
+
+def _to_json(solution: Solution) -> dict[str, Any]:
+    return {
+        "participants": [
+            {
+                "kind": one.kind.value,
+                "ds_m": _rounded(one.ds_m),
+                "dd_m": _rounded(one.dd_m),
+                "heading": heading_of(one.dyaw_rad).value,
+                "speed_mps": _rounded(one.speed_mps),
+                "actions": [
+                    {
+                        "action": gene.action.value,
+                        "duration_s": _rounded(gene.duration_s),
+                        "magnitude": _rounded(gene.magnitude),
+                    }
+                    for gene in one.genes
+                ],
+            }
+            for one in solution
+        ]
+    }
+
+
+def to_text(solutions: Sequence[Solution]) -> str:
+    """Write solutions as the text of a reply, with numbers rounded to two decimals."""
+    return json.dumps({"solutions": [_to_json(solution) for solution in solutions]})
+
+
+def _rounded(value: float) -> float:
+    return round(value, 2) + 0.0
+
+
+def _read(item: object, max_participants: int, pointer: str) -> Solution | list[FieldError]:
+    """Return the solution that a decoded JSON value describes, not yet placed on the road, or its errors."""
+    listed = item.get("participants") if isinstance(item, dict) else None
+    count = len(listed) if isinstance(listed, list) else 0
+    if count > max_participants:
+        message = f"expected 1 to {max_participants}, got {count}"
+        return [FieldError(pointer=f"{pointer}/participants", message=message)]
+    try:
+        form = _SolutionForm.model_validate(item)
+    except ValidationError as error:
+        return [_field_error(one, pointer) for one in error.errors(include_url=False)[:MAX_ITEM_ERRORS]]
+    misfits = [
+        error
+        for place, one in enumerate(form.participants)
+        for error in _misfits(one, f"{pointer}/participants/{place}")
+    ]
+    if misfits:
+        return misfits[:MAX_ITEM_ERRORS]
+    return tuple(_participant(one) for one in form.participants)
+
+
+def _field_error(error: Any, pointer: str) -> FieldError:
+    """Return a validation error in words that quote no text from the model."""
+    location = error["loc"]
+    names = [part for part in location if isinstance(part, str)]
+    expected = _EXPECTED[names[-1]] if names else 'an object with "participants"'
+    if location and isinstance(location[-1], int):
+        expected = f"an object, one of {expected}"
+    value = error["input"]
+    message = f"expected {expected}"
+    if error["type"] == "missing":
+        message = f"missing; {message}"
+    elif type(value) in (int, float) and math.isfinite(value):
+        message = f"{message}, got {value:g}"
+    return FieldError(pointer=pointer + "".join(f"/{part}" for part in location), message=message)
+
+
+def _misfits(one: _ParticipantForm, pointer: str) -> list[FieldError]:
+    """Return the errors of a participant whose fields do not fit together."""
+    errors = []
+    fastest = MAX_SPEEDS_MPS[one.kind]
+    if one.speed_mps > fastest:
+        message = f"expected a {one.kind} to go at {fastest:g} m/s at most, got {one.speed_mps:g}"
+        errors.append(FieldError(pointer=f"{pointer}/speed_mps", message=message))
+    on_foot = one.kind is Kind.PEDESTRIAN
+    fitting = PEDESTRIAN_ACTIONS if on_foot else VEHICLE_ACTIONS
+    if on_foot and one.heading is Heading.ACROSS:
+        message = "expected with_ego or oncoming: pedestrians start along the pavement and turn with the action cross"
+        errors.append(FieldError(pointer=f"{pointer}/heading", message=message))
+    for place, step in enumerate(one.actions):
+        here = f"{pointer}/actions/{place}"
+        room = MAGNITUDES[step.action]
+        if step.action not in fitting:
+            message = f"expected an action of a {one.kind}: {', '.join(fitting)}; got {step.action}"
+            errors.append(FieldError(pointer=f"{here}/action", message=message))
+        elif room.unit and not room.low <= step.magnitude <= room.high:
+            message = (
+                f"expected {room.low:g} to {room.high:g} {room.unit} for {step.action}, "
+                f"got {step.magnitude:g}"
+            )
+            errors.append(FieldError(pointer=f"{here}/magnitude", message=message))
+    return errors
+
+
+def _participant(one: _ParticipantForm) -> Participant:
+    heading_rad = {
+        Heading.WITH_EGO: 0.0,
+        Heading.ONCOMING: math.pi,
+        Heading.ACROSS: -0.5 * math.pi if one.dd_m > 0 else 0.5 * math.pi,
+    }[one.heading]
+    return Participant(
+        kind=one.kind,
+        ds_m=one.ds_m,
+        dd_m=one.dd_m,
+        dyaw_rad=heading_rad,
+        speed_mps=one.speed_mps,
+        genes=tuple(
+            Gene(
+                action=step.action,
+                duration_s=step.duration_s,
+                magnitude=step.magnitude if MAGNITUDES[step.action].unit else 0.0,
+            )
+            for step in one.actions
+        ),
+    )
+
+
+TOLERANCE_M: Final = 3.0
+"""Distance by which repair may move the start of a participant."""
+
+
+def apart_m(kind: Kind) -> float:
+    """Return the minimum distance between the centres of two participants of a kind on the same lane at the start."""
+    return SIZES_M[kind][0] + ALONG_M
+
+
+def kept_clear_m(kind: Kind, road: RoadLimits) -> tuple[float, float]:
+    """Return the stations on the ego's lane between which no centre of a participant of a kind may start."""
+    return -road.clear_behind_m - 0.5 * apart_m(kind), road.clear_ahead_m + 0.5 * apart_m(kind)
+
+
+class RoadChecker:
+    """Checks that solutions are possible on a road.
+
+    Args:
+        road: The road.
+        max_participants: Maximum number of participants in a solution.
+    """
+
+    def __init__(self, road: RoadLimits, max_participants: int) -> None:
+        self.road = road
+        self.max_participants = max_participants
+        self._rule = Participants(max_participants, road)
+        self._component = participants_component("participants", max_participants, road)
+
+    def problems(self, solution: Solution) -> list[str]:
+        """Return the violations of the search's constraints by a solution."""
+        return list(self._component.problems(self._rule.encode(solution)))
+
+    def place(self, solution: Solution, pointer: str) -> Solution | list[FieldError]:
+        """Return a solution with its participants placed on the road, or the reasons why that is impossible.
+
+        Args:
+            solution: At most ``max_participants`` participants, with actions that suit their kinds.
+            pointer: JSON pointer to it.
+        """
+        placed = self._repair(solution)
+        if len(placed) < len(solution):
+            return [self._no_room(solution, pointer)]
+        errors = [
+            error
+            for place, (wanted, got) in enumerate(zip(solution, placed, strict=True))
+            if (error := self._moved(wanted, got, f"{pointer}/participants/{place}"))
+        ]
+        return errors or placed
+
+    def _repair(self, solution: Solution) -> Solution:
+        # A complete solution leaves nothing to draw at random; the generator is only a required argument.
+        rng = np.random.default_rng(0)
+        return self._rule.decode(self._component.repair(self._rule.encode(solution), rng))
+
+    def _no_room(self, solution: Solution, pointer: str) -> FieldError:
+        """Return the error for the first participant that cannot be placed."""
+        place = next(
+            count - 1 for count in range(1, len(solution) + 1) if len(self._repair(solution[:count])) < count
+        )
+        message = "physically impossible: expected a place that nobody else has, found none near"
+        return FieldError(pointer=f"{pointer}/participants/{place}", message=message)
+
+    def _moved(self, wanted: Participant, got: Participant, pointer: str) -> FieldError | None:
+        heading = heading_of(got.dyaw_rad)
+        along_m, aside_m = got.ds_m - wanted.ds_m, got.dd_m - wanted.dd_m
+        nearest = (
+            f"the nearest start for this {wanted.kind} is ds_m {got.ds_m:.1f}, dd_m {got.dd_m:.1f}, {heading}"
+        )
+        if heading is not heading_of(wanted.dyaw_rad):
+            message = f"physically impossible: {self._why_heading(wanted)}; {nearest}"
+            return FieldError(pointer=f"{pointer}/heading", message=message)
+        if math.hypot(along_m, aside_m) > TOLERANCE_M:
+            name = "ds_m" if abs(along_m) >= abs(aside_m) else "dd_m"
+            message = f"physically impossible: {self._why_start(wanted)}; {nearest}"
+            return FieldError(pointer=f"{pointer}/{name}", message=message)
+        if [gene.action for gene in got.genes] != [gene.action for gene in wanted.genes]:
+            message = f"physically impossible: expected actions that a {wanted.kind} can do"
+            return FieldError(pointer=f"{pointer}/actions", message=message)
+        return None
+
+    def _why_heading(self, wanted: Participant) -> str:
+        on_road = self.road.on_carriageway(wanted.dd_m)
+        if heading_of(wanted.dyaw_rad) is Heading.ACROSS:
+            return "expected across only in a crossing street, off the carriageway"
+        if on_road:
+            return "expected nobody to start against the traffic on the ego's own lane"
+        return "expected across off the carriageway, where vehicles wait in a crossing street"
+
+    def _why_start(self, wanted: Participant) -> str:
+        road = self.road
+        if wanted.kind is Kind.PEDESTRIAN:
+            return "expected a start on a pavement"
+        if heading_of(wanted.dyaw_rad) is Heading.ACROSS:
+            return "expected a start in a crossing street, on the lane that leads to the road"
+        if not road.on_carriageway(wanted.dd_m):
+            return "expected a start on a lane"
+        low_m, high_m = kept_clear_m(wanted.kind, road)
+        return (
+            f"expected a lane's middle, {apart_m(wanted.kind):g} m to others on that lane, and no {wanted.kind} on "
+            f"the ego's own lane from ds_m {low_m:g} to {high_m:g}"
+        )
+
+
+MAX_CHARS: Final = 1_000_000
+"""Text beyond this is ignored."""
+MAX_ERRORS: Final = 40
+
+_MAX_BROKEN: Final = 8
+_MAX_LISTS: Final = 4
 _THOUGHTS_END: Final = "</think>"
 _LIST: Final = re.compile(r'"solutions"\s*:\s*\[')
 _BARE_LIST: Final = re.compile(r'\[(?=\s*\{\s*"participants")')
@@ -31,12 +380,12 @@ _BETWEEN: Final = re.compile(r"[\s,]*")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parsed:
-    """What of a reply can be used.
+    """The usable part of a reply.
 
     Attributes:
-        solutions: Valid ones, as the road has them, each once.
-        errors: What is wrong with the others, and with the reply.
-        found: Items that were looked at.
+        solutions: Valid solutions as placed on the road, without duplicates.
+        errors: What is wrong with the other items and with the reply.
+        found: Number of items found.
     """
 
     solutions: tuple[Solution, ...] = ()
@@ -53,32 +402,32 @@ _BROKEN: Final = _Broken()
 
 @dataclass(slots=True)
 class _Scan:
-    """Items of a list. Changes in place.
+    """The items of a list. Changes in place.
 
     Attributes:
-        items: Decoded values, `_BROKEN` where there is none.
-        closed: Whether the list came to its end.
+        items: Decoded values; `_BROKEN` where decoding failed.
+        closed: Whether the end of the list was found.
     """
 
     items: list[object] = field(default_factory=list)
     closed: bool = False
 
     @property
-    def whole(self) -> int:
-        """How many items could be decoded."""
+    def decoded(self) -> int:
+        """Number of items that could be decoded."""
         return sum(item is not _BROKEN for item in self.items)
 
 
-def parse(text: str, drivable: Drivable, wanted: int, known: Sequence[Solution] = ()) -> Parsed:
-    """Return the solutions in the text of a reply, at most as many as are wanted.
+def parse(text: str, road: RoadChecker, wanted: int, known: Sequence[Solution] = ()) -> Parsed:
+    """Return the valid solutions in the text of a reply.
 
     Args:
-        text: Whatever came.
-        drivable: Knows the road.
-        wanted: How many solutions.
-        known: Solutions that are not taken again.
+        text: The text, which may be anything.
+        road: Checks that solutions are possible.
+        wanted: Maximum number of solutions to return.
+        known: Solutions that must not be returned again.
     """
-    scan = _scanned(text[:MOST_CHARS], most=4 * wanted + 16)
+    scan = _scan_text(text[:MAX_CHARS], limit=4 * wanted + 16)
     if scan is None:
         message = 'expected one JSON object {"solutions": [...]}, found none'
         return Parsed(errors=(FieldError(pointer="", message=message),))
@@ -89,55 +438,55 @@ def parse(text: str, drivable: Drivable, wanted: int, known: Sequence[Solution] 
         if len(solutions) == wanted:
             break
         pointer = f"/solutions/{place}"
-        placed = _placed(item, drivable, pointer)
-        if isinstance(placed, list):
-            errors += placed
-        elif placed in taken:
-            errors.append(FieldError(pointer=pointer, message=f"the same as {taken[placed]}"))
+        solution = _place_item(item, road, pointer)
+        if isinstance(solution, list):
+            errors += solution
+        elif solution in taken:
+            errors.append(FieldError(pointer=pointer, message=f"the same as {taken[solution]}"))
         else:
-            taken[placed] = pointer
-            solutions.append(placed)
+            taken[solution] = pointer
+            solutions.append(solution)
     if not scan.closed and len(solutions) < wanted:
         message = "the reply breaks off before the list ends: write less, and no text beside the JSON"
         errors.append(FieldError(pointer="/solutions", message=message))
     elif not scan.items:
         errors.append(FieldError(pointer="/solutions", message=f"expected {wanted} solutions, got none"))
-    return Parsed(solutions=tuple(solutions), errors=tuple(errors[:MOST_ERRORS]), found=len(scan.items))
+    return Parsed(solutions=tuple(solutions), errors=tuple(errors[:MAX_ERRORS]), found=len(scan.items))
 
 
-def _placed(item: object, drivable: Drivable, pointer: str) -> Solution | list[FieldError]:
+def _place_item(item: object, road: RoadChecker, pointer: str) -> Solution | list[FieldError]:
     if item is _BROKEN:
         return [FieldError(pointer=pointer, message="expected JSON, got something broken or unfinished")]
-    solution = read(item, drivable.most, pointer)
-    return solution if isinstance(solution, list) else drivable.placed(solution, pointer)
+    solution = _read(item, road.max_participants, pointer)
+    return solution if isinstance(solution, list) else road.place(solution, pointer)
 
 
-def _scanned(text: str, most: int) -> _Scan | None:
-    """Return the list with the most items, the last of those; None if there is none."""
+def _scan_text(text: str, limit: int) -> _Scan | None:
+    """Return the list with the most decodable items, the last one if several have as many; None if there is none."""
     answer = text.rpartition(_THOUGHTS_END)[2]
     for part in (answer, text):
-        lists = list(itertools.islice(_LIST.finditer(part), _MOST_LISTS)) or [
+        lists = list(itertools.islice(_LIST.finditer(part), _MAX_LISTS)) or [
             *itertools.islice(_BARE_LIST.finditer(part), 1)
         ]
         if lists:
-            scans = [_list_from(part, found.end(), most) for found in lists]
-            return max(reversed(scans), key=lambda scan: scan.whole)
+            scans = [_scan_list(part, found.end(), limit) for found in lists]
+            return max(reversed(scans), key=lambda scan: scan.decoded)
         if _ITEM.search(part):
-            return _loose_items(part, most)
+            return _scan_loose_items(part, limit)
     return None
 
 
-def _list_from(text: str, start: int, most: int) -> _Scan:
-    """Return the items of the list that begins before a character; past a broken one it goes on at the next."""
+def _scan_list(text: str, start: int, limit: int) -> _Scan:
+    """Return the items of the list that begins at an index; after a broken item, continue at the next item."""
     scan, at, broken = _Scan(), start, 0
-    while len(scan.items) < most and broken < _MOST_BROKEN:
+    while len(scan.items) < limit and broken < _MAX_BROKEN:
         between = _BETWEEN.match(text, at)
         at = between.end() if between else at
         if text[at : at + 1] in ("]", ""):
             scan.closed = at < len(text)
             return scan
         try:
-            item, at = decoded_at(text, at)
+            item, at = decode_json_at(text, at)
         except BadJson:
             item, broken = _BROKEN, broken + 1
         scan.items.append(item)
@@ -146,16 +495,16 @@ def _list_from(text: str, start: int, most: int) -> _Scan:
             if following is None:
                 return scan
             at = following.start()
-    scan.closed = broken < _MOST_BROKEN
+    scan.closed = broken < _MAX_BROKEN
     return scan
 
 
-def _loose_items(text: str, most: int) -> _Scan:
-    """Return items that are in no list."""
+def _scan_loose_items(text: str, limit: int) -> _Scan:
+    """Return items that are not in a list."""
     scan, at, broken = _Scan(), 0, 0
-    while len(scan.items) < most and broken < _MOST_BROKEN and (found := _ITEM.search(text, at)):
+    while len(scan.items) < limit and broken < _MAX_BROKEN and (found := _ITEM.search(text, at)):
         try:
-            item, at = decoded_at(text, found.start())
+            item, at = decode_json_at(text, found.start())
         except BadJson:
             item, at, broken = _BROKEN, found.end(), broken + 1
         scan.items.append(item)

@@ -1,12 +1,15 @@
-"""Seeds from language models for campaigns: asked for on threads of their own, known again after a restart.
+"""Seeds from language models: prompts, repair turns, and background threads that make the calls.
 
-A campaign waits for its seeds and nothing else does. One coordinator at a time asks for them. What a model answered
-is stored before it counts, so the same request of a campaign gives the same seeds whenever it is asked: a coordinator
-that takes over reads the stored replies.
+`ask` makes one call and at most one repair turn. It always returns: with fewer proposals, or none, and the reason.
+
+A campaign waits for its seeds without blocking anything else. One coordinator at a time asks for them. A reply is
+stored before it is used, so a repeated request gives the same seeds: a coordinator that takes over reads the stored
+replies.
 """
 
 import asyncio
 import contextlib
+import functools
 import logging
 import secrets
 import threading
@@ -18,156 +21,385 @@ from typing import Final
 
 from sqlalchemy.exc import DBAPIError
 
-from brink.search.algorithm import Proposal, SeedRequest
+from brink.search.algorithm import Origin, Proposal, SeedRequest
+from brink.search.traffic.participants import RoadLimits, Solution
 from brink.server.db.engine import Engines
 from brink.server.db.writer import Writer
-from brink.server.errors import Unavailable
+from brink.server.errors import FieldError, Unavailable
+from brink.server.llm.calls import CallKey, CallLog, Outcome, StoredCall, cost_of, worst_usage
 from brink.server.llm.client import LlmClient
-from brink.server.llm.errors import CallLogMismatch
-from brink.server.llm.seeder import ask
+from brink.server.llm.prompts import question, repair
+from brink.server.llm.protocol import (
+    CallLogMismatch,
+    EndpointUnavailable,
+    LlmError,
+    Messages,
+    Mode,
+    OverBudget,
+    UnusableReply,
+    prompt_hash,
+    read_reply,
+)
+from brink.server.llm.replies import SCHEMA, Parsed, RoadChecker, parse
 from brink.server.llm.settings import LlmSettings
 from brink.server.llm.store import CampaignCalls, claim, release
-from brink.server.llm.wire import Mode
 from brink.server.problems.base import Describes, Problem
 
 HOLD_S: Final = 60.0
-"""How long a coordinator that has died keeps others from asking in its place."""
+"""How long the claim of a coordinator that died prevents others from asking."""
 
 LAST_ANSWERS_S: Final = 8.0
-"""How long a coordinator that stops waits for answers that are under way: less than containers are given to stop."""
+"""How long a stopping coordinator waits for pending answers: less than the grace period of containers."""
+
+_ERROR_CHARS: Final = 500
+_ERRORS_SHOWN: Final = 3
 
 log = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """The answer to a request for seeds.
+
+    Attributes:
+        proposals: Valid solutions, each with its origin.
+        words: Summary on one line.
+        calls: The calls that it took, including stored ones.
+    """
+
+    proposals: tuple[Proposal, ...]
+    words: str
+    calls: tuple[StoredCall, ...]
+
+
+async def ask(
+    request: SeedRequest,
+    *,
+    road: RoadLimits,
+    max_participants: int,
+    system: str,
+    log: CallLog,
+    client: LlmClient,
+) -> Answer:
+    """Ask a language model for solutions; a stored call is not made again.
+
+    Args:
+        request: Number of solutions, and the known ones.
+        road: The road.
+        max_participants: Maximum number of participants in a solution.
+        system: Short description of the system under test.
+        log: The calls of the campaign.
+        client: The endpoint.
+
+    Raises:
+        CallLogMismatch: A stored call of this request was made with a different prompt.
+    """
+    turns = _Turns(request.number, RoadChecker(road, max_participants), log, client)
+    asked = question(request, road, max_participants, system)
+    first = await turns.take(asked, request.count)
+    found = first.parsed.solutions
+    proposals = [Proposal(solution=solution, origin=Origin.LLM) for solution in found]
+    missing = request.count - len(found)
+    second = None
+    if missing and first.parsed.errors and first.call.outcome is not Outcome.DECLINED:
+        second = await turns.take(repair(asked, found, first.parsed.errors, missing), missing, found)
+        proposals += [Proposal(solution=s, origin=Origin.LLM_REPAIR) for s in second.parsed.solutions]
+    return Answer(
+        proposals=tuple(proposals),
+        words=_summary(request.count, first, second),
+        calls=(first.call,) if second is None else (first.call, second.call),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Turn:
+    """A call and its parsed reply."""
+
+    call: StoredCall
+    parsed: Parsed
+
+
+class _Turns:
+    """Makes the calls of one request, or finds them in the log."""
+
+    def __init__(self, number: int, road: RoadChecker, log: CallLog, client: LlmClient) -> None:
+        self._number = number
+        self._road = road
+        self._log = log
+        self._client = client
+        self._turn = 0
+
+    async def take(self, messages: Messages, wanted: int, known: Sequence[Solution] = ()) -> _Turn:
+        """Return the next turn.
+
+        Args:
+            messages: The prompt.
+            wanted: Number of solutions.
+            known: Solutions that were accepted already.
+
+        Raises:
+            CallLogMismatch: The turn is stored with a different prompt.
+        """
+        key = CallKey(self._number, self._turn)
+        self._turn += 1
+        call = self._log.find(key)
+        if call is not None and call.prompt_hash != prompt_hash(messages):
+            raise CallLogMismatch(
+                f"request {key.request}, turn {key.turn}: expected the stored call to have the prompt "
+                f"{prompt_hash(messages)[:12]}, it has {call.prompt_hash[:12]}. It was made by another version of "
+                "Brink or for another campaign: continue with that version, or start the campaign again"
+            )
+        if call is None or call.outcome is Outcome.SENT:
+            call = await self._make_call(key, messages, wanted, known, earlier=call.calls if call else 0)
+            self._log.store(call)
+        return _Turn(call, self._parse(call.raw, wanted, known)[0])
+
+    async def _make_call(
+        self, key: CallKey, messages: Messages, wanted: int, known: Sequence[Solution], *, earlier: int
+    ) -> StoredCall:
+        """Make a call, storing each request with its worst-case usage before it is sent, in case the process stops.
+
+        Args:
+            key: Identifies the call.
+            messages: The prompt.
+            wanted: Number of solutions.
+            known: Solutions that were accepted already.
+            earlier: Requests of this call that were lost when a coordinator stopped.
+        """
+        settings, spent = self._client.settings, self._log.spent()
+        worst, mode = worst_usage(settings, messages), self._client.mode
+        stored = functools.partial(StoredCall, key=key, prompt_hash=prompt_hash(messages))
+
+        def before_request(lost: int) -> None:
+            used = worst * lost
+            spent.plus(lost, used, cost_of(used, settings)).check_budget(settings, messages)
+            possible = worst * (earlier + lost + 1)
+            self._log.store(
+                stored(
+                    mode=mode, raw=None, outcome=Outcome.SENT, calls=earlier + lost + 1, usage=possible,
+                    cost=cost_of(possible, settings), latency_s=0.0,
+                    error="in progress, or lost when a coordinator stopped",
+                )
+            )  # fmt: skip
+
+        try:
+            completion = await self._client.complete(messages, SCHEMA, before_request=before_request)
+        except LlmError as error:
+            lost = earlier + error.effort.lost
+            used = worst * lost
+            return stored(
+                mode=mode, raw=error.raw if isinstance(error, UnusableReply) else None,
+                outcome=_outcome_of(error), calls=lost, usage=used if lost else None,
+                cost=cost_of(used, settings) if lost else 0.0, latency_s=error.effort.elapsed_s,
+                error=str(error)[:_ERROR_CHARS],
+            )  # fmt: skip
+        lost = earlier + completion.lost
+        usage = completion.usage or worst
+        if lost:
+            usage += worst * lost
+        _, outcome, trouble = self._parse(completion.raw, wanted, known)
+        return stored(
+            mode=completion.mode, raw=completion.raw, outcome=outcome, calls=lost + 1, usage=usage,
+            cost=cost_of(usage, settings), latency_s=completion.latency_s, error=trouble,
+        )  # fmt: skip
+
+    def _parse(
+        self, raw: str | None, wanted: int, known: Sequence[Solution]
+    ) -> tuple[Parsed, Outcome, str | None]:
+        """Return the content of a new or stored reply, its outcome, and what is wrong with it."""
+        if raw is None:
+            return Parsed(), Outcome.INVALID, None
+        try:
+            reply = read_reply(raw)
+        except UnusableReply as error:
+            return Parsed(), Outcome.INVALID, str(error)
+        parsed = parse(reply.text, self._road, wanted, known)
+        if reply.refusal and not parsed.solutions:
+            return parsed, Outcome.DECLINED, "the model or a content filter declined to answer"
+        trouble = _join_errors(parsed.errors)
+        if reply.truncated:
+            return parsed, Outcome.TRUNCATED, trouble
+        return parsed, Outcome.OK if parsed.solutions else Outcome.INVALID, trouble
+
+
+def _outcome_of(error: LlmError) -> Outcome:
+    match error:
+        case EndpointUnavailable():
+            return Outcome.UNAVAILABLE
+        case OverBudget():
+            return Outcome.OVER_BUDGET
+        case UnusableReply():
+            return Outcome.INVALID
+        case _:
+            return Outcome.REFUSED
+
+
+def _join_errors(errors: Sequence[FieldError]) -> str | None:
+    if not errors:
+        return None
+    more = len(errors) - _ERRORS_SHOWN
+    text = "; ".join(map(str, errors[:_ERRORS_SHOWN])) + (f"; and {more} more" if more > 0 else "")
+    return text[:_ERROR_CHARS]
+
+
+def _summary(count: int, first: _Turn, second: _Turn | None) -> str:
+    """Summarise a request on one line."""
+    call = first.call
+    match call.outcome:
+        case Outcome.UNAVAILABLE | Outcome.REFUSED:
+            return f"language model unavailable: {call.error}"
+        case Outcome.OVER_BUDGET:
+            return f"language model not asked: {call.error}"
+        case Outcome.DECLINED:
+            return f"language model: 0 of {count} usable ({call.error})"
+        case _:
+            pass
+    usable = len(first.parsed.solutions)
+    repaired = len(second.parsed.solutions) if second is not None else 0
+    words = f"language model: {usable + repaired} of {count} usable"
+    if second is not None:
+        words += f", {repaired} after repair"
+    notes = ["reply truncated"] if call.outcome is Outcome.TRUNCATED else []
+    if second is not None and not second.parsed.solutions:
+        notes.append(f"repair {second.call.outcome}: {second.call.error}")
+    elif usable + repaired == 0 and call.error:
+        notes.append(call.error)
+    return f"{words} ({'; '.join(notes)})" if notes else words
+
+
 @dataclass(slots=True)
-class _Asking:
-    """A request that is being asked. Changes in place."""
+class _Pending:
+    """A request in progress."""
 
     words: str
     thread: threading.Thread
 
 
 class _ClaimLost(Exception):
-    """Another coordinator asks now."""
+    """Another coordinator holds the claim now."""
 
 
 class LlmSeeds:
-    """Asks language models on behalf of campaigns.
+    """Asks language models on behalf of campaigns, on background threads.
 
     Args:
-        engines: To read stored calls with.
-        writer: To store calls with.
-        came: Told the id of a campaign whose seeds have come, from another thread.
+        engines: For reading stored calls.
+        writer: For storing calls.
+        on_seeds: Called from another thread with the id of a campaign whose seeds are available.
     """
 
-    def __init__(self, engines: Engines, writer: Writer, came: Callable[[str], None]) -> None:
+    def __init__(self, engines: Engines, writer: Writer, on_seeds: Callable[[str], None]) -> None:
         self._engines = engines
         self._writer = writer
-        self._came = came
+        self._on_seeds = on_seeds
         self._owner = secrets.token_hex(8)
         self._lock = threading.Lock()
-        self._asking: dict[str, _Asking] = {}
+        self._pending: dict[str, _Pending] = {}
         self._answers: dict[tuple[str, int], Sequence[Proposal]] = {}
         self._stopping = threading.Event()
 
     def close(self) -> None:
-        """Ask nothing more; an answer that comes soon is stored yet, and other coordinators may ask then."""
+        """Start no more requests, wait a few seconds for pending answers, and release all claims."""
         with self._lock:
             self._stopping.set()
-            asking = dict(self._asking)
-        until = time.monotonic() + LAST_ANSWERS_S
-        for campaign_id, one in asking.items():
+            pending = dict(self._pending)
+        deadline = time.monotonic() + LAST_ANSWERS_S
+        for campaign_id, one in pending.items():
             about = {"campaign": campaign_id}
             log.info("%s; waiting up to %g s for the answer", one.words, LAST_ANSWERS_S, extra=about)
-            one.thread.join(max(0.0, until - time.monotonic()))
+            one.thread.join(max(0.0, deadline - time.monotonic()))
             if one.thread.is_alive():
-                log.warning("no answer came; it will be asked for again, and counts twice", extra=about)
+                log.warning("no answer; the request will be repeated, and counted twice", extra=about)
         self._release(None)
 
     def proposals(
         self, campaign_id: str, settings: LlmSettings | None, problem: Problem, request: SeedRequest
     ) -> Sequence[Proposal] | None:
-        """Return the proposals that came, perhaps none; None while this or another coordinator is still asking.
+        """Return the proposals, possibly none; None while this or another coordinator is still asking.
 
         Args:
             campaign_id: The campaign that waits.
-            settings: The language model; None if the campaign names none.
+            settings: The language model; None if the campaign has none.
             problem: The campaign's problem.
-            request: What the algorithm asks for.
+            request: The request of the algorithm.
         """
         if settings is None or not isinstance(problem, Describes):
             return ()
         with self._lock:
             if (campaign_id, request.number) in self._answers:
                 return self._answers.pop((campaign_id, request.number))
-            asking = self._asking.get(campaign_id)
+            pending = self._pending.get(campaign_id)
             if self._stopping.is_set():
                 return None
-        if asking is not None or not self._claim(campaign_id).result():
+        if pending is not None or not self._claim(campaign_id).result():
             return None
         words = f"asking {settings.model} for {request.count} solutions"
-        # A daemon: a model that never answers must not keep a coordinator from stopping.
+        # A daemon thread: a model that never answers must not prevent the coordinator from stopping.
         thread = threading.Thread(
             target=self._ask, args=(campaign_id, settings, problem, request), name="seeds", daemon=True
         )
         with self._lock:
             stopping = self._stopping.is_set()
             if not stopping:
-                self._asking[campaign_id] = _Asking(words, thread)
+                self._pending[campaign_id] = _Pending(words, thread)
                 thread.start()
         if stopping:
             self._release(campaign_id)
         return None
 
     def doing(self, campaign_id: str) -> str | None:
-        """Return what a campaign waits for, in words; None if this coordinator asks nothing for it."""
+        """Describe the request that a campaign waits for; None if this coordinator has none in progress."""
         with self._lock:
-            asking = self._asking.get(campaign_id)
-        return None if asking is None else asking.words
+            pending = self._pending.get(campaign_id)
+        return None if pending is None else pending.words
 
     def _claim(self, campaign_id: str) -> Future[bool]:
         return self._writer.submit(lambda connection: claim(connection, campaign_id, self._owner, HOLD_S))
 
     def _ask(self, campaign_id: str, settings: LlmSettings, problem: Describes, request: SeedRequest) -> None:
-        """Ask, on a thread of its own; without an answer the sweeper has it asked again."""
+        """Ask, on a separate thread; if there is no answer, the sweeper repeats the request."""
         answer: Sequence[Proposal] | None = None
         about = {"campaign": campaign_id}
         try:
             answer = asyncio.run(self._answer_while_claimed(campaign_id, settings, problem, request))
         except _ClaimLost:
-            log.warning("another coordinator asks for its seeds now", extra=about)
+            log.warning("another coordinator now asks for its seeds", extra=about)
         except (Unavailable, DBAPIError) as error:
-            log.warning("%s; its seeds will be asked for again", error, extra=about)
+            log.warning("%s; its seeds will be requested again", error, extra=about)
         except CallLogMismatch as error:
-            log.warning("%s; it goes on without these seeds", error, extra=about)
+            log.warning("%s; the campaign continues without these seeds", error, extra=about)
             answer = ()
         except Exception:
-            log.exception("seeds cannot be had; it goes on without them", extra=about)
+            log.exception("seeds not available; the campaign continues without them", extra=about)
             answer = ()
-        # Released before it is forgotten: who stops waits for all that are not forgotten, and then the writer closes.
+        # Release the claim before removing the entry: close() waits for all entries, and then the writer is closed.
         self._release(campaign_id)
         with self._lock:
-            self._asking.pop(campaign_id, None)
+            self._pending.pop(campaign_id, None)
             if answer is not None:
                 self._answers[campaign_id, request.number] = answer
             stopping = self._stopping.is_set()
         if answer is not None and not stopping:
-            self._came(campaign_id)
+            self._on_seeds(campaign_id)
 
     def _release(self, campaign_id: str | None) -> None:
-        with contextlib.suppress(Unavailable, DBAPIError):  # it expires
+        with contextlib.suppress(Unavailable, DBAPIError):  # the claim expires anyway
             self._writer.submit(lambda connection: release(connection, self._owner, campaign_id)).result()
 
     async def _answer_while_claimed(
         self, campaign_id: str, settings: LlmSettings, problem: Describes, request: SeedRequest
     ) -> Sequence[Proposal]:
-        """Answer, and keep the claim meanwhile, be the campaign paused or not; without it ask nothing more."""
+        """Answer while renewing the claim, even if the campaign is paused.
+
+        Raises:
+            _ClaimLost: Another coordinator holds the claim.
+        """
         answering = asyncio.create_task(self._answer(campaign_id, settings, problem, request))
         while not (await asyncio.wait({answering}, timeout=HOLD_S / 3))[0]:
             try:
                 held = await asyncio.wrap_future(self._claim(campaign_id))
             except (Unavailable, DBAPIError):
-                continue  # nobody else can claim it either
+                continue  # no other coordinator can claim it either
             if not held:
                 answering.cancel()
                 raise _ClaimLost
@@ -181,8 +413,9 @@ class LlmSeeds:
         mode = known[-1].mode if known else Mode.JSON_SCHEMA
         async with LlmClient(settings, mode=mode) as client:
             answer = await ask(
-                request, road=problem.road, most=problem.most, system=problem.system, log=calls, client=client
-            )
+                request, road=problem.road, max_participants=problem.max_participants, system=problem.system,
+                log=calls, client=client,
+            )  # fmt: skip
         level = logging.INFO if answer.proposals else logging.WARNING
         log.log(level, "%s", answer.words, extra={"campaign": campaign_id})
         return answer.proposals

@@ -1,10 +1,9 @@
-"""Settings of a language model: the ``llm`` section of a campaign file. The key is never among them.
+"""Settings of a language model: the ``llm`` section of a campaign file, which never contains the API key.
 
-An error never repeats what may be a secret: a URL with credentials, a name of a variable that looks like none, a key
-under a field of its own.
+Error messages never repeat a possible secret: a URL with credentials, an invalid name of an environment variable, a
+field that looks like a key.
 """
 
-import os
 import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, Self
@@ -15,13 +14,10 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
-    SecretStr,
     ValidationError,
     model_validator,
 )
 from pydantic_core import InitErrorDetails, PydanticCustomError
-
-from brink.server.llm.errors import KeyMissing
 
 HIDDEN: Final = "[not shown]"
 _PATH: Final = "/chat/completions"
@@ -30,7 +26,7 @@ _SECRET_FIELD: Final = re.compile(r"key|token|secret|password|authorization", re
 
 
 def _hiding(message: str, *location: str) -> ValidationError:
-    """Return an error that does not carry what came."""
+    """Return a validation error that does not contain the input."""
     line = InitErrorDetails(
         type=PydanticCustomError("value_error", "{message}", {"message": message}),
         loc=location,
@@ -40,7 +36,7 @@ def _hiding(message: str, *location: str) -> ValidationError:
 
 
 def _endpoint(given: object) -> object:
-    """Return a base URL in its plain form."""
+    """Validate and normalise a base URL."""
     if not isinstance(given, str):
         return given
     text = given.strip()
@@ -57,13 +53,13 @@ def _endpoint(given: object) -> object:
     if parts.scheme not in ("http", "https") or not parts.hostname or not re.fullmatch(r"[!-~]+", text):
         raise ValueError("expected a base URL with http or https, such as http://127.0.0.1:8000/v1")
     if "\\" in text or {".", ".."} & set(unquote(parts.path).split("/")):
-        # What an operator allows is the beginning of a URL: nothing after it may lead out of it again.
+        # Operators allow URL prefixes; the rest of a URL must not lead out of the allowed prefix.
         raise ValueError("expected a base URL without . and .. in its path, and without backslashes")
     return text.rstrip("/").removesuffix(_PATH)
 
 
 def _env_name(given: object) -> object:
-    """Return the name of a variable; what is none may be the key itself."""
+    """Validate the name of an environment variable without repeating it: it may be the key itself."""
     if isinstance(given, str) and not _ENV_NAME.fullmatch(given):
         raise _hiding(
             "expected the name of an environment variable in capitals, such as OPENAI_API_KEY, not the key itself"
@@ -72,7 +68,7 @@ def _env_name(given: object) -> object:
 
 
 class LlmSettings(BaseModel):
-    """Which language model is asked, how, and what that may cost."""
+    """Endpoint, model, sampling parameters and budget."""
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, strict=True, allow_inf_nan=False, hide_input_in_errors=True
@@ -86,42 +82,42 @@ class LlmSettings(BaseModel):
             description="Base URL of an OpenAI-compatible endpoint, such as http://127.0.0.1:8000/v1.",
         ),
     ]
-    model: Annotated[str, Field(min_length=1, max_length=200, description="Model to ask for.")]
+    model: Annotated[str, Field(min_length=1, max_length=200, description="Name of the model.")]
     api_key_env: Annotated[
         str | None,
         BeforeValidator(_env_name),
-        Field(description="Environment variable that holds the key; none is sent without it."),
+        Field(description="Environment variable with the API key; without it, no key is sent."),
     ] = None
     temperature: Annotated[float, Field(ge=0, le=2, description="Sampling temperature.")] = 0.8
-    top_p: Annotated[float, Field(gt=0, le=1, description="Share of probability that is sampled from.")] = 1.0
-    seed: Annotated[int | None, Field(ge=0, lt=2**31, description="Sampling seed; sent only if given.")] = (
-        None
+    top_p: Annotated[float, Field(gt=0, le=1, description="Cumulative probability for nucleus sampling.")] = (
+        1.0
     )
+    seed: Annotated[int | None, Field(ge=0, lt=2**31, description="Sampling seed; only sent if set.")] = None
     max_tokens: Annotated[
-        int, Field(ge=64, le=1_000_000, description="Most tokens of a reply; a solution takes about 200.")
+        int, Field(ge=64, le=1_000_000, description="Maximum tokens of a reply; a solution takes about 200.")
     ] = 4096
     token_field: Annotated[
         Literal["max_tokens", "max_completion_tokens"],
-        Field(description="What the endpoint calls the most tokens of a reply."),
+        Field(description="Request field with the maximum tokens of a reply."),
     ] = "max_tokens"
-    timeout_s: Annotated[float, Field(gt=0, le=3600, description="Longest wait for a reply.")] = 120.0
-    retries: Annotated[int, Field(ge=0, le=20, description="Further tries of a call after the first.")] = 4
+    timeout_s: Annotated[float, Field(gt=0, le=3600, description="Maximum time to wait for a reply.")] = 120.0
+    retries: Annotated[int, Field(ge=0, le=20, description="Retries of a call after the first try.")] = 4
     max_wait_s: Annotated[
-        float, Field(ge=0, le=3600, description="Longest pause between two tries, Retry-After included.")
+        float, Field(ge=0, le=3600, description="Maximum pause between tries, including Retry-After.")
     ] = 120.0
-    max_calls: Annotated[int, Field(ge=1, le=1_000_000, description="Most calls of a campaign.")] = 50
+    max_calls: Annotated[int, Field(ge=1, le=1_000_000, description="Maximum calls of a campaign.")] = 50
     max_total_tokens: Annotated[
-        int | None, Field(ge=1, le=10**12, description="Most tokens of a campaign, prompts and replies.")
+        int | None, Field(ge=1, le=10**12, description="Maximum tokens of a campaign, prompts and replies.")
     ] = None
     max_cost: Annotated[
         float | None,
-        Field(gt=0, le=10**9, description="Most money of a campaign, in the currency of the prices."),
+        Field(gt=0, le=10**9, description="Maximum cost of a campaign, in the currency of the prices."),
     ] = None
     input_price: Annotated[
-        float | None, Field(ge=0, le=10**6, description="Price of a million tokens of prompts.")
+        float | None, Field(ge=0, le=10**6, description="Price per million prompt tokens.")
     ] = None
     output_price: Annotated[
-        float | None, Field(ge=0, le=10**6, description="Price of a million tokens of replies.")
+        float | None, Field(ge=0, le=10**6, description="Price per million completion tokens.")
     ] = None
 
     @model_validator(mode="before")
@@ -132,7 +128,7 @@ class LlmSettings(BaseModel):
             for name in given:
                 if name not in cls.model_fields and _SECRET_FIELD.search(str(name)):
                     raise _hiding(
-                        "unknown field; a key does not belong in a campaign: name the environment variable that "
+                        "unknown field; a campaign must not contain a key: name the environment variable that "
                         "holds it in api_key_env",
                         str(name)[:40],
                     )
@@ -143,17 +139,16 @@ class LlmSettings(BaseModel):
         if self.max_cost is not None and not self.priced:
             missing = [name for name in ("input_price", "output_price") if getattr(self, name) is None]
             raise _hiding(
-                f"expected {' and '.join(missing)} too: an unknown price is not 0, so that a cost cannot be kept "
-                "without it",
+                f"expected {' and '.join(missing)} too: without prices the cost is unknown and cannot be limited",
                 "max_cost",
             )
         return self
 
     @property
     def on_this_machine(self) -> bool:
-        """Whether the endpoint is on the machine that asks."""
+        """Whether the endpoint runs on this machine."""
         from brink.server.settings import (
-            LOOPBACK,  # loads pydantic-settings, which reading a campaign file does not need
+            LOOPBACK,  # loads pydantic-settings, which is not needed for reading a campaign file
         )
 
         return urlsplit(self.endpoint).hostname in LOOPBACK
@@ -162,22 +157,3 @@ class LlmSettings(BaseModel):
     def priced(self) -> bool:
         """Whether both prices are known."""
         return self.input_price is not None and self.output_price is not None
-
-
-def api_key(settings: LlmSettings, environ: Mapping[str, str] | None = None) -> SecretStr | None:
-    """Return the key, or None if the endpoint wants none.
-
-    Raises:
-        KeyMissing: The environment has none, or what it has cannot be one.
-    """
-    name = settings.api_key_env
-    if name is None:
-        return None
-    key = (os.environ if environ is None else environ).get(name, "").strip()
-    if not key:
-        raise KeyMissing(
-            f"the environment variable {name} is not set: export it before the coordinator starts"
-        )
-    if not all("!" <= letter <= "~" for letter in key):
-        raise KeyMissing(f"the environment variable {name} holds no key: expected printable ASCII, no spaces")
-    return SecretStr(key)

@@ -1,4 +1,4 @@
-"""The SQL of calls of language models, and of who is asking now."""
+"""The SQL of language model calls, and of the claims that let one coordinator at a time make them."""
 
 import logging
 import threading
@@ -13,19 +13,18 @@ from brink.server.db.models import LlmCallRow, SeedClaimRow
 from brink.server.db.sql import database_now, lock_campaign
 from brink.server.db.writer import Writer
 from brink.server.errors import Unavailable
-from brink.server.llm.budget import Budget
-from brink.server.llm.calls import CallKey, Outcome, StoredCall, spent_on
-from brink.server.llm.wire import Mode, Usage
+from brink.server.llm.calls import CallKey, Outcome, Spent, StoredCall, spent_on
+from brink.server.llm.protocol import Mode, Usage
 
-STORES_AGAIN_S: Final = 2.0
-GIVES_UP_S: Final = 600.0
-"""For how long a paid answer waits for a database that takes no writes."""
+RETRY_S: Final = 2.0
+GIVE_UP_S: Final = 600.0
+"""How long to keep trying to store a paid answer while the database is not writable."""
 
 log = logging.getLogger(__name__)
 
 
 def list_calls(connection: Connection, campaign_id: str, key: CallKey | None = None) -> list[StoredCall]:
-    """Return the calls of a campaign in the order of asking, or the one with a key."""
+    """Return the calls of a campaign in order, or only the call with the given key."""
     query = (
         select(LlmCallRow.__table__)
         .where(LlmCallRow.campaign_id == campaign_id)
@@ -50,7 +49,7 @@ def list_calls(connection: Connection, campaign_id: str, key: CallKey | None = N
 
 
 def insert_call(connection: Connection, campaign_id: str, call: StoredCall) -> None:
-    """Store a call, in the place of what was stored while it was under way."""
+    """Store a call, replacing the row that was stored while it was in progress."""
     usage = call.usage
     connection.execute(
         delete(LlmCallRow).where(
@@ -73,8 +72,18 @@ def insert_call(connection: Connection, campaign_id: str, call: StoredCall) -> N
 
 
 def claim(connection: Connection, campaign_id: str, owner: str, hold_s: float) -> bool:
-    """Take or keep the right to ask for a campaign's seeds; return whether it was free, expired or held already."""
-    # The campaign's row, since a claim that is not there yet cannot be locked: two could find none and both take it.
+    """Claim or keep the exclusive right to request a campaign's seeds.
+
+    Args:
+        connection: In a write transaction.
+        campaign_id: The campaign.
+        owner: Random id of the coordinator.
+        hold_s: Time until the claim expires.
+
+    Returns:
+        Whether the owner holds the claim.
+    """
+    # Lock the campaign's row: a claim that does not exist yet cannot be locked, and two could be inserted.
     if not lock_campaign(connection, campaign_id):
         return False
     now = database_now(connection)
@@ -92,7 +101,7 @@ def claim(connection: Connection, campaign_id: str, owner: str, hold_s: float) -
 
 
 def release(connection: Connection, owner: str, campaign_id: str | None = None) -> None:
-    """Give the right up, for one campaign or for all."""
+    """Give up an owner's claim on one campaign, or all of its claims."""
     claims = delete(SeedClaimRow).where(SeedClaimRow.owner == owner)
     connection.execute(
         claims if campaign_id is None else claims.where(SeedClaimRow.campaign_id == campaign_id)
@@ -100,13 +109,13 @@ def release(connection: Connection, owner: str, campaign_id: str | None = None) 
 
 
 class CampaignCalls:
-    """The calls of one campaign in the database; implements `brink.server.llm.calls.CallLog`.
+    """The calls of one campaign in the database; implements `CallLog`.
 
     Args:
-        engines: To read with.
-        writer: To write with.
-        campaign_id: Whose calls.
-        stopping: Set when the coordinator stops: nothing waits for the database any more.
+        engines: For reading.
+        writer: For writing.
+        campaign_id: The campaign.
+        stopping: Set when the coordinator stops; writes are then no longer retried.
     """
 
     def __init__(self, engines: Engines, writer: Writer, campaign_id: str, stopping: threading.Event) -> None:
@@ -116,7 +125,7 @@ class CampaignCalls:
         self._stopping = stopping
 
     def every(self) -> list[StoredCall]:
-        """Return all calls, in the order of asking."""
+        """Return all calls in order."""
         with self._engines.reader.connect() as connection:
             return list_calls(connection, self._campaign_id)
 
@@ -127,12 +136,12 @@ class CampaignCalls:
         return found[0] if found else None
 
     def store(self, call: StoredCall) -> None:
-        """Store a call, for good, before returning; what was paid for waits while nothing can be written.
+        """Store a call durably, retrying while the database is not writable, because it has been paid for.
 
         Raises:
-            Unavailable: Nothing could be written for a long time, or until the coordinator stopped.
+            Unavailable: The database was not writable for `GIVE_UP_S`, or until the coordinator stopped.
         """
-        until = time.monotonic() + GIVES_UP_S
+        deadline = time.monotonic() + GIVE_UP_S
         while True:
             try:
                 self._writer.submit(
@@ -141,11 +150,11 @@ class CampaignCalls:
             except Unavailable as error:
                 about = {"campaign": self._campaign_id}
                 log.warning("a model's answer cannot be stored yet: %s", error, extra=about)
-                if time.monotonic() > until or self._stopping.wait(STORES_AGAIN_S):
+                if time.monotonic() > deadline or self._stopping.wait(RETRY_S):
                     raise
             else:
                 return
 
-    def spent(self) -> Budget:
-        """Return what all stored calls took."""
+    def spent(self) -> Spent:
+        """Return the totals of all stored calls."""
         return spent_on(self.every())

@@ -139,16 +139,16 @@ class TellsViolations(Protocol):
 
 @runtime_checkable
 class Describes(Protocol):
-    """What a problem must know for a model to be asked about it.
+    """A problem that language models can be asked about; optional.
 
     Attributes:
-        road: Where participants are.
-        most: Most participants of a candidate.
-        system: The system under test, in a few words.
+        road: The road that participants use.
+        max_participants: Maximum number of participants in a candidate.
+        system: Short description of the system under test.
     """
 
     road: RoadLimits
-    most: int
+    max_participants: int
     system: str
 
 

@@ -96,7 +96,7 @@ class NpcActions:
             pavement_m=lanes.pavement_m,
             streets_m=lanes.crossing_streets_m,
         )
-        self.most = params.participants
+        self.max_participants = params.participants
         self.system = _SYSTEM
         self.space = SearchSpace((participants_component(ROAD_USERS, params.participants, self.road),))
         self._rule = participants_of(self.space)[1]

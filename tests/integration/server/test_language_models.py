@@ -53,10 +53,10 @@ from brink.server.db.models import SeedClaimRow
 from brink.server.db.writer import Writer
 from brink.server.errors import InvalidInput, Unavailable
 from brink.server.llm.calls import CallKey, Outcome, StoredCall
-from brink.server.llm.client import MOST_REPLY_BYTES
+from brink.server.llm.client import MAX_REPLY_BYTES
+from brink.server.llm.protocol import Mode
 from brink.server.llm.seeds import LlmSeeds
 from brink.server.llm.store import CampaignCalls
-from brink.server.llm.wire import Mode
 from brink.server.problems.npc_actions import NpcActions, NpcActionsParams
 
 pytestmark = pytest.mark.timeout(180)
@@ -439,7 +439,7 @@ FAULTS = {
     "stalls for good": Fault((STALLS, STALLS), sent=2, settings={"timeout_s": 0.5}),
     "connection cut once": Fault((cut("x"), GOOD), llm=8, sent=2),
     "connection cut for good": Fault((cut("x"), cut("x")), sent=2),
-    "huge": Fault((huge(2 * MOST_REPLY_BYTES),)),
+    "huge": Fault((huge(2 * MAX_REPLY_BYTES),)),
     "wrong key": Fault((refuses(401, "wrong key"),)),
 }  # fmt: skip
 

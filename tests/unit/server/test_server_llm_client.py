@@ -1,21 +1,27 @@
-"""The client speaks to all the usual servers, tries again while that makes sense, and then says what to do."""
+"""The client understands the usual servers and arbitrary replies, retries, and reports errors with advice."""
 
 import asyncio
 import json
 import logging
 import socket
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from datetime import UTC, datetime
 from random import Random
 from typing import Any, TypeVar
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from support.llm_endpoint import (
     MODEL,
     Endpoint,
     ErrorForm,
+    Server,
     Step,
+    completion,
     cut,
+    error_body,
     gives,
     huge,
     llm_settings,
@@ -24,28 +30,188 @@ from support.llm_endpoint import (
     unencrypted,
 )
 
-from brink.server.llm.client import MOST_REPLY_BYTES, Completion, LlmClient
-from brink.server.llm.errors import (
+from brink.server.llm.client import MAX_REPLY_BYTES, Completion, LlmClient
+from brink.server.llm.protocol import (
     AccessRefused,
-    EndpointAway,
+    EndpointUnavailable,
     KeyMissing,
     LlmError,
     LlmFinal,
+    Message,
+    Mode,
     ModelUnknown,
     OverBudget,
+    Reply,
     RequestRefused,
     UnusableReply,
+    Usage,
+    embedded_status,
+    error_text,
+    parse_models,
+    parse_retry_after,
+    read_reply,
+    sanitize,
 )
-from brink.server.llm.form import SCHEMA
+from brink.server.llm.replies import SCHEMA
 from brink.server.llm.settings import LlmSettings
-from brink.server.llm.wire import Message, Mode
 from brink.worker.backoff import Backoff
+
+NOW = datetime(2026, 3, 1, 12, 0, 0, tzinfo=UTC)
+KEY = "sk-secret/0123456789"
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(
+            st.sampled_from(
+                ["choices", "message", "content", "text", "usage", "prompt_tokens", "total_tokens", "error", "code",
+                 "detail", "msg", "data", "models", "id", "refusal", "finish_reason"]
+            ),
+            inner,
+        )
+    ),
+    max_leaves=12,
+)  # fmt: skip
+
+
+def heard(body: Any) -> Reply:
+    return read_reply(json.dumps(body))
+
+
+@pytest.mark.parametrize("server", Server)
+@pytest.mark.parametrize("finish", ["stop", "length", "MAX_TOKENS", None])
+def test_replies_of_all_servers_are_parsed(server: Server, finish: str | None) -> None:
+    reply = heard(completion("yes", server, finish))
+    assert reply.text == "yes"
+    assert reply.finish_reason == (finish.lower() if finish else None)
+    assert reply.truncated is (finish in ("length", "MAX_TOKENS"))
+    assert not reply.refusal
+    stated = None if server is Server.OLLAMA else Usage(prompt_tokens=900, completion_tokens=100)
+    assert reply.usage == stated
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        ([{"type": "text", "text": "ye"}, {"type": "text", "text": "s"}], "yes"),
+        (["y", {"text": "es"}, {"type": "image_url"}, 7], "yes"),
+        (None, ""),
+        ("", ""),
+        (7, ""),
+    ],
+)
+def test_content_may_be_a_list_of_parts_or_missing(content: Any, text: str) -> None:
+    assert heard(completion(content)).text == text
+
+
+@pytest.mark.parametrize("name", ["reasoning_content", "reasoning", "thinking"])
+def test_reasoning_is_the_answer_only_if_there_is_no_content(name: str) -> None:
+    with_both, with_thoughts = completion("yes"), completion(None)
+    for body in (with_both, with_thoughts):
+        body["choices"][0]["message"][name] = "hm"
+    assert heard(with_both).text == "yes"
+    assert heard(with_thoughts).text == "hm"
+
+
+@pytest.mark.parametrize(
+    ("usage", "expected"),
+    [
+        ({"prompt_tokens": 5, "completion_tokens": 7}, (5, 7)),
+        ({"prompt_tokens": 5, "total_tokens": 12}, (5, 7)),
+        ({"prompt_tokens": 5, "completion_tokens": 7, "total_tokens": 40}, (5, 35)),
+        ({"prompt_tokens": 5.0, "completion_tokens": 7}, (5, 7)),
+        ({"prompt_tokens": 5}, None),
+        ({"prompt_tokens": -5, "completion_tokens": 7}, None),
+        ({"prompt_tokens": 10**30, "completion_tokens": 7}, None),
+        ({"prompt_tokens": float("nan"), "completion_tokens": 7}, None),
+        ({"prompt_tokens": True, "completion_tokens": "7"}, None),
+        ({}, None),
+        (None, None),
+        ("many", None),
+    ],
+)
+def test_invalid_usage_is_ignored(usage: Any, expected: tuple[int, int] | None) -> None:
+    found = heard({**completion("yes"), "usage": usage}).usage
+    assert (None if found is None else (found.prompt_tokens, found.completion_tokens)) == expected
+
+
+@pytest.mark.parametrize("finish", ["content_filter", "SAFETY"])
+def test_a_content_filter_counts_as_refusal(finish: str) -> None:
+    assert heard(completion(None, finish=finish)).refusal
+
+
+def test_a_refusal_message_counts_as_refusal() -> None:
+    body = completion(None)
+    body["choices"][0]["message"]["refusal"] = "I cannot help with that."
+    assert heard(body).refusal
+
+
+@given(json_values | st.builds(lambda value: {"choices": [{"message": value}]}, json_values))
+def test_arbitrary_json_is_parsed_or_rejected(value: Any) -> None:
+    raw = json.dumps(value)
+    with suppress(UnusableReply):
+        assert isinstance(read_reply(raw).text, str)
+    words = error_text(raw)
+    assert 0 < len(words) <= 300
+    assert words.isprintable()
+    names = parse_models(raw)
+    assert names is None or all(isinstance(name, str) for name in names)
+    status = embedded_status(raw)
+    assert status is None or 400 <= status <= 599
+
+
+@pytest.mark.parametrize("raw", ["", "<html>", "[" * 100_000, '{"choices": [', "null"])
+def test_what_is_no_json_is_no_reply(raw: str) -> None:
+    with pytest.raises(UnusableReply, match="expected a chat completion"):
+        read_reply(raw)
+    assert parse_models(raw) is None
+
+
+@pytest.mark.parametrize("form", ErrorForm)
+def test_errors_are_understood_in_any_form(form: ErrorForm) -> None:
+    body = error_body("too\n many \x07 requests", form)
+    words = error_text(body if isinstance(body, str) else json.dumps(body))
+    assert "too many requests" in words
+    assert "{" not in words
+
+
+def test_what_was_said_is_bounded() -> None:
+    assert error_text("x" * 10_000) == "x" * 300
+    assert error_text(" \n ") == "nothing"
+
+
+@pytest.mark.parametrize("key", [KEY, 'sk-quoted"and\\slashed'])
+def test_the_key_is_removed_in_every_json_escaping(key: str) -> None:
+    bodies = (key, json.dumps({"said": key}), json.dumps({"said": key}).replace("/", "\\/"))
+    for body in bodies:
+        assert "[key]" in sanitize(body.encode(), [key])
+
+
+def test_bodies_are_decoded_to_text_that_can_be_stored() -> None:
+    assert sanitize(b"a\x00b\xff") == "a\ufffdb\ufffd"
+
+
+@given(
+    st.text()
+    | st.from_regex(r"\A[A-Z][a-z]{2}, [0-9]{1,2} [A-Z][a-z]{2} [0-9]{1,5} [0-9:]{1,8} [-+A-Z0-9]{1,6}\Z")
+    | st.sampled_from(
+        ["Sun, 01 Mar 2026 12:00:09", "Sun, 01 Mar 9999 12:00:09 -9999", "0001", "1e308", "-inf"]
+    )
+)
+def test_arbitrary_retry_after_headers_give_a_time_or_none(stated: str) -> None:
+    wait_s = parse_retry_after({"Retry-After": stated}, NOW)
+    assert wait_s is None or wait_s >= 0
+    assert parse_retry_after({}, NOW) is None
+
+
+def test_modes_go_from_strict_to_plain() -> None:
+    assert [mode.looser for mode in Mode] == [Mode.SCHEMA_IN_OBJECT, Mode.JSON_OBJECT, Mode.PLAIN, None]
+
 
 pytestmark = pytest.mark.timeout(30)
 
 ASKED = (Message("system", "be brief"), Message("user", "what?"))
-NOW = datetime(2026, 3, 1, 12, 0, 0, tzinfo=UTC)
-KEY = "sk-secret/0123456789"
 OK = says("yes")
 R = TypeVar("R")
 
@@ -56,7 +222,7 @@ def using(
     pauses: list[float] | None = None,
     **options: Any,
 ) -> R:
-    """Run a task with a client whose pauses take no time."""
+    """Run a task with a client that does not wait during pauses."""
     waits = pauses if pauses is not None else []
 
     async def pause(seconds: float) -> None:
@@ -75,7 +241,7 @@ def ask(client: LlmClient) -> Awaitable[Completion]:
 
 
 def failing(endpoint: Endpoint, kind: type[LlmError], *steps: Step, **changes: Any) -> LlmError:
-    """Return the error that a question ends with."""
+    """Return the error that a request raises."""
     endpoint.then(*steps)
     with pytest.raises(kind) as caught:
         using(llm_settings(endpoint, **changes), ask)
@@ -83,7 +249,7 @@ def failing(endpoint: Endpoint, kind: type[LlmError], *steps: Step, **changes: A
     return caught.value
 
 
-def test_a_question_carries_all_that_is_set(endpoint: Endpoint) -> None:
+def test_a_request_contains_all_settings(endpoint: Endpoint) -> None:
     endpoint.then(OK)
     changes: dict[str, Any] = {
         "temperature": 0.3, "top_p": 0.9, "seed": 7, "max_tokens": 512, "token_field": "max_completion_tokens",
@@ -111,7 +277,7 @@ def test_a_question_carries_all_that_is_set(endpoint: Endpoint) -> None:
     assert answer.latency_s > 0
 
 
-def test_what_is_not_set_is_not_sent(endpoint: Endpoint) -> None:
+def test_settings_that_are_not_set_are_not_sent(endpoint: Endpoint) -> None:
     endpoint.then(OK)
     using(llm_settings(endpoint), ask)
     [asked] = endpoint.asked
@@ -131,7 +297,7 @@ def test_what_is_not_set_is_not_sent(endpoint: Endpoint) -> None:
         refuses(500, "failed to parse grammar", ErrorForm.HTML),
     ],
 )
-def test_a_form_that_is_refused_is_replaced_by_a_looser_one_for_good(
+def test_a_rejected_form_is_permanently_replaced_by_a_looser_one(
     endpoint: Endpoint, form_refusal: Step
 ) -> None:
     endpoint.forms, endpoint.form_refusal = ("schema_in_object", "json_object", "plain"), form_refusal
@@ -157,13 +323,13 @@ def test_the_last_form_is_plain(endpoint: Endpoint) -> None:
     assert "response_format" not in endpoint.asked[-1].body
 
 
-def test_a_form_that_was_found_before_is_taken_at_once(endpoint: Endpoint) -> None:
+def test_the_form_that_an_earlier_client_found_is_used_first(endpoint: Endpoint) -> None:
     endpoint.then(OK)
     assert using(llm_settings(endpoint), ask, mode=Mode.PLAIN).mode is Mode.PLAIN
     assert len(endpoint.asked) == 1
 
 
-def test_a_form_that_worked_is_not_given_up_for_another_trouble(endpoint: Endpoint) -> None:
+def test_a_working_form_is_kept_after_an_unrelated_error(endpoint: Endpoint) -> None:
     endpoint.then(OK, refuses(400, "maximum context length is 2048 tokens"), OK)
 
     async def thrice(client: LlmClient) -> list[Mode]:
@@ -175,7 +341,7 @@ def test_a_form_that_worked_is_not_given_up_for_another_trouble(endpoint: Endpoi
     assert using(llm_settings(endpoint), thrice) == [Mode.JSON_SCHEMA] * 2
 
 
-def test_a_form_is_not_given_up_if_no_other_works_either(endpoint: Endpoint) -> None:
+def test_a_form_is_kept_if_no_looser_one_works(endpoint: Endpoint) -> None:
     endpoint.then(*[refuses(400, "maximum context length is 2048 tokens")] * len(Mode), OK)
 
     async def twice(client: LlmClient) -> Mode:
@@ -187,7 +353,7 @@ def test_a_form_is_not_given_up_if_no_other_works_either(endpoint: Endpoint) -> 
 
 
 @pytest.mark.parametrize("status", [408, 409, 425, 429, 500, 502, 503, 504])
-def test_a_short_disturbance_is_tried_again_with_growing_pauses(endpoint: Endpoint, status: int) -> None:
+def test_retryable_errors_are_retried_with_growing_pauses(endpoint: Endpoint, status: int) -> None:
     pauses: list[float] = []
     endpoint.then(refuses(status, "busy"), refuses(status, "busy"), OK)
     answer = using(llm_settings(endpoint), ask, pauses, backoff=Backoff(first_s=1.0, cap_s=60.0))
@@ -195,13 +361,13 @@ def test_a_short_disturbance_is_tried_again_with_growing_pauses(endpoint: Endpoi
     assert 0.5 <= pauses[0] <= 1.0 <= pauses[1] <= 2.0
 
 
-def test_an_error_inside_a_success_counts_as_what_it_is(endpoint: Endpoint) -> None:
+def test_an_error_embedded_in_a_2xx_answer_is_retried(endpoint: Endpoint) -> None:
     endpoint.then(gives({"error": {"message": "upstream overloaded", "code": 502}}), OK)
     assert using(llm_settings(endpoint), ask).attempts == 2
 
 
-def test_a_longer_disturbance_ends_with_what_was_said(endpoint: Endpoint) -> None:
-    error = failing(endpoint, EndpointAway, *[refuses(503, "loading model", ErrorForm.WORD)] * 3)
+def test_the_last_error_is_reported_after_all_retries(endpoint: Endpoint) -> None:
+    error = failing(endpoint, EndpointUnavailable, *[refuses(503, "loading model", ErrorForm.WORD)] * 3)
     assert str(error) == f"{endpoint.url} answered 503: loading model; gave up after 3 tries"
     assert (error.effort.requests, error.effort.lost) == (3, 0)
 
@@ -215,7 +381,7 @@ def test_a_longer_disturbance_ends_with_what_was_said(endpoint: Endpoint) -> Non
         ("Sun, 01 Mar 2026 13:00:09 +0100", 9.0),
     ],
 )
-def test_a_pause_that_the_endpoint_asks_for_is_kept(endpoint: Endpoint, stated: str, waited: float) -> None:
+def test_retry_after_is_honoured(endpoint: Endpoint, stated: str, waited: float) -> None:
     pauses: list[float] = []
     endpoint.then(refuses(429, "slow down", Retry_After=stated), OK)
     using(llm_settings(endpoint), ask, pauses)
@@ -225,7 +391,7 @@ def test_a_pause_that_the_endpoint_asks_for_is_kept(endpoint: Endpoint, stated: 
 @pytest.mark.parametrize(
     "stated", ["soon", "-5", "nan", "inf", "0", "Sun, 01 Mar 2020 12:00:09 GMT", "1" * 400]
 )
-def test_a_pause_that_makes_no_sense_is_replaced_by_our_own(endpoint: Endpoint, stated: str) -> None:
+def test_an_invalid_retry_after_is_ignored(endpoint: Endpoint, stated: str) -> None:
     pauses: list[float] = []
     endpoint.then(refuses(429, "slow down", Retry_After=stated), OK)
     using(llm_settings(endpoint), ask, pauses)
@@ -233,16 +399,16 @@ def test_a_pause_that_makes_no_sense_is_replaced_by_our_own(endpoint: Endpoint, 
 
 
 @pytest.mark.parametrize("stated", ["31", "1e9", "Sun, 01 Mar 2026 12:00:31 GMT"])
-def test_nobody_waits_longer_than_allowed(endpoint: Endpoint, stated: str) -> None:
+def test_a_retry_after_beyond_the_limit_ends_the_call(endpoint: Endpoint, stated: str) -> None:
     pauses: list[float] = []
     endpoint.then(refuses(429, "slow down", Retry_After=stated))
-    with pytest.raises(EndpointAway, match=r"longer than max_wait_s \(30 s\)"):
+    with pytest.raises(EndpointUnavailable, match=r"longer than max_wait_s \(30 s\)"):
         using(llm_settings(endpoint, max_wait_s=30), ask, pauses)
     assert pauses == []
     assert len(endpoint.asked) == 1
 
 
-def test_our_own_pauses_are_no_longer_than_allowed(endpoint: Endpoint) -> None:
+def test_backoff_is_limited_by_max_wait_s(endpoint: Endpoint) -> None:
     pauses: list[float] = []
     endpoint.then(*[refuses(503)] * 4, OK)
     using(llm_settings(endpoint, retries=4, max_wait_s=0.6), ask, pauses)
@@ -250,25 +416,27 @@ def test_our_own_pauses_are_no_longer_than_allowed(endpoint: Endpoint) -> None:
     assert max(pauses) <= 0.6
 
 
-def test_a_server_that_stalls_is_given_up_in_time(endpoint: Endpoint) -> None:
-    error = failing(endpoint, EndpointAway, *[endpoint.stalls()] * 2, timeout_s=0.2, retries=1)
+def test_a_stalled_server_times_out(endpoint: Endpoint) -> None:
+    error = failing(endpoint, EndpointUnavailable, *[endpoint.stalls()] * 2, timeout_s=0.2, retries=1)
     assert "no answer within 0.2 s; gave up after 2 tries" in str(error)
     assert (error.effort.requests, error.effort.lost) == (2, 2)
     assert 0.4 <= error.effort.elapsed_s < 5
 
 
-def test_a_connection_that_is_cut_is_tried_again(endpoint: Endpoint) -> None:
+def test_a_broken_connection_is_retried(endpoint: Endpoint) -> None:
     endpoint.then(cut("yes"), OK)
     answer = using(llm_settings(endpoint), ask)
     assert (answer.text, answer.attempts, answer.lost) == ("yes", 2, 1)
 
 
-def test_nobody_there_is_said_so() -> None:
+def test_an_unreachable_endpoint_is_reported() -> None:
     with socket.socket() as deaf:
         deaf.bind(("127.0.0.1", 0))
         place = f"127.0.0.1:{deaf.getsockname()[1]}"
         settings = LlmSettings(endpoint=f"http://{place}/v1", model=MODEL, retries=1)
-        with pytest.raises(EndpointAway, match=rf"{place}/v1: no answer .*gave up after 2 tries") as caught:
+        with pytest.raises(
+            EndpointUnavailable, match=rf"{place}/v1: no answer .*gave up after 2 tries"
+        ) as caught:
             using(settings, ask)
     assert (caught.value.effort.requests, caught.value.effort.lost) == (2, 0)
 
@@ -283,10 +451,10 @@ def test_nobody_there_is_said_so() -> None:
         (refuses(404, "model not found", ErrorForm.WORD), ModelUnknown, f"serves the model '{MODEL}'"),
         (refuses(413, "too large", ErrorForm.HTML), RequestRefused, "answered 413: <html><body>too large"),
         (refuses(501, "later"), RequestRefused, "answered 501: later"),
-        (refuses(307, "over there", Location="http://127.0.0.1:9/"), RequestRefused, "give that address as endpoint"),
+        (refuses(307, "over there", Location="http://127.0.0.1:9/"), RequestRefused, "set endpoint to the new"),
     ],
 )  # fmt: skip
-def test_what_will_not_get_better_is_said_at_once_with_advice(
+def test_final_errors_are_reported_at_once_with_advice(
     endpoint: Endpoint, step: Step, kind: type[LlmError], advice: str
 ) -> None:
     endpoint.then(step)
@@ -298,7 +466,7 @@ def test_what_will_not_get_better_is_said_at_once_with_advice(
     assert caught.value.effort.lost == 0
 
 
-def test_the_name_of_the_token_limit_is_advised(endpoint: Endpoint) -> None:
+def test_the_error_names_the_token_field_that_the_endpoint_expects(endpoint: Endpoint) -> None:
     words = "Unsupported parameter: 'max_tokens'. Use 'max_completion_tokens' instead."
     error = failing(endpoint, RequestRefused, *[refuses(400, words)] * len(Mode))
     assert "Set token_field: max_completion_tokens" in str(error)
@@ -316,43 +484,44 @@ def test_the_name_of_the_token_limit_is_advised(endpoint: Endpoint) -> None:
         (huge(1000), "got no JSON"),
     ],
 )
-def test_a_success_that_is_no_completion_is_not_asked_for_again(
-    endpoint: Endpoint, step: Step, expected: str
-) -> None:
+def test_an_unusable_2xx_answer_is_not_retried(endpoint: Endpoint, step: Step, expected: str) -> None:
     error = failing(endpoint, UnusableReply, step)
     assert expected in str(error)
     assert (error.effort.requests, error.effort.lost) == (1, 1)
 
 
-def test_a_huge_body_is_cut(endpoint: Endpoint) -> None:
-    error = failing(endpoint, UnusableReply, huge(8 * MOST_REPLY_BYTES))
-    assert f"at most {MOST_REPLY_BYTES} bytes" in str(error)
+def test_an_oversized_body_is_rejected(endpoint: Endpoint) -> None:
+    error = failing(endpoint, UnusableReply, huge(8 * MAX_REPLY_BYTES))
+    assert f"at most {MAX_REPLY_BYTES} bytes" in str(error)
 
 
-def test_nothing_is_sent_without_a_key_that_is_wanted(endpoint: Endpoint) -> None:
+def test_nothing_is_sent_while_the_key_is_missing(endpoint: Endpoint) -> None:
     error = failing(endpoint, KeyMissing, api_key_env="MY_KEY")
     assert "MY_KEY is not set" in str(error)
     assert endpoint.asked == []
     assert error.effort.requests == 0
 
 
-def test_each_request_is_allowed_first(endpoint: Endpoint) -> None:
+def test_before_request_can_stop_a_call(endpoint: Endpoint) -> None:
     seen: list[int] = []
 
-    def may_send(lost: int) -> None:
+    def before_request(lost: int) -> None:
         seen.append(lost)
         if lost == 2:
             raise OverBudget("no more")
 
     endpoint.then(cut("a"), refuses(503), cut("b"), OK)
     with pytest.raises(OverBudget, match="no more") as caught:
-        using(llm_settings(endpoint, retries=9), lambda c: c.complete(ASKED, SCHEMA, may_send=may_send))
+        using(
+            llm_settings(endpoint, retries=9),
+            lambda c: c.complete(ASKED, SCHEMA, before_request=before_request),
+        )
     assert seen == [0, 1, 1, 2]
     assert (caught.value.effort.requests, caught.value.effort.lost) == (3, 2)
 
 
 def test_the_key_is_never_repeated(endpoint: Endpoint, caplog: pytest.LogCaptureFixture) -> None:
-    """Some gateways quote the key that they refuse; models can be made to."""
+    """Some gateways quote a rejected key, and models can be made to quote it."""
     endpoint.key = "another"
     settings, environ = llm_settings(endpoint, api_key_env="MY_KEY"), {"MY_KEY": KEY}
     with caplog.at_level(logging.DEBUG):
@@ -385,7 +554,7 @@ def test_the_key_is_never_repeated(endpoint: Endpoint, caplog: pytest.LogCapture
         (None, None),
     ],
 )
-def test_models_are_listed_in_any_form(
+def test_all_forms_of_model_lists_are_parsed(
     endpoint: Endpoint, listed: Any, names: tuple[str, ...] | None
 ) -> None:
     endpoint.models = listed

@@ -1,4 +1,4 @@
-"""Prompts say all that a model must know, the same each time, and repeat nothing that a model wrote."""
+"""Prompts are complete and reproducible, and quote no text that a model wrote."""
 
 import json
 import math
@@ -11,11 +11,9 @@ from hypothesis import strategies as st
 from brink.search.algorithm import SeedRequest
 from brink.search.traffic.participants import MAGNITUDES, MAX_PARTICIPANTS, Action, Kind, RoadLimits
 from brink.server.errors import FieldError
-from brink.server.llm.drivable import Drivable
-from brink.server.llm.form import SCHEMA, as_text
-from brink.server.llm.prompts import MOST_ERRORS, example, question, repair
-from brink.server.llm.replies import parse
-from brink.server.llm.wire import Messages, prompt_hash
+from brink.server.llm.prompts import MAX_ERRORS, example, question, repair
+from brink.server.llm.protocol import Messages, prompt_hash
+from brink.server.llm.replies import SCHEMA, RoadChecker, parse, to_text
 
 ROAD = RoadLimits(streets_m=(-60.0, 30.0))
 SYSTEM = "a car that keeps its lane with a camera"
@@ -42,18 +40,18 @@ def text_of(messages: Messages) -> str:
 
 @given(roads, st.integers(1, MAX_PARTICIPANTS))
 @settings(max_examples=60, deadline=None)
-def test_the_example_is_accepted_on_any_road(road: RoadLimits, most: int) -> None:
-    drivable = Drivable(road, most)
+def test_the_example_is_valid_on_every_road(road: RoadLimits, most: int) -> None:
+    checker = RoadChecker(road, most)
     shown = example(road, most)
     assert len(shown) == min(2, most)
-    placed = drivable.placed(shown, "")
+    placed = checker.place(shown, "")
     assert placed == shown
-    read_back = parse(as_text([shown]), drivable, 1)
+    read_back = parse(to_text([shown]), checker, 1)
     assert read_back.errors == ()
     assert read_back.solutions == (shown,)
 
 
-def test_the_question_says_role_system_form_ranges_and_number() -> None:
+def test_the_question_states_role_system_format_ranges_and_count() -> None:
     system, user = asked()
     assert (system.role, user.role) == ("system", "user")
     assert SYSTEM in system.content
@@ -74,11 +72,11 @@ def test_the_question_says_role_system_form_ranges_and_number() -> None:
     ):
         assert words in user.content
     assert json.dumps(SCHEMA, separators=(",", ":")) in user.content
-    assert as_text([example(ROAD, 4)]) in user.content
+    assert to_text([example(ROAD, 4)]) in user.content
     assert "Rule" not in user.content
 
 
-def test_the_road_is_described_as_the_rule_has_it() -> None:
+def test_the_road_is_described_as_the_search_constrains_it() -> None:
     text = text_of(asked())
     assert "oncoming lane around dd_m 3.5" in text
     assert "no vehicle starts from ds_m -12.3 to 17.3" in text
@@ -101,32 +99,32 @@ def test_rules_show_the_known_solutions() -> None:
         number=3, count=1, exposed=(exposed,), silent=(silent,), rejected=(rejected,), round=1
     )
     text = text_of(asked(request))
-    assert f"SE exposed a violation; such solutions are wanted:\n{as_text([exposed])}" in text
-    assert f"SN exposed none; such solutions are not wanted:\n{as_text([silent])}" in text
+    assert f"SE exposed a violation; such solutions are wanted:\n{to_text([exposed])}" in text
+    assert f"SN exposed none; such solutions are not wanted:\n{to_text([silent])}" in text
     assert "Rule 1: give solutions that expose violations and differ from those in SE" in text
     assert "Rule 2" in text
-    assert as_text([rejected]) in text
+    assert to_text([rejected]) in text
     assert "Give 1 solution of" in text
     only_silent = text_of(asked(replace(request, exposed=(), rejected=())))
     assert "SE" not in only_silent
     assert "Rule 2" not in only_silent
 
 
-def test_the_same_request_gives_the_same_messages() -> None:
+def test_equal_requests_give_equal_messages() -> None:
     assert asked() == asked()
     assert prompt_hash(asked()) == prompt_hash(asked())
     assert prompt_hash(asked()) != prompt_hash(asked(most=3))
     assert prompt_hash(asked()) != prompt_hash(asked(SeedRequest(number=0, count=11)))
 
 
-def test_words_about_the_system_stay_on_one_bounded_line() -> None:
+def test_the_system_description_is_limited_to_one_short_line() -> None:
     system, _ = question(FIRST, ROAD, 4, "a\ncar\x00\u2028" + "y" * 10_000)
     assert "a car" in system.content
     assert "\n" not in system.content
     assert len(system.content) < 1000
 
 
-def test_a_repair_turn_lists_errors_by_pointer_and_shows_what_was_accepted() -> None:
+def test_a_repair_prompt_lists_errors_and_accepted_solutions() -> None:
     accepted = (example(ROAD, 4),)
     errors = [
         FieldError(pointer="/solutions/3/participants/0/ds_m", message="expected less"),
@@ -135,19 +133,19 @@ def test_a_repair_turn_lists_errors_by_pointer_and_shows_what_was_accepted() -> 
     messages = repair(asked(), accepted, errors, 2)
     assert messages[:2] == asked()
     assert [message.role for message in messages] == ["system", "user", "assistant", "user"]
-    assert messages[2].content == as_text(accepted)
+    assert messages[2].content == to_text(accepted)
     assert "- /solutions/3/participants/0/ds_m: expected less" in messages[3].content
     assert "Give 2 further solutions" in messages[3].content
 
 
-def test_a_repair_turn_is_bounded() -> None:
-    errors = [FieldError(pointer=f"/solutions/{place}", message="wrong") for place in range(MOST_ERRORS + 7)]
+def test_a_repair_prompt_lists_a_limited_number_of_errors() -> None:
+    errors = [FieldError(pointer=f"/solutions/{place}", message="wrong") for place in range(MAX_ERRORS + 7)]
     text = repair(asked(), (), errors, 2)[3].content
-    assert text.count("wrong") == MOST_ERRORS
+    assert text.count("wrong") == MAX_ERRORS
     assert "and 7 more" in text
 
 
 @pytest.mark.parametrize("most", [1, 6])
-def test_how_many_participants_is_said(most: int) -> None:
+def test_the_question_states_the_number_of_participants(most: int) -> None:
     words = "1 participant" if most == 1 else "1 to 6 participants"
     assert f"A solution is {words}:" in text_of(asked(most=most))

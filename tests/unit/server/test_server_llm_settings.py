@@ -1,4 +1,4 @@
-"""Settings of a language model: bounds, and secrets that do not slip in or out."""
+"""Settings of a language model: bounds, and protection against leaked secrets."""
 
 from typing import Any
 
@@ -6,8 +6,9 @@ import pytest
 from pydantic import ValidationError
 
 from brink.server.documents import invalid_input
-from brink.server.llm.errors import KeyMissing
-from brink.server.llm.settings import LlmSettings, api_key
+from brink.server.llm.client import api_key
+from brink.server.llm.protocol import KeyMissing
+from brink.server.llm.settings import LlmSettings
 
 SECRET = "sk-proj-0123456789abcdef"
 
@@ -17,7 +18,7 @@ def settings(**changes: Any) -> LlmSettings:
 
 
 def refused(**changes: Any) -> tuple[str, str]:
-    """Return where settings are wrong, and everything that the error shows anywhere."""
+    """Return the pointer of the error, and everything that the error shows anywhere."""
     with pytest.raises(ValidationError) as caught:
         settings(**changes)
     [error] = invalid_input(caught.value, LlmSettings).errors
@@ -25,7 +26,7 @@ def refused(**changes: Any) -> tuple[str, str]:
     return error.pointer, everything
 
 
-def test_defaults_are_those_of_the_manual() -> None:
+def test_defaults_match_the_documentation() -> None:
     given = settings()
     assert (given.temperature, given.top_p, given.seed, given.max_tokens) == (0.8, 1.0, None, 4096)
     assert (given.timeout_s, given.retries, given.max_wait_s, given.max_calls) == (120.0, 4, 120.0, 50)
@@ -41,7 +42,7 @@ def test_defaults_are_those_of_the_manual() -> None:
     assert not given.priced
 
 
-def test_every_field_says_what_it_is() -> None:
+def test_every_field_has_a_description() -> None:
     for name, field in LlmSettings.model_fields.items():
         assert field.description, name
 
@@ -54,7 +55,7 @@ def test_every_field_says_what_it_is() -> None:
         ("http://[::1]:11434/v1", "http://[::1]:11434/v1"),
     ],
 )
-def test_an_endpoint_is_kept_in_its_plain_form(given: str, kept: str) -> None:
+def test_endpoints_are_normalised(given: str, kept: str) -> None:
     assert settings(endpoint=given).endpoint == kept
 
 
@@ -76,7 +77,7 @@ def test_an_endpoint_is_kept_in_its_plain_form(given: str, kept: str) -> None:
         7,
     ],
 )
-def test_an_endpoint_that_is_no_url_is_refused(endpoint: object) -> None:
+def test_invalid_endpoints_are_rejected(endpoint: object) -> None:
     pointer, _ = refused(endpoint=endpoint)
     assert pointer == "/endpoint"
 
@@ -90,7 +91,7 @@ def test_an_endpoint_that_is_no_url_is_refused(endpoint: object) -> None:
         f"https://host/v1#{SECRET}",
     ],
 )
-def test_credentials_in_an_endpoint_are_refused_and_not_repeated(endpoint: str) -> None:
+def test_credentials_in_an_endpoint_are_rejected_and_not_repeated(endpoint: str) -> None:
     pointer, everything = refused(endpoint=endpoint)
     assert pointer == "/endpoint"
     assert "api_key_env" in everything
@@ -98,7 +99,7 @@ def test_credentials_in_an_endpoint_are_refused_and_not_repeated(endpoint: str) 
 
 
 @pytest.mark.parametrize("name", [SECRET, "lower_case", "", "A B", "1A"])
-def test_a_key_in_place_of_a_variables_name_is_refused_and_not_repeated(name: str) -> None:
+def test_a_key_instead_of_a_variable_name_is_rejected_and_not_repeated(name: str) -> None:
     pointer, everything = refused(api_key_env=name)
     assert pointer == "/api_key_env"
     assert "OPENAI_API_KEY" in everything
@@ -106,7 +107,7 @@ def test_a_key_in_place_of_a_variables_name_is_refused_and_not_repeated(name: st
 
 
 @pytest.mark.parametrize("field", ["api_key", "apikey", "token", "Authorization"])
-def test_a_key_in_a_field_of_its_own_is_refused_and_not_repeated(field: str) -> None:
+def test_a_key_field_is_rejected_and_not_repeated(field: str) -> None:
     pointer, everything = refused(**{field: SECRET})
     assert pointer == f"/{field}"
     assert "api_key_env" in everything
@@ -122,7 +123,7 @@ def test_a_key_in_a_field_of_its_own_is_refused_and_not_repeated(field: str) -> 
         ("model", ""), ("modell", "m"),
     ],
 )  # fmt: skip
-def test_a_value_out_of_bounds_is_refused_where_it_is(field: str, value: object) -> None:
+def test_each_invalid_value_is_rejected_with_its_pointer(field: str, value: object) -> None:
     pointer, _ = refused(**{field: value})
     assert pointer == f"/{field}"
 
@@ -135,13 +136,13 @@ def test_a_value_out_of_bounds_is_refused_where_it_is(field: str, value: object)
         ({"output_price": 1.0}, "input_price"),
     ],
 )
-def test_a_cost_cannot_be_kept_without_both_prices(prices: dict[str, float], missing: str) -> None:
+def test_max_cost_requires_both_prices(prices: dict[str, float], missing: str) -> None:
     pointer, everything = refused(max_cost=5.0, **prices)
     assert pointer == "/max_cost"
     assert f"expected {missing} too" in everything
 
 
-def test_a_price_of_nothing_is_a_price() -> None:
+def test_zero_is_a_valid_price() -> None:
     assert settings(max_cost=5.0, input_price=0.0, output_price=0).priced
 
 
@@ -156,7 +157,7 @@ def test_the_key_comes_from_the_environment() -> None:
 @pytest.mark.parametrize(
     "environ", [{}, {"MY_KEY": "  "}, {"MY_KEY": "schlüssel-geheim"}, {"MY_KEY": "geheim 1"}]
 )
-def test_a_key_that_is_not_there_or_none_is_named_by_its_variable(environ: dict[str, str]) -> None:
+def test_a_missing_or_invalid_key_is_reported_by_its_variable(environ: dict[str, str]) -> None:
     with pytest.raises(KeyMissing, match="MY_KEY") as caught:
         api_key(settings(api_key_env="MY_KEY"), environ)
     assert "geheim" not in str(caught.value)

@@ -1,0 +1,219 @@
+"""What `brink llm` reports before a campaign is submitted: whether an endpoint works, and what prompts will cost."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import httpx
+
+from brink.search.algorithm import SeedRequest
+from brink.search.traffic.participants import RoadLimits
+from brink.server.llm.calls import cost_of, tokens_of, worst_usage
+from brink.server.llm.client import LlmClient
+from brink.server.llm.prompts import example, question
+from brink.server.llm.protocol import (
+    AccessRefused,
+    EndpointUnavailable,
+    KeyMissing,
+    LlmError,
+    Messages,
+    Mode,
+    Usage,
+)
+from brink.server.llm.replies import SCHEMA, RoadChecker, parse, to_text
+from brink.server.llm.settings import LlmSettings
+
+_PARTICIPANTS: Final = 2
+_SYSTEM: Final = "an automated car on a road in a town"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModeReport:
+    """The result of a request with one form of reply.
+
+    Attributes:
+        mode: The form.
+        accepted: Whether the endpoint accepted it.
+        usable: Whether the reply was a valid solution.
+        usage_stated: Whether the endpoint reported tokens.
+        finish_reason: Reported reason, or None.
+        latency_s: Time until the answer; None without one.
+        trouble: What was wrong; None if nothing was.
+    """
+
+    mode: Mode
+    accepted: bool
+    usable: bool = False
+    usage_stated: bool = False
+    finish_reason: str | None = None
+    latency_s: float | None = None
+    trouble: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EndpointReport:
+    """The result of checking an endpoint.
+
+    Attributes:
+        reachable: Whether it answers at all.
+        models: The models it lists; None if it has no list.
+        model_listed: Whether the configured model is listed; None if there is no list.
+        modes: The results of all forms of reply.
+        trouble: Why nothing could be checked; None if something could.
+    """
+
+    reachable: bool
+    models: tuple[str, ...] | None = None
+    model_listed: bool | None = None
+    modes: tuple[ModeReport, ...] = ()
+    trouble: str | None = None
+
+    @property
+    def mode(self) -> Mode | None:
+        """The strictest form with a usable reply, or None."""
+        return next((report.mode for report in self.modes if report.usable), None)
+
+    @property
+    def works(self) -> bool:
+        """Whether any form gives a usable reply."""
+        return self.mode is not None
+
+
+async def check_endpoint(
+    settings: LlmSettings,
+    *,
+    environ: Mapping[str, str] | None = None,
+    transport: httpx.AsyncBaseTransport | None = None,
+) -> EndpointReport:
+    """Check an endpoint with a request for its models, and one small prompt for each form of reply.
+
+    Args:
+        settings: The endpoint; ``retries`` is ignored, and nothing is retried.
+        environ: Environment with the API key; the environment of this process if None.
+        transport: HTTP transport; the network if None.
+    """
+    once = settings.model_copy(update={"retries": 0})
+    async with LlmClient(once, environ=environ, transport=transport) as client:
+        try:
+            models = await client.models()
+        except (EndpointUnavailable, KeyMissing) as error:
+            return EndpointReport(reachable=False, trouble=str(error))
+        except AccessRefused as error:
+            return EndpointReport(reachable=True, trouble=str(error))
+        except LlmError:
+            models = None
+        listed = None if models is None else _is_listed(settings.model, models)
+        road = RoadLimits()
+        messages = question(SeedRequest(number=0, count=1), road, _PARTICIPANTS, _SYSTEM)
+        reports = [await _try_mode(client, messages, mode, RoadChecker(road, _PARTICIPANTS)) for mode in Mode]
+    return EndpointReport(reachable=True, models=models, model_listed=listed, modes=tuple(reports))
+
+
+async def _try_mode(client: LlmClient, messages: Messages, mode: Mode, road: RoadChecker) -> ModeReport:
+    try:
+        completion = await client.complete(messages, SCHEMA, mode=mode)
+    except LlmError as error:
+        return ModeReport(mode=mode, accepted=False, trouble=str(error))
+    parsed = parse(completion.text, road, wanted=1)
+    return ModeReport(
+        mode=mode,
+        accepted=True,
+        usable=bool(parsed.solutions),
+        usage_stated=completion.usage is not None,
+        finish_reason=completion.finish_reason,
+        latency_s=completion.latency_s,
+        trouble=None if parsed.solutions else "; ".join(map(str, parsed.errors[:3])),
+    )
+
+
+def _is_listed(model: str, models: tuple[str, ...]) -> bool:
+    """Return whether a model is listed; Ollama adds a tag to names without one."""
+    return model in models or f"{model}:latest" in models
+
+
+_SHOWN: Final = 3
+"""Number of known solutions of each kind that a differential prompt is assumed to show."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Estimate:
+    """The expected usage of a campaign's calls.
+
+    Attributes:
+        calls: Calls without repair turns.
+        most_calls: Calls if each needs a repair turn, limited by ``max_calls``.
+        usage: Tokens of `calls`.
+        most_usage: Tokens of `most_calls` with replies of maximum length.
+        cost: Cost of `usage`; None if a price is unknown.
+        most_cost: Cost of `most_usage`; None if a price is unknown.
+        solutions_a_reply: Number of solutions that fit into a reply of maximum length.
+    """
+
+    calls: int
+    most_calls: int
+    usage: Usage
+    most_usage: Usage
+    cost: float | None
+    most_cost: float | None
+    solutions_a_reply: int
+
+    @property
+    def words(self) -> str:
+        """The estimate on one line."""
+        cost = "unknown" if self.cost is None else f"{self.cost:.3g}"
+        most = "unknown" if self.most_cost is None else f"{self.most_cost:.3g}"
+        return (
+            f"about {self.calls} calls (at most {self.most_calls}), {self.usage.total} tokens (at most "
+            f"{self.most_usage.total}), cost {cost} (at most {most}); a reply has room for about "
+            f"{self.solutions_a_reply} solutions"
+        )
+
+
+def estimate(
+    settings: LlmSettings,
+    *,
+    road: RoadLimits,
+    max_participants: int,
+    system: str,
+    initial: int,
+    differential: int,
+    differential_calls: int,
+) -> Estimate:
+    """Estimate the usage of a campaign's calls.
+
+    Args:
+        settings: The model, its prices and limits.
+        road: The road.
+        max_participants: Maximum number of participants in a solution.
+        system: Short description of the system under test.
+        initial: Solutions of the first request; 0 if there is none.
+        differential: Solutions of each later request.
+        differential_calls: Assumed number of later requests.
+    """
+    one = example(road, max_participants)
+    shown = (one,) * _SHOWN
+    first = SeedRequest(number=0, count=initial)
+    later = SeedRequest(number=1, count=max(differential, 1), exposed=shown, silent=shown)
+    firsts = 1 if initial else 0
+    calls = min(firsts + differential_calls, settings.max_calls)
+    repairs = min(calls, settings.max_calls - calls)
+    a_solution = tokens_of(len(to_text([one])))
+    usage = most_usage = Usage(prompt_tokens=0, completion_tokens=0, estimated=True)
+    for request, made, repaired in (
+        (first, firsts, min(repairs, firsts)),
+        (later, calls - firsts, max(repairs - firsts, 0)),
+    ):
+        worst = worst_usage(settings, question(request, road, max_participants, system))
+        expected = replace(worst, completion_tokens=min(request.count * a_solution, settings.max_tokens))
+        usage += expected * made
+        # A repair turn repeats the question and the accepted part of its answer.
+        most_usage += worst * made + replace(worst, prompt_tokens=worst.total) * repaired
+    return Estimate(
+        calls=calls,
+        most_calls=calls + repairs,
+        usage=usage,
+        most_usage=most_usage,
+        cost=cost_of(usage, settings),
+        most_cost=cost_of(most_usage, settings),
+        solutions_a_reply=max(1, settings.max_tokens // a_solution),
+    )

@@ -1,0 +1,496 @@
+"""The protocol of OpenAI-compatible endpoints: request bodies, replies, and errors. Pure functions.
+
+Servers differ: ``usage`` and ``finish_reason`` may be missing, content may be a list of parts or null, reasoning may
+come in a field of its own. Everything here accepts arbitrary input. Error messages never contain the API key.
+
+ServerError
+├── LlmError                     no usable reply
+│   ├── EndpointUnavailable      retryable: no answer, timeout, broken connection, 408, 409, 425, 429, 5xx
+│   └── LlmFinal                 repeating the call would fail again
+│       ├── KeyMissing           the environment variable with the API key is not set
+│       ├── OverBudget           a budget does not allow another request
+│       ├── UnusableReply        2xx, but not a chat completion, or too large
+│       └── Refused              the endpoint rejected the request
+│           ├── AccessRefused    401, 402, 403, or a 429 that reports exhausted credit
+│           ├── ModelUnknown     404
+│           └── RequestRefused   any other 4xx, 501, a redirect
+└── CallLogMismatch              a stored call was made with a different prompt; never suppressed
+"""
+
+import hashlib
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from email.utils import parsedate_to_datetime
+from enum import StrEnum
+from typing import Any, Final, Literal, TypeAlias
+
+from brink.server.errors import ServerError
+from brink.server.llm.settings import LlmSettings
+
+JsonObject: TypeAlias = Mapping[str, Any]
+
+_MAX_DIGITS: Final = 18
+_SCHEMA_NAME: Final = "solutions"
+_TRUNCATED: Final = frozenset({"length", "max_tokens", "model_length", "max_output_tokens"})
+_WITHHELD: Final = frozenset({"content_filter", "safety", "refusal", "recitation"})
+_MAX_TOKENS: Final = 10**9
+_ERROR_CHARS: Final = 300
+_NAME_CHARS: Final = 200
+_RETRYABLE: Final = frozenset({408, 409, 425, 429})
+_NOT_IMPLEMENTED: Final = 501
+_NAMES_FORM: Final = re.compile(
+    r"response_?format|json_?schema|json schema|json_?object|json mode|structured|guided|grammar"
+    r"|unsupported|not supported",
+    re.IGNORECASE,
+)
+_NO_CREDIT: Final = re.compile(r"insufficient_quota|exceeded your current quota|billing", re.IGNORECASE)
+_FORM_REFUSED: Final = frozenset({400, 404, 422, 500, _NOT_IMPLEMENTED})
+_PROBABLY_FORM: Final = frozenset({400, 422})
+_SEARCHED_CHARS: Final = 2000
+
+
+@dataclass(slots=True)
+class Effort:
+    """The requests of one call. Changes in place.
+
+    Attributes:
+        requests: HTTP requests sent.
+        lost: Those of them that the endpoint may have processed and billed without delivering a usable reply.
+        elapsed_s: Time from the first request to the end, including pauses.
+    """
+
+    requests: int = 0
+    lost: int = 0
+    elapsed_s: float = 0.0
+
+
+class LlmError(ServerError):
+    """No usable reply.
+
+    Attributes:
+        effort: The requests that were made before it.
+    """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(message)
+        self.effort = Effort()
+
+
+class EndpointUnavailable(LlmError):
+    """The endpoint did not answer, or asked the client to retry later.
+
+    Attributes:
+        retry_after_s: Requested pause, or None.
+        lost: Whether the endpoint may have processed the request.
+    """
+
+    def __init__(self, message: str, *, retry_after_s: float | None = None, lost: bool = False) -> None:
+        super().__init__(message)
+        self.retry_after_s = retry_after_s
+        self.lost = lost
+
+
+class LlmFinal(LlmError):
+    """Repeating the call would fail again."""
+
+
+class KeyMissing(LlmFinal):
+    """The environment variable with the API key is not set or does not contain a key."""
+
+
+class OverBudget(LlmFinal):
+    """A budget does not allow another request."""
+
+
+class UnusableReply(LlmFinal):
+    """The reply is not a chat completion, or is too large.
+
+    Attributes:
+        raw: The reply; None if it was not read to its end.
+    """
+
+    def __init__(self, message: str, *, raw: str | None = None) -> None:
+        super().__init__(message)
+        self.raw = raw
+
+
+class Refused(LlmFinal):
+    """The endpoint rejected the request.
+
+    Attributes:
+        status: HTTP status.
+    """
+
+    def __init__(self, message: str, *, status: int) -> None:
+        super().__init__(message)
+        self.status = status
+
+
+class AccessRefused(Refused):
+    """The key was rejected, or there is no credit left."""
+
+
+class ModelUnknown(Refused):
+    """The model or the path does not exist."""
+
+
+class RequestRefused(Refused):
+    """The endpoint does not accept the request in this form."""
+
+
+class CallLogMismatch(ServerError):
+    """A stored call was made with a different prompt."""
+
+
+class BadJson(ValueError):
+    """Not JSON, or nested too deeply."""
+
+
+# NaN, Infinity, and integers with too many digits become non-finite numbers, which range checks reject.
+_DECODER: Final = json.JSONDecoder(
+    parse_constant=lambda name: math.nan if name == "NaN" else math.inf,
+    parse_int=lambda digits: int(digits) if len(digits) <= _MAX_DIGITS else math.inf,
+)
+
+
+def decode_json(text: str) -> object:
+    """Decode untrusted JSON.
+
+    Raises:
+        BadJson: The text is not one JSON value.
+    """
+    stripped = text.strip()
+    value, end = decode_json_at(stripped, 0)
+    if end != len(stripped):
+        raise BadJson(f"expected nothing after character {end}")
+    return value
+
+
+def decode_json_at(text: str, start: int) -> tuple[object, int]:
+    """Decode the untrusted JSON value that begins at an index; return the value and the index of its end.
+
+    Raises:
+        BadJson: No valid value begins there.
+    """
+    try:
+        return _DECODER.raw_decode(text, start)
+    except RecursionError:
+        raise BadJson("nested too deeply") from None
+    except ValueError as error:
+        raise BadJson(error.msg if isinstance(error, json.JSONDecodeError) else "malformed") from None
+
+
+class Mode(StrEnum):
+    """How a request specifies the form of the reply, strictest first.
+
+    llama-cpp-python and some hosted endpoints support ``SCHEMA_IN_OBJECT`` instead of ``JSON_SCHEMA``.
+    """
+
+    JSON_SCHEMA = "json_schema"
+    SCHEMA_IN_OBJECT = "schema_in_object"
+    JSON_OBJECT = "json_object"
+    PLAIN = "plain"
+
+    @property
+    def looser(self) -> "Mode | None":
+        """The next mode to try, or None after the last."""
+        modes = list(Mode)
+        place = modes.index(self) + 1
+        return modes[place] if place < len(modes) else None
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One message of a prompt."""
+
+    role: Literal["system", "user", "assistant"]
+    content: str
+
+
+Messages: TypeAlias = tuple[Message, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Usage:
+    """Tokens used.
+
+    Attributes:
+        prompt_tokens: Tokens of prompts.
+        completion_tokens: Tokens of replies, including reasoning.
+        estimated: Whether any of them is an estimate because the endpoint did not report it.
+    """
+
+    prompt_tokens: int
+    completion_tokens: int
+    estimated: bool = False
+
+    @property
+    def total(self) -> int:
+        """Tokens of prompts and replies."""
+        return self.prompt_tokens + self.completion_tokens
+
+    def __add__(self, other: "Usage") -> "Usage":
+        return Usage(
+            prompt_tokens=self.prompt_tokens + other.prompt_tokens,
+            completion_tokens=self.completion_tokens + other.completion_tokens,
+            estimated=self.estimated or other.estimated,
+        )
+
+    def __mul__(self, count: int) -> "Usage":
+        return Usage(
+            prompt_tokens=self.prompt_tokens * count,
+            completion_tokens=self.completion_tokens * count,
+            estimated=self.estimated,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reply:
+    """The content of a chat completion.
+
+    Attributes:
+        text: The content; empty if there is none.
+        finish_reason: Why the model stopped, in lower case; None if the endpoint does not report it.
+        usage: Tokens used; None if the endpoint does not report them.
+        refusal: Whether the model or a content filter declined to answer.
+    """
+
+    text: str
+    finish_reason: str | None
+    usage: Usage | None
+    refusal: bool
+
+    @property
+    def truncated(self) -> bool:
+        """Whether the model reached the token limit."""
+        return self.finish_reason in _TRUNCATED
+
+
+def canonical(messages: Messages) -> str:
+    """Serialise messages canonically."""
+    return json.dumps([asdict(message) for message in messages], sort_keys=True, separators=(",", ":"))
+
+
+def prompt_hash(messages: Messages) -> str:
+    """Return the SHA-256 of the canonical messages, in hexadecimal."""
+    return hashlib.sha256(canonical(messages).encode()).hexdigest()
+
+
+def request_body(settings: LlmSettings, messages: Messages, mode: Mode, schema: JsonObject) -> dict[str, Any]:
+    """Return the JSON body of a chat completion request.
+
+    Args:
+        settings: Model and sampling parameters.
+        messages: The prompt.
+        mode: How to specify the form of the reply.
+        schema: JSON schema of the reply.
+    """
+    body: dict[str, Any] = {
+        "model": settings.model,
+        "messages": [asdict(message) for message in messages],
+        "temperature": settings.temperature,
+        "top_p": settings.top_p,
+        settings.token_field: settings.max_tokens,
+        "stream": False,
+    }
+    if settings.seed is not None:
+        body["seed"] = settings.seed
+    if mode is Mode.JSON_SCHEMA:
+        named = {"name": _SCHEMA_NAME, "strict": True, "schema": schema}
+        body["response_format"] = {"type": "json_schema", "json_schema": named}
+    elif mode is Mode.SCHEMA_IN_OBJECT:
+        body["response_format"] = {"type": "json_object", "schema": schema}
+    elif mode is Mode.JSON_OBJECT:
+        body["response_format"] = {"type": "json_object"}
+    return body
+
+
+def sanitize(body: bytes, secrets: Sequence[str] = ()) -> str:
+    """Decode a body, replacing NUL characters and secrets so that it can be stored."""
+    text = body.decode("utf-8", errors="replace").replace("\x00", "\ufffd")
+    for secret in secrets:
+        for written in (secret, json.dumps(secret)[1:-1], secret.replace("/", "\\/")):
+            text = text.replace(written, "[key]")
+    return text
+
+
+def read_reply(raw: str) -> Reply:
+    """Parse the body of a 2xx answer.
+
+    Raises:
+        UnusableReply: It is not a chat completion.
+    """
+    try:
+        document = decode_json(raw)
+    except BadJson as error:
+        raise UnusableReply(f"expected a chat completion, got no JSON ({error})", raw=raw) from None
+    choices = document.get("choices") if isinstance(document, dict) else None
+    if not isinstance(document, dict) or not isinstance(choices, list):
+        raise UnusableReply(f"expected a chat completion with choices, got {error_text(raw)}", raw=raw)
+    first = choices[0] if choices else None
+    message = first.get("message") if isinstance(first, dict) else None
+    if not isinstance(first, dict) or not isinstance(message, dict):
+        raise UnusableReply("expected a chat completion with a message, got one without", raw=raw)
+    reason = first.get("finish_reason")
+    finish_reason = reason.lower() if isinstance(reason, str) else None
+    # With forced JSON, some servers report the answer as reasoning and leave the content empty.
+    fields = ("content", "reasoning_content", "reasoning", "thinking")
+    text = next((text for name in fields if (text := _text(message.get(name))).strip()), "")
+    return Reply(
+        text=text,
+        finish_reason=finish_reason,
+        usage=_usage(document.get("usage")),
+        refusal=bool(_text(message.get("refusal")).strip()) or finish_reason in _WITHHELD,
+    )
+
+
+def _text(content: object) -> str:
+    """Return the text of a content field: a string, or a list of parts."""
+    if isinstance(content, str):
+        return content
+    if not isinstance(content, list):
+        return ""
+    parts = [part.get("text") if isinstance(part, dict) else part for part in content]
+    return "".join(part for part in parts if isinstance(part, str))
+
+
+def _usage(reported: object) -> Usage | None:
+    if not isinstance(reported, dict):
+        return None
+    prompt, completion, total = (
+        _tokens(reported.get(name)) for name in ("prompt_tokens", "completion_tokens", "total_tokens")
+    )
+    if prompt is None:
+        return None
+    if total is not None:
+        # Some endpoints bill reasoning without counting it as completion tokens; the total includes it.
+        completion = max(completion or 0, total - prompt)
+    if completion is None:
+        return None
+    return Usage(prompt_tokens=prompt, completion_tokens=completion)
+
+
+def _tokens(value: object) -> int | None:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= _MAX_TOKENS:
+        return None
+    return int(value)
+
+
+def error_text(raw: str) -> str:
+    """Return the message of an error body in any of the usual forms, or else its text, on one short line."""
+    try:
+        document = decode_json(raw)
+    except BadJson:
+        document = None
+    message = _error_message(document) if isinstance(document, dict) else ""
+    text = "".join(letter if letter.isprintable() else " " for letter in (message or raw)[: 8 * _ERROR_CHARS])
+    return " ".join(text.split())[:_ERROR_CHARS] or "nothing"
+
+
+def _error_message(document: dict[str, Any]) -> str:
+    for name in ("error", "detail", "message"):
+        found = document.get(name)
+        if isinstance(found, dict):
+            found = found.get("message")
+        elif isinstance(found, list):
+            messages = [one.get("msg") for one in found if isinstance(one, dict)]
+            found = "; ".join(message for message in messages if isinstance(message, str))
+        if isinstance(found, str) and found.strip():
+            return found
+    return ""
+
+
+def parse_models(raw: str) -> tuple[str, ...] | None:
+    """Return the model names of a model list in any of the usual forms, or None if it is not a list."""
+    try:
+        document: Any = decode_json(raw)
+    except BadJson:
+        return None
+    if isinstance(document, dict):
+        document = next((document[name] for name in ("data", "models") if document.get(name)), [])
+    if not isinstance(document, list):
+        return None
+    names = (
+        next((one[name] for name in ("id", "model", "name") if one.get(name)), None)
+        if isinstance(one, dict)
+        else one
+        for one in document
+    )
+    return tuple(name[:_NAME_CHARS] for name in names if isinstance(name, str))
+
+
+def parse_retry_after(headers: Mapping[str, str], now: datetime) -> float | None:
+    """Return the pause that a Retry-After header requests, in seconds, or None if there is no valid one."""
+    value = headers.get("Retry-After", "").strip()
+    try:
+        seconds = float(value)
+    except ValueError:
+        try:
+            when = parsedate_to_datetime(value)
+        except (ValueError, OverflowError):
+            return None
+        seconds = (when.replace(tzinfo=when.tzinfo or UTC) - now).total_seconds()
+    return max(seconds, 0.0) if math.isfinite(seconds) else None
+
+
+def embedded_status(raw: str) -> int | None:
+    """Return the error status in the body of a 2xx answer, or None: some gateways report upstream errors that way."""
+    if '"error"' not in raw:
+        return None
+    try:
+        document = decode_json(raw)
+    except BadJson:
+        return None
+    if not isinstance(document, dict) or document.get("choices") or not document.get("error"):
+        return None
+    code = document["error"].get("code") if isinstance(document["error"], dict) else None
+    return code if type(code) is int and 400 <= code <= 599 else None
+
+
+def error_from(
+    status: int, headers: Mapping[str, str], raw: str, settings: LlmSettings, now: datetime
+) -> LlmError:
+    """Return the error for an answer that is not 2xx, with advice on what to do.
+
+    Args:
+        status: HTTP status.
+        headers: HTTP headers.
+        raw: The body.
+        settings: Settings of the request.
+        now: Current time, to which a Retry-After date is relative.
+    """
+    text = error_text(raw)
+    message = f"{settings.endpoint} answered {status}: {text}"
+    if status == 402 or (status == 429 and _NO_CREDIT.search(raw)):
+        return AccessRefused(f"{message}. There is no credit left", status=status)
+    if status in _RETRYABLE or (status >= 500 and status != _NOT_IMPLEMENTED):
+        return EndpointUnavailable(message, retry_after_s=parse_retry_after(headers, now))
+    if status in (401, 403):
+        key = settings.api_key_env
+        advice = f"Check the key in {key}" if key else "Name the variable with the key in api_key_env"
+        return AccessRefused(f"{message}. {advice}", status=status)
+    if status == 404:
+        advice = f"Check that it serves the model {settings.model!r}, and that the path of endpoint is correct (/v1)"
+        return ModelUnknown(f"{message}. {advice}", status=status)
+    if 300 <= status < 400:
+        message = f"{message}. It redirects: set endpoint to the new address"
+    elif settings.token_field == "max_tokens" and "max_completion_tokens" in text:
+        message = f"{message}. Set token_field: max_completion_tokens"
+    return RequestRefused(message, status=status)
+
+
+def rejects_form(status: int, raw: str, *, proven: bool) -> bool:
+    """Return whether an answer rejects the requested form of the reply.
+
+    Args:
+        status: HTTP status.
+        raw: The body.
+        proven: Whether the endpoint accepted this form before.
+    """
+    if status in _FORM_REFUSED and _NAMES_FORM.search(raw[:_SEARCHED_CHARS]):
+        return True
+    return status in _PROBABLY_FORM and not proven
