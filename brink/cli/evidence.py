@@ -25,7 +25,7 @@ from brink.cli.options import (
     with_api,
     write_json,
 )
-from brink.report.component import seen_and_said, write_boxes
+from brink.report.component import DetectionCounts, count_detections, write_boxes
 from brink.search.analysis.rules import Rules, region_rules, rules_markdown
 from brink.search.errors import MissingExtra, install_command
 from brink.server.api.boundary_table import (
@@ -164,7 +164,7 @@ async def _replays(
     folder = options.folder / "episodes"
     folder.mkdir(exist_ok=True)
     requirement = await fetch_requirement(api, fetched.id)
-    names = ("seen", "said", "matched", "missed", "invented")
+    names = DetectionCounts(truth=0, detected=0, matched=0).to_columns()
     for row in rows:
         row.update({f"component.{name}": None for name in names} | {"replay": None})
     drawn, notes = 0, []
@@ -172,12 +172,12 @@ async def _replays(
         for row, number in progress.track(chosen, description="replays"):
             try:
                 trace = await _trace(api, fetched.id, number, options)
-                compared = seen_and_said(trace)
+                counts = count_detections(trace).to_columns()
                 await asyncio.to_thread(_draw, trace, folder, number, options.film, requirement)
             except UNDRAWABLE as error:
                 notes.append(f"solution {number} has no replay: {type(error).__name__}: {error}")
                 continue
-            row.update({f"component.{name}": getattr(compared, name) for name in names})
+            row.update({f"component.{name}": count for name, count in counts.items()})
             row["replay"] = f"episodes/{number}.{options.film or 'png'}"
             drawn += 1
     return drawn, notes

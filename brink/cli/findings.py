@@ -440,7 +440,7 @@ async def _criticality(api: Api, fetched: FetchedArchive) -> FloatArray:
 def _draw_fronts(fetched: FetchedArchive, criticality: FloatArray, folder: Path) -> Path:
     """Plot how the Pareto front moved over the generations; return the file."""
     # matplotlib takes half a second to load: only commands that draw wait for it.
-    from brink.plots.fronts import figure_fronts
+    from brink.plots.campaign import figure_fronts
 
     figure = figure_fronts(
         fetched.body.name, fetched.plan.problem.space, fetched.archive.vectors, fetched.generations,

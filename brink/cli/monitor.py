@@ -167,7 +167,7 @@ def judge(
         raise Conflict(str(error)) from None
     if picture is not None:
         # matplotlib takes half a second to load: only commands that draw wait for it.
-        from brink.plots.monitor import figure_monitor
+        from brink.plots.evidence import figure_monitor
 
         picture.parent.mkdir(parents=True, exist_ok=True)
         figure_monitor(evaluation, f"Monitor of {evaluation.learned:,} simulations").savefig(picture)

@@ -212,7 +212,7 @@ def write_repeats(view: RepeatsView, folder: Path, *, picture: bool) -> list[Pat
 def _draw_repeats(view: RepeatsView, file: Path) -> None:
     """Plot the interval of each solution."""
     # matplotlib takes half a second to load: only commands that draw wait for it.
-    from brink.plots.repeats import RepeatedPoint, figure_repeats
+    from brink.plots.evidence import RepeatedPoint, figure_repeats
 
     points = [
         RepeatedPoint(

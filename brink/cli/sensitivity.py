@@ -83,7 +83,7 @@ def rescore(
     found_p_ths = by_p_th(fetched.archive, sorted({*wanted_p_ths, near.p_th}), t_b=t_b, d_th=d_th)
     if picture is not None:
         # matplotlib takes half a second to load: only commands that draw wait for it.
-        from brink.plots.sensitivity import figure_rescored
+        from brink.plots.evidence import figure_rescored
 
         picture.parent.mkdir(parents=True, exist_ok=True)
         figure_rescored(
@@ -157,7 +157,7 @@ def rerun(
                 str(measure): [float(measure.of(one)[-1, i, j]) for _, one in figures] for measure in Measure
             }
     # matplotlib takes half a second to load: only commands that draw wait for it.
-    from brink.plots.sensitivity import figure_rerun
+    from brink.plots.evidence import figure_rerun
 
     picture = finished.folder / "sensitivity.png"
     title = f"How much the boundary depends on {parameter}: {body.name}"

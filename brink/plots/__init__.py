@@ -1,11 +1,14 @@
 """Figures of campaigns."""
 
-from brink.plots.dbs import figure_dbs
+from brink.plots.campaign import (
+    FIGURES,
+    figure_dbs,
+    figure_fitness,
+    figure_parameters,
+    write_campaign_figures,
+)
 from brink.plots.embedding import figure_embedding
-from brink.plots.fitness import figure_fitness
 from brink.plots.inputs import CampaignFigures
-from brink.plots.parameters import figure_parameters
-from brink.plots.write import FIGURES, write_campaign_figures
 
 __all__ = [
     "FIGURES",

@@ -1,4 +1,4 @@
-"""Figure: the map of a campaign. Every solution is a dot, alike ones lie near each other, the boundary is ringed."""
+"""The map of a campaign: a dot for each solution, similar ones close together, rings around boundary solutions."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -34,20 +34,20 @@ HEIGHT_PX: Final = 1060
 MAP_LEFT_PX, MAP_RIGHT_PX, MAP_TOP_PX, MAP_BOTTOM_PX = 76, 1170, 140, 64
 TEXT_LEFT_PX: Final = 1212
 GRID_CELLS: Final = 170
-"""Cells of the background along the longer side."""
+"""Number of background cells along the longer side."""
 SMOOTHING: Final = 0.02
-"""Width of the background's kernel, as a share of the longer side."""
-MOST_NUMBERED: Final = 40
-MOST_LISTED: Final = 14
+"""Width of the background's smoothing kernel, as a share of the longer side."""
+MAX_NUMBERED: Final = 40
+MAX_LISTED: Final = 14
 
-_GROUND = LinearSegmentedColormap.from_list(
+_BACKGROUND = LinearSegmentedColormap.from_list(
     "safe-to-unsafe", ["#9cc8e6", "#cfe3f1", "#ffffff", "#fbe3d0", "#f3b98d"], N=256
 )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Map:
-    """What is drawn: places of the solutions, the boundary among them, what the axes mean."""
+    """Positions of the solutions, the boundary solutions among them, and the meanings of the axes."""
 
     points: FloatArray
     explained: float
@@ -58,17 +58,13 @@ class _Map:
 
 
 def figure_embedding(inputs: CampaignFigures) -> Figure:
-    """Return the map of the archive: verdicts as colours, the boundary solutions marked, the distinct ones ringed.
-
-    Args:
-        inputs: The campaign.
-    """
+    """Plot the map of the archive: verdicts as colours, boundary solutions marked, distinct ones ringed."""
     figure = new_figure(
         HEIGHT_PX,
         f"{inputs.title}: map of the search",
         f"Each dot is one complete solution ({' + '.join(part.name for part in inputs.space.components)}), evaluated "
-        "once. Alike solutions lie near each other.\n"
-        "The rings are the result: distinct solutions on the hazard boundary, where safe turns into unsafe.",
+        "once. Similar solutions lie close together.\n"
+        "The rings are the result: distinct solutions on the hazard boundary, between safe and unsafe.",
     )
     axes = figure.add_axes(
         (
@@ -83,11 +79,11 @@ def figure_embedding(inputs: CampaignFigures) -> Figure:
     axes.set_xticks([])
     axes.set_yticks([])
     if len(inputs.archive) == 0:
-        say(axes, "no solution has been evaluated yet")
+        say(axes, "no solutions evaluated yet")
         return figure
-    drawn = _placed(inputs)
+    drawn = _embed(inputs)
     _limit(axes, drawn.points)
-    _draw_ground(axes, inputs, drawn)
+    _draw_background(axes, inputs, drawn)
     _draw_dots(axes, inputs, drawn)
     _draw_rings(axes, drawn)
     _name_axes(axes, drawn)
@@ -95,12 +91,12 @@ def figure_embedding(inputs: CampaignFigures) -> Figure:
     return figure
 
 
-def _placed(inputs: CampaignFigures) -> _Map:
+def _embed(inputs: CampaignFigures) -> _Map:
     embedding = embedded(inputs.archive)
     points = np.asarray(embedding.points)
     extent = np.ptp(points, axis=0)
     if extent[1] > extent[0]:
-        # The canvas is wider than high. A quarter turn keeps all distances.
+        # The canvas is wider than it is high. A quarter turn preserves all distances.
         points = np.column_stack([points[:, 1], -points[:, 0]])
     return _Map(
         points=points,
@@ -113,7 +109,7 @@ def _placed(inputs: CampaignFigures) -> _Map:
 
 
 def _limit(axes: Axes, points: FloatArray) -> None:
-    """Fit the limits to the points with equal scales, filling the canvas."""
+    """Set limits that contain the points, with equal scales, and fill the canvas."""
     low, high = points.min(axis=0), points.max(axis=0)
     width = (MAP_RIGHT_PX - MAP_LEFT_PX) / (HEIGHT_PX - MAP_TOP_PX - MAP_BOTTOM_PX)
     extent = np.maximum(high - low, 1e-3) * 1.1
@@ -123,37 +119,32 @@ def _limit(axes: Axes, points: FloatArray) -> None:
     axes.set_ylim(centre[1] - side / 2, centre[1] + side / 2)
 
 
-def _draw_ground(axes: Axes, inputs: CampaignFigures, drawn: _Map) -> None:
-    """Tint the ground by the unsafe share of the neighbourhoods nearby; it fades where no solution is near."""
+def _draw_background(axes: Axes, inputs: CampaignFigures, drawn: _Map) -> None:
+    """Colour the background by the unsafe share of nearby neighbourhoods, fading where there are no solutions."""
     archive = inputs.archive
     share = archive.unsafe_neighbours / archive.neighbours
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     rows = max(2, round(GRID_CELLS * (top - bottom) / (right - left)))
     x, y = np.linspace(left, right, GRID_CELLS), np.linspace(bottom, top, rows)
     width = SMOOTHING * (right - left)
-    # The kernel is a product of one along x and one along y, so the sums are two matrix products.
+    # The kernel is separable, so the sums are matrix products.
     along = np.exp(-0.5 * ((x[:, None] - drawn.points[:, 0]) / width) ** 2)
     across = np.exp(-0.5 * ((y[:, None] - drawn.points[:, 1]) / width) ** 2)
     weight = across @ along.T
     smooth = (across * share) @ along.T / np.maximum(weight, 1e-12)
     norm = TwoSlopeNorm(archive.neighbourhood.p_th, 0.0, 1.0)
-    colours = _GROUND(norm(smooth))
-    # One solution right there is enough for a clear tint; two kernel widths away little is left.
+    colours = _BACKGROUND(norm(smooth))
+    # A single solution gives its own place a clear colour, which has mostly faded two kernel widths away.
     colours[..., 3] = np.clip(weight / 1.2, 0, 1)
     axes.imshow(
-        colours,
-        extent=(left, right, bottom, top),
-        origin="lower",
-        aspect="auto",
-        interpolation="bilinear",
-        zorder=0,
-    )
+        colours, extent=(left, right, bottom, top), origin="lower", aspect="auto", interpolation="bilinear", zorder=0
+    )  # fmt: skip
 
 
 def _draw_dots(axes: Axes, inputs: CampaignFigures, drawn: _Map) -> None:
     archive = inputs.archive
     size = float(np.clip(26_000 / len(archive), 14, 60))
-    # In the order of evaluation, verdicts mixed: neither colour is always on top of the other.
+    # In the order of evaluation, so that neither colour always covers the other.
     axes.scatter(
         drawn.points[:, 0], drawn.points[:, 1], s=size, c=np.where(archive.unsafe, UNSAFE, SAFE), alpha=0.72,
         linewidths=0.4, edgecolors=PAPER, zorder=2, gid="solutions",
@@ -167,16 +158,16 @@ def _draw_dots(axes: Axes, inputs: CampaignFigures, drawn: _Map) -> None:
 
 
 def _draw_rings(axes: Axes, drawn: _Map) -> None:
-    """Ring the distinct boundary solutions; while they are few, each ring holds its number, best first."""
+    """Ring the distinct boundary solutions; if there are few, number the rings by rank."""
     rings = drawn.points[drawn.distinct]
     if not rings.size:
         return
-    numbered = len(rings) <= MOST_NUMBERED
+    numbered = len(rings) <= MAX_NUMBERED
     axes.scatter(
         rings[:, 0], rings[:, 1], s=330 if numbered else 110, facecolors=PAPER if numbered else "none",
         edgecolors=PAPER, linewidths=4.5, zorder=4,
     )  # fmt: skip
-    # Worst first: where rings overlap, the better one lies on top with its number.
+    # Worst first: where rings overlap, the better one is on top.
     for rank in range(len(rings), 0, -1):
         x, y = rings[rank - 1].tolist()
         axes.scatter(
@@ -203,16 +194,11 @@ def _write_key(figure: Figure, inputs: CampaignFigures, drawn: _Map) -> None:
     unsafe = int(archive.unsafe.sum())
     dot = {"linestyle": "", "marker": "o", "markersize": 9, "markeredgewidth": 0}
     hollow = {"linestyle": "", "marker": "o", "markerfacecolor": "none", "markeredgecolor": INK}
+    unsafe_text = f"unsafe: {unsafe:,} ({share_text(unsafe / len(archive))})"
     near = f"near the boundary (fitness ≤ {inputs.t_b:g}): {drawn.near.size:,}"
     handles = [
         Line2D([], [], color=SAFE, label=f"safe: {len(archive) - unsafe:,}", **dot),  # type: ignore[arg-type]
-        Line2D(
-            [],
-            [],
-            color=UNSAFE,
-            label=f"unsafe: {unsafe:,} ({share_text(unsafe / len(archive))})",
-            **dot,  # type: ignore[arg-type]
-        ),
+        Line2D([], [], color=UNSAFE, label=unsafe_text, **dot),  # type: ignore[arg-type]
         Line2D([], [], markersize=9, markeredgewidth=1.0, label=near, **hollow),  # type: ignore[arg-type]
         Line2D([], [], markersize=14, markeredgewidth=2.0, label=_ring_text(inputs, drawn), **hollow),  # type: ignore[arg-type]
     ]
@@ -228,7 +214,7 @@ def _write_key(figure: Figure, inputs: CampaignFigures, drawn: _Map) -> None:
         TEXT_LEFT_PX / WIDTH_PX,
         MAP_BOTTOM_PX / HEIGHT_PX,
         "Distances on the map follow the distances between\n"
-        f"solutions. Its two dimensions hold {drawn.explained:.0%} of the spread.",
+        f"solutions. Its two dimensions explain {drawn.explained:.0%} of the variance.",
         fontsize=SMALL_PT, color=MUTED, va="bottom", linespacing=1.5,
     )  # fmt: skip
 
@@ -247,13 +233,13 @@ def _draw_tint_key(figure: Figure, inputs: CampaignFigures, top: float) -> None:
     width, height = 300 / WIDTH_PX, 14 / HEIGHT_PX
     left = TEXT_LEFT_PX / WIDTH_PX
     figure.text(
-        left, top, "ground: unsafe share of the neighbourhood", fontsize=LABEL_PT, color=INK, va="bottom"
+        left, top, "background: unsafe share of the neighbourhood", fontsize=LABEL_PT, color=INK, va="bottom"
     )
     axes = figure.add_axes((left, top - 26 / HEIGHT_PX, width, height))
     norm = TwoSlopeNorm(p_th, 0.0, 1.0)
     ramp = np.linspace(0, 1, 256)
     share = np.where(ramp < 0.5, ramp * 2 * p_th, p_th + (ramp - 0.5) * 2 * (1 - p_th))
-    axes.imshow(_GROUND(norm(share))[None], aspect="auto", extent=(0, 1, 0, 1))
+    axes.imshow(_BACKGROUND(norm(share))[None], aspect="auto", extent=(0, 1, 0, 1))
     axes.set_yticks([])
     axes.set_xticks([0, 0.5, 1], ["0", f"p_th = {p_th:g}", "1"], fontsize=SMALL_PT, color=MUTED)
     axes.tick_params(length=0, pad=5)
@@ -262,7 +248,7 @@ def _draw_tint_key(figure: Figure, inputs: CampaignFigures, top: float) -> None:
 
 
 def _list_rings(figure: Figure, inputs: CampaignFigures, drawn: _Map, top: float) -> None:
-    """List the best ringed solutions: rank, candidate number, how many of their neighbours are unsafe, fitness."""
+    """List the best ringed solutions: rank, number, unsafe neighbours, fitness."""
     archive = inputs.archive
     if drawn.distinct.size == 0:
         return
@@ -270,7 +256,7 @@ def _list_rings(figure: Figure, inputs: CampaignFigures, drawn: _Map, top: float
     line = 21 / HEIGHT_PX
     for x, word in columns:
         figure.text((TEXT_LEFT_PX + x) / WIDTH_PX, top, word, fontsize=SMALL_PT, color=MUTED, va="top")
-    for row, position in enumerate(drawn.distinct[:MOST_LISTED].tolist(), start=1):
+    for row, position in enumerate(drawn.distinct[:MAX_LISTED].tolist(), start=1):
         unsafe, all_of_them = int(archive.unsafe_neighbours[position]), int(archive.neighbours[position])
         cells = [
             f"{row}",
@@ -284,9 +270,9 @@ def _list_rings(figure: Figure, inputs: CampaignFigures, drawn: _Map, top: float
                 (TEXT_LEFT_PX + x) / WIDTH_PX, top - row * line - 4 / HEIGHT_PX, cell, fontsize=TICK_PT, va="top",
                 color=colour if index == 1 else INK, fontweight="bold" if index == 0 else "normal",
             )  # fmt: skip
-    more = drawn.distinct.size - MOST_LISTED
+    more = drawn.distinct.size - MAX_LISTED
     if more > 0:
         figure.text(
-            TEXT_LEFT_PX / WIDTH_PX, top - (MOST_LISTED + 1) * line - 6 / HEIGHT_PX, f"and {more:,} more",
+            TEXT_LEFT_PX / WIDTH_PX, top - (MAX_LISTED + 1) * line - 6 / HEIGHT_PX, f"and {more:,} more",
             fontsize=SMALL_PT, color=MUTED, va="top",
         )  # fmt: skip

@@ -1,6 +1,5 @@
-"""What the figures of a campaign are drawn from, and what several of them derive from it."""
+"""The data from which the figures of a campaign are drawn."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,12 +13,12 @@ class CampaignFigures:
     """The inputs of all figures of a campaign.
 
     Attributes:
-        archive: All evaluated solutions that did not fail, ascending by number.
+        archive: All evaluated solutions except failures, in ascending order of number.
         space: Their search space.
         title: Name of the campaign.
-        generation_ends: How many solutions the archive held after each generation, ascending.
-        t_b: Largest fitness of a boundary solution.
-        d_th: Least distance between two that count.
+        generation_ends: Size of the archive after each generation, ascending.
+        t_b: Maximum fitness of a boundary solution.
+        d_th: Minimum distance between distinct boundary solutions.
     """
 
     archive: Archive
@@ -40,19 +39,3 @@ class CampaignFigures:
                 f"space: expected {self.archive.metric.dimension} parameters as in the archive, "
                 f"got {self.space.dimension}"
             )
-
-
-def by_generation(inputs: CampaignFigures) -> Iterator[Archive]:
-    """Yield the archive as it was after each generation, scored with only what was known then."""
-    archive = inputs.archive
-    known = Archive.empty(archive.metric, archive.neighbourhood)
-    for end in inputs.generation_ends:
-        part = slice(len(known), end)
-        known = known.grown(
-            archive.numbers[part],
-            archive.vectors[part],
-            archive.unsafe[part],
-            archive.robustness[part],
-            keep_rows=False,
-        )
-        yield known

@@ -1,8 +1,8 @@
-"""The look of campaign figures: colours, type, frames, labels at the ends of lines.
+"""The style of all figures: colours, type, frames, legends, labels at the ends of lines.
 
-Hues are Okabe and Ito's, which people with colour vision deficiencies can tell apart. Blue is safe, vermilion is
-unsafe, ink is the boundary. Figures are made with matplotlib's object interface alone: nothing global is changed,
-so that they can be drawn in any thread.
+Colours are Okabe and Ito's, which people with colour vision deficiencies can distinguish. Blue is safe, vermilion is
+unsafe, ink is the boundary. Figures use only matplotlib's object interface and no global state, so they can be drawn
+in any thread.
 """
 
 from collections.abc import Sequence
@@ -10,8 +10,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import PercentFormatter
 
 SAFE: Final = "#0072b2"
 UNSAFE: Final = "#d55e00"
@@ -31,39 +34,28 @@ MARGIN_PX: Final = 64
 
 
 def new_figure(height_px: int, title: str, subtitle: str) -> Figure:
-    """Return an empty figure with its title and what it shows in a sentence or two.
+    """Return an empty figure with a title and a subtitle.
 
     Args:
-        height_px: Height; all figures are equally wide.
-        title: What it is about.
-        subtitle: What it shows, a newline between lines.
+        height_px: Height; all figures have the same width.
+        title: The title.
+        subtitle: One or two sentences that explain the figure, with line breaks.
     """
     figure = Figure(figsize=(WIDTH_PX / DPI, height_px / DPI), dpi=DPI, facecolor=PAPER)
     FigureCanvasAgg(figure)
     left = MARGIN_PX / WIDTH_PX
     figure.text(
-        left, 1 - 26 / height_px, title, fontsize=TITLE_PT, fontweight="bold", color=INK, va="top", ha="left"
-    )
+        left, 1 - 26 / height_px, title, fontsize=TITLE_PT, fontweight="bold", color=INK, va="top", ha="left",
+    )  # fmt: skip
     figure.text(
-        left,
-        1 - 62 / height_px,
-        subtitle,
-        fontsize=SUBTITLE_PT,
-        color=MUTED,
-        va="top",
-        ha="left",
+        left, 1 - 62 / height_px, subtitle, fontsize=SUBTITLE_PT, color=MUTED, va="top", ha="left",
         linespacing=1.45,
-    )
+    )  # fmt: skip
     return figure
 
 
 def frame(axes: Axes, *, grid: str = "y") -> None:
-    """Give axes the plain look: two thin spines, muted ticks, a faint grid.
-
-    Args:
-        axes: Which.
-        grid: ``x``, ``y``, ``both``, or empty for none.
-    """
+    """Style axes: two thin spines, muted ticks, a faint grid along ``x``, ``y`` or ``both``."""
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     for side in ("left", "bottom"):
@@ -78,23 +70,20 @@ def frame(axes: Axes, *, grid: str = "y") -> None:
 
 
 class EndLabel(NamedTuple):
-    """A word beside the end of a line."""
+    """A label beside the end of a line."""
 
     value: float
     text: str
     colour: str
 
 
-def label_ends(
-    axes: Axes, labels: Sequence[EndLabel], *, apart: float = 0.062, fontsize: float = TICK_PT
-) -> None:
-    """Write words beside the ends of lines, at their heights but apart from each other.
+def label_ends(axes: Axes, labels: Sequence[EndLabel], *, apart: float = 0.062) -> None:
+    """Write labels beside the ends of lines, moved apart where they would overlap.
 
     Args:
-        axes: Their limits must be final.
-        labels: In any order.
-        apart: Least distance, as a share of the axes' height.
-        fontsize: In points.
+        axes: Axes with final limits.
+        labels: The labels, in any order.
+        apart: Minimum distance as a share of the height of the axes.
     """
     low, high = axes.get_ylim()
     wanted = sorted(labels, key=lambda label: label.value)
@@ -102,12 +91,12 @@ def label_ends(
     for place, label in zip(_spread(heights, apart), wanted, strict=True):
         axes.annotate(
             label.text, (1, place), xycoords="axes fraction", xytext=(8, 0), textcoords="offset points",
-            va="center", ha="left", fontsize=fontsize, color=label.colour, annotation_clip=False,
+            va="center", ha="left", fontsize=TICK_PT, color=label.colour, annotation_clip=False,
         )  # fmt: skip
 
 
 def _spread(heights: Sequence[float], apart: float) -> list[float]:
-    """Return ascending heights moved as little as needed to be apart and, if that is possible, inside [0, 1]."""
+    """Move ascending heights as little as possible so that they are apart and, if there is room, within [0, 1]."""
     places: list[float] = []
     for height in heights:
         places.append(max(height, places[-1] + apart) if places else max(height, 0.0))
@@ -119,15 +108,42 @@ def _spread(heights: Sequence[float], apart: float) -> list[float]:
 
 
 def say(axes: Axes, text: str) -> None:
-    """Write a sentence in the middle of axes that have nothing to show."""
+    """Write a message in the middle of empty axes."""
     axes.text(
         0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", fontsize=LABEL_PT, color=MUTED,
         linespacing=1.5,
     )  # fmt: skip
 
 
+def set_panel_title(axes: Axes, title: str) -> None:
+    """Set the title of one of several axes."""
+    axes.set_title(title, loc="left", fontsize=LABEL_PT, color=INK, fontweight="bold")
+
+
+def show_percent(*axes: Axis) -> None:
+    """Label the ticks of axes in whole percent."""
+    for axis in axes:
+        axis.set_major_formatter(PercentFormatter(xmax=1, decimals=0))
+
+
+def add_legend(figure: Figure, lines: Sequence[Line2D], top_px: float, handlelength: float = 2.6) -> None:
+    """Add a one-line legend below the subtitle of a figure.
+
+    Args:
+        figure: The figure.
+        lines: Labelled lines.
+        top_px: Distance from the top of the figure.
+        handlelength: Length of the lines, in font sizes.
+    """
+    top = 1 - top_px / (figure.get_figheight() * DPI)
+    figure.legend(
+        handles=lines, loc="upper left", bbox_to_anchor=(MARGIN_PX / WIDTH_PX, top), ncols=len(lines) or 1,
+        frameon=False, fontsize=LABEL_PT, labelcolor=INK, handlelength=handlelength, borderaxespad=0,
+    )  # fmt: skip
+
+
 def share_text(value: float) -> str:
-    """Return a share as a percentage with sensible digits."""
+    """Format a share as a percentage, with one decimal if it is small."""
     if not np.isfinite(value):
         return "–"
     return f"{100 * value:.0f}%" if value >= 0.1 or value == 0 else f"{100 * value:.1f}%"

@@ -1,1 +1,1 @@
-"""Reports for people: experiments and the evidence for a boundary."""
+"""Reports: experiments, and the evidence for a boundary."""

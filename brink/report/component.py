@@ -1,7 +1,7 @@
-"""What the component saw beside what it said, in one episode: its inputs and outputs, box by box.
+"""Detections of a component against the ground truth in one episode, box by box.
 
-What it saw is the ground truth of the picture; what it said is what the driving system was given: injected by the
-search, or found by a detector in a perturbed picture.
+Detections are the boxes that the driving system received: injected by the search, or found by a detector in a
+perturbed image. In tables, ground truth is called ``seen``, detections ``said``, and false positives ``invented``.
 """
 
 import csv
@@ -17,54 +17,53 @@ from brink.sim.perception.boxes import overlaps
 from brink.sim.trace import Trace
 
 LABELS: Final = {0: "vehicle", 1: "person"}
-SAME: Final = 0.5
-"""Least overlap (intersection over union) of a box that was said with the one that was seen."""
+MIN_OVERLAP: Final = 0.5
+"""Minimum intersection over union of a detection and the ground truth that it matches."""
 COLUMNS: Final = ("time_s", "which", "label", "x_min_px", "x_max_px", "y_min_px", "y_max_px")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SeenAndSaid:
-    """How far a component's outputs were from its inputs.
+class DetectionCounts:
+    """Numbers of boxes in all samples of an episode.
 
     Attributes:
-        seen: Boxes of ground truth, over all samples.
-        said: Boxes that the driving system was given.
-        matched: Boxes that were both: the same label, and an overlap of at least `SAME`.
+        truth: Boxes of the ground truth.
+        detected: Detections.
+        matched: Detections that match the ground truth: same label, overlap of at least `MIN_OVERLAP`.
     """
 
-    seen: int
-    said: int
+    truth: int
+    detected: int
     matched: int
 
-    @property
-    def missed(self) -> int:
-        """Boxes that were seen and not said."""
-        return self.seen - self.matched
-
-    @property
-    def invented(self) -> int:
-        """Boxes that were said and not seen."""
-        return self.said - self.matched
+    def to_columns(self) -> dict[str, int]:
+        """Return the counts, with missed objects and false positives, by their names in tables."""
+        return {
+            "seen": self.truth, "said": self.detected, "matched": self.matched,
+            "missed": self.truth - self.matched, "invented": self.detected - self.matched,
+        }  # fmt: skip
 
 
-def seen_and_said(trace: Trace) -> SeenAndSaid:
-    """Return how far a component's outputs were from its inputs in an episode."""
-    matched = 0
-    for sample in range(len(trace.time_s)):
-        seen, said = trace.seen_boxes.at(sample), trace.given_boxes.at(sample)
-        matched += _matched(seen, said)
-    return SeenAndSaid(seen=len(trace.seen_boxes.rows), said=len(trace.given_boxes.rows), matched=matched)
+def count_detections(trace: Trace) -> DetectionCounts:
+    """Match the detections of an episode with its ground truth."""
+    matched = sum(
+        _count_matches(trace.seen_boxes.at(sample), trace.given_boxes.at(sample))
+        for sample in range(len(trace.time_s))
+    )
+    return DetectionCounts(
+        truth=len(trace.seen_boxes.rows), detected=len(trace.given_boxes.rows), matched=matched
+    )
 
 
-def _matched(seen: NDArray[np.float32], said: NDArray[np.float32]) -> int:
-    """Return how many boxes can be paired, the largest overlaps first."""
-    if not len(seen) or not len(said):
+def _count_matches(truth: NDArray[np.float32], detected: NDArray[np.float32]) -> int:
+    """Return the number of matched pairs in one sample; the largest overlaps are matched first."""
+    if not len(truth) or not len(detected):
         return 0
     # Boxes in traces are x_min, x_max, y_min, y_max.
-    overlap = overlaps(seen[:, [1, 3, 2, 4]], said[:, [1, 3, 2, 4]])
-    overlap = np.where(seen[:, :1] == said[None, :, 0], overlap, 0.0)
+    overlap = overlaps(truth[:, [1, 3, 2, 4]], detected[:, [1, 3, 2, 4]])
+    overlap = np.where(truth[:, :1] == detected[None, :, 0], overlap, 0.0)
     pairs = 0
-    while overlap.size and (best := float(overlap.max())) >= SAME:
+    while overlap.size and (best := float(overlap.max())) >= MIN_OVERLAP:
         row, column = np.argwhere(overlap == best)[0]
         overlap = np.delete(np.delete(overlap, row, axis=0), column, axis=1)
         pairs += 1
@@ -72,7 +71,7 @@ def _matched(seen: NDArray[np.float32], said: NDArray[np.float32]) -> int:
 
 
 def box_rows(trace: Trace) -> Iterator[tuple[float | str, ...]]:
-    """Yield every box of an episode with the columns `COLUMNS`: by time, what was seen before what was said."""
+    """Yield a row of `COLUMNS` for each box of an episode: by time, ground truth before detections."""
     for sample, time_s in enumerate(trace.time_s.tolist()):
         for which, boxes in (("seen", trace.seen_boxes), ("said", trace.given_boxes)):
             for label, *corners in boxes.at(sample).tolist():
@@ -83,7 +82,7 @@ def box_rows(trace: Trace) -> Iterator[tuple[float | str, ...]]:
 
 
 def write_boxes(trace: Trace, file: Path) -> None:
-    """Write every box of an episode as CSV."""
+    """Write the boxes of an episode as CSV."""
     with file.open("w", encoding="utf-8", newline="") as text:
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(COLUMNS)

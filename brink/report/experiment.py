@@ -1,6 +1,6 @@
-"""The report of an experiment: what was run, what it says in words, tables, figures, how it was computed.
+"""The report of an experiment: setup, conclusions in words, tables, figures, and methods.
 
-It is written as Markdown with its pictures beside it; the HTML page is made from that, with the pictures inside.
+It is written as Markdown with separate image files; the HTML page is rendered from it, with embedded images.
 """
 
 import base64
@@ -57,19 +57,19 @@ def markdown_report(
     """Return the report as Markdown.
 
     Args:
-        body: What was asked for.
-        repeats: The campaigns that have finished, at least one.
+        body: Body of the experiment.
+        repeats: Its finished campaigns, at least one.
         pictures: File names of the figures, by problem, measure and kind.
         experiment: Id of the experiment.
-        created_at: When it was submitted.
-        elapsed_s: How long it took.
+        created_at: Time of submission.
+        elapsed_s: Duration of the experiment.
     """
     parts = [f"# {body.name}", _facts(body, repeats, experiment, created_at, elapsed_s)]
     found_standings, found_duels = standings(repeats), duels(repeats)
     for problem in dict.fromkeys(repeat.problem for repeat in repeats):
         heading = f": {problem}" if len(body.problems) > 1 else ""
         parts += [
-            f"## What it says{heading}",
+            f"## Conclusions{heading}",
             "\n".join(sentences(repeats, found_standings, found_duels, problem)),
         ]
         for measure in Measure:
@@ -80,18 +80,18 @@ def markdown_report(
                 if file:
                     parts.append(f"![{name} {words}]({file})")
             parts += ["### Means and 95% intervals", _standings_table(found_standings, problem, measure)]
-            parts += ["### Compared", _duels_table(found_duels, problem, measure)]
-    parts += ["## Campaigns", _campaigns(repeats), "## How it was computed", _method(repeats)]
+            parts += ["### Comparisons", _duels_table(found_duels, problem, measure)]
+    parts += ["## Campaigns", _campaigns(repeats), "## Methods", _method(repeats)]
     return "\n\n".join(parts) + "\n"
 
 
 def html_report(markdown: str, title: str, folder: Path) -> str:
-    """Return a report as one HTML page with its pictures inside.
+    """Render a report as one HTML page with embedded images.
 
     Args:
-        markdown: From `markdown_report`.
-        title: Of the page.
-        folder: Where the pictures are.
+        markdown: A report from `markdown_report`.
+        title: Title of the page.
+        folder: Folder with the images.
     """
     tokens = (reader := MarkdownIt("commonmark", {"html": False}).enable("table")).parse(markdown)
     for token in tokens:
@@ -110,23 +110,30 @@ def html_report(markdown: str, title: str, folder: Path) -> str:
 def sentences(
     repeats: Sequence[Repeat], found: Sequence[Standing], compared: Sequence[Duel], problem: str
 ) -> Iterator[str]:
-    """Yield what the tables say of a problem at the usual thresholds, a list item each."""
+    """Yield the conclusions for a problem at the default thresholds, as list items.
+
+    Args:
+        repeats: Finished campaigns.
+        found: The means of all methods.
+        compared: The comparisons of all pairs.
+        problem: Name of the problem.
+    """
     yield f"At t_b {DEFAULT_T_B:g} and d_th {DEFAULT_D_TH:g}:\n"
-    means = {(one.line, one.measure): one.value for one in found if (one.t_b, one.d_th) == _USUAL}
+    means = {(one.line, one.measure): one.value for one in found if (one.t_b, one.d_th) == _DEFAULTS}
     for duel in compared:
-        if (duel.t_b, duel.d_th) != _USUAL or duel.first.problem != problem:
+        if (duel.t_b, duel.d_th) != _DEFAULTS or duel.first.problem != problem:
             continue
         first, second = (means[line, duel.measure].mean for line in (duel.first, duel.second))
-        yield f"- {_in_words(duel, first, second, with_low_controls(repeats, problem))}"
+        yield f"- {_comparison_text(duel, first, second, with_low_controls(repeats, problem))}"
 
 
-_USUAL = (DEFAULT_T_B, DEFAULT_D_TH)
+_DEFAULTS = (DEFAULT_T_B, DEFAULT_D_TH)
 
 
-def _in_words(duel: Duel, first: float, second: float, low: Collection[str]) -> str:
+def _comparison_text(duel: Duel, first: float, second: float, low: Collection[str]) -> str:
     figures = (
         f"{NAMES[duel.measure]} {first:.1f} against {second:.1f}, A12 {duel.result.a12:.2f} ({duel.size}), "
-        f"p {_p(duel.result.p_value)}, corrected {_p(duel.adjusted)}"
+        f"p {_p_value(duel.result.p_value)}, corrected {_p_value(duel.adjusted)}"
     )
     other = "beside its control" if duel.second.control else f"and **{duel.second.method}**"
     return f"**{duel.first.method}** {other}: {figures}; {conclusion(duel, first, second, low)}."
@@ -143,14 +150,14 @@ def _facts(
         f"{finished}.",
         f"- Methods: {', '.join(f'{one.label} (`{one.id}`)' for one in body.algorithms)}.",
         f"- Problems: {', '.join(f'{one.label} (`{one.id}`)' for one in body.problems)}.",
-        f"- {len(body.seeds)} seeds ({_seeds(body.seeds)}), {body.budget.simulations:,} simulations each: "
+        f"- {len(body.seeds)} seeds ({_seed_list(body.seeds)}), {body.budget.simulations:,} simulations each: "
         f"{total * body.budget.simulations:,} in all.",
         f"- Brink {__version__}.",
     ]
     return "\n".join(rows)
 
 
-def _seeds(seeds: Sequence[int]) -> str:
+def _seed_list(seeds: Sequence[int]) -> str:
     in_a_row = len(seeds) > 2 and list(seeds) == list(range(seeds[0], seeds[0] + len(seeds)))
     return f"{seeds[0]} to {seeds[-1]}" if in_a_row else ", ".join(str(seed) for seed in seeds)
 
@@ -176,24 +183,24 @@ def _duels_table(found: Sequence[Duel], problem: str, measure: Measure) -> str:
         return "Nothing to compare."
     for d_th in PAPER_D_THS:
         for first, second in pairs:
-            cells = [_duel(by_place[first, second, t_b, d_th]) for t_b in PAPER_T_BS]
+            cells = [_duel_cell(by_place[first, second, t_b, d_th]) for t_b in PAPER_T_BS]
             against = "its control" if second.control else second.method
             rows.append(_row([f"{d_th:g}", f"{first.method} : {against}", *cells]))
     legend = (
-        "*Each cell: A12 (how often the first exceeds the second), effect, p of Mann-Whitney U corrected by Holm's "
-        f"method for all comparisons of this table in which values differ at all. Bold: p at most {LEVEL:g}.*"
+        "*Each cell: A12 (probability that the first exceeds the second), effect size, p of Mann-Whitney U with "
+        f"Holm's correction over all comparisons of this table whose values differ. Bold: p at most {LEVEL:g}.*"
     )
     return "\n".join(rows) + f"\n\n{legend}"
 
 
-def _duel(duel: Duel) -> str:
-    words = f"{duel.result.a12:.2f} {duel.size}, p {_p(duel.adjusted)}"
+def _duel_cell(duel: Duel) -> str:
+    words = f"{duel.result.a12:.2f} {duel.size}, p {_p_value(duel.adjusted)}"
     return f"**{words}**" if duel.adjusted <= LEVEL else words
 
 
 def _campaigns(repeats: Sequence[Repeat]) -> str:
     rows = [
-        _row(["campaign", "method", "problem", "seed", "evaluated", "unsafe", "behaviours a scenario"]),
+        _row(["campaign", "method", "problem", "seed", "evaluated", "unsafe", "behaviours per scenario"]),
         _row(["---"] * 7),
     ]
     for one in repeats:
@@ -212,20 +219,21 @@ def _campaigns(repeats: Sequence[Repeat]) -> str:
 def _method(repeats: Sequence[Repeat]) -> str:
     low = with_low_controls(repeats)
     items = [
-        "**DBS**: solutions whose fitness is at most t_b, taken greedily, best first, each at least d_th from all "
-        "taken before. What was simulated beyond the budget, to end a generation, is not counted.",
-        "**Strict DBS** counts only solutions whose interval holds p_th and whose neighbourhood holds both verdicts. "
-        "Up from t_b 1/9 (at p_th .1) plain DBS counts surroundings in which nothing unsafe was ever seen.",
-        "**Controls** keep what was simulated and redraw each verdict with the probability that its scenario alone "
-        f"has: means of {DRAWS} draws a campaign. What a method reaches beyond its control is owed to behaviour.",
+        "**DBS**: solutions whose fitness is at most t_b, selected greedily, best first, each at least d_th from all "
+        "those selected before. Extra simulations to complete the last generation are not counted.",
+        "**Strict DBS** counts only solutions whose interval contains p_th and whose neighbours have both verdicts. "
+        "From t_b = 1/9 (at p_th = .1), plain DBS also counts neighbourhoods without any unsafe solution.",
+        "**Controls** keep the simulated solutions and redraw each verdict with the unsafe probability of its "
+        f"scenario alone: means of {DRAWS} draws per campaign. The rest of a "
+        "method's result is due to behaviour.",
         "**Tests**: Mann-Whitney U, two-sided, with Holm's correction over all comparisons of a table; Vargha and "
-        "Delaney's A12, called small from .56, medium from .64, large from .71, and the same below one half.",
-        "Intervals are Student's over the seeds.",
+        "Delaney's A12, called small from .56, medium from .64, large from .71, and likewise below one half.",
+        "Intervals are Student's intervals over the seeds.",
     ]
     if low:
         items.append(
-            f"The control of {', '.join(low)} **reads low**, with fewer than {ENOUGH_REPEATS:g} behaviours a "
-            "scenario: what lies beyond it proves nothing."
+            f"The control of {', '.join(low)} **reads low**, with fewer than {ENOUGH_REPEATS:g} behaviours "
+            "per scenario: results beyond it prove nothing."
         )
     return "\n".join(f"- {item}" for item in items)
 
@@ -240,7 +248,7 @@ def _name(line: Line) -> str:
     return f"*{line.label}*" if line.control else f"**{line.method}**"
 
 
-def _p(value: float) -> str:
+def _p_value(value: float) -> str:
     return "< .001" if value < 0.001 else f"{value:.3f}"
 
 

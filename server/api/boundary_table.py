@@ -37,7 +37,7 @@ MEANINGS: Final = {
     "feature.*": "other measurements of the episode",
     "version.*": "version of each part that the simulation ran with",
     "*.*": "parameter of a component of the solution, decoded",
-    "component.*": "what the component saw and what it reported: see seen and said",
+    "component.*": "boxes of the ground truth (seen) and detections (said); invented: false positives",
 }
 """Meaning of the columns; a star stands for any name."""
 _TIMINGS: Final = ("cpu_s", "simulated_s")

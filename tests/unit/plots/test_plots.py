@@ -1,14 +1,18 @@
-"""The figures of a campaign show what its archive says."""
+"""Figures of a campaign: they show its archive, and are written completely and reproducibly."""
 
+import threading
 from collections.abc import Callable
+from pathlib import Path
+from xml.etree import ElementTree
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
-from synthetic_campaign import MIXED, campaign, mixed_campaign, mtq_campaign
+from PIL import Image
 
 from brink.plots import (
     FIGURES,
@@ -17,14 +21,81 @@ from brink.plots import (
     figure_embedding,
     figure_fitness,
     figure_parameters,
+    write_campaign_figures,
 )
+from brink.plots.campaign import figure_fronts, recorded_diversities
 from brink.plots.style import WIDTH_PX
+from brink.search.algorithm import Scored
+from brink.search.algorithms.multi_objective import CRITICALITY
+from brink.search.algorithms.nsga2 import Nsga2, Nsga2Config
 from brink.search.analysis.boundary import dbs, dbs_grid, distinct_boundary, strict_dbs
 from brink.search.analysis.dependence import dependences
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
 from brink.search.analysis.similarity import embedded
+from brink.search.archive import Archive, Neighbourhood
 from brink.search.fitness import wilson_interval
-from brink.search.problems import MTQ_SPACE
+from brink.search.problems import MTQ_RADIUS, MTQ_SPACE, mtq_robustness
+from brink.search.space import Categorical, Component, Dormant, Integer, Real, SearchSpace
+from brink.search.traffic.constraint import participants_component
+from brink.search.traffic.participants import RoadLimits
+
+MIXED = SearchSpace(
+    (
+        Component(
+            "scenario", (Categorical("weather", ("clear", "wet", "hard_rain")), Integer("lanes", 1, 4))
+        ),
+        Component(
+            "behaviour",
+            (
+                Categorical("label", ("null", "vehicle")),
+                Real("x_px", 0.0, 800.0, "px"),
+                Integer("t0_step", 0, 300),
+            ),
+            (Dormant("label", "null", ("x_px", "t0_step")),),
+        ),
+    )
+)
+"""A space with a category, few and many integers, and a number that can be inactive."""
+
+
+def mtq_campaign(count: int = 400, *, seed: int = 1, t_b: float = 0.2, d_th: float = 0.05) -> CampaignFigures:
+    rng = np.random.default_rng(seed)
+    vectors = np.clip(rng.normal(0.75, 0.2, (count, 2)), 0, 1)
+    values = np.array([mtq_robustness(x, y) for x, y in vectors.tolist()])
+    # MTQ is unsafe almost everywhere, so the verdicts are inverted: only the disc is unsafe.
+    return campaign(MTQ_SPACE, vectors, values > 0, -values, radius=MTQ_RADIUS, t_b=t_b, d_th=d_th)
+
+
+def mixed_campaign(count: int = 300, *, seed: int = 1, null_share: float = 0.4) -> CampaignFigures:
+    rng = np.random.default_rng(seed)
+    weather, lanes = rng.integers(0, 3, count), rng.integers(1, 5, count)
+    label = (rng.random(count) >= null_share).astype(float)
+    x_px, t0 = rng.uniform(1, 800, count) * label, rng.integers(1, 301, count) * label
+    vectors = np.column_stack([weather, lanes, label, x_px, t0]).astype(float)
+    chance = np.where(weather == 2, 0.6, 0.05) + 0.3 * (x_px > 400)
+    unsafe = rng.random(count) < chance
+    return campaign(MIXED, vectors, unsafe, np.where(unsafe, -1.0, 1.0), radius=0.3, t_b=0.2, d_th=0.1)
+
+
+def campaign(
+    space: SearchSpace,
+    vectors: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
+    unsafe: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
+    values: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
+    *,
+    radius: float,
+    t_b: float,
+    d_th: float,
+) -> CampaignFigures:
+    count = len(vectors)
+    archive = Archive.empty(space, Neighbourhood(radius, 0.1)).grown(
+        np.arange(count), vectors, unsafe, values
+    )
+    ends = tuple(range(50, count, 50)) + ((count,) if count else ())
+    return CampaignFigures(
+        archive=archive, space=space, title="Test", generation_ends=ends, t_b=t_b, d_th=d_th
+    )
+
 
 MakeFigure = Callable[[CampaignFigures], Figure]
 
@@ -59,13 +130,13 @@ def line(axes: Axes, label: str) -> tuple[list[float], list[float]]:
 
 @pytest.mark.parametrize("make", FIGURES.values(), ids=FIGURES)
 @pytest.mark.parametrize("inputs", [mtq_campaign(), mixed_campaign()], ids=["mtq", "mixed"])
-def test_figure_is_wide_and_not_blank(make: MakeFigure, inputs: CampaignFigures) -> None:
+def test_figures_have_the_right_width_and_are_not_blank(make: MakeFigure, inputs: CampaignFigures) -> None:
     image = pixels(make(inputs))
     assert image.shape[1] == WIDTH_PX
     assert 0.005 < (image < 200).any(axis=2).mean() < 0.6
 
 
-def test_dbs_lines_end_at_the_archives_dbs() -> None:
+def test_dbs_lines_end_at_the_dbs_of_the_archive() -> None:
     inputs = mtq_campaign()
     figure = figure_dbs(inputs)
     assert len(figure.axes) == len(PAPER_D_THS)
@@ -76,10 +147,10 @@ def test_dbs_lines_end_at_the_archives_dbs() -> None:
             assert x[-1] == len(inputs.archive)
             assert plain[-1] == dbs(inputs.archive, t_b, d_th)
             assert strict[-1] == strict_dbs(inputs.archive, t_b, d_th)
-    assert figure.axes[0].get_ylim()[1] > 2, "the landscape has a boundary, or this shows nothing"
+    assert figure.axes[0].get_ylim()[1] > 2, "the landscape must have a boundary"
 
 
-def test_dbs_at_half_the_budget_knows_only_the_first_half() -> None:
+def test_dbs_at_half_the_budget_uses_only_the_first_half() -> None:
     inputs = mtq_campaign()
     half = dbs_grid(inputs.archive.first(200))
     assert half.dbs[-1, 0] > 0
@@ -89,12 +160,12 @@ def test_dbs_at_half_the_budget_knows_only_the_first_half() -> None:
             assert plain[x.index(200)] == half.dbs[row, column]
 
 
-def test_map_has_a_dot_for_every_solution_where_the_embedding_puts_it() -> None:
+def test_map_has_a_dot_for_every_solution_at_its_embedded_position() -> None:
     inputs = mtq_campaign()
     dots = scattered(figure_embedding(inputs).axes[0], "solutions")
     places = np.asarray(dots.get_offsets())
     expected = embedded(inputs.archive).points
-    # The map may be turned by a quarter, which keeps distances.
+    # The map may be rotated by a quarter turn, which preserves distances.
     for one, other in ((0, 1), (5, 99), (17, 399)):
         assert np.hypot(*(places[one] - places[other])) == pytest.approx(
             np.hypot(*(expected[one] - expected[other]))
@@ -119,15 +190,15 @@ def test_map_rings_the_distinct_boundary_solutions_best_first() -> None:
     assert len(near) == np.count_nonzero(inputs.archive.fitness <= inputs.t_b)
 
 
-def test_map_says_what_its_dots_and_rings_are() -> None:
+def test_map_has_a_legend_for_dots_and_rings() -> None:
     inputs = mtq_campaign()
-    said = words(figure_embedding(inputs))
+    text = words(figure_embedding(inputs))
     unsafe = int(inputs.archive.unsafe.sum())
-    assert f"safe: {len(inputs.archive) - unsafe}" in said
-    assert f"unsafe: {unsafe}" in said
+    assert f"safe: {len(inputs.archive) - unsafe}" in text
+    assert f"unsafe: {unsafe}" in text
     count = distinct_boundary(inputs.archive, inputs.t_b, inputs.d_th).size
-    assert f"distinct boundary solutions: {count}\n" in said
-    assert f"strict: {strict_dbs(inputs.archive, inputs.t_b, inputs.d_th)}" in said
+    assert f"distinct boundary solutions: {count}\n" in text
+    assert f"strict: {strict_dbs(inputs.archive, inputs.t_b, inputs.d_th)}" in text
 
 
 def test_map_names_the_parameter_that_separates_an_axis() -> None:
@@ -135,7 +206,7 @@ def test_map_names_the_parameter_that_separates_an_axis() -> None:
     assert "scenario." in axes.get_xlabel() + axes.get_ylabel() or "behaviour.label" in axes.get_xlabel()
 
 
-def test_fitness_lines_are_scored_with_what_was_known_then() -> None:
+def test_fitness_is_scored_with_the_results_known_at_the_time() -> None:
     inputs = mtq_campaign()
     x, best = line(figure_fitness(inputs).axes[0], "best")
     _, median = line(figure_fitness(inputs).axes[0], "median")
@@ -172,7 +243,7 @@ def test_panels_show_the_share_of_each_choice_with_its_interval() -> None:
     np.testing.assert_allclose(segments[:, 1, 1], upper)
 
 
-def test_numbers_of_a_sleeping_block_are_left_out_of_their_panels() -> None:
+def test_inactive_parameters_are_left_out_of_their_panels() -> None:
     inputs = mixed_campaign()
     awake = inputs.archive.vectors[:, 2] == 1
     found = {dependence.column.name: dependence for dependence in dependences(inputs.space, inputs.archive)}
@@ -182,7 +253,7 @@ def test_numbers_of_a_sleeping_block_are_left_out_of_their_panels() -> None:
     assert found["behaviour.label"].counts.sum() == len(inputs.archive)
 
 
-def test_verdicts_that_do_not_depend_on_a_parameter_are_not_called_dependent() -> None:
+def test_independent_parameters_are_not_reported_as_dependent() -> None:
     inputs = mixed_campaign(600)
     found = {dependence.column.name: dependence for dependence in dependences(inputs.space, inputs.archive)}
     assert found["scenario.weather"].p_value < 1e-6
@@ -203,7 +274,7 @@ def _few(count: int, *, unsafe: bool) -> CampaignFigures:
     )
 
 
-def _all_alike() -> CampaignFigures:
+def _all_equal() -> CampaignFigures:
     vectors = np.tile([0.0, 1, 0, 0, 0], (3, 1))
     return campaign(MIXED, vectors, np.array([True, False, True]), np.zeros(3), radius=0.3, t_b=1.0, d_th=0.0)
 
@@ -219,22 +290,22 @@ def _all_alike() -> CampaignFigures:
         _few(120, unsafe=False),
         _few(120, unsafe=True),
         mixed_campaign(40, null_share=1.0),
-        _all_alike(),
+        _all_equal(),
     ],
-    ids=["none", "one safe", "one unsafe", "two", "all safe", "all unsafe", "all null", "all alike"],
+    ids=["none", "one safe", "one unsafe", "two", "all safe", "all unsafe", "all inactive", "all equal"],
 )  # fmt: skip
-def test_degenerate_campaigns_still_give_a_clear_picture(make: MakeFigure, inputs: CampaignFigures) -> None:
+def test_degenerate_campaigns_give_readable_figures(make: MakeFigure, inputs: CampaignFigures) -> None:
     figure = make(inputs)
     figure.set_dpi(40)
     assert (pixels(figure) < 200).any(axis=2).mean() > 0.002
 
 
-def test_map_without_boundary_says_so() -> None:
+def test_map_without_boundary_solutions_says_so() -> None:
     assert "none yet" in words(figure_embedding(_few(120, unsafe=True)))
-    assert "no solution has been evaluated" in words(figure_embedding(_few(0, unsafe=True)))
+    assert "no solutions evaluated" in words(figure_embedding(_few(0, unsafe=True)))
 
 
-def test_inputs_that_do_not_belong_together_are_refused() -> None:
+def test_inconsistent_inputs_are_rejected() -> None:
     good = mtq_campaign(60)
     with pytest.raises(ValueError, match=r"generation_ends: expected ascending counts up to 60"):
         CampaignFigures(
@@ -242,3 +313,81 @@ def test_inputs_that_do_not_belong_together_are_refused() -> None:
         )
     with pytest.raises(ValueError, match=r"space: expected 2 parameters"):
         CampaignFigures(archive=good.archive, space=MIXED, title="", generation_ends=(60,), t_b=0.1, d_th=0.1)
+
+
+TRAFFIC = SearchSpace((participants_component("npcs", 2, RoadLimits()),))
+CONFIG = Nsga2Config(population_size=10)
+
+
+def test_recomputed_diversity_equals_that_of_the_search() -> None:
+    algorithm = Nsga2()
+    state = algorithm.start(TRAFFIC, CONFIG, seed=1, budget=40)
+    ends, seen = [], {}
+    while not algorithm.finished(state):
+        state, candidates = algorithm.ask(state)
+        answers = {
+            c.number: Scored(unsafe=False, robustness=1.0, objectives={CRITICALITY: 1.0 + c.number})
+            for c in candidates
+        }
+        before = len(state.history)
+        state = algorithm.tell(state, answers)
+        ends.append(len(state.archive))
+        fresh = {n: d for n, d in zip(state.population, state.diversity.tolist(), strict=True) if n >= before}
+        seen.update(fresh)
+    assert seen
+    found = recorded_diversities(TRAFFIC, state.archive.vectors, ends, CONFIG)
+    for number, diversity in seen.items():
+        assert found[number] == pytest.approx(diversity)
+    figure = figure_fronts("npcs", TRAFFIC, state.archive.vectors, ends, 1.0 + np.arange(40.0), CONFIG)
+    (axes,) = figure.axes
+    drawn = [front for front in axes.lines if str(front.get_label()).endswith("solutions")]
+    assert [front.get_label() for front in drawn] == [f"{end} solutions" for end in ends]
+    for front in drawn:
+        heights = np.asarray(front.get_ydata(), np.float64)
+        assert (np.diff(heights) > 0).all() or len(heights) == 1
+
+
+def test_fronts_without_a_generation_say_so() -> None:
+    figure = figure_fronts("npcs", TRAFFIC, np.empty((0, TRAFFIC.dimension)), [], np.empty(0), CONFIG)
+    assert any("no generation" in text.get_text() for axes in figure.axes for text in axes.texts)
+
+
+def test_every_figure_is_written_in_every_format(tmp_path: Path) -> None:
+    files = write_campaign_figures(mtq_campaign(120), tmp_path / "new" / "folder", formats=("png", "svg"))
+    assert [path.name for path in files] == [f"{stem}.{kind}" for stem in FIGURES for kind in ("png", "svg")]
+    for path in files:
+        if path.suffix == ".png":
+            with Image.open(path) as image:
+                image.load()
+                assert image.width == WIDTH_PX
+        else:
+            assert ElementTree.parse(path).getroot().tag.endswith("svg")
+
+
+def test_equal_campaigns_give_equal_files_without_changing_global_state(tmp_path: Path) -> None:
+    before = dict(mpl.rcParams)
+    first = write_campaign_figures(mtq_campaign(120), tmp_path / "a")
+    second = write_campaign_figures(mtq_campaign(120), tmp_path / "b")
+    assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
+    assert dict(mpl.rcParams) == before
+
+
+def test_figures_can_be_drawn_in_threads(tmp_path: Path) -> None:
+    inputs = mtq_campaign(60)
+    threads = [
+        threading.Thread(target=write_campaign_figures, args=(inputs, tmp_path / str(index)))
+        for index in range(2)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    one, other = (sorted((tmp_path / str(index)).iterdir()) for index in range(2))
+    assert len(one) == len(FIGURES)
+    assert [path.read_bytes() for path in one] == [path.read_bytes() for path in other]
+
+
+def test_an_unknown_format_is_rejected_before_drawing(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"formats: expected some of png, svg; got 'pdf'"):
+        write_campaign_figures(mtq_campaign(60), tmp_path / "out", formats=("pdf",))
+    assert not (tmp_path / "out").exists()

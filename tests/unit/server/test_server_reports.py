@@ -1,15 +1,19 @@
-"""Tables of an experiment against scipy, the paper's definitions and naive recomputation; and its report."""
+"""Reports: experiment tables against scipy and naive recomputation, and the detections of a component."""
 
+import csv
 import itertools
 import re
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import stats
+from support.traces import make_trace
 
 from brink.plots.experiment import EXPERIMENT_FIGURES
+from brink.report.component import COLUMNS, DetectionCounts, box_rows, count_detections, write_boxes
 from brink.report.experiment import html_report, markdown_report
 from brink.search.analysis.boundary import dbs, strict_dbs
 from brink.search.analysis.comparison import Line, Repeat, duels, standings
@@ -18,13 +22,14 @@ from brink.search.analysis.scores import Control, Figures, Scores, scored
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.testing import example_spaces
 from brink.server.experiments.body import parse_experiment
+from brink.sim.trace import BOX_COLUMNS, Ragged, Trace
 
 SHAPE = (len(PAPER_FRACTIONS), len(PAPER_T_BS), len(PAPER_D_THS))
 METHODS = {"MLCSHE": 30, "GA": 18, "RS <b>": 4}
 SEEDS = 10
 
 
-def made_up() -> list[Repeat]:
+def make_repeats() -> list[Repeat]:
     rng = np.random.default_rng(5)
     repeats = []
     for seed, (method, level) in itertools.product(range(SEEDS), METHODS.items()):
@@ -42,7 +47,7 @@ def made_up() -> list[Repeat]:
     return repeats
 
 
-REPEATS = made_up()
+REPEATS = make_repeats()
 
 
 def values(line: Line, measure: Measure, i: int, j: int) -> list[float]:
@@ -58,7 +63,7 @@ def values(line: Line, measure: Measure, i: int, j: int) -> list[float]:
     return found
 
 
-def test_table_1_has_means_with_students_intervals() -> None:
+def test_standings_have_means_with_student_intervals() -> None:
     table = standings(REPEATS)
     assert len(table) == 6 * 2 * len(PAPER_T_BS) * len(PAPER_D_THS)
     for one in table[::7]:
@@ -68,7 +73,7 @@ def test_table_1_has_means_with_students_intervals() -> None:
         assert (one.value.low, one.value.high) == pytest.approx((low, high))
 
 
-def test_table_2_agrees_with_scipy_and_the_papers_definitions() -> None:
+def test_duels_agree_with_scipy_and_the_definitions_of_the_paper() -> None:
     table = duels(REPEATS)
     assert {(d.first.method, d.second.method) for d in table if not d.second.control} == set(
         itertools.combinations(METHODS, 2)
@@ -76,7 +81,7 @@ def test_table_2_agrees_with_scipy_and_the_papers_definitions() -> None:
     assert {d.first.method for d in table if d.second.control} == set(METHODS)
     for measure in Measure:
         family = [d for d in table if d.measure is measure]
-        p_values, adjusted_by_us = [], []
+        p_values, adjusted_here = [], []
         for duel in family:
             i, j = PAPER_T_BS.index(duel.t_b), PAPER_D_THS.index(duel.d_th)
             a, b = values(duel.first, measure, i, j), values(duel.second, measure, i, j)
@@ -88,16 +93,16 @@ def test_table_2_agrees_with_scipy_and_the_papers_definitions() -> None:
             assert duel.result.a12 == pytest.approx(wins / SEEDS**2)
             if len({*a, *b}) > 1:
                 p_values.append(reference.pvalue)
-                adjusted_by_us.append(duel.adjusted)
+                adjusted_here.append(duel.adjusted)
             else:
                 assert duel.adjusted == 1.0
         order = np.argsort(p_values)
         steps = np.array(p_values)[order] * np.arange(len(p_values), 0, -1)
         adjusted = np.minimum(np.maximum.accumulate(steps), 1)
-        assert [adjusted_by_us[k] for k in order] == pytest.approx(adjusted.tolist())
+        assert [adjusted_here[k] for k in order] == pytest.approx(adjusted.tolist())
 
 
-def test_figures_over_the_budget_are_those_of_what_was_known_then() -> None:
+def test_scores_by_budget_use_the_results_known_at_the_time() -> None:
     space = example_spaces()["mixed"]
     rng = np.random.default_rng(3)
     rows = np.array([space.join(space.sample(rng)) for _ in range(260)])
@@ -106,7 +111,7 @@ def test_figures_over_the_budget_are_those_of_what_was_known_then() -> None:
     near = Neighbourhood(radius=0.3, p_th=0.1)
     whole = Archive.empty(space, near).grown(kept, rows[kept], unsafe[kept], np.zeros(kept.size))
     scores = scored(whole, space, simulations=200, seed=1)
-    assert scores.evaluated == 198, "what lies beyond the budget is not counted"
+    assert scores.evaluated == 198, "solutions beyond the budget are not counted"
     for k, fraction in enumerate(PAPER_FRACTIONS):
         known = kept[kept < round(200 * fraction)]
         naive = Archive.empty(space, near).grown(known, rows[known], unsafe[known], np.zeros(known.size))
@@ -139,7 +144,7 @@ def report(folder: Path) -> str:
     )
 
 
-def test_the_report_says_what_the_tables_say(tmp_path: Path) -> None:
+def test_the_report_agrees_with_the_tables(tmp_path: Path) -> None:
     text = report(tmp_path)
     mean = np.mean(values(Line(problem="gap", method="GA", control=False), Measure.DBS, 3, 1))
     assert "30 of 33 campaigns have finished" in text
@@ -150,10 +155,10 @@ def test_the_report_says_what_the_tables_say(tmp_path: Path) -> None:
     assert text.count("![") == 4
 
 
-def test_nothing_is_said_to_be_owed_to_behaviour_beyond_a_control_that_reads_low(tmp_path: Path) -> None:
-    said = [line for line in report(tmp_path).splitlines() if "beside its control" in line]
-    assert len(said) == 6
-    for line in said:
+def test_a_control_that_reads_low_supports_no_conclusion(tmp_path: Path) -> None:
+    lines = [line for line in report(tmp_path).splitlines() if "beside its control" in line]
+    assert len(lines) == 6
+    for line in lines:
         proves_nothing = "the control reads low here, so this proves nothing" in line
         assert proves_nothing == ("RS" in line)
         assert ("behaviour accounts for" in line or "than scenarios and chance give" in line) == (
@@ -161,10 +166,70 @@ def test_nothing_is_said_to_be_owed_to_behaviour_beyond_a_control_that_reads_low
         )
 
 
-def test_the_page_has_its_pictures_inside_and_nobodys_html(tmp_path: Path) -> None:
+def test_the_page_embeds_its_images_and_no_foreign_html(tmp_path: Path) -> None:
     page = html_report(report(tmp_path), "rq1 <script>", tmp_path)
     assert page.count('src="data:image/png;base64,') == 4
     assert "<script>" not in page
     assert "<b>" not in page
     assert "<table>" in page
     assert not re.search(r"""(src|href|url)[=(]["']?http""", page)
+
+
+Box = tuple[float, float, float, float, float]
+CAR: Box = (0.0, 100.0, 200.0, 300.0, 400.0)
+NEARLY: Box = (0.0, 110.0, 210.0, 310.0, 410.0)
+FAR: Box = (0.0, 160.0, 260.0, 360.0, 460.0)
+PERSON: Box = (1.0, 100.0, 200.0, 300.0, 400.0)
+
+
+def boxes(samples: list[list[Box]]) -> Ragged:
+    first = np.cumsum([0, *map(len, samples)]).astype(np.int32)
+    rows = np.array([box for sample in samples for box in sample], np.float32).reshape(-1, 5)
+    return Ragged(columns=BOX_COLUMNS, first=first, rows=rows)
+
+
+def trace(truth: list[list[Box]], detected: list[list[Box]]) -> Trace:
+    return replace(make_trace(samples=len(truth)), seen_boxes=boxes(truth), given_boxes=boxes(detected))
+
+
+@pytest.mark.parametrize(
+    ("truth", "detected", "matched"),
+    [
+        ([CAR], [CAR], 1),
+        ([CAR], [NEARLY], 1),  # 90 x 90 of 100 x 100 twice: .68
+        ([CAR], [FAR], 0),  # 40 x 40: .09
+        ([CAR], [PERSON], 0),  # same place, different label
+        ([CAR], [], 0),
+        ([], [CAR], 0),
+        ([CAR, NEARLY], [CAR], 1),  # a detection matches only one box
+        ([NEARLY, CAR], [CAR, NEARLY], 2),
+    ],
+)
+def test_a_detection_matches_an_overlapping_box_with_its_label(
+    truth: list[Box], detected: list[Box], matched: int
+) -> None:
+    counts = count_detections(trace([truth, []], [detected, []]))
+    assert counts == DetectionCounts(truth=len(truth), detected=len(detected), matched=matched)
+    columns = counts.to_columns()
+    assert (columns["missed"], columns["invented"]) == (len(truth) - matched, len(detected) - matched)
+
+
+def test_boxes_at_different_times_do_not_match() -> None:
+    assert count_detections(trace([[CAR], []], [[], [CAR]])).matched == 0
+
+
+def test_every_box_is_written_with_its_time(tmp_path: Path) -> None:
+    shown = trace([[CAR], [PERSON]], [[], [NEARLY]])
+    assert list(box_rows(shown)) == [
+        (0.0, "seen", "vehicle", 100.0, 200.0, 300.0, 400.0),
+        (0.1, "seen", "person", 100.0, 200.0, 300.0, 400.0),
+        (0.1, "said", "vehicle", 110.0, 210.0, 310.0, 410.0),
+    ]
+    file = tmp_path / "boxes.csv"
+    write_boxes(shown, file)
+    with file.open(newline="") as text:
+        rows = list(csv.reader(text))
+    assert tuple(rows[0]) == COLUMNS
+    assert [row[:3] for row in rows[1:]] == [
+        ["0.0", "seen", "vehicle"], ["0.1", "seen", "person"], ["0.1", "said", "vehicle"],
+    ]  # fmt: skip

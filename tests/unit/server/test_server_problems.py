@@ -1,0 +1,220 @@
+"""The problems: from candidates to episodes, and from outcomes to evaluations."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.circumstances import violation
+
+from brink.search.algorithm import Measured, Scored
+from brink.search.analysis.violations import signature_of
+from brink.search.errors import ConfigError
+from brink.server.campaigns.body import parse_body
+from brink.server.campaigns.plan import check_submission
+from brink.server.errors import InvalidInput
+from brink.server.problems.aeb_crossing import ACCIDENT, DANGEROUS_STOP, AebCrossing, AebCrossingParams
+from brink.server.problems.base import Describes, MeasuresOnData, SimulatedProblem, TellsViolations
+from brink.server.problems.npc_actions import ORACLES, NpcActions, NpcActionsParams
+from brink.sim.aeb.specification import AebScenario, Behaviour, Options
+from brink.sim.encounter.specification import EncounterScenario
+from brink.sim.perturbations import CATALOGUE
+from brink.worker.wire import Completed, WireVerdict
+
+AEB = AebCrossing(AebCrossingParams())
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_every_aeb_candidate_becomes_a_valid_episode(seed: int) -> None:
+    vectors = AEB.space.sample(np.random.default_rng(seed))
+    spec = AEB.episode(vectors, seed)
+    AebScenario.from_json(spec.scenario)
+    behaviour = Behaviour.from_json(spec.behaviour)
+    assert Options.from_json(spec.options).size_px == (640, 360)
+    assert len({p.gene for p in behaviour.perturbations}) == 2
+    assert all(0 <= p.level < CATALOGUE[p.gene].levels for p in behaviour.perturbations)
+
+
+def test_genes_keep_their_order_and_intensities_become_levels() -> None:
+    values = {
+        "scenario": {
+            "time_of_day": "noon", "weather": "clear", "occluder": "van", "crossing_m": 50.0, "arrival_s": 0.0,
+            "oncoming_m": 60.0,
+        },
+        "perturbation": {"gene_1": "smoke", "intensity_1": 0.3, "gene_2": "rain", "intensity_2": 1.0},
+    }  # fmt: skip
+    vectors = AEB.space.encode(values)
+    assert AEB.perturbations(vectors) == [{"gene": "smoke", "level": 3}, {"gene": "rain", "level": 5}]
+    assert AEB.words(vectors) == (
+        "smoke 3/10, then rain 5/5; noon, clear, pedestrian from behind a van after 50 m"
+    )
+    spec = AEB.dataset_evaluation(vectors)
+    assert spec.behaviour["perturbations"] == AEB.perturbations(vectors)
+
+
+def test_a_measurement_does_not_depend_on_the_scenario() -> None:
+    rng = np.random.default_rng(1)
+    first, second = AEB.space.sample(rng), AEB.space.sample(rng)
+    mixed = (second[0], first[1])
+    assert AEB.dataset_evaluation(first).digest() == AEB.dataset_evaluation(mixed).digest()
+    assert AEB.dataset_evaluation(first).digest() != AEB.dataset_evaluation(second).digest()
+
+
+@pytest.mark.parametrize(
+    ("hazard", "robustness"), [("any", -2.0), ("accident", 1.5), ("dangerous-stop", -2.0)]
+)
+def test_the_chosen_hazard_gives_the_verdict(hazard: str, robustness: float) -> None:
+    completed = Completed(
+        verdicts={
+            ACCIDENT: WireVerdict(robustness=1.5, unit="m", violated_at_s=None),
+            DANGEROUS_STOP: WireVerdict(robustness=-2.0, unit="m/s", violated_at_s=3.0),
+        },
+        objectives={"alpha": 0.4},
+    )
+    got = AebCrossing(AebCrossingParams(hazard=hazard)).evaluation(completed)
+    assert isinstance(got, Scored)
+    assert (got.unsafe, got.robustness, got.objectives["alpha"]) == (robustness < 0, robustness, 0.4)
+    assert AEB.measurement(completed) == Measured(objectives={"alpha": 0.4})
+
+
+def test_the_aeb_problem_implements_its_protocols() -> None:
+    assert isinstance(AEB, SimulatedProblem)
+    assert isinstance(AEB, MeasuresOnData)
+    assert AebCrossing(AebCrossingParams(perturbations=3)).space.dimension == 12
+    with pytest.raises(ConfigError, match="perturbations"):
+        AebCrossingParams(perturbations=9)
+
+
+AEB_BODY: dict[str, Any] = {
+    "name": "p", "problem": {"id": "aeb-crossing@1"}, "algorithm": {"id": "simood-ga@1"},
+    "budget": {"simulations": 200},
+}  # fmt: skip
+
+
+def refused(**params: Any) -> dict[str, str]:
+    with pytest.raises(InvalidInput) as caught:
+        check_submission(parse_body({**AEB_BODY, "problem": {"id": "aeb-crossing@1", "params": params}}))
+    return {error.pointer: error.message for error in caught.value.errors}
+
+
+def test_the_first_generation_is_measured_on_data() -> None:
+    _, solutions = check_submission(parse_body(AEB_BODY))
+    assert len(solutions) == 20
+    specs = [solution.job.spec for solution in solutions if solution.job is not None]
+    assert len(set(specs)) == 20
+    assert all('"simulator":"brink-dataset@1"' in spec.replace(" ", "") for spec in map(str, specs))
+
+
+def test_missing_and_broken_files_are_reported_at_submission(tmp_path: Path) -> None:
+    broken = tmp_path / "labels.json"
+    broken.write_text('{"images": []}')
+    weights = tmp_path / "weights.onnx"
+    weights.write_text("nothing")
+    assert refused(dataset=str(broken)) == {
+        "/problem/params/dataset": f"{broken}: expected a non-empty list of images, as in COCO format"
+    }
+    assert "No such file" in refused(dataset="nowhere.json")["/problem/params/dataset"]
+    assert "no such file" in refused(detector="onnx:nowhere.onnx")["/problem/params/detector"]
+    assert "brink-det@1" in refused(detector="brnk-det@1")["/problem/params/detector"]
+    assert "cannot be loaded" in refused(detector=f"onnx:{weights}")["/problem/params/detector"]
+    assert set(refused(detector="onnx:no.onnx", dataset="no.json")) == {
+        "/problem/params/detector", "/problem/params/dataset",
+    }  # fmt: skip
+
+
+def test_only_the_chosen_techniques_are_used() -> None:
+    chosen = AebCrossing(AebCrossingParams(techniques=" smoke, dirty ,smoke,contrast"))
+    rng = np.random.default_rng(1)
+    seen = {str(p["gene"]) for _ in range(40) for p in chosen.perturbations(chosen.space.sample(rng))}
+    assert seen == {"smoke", "dirty", "contrast"}
+    levels = [level for p in chosen.perturbations(chosen.space.sample(rng)) if (level := p["level"])]
+    assert all(isinstance(level, int) and 0 < level <= 10 for level in levels)
+    with pytest.raises(ConfigError, match=r"got 'smoek'") as caught:
+        AebCrossingParams(techniques="smoek, dirty")
+    assert caught.value.nearest == "smoke"
+    with pytest.raises(ConfigError, match="at least 2 of them, got 1"):
+        AebCrossingParams(techniques="smoke")
+
+
+NPC = NpcActions(NpcActionsParams())
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_every_npc_candidate_becomes_a_valid_episode(seed: int) -> None:
+    vectors = NPC.space.sample(np.random.default_rng(seed))
+    spec = NPC.episode(vectors, seed)
+    scenario = EncounterScenario.from_json(spec.scenario)
+    assert len(scenario.road_users) == len(NPC.participants(vectors)) == len(NPC.waypoints(vectors))
+    for script, ends in zip(scenario.road_users, NPC.waypoints(vectors), strict=True):
+        last = script.stretches[-1]
+        assert last.from_s + last.lasts_s >= NPC.params.duration_s - 1e-6
+        # The search measures distances with the position at the end of the first action.
+        first = [stretch for stretch in script.stretches if stretch.action == script.stretches[0].action]
+        assert script.stretches[0] in first
+        assert any(
+            np.allclose(stretch.at(stretch.from_s + stretch.lasts_s)[:2], ends[0], atol=1e-6)
+            for stretch in script.stretches
+        )
+
+
+def outcome(**robustness: float) -> Completed:
+    least = dict.fromkeys(ORACLES, 1.0) | {f"{name.replace('_', '-')}@1": r for name, r in robustness.items()}
+    return Completed(
+        verdicts={
+            name: WireVerdict(robustness=value, unit="m", violated_at_s=None if value >= 0 else 2.0)
+            for name, value in least.items()
+        },
+        objectives={"criticality_m": 0.7},
+        features={"violations": [{"requirement": name} for name, value in least.items() if value < 0]},
+    )
+
+
+def test_any_violation_counts_or_only_the_chosen_one() -> None:
+    hit = outcome(no_collision=-1.0, front_gap=-0.2)
+    evaluation = NPC.evaluation(hit)
+    assert isinstance(evaluation, Scored)
+    assert (evaluation.unsafe, evaluation.robustness, evaluation.objectives["criticality_m"]) == (
+        True,
+        -1.0,
+        0.7,
+    )
+    gap = NpcActions(NpcActionsParams(violation="front-gap@1", criticality="robustness"))
+    chosen = gap.evaluation(hit)
+    assert isinstance(chosen, Scored)
+    assert (chosen.robustness, chosen.objectives["criticality_m"]) == (-0.2, -0.2)
+    assert [one["requirement"] for one in gap.violations(hit)] == ["front-gap@1"]
+    assert len(NPC.violations(hit)) == 2
+    assert NPC.violations(outcome()) == []
+
+
+def test_an_evaluation_names_the_kinds_of_violations() -> None:
+    violations = [violation(), violation("front-gap@1", collision=None)]
+    hit = outcome(no_collision=-1.0, front_gap=-0.2).model_copy(
+        update={"features": {"violations": violations}}
+    )
+    evaluation = NPC.evaluation(hit)
+    assert isinstance(evaluation, Scored)
+    assert evaluation.kinds == {str(signature_of(one)) for one in violations}
+    of_gap = NpcActions(NpcActionsParams(violation="front-gap@1")).evaluation(hit)
+    assert isinstance(of_gap, Scored)
+    assert of_gap.kinds == {str(signature_of(violations[1]))}
+
+
+def test_the_npc_problem_implements_its_protocols() -> None:
+    assert isinstance(NPC, SimulatedProblem)
+    assert isinstance(NPC, TellsViolations)
+    assert isinstance(NPC, Describes)
+    assert NPC.needs == "brink-encounter@1"
+    camera = NpcActions(NpcActionsParams(sight="detector"))
+    assert camera.needs == "brink-encounter-camera@1"
+    spec = camera.episode(camera.space.sample(np.random.default_rng(1)), 1)
+    assert spec.behaviour == {"mode": "detector", "detector": "brink-det@1", "threshold": 0.8}
+    assert NpcActions(NpcActionsParams(sight="detector", detector="nobody@1")).wrong_inputs()
+    assert NPC.wrong_inputs() == []
+
+
+def test_a_requirement_that_the_road_cannot_violate_is_rejected() -> None:
+    with pytest.raises(ConfigError, match="no other road has lights"):
+        NpcActionsParams(violation="red-light@1", road_curve="straight")
