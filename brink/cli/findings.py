@@ -33,14 +33,15 @@ from brink.search.algorithms.multi_objective import CRITICALITY, MultiObjectiveC
 from brink.search.errors import UnsupportedSpace
 from brink.search.slots import slots_of
 from brink.search.space import FloatArray
-from brink.server.api.findings import TypeView, Violations
 from brink.server.api.schemas import (
     ChainTally,
     Combinations,
     CombinationView,
     SolutionPage,
     StepTally,
+    TypeView,
     Variant,
+    Violations,
 )
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.problems.base import TellsViolations

@@ -184,6 +184,44 @@ class Boundary(View):
     strict: Annotated[list[int], Field(description="Numbers of the strict distinct boundary solutions.")]
 
 
+class ViolationView(View):
+    """A violation of a requirement by a solution."""
+
+    number: Annotated[int, Field(description="Number of the solution.")]
+    requirement: str
+    time_s: float
+    type: str
+    name: Annotated[str | None, Field(description="Name that a person gave it.")]
+    signature: Annotated[
+        dict[str, str], Field(description="Features that the rules derive from its circumstances.")
+    ]
+    circumstances: Annotated[
+        dict[str, Any], Field(description="Circumstances as the simulator reported them.")
+    ]
+
+
+class TypeView(View):
+    """A type of violation."""
+
+    type: str
+    solutions: Annotated[int, Field(description="Number of solutions with a violation of this type.")]
+    instances: Annotated[int, Field(description="Distinct instances: clusters of similar circumstances.")]
+    first: Annotated[int, Field(description="Number of the first solution.")]
+    numbers: Annotated[list[int], Field(description="Numbers of its solutions, in ascending order.")]
+    named: Annotated[int, Field(description="Number of its violations that a person named.")]
+    at_fault: Annotated[
+        bool | None, Field(description="Whether the ego vehicle was at fault; null if its violations differ.")
+    ]
+
+
+class Violations(View):
+    """The violations of a campaign."""
+
+    rules_version: int
+    types: Annotated[list[TypeView], Field(description="In order of discovery.")]
+    violations: Annotated[list[ViolationView], Field(description="In ascending order of number.")]
+
+
 class TechniqueLevel(View):
     """A technique at one of its levels; a chain is a list of them, in order."""
 

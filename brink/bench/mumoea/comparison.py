@@ -27,7 +27,7 @@ from brink.server.problems.npc_actions import NpcActionsParams
 """Called with what is being measured, how much of it is done, and how much there is."""
 
 DECIDING: Final = (
-    "search", "server/problems", "server/violations", "sim/bullet", "sim/driving", "sim/encounter",
+    "search", "server/campaigns/violations.py", "server/problems", "sim/bullet", "sim/driving", "sim/encounter",
     "sim/requirements.py", "sim/urban", "sim/world",
 )  # fmt: skip
 """Parts of the code that decide what a search finds: searches of other code are not taken for this one's."""

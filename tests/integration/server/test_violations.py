@@ -17,8 +17,7 @@ from brink.cli.commands import app
 from brink.cli.findings import draw_types, violations_sentence, write_violations
 from brink.cli.live import CampaignDisplay
 from brink.search.analysis.violations import RULES_VERSION
-from brink.server.api.findings import Violations
-from brink.server.api.schemas import Progress
+from brink.server.api.schemas import Progress, Violations
 
 TRAFFIC: dict[str, Any] = {
     "name": "traffic",
