@@ -274,6 +274,9 @@ def _few(count: int, *, unsafe: bool) -> CampaignFigures:
     )
 
 
+FURTHER = pytest.mark.long("draws all figures of another campaign")
+
+
 def _all_equal() -> CampaignFigures:
     vectors = np.tile([0.0, 1, 0, 0, 0], (3, 1))
     return campaign(MIXED, vectors, np.array([True, False, True]), np.zeros(3), radius=0.3, t_b=1.0, d_th=0.0)
@@ -283,17 +286,16 @@ def _all_equal() -> CampaignFigures:
 @pytest.mark.parametrize(
     "inputs",
     [
-        _few(0, unsafe=False),
-        _few(1, unsafe=False),
-        _few(1, unsafe=True),
-        _few(2, unsafe=True),
-        _few(120, unsafe=False),
-        _few(120, unsafe=True),
-        mixed_campaign(40, null_share=1.0),
-        _all_equal(),
+        pytest.param(_few(0, unsafe=False), id="none"),
+        pytest.param(_few(1, unsafe=False), id="one safe", marks=FURTHER),
+        pytest.param(_few(1, unsafe=True), id="one unsafe", marks=FURTHER),
+        pytest.param(_few(2, unsafe=True), id="two", marks=FURTHER),
+        pytest.param(_few(120, unsafe=False), id="all safe", marks=FURTHER),
+        pytest.param(_few(120, unsafe=True), id="all unsafe"),
+        pytest.param(mixed_campaign(40, null_share=1.0), id="all inactive", marks=FURTHER),
+        pytest.param(_all_equal(), id="all equal"),
     ],
-    ids=["none", "one safe", "one unsafe", "two", "all safe", "all unsafe", "all inactive", "all equal"],
-)  # fmt: skip
+)
 def test_degenerate_campaigns_give_readable_figures(make: MakeFigure, inputs: CampaignFigures) -> None:
     figure = make(inputs)
     figure.set_dpi(40)
