@@ -1,6 +1,6 @@
-"""A language model's endpoint of the tests' own, behind a real socket: it speaks as the usual servers do, faults too.
+"""A fake language model endpoint behind a real socket: it imitates the usual servers, including their faults.
 
-What it answers is scripted, one step a request; it keeps what it was asked.
+Its answers are scripted, one step per request, and it records the requests.
 """
 
 import asyncio
@@ -28,7 +28,7 @@ PATIENCE_S = 15.0
 
 
 class Server(StrEnum):
-    """Whose way of answering is taken."""
+    """The server to imitate."""
 
     VLLM = "vllm"
     LLAMA_CPP = "llama.cpp"
@@ -36,7 +36,7 @@ class Server(StrEnum):
 
 
 class ErrorForm(StrEnum):
-    """How an error body looks."""
+    """The form of an error body."""
 
     OPENAI = "openai"
     DETAIL = "detail"
@@ -47,7 +47,7 @@ class ErrorForm(StrEnum):
 
 @dataclass(frozen=True)
 class Asked:
-    """A request that came."""
+    """A request received by the endpoint."""
 
     path: str
     headers: Mapping[str, str]
@@ -55,7 +55,7 @@ class Asked:
 
     @property
     def form(self) -> str:
-        """How the form of the reply was asked for."""
+        """How the request specified the form of the reply."""
         stated = self.body.get("response_format") or {"type": "plain"}
         return "schema_in_object" if "schema" in stated else str(stated["type"])
 
@@ -69,7 +69,7 @@ Step = Callable[[Asked], Response | Awaitable[Response]]
 
 
 def completion(text: Any, server: Server = Server.VLLM, finish: str | None = "stop") -> dict[str, Any]:
-    """Return a completion as a server writes it."""
+    """Return a chat completion in the format of a server."""
     message: dict[str, Any] = {"role": "assistant", "content": text}
     choice: dict[str, Any] = {"index": 0, "message": message, "finish_reason": finish}
     body: dict[str, Any] = {
@@ -131,7 +131,7 @@ def refuses(status: int, message: str = "no", form: ErrorForm = ErrorForm.OPENAI
 
 
 def cut(text: str) -> Step:
-    """Return a step that says a longer body than it sends, and closes the connection."""
+    """Return a step that announces a longer body than it sends, and closes the connection."""
 
     async def part() -> AsyncIterator[bytes]:
         yield json.dumps(completion(text)).encode()[:-40]
@@ -143,7 +143,7 @@ def cut(text: str) -> Step:
 
 
 def huge(size: int) -> Step:
-    """Return a step that answers with so many bytes, a chunk at a time."""
+    """Return a step that answers with a body of about the given size, in chunks."""
 
     async def chunks() -> AsyncIterator[bytes]:
         for _ in range(size // 65536 + 1):
@@ -154,14 +154,15 @@ def huge(size: int) -> Step:
 
 @dataclass
 class Endpoint:
-    """What the endpoint is told to do, and what it was asked.
+    """The script of the endpoint, and the requests that it received.
 
     Attributes:
         url: Base URL.
-        asked: Questions that came, the oldest first.
-        forms: Forms of a reply that it takes; it refuses others, with these words and this status.
-        key: Key that it wants, if any.
-        models: What it answers for the list of models; None if it has no list.
+        asked: Requests received, oldest first.
+        forms: Forms of a reply that it accepts.
+        form_refusal: Its answer to requests for other forms.
+        key: Required API key, if any.
+        models: Body of the model list; None if it has no list.
     """
 
     url: str
@@ -176,11 +177,11 @@ class Endpoint:
     _stalled: list[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = field(default_factory=list)
 
     def then(self, *steps: Step) -> None:
-        """Answer the next questions so, in turn."""
+        """Add steps for the next requests."""
         self._steps.extend(steps)
 
     def stalls(self) -> Step:
-        """Return a step that does not answer before `release`."""
+        """Return a step that does not answer until `release` is called."""
 
         async def stalled(asked: Asked) -> Response:
             event = asyncio.Event()
@@ -191,20 +192,20 @@ class Endpoint:
         return stalled
 
     def release(self) -> None:
-        """Let stalled answers go."""
+        """Release stalled answers."""
         for loop, event in self._stalled:
             loop.call_soon_threadsafe(event.set)
         self._stalled.clear()
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Reset the script, and forget all requests."""
         self.release()
         fresh = Endpoint(self.url)
         for name in ("asked", "forms", "form_refusal", "key", "models", "_steps"):
             setattr(self, name, getattr(fresh, name))
 
     async def chat(self, request: Request) -> Response:
-        """Answer a question."""
+        """Handle a chat completion request."""
         asked = Asked(request.url.path, dict(request.headers), await request.json())
         self.asked.append(asked)
         if (refusal := self._wrong_key(asked.headers)) is not None:
@@ -219,7 +220,7 @@ class Endpoint:
         return await response if inspect.isawaitable(response) else response
 
     async def list_models(self, request: Request) -> Response:
-        """Answer with the list of models."""
+        """Handle a request for the list of models."""
         if (refusal := self._wrong_key(request.headers)) is not None:
             return refusal
         if self.models is None:
@@ -230,13 +231,13 @@ class Endpoint:
         came = headers.get("authorization", "").removeprefix("Bearer ")
         if self.key is None or came == self.key:
             return None
-        # Some gateways repeat the key that they refuse.
+        # Some gateways quote a rejected key.
         return JSONResponse({"error": {"message": f"Incorrect API key provided: {came}."}}, 401)
 
 
 @contextmanager
 def serving() -> Iterator[Endpoint]:
-    """Give an endpoint that runs on a thread of this process until the end of the block."""
+    """Run an endpoint on a thread of this process."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     listener.bind(("127.0.0.1", 0))
     listener.listen(64)
@@ -258,7 +259,7 @@ def serving() -> Iterator[Endpoint]:
 
 
 def unencrypted() -> httpx.AsyncHTTPTransport:
-    """Return the usual transport without the certificates, which take longer to load than a test."""
+    """Return an HTTP transport without certificates, which take longer to load than a test."""
     return httpx.AsyncHTTPTransport(verify=False)
 
 
@@ -269,12 +270,12 @@ def llm_settings(endpoint: Endpoint, **changes: Any) -> LlmSettings:
 
 
 def action(name: str = "keep", duration_s: float = 2.0, magnitude: float = 0.0) -> dict[str, Any]:
-    """Return an action in the wire form."""
+    """Return an action as a model writes it."""
     return {"action": name, "duration_s": duration_s, "magnitude": magnitude}
 
 
 def participant(**changes: Any) -> dict[str, Any]:
-    """Return a car ahead that brakes, in the wire form."""
+    """Return a car ahead that brakes, as a model writes it."""
     return {
         "kind": "car", "ds_m": 25.0, "dd_m": 0.0, "heading": "with_ego", "speed_mps": 8.0,
         "actions": [action("keep"), action("brake", 2.0, 6.0)], **changes,
@@ -282,15 +283,15 @@ def participant(**changes: Any) -> dict[str, Any]:
 
 
 def item(**changes: Any) -> dict[str, Any]:
-    """Return a solution of one car in the wire form."""
+    """Return a solution with one car, as a model writes it."""
     return {"participants": [participant(**changes)]}
 
 
 def items(count: int, first: int = 0) -> list[dict[str, Any]]:
-    """Return so many different valid solutions in the wire form."""
+    """Return different valid solutions, as a model writes them."""
     return [item(ds_m=20.0 + number) for number in range(first, first + count)]
 
 
 def reply_text(solutions: Sequence[Any]) -> str:
-    """Return the text of a reply with these solutions."""
+    """Return the text of a reply with the given solutions."""
     return json.dumps({"solutions": list(solutions)})

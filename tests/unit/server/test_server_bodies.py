@@ -20,7 +20,7 @@ PLAIN: dict[str, Any] = {
 }
 
 
-def test_fields_of_later_versions_do_not_change_the_hash_unless_they_are_set() -> None:
+def test_newer_fields_change_the_hash_only_if_they_are_set() -> None:
     first = "d0fa27c9315a72b53172e656131079cb4ecccc805459d11ce25db46699fdf7ad"
     assert parse_body(PLAIN).document_hash() == first
     assert parse_body({**PLAIN, "repeats": 0}).document_hash() == first
@@ -44,7 +44,7 @@ def pointers(document: object) -> dict[str, str]:
     return {error.pointer: error.message for error in raised.value.errors}
 
 
-def test_an_experiment_has_a_campaign_for_every_combination() -> None:
+def test_an_experiment_has_one_campaign_per_combination() -> None:
     two = [{"id": "mtq@1"}, {"name": "bits", "id": "onemax@1"}]
     cells = parse_experiment(document(problems=two, priority=3)).cells()
     assert [(cell.body.seed, cell.problem, cell.method) for cell in cells] == [
@@ -68,7 +68,7 @@ def test_seeds_may_be_a_range() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "pointer", "said"),
+    ("changes", "pointer", "message"),
     [
         ({"seeds": []}, "/seeds", "at least 1"),
         ({"seeds": {"frist": 1}}, "/seeds", "first (0 or more) and count"),
@@ -82,10 +82,10 @@ def test_seeds_may_be_a_range() -> None:
         ({"budget": {"simulations": 0}}, "/budget/simulations", "greater than or equal to 1"),
     ],
 )  # fmt: skip
-def test_each_invalid_field_has_a_pointer(changes: dict[str, Any], pointer: str, said: str) -> None:
+def test_each_invalid_field_has_a_pointer(changes: dict[str, Any], pointer: str, message: str) -> None:
     found = pointers(document(**changes))
     assert pointer in found
-    assert said in found[pointer]
+    assert message in found[pointer]
 
 
 def test_a_list_is_rejected_as_an_experiment() -> None:

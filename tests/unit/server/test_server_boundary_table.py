@@ -51,7 +51,7 @@ def rows() -> list[dict[str, Any]]:
     return [dict(row) for row in boundary_rows(boundary(solution(7), other), "c0ffee", BODY)]
 
 
-def test_a_row_says_all_that_is_known_of_a_solution() -> None:
+def test_a_row_contains_everything_known_about_a_solution() -> None:
     first, second = rows()
     assert list(first) == list(second)
     wanted = {
@@ -66,7 +66,7 @@ def test_a_row_says_all_that_is_known_of_a_solution() -> None:
     assert (second["strict"], second["interval_low"], second["robustness.front-gap@1"]) == (False, None, None)
 
 
-def test_the_three_formats_say_the_same() -> None:
+def test_all_formats_have_the_same_content() -> None:
     given = rows()
     as_csv = list(csv.DictReader(io.StringIO(table_bytes(given, "csv").decode())))
     as_lines = [json.loads(line) for line in table_bytes(given, "jsonl").splitlines()]
@@ -76,12 +76,12 @@ def test_the_three_formats_say_the_same() -> None:
     for row, text in zip(given, as_csv, strict=True):
         assert text == {name: "" if value is None else str(value) for name, value in row.items()}
     for row, read in zip(given, as_parquet, strict=True):
-        # A column of texts and numbers becomes one of texts: a data frame has one type a column.
+        # Columns of data frames have one type: a column with text and numbers becomes text.
         assert read == {**row, "feature.ended": str(row["feature.ended"])}
 
 
 @pytest.mark.parametrize("form", ["csv", "jsonl", "parquet"])
-def test_a_boundary_without_solutions_is_a_table_all_the_same(form: str) -> None:
+def test_a_boundary_without_solutions_is_an_empty_table(form: str) -> None:
     written = table_bytes(boundary_rows(boundary(), "c0ffee", BODY), form)
     if form == "csv":
         assert written == b"number\n"

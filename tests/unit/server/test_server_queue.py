@@ -33,7 +33,7 @@ class Job:
 
 @dataclass
 class Queue:
-    """What a transaction sees; `reads` counts the fresh jobs that it had to lock."""
+    """A queue in memory; `reads` lists the fresh jobs that were locked."""
 
     fresh: Sequence[Job] = ()
     traces: Sequence[Job] = ()
@@ -91,7 +91,7 @@ def test_a_grant_is_two_thirds_of_an_equal_share_and_at_least_one_job() -> None:
     assert grant_limit(demand(max_jobs=8), 1000) == 8
 
 
-def test_workers_that_ask_together_get_different_jobs_and_nothing_else_is_locked() -> None:
+def test_concurrent_workers_get_different_jobs_and_lock_no_others() -> None:
     queue = Queue(fresh=[Job(n) for n in range(30)])
     first, second = ids(queue.assign(demand("w1", 4, 2), demand("w2", 4, 2)))
     assert (first, second) == ([0, 1, 2, 3], [4, 5, 6, 7])
@@ -105,21 +105,21 @@ def test_higher_priorities_go_first_and_equal_ones_in_turn() -> None:
     assert ids(queue.assign(demand(max_jobs=3))) == [[2, 1, 0]]
 
 
-def test_a_turn_ends_after_so_many_jobs_for_each_live_worker() -> None:
+def test_a_turn_ends_after_a_fixed_number_of_jobs_per_live_worker() -> None:
     queue = Queue(fresh=[Job(n) for n in range(300)], campaigns=[CampaignTurn("a", 0, 7, TURN - 1)])
     assert queue.assign(demand(max_jobs=1, live_workers=2)).turns == {"a": (7, TURN)}
     turn, served = queue.assign(demand(max_jobs=1)).turns["a"]
     assert (turn > NEW_TURN, served) == (True, 0)
 
 
-def test_a_retry_is_granted_alone_and_only_to_empty_hands() -> None:
+def test_a_retry_is_granted_alone_and_only_to_a_worker_without_jobs() -> None:
     queue = Queue(fresh=[Job(n) for n in range(9)], retry=Job(99))
     assert ids(queue.assign(demand())) == [[99]]
     assert ids(queue.assign(demand(), held={"w1": [1]})) == [[]]
     assert ids(queue.assign(demand(), held={"w1": [2]})) == [[]]
 
 
-def test_fresh_jobs_of_a_higher_priority_and_traces_go_before_a_retry() -> None:
+def test_traces_and_jobs_of_higher_priority_precede_a_retry() -> None:
     urgent = [CampaignTurn("a", 5, 0, 0)]
     assert ids(Queue(fresh=[Job(1)], retry=Job(99), campaigns=urgent).assign(demand())) == [[1]]
     traced = Queue(traces=[Job(7, kind=JobKind.TRACE)], retry=Job(99), campaigns=[])
@@ -238,7 +238,7 @@ def test_a_wait_returns_at_once_after_a_change() -> None:
     async def body(wakeups: Wakeups) -> None:
         seen = wakeups.changes
         wakeups.wake(0)
-        assert wakeups.changes == seen, "waking nobody is no change"
+        assert wakeups.changes == seen, "waking nobody does not count as a change"
         wakeups.wake()  # nobody is waiting
         assert await wakeups.wait(LONG_S, asyncio.Event(), since=seen)
         assert not await wakeups.wait(0.001, asyncio.Event(), since=wakeups.changes)

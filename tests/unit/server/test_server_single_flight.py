@@ -10,7 +10,7 @@ from brink.server.single_flight import SingleFlightCache
 
 
 class Counted:
-    """Computes how often it was called; may be made to wait or to fail."""
+    """Returns the number of its calls; can be made to wait or to fail."""
 
     def __init__(self) -> None:
         self.times = 0

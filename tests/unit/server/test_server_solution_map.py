@@ -1,4 +1,4 @@
-"""The map of a campaign as it grows: what is drawn, and that what was drawn stays put."""
+"""The map of a growing campaign: which points are drawn, and that they stay in place."""
 
 from itertools import pairwise
 
@@ -24,7 +24,7 @@ def archive_of(count: int) -> Archive:
 WHOLE = archive_of(400)
 
 
-def test_points_stay_where_they_are_until_the_archive_has_grown_by_half() -> None:
+def test_points_stay_in_place_until_the_archive_has_grown_by_half() -> None:
     before = make_map(SPACE, WHOLE.first(200), ended=False)
     after = make_map(SPACE, WHOLE.first(210), ended=False, before=before)
     assert after.version == before.version
@@ -33,7 +33,7 @@ def test_points_stay_where_they_are_until_the_archive_has_grown_by_half() -> Non
     assert make_map(SPACE, WHOLE.first(330), ended=False, before=after).version != before.version
 
 
-def test_who_asked_earlier_and_comes_later_gets_no_more_points_than_solutions() -> None:
+def test_a_late_request_for_an_earlier_archive_gets_only_its_points() -> None:
     later = make_map(SPACE, WHOLE.first(210), ended=False)
     earlier = make_map(SPACE, WHOLE.first(200), ended=False, before=later)
     assert later.version == earlier.version
@@ -41,7 +41,7 @@ def test_who_asked_earlier_and_comes_later_gets_no_more_points_than_solutions() 
     assert np.allclose(earlier.points, later.points[:200])
 
 
-def test_every_coordinator_draws_the_same_map_whatever_it_drew_before() -> None:
+def test_all_coordinators_draw_the_same_map() -> None:
     before = make_map(SPACE, WHOLE.first(150), ended=False)
     grown = make_map(SPACE, WHOLE.first(210), ended=False, before=before)
     fresh = make_map(SPACE, WHOLE.first(210), ended=False)
@@ -49,19 +49,19 @@ def test_every_coordinator_draws_the_same_map_whatever_it_drew_before() -> None:
     assert np.allclose(grown.points, fresh.points)
 
 
-def test_a_campaign_that_has_ended_is_mapped_by_all_of_its_solutions() -> None:
+def test_the_map_of_an_ended_campaign_is_fitted_to_all_solutions() -> None:
     ended = make_map(SPACE, WHOLE, ended=True, before=make_map(SPACE, WHOLE, ended=False))
     assert ended.version == "400-end"
     assert len(ended.points) == 400
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 63, 64, 65])
-def test_few_solutions_are_mapped_too(count: int) -> None:
+def test_small_archives_are_mapped(count: int) -> None:
     for ended in (False, True):
         assert make_map(SPACE, WHOLE.first(count), ended=ended).points.shape == (count, 2)
 
 
-def test_a_map_is_made_anew_less_and_less_often() -> None:
+def test_the_map_is_fitted_less_often_as_the_archive_grows() -> None:
     made = [fitted_count(count) for count in range(1, 60_000, 7)]
     steps = sorted(set(made))
     assert made == sorted(made)
@@ -70,7 +70,7 @@ def test_a_map_is_made_anew_less_and_less_often() -> None:
     assert len(steps) < 110
 
 
-def test_a_large_map_is_thinned_and_what_was_drawn_before_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_large_map_is_thinned_without_removing_points(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(solution_map, "MAX_DRAWN", 100)
     monkeypatch.setattr(solution_map, "NEAREST", 40)
     first = drawn_rows(WHOLE.first(150), 140, ended=False)
@@ -80,9 +80,9 @@ def test_a_large_map_is_thinned_and_what_was_drawn_before_stays(monkeypatch: pyt
     ended = drawn_rows(WHOLE, 400, ended=True)
     assert 60 <= len(ended) <= 100
     nearest = np.argsort(WHOLE.fitness, kind="stable")[:40]
-    assert np.isin(nearest, ended).all(), "what is nearest to the boundary is always drawn"
+    assert np.isin(nearest, ended).all(), "solutions near the boundary are always drawn"
 
 
-def test_evenly_spread_positions_reach_from_the_first_to_the_last() -> None:
+def test_evenly_spaced_positions_include_the_first_and_the_last() -> None:
     assert evenly_spaced(5, 10).tolist() == [0, 1, 2, 3, 4]
     assert evenly_spaced(1000, 5).tolist() == [0, 249, 499, 749, 999]
