@@ -44,7 +44,7 @@ from brink.server.api.schemas import (
     Violations,
 )
 from brink.server.errors import FieldError, InvalidInput
-from brink.server.problems.base import TellsViolations
+from brink.server.problems.base import ReportsViolations
 from brink.sim.replay import render
 from brink.sim.replay.sheets import Row, side_by_side
 
@@ -94,7 +94,7 @@ async def fetch_findings(api: Api, fetched: FetchedArchive) -> Sequence[Findings
         pass  # no ordered techniques, so no combinations
     else:
         found.append(CombinationFindings(await api.read(Combinations, f"{path}/combinations")))
-    if isinstance(fetched.plan.problem, TellsViolations):
+    if isinstance(fetched.plan.problem, ReportsViolations):
         found.append(ViolationFindings(await api.read(Violations, f"{path}/violations"), fetched))
     return found
 

@@ -28,7 +28,7 @@ from brink.server.errors import FieldError, InvalidInput
 from brink.server.llm.preflight import EndpointReport, check_endpoint, estimate
 from brink.server.llm.prompts import example, question
 from brink.server.llm.settings import LlmSettings
-from brink.server.problems.base import Describes
+from brink.server.problems.base import SupportsSeeds
 
 llm = typer.Typer(help="Check and preview language models that seed searches.", no_args_is_help=True)
 
@@ -103,7 +103,7 @@ def dry_run(
     settings = _settings(body)
     plan = make_checked_plan(body)
     problem = plan.problem
-    assert isinstance(problem, Describes)  # checked with the plan
+    assert isinstance(problem, SupportsSeeds)  # checked with the plan
     config: Any = plan.config
     initial = config.population_size if getattr(config, "initial", "") == "seeds" else 0
     request = SeedRequest(number=0, count=initial or config.seeds)

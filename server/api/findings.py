@@ -40,7 +40,7 @@ from brink.server.campaigns.store import Campaign
 from brink.server.campaigns.violations import read_violations, set_name
 from brink.server.db.engine import read
 from brink.server.errors import NotFound
-from brink.server.problems.base import TellsViolations
+from brink.server.problems.base import ReportsViolations
 
 violations_router = APIRouter(prefix="/campaigns/{campaign_id}/violations", tags=["violations"])
 
@@ -103,7 +103,7 @@ async def _name(services: Context, campaign_id: str, number: int, requirement: s
 
 async def _found(services: Context, campaign: Campaign) -> list[FoundViolation]:
     problem = (await services.archives.get(campaign)).plan.problem
-    if not isinstance(problem, TellsViolations):
+    if not isinstance(problem, ReportsViolations):
         raise NotFound(f"campaign {campaign.id}: {campaign.body.problem.id} reports no violations")
     return await read(
         services.engines,

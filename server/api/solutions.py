@@ -37,7 +37,7 @@ from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import read
 from brink.server.errors import FieldError, InvalidInput, NotFound
-from brink.server.problems.base import Problem, words_of
+from brink.server.problems.base import Problem, describe_candidate
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
 
@@ -205,7 +205,7 @@ def _solution(
         unsafe_neighbours=None if index is None else int(archive.unsafe_neighbours[index]),
         interval=None if index is None else (float(archive.interval[index, 0]), float(archive.interval[index, 1])),
         seed=row.seed, attempts=row.attempt,
-        words=words_of(problem, vectors), parameters=problem.space.decode(vectors),
+        words=describe_candidate(problem, vectors), parameters=problem.space.decode(vectors),
         verdicts=result.get("verdicts"), features=result.get("features"),
         provenance=result.get("provenance"),
         spec=json.loads(row.spec) if full and row.spec else None,

@@ -22,11 +22,11 @@ from brink.server.errors import FieldError, InvalidInput
 from brink.server.llm.settings import LlmSettings
 from brink.server.problems.base import (
     ChecksInputs,
-    Describes,
     InProcessProblem,
     MeasuresOnData,
     Problem,
     SimulatedProblem,
+    SupportsSeeds,
 )
 from brink.server.problems.catalogue import (
     config_field_error,
@@ -162,7 +162,7 @@ def _check_seeder(plan: Plan) -> None:
     if plan.body.llm is not None and not uses_model:
         message = f"{plan.body.algorithm.id} does not use it; expected algorithm.params.seeder: llm"
         raise InvalidInput([FieldError(pointer="/llm", message=message)])
-    if uses_model and not isinstance(plan.problem, Describes):
+    if uses_model and not isinstance(plan.problem, SupportsSeeds):
         message = f"{plan.body.problem.id} cannot be described to a language model"
         raise InvalidInput([FieldError(pointer="/problem/id", message=message)])
 

@@ -9,7 +9,7 @@ from sqlalchemy import Connection, delete, insert, select
 from brink.search.analysis.violations import FoundViolation, Signature, scaled_circumstances, signature_of
 from brink.server.db.models import ViolationNameRow
 from brink.server.db.sql import database_now, note_change
-from brink.server.problems.base import TellsViolations
+from brink.server.problems.base import ReportsViolations
 from brink.server.queue.job_store import unsafe_outcomes
 from brink.worker.wire import Completed
 
@@ -17,7 +17,7 @@ log = logging.getLogger(__name__)
 
 
 def read_violations(
-    connection: Connection, campaign_id: str, problem: TellsViolations
+    connection: Connection, campaign_id: str, problem: ReportsViolations
 ) -> list[FoundViolation]:
     """Return the violations of a campaign's unsafe solutions, ascending by number.
 

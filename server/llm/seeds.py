@@ -43,7 +43,7 @@ from brink.server.llm.protocol import (
 from brink.server.llm.replies import SCHEMA, Parsed, RoadChecker, parse
 from brink.server.llm.settings import LlmSettings
 from brink.server.llm.store import CampaignCalls, claim, release
-from brink.server.problems.base import Describes, Problem
+from brink.server.problems.base import Problem, SupportsSeeds
 
 HOLD_S: Final = 60.0
 """How long the claim of a coordinator that died prevents others from asking."""
@@ -323,7 +323,7 @@ class LlmSeeds:
             problem: The campaign's problem.
             request: The request of the algorithm.
         """
-        if settings is None or not isinstance(problem, Describes):
+        if settings is None or not isinstance(problem, SupportsSeeds):
             return ()
         with self._lock:
             if (campaign_id, request.number) in self._answers:
@@ -356,7 +356,9 @@ class LlmSeeds:
     def _claim(self, campaign_id: str) -> Future[bool]:
         return self._writer.submit(lambda connection: claim(connection, campaign_id, self._owner, HOLD_S))
 
-    def _ask(self, campaign_id: str, settings: LlmSettings, problem: Describes, request: SeedRequest) -> None:
+    def _ask(
+        self, campaign_id: str, settings: LlmSettings, problem: SupportsSeeds, request: SeedRequest
+    ) -> None:
         """Ask, on a separate thread; if there is no answer, the sweeper repeats the request."""
         answer: Sequence[Proposal] | None = None
         about = {"campaign": campaign_id}
@@ -387,7 +389,7 @@ class LlmSeeds:
             self._writer.submit(lambda connection: release(connection, self._owner, campaign_id)).result()
 
     async def _answer_while_claimed(
-        self, campaign_id: str, settings: LlmSettings, problem: Describes, request: SeedRequest
+        self, campaign_id: str, settings: LlmSettings, problem: SupportsSeeds, request: SeedRequest
     ) -> Sequence[Proposal]:
         """Answer while renewing the claim, even if the campaign is paused.
 
@@ -406,7 +408,7 @@ class LlmSeeds:
         return answering.result()
 
     async def _answer(
-        self, campaign_id: str, settings: LlmSettings, problem: Describes, request: SeedRequest
+        self, campaign_id: str, settings: LlmSettings, problem: SupportsSeeds, request: SeedRequest
     ) -> Sequence[Proposal]:
         calls = CampaignCalls(self._engines, self._writer, campaign_id, self._stopping)
         known = calls.every()

@@ -1,1 +1,1 @@
-"""Problems: what ties a search space to a simulator and a verdict."""
+"""Problems: each connects a search space to a simulator and a verdict."""

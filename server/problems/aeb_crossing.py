@@ -1,7 +1,7 @@
-"""The problem `aeb-crossing@1`: which perturbations of its pictures make an emergency brake a hazard.
+"""The problem `aeb-crossing@1`: perturbations of camera images that make emergency braking hazardous.
 
-A candidate joins a scenario (when, in which weather, who steps out where) and perturbations in order, each a gene at
-a level. It is simulated, or measured on a data set, which takes the perturbations alone.
+A candidate combines a scenario (time of day, weather, the pedestrian's place and time) with ordered perturbations,
+each a gene at a level. It is simulated, or measured on a data set, for which only the perturbations matter.
 """
 
 from collections.abc import Mapping
@@ -15,8 +15,7 @@ from brink.search.settings import check_settings, setting
 from brink.search.slots import Slots
 from brink.search.space import Categorical, Component, Real, SearchSpace
 from brink.server.errors import nearest
-from brink.server.problems.base import Vectors
-from brink.server.problems.detectors import wrong_detector
+from brink.server.problems.base import Vectors, wrong_detector
 from brink.sim.aeb.specification import (
     ARRIVAL_S,
     CROSSING_M,
@@ -45,10 +44,10 @@ HAZARDS = ("any", "accident", "dangerous-stop")
 class AebCrossingParams:
     """Parameters of the problem."""
 
-    hazard: str = setting("any", help="What counts as unsafe.", choices=HAZARDS)
-    perturbations: int = setting(2, help="Perturbations in a candidate (m).", ge=1, le=4)
+    hazard: str = setting("any", help="Hazard that counts as unsafe.", choices=HAZARDS)
+    perturbations: int = setting(2, help="Number of perturbations in a candidate (m).", ge=1, le=4)
     techniques: str = setting(
-        EVERY, help="Techniques that may be used, separated by commas (brink perturbations list), or all."
+        EVERY, help="Techniques to use, separated by commas (brink perturbations list), or all."
     )
     fields: str = setting(
         "per_frame", help="How often their random fields are drawn.", choices=("per_frame", "per_episode")
@@ -56,19 +55,19 @@ class AebCrossingParams:
     detector: str = setting(
         "brink-det@1", help="Id of the detector, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE."
     )
-    threshold: float = setting(0.5, help="Least score that the brake is told.", gt=0.0, lt=1.0)
+    threshold: float = setting(0.5, help="Minimum score of detections that count.", gt=0.0, lt=1.0)
     obstacle: str = setting(
-        "none", help="What lies on the road besides.", choices=tuple(item.value for item in Obstacle)
+        "none", help="Additional obstacle on the road.", choices=tuple(item.value for item in Obstacle)
     )
-    duration_s: float = setting(15.0, help="Longest episode.", ge=5.0, le=60.0, unit="s")
+    duration_s: float = setting(15.0, help="Maximum length of an episode.", ge=5.0, le=60.0, unit="s")
     width_px: int = setting(
-        640, help="Width of the camera's picture; it is 16 : 9.", ge=160, le=1280, unit="px"
+        640, help="Width of the camera image; its aspect ratio is 16:9.", ge=160, le=1280, unit="px"
     )
     dataset: str = setting(
         "simulator",
-        help="Pictures to measure on: the simulator's, or a file with annotations in COCO format.",
+        help="Images to measure on: the simulator's, or a file with annotations in COCO format.",
     )
-    dataset_frames: int = setting(60, help="Pictures of the data set that are used.", ge=10, le=5_000)
+    dataset_frames: int = setting(60, help="Number of images of the data set to use.", ge=10, le=5_000)
     timeout_s: float = setting(120.0, help="Wall-clock limit of an episode.", gt=0.0, le=3600.0, unit="s")
 
     def __post_init__(self) -> None:
@@ -87,14 +86,14 @@ class AebCrossingParams:
 
     @property
     def genes(self) -> tuple[str, ...]:
-        """The techniques that may be used, each once."""
+        """The techniques to use, without duplicates."""
         if self.techniques.strip() == EVERY:
             return tuple(CATALOGUE)
         return tuple(dict.fromkeys(filter(None, (name.strip() for name in self.techniques.split(",")))))
 
 
 def scenario_component() -> Component:
-    """Return what a street is like."""
+    """Return the component that describes the street."""
     return Component(
         "scenario",
         (
@@ -109,7 +108,7 @@ def scenario_component() -> Component:
 
 
 def perturbation_component(count: int, genes: tuple[str, ...] = tuple(CATALOGUE)) -> Component:
-    """Return perturbations in order: each a gene and its intensity, which lies on one of the gene's levels."""
+    """Return the component of ordered perturbations: a gene each, and an intensity on one of the gene's levels."""
     pairs = tuple((f"gene_{place}", f"intensity_{place}") for place in range(1, count + 1))
     return Component(
         "perturbation",
@@ -123,10 +122,10 @@ def perturbation_component(count: int, genes: tuple[str, ...] = tuple(CATALOGUE)
 
 
 class AebCrossing:
-    """Perturbed pictures, an emergency brake, and somebody who steps out between parked cars."""
+    """Emergency braking with perturbed images when a pedestrian steps out between parked cars."""
 
     id: ClassVar[str] = "aeb-crossing@1"
-    summary: ClassVar[str] = "Emergency braking through perturbed pictures: 6 + 2 parameters a perturbation."
+    summary: ClassVar[str] = "Emergency braking with perturbed images: 6 parameters, and 2 per perturbation."
     params_type: ClassVar[type[Any]] = AebCrossingParams
     extra: ClassVar[str] = "vision"
     modules: ClassVar[tuple[str, ...]] = ("cv2", "onnxruntime")
@@ -143,7 +142,7 @@ class AebCrossing:
         self.dataset_timeout_s = max(600.0, 0.5 * params.dataset_frames)
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
-        """Return what is wrong with the detector and the data set."""
+        """Return the errors of the detector and the data set."""
         wrong = wrong_detector(self.params.detector)
         try:
             self._digest()
@@ -165,14 +164,14 @@ class AebCrossing:
         return EpisodeSpec(
             simulator=SIMULATOR,
             scenario=scenario,
-            behaviour={"mode": "detector", "threshold": params.threshold, **self._seen(vectors)},
+            behaviour={"mode": "detector", "threshold": params.threshold, **self._perception(vectors)},
             requirements=(ACCIDENT, DANGEROUS_STOP),
             seed=seed,
             duration_s=params.duration_s,
             options={"width_px": params.width_px, "height_px": params.width_px * 9 // 16},
         )
 
-    def _seen(self, vectors: Vectors) -> dict[str, Json]:
+    def _perception(self, vectors: Vectors) -> dict[str, Json]:
         weights = self._weights()
         return {
             "detector": self.params.detector,
@@ -192,13 +191,13 @@ class AebCrossing:
         return named
 
     def words(self, vectors: Vectors) -> str:
-        """Return a candidate in words."""
+        """Describe a candidate."""
         scenario = {**self.space.decode(tuple(vectors))["scenario"], "obstacle": self.params.obstacle}
         chain = describe_perturbations(self.perturbations(vectors)) or "not perturbed"
         return f"{chain}; {describe_street(scenario)}"
 
     def evaluation(self, outcome: Completed) -> Evaluation:
-        """Return the verdict: in metres of clearance, or in m/s above a stand, whichever is less for any hazard."""
+        """Return the verdict: clearance in m, speed above standstill in m/s, or the smaller value for any hazard."""
         accident = outcome.verdicts[ACCIDENT].robustness
         stop = outcome.verdicts[DANGEROUS_STOP].robustness
         robustness = {"any": min(accident, stop), "accident": accident, "dangerous-stop": stop}[
@@ -207,7 +206,7 @@ class AebCrossing:
         return Scored(unsafe=robustness < 0, robustness=robustness, objectives=outcome.objectives)
 
     def dataset_evaluation(self, vectors: Vectors) -> EpisodeSpec:
-        """Return what measures the perturbations: the scenario does not enter."""
+        """Return the specification that measures the perturbations; the scenario is ignored."""
         digest = self._digest()
         return EpisodeSpec(
             simulator=EVALUATOR,
@@ -216,12 +215,12 @@ class AebCrossing:
                 "frames": self.params.dataset_frames,
                 **({"digest": digest} if digest else {}),
             },
-            behaviour=self._seen(vectors),
+            behaviour=self._perception(vectors),
             requirements=(),
             seed=0,
             duration_s=1.0,
         )
 
     def measurement(self, outcome: Completed) -> Measured:
-        """Return alpha, the detector's mAP."""
+        """Return alpha, the mAP of the detector."""
         return Measured(objectives={"alpha": outcome.objectives["alpha"]})

@@ -1,13 +1,13 @@
-"""What a problem is: it ties a search space to a verdict.
+"""Problems connect a search space to a verdict.
 
-A *simulated* problem turns a candidate into an `EpisodeSpec` for the workers and reads the evaluation from what
-came back. An *in-process* problem is a formula that the coordinator evaluates itself. Plug-ins of the group
-``brink.problems`` are classes of either kind, made from their `params_type`.
+A *simulated* problem turns a candidate into an `EpisodeSpec` for the workers and evaluates the outcome. The
+coordinator itself evaluates an *in-process* problem, such as a formula. Plug-ins of the group ``brink.problems`` are
+classes of either kind, constructed from their `params_type`. The other protocols are optional.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, TypeAlias, runtime_checkable
+from typing import Any, ClassVar, Final, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from brink.search.algorithm import Evaluation, Measured
 from brink.search.space import SearchSpace
 from brink.search.traffic.participants import RoadLimits
+from brink.sim.catalogue import plugin_ids
 from brink.sim.episode import EpisodeSpec
+from brink.sim.perception.user_files import KINDS, DetectorError, check_loads
 from brink.worker.wire import Completed
 
 Vectors: TypeAlias = Sequence[NDArray[np.float64]]
@@ -23,18 +25,18 @@ Vectors: TypeAlias = Sequence[NDArray[np.float64]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoParams:
-    """The parameters of a problem that has none."""
+    """Parameters of a problem without any."""
 
 
 class _Problem(Protocol):
-    """What both kinds of problem have.
+    """Attributes of both kinds of problem.
 
     Attributes:
         id: Versioned plug-in id.
-        summary: One line for catalogues.
+        summary: One-line description.
         params_type: Frozen dataclass of its parameters, with fields from `brink.search.settings.setting`.
-        space: Where to search.
-        algorithm_defaults: Settings of algorithms that this problem suggests, such as the radius.
+        space: The search space.
+        algorithm_defaults: Suggested parameters of algorithms, such as the radius.
     """
 
     id: ClassVar[str]
@@ -51,8 +53,8 @@ class SimulatedProblem(_Problem, Protocol):
     """A problem whose candidates are simulated by workers.
 
     Attributes:
-        needs: What a worker must be capable of: the simulator's id.
-        timeout_s: Wall-clock time after which an episode is given up.
+        needs: Required capability of workers: the id of the simulator.
+        timeout_s: Wall-clock limit of an episode.
     """
 
     needs: str
@@ -63,28 +65,28 @@ class SimulatedProblem(_Problem, Protocol):
         ...
 
     def evaluation(self, outcome: Completed) -> Evaluation:
-        """Return what a completed episode says of its candidate."""
+        """Return the evaluation of a candidate from the outcome of its episode."""
         ...
 
 
 @runtime_checkable
 class MeasuresOnData(Protocol):
-    """What a simulated problem may do besides: measure a candidate on a data set, which gives no verdict.
+    """A simulated problem that can also measure candidates on a data set, which gives no verdict.
 
     Attributes:
-        dataset_needs: What a worker must be capable of: the id of the evaluator, run as a simulator is.
-        dataset_timeout_s: Wall-clock time after which an evaluation is given up.
+        dataset_needs: Required capability of workers: the id of the evaluator, which runs like a simulator.
+        dataset_timeout_s: Wall-clock limit of a measurement.
     """
 
     dataset_needs: str
     dataset_timeout_s: float
 
     def dataset_evaluation(self, vectors: Vectors) -> EpisodeSpec:
-        """Return what measures a candidate."""
+        """Return the specification that measures a candidate."""
         ...
 
     def measurement(self, outcome: Completed) -> Measured:
-        """Return what a completed evaluation says of its candidate."""
+        """Return the measurement of a candidate from its outcome."""
         ...
 
 
@@ -99,20 +101,20 @@ class InProcessProblem(_Problem, Protocol):
 
 @runtime_checkable
 class ChecksInputs(Protocol):
-    """A problem that uses files or plug-ins that may be missing or broken; may be left out."""
+    """A problem with parameters that name files or plug-ins, which may be missing or broken."""
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
-        """Return what is wrong with what its parameters name: the parameter and a message each."""
+        """Return errors as pairs of a parameter and a message."""
         ...
 
 
 @runtime_checkable
 class NeedsExtra(Protocol):
-    """A problem that only machines with an optional part of Brink can simulate; may be left out.
+    """A problem that can only be simulated with an optional extra installed.
 
     Attributes:
         extra: Name of the extra.
-        modules: Modules that it brings.
+        modules: Modules that the extra installs.
     """
 
     extra: str
@@ -120,26 +122,26 @@ class NeedsExtra(Protocol):
 
 
 @runtime_checkable
-class InWords(Protocol):
-    """A problem that can say what a candidate is; may be left out."""
+class DescribesCandidates(Protocol):
+    """A problem that can describe its candidates."""
 
     def words(self, vectors: Vectors) -> str:
-        """Return a candidate in a line of words."""
+        """Describe a candidate on one line."""
         ...
 
 
 @runtime_checkable
-class TellsViolations(Protocol):
-    """A simulated problem whose simulator tells the circumstances of violations; may be left out."""
+class ReportsViolations(Protocol):
+    """A simulated problem whose simulator reports the circumstances of violations."""
 
     def violations(self, outcome: Completed) -> list[dict[str, Any]]:
-        """Return the circumstances of those violations of an episode that count."""
+        """Return the circumstances of the violations of an episode that count."""
         ...
 
 
 @runtime_checkable
-class Describes(Protocol):
-    """A problem that language models can be asked about; optional.
+class SupportsSeeds(Protocol):
+    """A problem that language models can propose seeds for.
 
     Attributes:
         road: The road that participants use.
@@ -155,9 +157,9 @@ class Describes(Protocol):
 Problem: TypeAlias = SimulatedProblem | InProcessProblem
 
 
-def words_of(problem: Problem, vectors: Vectors) -> str:
-    """Return a candidate in words: the problem's own, or else its categories, and all of it if it has none."""
-    if isinstance(problem, InWords):
+def describe_candidate(problem: Problem, vectors: Vectors) -> str:
+    """Describe a candidate: in the words of the problem, or by its categories, or by all values if it has none."""
+    if isinstance(problem, DescribesCandidates):
         return problem.words(vectors)
     words = []
     for values in problem.space.decode(tuple(vectors)).values():
@@ -166,3 +168,19 @@ def words_of(problem: Problem, vectors: Vectors) -> str:
         if not chosen:
             words += [f"{name} {value:.3g}" for name, value in values.items()]
     return ", ".join(words)
+
+
+DETECTORS: Final = "brink.detectors"
+
+
+def wrong_detector(name: str) -> list[tuple[str, str]]:
+    """Return the errors of the parameter ``detector`` as pairs of its name and a message."""
+    known = plugin_ids(DETECTORS)
+    if ":" not in name and name not in known:
+        expected = ", ".join([*known, *(f"{kind}:FILE" for kind in KINDS)])
+        return [("detector", f"expected one of {expected}; got {name!r}")]
+    try:
+        check_loads(name)
+    except DetectorError as error:
+        return [("detector", str(error).removeprefix("detector: "))]
+    return []

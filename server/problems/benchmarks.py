@@ -1,4 +1,4 @@
-"""The benchmark problems with known answers, evaluated in process."""
+"""Benchmark problems with known boundaries, evaluated in process."""
 
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -16,7 +16,7 @@ from brink.server.problems.base import NoParams, Vectors
 
 
 class Mtq:
-    """Two unequal hills on the unit square; unsafe below height 0."""
+    """Two unequal hills on the unit square; a point is unsafe below height 0."""
 
     id: ClassVar[str] = "mtq@1"
     summary: ClassVar[str] = "Maximum of two quadratics on the unit square: a boundary that can be drawn."
@@ -32,7 +32,7 @@ class Mtq:
 
 
 class Onemax:
-    """Ten and ten bits; unsafe if fewer than five are set."""
+    """Two components of ten bits; a candidate is unsafe if fewer than five bits are set."""
 
     id: ClassVar[str] = "onemax@1"
     summary: ClassVar[str] = "Twenty bits, unsafe if fewer than five are set: a boundary that can be counted."

@@ -1,7 +1,7 @@
-"""Which problems and algorithms there are, and the JSON schemas of their parameters.
+"""The available problems and algorithms, and the JSON schemas of their parameters.
 
-Parameters are plain dataclasses whose fields carry their bounds (`brink.search.settings.setting`); here they become
-pydantic models, so that input is checked and described in one way.
+Parameters are dataclasses whose fields carry their bounds (`brink.search.settings.setting`). They are converted to
+pydantic models, which validate and describe the input.
 """
 
 from collections.abc import Callable, Mapping
@@ -16,20 +16,18 @@ from brink.search.errors import ConfigError, UnsupportedSpace
 from brink.search.slots import slots_of
 from brink.server.documents import invalid_input
 from brink.server.errors import FieldError, InvalidInput, nearest
-from brink.server.problems.base import InProcessProblem, Problem, SimulatedProblem, TellsViolations
+from brink.server.problems.base import InProcessProblem, Problem, ReportsViolations, SimulatedProblem
 from brink.sim.catalogue import load_plugin, plugin_ids
 
 PROBLEMS = "brink.problems"
 ALGORITHMS = "brink.algorithms"
 
 _BOUNDS = ("ge", "gt", "le", "lt")
-
-
 _MODELS: dict[type[Any], type[BaseModel]] = {}
 
 
 def params_model(params_type: type[Any]) -> type[BaseModel]:
-    """Return the pydantic model of a parameter dataclass, built once."""
+    """Return the pydantic model of a parameter dataclass; it is built once."""
     if params_type not in _MODELS:
         _MODELS[params_type] = _build_model(params_type)
     return _MODELS[params_type]
@@ -65,15 +63,15 @@ def _field(item: Field[Any]) -> Any:
 
 
 def make_params(params_type: type[Any], values: Mapping[str, Any], prefix: str) -> Any:
-    """Return parameters from input.
+    """Validate parameters.
 
     Args:
-        params_type: Their dataclass.
-        values: What the user gave.
-        prefix: Pointer to them, such as ``/algorithm/params``.
+        params_type: Dataclass of the parameters.
+        values: The input.
+        prefix: JSON pointer to the input, such as ``/algorithm/params``.
 
     Raises:
-        InvalidInput: With a pointer to each wrong field.
+        InvalidInput: With a pointer to each invalid field.
     """
     model = params_model(params_type)
     try:
@@ -87,7 +85,7 @@ def make_params(params_type: type[Any], values: Mapping[str, Any], prefix: str) 
 
 
 def config_field_error(error: ConfigError, prefix: str) -> FieldError:
-    """Return a configuration error as a pointer and an expectation."""
+    """Convert a configuration error to an error with a JSON pointer."""
     message = str(error).removeprefix(f"{error.field}: ")
     return FieldError(pointer=f"{prefix}/{error.field}", message=message, nearest=error.nearest)
 
@@ -95,24 +93,19 @@ def config_field_error(error: ConfigError, prefix: str) -> FieldError:
 def _load(group: str, plugin_id: str, pointer: str, what: str) -> Any:
     known = plugin_ids(group)
     if plugin_id not in known:
-        raise InvalidInput(
-            [
-                FieldError(
-                    pointer=pointer,
-                    message=f"unknown {what} {plugin_id!r}; expected one of {', '.join(known)}, or one that a "
-                    "plug-in registers: brink --plugin MODULE …",
-                    nearest=nearest(plugin_id, known),
-                )
-            ]
+        message = (
+            f"unknown {what} {plugin_id!r}; expected one of {', '.join(known)}, or one that a plug-in registers: "
+            "brink --plugin MODULE …"
         )
+        raise InvalidInput([FieldError(pointer=pointer, message=message, nearest=nearest(plugin_id, known))])
     return load_plugin(group, plugin_id)
 
 
 def make_algorithm(algorithm_id: str) -> Algorithm:
-    """Return an algorithm.
+    """Return an algorithm by its id.
 
     Raises:
-        InvalidInput: There is none of that id.
+        InvalidInput: The id is unknown.
     """
     factory = _load(ALGORITHMS, algorithm_id, "/algorithm/id", "algorithm")
     return cast(Callable[[], Algorithm], factory)()
@@ -122,16 +115,16 @@ def problem_type(problem_id: str) -> type[Any]:
     """Return the class of a problem.
 
     Raises:
-        InvalidInput: There is none of that id.
+        InvalidInput: The id is unknown.
     """
     return cast(type[Any], _load(PROBLEMS, problem_id, "/problem/id", "problem"))
 
 
 def read_problem_params(problem_id: str, values: Mapping[str, Any]) -> Any:
-    """Return the parameters of a problem, defaults included.
+    """Return the parameters of a problem, including defaults.
 
     Raises:
-        InvalidInput: There is no problem of that id, or its parameters are wrong.
+        InvalidInput: The id is unknown, or a parameter is invalid.
     """
     return make_params(problem_type(problem_id).params_type, values, "/problem/params")
 
@@ -140,17 +133,18 @@ def make_problem(problem_id: str, params: Mapping[str, Any]) -> Problem:
     """Return a problem.
 
     Raises:
-        InvalidInput: There is none of that id, or its parameters are wrong.
+        InvalidInput: The id is unknown, or a parameter is invalid.
+        TypeError: The plug-in is not a problem.
     """
     kind = problem_type(problem_id)
     problem = kind(read_problem_params(problem_id, params))
     if not isinstance(problem, SimulatedProblem | InProcessProblem):
-        raise TypeError(f"plug-in {problem_id}: has neither episode and evaluation nor evaluate")
+        raise TypeError(f"plug-in {problem_id}: expected the methods episode and evaluation, or evaluate")
     return problem
 
 
 def describe_problems() -> list[dict[str, Any]]:
-    """Return every problem with the schema of its parameters and its default search space."""
+    """Describe all problems, with the schemas of their parameters and their default search spaces."""
     described = []
     for problem_id in plugin_ids(PROBLEMS):
         kind = problem_type(problem_id)
@@ -170,8 +164,8 @@ def describe_problems() -> list[dict[str, Any]]:
 
 
 def _finds(problem: Problem) -> list[str]:
-    """Return what can be told of a campaign on a problem besides its boundary, by the names of the routes."""
-    found = ["violations"] if isinstance(problem, TellsViolations) else []
+    """Return the kinds of findings of a problem besides its boundary, named like their routes."""
+    found = ["violations"] if isinstance(problem, ReportsViolations) else []
     try:
         slots_of(problem.space)
     except UnsupportedSpace:
@@ -180,7 +174,7 @@ def _finds(problem: Problem) -> list[str]:
 
 
 def describe_algorithms() -> list[dict[str, Any]]:
-    """Return every algorithm with the schema of its parameters."""
+    """Describe all algorithms, with the schemas of their parameters."""
     described = []
     for algorithm_id in plugin_ids(ALGORITHMS):
         algorithm = make_algorithm(algorithm_id)

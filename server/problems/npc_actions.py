@@ -1,7 +1,7 @@
-"""The problem `npc-actions@1`: which actions of other road users make a driving system violate a requirement.
+"""The problem `npc-actions@1`: actions of other road users that make a driving system violate a requirement.
 
-A candidate is one to six participants with timed actions on one road. Their kinematic roll-out, which the search
-measures distances with, is the script that they follow in the simulator.
+A candidate is one to six participants with timed actions on a road. The search measures distances with their
+kinematic roll-out, which is also the script that they follow in the simulator.
 """
 
 from collections.abc import Mapping
@@ -16,8 +16,7 @@ from brink.search.space import SearchSpace
 from brink.search.traffic.constraint import participants_component, participants_of
 from brink.search.traffic.motion import roll_out, waypoints
 from brink.search.traffic.participants import MAX_PARTICIPANTS, Participant, RoadLimits
-from brink.server.problems.base import Vectors
-from brink.server.problems.detectors import wrong_detector
+from brink.server.problems.base import Vectors, wrong_detector
 from brink.sim.encounter.specification import PLACE_FIELDS, describe_script, get_lane_layout, stretch_to_json
 from brink.sim.episode import EpisodeSpec, Json, JsonObject
 from brink.sim.perception.user_files import weights_digest
@@ -25,7 +24,7 @@ from brink.sim.world.scenario import SCENARIO_CHOICES, UrbanScenario
 from brink.worker.wire import Completed
 
 SIMULATORS: Final = {"oracle": "brink-encounter@1", "detector": "brink-encounter-camera@1"}
-"""By how the driving system sees."""
+"""Simulators by the perception of the driving system."""
 ORACLES: Final = (
     "no-collision@1", "front-gap@1", "lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1",
 )  # fmt: skip
@@ -44,31 +43,33 @@ def _words(name: str) -> tuple[str, ...]:
 class NpcActionsParams:
     """Parameters of the problem."""
 
-    participants: int = setting(4, help="Most road users in a candidate.", ge=1, le=MAX_PARTICIPANTS)
+    participants: int = setting(
+        4, help="Maximum number of road users in a candidate.", ge=1, le=MAX_PARTICIPANTS
+    )
     violation: str = setting(
         "any",
         help="Requirement whose violation counts as unsafe, or any of all six.",
         choices=("any", *ORACLES),
     )
     criticality: str = setting(
-        "gap", help="What criticality is: the least gap to anybody, or the robustness closest to a violation.",
+        "gap", help="Measure of criticality: the smallest gap to a road user, or the lowest robustness.",
         choices=("gap", "robustness"),
     )  # fmt: skip
     sight: str = setting(
         "oracle",
-        help="How the driving system sees: the truth, or a detector on the camera's pictures (vision extra).",
+        help="Perception of the driving system: ground truth, or a detector on camera images (vision extra).",
         choices=tuple(SIMULATORS),
     )
     detector: str = setting(
         "brink-det@1",
         help="With sight: detector, its id, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE.",
     )
-    threshold: float = setting(0.8, help="Least score that the driving system is told.", gt=0.0, lt=1.0)
+    threshold: float = setting(0.8, help="Minimum score of detections that count.", gt=0.0, lt=1.0)
     road_curve: str = setting("crossroad", help="Shape of the road.", choices=_words("road_curve"))
-    road_id: int = setting(0, help="Which of the three roads of that shape.", ge=0, le=2)
+    road_id: int = setting(0, help="Number of the road of that shape.", ge=0, le=2)
     road_length: int = setting(0, help="0 short, 1 medium, 2 long.", ge=0, le=2)
-    driving_task: str = setting("follow_road", help="Where the ego is to go.", choices=_words("driving_task"))
-    time_of_day: str = setting("noon", help="When it happens.", choices=_words("time_of_day"))
+    driving_task: str = setting("follow_road", help="Task of the ego.", choices=_words("driving_task"))
+    time_of_day: str = setting("noon", help="Time of day.", choices=_words("time_of_day"))
     weather: str = setting("clear", help="Sky, rain and road surface.", choices=_words("weather"))
     duration_s: float = setting(25.0, help="Length of an episode.", ge=5.0, le=120.0, unit="s")
     timeout_s: float = setting(60.0, help="Wall-clock limit of an episode.", gt=0.0, le=3600.0, unit="s")
@@ -80,10 +81,10 @@ class NpcActionsParams:
 
 
 class NpcActions:
-    """Scripted road users who make it hard for a driving system."""
+    """Scripted road users that challenge a driving system."""
 
     id: ClassVar[str] = "npc-actions@1"
-    summary: ClassVar[str] = "Up to six road users with timed actions, and a driving system among them."
+    summary: ClassVar[str] = "A driving system among up to six road users with timed actions."
     params_type: ClassVar[type[Any]] = NpcActionsParams
 
     def __init__(self, params: NpcActionsParams) -> None:
@@ -103,11 +104,12 @@ class NpcActions:
         self.algorithm_defaults: Mapping[str, Any] = {}
         self.needs = SIMULATORS[params.sight]
         self.timeout_s = params.timeout_s
+        self._requirements = ORACLES if params.violation == "any" else (params.violation,)
         self.extra = "vision"
         self.modules: tuple[str, ...] = () if params.sight == "oracle" else ("cv2", "onnxruntime")
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
-        """Return what is wrong with the detector."""
+        """Return the errors of the detector."""
         return [] if self.params.sight == "oracle" else wrong_detector(self.params.detector)
 
     def participants(self, vectors: Vectors) -> tuple[Participant, ...]:
@@ -115,14 +117,14 @@ class NpcActions:
         return self._rule.decode(vectors[0])
 
     def waypoints(self, vectors: Vectors) -> list[list[list[float]]]:
-        """Return station and offset at the end of each action, a list for each road user."""
+        """Return station and offset at the end of each action, in m, as one list per road user."""
         points: list[list[list[float]]] = [
             waypoints(one, self.road).tolist() for one in self.participants(vectors)
         ]
         return points
 
     def scripts(self, vectors: Vectors) -> list[Json]:
-        """Return what the road users of a candidate do, as specifications have it."""
+        """Return the scripts of the road users of a candidate, as in specifications."""
         scripts: list[Json] = []
         for one in self.participants(vectors):
             stretches: list[Json] = [
@@ -155,25 +157,23 @@ class NpcActions:
         }
 
     def words(self, vectors: Vectors) -> str:
-        """Return a candidate in words."""
+        """Describe a candidate."""
         return "; ".join(
             describe_script(script) for script in self.scripts(vectors) if isinstance(script, dict)
         )
 
     def violations(self, outcome: Completed) -> list[dict[str, Any]]:
         """Return the circumstances of the violations that count as unsafe."""
-        told = outcome.features.get("violations")
-        names = ORACLES if self.params.violation == "any" else (self.params.violation,)
+        reported = outcome.features.get("violations")
         return [
             dict(one)
-            for one in (told if isinstance(told, list) else [])
-            if isinstance(one, dict) and one.get("requirement") in names
+            for one in (reported if isinstance(reported, list) else [])
+            if isinstance(one, dict) and one.get("requirement") in self._requirements
         ]
 
     def evaluation(self, outcome: Completed) -> Evaluation:
-        """Return the verdict, in the units of the requirements, and all objectives."""
-        names = ORACLES if self.params.violation == "any" else (self.params.violation,)
-        robustness = min(outcome.verdicts[name].robustness for name in names)
+        """Return the verdict, in the unit of its requirement, and all objectives."""
+        robustness = min(outcome.verdicts[name].robustness for name in self._requirements)
         objectives = dict(outcome.objectives)
         if self.params.criticality == "robustness":
             objectives["criticality_m"] = robustness

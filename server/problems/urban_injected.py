@@ -1,7 +1,7 @@
-"""`urban-injected@1`: an urban scenario and what the obstacle detector is made to say in it.
+"""The problem `urban-injected@1`: an urban scenario with injected obstacle detections.
 
-Seven categorical parameters make the scenario, two injected trajectories of eleven parameters the behaviour: 29
-in all. Source: Sharifi et al. 2023, section 4 (see docs/explanation/hazard-boundary.md).
+The scenario has seven categorical parameters, the behaviour two injected trajectories with eleven parameters each.
+Source: Sharifi et al. 2023, section 4 (see docs/explanation/hazard-boundary.md).
 """
 
 from collections.abc import Mapping
@@ -60,12 +60,13 @@ class UrbanInjectedParams:
     """Parameters of the problem."""
 
     requirement: str = setting(
-        "front-gap@1", help="Id of the requirement that gives the verdict; all six of our own are recorded."
+        "front-gap@1",
+        help="Id of the requirement that gives the verdict; all built-in requirements are recorded.",
     )
     duration_s: float = setting(
         b.DEFAULT_DURATION_S, ge=5.0, le=120.0, unit="s", help="Length of an episode."
     )
-    fidelity: str = setting("bicycle", help="How the ego is simulated.", choices=("bicycle", "wheels"))
+    fidelity: str = setting("bicycle", help="Vehicle model of the ego.", choices=("bicycle", "wheels"))
     timeout_s: float = setting(60.0, gt=0.0, le=3600.0, unit="s", help="Wall-clock limit of an episode.")
 
     def __post_init__(self) -> None:
@@ -91,7 +92,7 @@ def scenario_component() -> Component:
 
 
 def behaviour_component(duration_s: float) -> Component:
-    """Return the two injected trajectories, eleven parameters each."""
+    """Return the component of the two injected trajectories."""
     parameters: list[Parameter] = []
     constraints: list[Constraint | Dormant] = []
     horizon = b.last_perception_step(duration_s)
@@ -132,7 +133,7 @@ def behaviour_component(duration_s: float) -> Component:
 
 
 class UrbanInjected:
-    """The hazard boundary of an obstacle detector in urban traffic."""
+    """Urban driving with an obstacle detector whose detections are injected."""
 
     id: ClassVar[str] = "urban-injected@1"
     summary: ClassVar[str] = "Urban driving with injected obstacle detections: 7 + 22 parameters."
@@ -159,7 +160,7 @@ class UrbanInjected:
         )
 
     def words(self, vectors: Vectors) -> str:
-        """Return a candidate in words."""
+        """Describe a candidate."""
         decoded = self.space.decode(tuple(vectors))
         trajectories = _behaviour(decoded["behaviour"])["trajectories"]
         return f"{words_of_scenario(_scenario(decoded['scenario']))}; {b.words_of_behaviour(trajectories)}"

@@ -16,7 +16,7 @@ from brink.server.campaigns.body import parse_body
 from brink.server.campaigns.plan import check_submission
 from brink.server.errors import InvalidInput
 from brink.server.problems.aeb_crossing import ACCIDENT, DANGEROUS_STOP, AebCrossing, AebCrossingParams
-from brink.server.problems.base import Describes, MeasuresOnData, SimulatedProblem, TellsViolations
+from brink.server.problems.base import MeasuresOnData, ReportsViolations, SimulatedProblem, SupportsSeeds
 from brink.server.problems.npc_actions import ORACLES, NpcActions, NpcActionsParams
 from brink.sim.aeb.specification import AebScenario, Behaviour, Options
 from brink.sim.encounter.specification import EncounterScenario
@@ -204,8 +204,8 @@ def test_an_evaluation_names_the_kinds_of_violations() -> None:
 
 def test_the_npc_problem_implements_its_protocols() -> None:
     assert isinstance(NPC, SimulatedProblem)
-    assert isinstance(NPC, TellsViolations)
-    assert isinstance(NPC, Describes)
+    assert isinstance(NPC, ReportsViolations)
+    assert isinstance(NPC, SupportsSeeds)
     assert NPC.needs == "brink-encounter@1"
     camera = NpcActions(NpcActionsParams(sight="detector"))
     assert camera.needs == "brink-encounter-camera@1"
