@@ -119,15 +119,7 @@ class UnusableReply(LlmFinal):
 
 
 class Refused(LlmFinal):
-    """The endpoint rejected the request.
-
-    Attributes:
-        status: HTTP status.
-    """
-
-    def __init__(self, message: str, *, status: int) -> None:
-        super().__init__(message)
-        self.status = status
+    """The endpoint rejected the request."""
 
 
 class AccessRefused(Refused):
@@ -466,21 +458,21 @@ def error_from(
     text = error_text(raw)
     message = f"{settings.endpoint} answered {status}: {text}"
     if status == 402 or (status == 429 and _NO_CREDIT.search(raw)):
-        return AccessRefused(f"{message}. There is no credit left", status=status)
+        return AccessRefused(f"{message}. There is no credit left")
     if status in _RETRYABLE or (status >= 500 and status != _NOT_IMPLEMENTED):
         return EndpointUnavailable(message, retry_after_s=parse_retry_after(headers, now))
     if status in (401, 403):
         key = settings.api_key_env
         advice = f"Check the key in {key}" if key else "Name the variable with the key in api_key_env"
-        return AccessRefused(f"{message}. {advice}", status=status)
+        return AccessRefused(f"{message}. {advice}")
     if status == 404:
         advice = f"Check that it serves the model {settings.model!r}, and that the path of endpoint is correct (/v1)"
-        return ModelUnknown(f"{message}. {advice}", status=status)
+        return ModelUnknown(f"{message}. {advice}")
     if 300 <= status < 400:
         message = f"{message}. It redirects: set endpoint to the new address"
     elif settings.token_field == "max_tokens" and "max_completion_tokens" in text:
         message = f"{message}. Set token_field: max_completion_tokens"
-    return RequestRefused(message, status=status)
+    return RequestRefused(message)
 
 
 def rejects_form(status: int, raw: str, *, proven: bool) -> bool:

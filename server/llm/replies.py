@@ -385,12 +385,10 @@ class Parsed:
     Attributes:
         solutions: Valid solutions as placed on the road, without duplicates.
         errors: What is wrong with the other items and with the reply.
-        found: Number of items found.
     """
 
     solutions: tuple[Solution, ...] = ()
     errors: tuple[FieldError, ...] = ()
-    found: int = 0
 
 
 class _Broken:
@@ -451,7 +449,7 @@ def parse(text: str, road: RoadChecker, wanted: int, known: Sequence[Solution] =
         errors.append(FieldError(pointer="/solutions", message=message))
     elif not scan.items:
         errors.append(FieldError(pointer="/solutions", message=f"expected {wanted} solutions, got none"))
-    return Parsed(solutions=tuple(solutions), errors=tuple(errors[:MAX_ERRORS]), found=len(scan.items))
+    return Parsed(solutions=tuple(solutions), errors=tuple(errors[:MAX_ERRORS]))
 
 
 def _place_item(item: object, road: RoadChecker, pointer: str) -> Solution | list[FieldError]:
