@@ -23,13 +23,13 @@ from brink.plots.style import (
     UNSAFE,
     WIDTH_PX,
     EndLabel,
-    frame,
     label_ends,
     new_figure,
-    say,
     set_panel_title,
     share_text,
+    show_message,
     show_percent,
+    style_axes,
 )
 from brink.search.algorithms.multi_objective import History, MultiObjectiveConfig, diversities
 from brink.search.analysis.boundary import BudgetPoint, dbs_by_budget
@@ -69,7 +69,7 @@ def figure_dbs(inputs: CampaignFigures) -> Figure:
         axes.set_xlabel("simulations")
         if column == 0:
             axes.set_ylabel("distinct boundary solutions")
-        frame(axes)
+        style_axes(axes)
     keys = [
         Line2D([], [], color=T_B_COLOURS[3], linewidth=2.2, label="DBS"),
         Line2D([], [], color=T_B_COLOURS[3], linewidth=1.5, linestyle=(0, (4, 2)), label="strict DBS"),
@@ -86,7 +86,7 @@ def _plot_dbs(axes: Axes, points: list[BudgetPoint], column: int) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(nbins=5, integer=True))
     if not points:
         axes.set_ylim(0, 1)
-        say(axes, "no solutions evaluated yet")
+        show_message(axes, "no solutions evaluated yet")
         return
     simulations = [0, *(point.simulations for point in points)]
     highest = 0
@@ -114,7 +114,7 @@ def _plot_dbs(axes: Axes, points: list[BudgetPoint], column: int) -> None:
         fontsize=SMALL_PT, color=MUTED,
     )  # fmt: skip
     if highest == 0:
-        say(axes, "none: no neighbourhood is near\nthe boundary at any t_b up to 0.2")
+        show_message(axes, "none: no neighbourhood is near\nthe boundary at any t_b up to 0.2")
 
 
 FITNESS_HEIGHT_PX: Final = 760
@@ -143,13 +143,13 @@ def figure_fitness(inputs: CampaignFigures) -> Figure:
     else:
         for axes in (upper, lower):
             axes.set_ylim(0, 1)
-            say(axes, "no generation finished yet")
+            show_message(axes, "no generation finished yet")
     lower.set_xlabel("solutions in the archive (one mark per generation)")
     lower.xaxis.set_major_locator(MaxNLocator(nbins=10, integer=True))
     upper.set_ylabel("fitness")
     lower.set_ylabel("unsafe")
     for axes in (upper, lower):
-        frame(axes)
+        style_axes(axes)
     upper.tick_params(labelbottom=False)
     return figure
 
@@ -284,11 +284,11 @@ def _plot_parameter(
             linewidth=0 if dependence.labels else 1.2, gid="share",
         )  # fmt: skip
     else:
-        say(axes, "inactive in all\nsolutions so far")
+        show_message(axes, "inactive in all\nsolutions so far")
     axes.set_ylim(-0.02 * ceiling, ceiling)
     axes.yaxis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 2, 2.5, 5, 10]))
     show_percent(axes.yaxis)
-    frame(axes)
+    style_axes(axes)
     _name_parameter(axes, column, dependence)
     _set_ticks(axes, column, dependence)
 
@@ -360,12 +360,12 @@ def figure_fronts(
     )
     axes = figure.add_subplot()
     figure.subplots_adjust(left=100 / WIDTH_PX, right=1 - 60 / WIDTH_PX, top=0.82, bottom=0.1)
-    frame(axes)
+    style_axes(axes)
     axes.set_xlabel("criticality: smallest gap to a road user (m)")
     axes.set_ylabel("diversity: distance to recent solutions (m)")
     known = [end for end in ends if end > 0]
     if not known:
-        say(axes, "no generation finished yet")
+        show_message(axes, "no generation finished yet")
         return figure
     diversity = recorded_diversities(space, vectors, ends, config)
     axes.scatter(criticality, diversity, s=9, color=MUTED, alpha=0.25, linewidths=0)

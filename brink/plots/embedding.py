@@ -22,8 +22,8 @@ from brink.plots.style import (
     UNSAFE,
     WIDTH_PX,
     new_figure,
-    say,
     share_text,
+    show_message,
 )
 from brink.search.analysis.boundary import IndexArray, distinct_boundary
 from brink.search.analysis.dependence import AxisMeaning, axis_meanings
@@ -79,7 +79,7 @@ def figure_embedding(inputs: CampaignFigures) -> Figure:
     axes.set_xticks([])
     axes.set_yticks([])
     if len(inputs.archive) == 0:
-        say(axes, "no solutions evaluated yet")
+        show_message(axes, "no solutions evaluated yet")
         return figure
     drawn = _embed(inputs)
     _limit(axes, drawn.points)

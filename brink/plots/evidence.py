@@ -20,10 +20,10 @@ from brink.plots.style import (
     UNSAFE,
     WIDTH_PX,
     add_legend,
-    frame,
     new_figure,
     set_panel_title,
     show_percent,
+    style_axes,
 )
 from brink.search.analysis.boundary import Rescored
 from brink.search.analysis.monitor_evaluation import MAJORITY, MONITOR, MonitorEvaluation, Predictor
@@ -99,7 +99,7 @@ def figure_repeats(points: Sequence[RepeatedPoint], *, p_th: float, times: str, 
     axes.set_yticks(range(len(ordered)), [str(point.number) for point in ordered], fontsize=SMALL_PT)
     axes.set_xlabel("probability of unsafe")
     axes.set_ylabel("solution")
-    frame(axes, grid="x")
+    style_axes(axes, grid="x")
     axes.tick_params(axis="y", labelsize=SMALL_PT)
     words = {0: f"contains {p_th:g}", -1: "lies below: safer than reported", 1: "lies above"}
     keys = [
@@ -212,7 +212,7 @@ def _finish_counts(axes: Axes, name: str) -> None:
     axes.set_xlabel(name)
     axes.set_ylim(bottom=0)
     axes.yaxis.set_major_locator(MaxNLocator(nbins=6, integer=True))
-    frame(axes)
+    style_axes(axes)
 
 
 MONITOR_HEIGHT_PX: Final = 760
@@ -275,7 +275,7 @@ def _plot_calibration(axes: Axes, evaluation: MonitorEvaluation) -> None:
     set_panel_title(axes, "Calibration")
     axes.set_xlabel("predicted probability of unsafe")
     axes.set_ylabel("observed unsafe share")
-    frame(axes, grid="both")
+    style_axes(axes, grid="both")
 
 
 def _plot_alarms(axes: Axes, evaluation: MonitorEvaluation) -> None:
@@ -291,4 +291,4 @@ def _plot_alarms(axes: Axes, evaluation: MonitorEvaluation) -> None:
     set_panel_title(axes, "Missed hazards and false alarms")
     axes.set_xlabel("missed hazards")
     axes.set_ylabel("false alarms among safe solutions")
-    frame(axes, grid="both")
+    style_axes(axes, grid="both")

@@ -12,7 +12,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, MaxNLocator
 
-from brink.plots.style import WIDTH_PX, add_legend, frame, new_figure, say, set_panel_title, show_percent
+from brink.plots.style import (
+    WIDTH_PX,
+    add_legend,
+    new_figure,
+    set_panel_title,
+    show_message,
+    show_percent,
+    style_axes,
+)
 from brink.search.analysis.comparison import Line, Repeat, lines_of
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import Figures
@@ -148,9 +156,9 @@ def _finish(axes: Axes, place: int, x_label: str) -> None:
     high = max((float(np.nanmax(line.get_ydata())) for line in axes.get_lines()), default=0.0)
     if high <= 0:
         axes.set_ylim(0, 1)
-        say(axes, "none")
+        show_message(axes, "none")
     else:
         axes.set_ylim(bottom=0)
     if place >= len(PAPER_T_BS) - COLUMNS:
         axes.set_xlabel(x_label)
-    frame(axes)
+    style_axes(axes)

@@ -54,7 +54,7 @@ def new_figure(height_px: int, title: str, subtitle: str) -> Figure:
     return figure
 
 
-def frame(axes: Axes, *, grid: str = "y") -> None:
+def style_axes(axes: Axes, *, grid: str = "y") -> None:
     """Style axes: two thin spines, muted ticks, a faint grid along ``x``, ``y`` or ``both``."""
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
@@ -107,7 +107,7 @@ def _spread(heights: Sequence[float], apart: float) -> list[float]:
     return places
 
 
-def say(axes: Axes, text: str) -> None:
+def show_message(axes: Axes, text: str) -> None:
     """Write a message in the middle of empty axes."""
     axes.text(
         0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", fontsize=LABEL_PT, color=MUTED,

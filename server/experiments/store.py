@@ -156,7 +156,13 @@ def count_current_generations(connection: Connection, campaigns: Sequence[str]) 
 
 
 def completed_by(connection: Connection, campaigns: Sequence[str], moment: datetime) -> int:
-    """Return how many candidates of the given campaigns were completed by a point in time."""
+    """Return how many candidates were completed by a point in time.
+
+    Args:
+        connection: For reading.
+        campaigns: Ids of the campaigns.
+        moment: The point in time.
+    """
     completed = GenerationRow.evaluated + GenerationRow.failed + GenerationRow.measured
     latest = (
         select(func.max(completed).label("completed"))

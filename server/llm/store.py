@@ -24,7 +24,13 @@ log = logging.getLogger(__name__)
 
 
 def list_calls(connection: Connection, campaign_id: str, key: CallKey | None = None) -> list[StoredCall]:
-    """Return the calls of a campaign in order, or only the call with the given key."""
+    """Return the calls of a campaign in order.
+
+    Args:
+        connection: For reading.
+        campaign_id: The campaign.
+        key: Return only the call with this key.
+    """
     query = (
         select(LlmCallRow.__table__)
         .where(LlmCallRow.campaign_id == campaign_id)
@@ -49,7 +55,13 @@ def list_calls(connection: Connection, campaign_id: str, key: CallKey | None = N
 
 
 def insert_call(connection: Connection, campaign_id: str, call: StoredCall) -> None:
-    """Store a call, replacing the row that was stored while it was in progress."""
+    """Store a call, replacing the row that was stored while it was in progress.
+
+    Args:
+        connection: In a write transaction.
+        campaign_id: The campaign.
+        call: The call.
+    """
     usage = call.usage
     connection.execute(
         delete(LlmCallRow).where(
@@ -101,7 +113,13 @@ def claim(connection: Connection, campaign_id: str, owner: str, hold_s: float) -
 
 
 def release(connection: Connection, owner: str, campaign_id: str | None = None) -> None:
-    """Give up an owner's claim on one campaign, or all of its claims."""
+    """Release claims.
+
+    Args:
+        connection: In a write transaction.
+        owner: Random id of the coordinator.
+        campaign_id: The campaign; None for all claims of the owner.
+    """
     claims = delete(SeedClaimRow).where(SeedClaimRow.owner == owner)
     connection.execute(
         claims if campaign_id is None else claims.where(SeedClaimRow.campaign_id == campaign_id)

@@ -62,7 +62,7 @@ def prune(
 
 
 def _repeated_since(moment: datetime) -> ColumnElement[bool]:
-    """Return the condition that a campaign has repeats that have not ended or ended later: they would go with it."""
+    """Return the condition that a campaign has repeats that are still running or ended after a point in time."""
     again = aliased(CampaignRow)
     recent = again.finished_at.is_(None) | (again.finished_at >= moment)
     return (

@@ -225,7 +225,12 @@ class _Import:
         self._id = str(self._manifest["campaign"])
 
     def run(self) -> tuple[str, dict[str, int]]:
-        """Store the campaign; return its id and the number of rows of each table."""
+        """Store the campaign; return its id and the number of rows of each table.
+
+        Raises:
+            BadFile: The file is damaged or inconsistent.
+            Conflict: The campaign already exists.
+        """
         for name, expected in self._manifest["sha256"].items():
             if self._digest(name) != expected:
                 raise BadFile(f"{name}: damaged, it does not match its checksum")
@@ -297,7 +302,7 @@ class _Import:
         return count
 
     def _complete(self, name: str, table: Any) -> Iterable[dict[str, Any]]:
-        """Yield a table's rows, completed by binary columns and by columns that are not exported."""
+        """Yield a table's rows with their binary columns and the columns that are not exported."""
         vectors = np.empty((0, self._dimension))
         if name == "solutions" and "arrays/vectors.npy" in self._sums:
             vectors = self._array("vectors", "<f8")
@@ -415,7 +420,7 @@ def _type_of(column: Any) -> type[Any]:
 
 
 def _value(value: Any, column: Any, where: str) -> Any:
-    """Return a JSON value, from a certain line, in the type of its column."""
+    """Convert a JSON value to the type of its column; `where` names its line in errors."""
     wanted = _type_of(column)
     if value is None:
         if not column.nullable:
