@@ -109,8 +109,10 @@ def test_details_are_not_logged_unless_asked_for(database: str, tmp_path: Path) 
 
 @pytest.mark.parametrize(
     "environment",
-    [JSON_LOGS, pytest.param(TEXT_LOGS, marks=pytest.mark.long("runs a campaign"))],
-    ids=["json", "text"],
+    [
+        pytest.param(JSON_LOGS, id="json"),
+        pytest.param(TEXT_LOGS, id="text", marks=pytest.mark.long("runs a campaign")),
+    ],
 )
 def test_no_secret_is_logged_however_much_is_asked_for(
     database: str, tmp_path: Path, environment: dict[str, str]
