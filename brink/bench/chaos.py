@@ -30,7 +30,7 @@ from brink.bench.load import LOAD, MODULE
 from brink.bench.measurement import Progress, children_of
 from brink.bench.processes import (
     CoordinatorProcess,
-    DidNotStart,
+    MeasurementFailed,
     Process,
     plugin_environment,
     running_coordinator,
@@ -143,7 +143,7 @@ class ChaosOutcome:
         campaigns: Number of simulations of each submitted campaign.
         digests: Archive digests of each campaign, with faults and undisturbed.
         findings: Errors that the audit found.
-        own_ends: Kind, exit status and last log line of each process that exited by itself and was restarted.
+        unexpected_exits: Kind, exit status and last log line of each process that exited by itself and was restarted.
         minutes: Duration of the fault injection.
     """
 
@@ -154,7 +154,7 @@ class ChaosOutcome:
     campaigns: Mapping[str, int]
     digests: Mapping[str, tuple[str, str]]
     findings: Findings
-    own_ends: tuple[str, ...] = ()
+    unexpected_exits: tuple[str, ...] = ()
     minutes: float = 0.0
 
     @property
@@ -172,7 +172,7 @@ def run_trial(plan: ChaosPlan, progress: Progress) -> ChaosOutcome:
 
     Raises:
         NoPostgres: Postgres is not installed or did not start.
-        DidNotStart: A process did not start, or a coordinator rejected a request.
+        MeasurementFailed: A process did not start, or a coordinator rejected a request.
     """
     with tempfile.TemporaryDirectory(prefix="brink-chaos-") as name, temporary_postgres() as server:
         folder = Path(name)
@@ -194,7 +194,8 @@ def run_trial(plan: ChaosPlan, progress: Progress) -> ChaosOutcome:
         undisturbed = _run_undisturbed(plan, list(trial.bodies.values()), folder, progress)
     return ChaosOutcome(
         broken=site.faults, messages=trial.messages, requests=trial.requests, statuses=ledger.statuses,
-        campaigns=trial.campaigns, findings=findings, own_ends=tuple(site.own_ends), minutes=trial.minutes,
+        campaigns=trial.campaigns, findings=findings, unexpected_exits=tuple(site.unexpected_exits),
+        minutes=trial.minutes,
         digests={
             campaign: (ours, theirs)
             for (campaign, ours), theirs in zip(trial.digests.items(), undisturbed, strict=True)
@@ -207,11 +208,11 @@ class Ledger:
     """The results that coordinators accepted, whether or not the worker received the reply.
 
     Attributes:
-        taken: Accepted results of each job, as they are stored.
+        accepted: Accepted results of each job, as they are stored.
         statuses: Number of results by the coordinator's answer.
     """
 
-    taken: dict[int, list[str]] = field(default_factory=dict)
+    accepted: dict[int, list[str]] = field(default_factory=dict)
     statuses: Counter[str] = field(default_factory=Counter)
 
     def note(self, request: bytes, reply: bytes) -> None:
@@ -222,7 +223,7 @@ class Ledger:
             self.statuses[answer["status"]] += 1
             if answer["status"] == "accepted" and result["outcome"]["kind"] == "completed":
                 stored = Completed.model_validate(result["outcome"]).model_dump_json(exclude={"trace"})
-                self.taken.setdefault(result["job"], []).append(stored)
+                self.accepted.setdefault(result["job"], []).append(stored)
 
 
 def audit(connection: Connection, ledger: Ledger, campaigns: Mapping[str, int]) -> Findings:
@@ -236,15 +237,17 @@ def audit(connection: Connection, ledger: Ledger, campaigns: Mapping[str, int]) 
     lost: list[str] = []
     stuck: list[str] = []
     doubled = [
-        f"job {job}: accepted {len(taken)} times" for job, taken in ledger.taken.items() if len(taken) > 1
+        f"job {job}: accepted {len(results)} times"
+        for job, results in ledger.accepted.items()
+        if len(results) > 1
     ]
     jobs = {
         row.id: row
         for row in connection.execute(select(JobRow.id, JobRow.status, JobRow.result, JobRow.kind))
     }
-    for job, taken in ledger.taken.items():
+    for job, results in ledger.accepted.items():
         row = jobs.get(job)
-        if row is None or row.status != JobStatus.DONE or row.result not in taken:
+        if row is None or row.status != JobStatus.DONE or row.result not in results:
             lost.append(f"job {job}: accepted, but it is {row.status if row is not None else 'missing'}")
     for row in jobs.values():
         if row.status in (JobStatus.QUEUED, JobStatus.LEASED) and row.kind != JobKind.TRACE:
@@ -407,7 +410,7 @@ class Site:
 
     Attributes:
         faults: Number of injected faults, by kind.
-        own_ends: Descriptions of processes that exited by themselves.
+        unexpected_exits: Descriptions of processes that exited by themselves.
         database: Database URL.
         coordinators: The coordinators.
         workers: The workers; empty before `start`.
@@ -429,7 +432,7 @@ class Site:
         rng: random.Random,
     ) -> None:
         self.faults: Counter[str] = Counter()
-        self.own_ends: list[str] = []
+        self.unexpected_exits: list[str] = []
         self.database = database
         self.coordinators = [
             CoordinatorProcess(database, folder / f"coordinator-{index}.log", env)
@@ -440,9 +443,9 @@ class Site:
         self._server = server
         self._env = dict(env)
         self._rng = rng
-        self._away: set[Process] = set()
+        self._down: set[Process] = set()
         self._recoveries: set[asyncio.Task[None]] = set()
-        self._breaks: dict[str, tuple[int, Callable[[], Awaitable[bool]]]] = {
+        self._faults: dict[str, tuple[int, Callable[[], Awaitable[bool]]]] = {
             "coordinator killed": (3, lambda: self._end(self.coordinators, Process.kill)),
             "coordinator told to stop": (1, lambda: self._end(self.coordinators, Process.stop)),
             "coordinator stands still": (3, lambda: self._suspend(self.coordinators)),
@@ -473,16 +476,16 @@ class Site:
 
     async def inject_fault(self) -> None:
         """Inject a random fault; whatever it stops recovers after a few seconds."""
-        names = list(self._breaks)
-        (name,) = self._rng.choices(names, weights=[self._breaks[n][0] for n in names])
-        self.faults[name] += await self._breaks[name][1]()
+        names = list(self._faults)
+        (name,) = self._rng.choices(names, weights=[self._faults[n][0] for n in names])
+        self.faults[name] += await self._faults[name][1]()
 
     def restart_exited(self) -> None:
         """Restart processes that exited by themselves."""
         for kind, processes in (("coordinator", self.coordinators), ("worker", self.workers)):
             for process in processes:
-                if not process.alive and process not in self._away:
-                    self.own_ends.append(f"{kind}, exit {process.exit_status}: {process.last_line}")
+                if not process.alive and process not in self._down:
+                    self.unexpected_exits.append(f"{kind}, exit {process.exit_status}: {process.last_line}")
                     process.start()
 
     async def recover(self) -> None:
@@ -496,11 +499,11 @@ class Site:
 
     def _take_down(self, processes: _Processes) -> Process | None:
         """Choose a random running process and mark it as down; return None if none is running."""
-        running = [process for process in processes if process.alive and process not in self._away]
+        running = [process for process in processes if process.alive and process not in self._down]
         if not running:
             return None
         process = self._rng.choice(running)
-        self._away.add(process)
+        self._down.add(process)
         return process
 
     async def _end(self, processes: _Processes, end: Callable[[Process], None]) -> bool:
@@ -513,7 +516,7 @@ class Site:
             await asyncio.to_thread(end, process)
             await asyncio.sleep(down_s)
             process.start()
-            self._away.discard(process)
+            self._down.discard(process)
 
         self._recover_later(restart())
         return True
@@ -528,13 +531,13 @@ class Site:
         async def resume() -> None:
             await asyncio.sleep(suspended_s)
             process.signal(signal.SIGCONT)
-            self._away.discard(process)
+            self._down.discard(process)
 
         self._recover_later(resume())
         return True
 
     async def _kill_episode(self) -> bool:
-        running = [worker.pid for worker in self.workers if worker not in self._away and worker.pid]
+        running = [worker.pid for worker in self.workers if worker not in self._down and worker.pid]
         children = children_of(self._rng.choice(running)) if running else []
         for child in children:
             with suppress(ProcessLookupError):
@@ -638,7 +641,7 @@ class _Trial:
         """Send a request to a random coordinator; return its answer, or None if it is unavailable.
 
         Raises:
-            DidNotStart: The coordinator rejected the request, which no fault can cause.
+            MeasurementFailed: The coordinator rejected the request, which no fault can cause.
         """
         coordinator = self._rng.choice(self._site.coordinators)
         try:
@@ -646,7 +649,7 @@ class _Trial:
         except httpx.TransportError:
             return None
         if response.is_client_error:
-            raise DidNotStart(f"{method} {path}: {response.status_code} {response.text[:500]}")
+            raise MeasurementFailed(f"{method} {path}: {response.status_code} {response.text[:500]}")
         return response.json() if response.is_success else None
 
     async def _finish(self, client: httpx.AsyncClient) -> None:
@@ -675,7 +678,7 @@ def _run_undisturbed(
                 progress("undisturbed campaigns", index, len(campaigns))
                 time.sleep(_POLL_S)
             if found["status"] != "finished":
-                raise DidNotStart(f"undisturbed campaign {campaign} is {found['status']}")
+                raise MeasurementFailed(f"undisturbed campaign {campaign} is {found['status']}")
             digests.append(str(found["digest"]))
         progress("undisturbed campaigns", len(campaigns), len(campaigns))
     return digests

@@ -60,7 +60,7 @@ def measure_dashboard(
 
     Raises:
         NoChromium: Chromium is not installed.
-        DidNotStart: The coordinator did not start.
+        MeasurementFailed: The coordinator did not start.
     """
     executable()  # fails before an archive is filled
     with (

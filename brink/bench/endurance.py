@@ -17,7 +17,7 @@ from brink.bench.load import MODULE, LoadClient, load_campaign
 from brink.bench.measurement import Progress, children_of, memory_mib, percentile
 from brink.bench.processes import (
     CoordinatorProcess,
-    DidNotStart,
+    MeasurementFailed,
     Process,
     running_coordinator,
     running_workers,
@@ -87,7 +87,7 @@ def measure_archive(progress: Progress, *, solutions: int = 100_000, samples: in
         samples: Number of requests of each kind.
 
     Raises:
-        DidNotStart: The coordinator did not start, or the archive was not full in time.
+        MeasurementFailed: The coordinator did not start, or the archive was not full in time.
     """
     with (
         tempfile.TemporaryDirectory(prefix="brink-archive-") as name,
@@ -117,7 +117,7 @@ async def fill_archive(
         Id of the campaign, and the time of its last generation step in s.
 
     Raises:
-        DidNotStart: The archive was not full in time.
+        MeasurementFailed: The archive was not full in time.
     """
     async with httpx.AsyncClient(base_url=f"{coordinator.url}/api/v1", timeout=120.0) as api:
         campaign = await _submit(api, load_campaign(solutions, generation=GENERATION, seed=1, radius=RADIUS))
@@ -127,7 +127,7 @@ async def fill_archive(
             while (found := (await api.get(f"{path}?since=1000000")).json())["status"] == "running":
                 progress("solutions", found["evaluated"], solutions)
                 if time.monotonic() > deadline:
-                    raise DidNotStart(f"the archive was not full after {FILL_TIMEOUT_S / 60:g} minutes")
+                    raise MeasurementFailed(f"the archive was not full after {FILL_TIMEOUT_S / 60:g} minutes")
                 await asyncio.sleep(1.0)
         last = await api.get(f"{path}?since={solutions // GENERATION - 1}")
         generations = last.raise_for_status().json()["generations"]
@@ -227,7 +227,7 @@ def measure_growth(progress: Progress, *, minutes: float = 60.0) -> list[Growth]
         minutes: Duration.
 
     Raises:
-        DidNotStart: A process did not start, or a campaign failed.
+        MeasurementFailed: A process did not start, or a campaign failed.
     """
     with tempfile.TemporaryDirectory(prefix="brink-soak-") as name:
         folder = Path(name)
@@ -252,7 +252,7 @@ async def _soak(
             await asyncio.sleep(SAMPLE_INTERVAL_S)
             status = (await api.get(f"/campaigns/{running}/progress?since=1000000")).json()["status"]
             if status not in ("running", "finished"):
-                raise DidNotStart(f"campaign {running} is {status}")
+                raise MeasurementFailed(f"campaign {running} is {status}")
             if status == "finished":
                 finished += 1
                 (await api.get(f"/campaigns/{running}/boundary")).raise_for_status()

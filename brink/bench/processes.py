@@ -22,8 +22,8 @@ _BRINK = (sys.executable, "-c", "from brink.cli.main import main; main()")
 _LOOPBACK = "127.0.0.1"
 
 
-class DidNotStart(ServerError):
-    """A process of a measurement did not start, or did not complete its work."""
+class MeasurementFailed(ServerError):
+    """A process of a measurement did not start, or did not complete its work in time."""
 
 
 class Process:
@@ -122,7 +122,7 @@ class CoordinatorProcess(Process):
         """Start the coordinator and wait until it is ready.
 
         Raises:
-            DidNotStart: The process ended, or was not ready in time.
+            MeasurementFailed: The process ended, or was not ready in time.
         """
         self.start()
         deadline = time.monotonic() + START_TIMEOUT_S
@@ -133,7 +133,7 @@ class CoordinatorProcess(Process):
             except httpx.TransportError:
                 pass
             if not self.alive or time.monotonic() > deadline:
-                raise DidNotStart(f"the coordinator did not start: {self.output}")
+                raise MeasurementFailed(f"the coordinator did not start: {self.output}")
             time.sleep(0.02)  # between two polls
 
     def metric_families(self) -> list[Metric]:
@@ -160,7 +160,7 @@ def running_coordinator(folder: Path, plugin: str | None = None) -> Iterator[Coo
         plugin: Module that registers further problems and simulators.
 
     Raises:
-        DidNotStart: The coordinator did not start.
+        MeasurementFailed: The coordinator did not start.
     """
     coordinator = CoordinatorProcess(
         f"sqlite:///{folder}/coordinator.db", folder / "coordinator.log", plugin_environment(plugin)

@@ -27,7 +27,7 @@ from brink.bench.load import MODULE, LoadClient, load_campaign
 from brink.bench.measurement import Progress, counted, percentile
 from brink.bench.processes import (
     CoordinatorProcess,
-    DidNotStart,
+    MeasurementFailed,
     Process,
     plugin_environment,
     running_workers,
@@ -168,7 +168,7 @@ def compare_queues(
 
     Raises:
         NoPostgres: Postgres is not installed or did not start.
-        DidNotStart: A process did not start, or did not complete its jobs.
+        MeasurementFailed: A process did not start, or did not complete its jobs.
     """
     left_out = {name: reason for name, reason in _missing().items() if reason}
     throughput: list[Throughput] = []
@@ -395,7 +395,7 @@ class _BrinkQueue:
             if sum(worker["live"] and worker["host"] != "bench" for worker in workers) >= count:
                 return
             if time.monotonic() > deadline:
-                raise DidNotStart("the workers did not start")
+                raise MeasurementFailed("the workers did not start")
             time.sleep(0.1)
 
     def _await_done(self, campaigns: list[str], jobs: int) -> float:
@@ -415,7 +415,7 @@ class _BrinkQueue:
                 time.sleep(0.2)
         finally:
             engines.dispose()
-        raise DidNotStart(f"the workers did not complete {jobs} jobs in {_TIMEOUT_S:g} s")
+        raise MeasurementFailed(f"the workers did not complete {jobs} jobs in {_TIMEOUT_S:g} s")
 
 
 class _OtherQueue(ABC):
@@ -448,7 +448,7 @@ class _OtherQueue(ABC):
         try:
             yield
             if not process.alive:
-                raise DidNotStart(f"the worker of {self.name} exited: {process.output}")
+                raise MeasurementFailed(f"the worker of {self.name} exited: {process.output}")
         finally:
             process.stop()
 
@@ -498,7 +498,7 @@ class _CeleryQueue(_OtherQueue):
         deadline = time.monotonic() + _TIMEOUT_S
         while any(found is None for found in client.mget(keys[-64:])) or None in (found := client.mget(keys)):
             if time.monotonic() > deadline:
-                raise DidNotStart(f"Celery did not complete {len(keys)} tasks in {_TIMEOUT_S:g} s")
+                raise MeasurementFailed(f"Celery did not complete {len(keys)} tasks in {_TIMEOUT_S:g} s")
             time.sleep(0.02 if len(keys) == 1 else 0.2)
         return [json.loads(text)["result"] for text in found]
 
@@ -566,7 +566,7 @@ class _ProcrastinateQueue(_OtherQueue):
             query = f"SELECT at FROM procrastinate_events WHERE type = 'started' AND job_id = {int(job)}"
             if rows := self._execute(query):
                 return float(rows[0][0].timestamp())
-        raise DidNotStart(f"procrastinate did not start a task in {_TIMEOUT_S:g} s")
+        raise MeasurementFailed(f"procrastinate did not start a task in {_TIMEOUT_S:g} s")
 
     def _await_done(self, jobs: int) -> tuple[float, float]:
         """Wait until all tasks are done; return when the first one started and the last one succeeded."""
@@ -579,7 +579,7 @@ class _ProcrastinateQueue(_OtherQueue):
             )
             if done >= jobs:
                 return first.timestamp(), last.timestamp()
-        raise DidNotStart(f"procrastinate did not complete {jobs} tasks in {_TIMEOUT_S:g} s")
+        raise MeasurementFailed(f"procrastinate did not complete {jobs} tasks in {_TIMEOUT_S:g} s")
 
     def _execute(self, statement: str) -> list[Any]:
         with psycopg.connect(self._url, autocommit=True) as connection:

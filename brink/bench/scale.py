@@ -84,7 +84,7 @@ def measure_utilisation(
         scale: Fraction of its full time that an episode takes.
 
     Raises:
-        DidNotStart: The coordinator did not start.
+        MeasurementFailed: The coordinator did not start.
     """
     plans = [
         (count, campaigns, generation)

@@ -529,7 +529,7 @@ def chaos(
         "results": outcome.statuses,
         "campaigns": outcome.campaigns,
         "digests": outcome.digests,
-        "ended_by_themselves": outcome.own_ends,
+        "ended_by_themselves": outcome.unexpected_exits,
         **{name.replace(" ", "_"): list(found) for name, found in wrong.items()},
     }
     injected = _table(("fault", "times"), (outcome.broken + outcome.messages).most_common())
@@ -544,7 +544,7 @@ def chaos(
     verdicts.add_row("archives equal to the undisturbed ones", same, "all", _met(undisturbed))
     _conclude(
         document, injected, "", f"answers to results: {answers}",
-        *(Text(f"exited by itself and was restarted: {end}") for end in outcome.own_ends), "", verdicts,
+        *(Text(f"exited by itself and was restarted: {end}") for end in outcome.unexpected_exits), "", verdicts,
         *(Text(f"{name}: {one}", "red") for name, found in wrong.items() for one in found[:10]),
         as_json=as_json, missed=any(wrong.values()) or not undisturbed,
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""A short fault trial, and its audit: lost, doubled and stuck jobs are noticed."""
+"""A short fault trial, and its audit: lost, doubled and stuck jobs are detected."""
 
 import json
 from typing import Any
@@ -19,7 +19,7 @@ SHORT = ChaosPlan(minutes=0.25, faults=8, every_s=1.2, share=0.05, simulations=1
 
 
 def ignore(part: str, done: int, total: int) -> None:
-    """Ignore the trial's progress."""
+    """Ignore the progress of the trial."""
 
 
 @pytest.mark.long("a fault trial by wall clock")

@@ -1,4 +1,4 @@
-"""Measurements of the urban problem: costs, difficulty, and the random candidates behind them."""
+"""Measurements of the urban problem: its cost, its difficulty, and the random candidates behind both."""
 
 from collections import Counter
 
