@@ -264,7 +264,7 @@ class Sizes:
     permutations: int = 2000
 
 
-def measure(
+def measure_difficulty(
     sizes: Sizes | None = None,
     *,
     seed: int = 0,

@@ -120,7 +120,7 @@ def difficulty(
 
     Example: brink bench difficulty --candidates 2000
     """
-    from brink.bench.urban import Sizes, measure
+    from brink.bench.urban import Sizes, measure_difficulty
 
     full = Sizes()
     sizes = Sizes(
@@ -131,7 +131,7 @@ def difficulty(
         },
     )
     with _progress() as progress:
-        rows = list(measure(sizes, seed=seed, processes=processes, progress=progress))
+        rows = list(measure_difficulty(sizes, seed=seed, processes=processes, progress=progress))
     _conclude_rows(rows, as_json=as_json)
 
 

@@ -20,8 +20,8 @@ from brink.bench.urban import (
     distance,
     draw_candidate,
     episode_cpu_s,
-    measure,
     measure_costs,
+    measure_difficulty,
     neighbour,
     process_memory_mb,
     redraw,
@@ -191,7 +191,7 @@ def test_measuring_yields_every_row_and_reports_progress(monkeypatch: pytest.Mon
         permutations=99,
     )
     rows: dict[str, Row] = {
-        row.what: row for row in measure(sizes, progress=lambda *step: progress.append(step))
+        row.what: row for row in measure_difficulty(sizes, progress=lambda *step: progress.append(step))
     }
     assert len(rows) == 5 + 1 + 1 + 1 + 2 + 29
     assert rows["unsafe share"].met
