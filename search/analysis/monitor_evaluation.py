@@ -257,6 +257,11 @@ def evaluate_monitor(
     known = {row.tobytes() for row in monitor.vectors}
     fresh = np.array([row.tobytes() not in known for row in np.asarray(vectors, np.float64)], np.bool_)
     rows, truth = np.asarray(vectors, np.float64)[fresh], unsafe[fresh]
+    if truth.all() or not truth.any():
+        raise ValueError(
+            "expected both safe and unsafe solutions that the monitor has not learned from, "
+            f"got {int(truth.sum())} unsafe of {truth.size}"
+        )
     risks = monitor.score(rows)
     answers = np.array(risks.answers(monitor.threshold))
     predictors = [

@@ -166,16 +166,16 @@ async def _progress_etag(services: Context, campaign_id: str, since: int) -> str
     trouble = services.queue.writer.trouble
 
     def look(connection: Connection) -> tuple[object, ...] | None:
-        pulse = view_store.read_version(connection, campaign_id)
-        if pulse is None:
-            return None
+        version = view_store.read_version(connection, campaign_id)
+        if version is None or version.ended:  # workers come and go, which does not concern an ended campaign
+            return version
         live = live_capabilities(connection, services.settings.worker_seen_s)
-        return (*pulse, sorted((worker, sorted(able)) for worker, able in live.items()))
+        return (*version, sorted((worker, sorted(able)) for worker, able in live.items()))
 
-    pulse = await read(services.engines, look)
-    if pulse is None:
+    version = await read(services.engines, look)
+    if version is None:
         return None
-    return etag_of(pulse, since, services.seeds.doing(campaign_id), trouble.reason if trouble else None)
+    return etag_of(version, since, services.seeds.doing(campaign_id), trouble.reason if trouble else None)
 
 
 async def _progress(services: Context, campaign_id: str, since: int) -> Progress:

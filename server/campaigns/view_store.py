@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 from sqlalchemy import Connection, Row, Select, bindparam, func, select
 
@@ -93,8 +93,20 @@ def _rate(
     return (done - before) / elapsed if elapsed > 0 and done > before else None
 
 
-def read_version(connection: Connection, campaign_id: str) -> tuple[object, ...] | None:
-    """Return a value that changes whenever a campaign or its jobs change; None if there is no such campaign.
+class CampaignVersion(NamedTuple):
+    """Changes whenever a campaign or its jobs change.
+
+    Attributes:
+        ended: Whether the campaign has ended; its jobs then no longer change.
+        parts: What the version is made of.
+    """
+
+    ended: bool
+    parts: tuple[object, ...]
+
+
+def read_version(connection: Connection, campaign_id: str) -> CampaignVersion | None:
+    """Return the version of a campaign; None if there is no such campaign.
 
     Args:
         connection: Sees one snapshot.
@@ -103,9 +115,9 @@ def read_version(connection: Connection, campaign_id: str) -> tuple[object, ...]
     row = connection.execute(_VERSION, {"campaign": campaign_id}).one_or_none()
     if row is None:
         return None
-    if row.finished_at is not None:  # the jobs of an ended campaign do not change
-        return (campaign_id, row.sequence)
-    return (campaign_id, row.sequence, *sorted(count_unfinished(connection, campaign_id).items()))
+    ended = row.finished_at is not None
+    jobs = () if ended else sorted(count_unfinished(connection, campaign_id).items())
+    return CampaignVersion(ended, (campaign_id, row.sequence, *jobs))
 
 
 def list_generations(connection: Connection, campaign_id: str, since: int) -> list[GenerationSummary]:

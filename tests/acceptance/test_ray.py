@@ -18,7 +18,7 @@ from support.processes import BRINK, TOY, Program, Site, site
 RAY = str(Path(sys.executable).with_name("ray"))
 QUICK = {**TOY, "BRINK_RETRY_BACKOFF_S": "0.05", "BRINK_SWEEP_S": "0.1"}
 
-pytestmark = [pytest.mark.slow, on_sqlite]
+pytestmark = [pytest.mark.long("needs Ray"), on_sqlite]
 
 
 @pytest.fixture

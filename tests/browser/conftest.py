@@ -8,7 +8,7 @@ import httpx
 import pytest
 from playwright.sync_api import Browser
 from playwright.sync_api import expect as shown
-from support.api import ball, coordinator, submit
+from support.api import ball, listening_coordinator, submit
 from support.problems import small_problems
 
 import brink.server.access.authentication
@@ -52,7 +52,7 @@ def own_database(sqlite_file: Path, tmp_path: Path) -> str:
 @pytest.fixture
 def own(own_database: str) -> Iterator[httpx.Client]:
     """A coordinator of the test's own, without a worker."""
-    with small_problems(), coordinator(own_database) as client:
+    with small_problems(), listening_coordinator(own_database) as client:
         yield client
 
 
@@ -60,7 +60,7 @@ def own(own_database: str) -> Iterator[httpx.Client]:
 def guarded(own_database: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[httpx.Client]:
     """A coordinator of the test's own that asks for a token, with a campaign that runs."""
     monkeypatch.setattr(brink.server.access.authentication, "TOKEN_CACHE_S", 0.0)
-    with small_problems(), coordinator(own_database, token=SECRET) as client:
+    with small_problems(), listening_coordinator(own_database, token=SECRET) as client:
         submit(client, ball(name="guarded", problem=NOBODYS))
         yield client
 

@@ -18,7 +18,7 @@ import httpx
 from PIL import Image
 from playwright.sync_api import Browser, Page
 from playwright.sync_api import expect as shown
-from support.api import coordinator, eventually, expect, progress, submit
+from support.api import eventually, expect, listening_coordinator, progress, submit
 from support.databases import sqlite_template
 
 from brink.bench.chromium import chromium
@@ -65,7 +65,7 @@ def demonstration(folder: Path) -> Iterator[tuple[httpx.Client, list[View]]]:
     """Serve campaigns that have run, and one that runs, until the end of the block; give all views of them."""
     database = f"sqlite:///{sqlite_template(folder)}"
     with ExitStack() as stack:
-        client = stack.enter_context(coordinator(database, port=_port()))
+        client = stack.enter_context(listening_coordinator(database, port=_port()))
         for number in range(1, WORKERS + 1):
             stack.enter_context(worker(origin(client), folder, "--id", f"worker-{number}"))
         search, traffic, hurried = (submit(client, body) for body in (SEARCH, TRAFFIC, HURRIED))
@@ -160,7 +160,7 @@ def main() -> None:
                 print(f"{file.relative_to(FOLDER.parents[2])}: {file.stat().st_size / 1000:.0f} kB")
         guarded = Path(folder) / "guarded"
         guarded.mkdir()
-        with coordinator(f"sqlite:///{sqlite_template(guarded)}", token=SECRET) as client:
+        with listening_coordinator(f"sqlite:///{sqlite_template(guarded)}", token=SECRET) as client:
             for file in photograph_signing_in(browser, console, client):
                 print(f"{file.relative_to(FOLDER.parents[2])}: {file.stat().st_size / 1000:.0f} kB")
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
-from support.api import ball, coordinator, eventually, expect, progress, submit
+from support.api import ball, eventually, expect, listening_coordinator, progress, submit
 from support.problems import small_problems
 from support.processes import Program
 
@@ -91,7 +91,7 @@ def served(database_url: str, folder: Path) -> Iterator[Served]:
     """Serve campaigns that have ended, and some that never will, until the end of the block."""
     with (
         small_problems(),
-        coordinator(database_url) as client,
+        listening_coordinator(database_url) as client,
         worker(origin(client), folder, "--plugin", "faulty_simulator") as program,
     ):
         made = Served(

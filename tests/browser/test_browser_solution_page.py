@@ -100,7 +100,7 @@ def test_page_shows_what_the_api_returns(site: Served, solution: Page) -> None:
     found = expect(site.client.get(f"{API}/campaigns/{site.urban}/solutions/{one['number']}"))
     assert json.loads(Path(download.value.path()).read_text(encoding="utf-8")) == found["spec"]
     solution.get_by_role("link", name="Open on the map").click()
-    panel = solution.get_by_role("complementary", name="Chosen on the map")
+    panel = solution.get_by_role("complementary", name="Selection on the map")
     shown(panel.get_by_role("heading", name=f"Solution {one['number']}")).to_be_visible()
 
 

@@ -13,6 +13,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 from support.api import FakeWorker, ball, coordinator, eventually, progress, submit, undisturbed_digest
 from support.databases import on_postgres
 from support.llm_endpoint import serving
+from support.marks import mostly_long
 from support.problems import SIMULATOR, simulated
 from support.queue import Queue
 from support.traffic import driven, seeded
@@ -62,7 +63,7 @@ CAMPAIGNS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", CAMPAIGNS)
+@pytest.mark.parametrize("name", mostly_long(CAMPAIGNS, ["mlcshe"], "runs a campaign twice"))
 def test_a_coordinator_that_is_started_again_finds_the_same(database_url: str, name: str) -> None:
     campaign, held = "", list[LeasedJob]()
     for wanted in (10, 27, 55, 1000):

@@ -116,6 +116,13 @@ def test_polling_an_idle_campaign_gets_no_body(client: httpx.Client) -> None:
         assert sum(len(name) + len(value) + 4 for name, value in answer.headers.raw) < 500
 
 
+def test_workers_that_come_and_go_do_not_change_an_ended_campaign(client: httpx.Client) -> None:
+    path = f"campaigns/{finish(client, ball())}/progress"
+    _, etag = get_tagged(client, path)
+    FakeWorker(client, id="another").lease()
+    assert get_again(client, path, etag).status_code == 304
+
+
 def test_every_change_raises_the_sequence_number_and_changes_the_etag(client: httpx.Client) -> None:
     campaign = submit(client, ball(simulations=40))
     path = f"campaigns/{campaign}/progress"

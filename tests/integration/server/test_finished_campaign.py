@@ -335,7 +335,7 @@ def scores(client: httpx.Client, campaign: str) -> dict[str, Any]:
 
 def test_scores_are_available_once_the_campaign_has_ended(client: httpx.Client) -> None:
     campaign = submit(client, ball(simulations=60))
-    assert "when it has ended" in expect(client.get(f"/api/v1/campaigns/{campaign}/scores"), 409)["detail"]
+    assert "once it has ended" in expect(client.get(f"/api/v1/campaigns/{campaign}/scores"), 409)["detail"]
     assert FakeWorker(client).work(campaign)["status"] == "finished"
     found = scores(client, campaign)
     assert (found["id"], found["name"], found["status"]) == (campaign, "ball", "finished")

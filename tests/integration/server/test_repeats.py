@@ -156,7 +156,7 @@ def test_the_same_named_solutions_are_not_simulated_twice_and_others_are(client:
         ({"numbers": [1, 2, 1]}, "", "numbers: expected each once, got 1 more than once"),
         ({"numbers": []}, "/numbers", "at least 1"),
         ({"numbers": [-1]}, "/numbers/0", "greater than or equal to 0"),
-        ({"numbers": [1], "t_b": 0.2}, "", "expected numbers or t_b, not both"),
+        ({"numbers": [1], "t_b": 0.2}, "", "expected either numbers or t_b, not both"),
         ({"numbers": list(range(1001))}, "/numbers", "at most 1000"),
     ],
 )

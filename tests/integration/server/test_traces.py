@@ -444,7 +444,7 @@ def test_picture_that_is_no_jpeg_is_not_served(client: httpx.Client) -> None:
     assert trace.film is not None
     page = replace(trace, film=replace(trace.film, pictures=(b"<html>", *trace.film.pictures[1:])))
     path = kept(client, page.to_bytes())
-    assert "no JPEG" in expect(client.get(f"{path}/pictures/0.jpg"), 404)["detail"]
+    assert "not a JPEG" in expect(client.get(f"{path}/pictures/0.jpg"), 404)["detail"]
     assert client.get(f"{path}/pictures/1.jpg").status_code == 200
 
 

@@ -30,6 +30,12 @@ TRAFFIC: dict[str, Any] = {
 
 
 @pytest.fixture
+def client(listening_client: httpx.Client) -> httpx.Client:
+    """A client of a coordinator that the command line can reach too."""
+    return listening_client
+
+
+@pytest.fixture
 def campaign(client: httpx.Client) -> str:
     campaign = submit(client, TRAFFIC)
     stands = traffic_worker(client).work(campaign)

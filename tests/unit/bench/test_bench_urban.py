@@ -57,6 +57,7 @@ def test_the_cpu_time_of_an_episode_is_plausible() -> None:
     assert 0.005 < cost_s < 2.0
 
 
+@pytest.mark.long("runs many episodes")
 def test_memory_does_not_grow_with_the_number_of_episodes() -> None:
     first_mb, last_mb = process_memory_mb(90, settle=30)
     assert 20.0 < first_mb < 150.0

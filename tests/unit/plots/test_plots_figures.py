@@ -203,6 +203,9 @@ def _few(count: int, *, unsafe: bool) -> CampaignFigures:
     )
 
 
+FURTHER = pytest.mark.long("draws every figure of one more campaign")
+
+
 def _all_alike() -> CampaignFigures:
     vectors = np.tile([0.0, 1, 0, 0, 0], (3, 1))
     return campaign(MIXED, vectors, np.array([True, False, True]), np.zeros(3), radius=0.3, t_b=1.0, d_th=0.0)
@@ -212,17 +215,16 @@ def _all_alike() -> CampaignFigures:
 @pytest.mark.parametrize(
     "inputs",
     [
-        _few(0, unsafe=False),
-        _few(1, unsafe=False),
-        _few(1, unsafe=True),
-        _few(2, unsafe=True),
-        _few(120, unsafe=False),
-        _few(120, unsafe=True),
-        mixed_campaign(40, null_share=1.0),
-        _all_alike(),
+        pytest.param(_few(0, unsafe=False), id="none"),
+        pytest.param(_few(1, unsafe=False), id="one safe", marks=FURTHER),
+        pytest.param(_few(1, unsafe=True), id="one unsafe", marks=FURTHER),
+        pytest.param(_few(2, unsafe=True), id="two", marks=FURTHER),
+        pytest.param(_few(120, unsafe=False), id="all safe", marks=FURTHER),
+        pytest.param(_few(120, unsafe=True), id="all unsafe"),
+        pytest.param(mixed_campaign(40, null_share=1.0), id="all null", marks=FURTHER),
+        pytest.param(_all_alike(), id="all alike"),
     ],
-    ids=["none", "one safe", "one unsafe", "two", "all safe", "all unsafe", "all null", "all alike"],
-)  # fmt: skip
+)
 def test_degenerate_campaigns_still_give_a_clear_picture(make: MakeFigure, inputs: CampaignFigures) -> None:
     figure = make(inputs)
     figure.set_dpi(40)

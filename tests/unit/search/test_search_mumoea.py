@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
+from support.marks import mostly_long
 
 from brink.search.algorithm import Candidate, Evaluation, Failed, Origin, Proposal, Scored
 from brink.search.algorithms.multi_objective import (
@@ -345,12 +346,16 @@ def test_inconsistent_settings_are_rejected() -> None:
 
 @pytest.mark.parametrize(
     "changes",
-    [
-        {},
-        {"differential": "always"},
-        {"initial": "random", "differential": "never"},
-        {"crossover": "srinivas"},
-    ],
+    mostly_long(
+        [
+            {},
+            {"differential": "always"},
+            {"initial": "random", "differential": "never"},
+            {"crossover": "srinivas"},
+        ],
+        [{"initial": "random", "differential": "never"}],
+        "searches several times",
+    ),
 )
 def test_contract_holds_with_other_settings(changes: dict[str, Any]) -> None:
     check_algorithm(MUMOEA, SPACE, budget=100, config=replace(SMALL, **changes), evaluate=driven)

@@ -73,7 +73,9 @@ def test_a_detector_that_finds_nothing_hits_the_pedestrian(known: Known) -> None
     assert known.shown[0].shape == (360, 640, 3)
 
 
-@pytest.mark.parametrize(("score", "stops"), [(0.9, 1), (0.2, 0)])
+@pytest.mark.parametrize(
+    ("score", "stops"), [(0.9, 1), pytest.param(0.2, 0, marks=pytest.mark.long("drives with a camera"))]
+)
 def test_a_confident_false_positive_causes_a_dangerous_stop(known: Known, score: float, stops: int) -> None:
     known.found = person(score)
     result = SIMULATOR.run(replace(seen_by(1), duration_s=3.0))

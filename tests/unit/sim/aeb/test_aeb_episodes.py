@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from aeb_episodes import spec
+from support.marks import mostly_long
 
 from brink.sim.aeb.braking import Detection, EmergencyBrake
 from brink.sim.aeb.episode import Episode, WorldMonitor
@@ -44,7 +45,9 @@ def test_with_ground_truth_there_is_no_collision_and_no_dangerous_stop() -> None
         assert all(not verdict.violated for verdict in result.verdicts.values())
 
 
-@pytest.mark.parametrize("off", [{"mode": "blind"}, {"braking": False}])
+@pytest.mark.parametrize(
+    "off", mostly_long([{"mode": "blind"}, {"braking": False}], [{"mode": "blind"}], "drives many episodes")
+)
 def test_without_braking_the_pedestrian_is_always_hit(off: dict[str, Any]) -> None:
     for seed in SEEDS:
         result = SIMULATOR.run(spec(seed, **off))
@@ -53,7 +56,7 @@ def test_without_braking_the_pedestrian_is_always_hit(off: dict[str, Any]) -> No
         assert result.features["impact_speed_mps"] == pytest.approx((CRUISE_MPS**2 + 2.0**2) ** 0.5, rel=0.03)
 
 
-@pytest.mark.parametrize("obstacle", ["novelty", "anomaly"])
+@pytest.mark.parametrize("obstacle", mostly_long(["novelty", "anomaly"], ["anomaly"], "drives many episodes"))
 def test_an_unusual_body_is_hit_if_it_is_not_seen(obstacle: str) -> None:
     for seed in range(5):
         assert (

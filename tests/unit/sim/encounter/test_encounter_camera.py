@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.marks import mostly_long
 from test_encounter_simulator import BRAKES, KEEPS, spec, user
 
 from brink.server.problems.npc_actions import NpcActionsParams
@@ -58,7 +59,7 @@ def test_boxes_are_converted_to_the_driving_systems_image() -> None:
     assert any(middle == pytest.approx(400 + 400 * 3.0 / 12.7, abs=12) for middle in persons)
 
 
-@pytest.mark.parametrize("curve", list(RoadCurve))
+@pytest.mark.parametrize("curve", mostly_long(RoadCurve, [RoadCurve.LEFT], "drives with a camera"))
 def test_an_empty_road_causes_no_violation_at_the_default_threshold(curve: RoadCurve) -> None:
     away = user("pedestrian", {**KEEPS, "d_m": 45.0})
     told = seen(away, duration_s=20.0)

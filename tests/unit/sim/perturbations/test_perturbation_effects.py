@@ -267,6 +267,7 @@ def test_larger_grid_holes_hide_more_at_the_same_total_area() -> None:
     assert (np.diff(strength) > 0).all(), strength
 
 
+@pytest.mark.long("averages many frames")
 def test_rain_hides_more_from_drizzle_to_torrent_and_with_a_wet_lens() -> None:
     # The mean difference mostly measures the darkening, which is the same for every kind.
     drizzle, heavy, torrential, heavy_wet, torrential_wet = (

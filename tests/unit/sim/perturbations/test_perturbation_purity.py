@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from perturbed_pictures import EFFECTIVE, blocks, night, perturb, street
+from support.marks import mostly_long
 
 from brink.sim.perturbations import CATALOGUE, Frame, Mode, Perturbation, Pipeline, apply, generator
 
 GENES = list(CATALOGUE)
 DETERMINISTIC = {"gaussian_blur", "grid_dropout", "brightness", "contrast"}
 TOP = {name: gene.levels - 1 for name, gene in CATALOGUE.items()}
+EXTREMES = [one for one in EFFECTIVE if one.level in (1, TOP[one.gene])]
 PAIRS = list(itertools.permutations(GENES, 2))
 
 
@@ -34,7 +36,7 @@ def test_level_0_returns_the_frame_byte_for_byte(gene: str) -> None:
     assert digest(perturb(frame, gene, 0)) == digest(frame)
 
 
-@pytest.mark.parametrize("perturbation", EFFECTIVE, ids=str)
+@pytest.mark.parametrize("perturbation", mostly_long(EFFECTIVE, EXTREMES, "tries every level"), ids=str)
 def test_every_other_level_changes_a_copy_of_the_frame(
     perturbation: Perturbation,
 ) -> None:

@@ -1,5 +1,6 @@
-"""The detector and its network, in torch and in onnxruntime, and the inputs that are refused."""
+"""The network of brink-det@1 and networks in users' files, made and exported with torch."""
 
+import json
 import warnings
 from pathlib import Path
 
@@ -7,15 +8,30 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
+from torch import Tensor, nn
 
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.boxes import GroundTruth, mean_average_precision
-from brink.sim.perception.detector import INPUT_PX, NetworkDetector, decode, find_detector, fit_picture
+from brink.sim.perception.detector import (
+    INPUT_PX,
+    NetworkDetector,
+    decode,
+    find_detector,
+    load_file_detector,
+)
 from brink.sim.perception.network import Network, detection_loss, make_target
 from brink.sim.perception.training import detect_all, export_onnx, to_tensor
-from brink.sim.perception.user_files import DetectorError
+from brink.sim.perception.user_files import (
+    DetectorError,
+    check_loads,
+    weights_digest,
+)
 
+pytestmark = pytest.mark.long("needs torch")
 torch.set_num_threads(1)  # with more, threads that wait for a core make these tests very slow
+
+BRIGHT = np.zeros((180, 320, 3), np.uint8)
+BRIGHT[40:120, 100:140] = 255
 
 
 @pytest.fixture(scope="module")
@@ -77,13 +93,6 @@ def test_boxes_are_in_pixels_of_a_picture_of_any_size(weights: Path) -> None:
         assert found.boxes[:, [0, 2]].max() <= width
         assert found.boxes[:, [1, 3]].max() <= height
         assert np.all(np.diff(found.scores) <= 0)
-
-
-def test_pictures_keep_their_aspect_ratio() -> None:
-    canvas, scale = fit_picture(np.full((360, 640, 3), 200, np.uint8))
-    assert (canvas.shape, scale) == ((192, 320, 3), 0.5)
-    assert (canvas[:180] == 200).all()
-    assert (canvas[180:] != 200).all()
 
 
 def test_the_target_of_a_picture_decodes_to_its_boxes() -> None:
@@ -150,27 +159,6 @@ def test_detections_are_in_the_order_of_the_pictures(network: Network) -> None:
         assert alone.boxes[:5] == pytest.approx(together[place].boxes[:5], abs=0.1)
 
 
-@pytest.mark.parametrize(
-    "picture",
-    [
-        np.zeros((360, 640), np.uint8), np.zeros((360, 640, 4), np.uint8), np.zeros((360, 640, 3), np.float32),
-        np.zeros((0, 640, 3), np.uint8),
-    ],
-)  # fmt: skip
-def test_arrays_other_than_rgb_pictures_are_refused(picture: NDArray[np.uint8]) -> None:
-    with pytest.raises(DetectorError, match=r"expected uint8 of shape \(h, w, 3\), got"):
-        fit_picture(picture)
-
-
-def test_weights_that_cannot_be_loaded_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(DetectorError, match="cannot be loaded"):
-        NetworkDetector(tmp_path / "missing.onnx")
-    broken = tmp_path / "broken.onnx"
-    broken.write_bytes(b"not a network")
-    with pytest.raises(DetectorError, match="cannot be loaded"):
-        NetworkDetector(broken)
-
-
 def test_weights_with_other_outputs_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "other.onnx"
     other = torch.nn.Conv2d(3, 4, 1)
@@ -181,6 +169,108 @@ def test_weights_with_other_outputs_are_refused(tmp_path: Path) -> None:
         NetworkDetector(file)
 
 
-def test_an_unknown_detector_gets_a_suggestion() -> None:
-    with pytest.raises(InvalidEpisode, match="did you mean 'brink-det@1'"):
-        find_detector("brink-dot@1")
+class Yolo(nn.Module):
+    """Returns (1, 4 + c, 2): a box whose score for one class is the picture's maximum, and an uncertain one."""
+
+    def __init__(self, classes: int, index: int) -> None:
+        super().__init__()
+        self.register_buffer(
+            "boxes", torch.tensor([[60.0, 48.0, 20.0, 40.0], [200.0, 20.0, 8.0, 8.0]]).T[None]
+        )
+        scores = torch.zeros(1, classes, 2)
+        scores[0, index, 0] = 1.0
+        scores[0, 0, 1] = 0.0001
+        self.register_buffer("scores", scores)
+
+    def forward(self, picture: Tensor) -> Tensor:
+        """Return boxes and scores, one array."""
+        boxes, scores = self.get_buffer("boxes"), self.get_buffer("scores")
+        return torch.cat([boxes, scores * picture.amax()], dim=1)
+
+
+class Parts(nn.Module):
+    """Returns boxes, scores and labels as torchvision does: the bright part is a person (1)."""
+
+    def forward(self, picture: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return three arrays."""
+        score = picture.amax()[None]
+        return torch.tensor([[50.0, 28.0, 70.0, 68.0]]), score, torch.ones(1, dtype=torch.int64)
+
+
+class Nonsense(nn.Module):
+    """Returns a number."""
+
+    def forward(self, picture: Tensor) -> Tensor:
+        """Return the mean."""
+        return picture.mean()
+
+
+def exported(network: nn.Module, file: Path, *, outputs: list[str] | None = None) -> str:
+    picture = torch.zeros(1, 3, 96, 160)
+    if file.suffix == ".onnx":
+        torch.onnx.export(
+            network, (picture,), str(file), dynamo=False, opset_version=17, input_names=["images"],
+            output_names=outputs or ["output0"],
+        )  # fmt: skip
+        return f"onnx:{file}"
+    torch.jit.trace(network, picture).save(str(file))  # type: ignore[no-untyped-call]
+    return f"torchscript:{file}"
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::torch.jit.TracerWarning")
+class TestNetworks:
+    """Networks in users' files."""
+
+    @pytest.mark.parametrize(("classes", "index", "label"), [(2, 1, 1), (2, 0, 0), (80, 0, 1), (80, 5, 0)])
+    def test_yolo_output_is_read(self, tmp_path: Path, classes: int, index: int, label: int) -> None:
+        detector = load_file_detector(exported(Yolo(classes, index), tmp_path / "net.onnx"))
+        found = detector.detect(BRIGHT)
+        # The input is 160 x 96, so pictures of 320 x 180 are halved and get 3 px of padding at the top.
+        assert found.labels.tolist() == [label]
+        assert found.boxes[0] == pytest.approx([100, 50, 140, 130])
+        assert found.scores[0] == pytest.approx(1.0)
+
+    def test_other_classes_are_left_out(self, tmp_path: Path) -> None:
+        detector = load_file_detector(exported(Yolo(80, 1), tmp_path / "net.onnx"))
+        assert len(detector.detect(BRIGHT).labels) == 0
+
+    def test_names_beside_the_weights_take_precedence(self, tmp_path: Path) -> None:
+        name = exported(Yolo(2, 0), tmp_path / "net.onnx")
+        (tmp_path / "net.onnx.json").write_text(json.dumps({"names": ["pedestrian", "dog"]}))
+        assert load_file_detector(name).detect(BRIGHT).labels.tolist() == [1]
+        (tmp_path / "other.onnx.json").write_text(json.dumps({"names": ["cat", "dog"]}))
+        with pytest.raises(DetectorError, match="at least one of them"):
+            load_file_detector(exported(Yolo(2, 0), tmp_path / "other.onnx"))
+
+    def test_torchvision_output_is_read(self, tmp_path: Path) -> None:
+        for name in (
+            exported(Parts(), tmp_path / "parts.onnx", outputs=["boxes", "scores", "labels"]),
+            exported(Yolo(2, 1), tmp_path / "yolo.pt"),
+            exported(Parts(), tmp_path / "parts.pt"),
+        ):
+            found = find_detector(name).detect(BRIGHT)
+            assert found.labels.tolist() == [1]
+            assert found.boxes.shape == (1, 4)
+
+    def test_files_that_are_not_detectors_are_refused_on_loading(self, tmp_path: Path) -> None:
+        (tmp_path / "text.onnx").write_text("nothing")
+        (tmp_path / "text.pt").write_text("nothing")
+        for name, message in (
+            (f"onnx:{tmp_path}/none.onnx", "no such file"),
+            (f"onnx:{tmp_path}/text.onnx", "cannot be loaded as an ONNX network"),
+            (f"torchscript:{tmp_path}/text.pt", "cannot be loaded as a TorchScript network"),
+            (exported(Nonsense(), tmp_path / "nonsense.onnx"), "expected one output"),
+            (exported(Nonsense(), tmp_path / "nonsense.pt"), "expected one output"),
+            (f"keras:{tmp_path}/text.pt", "onnx:FILE, torchscript:FILE, ultralytics:FILE"),
+        ):
+            with pytest.raises(InvalidEpisode, match=message):
+                find_detector(name)
+        with pytest.raises(DetectorError, match="expected one output"):
+            check_loads(f"onnx:{tmp_path}/nonsense.onnx")
+
+    def test_weights_are_identified_by_their_content(self, tmp_path: Path) -> None:
+        one = exported(Yolo(2, 1), tmp_path / "one.onnx")
+        before = weights_digest(one)
+        exported(Yolo(2, 0), tmp_path / "one.onnx")
+        assert weights_digest(one) != before
+        assert weights_digest("brink-det@1") == ""
