@@ -36,7 +36,7 @@ from brink.sim.errors import SimulatorError
 ADAPTIVE: Final = "muMOEA"
 ALWAYS: Final = "differential seeds always"
 CODE: Final = (
-    "search", "server/problems", "server/violations", "sim/bullet", "sim/driving", "sim/encounter",
+    "search", "server/problems", "server/violations.py", "sim/bullet", "sim/driving", "sim/encounter",
     "sim/requirements.py", "sim/urban", "sim/world",
 )  # fmt: skip
 """Code that determines what a search finds; stored searches of other code are not used."""
