@@ -1,12 +1,15 @@
 PYTHON ?= python3.11
 VENV   := .venv
 BIN    := $(VENV)/bin
+PYTEST  = $(BIN)/python -m pytest --numprocesses $(PROCESSES) --dist loadfile
+# Without PyTorch, the modules that train a network with it cannot be type-checked.
+WITHOUT_TORCH := --follow-imports=silent --exclude 'perception/(network|training)[.]py$$|_torch[.]py$$'
 # Many tests wait for processes, sockets and disks, so one process more than there are cores keeps them all busy.
 PROCESSES = $(shell $(BIN)/python -c 'import os; print(min(4, 1 + (os.cpu_count() or 1)))')
 PIP    := $(BIN)/python -m pip --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help run test check install dev chromium screenshots clean
+.PHONY: help run test test-all check install dev chromium screenshots clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -19,8 +22,12 @@ $(VENV)/.base: pyproject.toml constraints.txt | $(BIN)/python
 	touch $@
 
 $(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP) install --quiet -c constraints.txt -e '.[dev,analysis,postgres,vision,torch,ray]'
+	$(PIP) install --quiet -c constraints.txt -e '.[dev,analysis,postgres,vision]'
 	touch $@ $(VENV)/.base
+
+$(VENV)/.all: pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) install --quiet -c constraints.txt -e '.[dev,analysis,postgres,vision,torch,ray]'
+	touch $@ $(VENV)/.dev $(VENV)/.base
 
 install: $(VENV)/.base  ## create .venv with everything that `brink run` needs
 
@@ -32,11 +39,18 @@ run: $(VENV)/.base  ## run the quickstart campaign with a coordinator and two wo
 check: $(VENV)/.dev  ## run the linter, the type checker and the layer check
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+	$(BIN)/mypy $(if $(wildcard $(VENV)/lib/*/site-packages/torch),,$(WITHOUT_TORCH))
 	$(BIN)/lint-imports
 
-test: chromium check  ## check, then every test, on SQLite and on a real Postgres, in a process more than there are cores (up to four)
-	$(BIN)/python -m pytest --numprocesses $(PROCESSES) --dist loadfile
+test: chromium $(VENV)/.dev  ## run `check` and, beside it, the tests
+	@$(MAKE) --no-print-directory check >$(VENV)/check.log 2>&1 & checks=$$!; \
+	$(PYTEST); tests=$$?; \
+	wait $$checks; checked=$$?; cat $(VENV)/check.log; \
+	test $$tests -eq 0 && test $$checked -eq 0
+
+test-all: test $(VENV)/.all  ## run `test`, then the tests that take longer, which need PyTorch and Ray
+	$(BIN)/mypy
+	$(PYTEST) -m long
 
 screenshots: $(VENV)/.dev  ## retake the documentation's pictures of the dashboard in Chromium
 	PYTHONPATH=tests:tests/plugins $(BIN)/python -m browser.screenshots

@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pytest
 import yaml
 from PIL import Image
 from support.databases import Databases, on_sqlite
@@ -22,6 +23,7 @@ BODY: dict[str, Any] = {
 
 
 @on_sqlite
+@pytest.mark.long("runs campaigns of real simulations")
 def test_a_boundary_is_repeated_and_handed_on(databases: Databases, tmp_path: Path) -> None:
     file = tmp_path / "campaign.yaml"
     file.write_text(yaml.safe_dump(BODY))

@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import pytest
 import yaml
 from support.api import ball
 from support.databases import Databases, on_sqlite
@@ -35,6 +36,7 @@ def found(output: str) -> list[dict[str, Any]]:
     return [{**repeat, "campaign": ""} for repeat in results["repeats"]]
 
 
+@pytest.mark.long("runs an experiment twice")
 def test_an_experiment_that_is_killed_goes_on_to_the_same_report(
     databases: Databases, tmp_path: Path, small_problems: None
 ) -> None:

@@ -6,6 +6,7 @@ import signal
 from pathlib import Path
 from typing import Any
 
+import pytest
 import yaml
 from support.api import ball, undisturbed_digest
 from support.databases import Databases
@@ -53,6 +54,7 @@ def test_a_campaign_file_becomes_results_and_a_summary(databases: Databases, tmp
     assert any(list(folder.glob("*.png")) for folder in folders)
 
 
+@pytest.mark.long("runs a campaign twice")
 def test_a_run_that_is_stopped_goes_on_to_the_same_end(
     databases: Databases, tmp_path: Path, small_problems: None
 ) -> None:

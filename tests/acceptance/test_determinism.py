@@ -38,6 +38,7 @@ def urban_digests() -> dict[str, str]:
     return {}
 
 
+@pytest.mark.long("runs a campaign several times")
 def test_one_worker_or_four_on_either_database(
     databases: Databases, tmp_path: Path, urban_digests: dict[str, str]
 ) -> None:
@@ -51,6 +52,7 @@ def test_one_worker_or_four_on_either_database(
     assert len(set(urban_digests.values())) == 1, urban_digests
 
 
+@pytest.mark.long("kills and restarts processes")
 def test_everything_killed_in_mid_generation_and_started_again(
     databases: Databases, tmp_path: Path, small_problems: None
 ) -> None:

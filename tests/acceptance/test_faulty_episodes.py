@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import pytest
 from support.api import ball, eventually, undisturbed_digest
 from support.databases import Databases
 from support.processes import TOY, Program, Site, brink, site
@@ -39,6 +40,7 @@ def failed_attempts(worker: Program) -> dict[int, int]:
     return {int(job): int(attempt) for job, attempt in told}
 
 
+@pytest.mark.long("waits for jobs to be retried")
 def test_guilty_jobs_are_retried_quarantined_and_shown(databases: Databases, tmp_path: Path) -> None:
     with databases.database() as url, site(tmp_path, url, QUICK) as running:
         running.start_workers(2)

@@ -94,6 +94,7 @@ def test_a_campaign_is_followed_through_coordinator_and_worker_by_its_ids(
     assert "uvicorn.error" in {record["logger"] for record in coordinator}
 
 
+@pytest.mark.long("runs a campaign")
 def test_details_are_not_logged_unless_asked_for(database: str, tmp_path: Path) -> None:
     with site(tmp_path, database, {**JSON_LOGS, "BRINK_LOG_LEVEL": "info"}) as running:
         running.start_workers(1)
@@ -106,7 +107,13 @@ def test_details_are_not_logged_unless_asked_for(database: str, tmp_path: Path) 
         assert record["message"] != "request"
 
 
-@pytest.mark.parametrize("environment", [JSON_LOGS, TEXT_LOGS], ids=["json", "text"])
+@pytest.mark.parametrize(
+    "environment",
+    [
+        pytest.param(JSON_LOGS, id="json"),
+        pytest.param(TEXT_LOGS, id="text", marks=pytest.mark.long("runs a campaign")),
+    ],
+)
 def test_no_secret_is_logged_however_much_is_asked_for(
     database: str, tmp_path: Path, environment: dict[str, str]
 ) -> None:

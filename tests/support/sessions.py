@@ -39,14 +39,22 @@ def _roomy(folder: Path) -> bool:
 
 
 class LongestFirst(LoadFileScheduling):  # type: ignore[misc]
-    """Distributes whole files, since the tests of a file share fixtures, and starts with those that take longest."""
+    """Distributes whole files, whose tests share fixtures; the folders whose tests take longest come first.
 
-    FIRST: tuple[str, ...] = ()
+    The tests of the dashboard in a browser share one site, so they all go to one process.
+    """
+
+    TOGETHER = "tests/browser"
+    FIRST = (TOGETHER, "tests/acceptance", "tests/integration")
+
+    def _split_scope(self, nodeid: str) -> str:
+        return self.TOGETHER if nodeid.startswith(self.TOGETHER) else str(super()._split_scope(nodeid))
 
     def _assign_work_unit(self, node: WorkerController) -> None:
-        for scope in reversed(self.FIRST):
-            if scope in self.workqueue:
-                self.workqueue.move_to_end(scope, last=False)
+        for folder in self.FIRST:
+            if found := next((scope for scope in self.workqueue if scope.startswith(folder)), None):
+                self.workqueue.move_to_end(found, last=False)
+                break
         super()._assign_work_unit(node)
 
 
