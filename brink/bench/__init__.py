@@ -1,1 +1,1 @@
-"""Measurements of the service, of its simulators and of its methods, each with its target."""
+"""Measurements of the service, its simulators and its algorithms; each figure stands beside its target."""

@@ -1,4 +1,4 @@
-"""Runs many episodes in a few processes, for measurements that need no coordinator."""
+"""Episodes run in a process pool without a coordinator, and stored outcomes that are not computed twice."""
 
 import contextlib
 import hashlib
@@ -12,13 +12,9 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
-from typing import TypeAlias
 
 from brink.sim.catalogue import Simulator, make_simulator
 from brink.sim.episode import EpisodeSpec, Json
-
-Progress: TypeAlias = Callable[[int, int], None]
-"""Called with the number of episodes done and the total."""
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 _CHUNK = 8
@@ -26,11 +22,11 @@ _CHUNK = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """The verdict of an episode.
+    """The verdict on the first requirement of an episode.
 
     Attributes:
-        unsafe: Whether the first requirement is violated.
-        robustness: Robustness of the first requirement.
+        unsafe: Whether the requirement is violated.
+        robustness: Its robustness.
     """
 
     unsafe: bool
@@ -42,9 +38,9 @@ class Record:
     """The outcome of an episode or of a data-set evaluation, as plain JSON values.
 
     Attributes:
-        robustness: Robustness of each requirement, by id.
-        objectives: By name.
-        features: By name.
+        robustness: Robustness by requirement id.
+        objectives: Objectives by name.
+        features: Features by name.
         cpu_s: CPU time.
         wall_s: Wall-clock time.
     """
@@ -74,22 +70,21 @@ def run_trial(spec: EpisodeSpec) -> Trial:
 
 
 def run_trials(specs: Sequence[EpisodeSpec], *, processes: int = 2) -> Iterator[Trial]:
-    """Run episodes and yield their outcomes in the order of the specifications.
+    """Run episodes and yield their verdicts in order.
 
     Args:
-        specs: The episodes.
+        specs: Episodes to run.
         processes: Number of processes; 1 runs the episodes in this process.
     """
     if processes <= 1:
         yield from map(run_trial, specs)
         return
-    context = multiprocessing.get_context("spawn")
-    with single_threaded(), ProcessPoolExecutor(processes, mp_context=context) as pool:
+    with single_threaded(), process_pool(processes) as pool:
         yield from pool.map(run_trial, specs, chunksize=_CHUNK)
 
 
 def run_record(spec: EpisodeSpec) -> Record:
-    """Run one specification in this process."""
+    """Run one episode or data-set evaluation in this process."""
     cpu_s, wall_s = time.process_time(), time.perf_counter()
     result = _simulator(spec.simulator).run(spec)
     return Record(
@@ -102,7 +97,7 @@ def run_record(spec: EpisodeSpec) -> Record:
 
 
 def code_fingerprint(packages: Sequence[str]) -> str:
-    """Return a fingerprint of the code and weights that decide an episode: 12 hexadecimal digits.
+    """Return a fingerprint of the code and model weights that determine an episode: 12 hexadecimal digits.
 
     Args:
         packages: Folders or modules of the project, such as ``sim/aeb`` or ``sim/requirements.py``.
@@ -124,10 +119,10 @@ def code_fingerprint(packages: Sequence[str]) -> str:
 
 
 class Records:
-    """Runs specifications in a few processes and stores their outcomes in a file, so that nothing is run twice.
+    """Runs episodes in a process pool and stores their outcomes in a file, so that no episode runs twice.
 
     Args:
-        file: JSON-lines file; outcomes that it already holds are not run again.
+        file: JSON-lines file. Episodes whose outcomes it already holds are not run again.
         processes: Number of processes.
     """
 
@@ -140,7 +135,7 @@ class Records:
         if file.exists():
             text = file.read_text(encoding="utf-8")
             for line in text.splitlines():
-                with contextlib.suppress(ValueError):  # the last line of a killed run
+                with contextlib.suppress(ValueError):  # a run that was killed truncates its last line
                     document = json.loads(line)
                     digest = document.pop("spec")
                     self._known[digest] = Record(**document)
@@ -148,18 +143,22 @@ class Records:
                 with file.open("a", encoding="utf-8") as out:
                     out.write("\n")
 
-    def run(self, specs: Sequence[EpisodeSpec], on_progress: Progress | None = None) -> list[Record]:
-        """Return the outcomes of specifications, in their order.
+    def run(
+        self, specs: Sequence[EpisodeSpec], on_progress: Callable[[int, int], None] | None = None
+    ) -> list[Record]:
+        """Return the outcomes of episodes, in order.
 
         Args:
-            specs: The specifications; only new ones are run.
-            on_progress: Called after each run.
+            specs: Episodes; only those without a stored outcome are run.
+            on_progress: Called with the number of completed episodes and the total after each run.
         """
         missing = {spec.digest(): spec for spec in specs if spec.digest() not in self._known}
         done = len(specs) - len(missing)
         if missing:
             with single_threaded(), self._file.open("a", encoding="utf-8") as out:
-                pool = self._started()
+                if self._pool is None:
+                    self._pool = process_pool(self._processes)
+                pool = self._pool
                 waiting = {pool.submit(run_record, spec): digest for digest, spec in missing.items()}
                 for future in as_completed(waiting):
                     record = future.result()
@@ -171,22 +170,21 @@ class Records:
                         on_progress(done, len(specs))
         return [self._known[spec.digest()] for spec in specs]
 
-    def _started(self) -> ProcessPoolExecutor:
-        if self._pool is None:
-            context = multiprocessing.get_context("spawn")
-            self._pool = ProcessPoolExecutor(self._processes, mp_context=context)
-        return self._pool
-
     def close(self) -> None:
-        """Stop the processes and drop pending runs."""
+        """Stop the processes and cancel pending episodes."""
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
             self._pool = None
 
 
+def process_pool(processes: int) -> ProcessPoolExecutor:
+    """Return a pool of fresh processes: spawned, not forked."""
+    return ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
+
+
 @contextmanager
 def single_threaded() -> Iterator[None]:
-    """Limit numerical libraries to one thread in processes started within the context."""
+    """Limit numerical libraries to one thread in processes that are started inside the block."""
     before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
     try:

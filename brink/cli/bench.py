@@ -1,20 +1,21 @@
-"""`brink bench`: measurements of this installation, each value beside its target."""
+"""`brink bench`: measurements of this installation, each figure beside its target."""
 
 import asyncio
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import httpx
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as ProgressBars
 from rich.table import Table
+from rich.text import Text
 
 from brink.api.client import TIMEOUT, Api
-from brink.bench.figures import Row
-from brink.bench.rate import TARGET_SHARE, ServiceRate, measure_service
+from brink.bench.measurement import Progress, Row
 from brink.cli.campaigns import follow
 from brink.cli.compare import compared, print_rows, rows_json
 from brink.cli.options import RESULTS, AsJson, console, fields, plain_table, print_json
@@ -23,9 +24,6 @@ from brink.server.api.schemas import CampaignView
 from brink.server.api.schemas import Progress as CampaignProgress
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
 from brink.server.errors import FieldError, InvalidInput
-from brink.server.runtime.coordinator import EmbeddedCoordinator, WorkerProcesses
-from brink.server.runtime.database import prepare_database
-from brink.server.settings import Settings
 
 bench = typer.Typer(help="Measure this installation, each figure beside its target.", no_args_is_help=True)
 
@@ -33,15 +31,15 @@ PAPER_FILES = tuple(Path("examples") / f"paper-{name}.yaml" for name in ("mlcshe
 PAPER_TARGET_S = 180.0
 
 Processes = Annotated[int, typer.Option(min=1, help="Number of processes to run in.")]
-Report = Callable[[str, int, int], None]
-"""Called with the name of a part of a measurement, its completed steps and all its steps."""
+
+# Commands import their measurement themselves: most load a simulator or need optional packages.
 
 
 @contextmanager
-def _progress() -> Iterator[Report]:
+def _progress() -> Iterator[Progress]:
     """Yield a progress callback that draws bars on a terminal, and elsewhere prints a line every tenth."""
     screen = Console(stderr=True)
-    bars = Progress(
+    bars = ProgressBars(
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
         console=screen, transient=True,
     )  # fmt: skip
@@ -61,44 +59,51 @@ def _progress() -> Iterator[Report]:
         yield report
 
 
-def _conclude(document: Any, show: Callable[[Console], None], *, as_json: bool, missed: bool = False) -> None:
+def _conclude(document: Any, *shown: RenderableType, as_json: bool, missed: bool = False) -> None:
     """Print a measurement as JSON or for people, and exit with 1 if it misses a target.
 
     Args:
         document: JSON document of the measurement.
-        show: Prints the measurement on a console.
-        as_json: Print the document.
+        shown: Tables and lines for people.
+        as_json: Whether to print the document.
         missed: Whether a target is missed.
     """
     if as_json:
         print_json(document)
     else:
-        show(console())
+        screen = console()
+        for part in shown:
+            screen.print(part)
     if missed:
         raise typer.Exit(1)
 
 
 def _conclude_rows(rows: list[Row], *, as_json: bool) -> None:
-    """Print measured values beside their targets, and exit with 1 if one is missed."""
-
-    def show(screen: Console) -> None:
-        table = _table("what", "value", "target", "", "of")
-        for row in rows:
-            table.add_row(row.what, f"{row.value:.4g}", row.target, _met(row.met), row.note)
-        screen.print(table)
-
+    """Print measured figures beside their targets, and exit with 1 if one is missed."""
+    table = _table(
+        ("what", "value", "target", "", "of"),
+        ((row.what, f"{row.value:.4g}", row.target, _met(row.met), row.note) for row in rows),
+    )
     missed = any(row.met is False for row in rows)
-    _conclude([fields(row) for row in rows], show, as_json=as_json, missed=missed)
+    _conclude([fields(row) for row in rows], table, as_json=as_json, missed=missed)
 
 
-def _table(*columns: str) -> Table:
+def _table(columns: Sequence[str], rows: Iterable[Sequence[object]] = ()) -> Table:
     """Return a table whose values are aligned to the right."""
-    return plain_table(*columns, right={*columns[1:]} - {"target", "", "of"})
+    table = plain_table(*columns, right={*columns[1:]} - {"target", "", "of"})
+    for row in rows:
+        table.add_row(*map(str, row))
+    return table
 
 
 def _met(met: bool | None) -> str:
-    """Return whether a target is met; empty if there is no target."""
+    """Return whether a target is met; empty if there is none."""
     return {None: "", True: "met", False: "MISSED"}[met]
+
+
+def _bound(bound: float | None, words: str = "at most") -> str:
+    """Return a target in words; empty if there is none."""
+    return "" if bound is None else f"{words} {bound:g}"
 
 
 @bench.command()
@@ -115,8 +120,7 @@ def difficulty(
 
     Example: brink bench difficulty --candidates 2000
     """
-    # Imported here: it loads the simulator.
-    from brink.bench.urban_difficulty import Sizes, measure
+    from brink.bench.urban import Sizes, measure_difficulty
 
     full = Sizes()
     sizes = Sizes(
@@ -126,8 +130,8 @@ def difficulty(
             for name in ("scenarios", "reruns", "pairs", "redraws", "ends")
         },
     )
-    with _progress() as report:
-        rows = list(measure(sizes, seed=seed, processes=processes, progress=report))
+    with _progress() as progress:
+        rows = list(measure_difficulty(sizes, seed=seed, processes=processes, progress=progress))
     _conclude_rows(rows, as_json=as_json)
 
 
@@ -148,8 +152,7 @@ def simood(
 
     Example: brink bench simood A0 A2 --processes 2
     """
-    # Imported here: it loads the simulator.
-    from brink.bench.simood.criteria import CRITERIA, measure_simood
+    from brink.bench.simood import CRITERIA, measure_simood
 
     wanted = [name.upper() for name in criteria or CRITERIA]
     for name in wanted:
@@ -157,8 +160,8 @@ def simood(
             message = f"expected some of {', '.join(CRITERIA)}, got {name!r}"
             raise InvalidInput([FieldError(pointer="criteria", message=message)])
     out.mkdir(parents=True, exist_ok=True)
-    with _progress() as report:
-        rows = measure_simood(wanted, out, processes=processes, told=report)
+    with _progress() as progress:
+        rows = measure_simood(wanted, out, processes=processes, progress=progress)
     _conclude_rows(rows, as_json=as_json)
 
 
@@ -181,19 +184,52 @@ def mumoea(
 
     Example: brink bench mumoea --seeds 5 --simulations 2000
     """
-    # Imported here: it loads the simulator.
-    from brink.bench.mumoea.comparison import Comparison
+    from brink.bench.mumoea import Comparison
     from brink.server.problems.catalogue import make_params
     from brink.server.problems.npc_actions import NpcActionsParams
 
     params = make_params(NpcActionsParams, {"road_curve": road}, "/problem/params")
     out.mkdir(parents=True, exist_ok=True)
-    with _progress() as report:
-        comparison = Comparison(
-            out, params, seeds=seeds, simulations=simulations, processes=processes, told=report
-        )
-        rows = comparison.rows()
+    with _progress() as progress:
+        rows = Comparison(
+            out, params, seeds=seeds, simulations=simulations, processes=processes, progress=progress
+        ).rows()
     _conclude_rows(rows, as_json=as_json)
+
+
+@bench.command()
+def control(
+    simulations: Annotated[int, typer.Option(min=100, help="Simulations per campaign.")] = 1300,
+    seeds: Annotated[int, typer.Option(min=1, help="Number of campaigns of each algorithm.")] = 2,
+    behaviour: Annotated[int, typer.Option(min=0, help="Seed of the fixed behaviour.")] = 3,
+    processes: Processes = 2,
+    as_json: AsJson = False,
+) -> None:
+    """Calibrate the control on campaigns in which the behaviour has no effect.
+
+    All candidates have the same behaviour, so the control should reach the same figures as the real verdicts.
+
+    Example: brink bench control --seeds 2
+    """
+    from brink.bench.control import T_BS, calibrate
+
+    with _progress() as progress:
+        found = list(
+            calibrate(
+                progress, simulations=simulations, seeds=range(1, seeds + 1), behaviour=behaviour,
+                processes=processes,
+            )
+        )  # fmt: skip
+    table = _table(
+        ("algorithm", "seed", "unsafe", "evaluations per scenario", "DBS of", *(f"t_b {t:g}" for t in T_BS)),
+        (
+            (one.algorithm, one.seed, f"{one.unsafe_share:.0%}", f"{one.repeats:.1f}", name,
+             *(f"{dbs:.4g}" for dbs in values))
+            for one in found
+            for name, values in (("real verdicts", one.real), ("control", one.control))
+        ),
+    )  # fmt: skip
+    _conclude([{**fields(one), "t_b": T_BS} for one in found], table, as_json=as_json)
 
 
 @bench.command()
@@ -202,21 +238,39 @@ def search(as_json: AsJson = False) -> None:
 
     Example: brink bench search
     """
-    from brink.bench.distances import measure
+    from brink.bench.search import measure_steps
 
-    rows = measure()
+    rows = measure_steps()
+    table = _table(
+        ("archived", "new", "min ms", "median ms", "target ms", ""),
+        (
+            (f"{row.solutions:,}", row.new, f"{row.min_ms:.2f}", f"{row.median_ms:.2f}",
+             _bound(row.target_ms), _met(row.met))
+            for row in rows
+        ),
+    )  # fmt: skip
+    _conclude([fields(row) for row in rows], table, as_json=as_json)
 
-    def show(screen: Console) -> None:
-        table = _table("archived", "new", "min ms", "median ms", "target ms", "")
-        for row in rows:
-            target = "" if row.target_ms is None else f"at most {row.target_ms:g}"
-            table.add_row(
-                f"{row.solutions:,}", str(row.new), f"{row.min_ms:.2f}", f"{row.median_ms:.2f}", target,
-                _met(row.met),
-            )  # fmt: skip
-        screen.print(table)
 
-    _conclude([fields(row) for row in rows], show, as_json=as_json)
+@bench.command()
+def monitor(as_json: AsJson = False) -> None:
+    """Measure a query of safety monitors that learned from archives of growing size.
+
+    Example: brink bench monitor
+    """
+    from brink.bench.search import measure_monitor
+
+    rows = measure_monitor()
+    table = _table(
+        ("learned from", "min ms", "median ms", "target ms", ""),
+        (
+            (f"{row.solutions:,}", f"{row.min_ms:.3f}", f"{row.median_ms:.3f}",
+             _bound(row.target_ms), _met(row.met))
+            for row in rows
+        ),
+    )  # fmt: skip
+    names = ("solutions", "min_ms", "median_ms", "target_ms")
+    _conclude([fields(row, *names) for row in rows], table, as_json=as_json)
 
 
 @bench.command()
@@ -229,7 +283,8 @@ def sim(
 
     Example: brink bench sim
     """
-    from brink.bench.urban_costs import measure_costs
+    from brink.bench.service import TARGET_SHARE, measure_service
+    from brink.bench.urban import measure_costs
 
     rates = []
     with console(stderr=True).status(
@@ -240,37 +295,78 @@ def sim(
             for workers in (1, 2):
                 status.update(f"{algorithm} with {workers} workers against a bare loop")
                 rates.append(measure_service(workers, algorithm, episodes=episodes, repeats=repeats))
-
-    def show(screen: Console) -> None:
-        table = _table("what", "value", "", "target", "")
-        for kind in kinds:
-            target = "" if kind.most is None else f"at most {kind.most:g}"
-            table.add_row(kind.what, f"{kind.value:.1f}", kind.unit, target, _met(kind.met))
-        screen.print(table)
-        screen.print(_rate_table(rates))
-        screen.print(
-            "[dim]CPU time in ms per episode. The rest of the difference is waiting, for the last episodes of a "
-            "generation and for the next one. Random search proposes all episodes at once, MLCSHE proposes "
-            "generations.[/dim]"
-        )
-
-    document = {"episodes": [fields(kind) for kind in kinds], "service": [fields(rate) for rate in rates]}
-    _conclude(document, show, as_json=as_json)
-
-
-def _rate_table(rates: list[ServiceRate]) -> Table:
-    table = _table(
-        "algorithm", "workers", "service /s", "bare /s", "share", "target", "", "coordinator", "worker",
-        "episode", "bare episode",
+    costs = _table(
+        ("what", "value", "", "target", ""),
+        ((kind.what, f"{kind.value:.1f}", kind.unit, _bound(kind.most), _met(kind.met)) for kind in kinds),
+    )
+    service = _table(
+        ("algorithm", "workers", "service /s", "bare /s", "share", "target", "", "coordinator", "worker", "episode",
+         "bare episode"),
+        (
+            (rate.algorithm, rate.workers, f"{rate.service_per_s:.1f}", f"{rate.bare_per_s:.1f}",
+             f"{rate.share:.1%}", f"at least {TARGET_SHARE:.0%}", _met(rate.share >= TARGET_SHARE),
+             f"{rate.coordinator_ms:.2f}", f"{rate.worker_ms:.2f}", f"{rate.episode_ms:.1f}", f"{rate.bare_ms:.1f}")
+            for rate in rates
+        ),
     )  # fmt: skip
-    for rate in rates:
-        table.add_row(
-            rate.algorithm, str(rate.workers), f"{rate.service_per_s:.1f}", f"{rate.bare_per_s:.1f}",
-            f"{rate.share:.1%}", f"at least {TARGET_SHARE:.0%}", _met(rate.share >= TARGET_SHARE),
-            f"{rate.coordinator_ms:.2f}", f"{rate.worker_ms:.2f}", f"{rate.episode_ms:.1f}",
-            f"{rate.bare_ms:.1f}",
-        )  # fmt: skip
-    return table
+    note = (
+        "[dim]CPU time in ms per episode. The rest of the difference is waiting for the last episodes of a generation"
+        " and for the next one. Random search proposes all episodes at once, MLCSHE proposes generations.[/dim]"
+    )
+    document = {"episodes": [fields(kind) for kind in kinds], "service": [fields(rate) for rate in rates]}
+    _conclude(document, costs, service, note, as_json=as_json)
+
+
+@bench.command()
+def rendering(
+    frames: Annotated[int, typer.Option(min=1, help="Frames whose median is taken.")] = 60,
+    as_json: AsJson = False,
+) -> None:
+    """Measure the CPU time of a rendered frame and of its labels, at each size and light.
+
+    Example: brink bench rendering --frames 60
+    """
+    from brink.bench.pictures import measure_rendering
+
+    rows = measure_rendering(frames)
+    table = _table(
+        ("size", "light", "frame ms", "labels ms", "target ms", ""),
+        (
+            (f"{row.width_px} x {row.height_px}", row.light, f"{row.frame_ms:.2f}", f"{row.labels_ms:.2f}",
+             _bound(row.target_ms), _met(row.met))
+            for row in rows
+        ),
+    )  # fmt: skip
+    _conclude([fields(row) for row in rows], table, as_json=as_json)
+
+
+@bench.command()
+def perturbations(
+    heights: Annotated[
+        list[int] | None, typer.Option("--height", min=36, help="Height of 16:9 frames, in px.")
+    ] = None,
+    repeats: Annotated[int, typer.Option(min=1, help="Calls at each level.")] = 40,
+    as_json: AsJson = False,
+) -> None:
+    """Measure the CPU time of every perturbation at its lowest, middle and highest level.
+
+    The equivalents of albumentations are measured at the highest level if that library is installed.
+
+    Example: brink bench perturbations --height 720
+    """
+    from brink.bench.pictures import measure_perturbations
+
+    rows = measure_perturbations(heights or (360, 720), repeats)
+    table = _table(
+        ("height px", "gene", "low ms", "middle ms", "top ms", "target ms", "", "albumentations ms", "ratio"),
+        (
+            (row.height_px, row.gene, f"{row.low_ms:.2f}", f"{row.middle_ms:.2f}", f"{row.top_ms:.2f}",
+             _bound(row.target_ms), _met(row.met),
+             *(("", "") if row.ratio is None else (f"{row.albumentations_ms:.2f}", f"{row.ratio:.1f}")))
+            for row in rows
+        ),
+    )  # fmt: skip
+    _conclude([fields(row) for row in rows], table, as_json=as_json)
 
 
 @bench.command()
@@ -287,29 +383,19 @@ def paper(
 
     Example: brink bench paper --workers 2
     """
+    from brink.bench.service import embedded_service
+
     bodies = [read_campaign_file(path) for path in files or PAPER_FILES]
-    settings = Settings(database=database, port=0)
-    prepare_database(settings)
-    coordinator = EmbeddedCoordinator(settings)
-    coordinator.start()
-    processes = WorkerProcesses(url=coordinator.url, log_file=RESULTS / "worker.log", token=None)
-    try:
-        processes.start(workers)
-        times, rows = asyncio.run(_paper(coordinator.url, bodies, control=control, quiet=as_json))
-    finally:
-        processes.stop()
-        coordinator.stop()
-
-    def show(screen: Console) -> None:
-        table = _table("campaign", "seconds", "target", "")
-        for name, seconds in times.items():
-            table.add_row(
-                name, f"{seconds:.0f}", f"under {PAPER_TARGET_S:.0f}", _met(seconds < PAPER_TARGET_S)
-            )
-        screen.print(table, "")
-        print_rows(screen, rows)
-
-    _conclude({"seconds": times, "rows": rows_json(rows)}, show, as_json=as_json)
+    with embedded_service(database, RESULTS / "worker.log", workers) as (url, _):
+        times, rows = asyncio.run(_paper(url, bodies, control=control, quiet=as_json))
+    target = f"under {PAPER_TARGET_S:.0f}"
+    table = _table(
+        ("campaign", "seconds", "target", ""),
+        ((name, f"{seconds:.0f}", target, _met(seconds < PAPER_TARGET_S)) for name, seconds in times.items()),
+    )
+    _conclude({"seconds": times, "rows": rows_json(rows)}, table, "", as_json=as_json)
+    if not as_json:
+        print_rows(console(), rows)
 
 
 async def _paper(
@@ -340,21 +426,21 @@ def queue(
 ) -> None:
     """Measure queue throughput and pick-up times, beside Celery on Redis and procrastinate on Postgres.
 
-    All queues run durably: acknowledged jobs survive a power cut. The other queues need pip install 'brink[bench]'
-    and an installed redis-server; Postgres is started in a temporary folder. Use --quick for a quick look.
+    All queues run durably: acknowledged jobs survive a power cut. The other queues need pip install
+    'brink-boundary[bench]' and an installed redis-server; Postgres is started in a temporary folder. Use --quick for
+    a quick look.
 
     Example: brink bench queue
     """
-    # Imported here, and below: measurements need optional packages.
-    from brink.bench.load import problem  # noqa: F401  (registers the problem)
-    from brink.bench.queue.comparison import TARGET_PICKUP_MS, TARGET_TIMES, compare_queues
+    from brink.bench.queue import TARGET_PICKUP_MS, TARGET_RATIO, compare_queues
 
-    with _progress() as report:
-        found = compare_queues(report, jobs=jobs, rounds=rounds, quick=quick)
+    with _progress() as progress:
+        found = compare_queues(progress, jobs=jobs, rounds=rounds, quick=quick)
     ratios = found.ratios()
-    missed = any(ratio < TARGET_TIMES for _, _, ratio in ratios) or any(
-        pickup.p99_ms >= TARGET_PICKUP_MS for pickup in found.pickups if pickup.since == "stored"
-    )
+    # Only the time since a job was stored has a target.
+    pickups = [
+        (one, one.p99_ms < TARGET_PICKUP_MS if one.since == "stored" else None) for one in found.pickups
+    ]
     document = {
         "throughput": [{**fields(one), "per_s": one.per_s} for one in found.throughput],
         "ratios": [
@@ -365,35 +451,47 @@ def queue(
         "settings": found.settings,
         "left_out": found.left_out,
     }
-
-    def show(screen: Console) -> None:
-        table = _table("queue", "workers", "batch", "jobs /s", "lease p50 ms", "p99 ms")
-        for one in found.throughput:
-            times = ["" if ms is None else f"{ms:.1f}" for ms in (one.lease_p50_ms, one.lease_p99_ms)]
-            table.add_row(one.system, str(one.workers), str(one.batch), f"{one.per_s:,.0f}", *times)
-        screen.print(table, "")
-        table = _table("queue", "workers", "times as fast", "of", "target", "")
-        for ours, best, ratio in ratios:
-            table.add_row(
-                ours.system, str(ours.workers), f"{ratio:.1f}", best.system, f"at least {TARGET_TIMES:g}",
-                _met(ratio >= TARGET_TIMES),
-            )  # fmt: skip
-        screen.print(table, "")
-        table = _table("an idle worker starts a job", "since it was", "p50 ms", "p99 ms", "target", "")
-        for pickup in found.pickups:
-            target, met = "", None
-            if pickup.since == "stored":
-                target, met = f"p99 under {TARGET_PICKUP_MS:g}", pickup.p99_ms < TARGET_PICKUP_MS
-            table.add_row(
-                pickup.system, pickup.since, f"{pickup.p50_ms:.1f}", f"{pickup.p99_ms:.1f}", target, _met(met)
-            )
-        screen.print(table, "")
-        for system, setting in found.settings.items():
-            screen.print(f"[dim]{system}: {setting}[/dim]")
-        for system, reason in found.left_out.items():
-            screen.print(f"[yellow]{system} was left out: {reason}[/yellow]")
-
-    _conclude(document, show, as_json=as_json, missed=missed)
+    throughput_table = _table(
+        ("queue", "workers", "batch", "jobs /s", "lease p50 ms", "p99 ms"),
+        (
+            (one.system, one.workers, one.batch, f"{one.per_s:,.0f}",
+             *("" if ms is None else f"{ms:.1f}" for ms in (one.lease_p50_ms, one.lease_p99_ms)))
+            for one in found.throughput
+        ),
+    )  # fmt: skip
+    ratio_table = _table(
+        ("queue", "workers", "times as fast", "of", "target", ""),
+        (
+            (ours.system, ours.workers, f"{ratio:.1f}", best.system, f"at least {TARGET_RATIO:g}",
+             _met(ratio >= TARGET_RATIO))
+            for ours, best, ratio in ratios
+        ),
+    )  # fmt: skip
+    pickup_table = _table(
+        ("an idle worker starts a job", "since it was", "p50 ms", "p99 ms", "target", ""),
+        (
+            (one.system, one.since, f"{one.p50_ms:.1f}", f"{one.p99_ms:.1f}",
+             "" if met is None else f"p99 under {TARGET_PICKUP_MS:g}", _met(met))
+            for one, met in pickups
+        ),
+    )  # fmt: skip
+    notes: list[RenderableType] = [
+        f"[dim]{system}: {setting}[/dim]" for system, setting in found.settings.items()
+    ]
+    notes += [Text(f"{name} was left out: {reason}", "yellow") for name, reason in found.left_out.items()]
+    missed = any(ratio < TARGET_RATIO for *_, ratio in ratios) or any(met is False for _, met in pickups)
+    _conclude(
+        document,
+        throughput_table,
+        "",
+        ratio_table,
+        "",
+        pickup_table,
+        "",
+        *notes,
+        as_json=as_json,
+        missed=missed,
+    )
 
 
 @bench.command()
@@ -415,11 +513,11 @@ def chaos(
 
     Example: brink bench chaos --minutes 10
     """
-    from brink.bench.chaos.trial import ChaosPlan, run_trial
+    from brink.bench.chaos import ChaosPlan, run_trial
 
     plan = ChaosPlan(minutes=minutes, faults=faults, simulations=simulations, drives=not idle, seed=seed)
-    with _progress() as report:
-        outcome = run_trial(plan, report)
+    with _progress() as progress:
+        outcome = run_trial(plan, progress)
     findings = outcome.findings
     wrong = {"lost": findings.lost, "counted twice": findings.doubled, "stuck": findings.stuck}
     undisturbed = outcome.same == len(outcome.digests)
@@ -431,32 +529,25 @@ def chaos(
         "results": outcome.statuses,
         "campaigns": outcome.campaigns,
         "digests": outcome.digests,
-        "ended_by_themselves": outcome.own_ends,
+        "ended_by_themselves": outcome.unexpected_exits,
         **{name.replace(" ", "_"): list(found) for name, found in wrong.items()},
     }
-
-    def show(screen: Console) -> None:
-        table = _table("what broke", "times")
-        for name, count in (outcome.broken + outcome.messages).most_common():
-            table.add_row(name, str(count))
-        table.add_row("processes, connections, databases", str(outcome.broken.total()))
-        table.add_row(f"messages, of {outcome.requests:,}", str(outcome.messages.total()))
-        screen.print(table, "")
-        answers = ", ".join(f"{count:,} {name}" for name, count in outcome.statuses.most_common())
-        screen.print(f"answers to results: {answers}")
-        for end in outcome.own_ends:
-            screen.print(f"exited by itself and was restarted: {end}", markup=False)
-        table = _table("in the end", "value", "target", "")
-        for name, found in wrong.items():
-            table.add_row(f"verdicts or jobs {name}", str(len(found)), "0", _met(not found))
-        same = f"{outcome.same} of {len(outcome.digests)}"
-        table.add_row("archives equal to the undisturbed ones", same, "all", _met(undisturbed))
-        screen.print("", table)
-        for name, found in wrong.items():
-            for one in found[:10]:
-                screen.print(f"[red]{name}: {one}[/red]")
-
-    _conclude(document, show, as_json=as_json, missed=any(wrong.values()) or not undisturbed)
+    injected = _table(("fault", "times"), (outcome.broken + outcome.messages).most_common())
+    injected.add_row("processes, connections, databases", str(outcome.broken.total()))
+    injected.add_row(f"messages, of {outcome.requests:,}", str(outcome.messages.total()))
+    answers = ", ".join(f"{count:,} {name}" for name, count in outcome.statuses.most_common())
+    verdicts = _table(
+        ("in the end", "value", "target", ""),
+        ((f"verdicts or jobs {name}", len(found), "0", _met(not found)) for name, found in wrong.items()),
+    )
+    same = f"{outcome.same} of {len(outcome.digests)}"
+    verdicts.add_row("archives equal to the undisturbed ones", same, "all", _met(undisturbed))
+    _conclude(
+        document, injected, "", f"answers to results: {answers}",
+        *(Text(f"exited by itself and was restarted: {end}") for end in outcome.unexpected_exits), "", verdicts,
+        *(Text(f"{name}: {one}", "red") for name, found in wrong.items() for one in found[:10]),
+        as_json=as_json, missed=any(wrong.values()) or not undisturbed,
+    )  # fmt: skip
 
 
 @bench.command()
@@ -482,27 +573,50 @@ def scale(
 
     Example: brink bench scale --workers 1000 --scale 1
     """
-    from brink.bench.scale.utilisation import TARGET, measure_utilisation
+    from brink.bench.scale import TARGET, measure_utilisation
 
-    with _progress() as report:
-        found = measure_utilisation(report, workers=workers, seconds=seconds, scale=shrunk)
+    with _progress() as progress:
+        found = measure_utilisation(progress, workers=workers, seconds=seconds, scale=shrunk)
+    table = _table(
+        ("workers", "campaigns", "generation", "jobs", "seconds", "used", "target", "", "coordinator CPU",
+         "its writer", "step s"),
+        (
+            (one.workers, one.campaigns, one.generation, f"{one.jobs:,}", f"{one.seconds:.0f}", f"{one.share:.1%}",
+             "" if one.met is None else f"at least {TARGET:.0%}", _met(one.met),
+             f"{one.coordinator_s / one.seconds:.0%}", f"{one.writing_s / one.seconds:.0%}", f"{one.step_s:.3f}")
+            for one in found
+        ),
+    )  # fmt: skip
+    document = [{**fields(one), "share": one.share, "met": one.met} for one in found]
+    _conclude(document, table, as_json=as_json, missed=any(one.met is False for one in found))
 
-    def show(screen: Console) -> None:
-        table = _table(
-            "workers", "campaigns", "generation", "jobs", "seconds", "used", "target", "", "coordinator CPU",
-            "its writer", "step s",
-        )  # fmt: skip
-        for one in found:
-            table.add_row(
-                str(one.workers), str(one.campaigns), str(one.generation), f"{one.jobs:,}", f"{one.seconds:.0f}",
-                f"{one.share:.1%}", "" if one.meets is None else f"at least {TARGET:.0%}", _met(one.meets),
-                f"{one.coordinator_s / one.seconds:.0%}", f"{one.writing_s / one.seconds:.0%}",
-                f"{one.step_s:.3f}",
-            )  # fmt: skip
-        screen.print(table)
 
-    document = [{**fields(one), "share": one.share, "met": one.meets} for one in found]
-    _conclude(document, show, as_json=as_json, missed=any(one.meets is False for one in found))
+@bench.command()
+def turns(
+    seeds: Annotated[int, typer.Option(min=1, help="Number of runs whose mean is taken.")] = 20,
+    as_json: AsJson = False,
+) -> None:
+    """Model the utilisation of 64 workers by how long a campaign's turn lasts, without a coordinator.
+
+    Example: brink bench turns
+    """
+    from brink.bench.scale import model_turns
+
+    found = model_turns(seeds)
+    table = _table(
+        ("generation", "campaigns", "generations", "job by job", "four jobs per worker"),
+        (
+            (
+                one.generation,
+                one.campaigns,
+                one.generations,
+                f"{one.single:.1%}",
+                f"{one.four_per_worker:.1%}",
+            )
+            for one in found
+        ),
+    )
+    _conclude([fields(one) for one in found], table, as_json=as_json)
 
 
 @bench.command()
@@ -517,31 +631,28 @@ def archive(
 
     Example: brink bench archive --solutions 20000
     """
-    from brink.bench.endurance.archive import GENERATION, TARGET_MS, measure_archive
+    from brink.bench.endurance import GENERATION, TARGET_MS, measure_archive
 
-    with _progress() as report:
-        found = measure_archive(report, solutions=solutions, samples=samples)
+    with _progress() as progress:
+        found = measure_archive(progress, solutions=solutions, samples=samples)
     document = {
         "answers": [fields(one, "request", "first_ms", "p50_ms", "p95_ms") for one in found.answers],
         "bytes_a_solution": found.bytes_a_solution,
         "last_step_s": found.last_step_s,
     }
-
-    def show(screen: Console) -> None:
-        table = _table("request", "first ms", "p50 ms", "p95 ms", "target", "")
-        for one in found.answers:
-            table.add_row(
-                one.request, f"{one.first_ms:.0f}", f"{one.p50_ms:.0f}", f"{one.p95_ms:.0f}",
-                f"p95 under {TARGET_MS:g}", _met(one.p95_ms < TARGET_MS),
-            )  # fmt: skip
-        screen.print(table)
-        screen.print(
-            f"database: {found.bytes_a_solution / 1000:.1f} kB per solution, with its job and result"
-        )
-        screen.print(f"last generation step, {GENERATION} new solutions: {found.last_step_s:.2f} s")
-
+    target = f"p95 under {TARGET_MS:g}"
+    table = _table(
+        ("request", "first ms", "p50 ms", "p95 ms", "target", ""),
+        (
+            (one.request, f"{one.first_ms:.0f}", f"{one.p50_ms:.0f}", f"{one.p95_ms:.0f}",
+             target, _met(one.p95_ms < TARGET_MS))
+            for one in found.answers
+        ),
+    )  # fmt: skip
+    size = f"database: {found.bytes_a_solution / 1000:.1f} kB per solution, with its job and result"
+    step = f"last generation step, {GENERATION} new solutions: {found.last_step_s:.2f} s"
     missed = any(one.p95_ms >= TARGET_MS for one in found.answers)
-    _conclude(document, show, as_json=as_json, missed=missed)
+    _conclude(document, table, size, step, as_json=as_json, missed=missed)
 
 
 @bench.command()
@@ -553,24 +664,23 @@ def soak(
 
     Example: brink bench soak --minutes 60
     """
-    from brink.bench.endurance.soak import TARGET_MIB_AN_HOUR, soak
+    from brink.bench.endurance import TARGET_MIB_PER_HOUR, measure_growth
 
-    with _progress() as report:
-        found = soak(report, minutes=minutes)
-
-    def show(screen: Console) -> None:
-        table = _table("process", "MiB first", "last", "most", "MiB an hour", "target", "")
-        for one in found:
-            table.add_row(
-                one.process, f"{one.mib[0]:.1f}", f"{one.mib[-1]:.1f}", f"{max(one.mib):.1f}",
-                f"{one.slope:+.2f}", f"under {TARGET_MIB_AN_HOUR:g}", _met(one.slope < TARGET_MIB_AN_HOUR),
-            )  # fmt: skip
-        screen.print(table)
-        screen.print(f"{found[0].campaigns} campaigns of {found[0].simulations:,} simulations ended")
-
+    with _progress() as progress:
+        found = measure_growth(progress, minutes=minutes)
+    target = f"under {TARGET_MIB_PER_HOUR:g}"
+    table = _table(
+        ("process", "MiB first", "last", "most", "MiB per hour", "target", ""),
+        (
+            (one.process, f"{one.mib[0]:.1f}", f"{one.mib[-1]:.1f}", f"{max(one.mib):.1f}",
+             f"{one.slope:+.2f}", target, _met(one.slope < TARGET_MIB_PER_HOUR))
+            for one in found
+        ),
+    )  # fmt: skip
+    finished = f"{found[0].campaigns} campaigns finished, with {found[0].simulations:,} simulations in all"
     columns = ("process", "campaigns", "simulations", "slope", "hours", "mib")
-    missed = any(one.slope >= TARGET_MIB_AN_HOUR for one in found)
-    _conclude([fields(one, *columns) for one in found], show, as_json=as_json, missed=missed)
+    missed = any(one.slope >= TARGET_MIB_PER_HOUR for one in found)
+    _conclude([fields(one, *columns) for one in found], table, finished, as_json=as_json, missed=missed)
 
 
 @bench.command()
@@ -586,12 +696,12 @@ def dashboard(
 ) -> None:
     """Measure the dashboard in headless Chromium: first view, polling, dragging the map, staying open for a day.
 
-    Needs pip install 'brink[dev]' and Chromium, for example from apt-get install chromium.
+    Needs pip install 'brink-boundary[dev]' and Chromium, for example from apt-get install chromium.
 
     Example: brink bench dashboard --polls 500
     """
-    from brink.bench.dashboard.trial import measure_dashboard
+    from brink.bench.dashboard import measure_dashboard
 
-    with _progress() as report:
-        rows = measure_dashboard(report, solutions=solutions, polls=polls)
+    with _progress() as progress:
+        rows = measure_dashboard(progress, solutions=solutions, polls=polls)
     _conclude_rows(rows, as_json=as_json)

@@ -11,8 +11,7 @@ and twice the GA's.
 Limits: equal figures do not prove that the behaviour has no effect, because DBS counts neighbourhoods and can miss a
 real dependence, and a difference says nothing about the effect on any single solution. Scenarios must have been
 evaluated several times. The estimate for a scenario evaluated once comes mostly from similar ones, which flattens the
-landscape, so that the control reads far too low; see `Control.reads_low`, and the measurement in
-`benchmarks/control_calibration.py`.
+landscape, so that the control reads far too low; see `Control.reads_low` and `brink bench control`.
 """
 
 from collections.abc import Sequence

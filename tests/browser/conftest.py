@@ -12,7 +12,7 @@ from support.api import ball, listening_coordinator, submit
 from support.problems import small_problems
 
 import brink.server.access.authentication
-from brink.bench.temporary.chromium import NoChromium, chromium, executable
+from brink.bench.chromium import NoChromium, chromium, executable
 from browser.console import Console, silence
 from browser.served import LOOSELY, NOBODYS, SECRET, Served, served, unsafe_one
 from browser.views import View, views_of

@@ -21,7 +21,7 @@ from playwright.sync_api import expect as shown
 from support.api import eventually, expect, listening_coordinator, progress, submit
 from support.databases import sqlite_template
 
-from brink.bench.temporary.chromium import chromium
+from brink.bench.chromium import chromium
 from browser.console import Console, silence
 from browser.served import API, SECRET, origin, worker
 from browser.views import View, open_view, views_of

@@ -55,7 +55,6 @@ class FaultySimulator:
 
     def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
         """Run one episode."""
-        began_s, began_queued_s = time.monotonic(), _queued_s()
         fault = str(spec.scenario.get("fault", "none"))
         if fault != "none" and _is_due(spec.scenario.get("once")):
             cause(fault, _number(spec.scenario, "slow_s", 0.1), spec.scenario.get("until"))
@@ -69,13 +68,7 @@ class FaultySimulator:
             },
             objectives={"distance": distance},
             features={},
-            provenance={
-                "pid": os.getpid(),
-                "began_s": began_s,
-                "began_queued_s": began_queued_s,
-                "ended_queued_s": _queued_s(),
-                "ended_s": time.monotonic(),
-            },
+            provenance={"pid": os.getpid()},
             trace=b"trace of " + spec.digest().encode() if record else None,
         )
 
@@ -137,14 +130,6 @@ def _make_noise() -> None:
         stream.flush()
     os.write(1, b"\x00\x00\x00\x05hello" * 1000)
     os.write(2, b"\xff\xfe raw bytes\n")
-
-
-def _queued_s() -> float:
-    """Return how long this thread has waited for a processor; 0 if that is unknown."""
-    try:
-        return int(Path("/proc/thread-self/schedstat").read_text().split()[1]) / 1e9
-    except OSError:
-        return 0.0
 
 
 def _is_due(once: Json) -> bool:

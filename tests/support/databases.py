@@ -1,7 +1,7 @@
 """Databases for tests: each test gets one of its own, migrated, on SQLite or on a real Postgres.
 
 ``TEST_DATABASE_URL`` names a running Postgres server on which the user may create databases. Without it, one is
-started once a run, as `brink.bench.temporary.postgres` finds it.
+started once a run, as `brink.bench.servers` finds it.
 """
 
 import os
@@ -18,7 +18,7 @@ import pytest
 from sqlalchemy import inspect
 from sqlalchemy.engine import make_url
 
-from brink.bench.temporary.postgres import temporary_postgres
+from brink.bench.servers import temporary_postgres
 from brink.server.db.engine import open_engines
 from brink.server.db.upgrade import upgrade
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
 
-from brink.bench.temporary.postgres import NoPostgres
+from brink.bench.servers import NoPostgres
 from support.databases import running_postgres
 
 MEMORY = Path("/dev/shm")

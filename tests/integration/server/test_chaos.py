@@ -1,4 +1,4 @@
-"""A short fault trial, and its audit: lost, doubled and stuck jobs are noticed."""
+"""A short fault trial, and its audit: lost, doubled and stuck jobs are detected."""
 
 import json
 from typing import Any
@@ -9,8 +9,7 @@ from support.databases import on_sqlite
 from support.processes import environment
 from support.queue import RESULT, Queue
 
-from brink.bench.chaos.ledger import Ledger, audit
-from brink.bench.chaos.trial import ChaosPlan, run_trial
+from brink.bench.chaos import ChaosPlan, Ledger, audit, run_trial
 from brink.server.db.engine import Engines
 from brink.server.db.models import CampaignRow, SolutionRow
 from brink.server.states import CampaignStatus, SolutionVerdict
@@ -20,7 +19,7 @@ SHORT = ChaosPlan(minutes=0.25, faults=8, every_s=1.2, share=0.05, simulations=1
 
 
 def ignore(part: str, done: int, total: int) -> None:
-    """Ignore the trial's progress."""
+    """Ignore the progress of the trial."""
 
 
 @pytest.mark.long("a fault trial by wall clock")
@@ -71,7 +70,7 @@ class TestAudit:
         queue.complete(jobs[0])
         note(ledger, jobs)
         lost, doubled, _ = findings_of(engines, ledger, {campaign: 0})
-        assert lost == [f"job {jobs[1].job}: taken, but it is leased"]
+        assert lost == [f"job {jobs[1].job}: accepted, but it is leased"]
         assert doubled == []
 
     def test_verdict_that_differs_from_the_accepted_one_is_lost(self, queue: Queue, engines: Engines) -> None:
@@ -80,7 +79,7 @@ class TestAudit:
         queue.complete(*jobs)
         note(ledger, jobs, result=RESULT.replace('"objectives":{}', '"objectives":{"gap":1.0}'))
         lost, _, _ = findings_of(engines, ledger, {campaign: 0})
-        assert lost == [f"job {jobs[0].job}: taken, but it is done"]
+        assert lost == [f"job {jobs[0].job}: accepted, but it is done"]
 
     def test_verdict_accepted_twice_is_doubled(self, queue: Queue, engines: Engines) -> None:
         campaign, ledger = queue.campaign(1), Ledger()
@@ -90,7 +89,7 @@ class TestAudit:
         note(ledger, jobs, status="duplicate")
         assert findings_of(engines, ledger, {campaign: 0})[1] == []
         note(ledger, jobs)
-        assert findings_of(engines, ledger, {campaign: 0})[1] == [f"job {jobs[0].job}: taken 2 times"]
+        assert findings_of(engines, ledger, {campaign: 0})[1] == [f"job {jobs[0].job}: accepted 2 times"]
 
     def test_open_jobs_and_campaigns_are_stuck_and_missing_verdicts_are_lost(
         self, queue: Queue, engines: Engines
@@ -119,6 +118,6 @@ class TestAudit:
             f"campaign {campaign}: counts 3 solutions, 2 have a verdict"
         ]
 
-    def test_campaign_that_nobody_submitted_is_doubled(self, queue: Queue, engines: Engines) -> None:
+    def test_campaign_that_was_not_submitted_is_doubled(self, queue: Queue, engines: Engines) -> None:
         campaign = queue.campaign(1)
-        assert findings_of(engines, Ledger(), {})[1] == [f"campaign {campaign}: nobody submitted it"]
+        assert findings_of(engines, Ledger(), {})[1] == [f"campaign {campaign} was not submitted"]

@@ -13,7 +13,7 @@ import pytest
 from pydantic import SecretStr, ValidationError
 from support.api import ball, eventually, expect, listening_coordinator
 
-from brink.bench.temporary.coordinator import Process, free_port
+from brink.bench.processes import Process, free_port
 from brink.server.db.engine import parse_url
 from brink.server.errors import DatabaseError
 from brink.server.runtime import request_timeout

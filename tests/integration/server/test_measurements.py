@@ -29,7 +29,7 @@ SIMOOD = {
 }  # fmt: skip
 
 
-def judged(spec: dict[str, Any]) -> Completed:
+def outcome_of(spec: dict[str, Any]) -> Completed:
     numbers = [*spec["behaviour"].values(), *(v for k, v in spec["scenario"].items() if k != "limit")]
     distance = math.hypot(*numbers)
     robustness = distance - spec["scenario"].get("limit", 1.0)
@@ -42,12 +42,12 @@ def judged(spec: dict[str, Any]) -> Completed:
     )
 
 
-def judge(job: LeasedJob) -> Completed | JobFailed:
-    return judged(job.spec)
+def simulate(job: LeasedJob) -> Completed | JobFailed:
+    return outcome_of(job.spec)
 
 
-def undisturbed() -> tuple[str, list[Candidate]]:
-    """Return the archive digest of the search without a coordinator, and all candidates that it asked for."""
+def search_without_coordinator() -> tuple[str, list[Candidate]]:
+    """Run the search without a coordinator; return its archive digest and all candidates that it proposed."""
     body = parse_body(SIMOOD)
     plan = make_plan(body)
     problem, algorithm, asked = plan.problem, plan.algorithm, list[Candidate]()
@@ -55,8 +55,8 @@ def undisturbed() -> tuple[str, list[Candidate]]:
 
     def answer(candidate: Candidate) -> Evaluation:
         if candidate.question is Question.DATASET:
-            return problem.measurement(judged(problem.dataset_evaluation(candidate.vectors).to_json()))
-        return problem.evaluation(judged(problem.episode(candidate.vectors, 1).to_json()))
+            return problem.measurement(outcome_of(problem.dataset_evaluation(candidate.vectors).to_json()))
+        return problem.evaluation(outcome_of(problem.episode(candidate.vectors, 1).to_json()))
 
     state = algorithm.start(problem.space, plan.config, seed=body.seed, budget=body.budget.simulations)
     while not algorithm.finished(state):
@@ -74,20 +74,20 @@ class Finished:
     id: str
 
     def get(self, path: str, status: int = 200, **params: Any) -> Any:
-        """Return the answer to a GET below the campaign."""
+        """Send a GET request to a path below the campaign and return the answer."""
         return expect(self.client.get(f"/api/v1/campaigns/{self.id}{path}", params=params), status)
 
 
 @pytest.fixture(scope="module")
 def finished(module_databases: Databases) -> Iterator[Finished]:
-    """One finished campaign for all tests that only look at it."""
+    """One finished campaign, shared by the tests that only read it."""
     with small_problems(), module_databases.database() as url, listening_coordinator(url) as client:
-        yield Finished(client=client, id=finish(client, SIMOOD, judge))
+        yield Finished(client=client, id=finish(client, SIMOOD, simulate))
 
 
 def test_search_on_data_simulates_its_finalists(finished: Finished) -> None:
     done = progress(finished.client, finished.id)
-    digest, asked = undisturbed()
+    digest, asked = search_without_coordinator()
     measured = sum(candidate.question is Question.DATASET for candidate in asked)
     simulated = len(asked) - measured
     assert simulated > 12, "4 finalists with 3 repeats, and the parts of those that are hazardous"
@@ -125,8 +125,8 @@ def test_measured_solutions_are_listed_but_not_archived(finished: Finished) -> N
     assert "no simulated solution" in refused["detail"]
 
 
-def test_equal_measurements_are_made_once(client: httpx.Client) -> None:
-    worker = FakeWorker(client, judge=judge)
+def test_identical_measurements_run_once(client: httpx.Client) -> None:
+    worker = FakeWorker(client, judge=simulate)
     first = worker.work(submit(client, SIMOOD))
     ran = len(worker.statuses)
     again = worker.work(submit(client, SIMOOD))
@@ -137,26 +137,26 @@ def test_equal_measurements_are_made_once(client: httpx.Client) -> None:
 def test_search_on_data_continues_after_a_restart(database_url: str, small_problems: None) -> None:
     with coordinator(database_url) as client:
         campaign = submit(client, SIMOOD)
-        FakeWorker(client, judge=judge).work(campaign, until=lambda current: current["generation"] >= 3)
+        FakeWorker(client, judge=simulate).work(campaign, until=lambda current: current["generation"] >= 3)
     with coordinator(database_url) as client:
-        done = FakeWorker(client, judge=judge).work(campaign)
-    assert done["digest"] == undisturbed()[0]
+        done = FakeWorker(client, judge=simulate).work(campaign)
+    assert done["digest"] == search_without_coordinator()[0]
 
 
 def test_measurement_without_its_value_is_a_failure(client: httpx.Client) -> None:
-    def sometimes(job: LeasedJob) -> Completed | JobFailed:
+    def omit_some_measurements(job: LeasedJob) -> Completed | JobFailed:
         if not job.spec["requirements"] and job.spec["behaviour"]["first"] == 2:
             return Completed(verdicts={}, objectives={})
-        return judged(job.spec)
+        return outcome_of(job.spec)
 
     relaxed = {**SIMOOD, "execution": {"max_failed_share": 1.0}}
-    done = FakeWorker(client, judge=sometimes).work(submit(client, relaxed))
+    done = FakeWorker(client, judge=omit_some_measurements).work(submit(client, relaxed))
     assert done["status"] == "finished"
     assert done["failed"] > 0
     assert done["evaluated"] >= 12
 
 
-def test_search_on_data_that_the_problem_does_not_have_is_rejected(client: httpx.Client) -> None:
+def test_search_on_data_is_rejected_for_a_problem_without_a_data_set(client: httpx.Client) -> None:
     body = {**SIMOOD, "problem": {"id": "slotted-blind@1"}}
     (error,) = expect(client.post("/api/v1/campaigns", json=body), 422)["errors"]
     assert error["pointer"] == "/algorithm/id"
@@ -170,7 +170,7 @@ def test_every_algorithm_searches_perturbations(client: httpx.Client, algorithm:
     body = {**SIMOOD, "algorithm": {"id": algorithm}}
     done = progress(client, submit(client, body))
     assert done["status"] == "running"
-    assert FakeWorker(client, judge=judge).work(done["id"])["evaluated"] >= 200
+    assert FakeWorker(client, judge=simulate).work(done["id"])["evaluated"] >= 200
 
 
 def test_new_campaign_has_measured_nothing(client: httpx.Client) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from brink.bench import trials
+from brink.bench import mumoea, simood, trials
 from brink.bench.trials import Record, Records, code_fingerprint, run_record
 from brink.sim.episode import EpisodeSpec
 
@@ -78,3 +78,8 @@ def test_the_fingerprint_depends_on_the_code() -> None:
 def test_the_fingerprint_of_a_missing_folder_is_an_error() -> None:
     with pytest.raises(FileNotFoundError, match="sim/nowhere"):
         code_fingerprint(["sim/nowhere"])
+
+
+@pytest.mark.parametrize("code", [mumoea.CODE, simood.CODE], ids=["mumoea", "simood"])
+def test_code_that_identifies_stored_outcomes_exists(code: tuple[str, ...]) -> None:
+    assert len(code_fingerprint(code)) == 12

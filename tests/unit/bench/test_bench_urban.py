@@ -1,4 +1,4 @@
-"""Measurements of the urban problem: costs, difficulty, and the random candidates behind them."""
+"""Measurements of the urban problem: its cost, its difficulty, and the random candidates behind both."""
 
 from collections import Counter
 
@@ -7,21 +7,27 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from brink.bench import urban_costs, urban_difficulty
-from brink.bench.figures import Row
+from brink.bench import urban
+from brink.bench.measurement import Row
 from brink.bench.trials import Trial, run_trials
-from brink.bench.urban_candidates import (
+from brink.bench.urban import (
     CATEGORICAL,
     PARAMETERS,
     Candidate,
+    Cost,
+    Sizes,
+    consistent_effect_p,
     distance,
     draw_candidate,
+    episode_cpu_s,
+    measure_costs,
+    measure_difficulty,
     neighbour,
+    process_memory_mb,
     redraw,
+    resident_mb,
     without_ghosts,
 )
-from brink.bench.urban_costs import Cost, episode_cpu_s, measure_costs, process_memory_mb, resident_mb
-from brink.bench.urban_difficulty import Sizes, consistent_effect_p, measure
 from brink.search.metric import Metric
 from brink.search.space import FloatArray
 from brink.server.problems.base import SimulatedProblem
@@ -60,8 +66,8 @@ def test_memory_does_not_grow_with_the_number_of_episodes() -> None:
 
 
 def test_all_costs_are_measured_with_their_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(urban_costs, "process_memory_mb", lambda episodes: (60.0, 60.5))
-    monkeypatch.setattr(urban_costs, "episode_cpu_s", lambda scenario, behaviour: 0.05)
+    monkeypatch.setattr(urban, "process_memory_mb", lambda episodes: (60.0, 60.5))
+    monkeypatch.setattr(urban, "episode_cpu_s", lambda scenario, behaviour: 0.05)
     costs = list(measure_costs(repeats=1, episodes=10))
     assert [cost.most for cost in costs] == [60.0, 100.0, None, 70.0, 2.0]
     assert [round(cost.value, 6) for cost in costs] == [50.0, 50.0, 50.0, 60.0, 0.5]
@@ -173,7 +179,7 @@ def test_measuring_yields_every_row_and_reports_progress(monkeypatch: pytest.Mon
             trials.append(Trial(unsafe=robustness < 0, robustness=robustness))
         return trials
 
-    monkeypatch.setattr(urban_difficulty, "run_trials", fake)
+    monkeypatch.setattr(urban, "run_trials", fake)
     progress: list[tuple[str, int, int]] = []
     sizes = Sizes(
         candidates=300,
@@ -186,7 +192,7 @@ def test_measuring_yields_every_row_and_reports_progress(monkeypatch: pytest.Mon
         permutations=99,
     )
     rows: dict[str, Row] = {
-        row.what: row for row in measure(sizes, progress=lambda *step: progress.append(step))
+        row.what: row for row in measure_difficulty(sizes, progress=lambda *step: progress.append(step))
     }
     assert len(rows) == 5 + 1 + 1 + 1 + 2 + 29
     assert rows["unsafe share"].met

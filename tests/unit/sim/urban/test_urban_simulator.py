@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from brink.bench.urban_candidates import draw_candidate
+from brink.bench.urban import draw_candidate
 from brink.sim.bullet.engine import process_engine
 from brink.sim.catalogue import make_simulator, requirement_ids
 from brink.sim.episode import EpisodeResult, EpisodeSpec, JsonObject

@@ -1,1 +1,0 @@
-"""A campaign while everything around it breaks: processes, connections, messages, clocks."""

@@ -1,1 +1,0 @@
-"""A coordinator with a large archive, and one that runs for long."""

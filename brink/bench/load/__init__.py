@@ -1,1 +1,0 @@
-"""Jobs that cost what a measurement wants them to cost."""

@@ -1,0 +1,114 @@
+"""What all measurements share: figures with targets, progress, percentiles, CPU time and memory of processes."""
+
+import os
+import statistics
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+Progress: TypeAlias = Callable[[str, int, int], None]
+"""Called with the name of a part of a measurement, its completed steps and its total steps."""
+
+_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """A measured figure and its target.
+
+    Attributes:
+        what: Name of the figure.
+        value: Measured value.
+        target: The target in words; empty if there is none.
+        met: Whether the target is met; None if there is none.
+        note: Sample sizes and further figures.
+    """
+
+    what: str
+    value: float
+    target: str
+    met: bool | None
+    note: str = ""
+
+
+def at_least(what: str, value: float, least: float, note: str = "") -> Row:
+    """Return a figure whose target is a lower bound.
+
+    Args:
+        what: Name of the figure.
+        value: Measured value.
+        least: Smallest value that meets the target.
+        note: Sample sizes and further figures.
+    """
+    return Row(what=what, value=value, target=f"at least {least:g}", met=value >= least, note=note)
+
+
+def at_most(what: str, value: float, most: float, note: str = "") -> Row:
+    """Return a figure whose target is an upper bound.
+
+    Args:
+        what: Name of the figure.
+        value: Measured value.
+        most: Largest value that meets the target.
+        note: Sample sizes and further figures.
+    """
+    return Row(what=what, value=value, target=f"at most {most:g}", met=value <= most, note=note)
+
+
+def under(what: str, value: float, bound: float, note: str = "") -> Row:
+    """Return a figure whose target is a strict upper bound.
+
+    Args:
+        what: Name of the figure.
+        value: Measured value.
+        bound: Smallest value that misses the target.
+        note: Sample sizes and further figures.
+    """
+    return Row(what=what, value=value, target=f"under {bound:g}", met=value < bound, note=note)
+
+
+def counted(progress: Progress, part: str, total: int) -> Iterator[int]:
+    """Yield 0 to ``total - 1`` and report each completed step.
+
+    Args:
+        progress: Progress callback.
+        part: Name of the part that is measured.
+        total: Number of steps.
+    """
+    for number in range(total):
+        progress(part, number, total)
+        yield number
+    progress(part, total, total)
+
+
+def percentile(values: Sequence[float], percent: int) -> float:
+    """Return a percentile, interpolated linearly between neighbouring values."""
+    if len(values) == 1:
+        return values[0]
+    return statistics.quantiles(values, n=100, method="inclusive")[percent - 1]
+
+
+def cpu_seconds(pid: int) -> float:
+    """Return the user and system CPU time of a process, in seconds."""
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / _TICKS_PER_S
+
+
+def memory_mib(pid: int | str) -> float:
+    """Return the resident memory of a process in MiB; 0 if it has ended. ``"self"`` is this process."""
+    for line in Path(f"/proc/{pid}/status").read_text(encoding="ascii", errors="replace").splitlines():
+        if line.startswith("VmRSS:"):
+            return int(line.split()[1]) / 1024
+    return 0.0
+
+
+def children_of(pid: int) -> list[int]:
+    """Return the ids of a process's children; empty if the process has ended."""
+    found: list[int] = []
+    try:
+        for task in Path(f"/proc/{pid}/task").iterdir():
+            found += [int(child) for child in (task / "children").read_text(encoding="ascii").split()]
+    except OSError:
+        return []
+    return found

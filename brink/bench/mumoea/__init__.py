@@ -1,1 +1,0 @@
-"""Compares muMOEA with its ablations and baselines on this installation."""

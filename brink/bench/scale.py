@@ -1,0 +1,272 @@
+"""How fully workers are used: simulated workers that share a coordinator, and a model of the scheduling alone.
+
+The simulated workers are coroutines that lease a job, wait as long as its episode would take, and report it over real
+HTTP. Episodes take log-normal times. They are scaled down, so overheads weigh more than they would in practice.
+"""
+
+import asyncio
+import contextlib
+import heapq
+import random
+import statistics
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from brink.bench.load import MODULE, LoadClient, load_campaign
+from brink.bench.measurement import Progress, counted, cpu_seconds
+from brink.bench.processes import CoordinatorProcess, running_coordinator
+from brink.server.runtime.coordinator import allow_many_open_files
+
+WORKERS = (1, 4, 16, 64)
+MEAN_S = 5.0
+TARGET = 0.95
+TARGET_WORKERS = 64
+TARGET_CAMPAIGNS = 2
+TARGET_GENERATION = 256
+"""Jobs per generation. With 100, no scheduling order lets two campaigns fill 64 workers."""
+GENERATIONS = (100, TARGET_GENERATION)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Utilisation:
+    """Utilisation of workers.
+
+    Attributes:
+        workers: Number of workers.
+        campaigns: Number of concurrent campaigns.
+        generation: Jobs per generation of each campaign.
+        jobs: Jobs that ran in the measured time.
+        seconds: Measured time: from when all workers have work for the first time until the first campaign ends.
+        busy_s: Total time in which workers ran episodes.
+        coordinator_s: CPU time of the coordinator.
+        writing_s: Time in which its writer was in a transaction.
+        step_s: Mean time of a generation step, including its transaction.
+    """
+
+    workers: int
+    campaigns: int
+    generation: int
+    jobs: int
+    seconds: float
+    busy_s: float
+    coordinator_s: float
+    writing_s: float
+    step_s: float
+
+    @property
+    def share(self) -> float:
+        """Fraction of the workers' time in which they ran episodes."""
+        return self.busy_s / (self.workers * self.seconds)
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the target is met; None if there is none."""
+        has_target = (self.workers, self.campaigns, self.generation) == (
+            TARGET_WORKERS, TARGET_CAMPAIGNS, TARGET_GENERATION,
+        )  # fmt: skip
+        return self.share >= TARGET if has_target else None
+
+
+def measure_utilisation(
+    progress: Progress, *, workers: int | None = None, seconds: float = 30.0, scale: float = 0.2
+) -> list[Utilisation]:
+    """Measure one, two and four campaigns with 1 to 64 workers, or one and two campaigns with a given number.
+
+    Args:
+        progress: Progress callback.
+        workers: Number of workers in place of 1 to 64, with four jobs per worker in each generation.
+        seconds: Approximate duration of each measurement.
+        scale: Fraction of its full time that an episode takes.
+
+    Raises:
+        MeasurementFailed: The coordinator did not start.
+    """
+    plans = [
+        (count, campaigns, generation)
+        for count in WORKERS
+        for generation in GENERATIONS
+        for campaigns in (1, 2, 4)
+        if count == TARGET_WORKERS or (campaigns == 1 and generation == GENERATIONS[0])
+    ]
+    if workers is not None:
+        allow_many_open_files()
+        plans = [(workers, campaigns, 4 * workers) for campaigns in (1, 2)]
+    found = []
+    for place in counted(progress, "measurements", len(plans)):
+        count, campaigns, generation = plans[place]
+        jobs = count * seconds / (MEAN_S * scale * campaigns)
+        budget = generation * max(3, round(jobs / generation))
+        bodies = [
+            load_campaign(budget, generation=generation, seed=seed, mean_s=MEAN_S)
+            for seed in range(campaigns)
+        ]
+        with (
+            tempfile.TemporaryDirectory(prefix="brink-scale-") as name,
+            running_coordinator(Path(name), MODULE) as coordinator,
+        ):
+            found.append(asyncio.run(_SimulatedWorkers(coordinator, count, scale).work(bodies, generation)))
+    return found
+
+
+class _SimulatedWorkers:
+    def __init__(self, coordinator: CoordinatorProcess, workers: int, scale: float) -> None:
+        self._coordinator = coordinator
+        self._workers = workers
+        self._scale = scale
+        self._spans: list[tuple[float, float]] = []
+        self._busy: set[str] = set()
+        self._all_busy = asyncio.Event()
+
+    async def work(self, bodies: list[dict[str, Any]], generation: int) -> Utilisation:
+        """Run campaigns until the first one ends."""
+        url = self._coordinator.url
+        async with (
+            httpx.AsyncClient(base_url=f"{url}/api/v1", timeout=60.0) as api,
+            contextlib.AsyncExitStack() as stack,
+        ):
+            clients = [
+                await stack.enter_async_context(LoadClient(url, f"worker-{number}"))
+                for number in range(self._workers)
+            ]
+            tasks = [
+                asyncio.create_task(self._run(f"{number}", client)) for number, client in enumerate(clients)
+            ]
+            replies = [await api.post("/campaigns", json=body) for body in bodies]
+            ids = [reply.raise_for_status().json()["id"] for reply in replies]
+            all_busy = asyncio.create_task(self._all_busy.wait())
+            done, _ = await asyncio.wait([all_busy, *tasks], return_when=asyncio.FIRST_COMPLETED)
+            for task in done - {all_busy}:
+                task.result()  # raises the task's exception
+            before = await asyncio.to_thread(self._coordinator.metrics)
+            start, cpu_s = time.perf_counter(), cpu_seconds(self._coordinator.pid or 0)
+            while not await self._any_ended(api, ids):
+                for task in tasks:
+                    if task.done():
+                        task.result()  # raises the task's exception
+                await asyncio.sleep(0.1)
+            end, cpu_s = time.perf_counter(), cpu_seconds(self._coordinator.pid or 0) - cpu_s
+            after = await asyncio.to_thread(self._coordinator.metrics)
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+        # The campaigns overlap only until the last job of the campaign that ends first.
+        within = [
+            (max(began, start), min(ended, end))
+            for began, ended in self._spans
+            if ended > start and began < end
+        ]
+        grown = {name: after[name] - before.get(name, 0.0) for name in after}
+        return Utilisation(
+            workers=self._workers, campaigns=len(bodies), generation=generation, coordinator_s=cpu_s,
+            jobs=len(within), seconds=end - start, busy_s=sum(ended - began for began, ended in within),
+            writing_s=grown["brink_commit_seconds_sum"],
+            step_s=grown["brink_step_seconds_sum"] / grown["brink_step_seconds_count"],
+        )  # fmt: skip
+
+    async def _run(self, name: str, client: LoadClient) -> None:
+        jobs: list[dict[str, Any]] = []
+        while True:
+            jobs = await client.report(jobs) if jobs else await client.lease()
+            for job in jobs:
+                self._busy.add(name)
+                if len(self._busy) == self._workers:
+                    self._all_busy.set()
+                start = time.perf_counter()
+                place = len(self._spans)
+                wait_s = self._scale * job["spec"]["scenario"]["wait_s"]
+                self._spans.append((start, start + wait_s))
+                await asyncio.sleep(wait_s)
+                self._spans[place] = (start, time.perf_counter())
+
+    async def _any_ended(self, api: httpx.AsyncClient, campaigns: list[str]) -> bool:
+        for campaign in campaigns:
+            reply = await api.get(f"/campaigns/{campaign}/progress?since=1000000")
+            if reply.raise_for_status().json()["status"] != "running":
+                return True
+        return False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TurnLengths:
+    """Modelled utilisation of `TARGET_WORKERS` workers by how long a campaign's turn lasts (ADR 32).
+
+    Attributes:
+        generation: Jobs per generation of each campaign.
+        campaigns: Number of concurrent campaigns.
+        generations: Generations after which the model stops.
+        single: Utilisation if campaigns take turns job by job.
+        four_per_worker: Utilisation if a turn lasts four jobs per worker.
+    """
+
+    generation: int
+    campaigns: int
+    generations: int
+    single: float
+    four_per_worker: float
+
+
+def model_turns(seeds: int = 20) -> list[TurnLengths]:
+    """Model the scheduling without a coordinator: no overhead, only waiting for the ends of generations.
+
+    Args:
+        seeds: Number of runs whose mean is taken.
+    """
+    return [
+        TurnLengths(
+            generation=generation,
+            campaigns=campaigns,
+            generations=generations,
+            single=_mean_utilisation(generation, campaigns, 1, generations, seeds),
+            four_per_worker=_mean_utilisation(generation, campaigns, 4 * TARGET_WORKERS, generations, seeds),
+        )
+        for generation in GENERATIONS
+        for campaigns in (1, 2, 4)
+        for generations in (4, 32)
+    ]
+
+
+def _mean_utilisation(generation: int, campaigns: int, turn: int, generations: int, seeds: int) -> float:
+    runs = (
+        _utilisation(generation, campaigns, turn, generations, random.Random(seed)) for seed in range(seeds)
+    )
+    return statistics.mean(runs)
+
+
+def _utilisation(generation: int, campaigns: int, turn: int, generations: int, rng: random.Random) -> float:
+    """Return the fraction of the workers' time in episodes until the first campaign completes its generations.
+
+    Args:
+        generation: Jobs per generation of each campaign.
+        campaigns: Number of campaigns.
+        turn: Jobs that a campaign hands out before the next campaign's turn.
+        generations: Number of generations.
+        rng: Source of the episode times: log-normal with mean 1, sigma 0.5.
+    """
+    sigma = 0.5
+    now, free, busy = 0.0, TARGET_WORKERS, 0.0
+    running: list[tuple[float, float, int]] = []
+    queued, unfinished, completed, served = ([value] * campaigns for value in (generation, generation, 0, 0))
+    turns = list(range(campaigns))
+    while max(completed) < generations:
+        while free and (waiting := [one for one in range(campaigns) if queued[one]]):
+            one = min(waiting, key=turns.__getitem__)
+            queued[one] -= 1
+            served[one] += 1
+            if served[one] >= turn:
+                turns[one], served[one] = max(turns) + 1, 0
+            heapq.heappush(running, (now + rng.lognormvariate(-(sigma**2) / 2, sigma), now, one))
+            free -= 1
+        now, began, one = heapq.heappop(running)
+        busy += now - began
+        free += 1
+        unfinished[one] -= 1
+        if unfinished[one] == 0:
+            completed[one] += 1
+            queued[one] = unfinished[one] = generation
+            turns[one], served[one] = max(turns) + 1, 0
+    return (busy + sum(now - began for _, began, _ in running)) / (TARGET_WORKERS * now)

@@ -1,1 +1,0 @@
-"""How well many workers are used: simulated ones against a real coordinator."""

@@ -1,1 +1,0 @@
-"""Measures what SiMOOD must show on this installation (specification: acceptance A0 to A8)."""

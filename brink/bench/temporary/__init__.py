@@ -1,1 +1,0 @@
-"""Servers that live as long as a measurement or a test."""
