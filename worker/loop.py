@@ -292,7 +292,7 @@ class Runner:
             if job is None:
                 break
             ticket, self._next_ticket = self._next_ticket, self._next_ticket + 1
-            # Recorded before it is sent, so that it is put back whatever happens.
+            # Recorded before it is sent, so that it is put back in any case.
             self._jobs[ticket] = job
             episode = Episode(ticket=ticket, spec=job.spec, record=job.record, timeout_s=job.timeout_s)
             try:

@@ -219,7 +219,7 @@ class Duel:
 
     @property
     def size(self) -> str:
-        """The effect size in a word."""
+        """The effect size as a word."""
         return effect_size(self.result.a12)
 
 

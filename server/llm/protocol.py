@@ -55,7 +55,7 @@ _SEARCHED_CHARS: Final = 2000
 
 @dataclass(slots=True)
 class Effort:
-    """The requests of one call. Changes in place.
+    """The requests of one call. Mutable.
 
     Attributes:
         requests: HTTP requests sent.
@@ -319,7 +319,7 @@ def read_reply(raw: str) -> Reply:
     try:
         document = decode_json(raw)
     except BadJson as error:
-        raise UnusableReply(f"expected a chat completion, got no JSON ({error})", raw=raw) from None
+        raise UnusableReply(f"expected a chat completion, got invalid JSON ({error})", raw=raw) from None
     choices = document.get("choices") if isinstance(document, dict) else None
     if not isinstance(document, dict) or not isinstance(choices, list):
         raise UnusableReply(f"expected a chat completion with choices, got {error_text(raw)}", raw=raw)

@@ -61,7 +61,7 @@ class LeaseDemand:
 
 
 class QueuedJob(Protocol):
-    """What the policy reads of a queued job."""
+    """The fields of a queued job that the policy reads."""
 
     id: int
     campaign_id: str
@@ -97,7 +97,7 @@ class CampaignTurn:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Backlog:
-    """A summary of what is queued.
+    """A summary of the queue.
 
     Attributes:
         jobs: Evaluations of running campaigns, counted up to `enough_jobs`.
@@ -241,7 +241,7 @@ class _Line:
 
     @property
     def is_unread(self) -> bool:
-        """Whether no job was read yet. At least one is there, since the campaign is listed."""
+        """Whether no job has been read yet. At least one exists, since the campaign is listed."""
         return self.last < 0 and not self.ended
 
 
