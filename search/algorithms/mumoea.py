@@ -258,9 +258,7 @@ class Mumoea(LedgerAlgorithm[MumoeaConfig, MumoeaState]):
         if config.seeds > config.population_size:
             raise ConfigError("seeds", f"expected at most population_size, got {config.seeds}")
         if config.seeder == "llm" and config.initial == "random" and config.differential == "never":
-            raise ConfigError(
-                "seeder", "expected initial: seeds or differential seeds with llm, never asked otherwise"
-            )
+            raise ConfigError("seeder", "llm is never asked; expected initial: seeds, or differential seeds")
         return config.population_size
 
     def _first_state(self, ledger: Ledger, config: MumoeaConfig) -> MumoeaState:
