@@ -1,6 +1,6 @@
 """The specification of an episode, its result, and the validation of their JSON fields.
 
-Both are plain values that travel as JSON. An `EpisodeSpec` holds everything that decides the episode, so its hash
+Both are plain values that travel as JSON. An `EpisodeSpec` holds everything that determines the episode, so its hash
 identifies the simulation: equal hashes mean the same simulation.
 """
 

@@ -165,7 +165,7 @@ class Worker:
         heartbeat_thread = self._thread("heartbeat", heartbeat.run)
         reporter_thread = self._thread("reporter", reporter.run, self._mark_reporter_done)
         self._supervise()
-        # Abandon whatever still runs: killing the process ends the runner, and the reporter ends with this program.
+        # Abandon any running episode: killing the process ends the runner, and the reporter ends with this program.
         self._leaving = True
         self._held.stop()
         self._process.kill()

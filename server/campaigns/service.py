@@ -352,7 +352,7 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
 
         Raises:
             NotFound: There is no such job.
-            Conflict: The job is not in quarantine, its campaign has ended, or its generation went on without it.
+            Conflict: The job is not in quarantine, its campaign has ended, or its generation continued without it.
         """
         await self.writer.write(lambda connection: store.retry_job(connection, job_id))
         self.wakeups.wake()  # all waiters: the first may be unable to run it

@@ -178,7 +178,7 @@ def retry_job(connection: Connection, job_id: int) -> None:
 
     Raises:
         NotFound: There is no such job.
-        Conflict: The job is not in quarantine, its campaign has ended, or its generation went on without it.
+        Conflict: The job is not in quarantine, its campaign has ended, or its generation continued without it.
     """
     job = job_store.find_job(connection, job_id)
     campaign = CAMPAIGNS.find(connection, job.campaign, lock=True) if job is not None else None

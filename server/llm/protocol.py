@@ -1,7 +1,7 @@
 """The protocol of OpenAI-compatible endpoints: request bodies, replies, and errors. Pure functions.
 
 Servers differ: ``usage`` and ``finish_reason`` may be missing, content may be a list of parts or null, reasoning may
-come in a field of its own. Everything here accepts arbitrary input. Error messages never contain the API key.
+come in a separate field. Everything here accepts arbitrary input. Error messages never contain the API key.
 
 ServerError
 ├── LlmError                     no usable reply
