@@ -214,7 +214,7 @@ KEEPS = stretch("keep", 0.0, 5.0)
             {"scenario": {**PLACE, "road_users": [user("car", {**KEEPS, "speed_mps": math.nan})]}},
             r"speed_mps: expected a number in \[0, 40\]",
         ),
-        ({"scenario": {**PLACE, "road_users": [user("car", {**KEEPS, "from_s": 1.0})]}}, "the first from 0"),
+        ({"scenario": {**PLACE, "road_users": [user("car", {**KEEPS, "from_s": 1.0})]}}, "the first 0"),
         (
             {"scenario": {**PLACE, "road_users": [user("car", {**KEEPS, "jump": 1.0})]}},
             "unknown field 'jump'",
