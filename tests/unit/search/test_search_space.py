@@ -304,7 +304,7 @@ PAIR = (Real("a", 0.0, 10.0), Real("b", 0.0, 10.0))
     ("parameters", "constraints", "message"),
     [
         ((), (), "at least one parameter"),
-        ((PAIR[0], PAIR[0]), (), "different parameter names"),
+        ((PAIR[0], PAIR[0]), (), "distinct parameter names"),
         (PAIR, (Extent("a", "c", 1.0, 10.0),), "unknown parameter 'c'"),
         (PAIR, (Extent("a", "a", 1.0, 10.0),), "two parameters"),
         (PAIR, (Extent("a", "b", 1.0, 20.0),), r"expected a in \[0, 20\]"),
@@ -315,7 +315,7 @@ PAIR = (Real("a", 0.0, 10.0), Real("b", 0.0, 10.0))
         ((*PAIR, Categorical("c", ("x",))), (Extent("a", "c", 1.0, 10.0),), "got a categorical"),
         (PAIR, (Dormant("a", "x", ("b",)),), "name a categorical"),
         ((*PAIR, Categorical("c", ("x",))), (Dormant("c", "y", ("a",)),), "no choice 'y'"),
-        ((*PAIR, Categorical("c", ("x",))), (Dormant("c", "x", ()),), "different members"),
+        ((*PAIR, Categorical("c", ("x",))), (Dormant("c", "x", ()),), "distinct members"),
         (
             (Real("a", 1.0, 2.0), Categorical("c", ("x",))),
             (Dormant("c", "x", ("a",)),),
@@ -346,14 +346,14 @@ def test_numbers_without_a_valid_range_are_rejected(low: float, high: float, sig
 def test_unusable_names_and_choices_are_rejected() -> None:
     with pytest.raises(SpaceError, match="expected a name"):
         Real("two words", 0.0, 1.0)
-    with pytest.raises(SpaceError, match="different choices"):
+    with pytest.raises(SpaceError, match="distinct choices"):
         Categorical("c", ("a", "a"))
     with pytest.raises(SpaceError, match="named choices"):
         Categorical("c", ())
     with pytest.raises(SpaceError, match="whole bounds"):
         Integer("i", 0, 2**60)
     part = Component("part", PAIR)
-    with pytest.raises(SpaceError, match="different names"):
+    with pytest.raises(SpaceError, match="distinct names"):
         SearchSpace((part, part))
 
 
