@@ -23,7 +23,7 @@ from brink.search.analysis.comparison import Row as ComparisonRow
 from brink.server.api.schemas import CampaignView
 from brink.server.api.schemas import Progress as CampaignProgress
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
-from brink.server.errors import FieldError, InvalidInput
+from brink.server.errors import InvalidInput
 
 bench = typer.Typer(help="Measure this installation, each figure beside its target.", no_args_is_help=True)
 
@@ -157,8 +157,7 @@ def simood(
     wanted = [name.upper() for name in criteria or CRITERIA]
     for name in wanted:
         if name not in CRITERIA:
-            message = f"expected some of {', '.join(CRITERIA)}, got {name!r}"
-            raise InvalidInput([FieldError(pointer="criteria", message=message)])
+            raise InvalidInput.at("criteria", f"expected some of {', '.join(CRITERIA)}, got {name!r}")
     out.mkdir(parents=True, exist_ok=True)
     with _progress() as progress:
         rows = measure_simood(wanted, out, processes=processes, progress=progress)
