@@ -231,7 +231,6 @@ def _ratio(unsafe: int, trials: int) -> str:
 
 
 def _unsafe_shares(step: StepTally) -> tuple[float, float]:
-    """Return the unsafe shares of a technique alone and with others."""
     return step.alone_unsafe / max(1, step.alone_trials), step.joined_unsafe / max(1, step.joined_trials)
 
 
