@@ -33,6 +33,9 @@ settings.register_profile("ci", derandomize=True, deadline=None)
 if os.environ.get("CI"):
     settings.load_profile("ci")
 
+os.environ.setdefault(
+    "OMP_NUM_THREADS", "1"
+)  # the processes of a run share the cores; waiting threads would spin
 use_memory()
 shared_postgres = SharedPostgres()
 

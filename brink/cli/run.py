@@ -297,7 +297,8 @@ def _print_next(
         hints.append((f"evidence {campaign} --out evidence{database}", "export tables, rules and replays"))
     if report.control:
         hints.append((f"compare {campaign}{database}", "see how much the component accounts for"))
-    if body.problem.id == "urban-injected@1" and body.budget.simulations < PAPER_BUDGET:
+    urban = body.problem.id == "urban-injected@1" and body.budget.simulations < PAPER_BUDGET
+    if urban and Path("examples/paper-mlcshe.yaml").exists():
         hints.append(("run examples/paper-mlcshe.yaml", "use the paper's budget of 1,300 simulations"))
     table = Table.grid(padding=(0, 2))
     for command, what in hints:
