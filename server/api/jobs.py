@@ -119,7 +119,7 @@ async def retry_job(job: Annotated[int, Path(ge=0, le=MAX_NUMBER)], services: Se
 @router.get("/workers", tags=["workers"], responses=NOT_MODIFIED)
 async def get_workers(services: Services, request: Request, response: Response) -> list[WorkerView]:
     """List workers, most recently seen first. Supports conditional requests with ETag."""
-    seen = await read(services.engines, lambda connection: list_workers(connection))
+    seen = await read(services.engines, list_workers)
     horizon = services.settings.worker_seen_s
     views = [
         WorkerView.model_validate({**asdict(w), "live": w.seen_s_ago <= horizon and not w.gone}) for w in seen
