@@ -106,7 +106,7 @@ class State(Protocol):
 
     @property
     def pending(self) -> tuple[Candidate, ...]:
-        """Candidates asked but not yet told, ascending by number."""
+        """Candidates asked for but not yet told, ascending by number."""
         ...
 
 
@@ -138,7 +138,7 @@ class Algorithm(Protocol):
         ...
 
     def start(self, space: SearchSpace, config: Any, *, seed: int, budget: int) -> Any:
-        """Return the initial state, with nothing asked yet.
+        """Return the initial state, with nothing asked for yet.
 
         Args:
             space: The search space.
@@ -241,7 +241,7 @@ class Seeded(Protocol):
     """An algorithm that may request seeds from outside."""
 
     def wanted(self, state: Any) -> SeedRequest | None:
-        """Return the seeds needed before the next generation can be asked, or None."""
+        """Return the seeds needed before the next generation can be asked for, or None."""
         ...
 
     def seeded(self, state: Any, proposals: Sequence[Proposal]) -> Any:

@@ -50,7 +50,7 @@ def check_name(what: str, name: object) -> None:
     """
     if not (isinstance(name, str) and _NAME.fullmatch(name)):
         raise SpaceError(
-            f"{what}: expected a name of letters, digits, '_', '-' and '.', first a letter, got {name!r}"
+            f"{what}: expected a name of letters, digits, '_', '-' and '.', starting with a letter, got {name!r}"
         )
 
 
@@ -85,7 +85,7 @@ class Number:
 
     @property
     def range(self) -> float:
-        """Width of the range; distances are measured in it."""
+        """Width of the range, which is the unit of distances."""
         return float(self.high - self.low)
 
     @property
@@ -216,7 +216,7 @@ class Categorical:
         if not 1 <= len(self.choices) <= MAX_CHOICES or not all(isinstance(c, str) for c in self.choices):
             raise SpaceError(f"{self.name}: expected 1 to {MAX_CHOICES} named choices, got {self.choices!r}")
         if len(set(self.choices)) < len(self.choices):
-            raise SpaceError(f"{self.name}: expected different choices, got {self.choices!r}")
+            raise SpaceError(f"{self.name}: expected distinct choices, got {self.choices!r}")
 
     def draw(self, rng: np.random.Generator) -> float:
         """Draw the index of a choice, uniformly."""
@@ -293,7 +293,7 @@ def _number(parameters: Mapping[str, Parameter], name: str, kind: str) -> Number
 
 @dataclass(frozen=True, slots=True)
 class _Pair:
-    """Two numbers in [0, size] of which the second exceeds the first by at least a minimum."""
+    """Two numbers in [0, size]; the second exceeds the first by at least a minimum."""
 
     @property
     def names(self) -> tuple[str, str]:
@@ -451,7 +451,7 @@ class Dormant:
             known = did_you_mean(self.null_choice, label.choices)
             raise SpaceError(f"Dormant: {self.label} has no choice {self.null_choice!r}{known}")
         if not self.members or len(set(self.members)) < len(self.members):
-            raise SpaceError(f"Dormant: expected different members, got {self.members!r}")
+            raise SpaceError(f"Dormant: expected distinct members, got {self.members!r}")
         for name in self.members:
             number = _number(parameters, name, "Dormant")
             if not number.low <= 0 <= number.high:

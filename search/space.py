@@ -92,7 +92,7 @@ class Component:
             raise SpaceError(f"component {self.name}: expected at least one parameter")
         if len(set(names)) < len(names):
             raise SpaceError(
-                f"component {self.name}: expected different parameter names, got {', '.join(names)}"
+                f"component {self.name}: expected distinct parameter names, got {', '.join(names)}"
             )
         blocks = tuple(c for c in self.constraints if isinstance(c, Dormant))
         rules = tuple(c for c in self.constraints if not isinstance(c, Dormant))
@@ -320,7 +320,7 @@ class SearchSpace:
         object.__setattr__(self, "components", tuple(self.components))
         names = [component.name for component in self.components]
         if not names or len(set(names)) < len(names):
-            raise SpaceError(f"expected at least one component, with different names; got {names}")
+            raise SpaceError(f"expected at least one component, with distinct names; got {names}")
         parameters = [p for component in self.components for p in component.parameters]
         ends = np.cumsum([component.dimension for component in self.components]).tolist()
         starts = [0, *ends[:-1]]

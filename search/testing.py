@@ -93,7 +93,7 @@ class ContractBroken(SearchError, AssertionError):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Run:
-    """A campaign played to its end.
+    """A campaign run to its end.
 
     Attributes:
         generations: Candidates of each generation, in the order of asking.
@@ -150,7 +150,7 @@ def check_algorithm(
     ends_itself: bool = False,
     repeats: bool = False,
 ) -> Run:
-    """Check that an algorithm keeps its contract on a space; return the campaign that it played.
+    """Check that an algorithm keeps its contract on a space; return the campaign that was run.
 
     Args:
         algorithm: The algorithm to check.
@@ -196,7 +196,7 @@ def play(
     budget: int,
     order: int = 1,
 ) -> Run:
-    """Play a campaign to its end.
+    """Run a campaign to its end.
 
     Args:
         algorithm: The algorithm.

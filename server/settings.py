@@ -71,7 +71,7 @@ class Settings(BaseSettings):
     @field_validator("token")
     @classmethod
     def _fits_a_header(cls, token: SecretStr | None) -> SecretStr | None:
-        """Check the token; an empty one counts as none.
+        """Check the token; an empty one counts as unset.
 
         Raises:
             ValueError: The token contains characters that do not fit into a header.

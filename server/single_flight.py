@@ -49,7 +49,7 @@ class SingleFlightCache(Generic[V]):
 
     def _compute(self, compute: Callable[[], V]) -> asyncio.Future[V]:
         if self.max_pending is not None and self._pending >= self.max_pending:
-            raise Unavailable(f"{self._pending} others are being computed; ask again soon", retry_after_s=2)
+            raise Unavailable(f"{self._pending} others are being computed; try again soon", retry_after_s=2)
         value = asyncio.get_running_loop().run_in_executor(self.threads, compute)
         self._pending += 1
         value.add_done_callback(self._on_done)

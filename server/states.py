@@ -24,7 +24,7 @@ class JobStatus(StrEnum):
 
 
 class JobKind(StrEnum):
-    """What a job is for."""
+    """The purpose of a job."""
 
     EPISODE = "episode"
     DATASET = "dataset-evaluation"
@@ -42,7 +42,7 @@ class SolutionVerdict(StrEnum):
 
 
 class Scope(StrEnum):
-    """What a token allows.
+    """The access that a token grants.
 
     Attributes:
         READ: Read access.

@@ -1,6 +1,6 @@
 """The specification of an episode, its result, and the validation of their JSON fields.
 
-Both are plain values that travel as JSON. An `EpisodeSpec` holds everything that decides the episode, so its hash
+Both are plain values that travel as JSON. An `EpisodeSpec` holds everything that determines the episode, so its hash
 identifies the simulation: equal hashes mean the same simulation.
 """
 
@@ -23,7 +23,7 @@ MAX_SEED = 2**53 - 1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeSpec:
-    """Everything that decides an episode.
+    """Everything that determines an episode.
 
     Attributes:
         simulator: Versioned plug-in id, such as ``brink-drive@1``.
@@ -58,7 +58,7 @@ class EpisodeSpec:
             InvalidEpisode: It is meant for another simulator, or too long.
         """
         if self.simulator != simulator:
-            raise InvalidEpisode(f"simulator: this is {simulator}, the episode asks for {self.simulator!r}")
+            raise InvalidEpisode(f"simulator: this is {simulator}; the episode asks for {self.simulator!r}")
         if self.duration_s > longest_s:
             raise InvalidEpisode(
                 f"duration_s: expected at most {longest_s:g} seconds, got {self.duration_s!r}"

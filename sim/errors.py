@@ -20,4 +20,4 @@ class PluginMissing(SimulatorError):
 
 
 class SimulationCrashed(SimulatorError):
-    """The run broke down; running the same specification again may work."""
+    """The simulation failed; running the same specification again may work."""

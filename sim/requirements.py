@@ -32,7 +32,7 @@ _MIN_OVERRUN_M = 1e-6
 
 
 class CollisionKind(StrEnum):
-    """What the ego hit."""
+    """Kind of object that the ego hit."""
 
     VEHICLE = "vehicle"
     PEDESTRIAN = "pedestrian"
@@ -200,7 +200,7 @@ class Margin(ABC):
             robustness = -horizon
         elif math.isnan(robustness):
             raise ValueError(
-                f"{type(self).__name__}: the sample at {sample.time_s} s holds a NaN: {sample!r}"
+                f"{type(self).__name__}: the sample at {sample.time_s} s contains a NaN: {sample!r}"
             )
         if robustness < self._smallest:
             self._smallest = robustness
@@ -393,7 +393,7 @@ class Progress(Margin):
         self._time_s: float | None = None
 
     def robustness_at(self, sample: WorldSample) -> float:
-        """Return the time left before a standstill without a cause is too long; all of it while the ego moves."""
+        """Return the time left before a standstill without a cause is too long; the full time while the ego moves."""
         elapsed_s = 0.0 if self._time_s is None else sample.time_s - self._time_s
         self._time_s = sample.time_s
         stands = abs(sample.speed_mps) < self._stands_below_mps

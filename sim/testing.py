@@ -101,7 +101,7 @@ def _empty_episode() -> Iterator[WorldSample]:
 
 
 def _chaotic_episode(seed: int) -> Iterator[WorldSample]:
-    """Yield an episode in which everything happens, including extreme values."""
+    """Yield an episode with every kind of event, and with extreme values."""
     rng = random.Random(seed)
     for step in range(_STEPS):
         gap_m = rng.choice((None, 0.0, rng.uniform(0.0, 60.0), 1e9))

@@ -190,7 +190,7 @@ class Trace:
         target_offset_m: Target offset of the planner, shape ``(n,)``.
         lights: State of the ego's traffic light at each sample; ``""`` if there is none.
         robustness: Robustness of each requirement over time, shape ``(n,)`` each; +inf where it does not apply.
-        events: Events in order of time.
+        events: Events in chronological order.
         scene: Static surfaces in drawing order.
         about: Scenario, behaviour and versions, for captions.
         film: Images of a camera in the loop; None without one.

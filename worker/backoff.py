@@ -1,4 +1,4 @@
-"""When to retry a server that does not answer: exponential backoff, and one log line per interval of an outage."""
+"""Retries of a server that does not answer: exponential backoff, and one log line per interval of an outage."""
 
 import logging
 import time

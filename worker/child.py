@@ -151,7 +151,7 @@ def serve(requests: int, replies: int) -> None:
 
 
 class SimulatorHost:
-    """Keeps simulators between episodes and turns whatever an episode does into an outcome."""
+    """Keeps simulators between episodes and turns every result or exception of an episode into an outcome."""
 
     def __init__(self) -> None:
         self._simulators: dict[str, Simulator] = {}

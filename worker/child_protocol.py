@@ -48,7 +48,7 @@ class ChildMessage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hello(ChildMessage):
-    """What the process can simulate.
+    """The first message: what the process can simulate.
 
     Attributes:
         simulators: Ids of the simulators that were imported.

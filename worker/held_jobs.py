@@ -237,7 +237,7 @@ class HeldJobs:
     # Called by the reporter.
 
     def next_request(self) -> Report | Poll | None:
-        """Wait until a request is due and return it; None when the reporter can end."""
+        """Wait until a request is due and return it; None when the reporter can exit."""
         with self.changed:
             self._polling = False
             if self._idle_since_s is None:
@@ -379,7 +379,7 @@ class HeldJobs:
 
     @property
     def polling(self) -> bool:
-        """Whether the reporter waits for a job while none is held, so that exiting loses nothing."""
+        """Whether the reporter waits for a job while none is held, so that exiting would lose nothing."""
         return self._polling
 
     def _due_request(self, now_s: float) -> Report | Poll | None:

@@ -165,7 +165,7 @@ class Worker:
         heartbeat_thread = self._thread("heartbeat", heartbeat.run)
         reporter_thread = self._thread("reporter", reporter.run, self._mark_reporter_done)
         self._supervise()
-        # Abandon whatever still runs: killing the process ends the runner, and the reporter ends with this program.
+        # Abandon any running episode: killing the process ends the runner, and the reporter ends with this program.
         self._leaving = True
         self._held.stop()
         self._process.kill()
@@ -292,7 +292,7 @@ class Runner:
             if job is None:
                 break
             ticket, self._next_ticket = self._next_ticket, self._next_ticket + 1
-            # Recorded before it is sent, so that it is put back whatever happens.
+            # Recorded before it is sent, so that it is put back in any case.
             self._jobs[ticket] = job
             episode = Episode(ticket=ticket, spec=job.spec, record=job.record, timeout_s=job.timeout_s)
             try:

@@ -1,4 +1,4 @@
-"""The worker's side of the simulation process: start it, send it episodes, and survive whatever they do to it.
+"""The worker's side of the simulation process: start it, send it episodes, and survive its crashes.
 
 Episodes may be sent ahead, so that the process goes from one to the next without waiting for the worker. An episode
 that crashes or hangs ends the process: it is reported as failed, and the others run in a new process. One thread uses

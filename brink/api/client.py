@@ -1,6 +1,6 @@
 """The REST client of a coordinator, over HTTP or in this process on the same database.
 
-Either way the client speaks the REST API, so whatever works on this machine also works against a remote coordinator.
+Either way the client speaks the REST API, so what works on this machine also works against a remote one.
 """
 
 from collections.abc import AsyncIterator, Mapping

@@ -1,4 +1,4 @@
-"""Fault injection: campaigns run while everything fails, then undisturbed, and the results are audited.
+"""Fault injection: campaigns run under faults, then again without them, and the results are audited.
 
 Two coordinators and four workers share a Postgres server. A proxy loses, delays, truncates and repeats their
 messages. Processes, episodes, database connections and the database itself are killed or suspended, and the clocks of
@@ -475,7 +475,7 @@ class Site:
             process.kill()
 
     async def inject_fault(self) -> None:
-        """Inject a random fault; whatever it stops recovers after a few seconds."""
+        """Inject a random fault; anything it stops recovers after a few seconds."""
         names = list(self._faults)
         (name,) = self._rng.choices(names, weights=[self._faults[n][0] for n in names])
         self.faults[name] += await self._faults[name][1]()

@@ -1,6 +1,6 @@
 """Calibration of the behaviour-blind control, on campaigns in which the behaviour has no effect.
 
-Every candidate is simulated with the same fixed behaviour instead of its own, so whatever a search finds is due to
+Every candidate is simulated with the same fixed behaviour instead of its own, so all that a search finds is due to
 scenarios and chance. A control that can be trusted then reaches the same figures as the real verdicts.
 """
 

@@ -1,4 +1,4 @@
-"""What all measurements share: figures with targets, progress, percentiles, CPU time and memory of processes."""
+"""Shared by all measurements: figures with targets, progress, percentiles, CPU time and memory of processes."""
 
 import os
 import statistics
@@ -21,7 +21,7 @@ class Row:
         what: Name of the figure.
         value: Measured value.
         target: The target in words; empty if there is none.
-        met: Whether the target is met; None if there is none.
+        met: Whether the target is met; None without a target.
         note: Sample sizes and further figures.
     """
 

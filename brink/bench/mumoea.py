@@ -383,7 +383,7 @@ def _summary(measures: Mapping[str, Sequence[Measures]]) -> list[Row]:
 
 
 def _tests(measures: Mapping[str, Sequence[Measures]]) -> list[Row]:
-    """Return A12 and the p-value of muMOEA against each other method, and of permanent differential seeds."""
+    """Return A12 and the p-value of muMOEA against each other method, and of its variant `always`."""
     pairs = [
         (subject, name, method)
         for subject, names in ((ADAPTIVE, tuple(LABELS)), (ALWAYS, ("types", "fault_types")))

@@ -58,7 +58,7 @@ class FrameTime:
 
     @property
     def met(self) -> bool | None:
-        """Whether the target is met; None if there is none."""
+        """Whether the target is met; None without a target."""
         return None if self.target_ms is None else self.frame_ms <= self.target_ms
 
 
@@ -112,7 +112,7 @@ class GeneTime:
         middle_ms: Time at the middle level.
         top_ms: Time at the highest level.
         target_ms: Longest allowed time, or None.
-        met: Whether the target is met; None if there is none.
+        met: Whether the target is met; None without a target.
         albumentations_ms: Time of the equivalent of albumentations at the highest level, or None.
     """
 

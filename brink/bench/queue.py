@@ -67,7 +67,7 @@ _INSTALL = "pip install 'brink-boundary[bench]'"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Throughput:
-    """No-op jobs that went through a queue.
+    """Throughput of no-op jobs.
 
     Attributes:
         system: Queue and its database.
@@ -205,7 +205,7 @@ def compare_queues(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Plan:
-    """What is measured of each system."""
+    """The measurements to take of each system."""
 
     workers: tuple[int, ...]
     batches: tuple[int, ...]
@@ -214,7 +214,7 @@ class _Plan:
 
     @property
     def few(self) -> int:
-        """Number of jobs where each takes long."""
+        """Number of jobs for measurements in which each job takes long."""
         return max(200, self.jobs // 3)
 
 
@@ -237,7 +237,7 @@ def _measure_other(queue: "_OtherQueue", plan: _Plan, _: int) -> _Measured:
 
 
 def _missing() -> dict[str, str]:
-    """Return why the other systems cannot be measured; an empty string where they can."""
+    """Return why the other systems cannot be measured; empty if they can."""
     reasons = {
         PROCRASTINATE: "" if find_spec("procrastinate") else _INSTALL,
         CELERY: "" if find_spec("celery") else _INSTALL,
@@ -251,7 +251,7 @@ def _missing() -> dict[str, str]:
 
 
 def _medians(measured: Iterable[Throughput]) -> list[Throughput]:
-    """Return, of repeated measurements, the one with the median rate."""
+    """Return the repeated measurement with the median rate."""
     found: dict[tuple[str, int, int], list[Throughput]] = {}
     for one in measured:
         found.setdefault((one.system, one.workers, one.batch), []).append(one)
@@ -306,7 +306,7 @@ class _BrinkQueue:
         )
 
     def pickup(self) -> list[Pickup]:
-        """Measure how soon an idle client has a job of a new campaign."""
+        """Measure how soon an idle client gets a job of a new campaign."""
         submitted, stored = asyncio.run(self._pickup_times())
         return [
             Pickup(system=self._name, since="stored", times_ms=tuple(stored)),
@@ -419,7 +419,7 @@ class _BrinkQueue:
 
 
 class _OtherQueue(ABC):
-    """A queue with which Brink's is compared: its worker process and a task that does nothing."""
+    """A queue to compare with Brink's: its worker process and a no-op task."""
 
     name: ClassVar[str]
 
@@ -430,7 +430,7 @@ class _OtherQueue(ABC):
 
     @abstractmethod
     def throughput(self, workers: int, jobs: int) -> Throughput:
-        """Measure how many no-op tasks go through a number of workers."""
+        """Measure the throughput of no-op tasks with a number of workers."""
 
     @abstractmethod
     def pickup(self) -> Pickup:
@@ -466,7 +466,7 @@ class _CeleryQueue(_OtherQueue):
         self._no_op: Any = no_op
 
     def throughput(self, workers: int, jobs: int) -> Throughput:
-        """Measure how many no-op tasks go through a pool of processes."""
+        """Measure the throughput of no-op tasks with a pool of processes."""
         results = [self._no_op.delay() for _ in range(jobs)]
         with self._workers(workers):
             times = self._run_times(results)
@@ -492,7 +492,7 @@ class _CeleryQueue(_OtherQueue):
         ]  # fmt: skip
 
     def _run_times(self, results: list[Any]) -> list[float]:
-        """Return when each task ran. Reads all results in one request, to disturb the workers little."""
+        """Return when each task ran. Reads all results in one request, so as not to disturb the workers."""
         client = self._app.backend.client
         keys = [self._app.backend.get_key_for_task(result.id) for result in results]
         deadline = time.monotonic() + _TIMEOUT_S
@@ -518,7 +518,7 @@ class _ProcrastinateQueue(_OtherQueue):
         asyncio.run(self._create_schema())
 
     def throughput(self, workers: int, jobs: int) -> Throughput:
-        """Measure how many no-op tasks go through a number of coroutines."""
+        """Measure the throughput of no-op tasks with a number of coroutines."""
         asyncio.run(self._defer(jobs))
         with self._workers(workers):
             first, last = self._await_done(jobs)

@@ -1,4 +1,4 @@
-"""How fully workers are used: simulated workers that share a coordinator, and a model of the scheduling alone.
+"""Worker utilisation: simulated workers that share a coordinator, and a model of the scheduling alone.
 
 The simulated workers are coroutines that lease a job, wait as long as its episode would take, and report it over real
 HTTP. Episodes take log-normal times. They are scaled down, so overheads weigh more than they would in practice.
@@ -65,7 +65,7 @@ class Utilisation:
 
     @property
     def met(self) -> bool | None:
-        """Whether the target is met; None if there is none."""
+        """Whether the target is met; None without a target."""
         has_target = (self.workers, self.campaigns, self.generation) == (
             TARGET_WORKERS, TARGET_CAMPAIGNS, TARGET_GENERATION,
         )  # fmt: skip

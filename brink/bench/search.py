@@ -53,7 +53,7 @@ class StepTime:
 
     @property
     def met(self) -> bool | None:
-        """Whether the median meets the target; None if there is none."""
+        """Whether the median meets the target; None without a target."""
         return None if self.target_ms is None else self.median_ms <= self.target_ms
 
 

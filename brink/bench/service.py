@@ -219,7 +219,7 @@ def _bare_loop(connection: Connection) -> None:
 
 
 def _run_bare(pool: Sequence[Connection], specs: Sequence[dict[str, Any]]) -> tuple[float, float]:
-    """Run episodes, dealt out to the processes in turn; return wall-clock and CPU seconds."""
+    """Run episodes, assigned to the processes in turn; return wall-clock and CPU seconds."""
     texts = [json.dumps(spec) for spec in specs]
     for connection in pool:  # one warm-up episode each, because the first one pays for imports
         connection.send(texts[:1])

@@ -372,7 +372,7 @@ class Searches(_Criteria):
         return rows
 
     def _search(self, part: str, searches: Sequence[Search]) -> list[SimoodState]:
-        """Run searches to the end of their search on the data set; return their states."""
+        """Run searches until they have finished with the data set; return their states."""
         space = self._places.problem.space
         total = sum(s.config.population_size + s.config.parents * s.config.generations for s in searches)
         for search in searches:
@@ -552,7 +552,7 @@ def _words(chain: Chain) -> str:
 
 
 def _singles() -> list[Chain]:
-    """Return every gene at every level that does something: 160 chains."""
+    """Return every gene at every level that has an effect: 160 chains."""
     return [((name, level),) for name, gene in CATALOGUE.items() for level in range(1, gene.levels)]
 
 

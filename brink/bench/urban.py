@@ -142,7 +142,7 @@ def without_ghosts(scenario: Candidate) -> Candidate:
 
 
 def redraw(base: Candidate, name: str, rng: np.random.Generator) -> Candidate:
-    """Return a candidate with one parameter drawn anew and its trajectory repaired.
+    """Return a candidate with one parameter redrawn and its trajectory repaired.
 
     A categorical parameter gets a different value. A trajectory that was null gets new numbers.
 
@@ -498,7 +498,7 @@ class Cost:
 
     @property
     def met(self) -> bool | None:
-        """Whether the target is met; None if there is none."""
+        """Whether the target is met; None without a target."""
         return None if self.most is None else self.value <= self.most
 
 
@@ -528,7 +528,7 @@ def _episode_cost(
 
 
 def episode_cpu_s(scenario: UrbanScenario, behaviour: DetectorBehaviour) -> float:
-    """Return the CPU time of an episode of the full 30 s: it goes on after a collision and at the goal."""
+    """Return the CPU time of an episode of the full 30 s: it continues after a collision and at the goal."""
     from brink.sim.bullet.engine import process_engine
     from brink.sim.urban.episode_loop import run_loop
 

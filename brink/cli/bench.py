@@ -119,7 +119,7 @@ def _met(met: bool | None) -> str:
 
 
 def _bound(bound: float | None, words: str = "at most") -> str:
-    """Return a target in words; empty if there is none."""
+    """Return a target in words; empty without one."""
     return "" if bound is None else f"{words} {bound:g}"
 
 

@@ -124,7 +124,7 @@ async def follow(api: Api, campaign: str, *, as_json: bool, quiet: bool = False)
 
 def status(
     campaign: Annotated[
-        str | None, typer.Argument(metavar="[ID]", help="Campaign id; all campaigns without it.")
+        str | None, typer.Argument(metavar="[ID]", help="Campaign id (default: all campaigns).")
     ] = None,
     database: Database = None,
     server: Server = None,
@@ -309,7 +309,7 @@ def cancel(campaign: CampaignId, database: Database = None, server: Server = Non
 
 
 def retry(campaign: CampaignId, database: Database = None, server: Server = None) -> None:
-    """Put the quarantined jobs of a campaign back into the queue, with a fresh number of attempts.
+    """Put the quarantined jobs of a campaign back into the queue, with all their attempts restored.
 
     Jobs of earlier generations stay quarantined: the search has moved on without them.
 

@@ -1,6 +1,6 @@
 """Commands on the database itself: db, token, doctor, export, import.
 
-They need no coordinator and no token: whoever can read the database may do everything.
+They need no coordinator and no token: anyone who can read the database may do everything.
 """
 
 import sqlite3
@@ -304,7 +304,7 @@ def list_(database: Database = None, as_json: AsJson = False) -> None:
 @token.command()
 def revoke(
     token_id: Annotated[
-        str, typer.Argument(help="Id of the token, as in `brink token list`: its third part.", metavar="ID")
+        str, typer.Argument(help="Id of the token: its third part, see `brink token list`.", metavar="ID")
     ],
     database: Database = None,
 ) -> None:

@@ -160,7 +160,7 @@ async def write_results(api: Api, campaign: str, folder: Path, *, t_b: float, d_
         campaign: Id of the campaign.
         folder: Folder to write to; created if missing.
         t_b: Highest fitness of boundary solutions.
-        d_th: Smallest distance between two of them.
+        d_th: Smallest distance between two boundary solutions.
 
     Returns:
         The boundary.
@@ -185,7 +185,7 @@ def draw_figures(
         fetched: The campaign.
         folder: Folder to write to.
         t_b: Highest fitness of boundary solutions.
-        d_th: Smallest distance between two of them.
+        d_th: Smallest distance between two boundary solutions.
         formats: File formats.
 
     Returns:

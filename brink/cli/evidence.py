@@ -214,7 +214,7 @@ def _readme(
         f"{boundary.dbs} distinct boundary solutions, {boundary.strict_dbs} of them strict: fitness at most "
         f"{options.t_b:g}, at least {options.d_th:g} apart, around the region that is unsafe with probability "
         f"{near.p_th:g}; neighbours within {near.radius:g}, intervals with z = {near.z:g}. {boundary.note}",
-        "Each solution was simulated once. `brink repeats` estimates how likely the solution itself is unsafe.",
+        "Each solution was simulated once. `brink repeats` estimates how likely the solution itself is to be unsafe.",
         *(f"> {note}" for note in notes),
         "# Files",
         _files(options.film, drawn),

@@ -127,7 +127,7 @@ class CombinationFindings:
         self._found = found
 
     def sentence(self) -> str:
-        """Return how many chains are hazardous, and in which way."""
+        """Return a sentence on how many chains are hazardous, and how."""
         chains = self._found.combinations
         hazardous = sum(one.hazardous for one in chains)
         together = sum(one.only_together for one in chains)
@@ -213,7 +213,7 @@ async def _variants(drawing: Drawing, number: int) -> list[Row]:
 
 
 def _claim(one: CombinationView) -> str:
-    """Return in which way a chain is hazardous; "only together" implies minimal."""
+    """Return how a chain is hazardous: "only together" implies minimal."""
     claims = {
         "only together": one.only_together,
         "only in this order": one.order_matters,
@@ -347,12 +347,12 @@ class ViolationFindings:
 
 
 def _by_frequency(found: Violations) -> list[TypeView]:
-    """Return the types of violations, those with most solutions first."""
+    """Return the types of violations, most frequent first."""
     return sorted(found.types, key=lambda kind: (-kind.solutions, kind.first))
 
 
 def print_violations(screen: Console, found: Violations, shown: int = TYPES_SHOWN) -> None:
-    """Print the most common types of violations, and in a sentence how many types there are."""
+    """Print the most common types of violations, and a sentence with the number of types."""
     types = _by_frequency(found)
     numbers = ("solutions", "distinct", "first")
     table = plain_table(*numbers, "type of violation", right=numbers)

@@ -146,7 +146,7 @@ def budget_bar(name: str, simulations: int, budget: int, kind: str = "simulation
 
 
 def spark(values: Sequence[float]) -> str:
-    """Return the last values of a series as a sparkline, newest at the right."""
+    """Return the last values of a series as a sparkline, newest on the right."""
     shown = values[-SERIES_WIDTH:]
     if len(shown) < 2:
         return ""

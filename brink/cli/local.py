@@ -83,7 +83,7 @@ class Session:
                 return progress
             if progress.trouble_s > MAX_TROUBLE_S:
                 raise Unavailable(
-                    f"{progress.trouble}; acknowledged results are stored, continue later with --resume"
+                    f"{progress.trouble}; acknowledged results are stored; continue later with --resume"
                 )
             self.processes.replace_dead()
             with contextlib.suppress(TimeoutError):
@@ -191,10 +191,10 @@ def run_locally(
 
 @contextlib.contextmanager
 def _coordinator(settings: Settings, worker_log: Path) -> Iterator[tuple[str, str | None, WorkerProcesses]]:
-    """Yield URL, token and workers of a coordinator that is stopped in the end."""
+    """Yield URL, token and workers of a coordinator that is stopped at the end of the block."""
     prepare_database(settings)
     if settings.token is None and has_tokens(settings, valid_only=False):
-        # The database belongs to a coordinator with tokens: this command and its workers share a token of their own.
+        # The database belongs to a coordinator with tokens: this command and its workers share a separate token.
         settings = settings.model_copy(update={"token": SecretStr(secrets.token_hex(24))})
     release_leases_of_dead_workers(settings)
     coordinator = EmbeddedCoordinator(settings)

@@ -30,7 +30,7 @@ def _run() -> int:
 
 
 def _describe(error: Exception) -> list[str] | None:
-    """Return the lines that describe an expected error; None for a bug, which deserves its traceback."""
+    """Return the lines that describe an expected error; None for a bug, whose traceback is shown."""
     from brink.search.errors import MissingExtra
     from brink.server.errors import InvalidInput, ServerError
     from brink.sim.errors import SimulatorError

@@ -112,7 +112,7 @@ def score(
     ],
     as_json: AsJson = False,
 ) -> None:
-    """Estimate how likely solutions are unsafe. Needs no server.
+    """Estimate how likely solutions are to be unsafe. Needs no server.
 
     Example: brink monitor score monitor.json solutions.json
     """
@@ -196,7 +196,7 @@ async def _fetched(api: Api, campaigns: Sequence[str]) -> list[FetchedArchive]:
     for other in found[1:]:
         if other.body.problem != first.body.problem:
             raise Conflict(
-                f"campaigns {first.id} and {other.id} have different problems; a monitor covers one"
+                f"campaigns {first.id} and {other.id} have different problems; a monitor covers only one"
             )
     return list({one.id: one for one in found}.values())
 

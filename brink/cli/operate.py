@@ -36,7 +36,7 @@ def serve(
         bool | None, typer.Option("--access-log", help="Log every request.", show_default=False)
     ] = None,
 ) -> None:
-    """Run a coordinator until it is stopped. It upgrades its database at the start.
+    """Run a coordinator until it is stopped. It upgrades its database on startup.
 
     Example: brink serve --database postgresql://brink:secret@db/brink --port 8700
     """
@@ -64,7 +64,7 @@ def serve(
 
 
 def _announcer(log_format: LogFormat) -> Callable[[str], None]:
-    """Return a function that announces the start: on the console, or in the log if that is JSON for programs."""
+    """Return a function that announces the start: on the console, or in the log if the log is JSON."""
     if log_format is LogFormat.JSON:
         return log.info
     return partial(console().print, soft_wrap=True)

@@ -135,7 +135,7 @@ def database_option(settings: "Settings") -> str:
 
 
 def with_api(server: str | None, database: str | None, work: Callable[[Api], Awaitable[T]]) -> T:
-    """Return what `work` returns, given the API of a coordinator.
+    """Call `work` with the API of a coordinator, and return its result.
 
     Args:
         server: URL of the coordinator; None opens the database in this process.
@@ -181,12 +181,12 @@ def delete_confirmed(
 
 
 def print_json(document: Any) -> None:
-    """Print a document for programs."""
+    """Print a value as JSON."""
     typer.echo(json.dumps(document, indent=2))
 
 
 def write_json(file: Path, document: Any) -> None:
-    """Write a document for programs."""
+    """Write a value to a file as JSON."""
     file.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
 
 
@@ -196,7 +196,7 @@ def fields(value: Any, *names: str) -> dict[str, Any]:
 
 
 def console(*, stderr: bool = False) -> Console:
-    """Return a console; one that is no terminal is wide enough for the tables of all commands."""
+    """Return a console; one that is not a terminal is wide enough for the tables of all commands."""
     screen = Console(stderr=stderr, highlight=False)
     if screen.is_terminal or stderr:
         return screen

@@ -57,11 +57,11 @@ def _values(gene: Gene) -> str:
 def show(
     out: Annotated[Path, typer.Option(help="File to write: .png or .jpg.")],
     image: Annotated[
-        Path | None, typer.Option(help="Image to perturb; a drawn street without it.", show_default=False)
+        Path | None, typer.Option(help="Image to perturb (default: a drawn street).", show_default=False)
     ] = None,
     gene: Annotated[
         list[str] | None,
-        typer.Option(help="Gene to show; may be repeated. All genes without it.", show_default=False),
+        typer.Option(help="Gene to show; may be repeated (default: all genes).", show_default=False),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random perturbations.")] = 0,
     tile_width: Annotated[int, typer.Option(min=80, max=1920, help="Width of a tile in pixels.")] = 320,
@@ -91,7 +91,7 @@ def show(
 
 
 def _genes(names: list[str] | None) -> list[Gene]:
-    """Return the named genes in the given order without repetitions; all genes without a name.
+    """Return the named genes in the given order without repetitions; all genes if none is named.
 
     Raises:
         InvalidInput: A gene is unknown.

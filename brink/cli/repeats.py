@@ -50,7 +50,7 @@ def repeats(
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Simulate boundary solutions again with other seeds, to estimate how likely each of them is unsafe.
+    """Simulate boundary solutions again with other seeds, to estimate how likely each of them is to be unsafe.
 
     Without --server, the command runs a coordinator and workers until the simulations are done. Calling it again
     continues them, or shows the result.
@@ -98,7 +98,7 @@ async def _run(session: Session, campaign: str, request: dict[str, Any], workers
 
 
 async def _find_or_submit(api: Api, campaign: str, request: dict[str, Any]) -> RepeatsView:
-    """Return the repeats of a boundary, submitted now unless they were before."""
+    """Return the repeats of a boundary, submitting them unless they exist."""
     known = await _latest(api, campaign, request)
     if known is not None:
         return known
@@ -106,7 +106,7 @@ async def _find_or_submit(api: Api, campaign: str, request: dict[str, Any]) -> R
 
 
 async def _latest(api: Api, campaign: str, request: dict[str, Any]) -> RepeatsView | None:
-    """Return the latest such repeats of a boundary that were neither cancelled nor failed."""
+    """Return the latest repeats of a boundary that neither failed nor were cancelled."""
     given_up = (CampaignStatus.CANCELLED, CampaignStatus.FAILED)
     for one in reversed(await api.read(list[RepeatsView], f"/campaigns/{campaign}/repeats")):
         same = all(getattr(one, name) == value for name, value in request.items())
@@ -175,7 +175,7 @@ def _probability(one: RepeatedSolution) -> float:
 
 
 def repeats_sentence(view: RepeatsView) -> str:
-    """Return in a sentence how many boundary solutions have an interval that contains p_th."""
+    """Return a sentence on how many boundary solutions have an interval that contains p_th."""
     solutions = len(view.solutions)
     reason = f" ({view.status_reason})" if view.status_reason else ""
     if not view.evaluated:

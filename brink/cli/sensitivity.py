@@ -115,11 +115,11 @@ def rerun(
     seeds: Annotated[int, typer.Option(min=2, max=100, help="Number of searches with each value.")] = 5,
     t_b: Annotated[
         float,
-        typer.Option("--t-b", help="Highest fitness of boundary solutions, from the paper."),
+        typer.Option("--t-b", help="Highest fitness of boundary solutions; one of the paper's."),
     ] = DEFAULT_T_B,
     d_th: Annotated[
         float,
-        typer.Option("--d-th", help="Smallest distance of distinct solutions, from the paper."),
+        typer.Option("--d-th", help="Smallest distance between distinct solutions; one of the paper's."),
     ] = DEFAULT_D_TH,
     workers: Workers = 2,
     database: Database = None,

@@ -1,6 +1,6 @@
 """measurements on data sets: a kind of job, a verdict, their counts; who failed a job, and on which machine
 
-SQLite cannot change a check, so its tables are made anew; reflection would lose the other checks, so they are
+SQLite cannot change a check, so its tables are recreated; reflection would lose the other checks, so they are
 spelled out.
 
 Revision ID: 0002
@@ -162,7 +162,7 @@ def _solutions(verdicts: tuple[str, ...]) -> list[sa.schema.SchemaItem]:
 
 
 def _index_again() -> None:
-    """Make those indexes that went with the tables and have not changed."""
+    """Create again the unchanged indexes that were dropped with the tables."""
     leased = sa.text("status = 'leased'")
     op.create_index("ix_jobs_leased", "jobs", ["lease_expires_at"], sqlite_where=leased)
     op.create_index("ix_jobs_lease_worker", "jobs", ["lease_worker"], sqlite_where=leased)

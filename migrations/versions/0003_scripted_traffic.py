@@ -1,4 +1,4 @@
-"""names that people give to violations; calls of language models; where solutions come from
+"""names that people give to violations; calls of language models; origins of solutions
 
 Revision ID: 0003
 Revises: 0002

@@ -105,11 +105,11 @@ class Ledger:
 
     @property
     def pending(self) -> tuple[Candidate, ...]:
-        """Candidates asked but not yet told."""
+        """Candidates asked for but not yet told."""
         return self.queue if self.asked else ()
 
     def unseen(self, rows: Iterable[FloatArray]) -> tuple[FloatArray, ...]:
-        """Return the rows that were never asked, without duplicates, in their order."""
+        """Return the rows that were never asked for, without duplicates, in their order."""
         seen = {*row_keys(self.archive.vectors), *row_keys(self.failed)}
         fresh = []
         for row in rows:
@@ -349,7 +349,7 @@ class LedgerState:
 
     @property
     def pending(self) -> tuple[Candidate, ...]:
-        """Candidates asked but not yet told, ascending by number."""
+        """Candidates asked for but not yet told, ascending by number."""
         return self.ledger.pending
 
 
@@ -407,7 +407,7 @@ class LedgerAlgorithm(Generic[C, S]):
             )
 
     def start(self, space: SearchSpace, config: C, *, seed: int, budget: int) -> S:
-        """Return the initial state, with nothing asked yet.
+        """Return the initial state, with nothing asked for yet.
 
         Args:
             space: The search space.

@@ -44,7 +44,7 @@ class MlcsheConfig(BoundaryConfig):
         3, help="Largest number of individuals in a population archive (l).", ge=1, le=1_000
     )
     archive_distance: float = setting(
-        0.4, help="Least distance between members of a population archive (d_a).", ge=0, le=1
+        0.4, help="Smallest distance between members of a population archive (d_a).", ge=0, le=1
     )
     partners: int = setting(1, help="Smallest number of partners for each individual (k).", ge=1, le=1_000)
     gene_swap_probability: float = setting(0.5, help="Probability that crossover swaps a gene.", ge=0, le=1)

@@ -141,7 +141,7 @@ class FitnessRange:
         return not self.low < self.mean < self.high
 
     def threshold(self, c1: float = 0.5, m1: float = 0.5) -> float:
-        """Return the rate at which an operator applies."""
+        """Return the rate from which an operator applies."""
         return c1 * (self.high - self.mean) + m1 * (self.mean - self.low)
 
 
@@ -173,7 +173,7 @@ def scaled(values: FloatArray, low: float, high: float) -> FloatArray:
 
 
 def mutation_probability(fitness: FloatArray, k2: float = 0.6, k4: float = 1.0) -> FloatArray:
-    """Return PM of each solution: 0 for the best, the cap for the worst.
+    """Return the mutation probability (PM) of each solution: 0 for the best, the cap for the worst.
 
     Args:
         fitness: Fitness of the population, maximised, shape ``(n,)``.
@@ -193,7 +193,7 @@ def crossover_probability(
     k1: float = 0.6,
     k3: float = 1.0,
 ) -> FloatArray:
-    """Return PC of each pair.
+    """Return the crossover probability (PC) of each pair.
 
     Args:
         better: Fitness of the better parent of each pair (f'), any shape.
@@ -258,9 +258,7 @@ class Mumoea(LedgerAlgorithm[MumoeaConfig, MumoeaState]):
         if config.seeds > config.population_size:
             raise ConfigError("seeds", f"expected at most population_size, got {config.seeds}")
         if config.seeder == "llm" and config.initial == "random" and config.differential == "never":
-            raise ConfigError(
-                "seeder", "expected initial: seeds or differential seeds with llm; it is never asked"
-            )
+            raise ConfigError("seeder", "llm is never asked; expected initial: seeds, or differential seeds")
         return config.population_size
 
     def _first_state(self, ledger: Ledger, config: MumoeaConfig) -> MumoeaState:
@@ -315,7 +313,7 @@ class Mumoea(LedgerAlgorithm[MumoeaConfig, MumoeaState]):
         return super().finished(state) and state.want is Want.NOTHING
 
     def wanted(self, state: MumoeaState) -> SeedRequest | None:
-        """Return the seeds needed before the next generation can be asked, or None."""
+        """Return the seeds needed before the next generation can be asked for, or None."""
         if state.want is Want.NOTHING:
             return None
         genome, config = TrafficGenome.of(state.ledger.space), state.config

@@ -1,4 +1,4 @@
-"""SiMOOD: a genetic algorithm for the weakest combinations of perturbations that do most harm to a component.
+"""SiMOOD: a genetic algorithm for the weakest perturbations that together do the most harm to a component.
 
 Individuals are ordered slots of distinct techniques, each at a level (`brink.search.slots`). The search runs in three
 stages. In the first, most evaluations measure the component on a data set (`Question.DATASET`), which is cheap. The
@@ -202,7 +202,7 @@ def finalists_of(state: SimoodState) -> FloatArray:
 
 
 def _fitness(state: SimoodState) -> FloatArray:
-    """Return f of all individuals, shape ``(a,)``; infinite without an alpha."""
+    """Return the fitness f of all individuals, shape ``(a,)``; infinite for those without an alpha."""
     weighted = state.config.omega * ChainGenome.of(state.ledger.space).eta(state.individuals)
     if state.config.alpha == "errors":
         return np.asarray(np.abs(weighted - state.alphas))

@@ -82,7 +82,7 @@ def distinct_boundary(archive: Archive, t_b: float, d_th: float, strict: bool = 
     Args:
         archive: The evaluated solutions.
         t_b: Largest fitness of a boundary solution.
-        d_th: Smallest distance between two of them.
+        d_th: Smallest distance between two boundary solutions.
         strict: Whether to take only solutions with evidence of a boundary.
     """
     eligible = archive.fitness <= t_b
@@ -118,7 +118,7 @@ def dbs(archive: Archive, t_b: float, d_th: float) -> int:
     Args:
         archive: The evaluated solutions.
         t_b: Largest fitness of a boundary solution.
-        d_th: Smallest distance between two of them.
+        d_th: Smallest distance between two boundary solutions.
     """
     return int(distinct_boundary(archive, t_b, d_th).size)
 
@@ -129,7 +129,7 @@ def strict_dbs(archive: Archive, t_b: float, d_th: float) -> int:
     Args:
         archive: The evaluated solutions.
         t_b: Largest fitness of a boundary solution.
-        d_th: Smallest distance between two of them.
+        d_th: Smallest distance between two boundary solutions.
     """
     return int(distinct_boundary(archive, t_b, d_th, strict=True).size)
 
@@ -142,7 +142,7 @@ def dbs_grid(
     Args:
         archive: The evaluated solutions.
         t_bs: Largest fitness of a boundary solution.
-        d_ths: Smallest distance between two of them.
+        d_ths: Smallest distance between two boundary solutions.
     """
     return DbsGrid(
         t_bs=tuple(t_bs),
@@ -178,7 +178,7 @@ def dbs_by_budget(
         budget: Simulations of the whole campaign.
         fractions: Shares in (0, 1], ascending.
         t_bs: Largest fitness of a boundary solution.
-        d_ths: Smallest distance between two of them.
+        d_ths: Smallest distance between two boundary solutions.
 
     Raises:
         ValueError: The fractions do not ascend in (0, 1], or the archive does not ascend by number.
@@ -257,7 +257,7 @@ def by_radius(archive: Archive, radii: Sequence[float], *, t_b: float, d_th: flo
         archive: The evaluated solutions.
         radii: Largest distances of a neighbour, >= 0.
         t_b: Largest fitness of a boundary solution.
-        d_th: Smallest distance between two of them.
+        d_th: Smallest distance between two boundary solutions.
 
     Raises:
         ValueError: A radius is out of range.
@@ -272,7 +272,7 @@ def by_p_th(archive: Archive, p_ths: Sequence[float], *, t_b: float, d_th: float
         archive: The evaluated solutions.
         p_ths: Probabilities of unsafe on the boundary, in (0, 1).
         t_b: Largest fitness of a boundary solution.
-        d_th: Smallest distance between two of them.
+        d_th: Smallest distance between two boundary solutions.
 
     Raises:
         ValueError: A probability is out of range.

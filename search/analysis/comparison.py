@@ -1,7 +1,7 @@
 """Comparisons in tables and in words: campaigns with their controls, and methods over repeated campaigns.
 
 A control has verdicts that ignore the behaviour (`brink.search.analysis.scores`), so its figures are due to scenarios
-and chance. A control that reads low proves nothing, whatever the test says, and a p-value that does not survive its
+and chance. A control that reads low proves nothing, regardless of the test, and a p-value that does not survive its
 correction shows no difference.
 
 Source: Sharifi et al. 2023, Tables 1 and 2. Beyond the paper: strict DBS, controls, and Holm's correction over all
@@ -219,7 +219,7 @@ class Duel:
 
     @property
     def size(self) -> str:
-        """The effect size in a word."""
+        """The effect size as a word."""
         return effect_size(self.result.a12)
 
 

@@ -1,6 +1,6 @@
 """The constraint on a component of traffic participants, set by the road, the kinds and the actions.
 
-Whatever `Participants.repair` returns can be driven: the participants come first and empty places last; everyone
+What `Participants.repair` returns can always be driven: the participants come first and empty places last; everyone
 starts on a lane, a pavement or a side street, clear of all others; and every action fits its participant's kind.
 """
 

@@ -100,7 +100,7 @@ def roll_out(participant: Participant, road: RoadLimits, until_s: float = 0.0) -
 
 
 class _Mover:
-    """A participant during the roll-out; changes in place."""
+    """A participant during the roll-out. Mutable."""
 
     def __init__(self, participant: Participant, road: RoadLimits) -> None:
         self._kind = participant.kind
@@ -270,7 +270,7 @@ class Rollouts:
 
 
 def trajectory_distances(first: Rollouts, second: Rollouts) -> tuple[FloatArray, FloatArray]:
-    """Return TD of all pairs of participants, and the number of waypoints that each sums over.
+    """Return the distance TD of all pairs of participants, and the number of waypoints that each sums over.
 
     TD sums the distances between the waypoints of the actions that both participants have.
 
@@ -285,7 +285,7 @@ def trajectory_distances(first: Rollouts, second: Rollouts) -> tuple[FloatArray,
 
 
 def encounter_distances(first: Rollouts, second: Rollouts) -> FloatArray:
-    """Return ED of all pairs of solutions: the mean of TD over all pairs of their participants.
+    """Return the distance ED of all pairs of solutions: the mean of TD over all pairs of their participants.
 
     Returns:
         Distances in m, shape ``(n, m)``.

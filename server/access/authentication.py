@@ -33,7 +33,7 @@ class Caller:
 
 
 class _Bucket:
-    """A token bucket that holds one second's worth of requests. Changes in place."""
+    """A token bucket that holds one second's worth of requests. Mutable."""
 
     __slots__ = ("_at", "_left")
 
@@ -85,7 +85,7 @@ class Authenticator:
     async def requires_token(self) -> bool:
         """Return whether requests need a token: one is set, other machines can connect, or a token was ever stored.
 
-        Expired and revoked tokens count: otherwise a coordinator would open to everybody when its last token expires.
+        Expired and revoked tokens count: otherwise a coordinator would open to everyone when its last token expires.
         """
         if self._own is not None or self._exposed:
             return True

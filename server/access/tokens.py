@@ -84,7 +84,7 @@ def parse_token_id(token: str) -> str | None:
 
 
 def token_digest(token: str) -> str:
-    """Return the digest that is stored of a token. Tokens are random enough that a slow hash would add nothing."""
+    """Return the stored digest of a token. Tokens are random enough that a slow hash would add nothing."""
     return hashlib.sha256(token.encode()).hexdigest()
 
 

@@ -62,10 +62,10 @@ class MapView(View):
     ]
     generation: Annotated[int, Field(description="Generations completed.")]
     evaluated: Annotated[int, Field(description="Evaluated solutions.")]
-    drawn: Annotated[int, Field(description="How many of them are on the map.")]
+    drawn: Annotated[int, Field(description="Number of evaluated solutions on the map.")]
     explained: Annotated[float, Field(description="Share of the squared distances that the map preserves.")]
-    across: Annotated[str | None, Field(description="What the horizontal axis correlates with, in words.")]
-    up: Annotated[str | None, Field(description="What the vertical axis correlates with, in words.")]
+    across: Annotated[str | None, Field(description="Meaning of the horizontal axis, in words.")]
+    up: Annotated[str | None, Field(description="Meaning of the vertical axis, in words.")]
     first: Annotated[int, Field(description="Solutions left out because the client already has them.")]
     number: list[int]
     told_in: Annotated[list[int], Field(description="Generation of each solution.")]
@@ -257,7 +257,7 @@ class Dependences(View):
 async def get_dependence(
     campaign_id: str, services: Services, request: Request, response: Response
 ) -> Dependences:
-    """Return the unsafe share over the values of each parameter. No risk estimate: searches sample unevenly."""
+    """Return the unsafe share over the values of each parameter. Not a risk estimate: searches sample unevenly."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     etag = _etag(campaign, found.generation)

@@ -1,6 +1,6 @@
 """An episode as the API returns it: a trace and its scene model in columns of rounded numbers, ready to be drawn.
 
-Whatever is absent at a sample or unbounded is null. Positions are rounded to 1 mm, angles to 0.0001 rad, boxes to a
+Absent and unbounded values are null. Positions are rounded to 1 mm, angles to 0.0001 rad, boxes to a
 tenth of a pixel. Traces are checked first: a worker may have sent anything.
 """
 
@@ -139,7 +139,7 @@ class RowsView(View):
     """Rows that belong to samples, any number per sample, in columns."""
 
     first: Annotated[
-        list[int], Field(description="Where the rows of each sample begin, and where those of the last end.")
+        list[int], Field(description="Index of the first row of each sample, then the number of all rows.")
     ]
     columns: Annotated[dict[str, Column], Field(description="By name; label is 0 vehicle, 1 person.")]
 
@@ -154,7 +154,7 @@ class PictureCamera(View):
     horizon_px: float
     height_m: Annotated[float, Field(description="Above the ground.")]
     forward_m: Annotated[float, Field(description="Ahead of the ego's centre.")]
-    from_m: Annotated[float, Field(description="Sketches leave out what is nearer.")]
+    from_m: Annotated[float, Field(description="Sketches leave out anything nearer.")]
     to_m: Annotated[float, Field(description="Sketches leave out areas that begin farther away.")]
 
 
@@ -169,13 +169,13 @@ class FilmView(View):
         RowsView,
         Field(description="Detections with at least `least_score`; counts is 1 from `threshold` on."),
     ]
-    threshold: Annotated[float, Field(description="Least score of a detection that counted.")]
-    least_score: Annotated[float, Field(description="Least score of a detection that is listed.")]
+    threshold: Annotated[float, Field(description="Lowest score of a detection that counted.")]
+    least_score: Annotated[float, Field(description="Lowest score of a detection that is listed.")]
     regions: Annotated[dict[str, list[Point]], Field(description="Areas that trigger the brake.")]
     person_region: Annotated[
         str, Field(description="Name of the region for people; the other regions are for vehicles.")
     ]
-    colours: Annotated[dict[str, str], Field(description="Of the lines: judged, found, region.")]
+    colours: Annotated[dict[str, str], Field(description="Colours of the lines: judged, found, region.")]
 
 
 class EventView(View):
@@ -185,7 +185,7 @@ class EventView(View):
     kind: str
     text: str
     caption: Annotated[str, Field(description="The event in words.")]
-    marked: Annotated[bool, Field(description="Whether it is marked on a time axis.")]
+    marked: Annotated[bool, Field(description="Whether the event is marked on a time axis.")]
 
 
 class StoryView(View):
@@ -193,22 +193,22 @@ class StoryView(View):
 
     requirement: str
     violated: bool
-    decisive: Annotated[int, Field(description="Sample of the first violation, or of the least robustness.")]
+    decisive: Annotated[int, Field(description="Sample of the first violation, or of the lowest robustness.")]
 
 
 class EpisodeWords(View):
     """The episode in words. Lists are by label; their last entry is for any other label."""
 
     scenario: str
-    perturbations: Annotated[str, Field(description="Of the camera's pictures; empty without any.")]
-    report: Annotated[str, Field(description="How the given boxes came about: injected, detected or seen.")]
+    perturbations: Annotated[str, Field(description="Perturbations of the pictures; empty without any.")]
+    report: Annotated[str, Field(description="Origin of the given boxes: injected, detected or seen.")]
     labels: Annotated[Sequence[str], Field(description="Names of labels.")]
-    sighted: Annotated[Sequence[str], Field(description="Captions of perceived obstacles that are there.")]
+    sighted: Annotated[Sequence[str], Field(description="Captions of perceived obstacles that really exist.")]
     ghosts: Annotated[Sequence[str], Field(description="Captions of ghosts.")]
 
 
 class EpisodeView(View):
-    """An episode, sampled."""
+    """A sampled episode."""
 
     time_s: list[float]
     ego: EgoView
@@ -219,7 +219,7 @@ class EpisodeView(View):
     scene: list[SurfaceView]
     shapes: ShapesView
     seen: Annotated[RowsView, Field(description="Ground truth in the picture: the component's input.")]
-    given: Annotated[RowsView, Field(description="What the driving system was told is there.")]
+    given: Annotated[RowsView, Field(description="Boxes that the driving system receives.")]
     perceived: Annotated[
         RowsView,
         Field(
@@ -441,7 +441,7 @@ def _story(trace: Trace, requirement: str | None) -> StoryView | None:
 
 
 def _or_empty(describe: Callable[[Trace], str], trace: Trace) -> str:
-    """Return a description of a trace; empty if the trace is malformed, as a worker may have sent anything."""
+    """Return a description of a trace; empty if the trace is malformed: workers are not trusted."""
     try:
         return describe(trace)
     except (LookupError, TypeError, ValueError, ArithmeticError):

@@ -122,7 +122,7 @@ async def submit_experiment(
     response: Response,
     idempotency_key: IdempotencyKey = None,
 ) -> ExperimentView:
-    """Submit an experiment: every algorithm on every problem with every seed. If one cannot run, none is."""
+    """Submit an experiment: every algorithm on every problem with every seed. If any cannot run, none does."""
     experiment, new = await services.experiments.submit(body, idempotency_key)
     set_created(response, f"experiments/{experiment.id}", new=new)
     return experiment_view(experiment)

@@ -1,4 +1,4 @@
-"""Routes of what a campaign finds besides a boundary: types of violations, hazardous combinations."""
+"""Routes of findings besides the boundary: types of violations, hazardous combinations."""
 
 import asyncio
 from collections.abc import Mapping
@@ -82,7 +82,7 @@ async def put_name(
 async def delete_name(
     campaign_id: str, number: Number, requirement: Requirement, services: Services
 ) -> Response:
-    """Remove the name of a violation; it then has the type that the rules give it."""
+    """Remove the name of a violation; it then has the type that the rules assign."""
     await _name(services, campaign_id, number, requirement, None)
     return Response(status_code=204)
 

@@ -50,7 +50,7 @@ class AccessMiddleware:
 
     Args:
         app: The inner application.
-        authenticator: Checks tokens and rates; None serves everybody.
+        authenticator: Checks tokens and rates; with None, everyone is served.
         max_body_bytes: Largest accepted body.
         stall_s: How long a body may take to arrive, unless it is large.
     """

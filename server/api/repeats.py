@@ -30,9 +30,9 @@ class RepeatsBody(Body):
     t_b: Annotated[float, Field(ge=0, le=1, description="Largest fitness of a boundary solution.")] = (
         DEFAULT_T_B
     )
-    d_th: Annotated[float, Field(ge=0, le=1, description="Smallest distance between two of them.")] = (
-        DEFAULT_D_TH
-    )
+    d_th: Annotated[
+        float, Field(ge=0, le=1, description="Smallest distance between two boundary solutions.")
+    ] = DEFAULT_D_TH
     numbers: Annotated[
         list[Annotated[int, Field(ge=0, le=MAX_NUMBER)]] | None,
         Field(
@@ -76,16 +76,16 @@ class RepeatedSolution(View):
 class RepeatsView(View):
     """Results of simulating solutions of a campaign again."""
 
-    campaign: Annotated[str, Field(description="Campaign that simulates them.")]
-    of: Annotated[str, Field(description="Campaign whose solutions they are.")]
-    name: Annotated[str, Field(description="Name of the latter campaign.")]
+    campaign: Annotated[str, Field(description="Campaign that runs the repeats.")]
+    of: Annotated[str, Field(description="Campaign whose solutions are repeated.")]
+    name: Annotated[str, Field(description="Name of the repeated campaign.")]
     status: CampaignStatus
     status_reason: str
     repeats: int
     boundary: Annotated[
         bool,
         Field(
-            description="Whether they are the distinct boundary at t_b and d_th. If not, they were given by number, "
+            description="Whether they are the distinct boundary at t_b and d_th. If not, they were chosen by number, "
             "and t_b is 1 and d_th 0, which excludes nothing."
         ),
     ]

@@ -75,11 +75,11 @@ class Dated(Protocol):
 
     @property
     def id(self) -> str:
-        """Its id, which breaks ties."""
+        """Id, which breaks ties."""
 
     @property
     def created_at(self) -> datetime:
-        """When it was created."""
+        """Time of creation."""
 
 
 def next_cursor(page: Sequence[Dated], limit: int) -> str | None:

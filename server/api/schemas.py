@@ -100,7 +100,7 @@ class Progress(View):
     elapsed_s: float
     workers: Annotated[int, Field(description="Live workers.")]
     unrunnable: Annotated[
-        dict[str, int], Field(description="Queued jobs by the capability they need and no live worker has.")
+        dict[str, int], Field(description="Queued jobs by the required capability that no live worker has.")
     ]
     looks_for_boundary: Annotated[
         bool,
@@ -112,11 +112,11 @@ class Progress(View):
         dict[str, int],
         Field(description="Number of solutions by origin, once the campaign has ended; empty if unknown."),
     ]
-    asking: Annotated[str | None, Field(description="What a language model is being asked, if anything.")]
+    asking: Annotated[str | None, Field(description="Current request to a language model, if any.")]
     trouble: Annotated[
         str | None, Field(description="Why the database currently rejects writes, if it does.")
     ]
-    trouble_s: Annotated[float, Field(description="How long it has rejected writes, in seconds.")]
+    trouble_s: Annotated[float, Field(description="How long the database has rejected writes, in seconds.")]
     digest: Annotated[str | None, Field(description="SHA-256 of the archive, once the campaign has ended.")]
     t_b: float
     d_th: float
@@ -179,7 +179,7 @@ class Boundary(View):
     dbs: int
     strict_dbs: int
     note: str
-    grid: Annotated[list[DbsCell], Field(description="DBS on the thresholds of the paper.")]
+    grid: Annotated[list[DbsCell], Field(description="DBS at the paper's thresholds.")]
     solutions: list[SolutionView]
     strict: Annotated[list[int], Field(description="Numbers of the strict distinct boundary solutions.")]
 
@@ -245,17 +245,17 @@ class CombinationView(ChainTally):
     parts: Annotated[
         list[ChainTally],
         Field(
-            description="Tallies over the scenarios where both were simulated. The empty chain applies no technique."
+            description="Tallies over the scenarios where part and chain were simulated. The empty chain is a part."
         ),
     ]
     orders: list[ChainTally]
     hazardous: Annotated[bool, Field(description="Unsafe in at least four of five scenarios.")]
-    minimal: Annotated[bool, Field(description="Hazardous, and no part of it is.")]
+    minimal: Annotated[bool, Field(description="Hazardous, but no part of it is.")]
     only_together: Annotated[
-        bool, Field(description="Hazardous, and every part is safe in at least four of five scenarios.")
+        bool, Field(description="Hazardous, but every part is safe in at least four of five scenarios.")
     ]
     order_matters: Annotated[
-        bool, Field(description="Hazardous, and another order is safe in at least four of five scenarios.")
+        bool, Field(description="Hazardous, but another order is safe in at least four of five scenarios.")
     ]
     together: Annotated[list[int], Field(description="Numbers of unsafe solutions whose parts are all safe.")]
     turned: Annotated[
@@ -275,7 +275,7 @@ class StepTally(View):
 
 
 class Variant(View):
-    """A solution with the same scenario as another, and a part of its techniques or another order of them."""
+    """A solution with the same scenario as another, and with some of its techniques or another order of them."""
 
     number: int
     unsafe: bool
@@ -369,7 +369,7 @@ class JobCounts(View):
     unrunnable: Annotated[
         dict[str, int],
         Field(
-            description="Queued jobs of unpaused campaigns, by the capability they need and no live worker has."
+            description="Queued jobs of unpaused campaigns, by the required capability that no live worker has."
         ),
     ]
 
@@ -500,7 +500,7 @@ class ExperimentProgress(ExperimentSummary):
     trouble: Annotated[
         str | None, Field(description="Why the database currently rejects writes, if it does.")
     ]
-    trouble_s: Annotated[float, Field(description="How long it has rejected writes, in seconds.")]
+    trouble_s: Annotated[float, Field(description="How long the database has rejected writes, in seconds.")]
 
 
 class RepeatView(View):

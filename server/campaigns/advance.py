@@ -141,7 +141,7 @@ class Stepper:
         return tuple(self._live)
 
     def archive(self, campaign_id: str, generation: int) -> Archive | None:
-        """Return a campaign's archive if it is in memory and at that generation."""
+        """Return a campaign's archive if it is in memory and at the given generation."""
         live = self._live.get(campaign_id)
         if live is None or live.generation != generation:
             return None
@@ -404,7 +404,7 @@ def _finite(value: float) -> float | None:
 
 
 def _check_same(campaign: Campaign, candidates: Sequence[Candidate], stored: Mapping[int, bytes]) -> None:
-    """Check that the algorithm asked for the same candidates again that are being simulated.
+    """Check that the algorithm asked again for the candidates that are being simulated.
 
     Raises:
         InvalidInput: They are not.
@@ -448,7 +448,7 @@ def _evaluation(problem: SimulatedProblem, question: Question, result: str) -> E
 
 
 def _is_transient(error: Exception) -> bool:
-    """Return whether a step failed because the database is away, locked or busy, and can be taken again."""
+    """Return whether a step failed because the database is unavailable, locked or busy, and can be taken again."""
     cause = error.__cause__ if isinstance(error, Unavailable) else error
     if isinstance(cause, DBAPIError):
         return is_transient(cause)

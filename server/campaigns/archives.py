@@ -124,7 +124,7 @@ class Monitors:
         plan, _, archive = self.archives.stored(campaign)
         if len(archive) < 2:
             raise Conflict(
-                f"campaign {campaign.id}: a monitor needs two evaluated solutions, there are {len(archive)}"
+                f"campaign {campaign.id}: a monitor needs two evaluated solutions, but there are {len(archive)}"
             )
         return Monitor.fitted(
             plan.problem.space, archive.vectors[-MOST_FITTED:], archive.unsafe[-MOST_FITTED:],

@@ -1,4 +1,4 @@
-"""Repeats: solutions of a campaign simulated again with other seeds, in a campaign of their own.
+"""Repeats: solutions of a campaign simulated again with other seeds, in a separate campaign.
 
 A campaign provides all that repeats need: workers, progress, resuming, no lost result. Its algorithm is
 `brink.search.algorithms.repeats`.

@@ -100,7 +100,7 @@ class DocumentService(ABC, Generic[B, S]):
 
     @abstractmethod
     def _start(self, stored: S, campaigns: Sequence[PreparedCampaign], idle: Sequence[str]) -> None:
-        """Start campaigns that were just stored, those without open jobs at once."""
+        """Start campaigns that were just stored; advance those without open jobs immediately."""
 
     @abstractmethod
     def _delete(self, connection: Connection, stored: S) -> None:
@@ -193,7 +193,7 @@ class DocumentService(ABC, Generic[B, S]):
 
 
 def check_threads() -> ThreadPoolExecutor:
-    """Return threads for checks of submissions."""
+    """Return a thread pool that checks submissions."""
     return ThreadPoolExecutor(SLOW_AT_ONCE, thread_name_prefix="brink-check")
 
 
@@ -304,7 +304,7 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
         d_th: float,
         numbers: Sequence[int] | None = None,
     ) -> tuple[Campaign, bool]:
-        """Repeat solutions of a campaign with other seeds, in a campaign of their own.
+        """Repeat solutions of a campaign with other seeds, in a separate campaign.
 
         Args:
             campaign: The campaign, which has ended.
@@ -352,7 +352,7 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
 
         Raises:
             NotFound: There is no such job.
-            Conflict: The job is not in quarantine, its campaign has ended, or its generation went on without it.
+            Conflict: The job is not in quarantine, its campaign has ended, or its generation continued without it.
         """
         await self.writer.write(lambda connection: store.retry_job(connection, job_id))
         self.wakeups.wake()  # all waiters: the first may be unable to run it

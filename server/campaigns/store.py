@@ -178,7 +178,7 @@ def retry_job(connection: Connection, job_id: int) -> None:
 
     Raises:
         NotFound: There is no such job.
-        Conflict: The job is not in quarantine, its campaign has ended, or its generation went on without it.
+        Conflict: The job is not in quarantine, its campaign has ended, or its generation continued without it.
     """
     job = job_store.find_job(connection, job_id)
     campaign = CAMPAIGNS.find(connection, job.campaign, lock=True) if job is not None else None
@@ -197,10 +197,10 @@ def retry_job(connection: Connection, job_id: int) -> None:
             != SolutionVerdict.PENDING
         ):
             raise Conflict(
-                f"job {job_id}: the campaign went on without solution {job.number}, which counts as failed"
+                f"job {job_id}: the campaign continued without solution {job.number}, which counts as failed"
             )
     if not job_store.requeue(connection, job_id, more_attempts=campaign.body.execution.max_attempts):
-        raise Conflict(f"job {job_id} was changed by another request just now; look again")
+        raise Conflict(f"job {job_id} was just changed by another request; check it again")
     note_change(connection, campaign.id)
 
 

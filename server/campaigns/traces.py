@@ -113,7 +113,7 @@ class Films:
         pictures = await self._cache.get(key, 0, lambda: self._pictures(campaign.id, number))
         if index >= len(pictures):
             raise NotFound(
-                f"solution {number}: its film has {len(pictures)} pictures, and no picture {index}"
+                f"solution {number}: its film has {len(pictures)} pictures, but no picture {index}"
             )
         picture = pictures[index]
         if not picture.startswith(JPEG_MAGIC):

@@ -42,7 +42,7 @@ def read_violations(
 
 
 def _signature(number: int, circumstances: Mapping[str, Any]) -> Signature | None:
-    """Return the type of a violation, or None if its circumstances are malformed: workers report them."""
+    """Return the type of a violation, or None if a worker reported malformed circumstances."""
     try:
         scaled_circumstances(circumstances)
         return signature_of(circumstances)

@@ -250,7 +250,7 @@ def _run_all(connection: Connection, units: Sequence[Unit[Any]]) -> list[Any]:
 
 
 def is_transient(error: DBAPIError) -> bool:
-    """Return whether the same statement may succeed later: the database is away, locked or full."""
+    """Return whether the same statement may succeed later: the database is unavailable, locked or full."""
     return error.connection_invalidated or isinstance(error, OperationalError | InterfaceError)
 
 

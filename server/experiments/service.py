@@ -89,7 +89,7 @@ class ExperimentService(DocumentService[ExperimentBody, Experiment]):
     async def _each(
         self, name: str, status: CampaignStatus, change: Callable[[str], Awaitable[Campaign]]
     ) -> Experiment:
-        """Change the campaigns that have a status, and skip those whose status changes first."""
+        """Change the campaigns that have a status, and skip those whose status changes in the meantime."""
         experiment = await self.get(name)
         for member in experiment.members:
             if member.campaign.status is status:

@@ -1,1 +1,1 @@
-"""A language model as a seeder: settings, wire, prompts, checked replies, budget."""
+"""A language model as a seeder: settings, wire protocol, prompts, checked replies, budget."""

@@ -91,7 +91,7 @@ class Spent:
             OverBudget: It does not; the message names the limit.
         """
         if self.calls >= settings.max_calls:
-            raise OverBudget(f"all {settings.max_calls} calls of max_calls have been made")
+            raise OverBudget(f"all {settings.max_calls} calls of max_calls are used up")
         worst = worst_usage(settings, messages)
         allowed = settings.max_total_tokens
         if allowed is not None and self.tokens + worst.total > allowed:

@@ -1,4 +1,4 @@
-"""What `brink llm` reports before a campaign is submitted: whether an endpoint works, and what prompts will cost."""
+"""Checks of `brink llm` before a campaign is submitted: whether an endpoint works, and the cost of its prompts."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -75,7 +75,7 @@ class EndpointReport:
 
     @property
     def works(self) -> bool:
-        """Whether any form gives a usable reply."""
+        """Whether any form yields a usable reply."""
         return self.mode is not None
 
 

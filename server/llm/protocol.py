@@ -1,7 +1,7 @@
 """The protocol of OpenAI-compatible endpoints: request bodies, replies, and errors. Pure functions.
 
 Servers differ: ``usage`` and ``finish_reason`` may be missing, content may be a list of parts or null, reasoning may
-come in a field of its own. Everything here accepts arbitrary input. Error messages never contain the API key.
+come in a separate field. Everything here accepts arbitrary input. Error messages never contain the API key.
 
 ServerError
 ├── LlmError                     no usable reply
@@ -55,7 +55,7 @@ _SEARCHED_CHARS: Final = 2000
 
 @dataclass(slots=True)
 class Effort:
-    """The requests of one call. Changes in place.
+    """The requests of one call. Mutable.
 
     Attributes:
         requests: HTTP requests sent.
@@ -319,7 +319,7 @@ def read_reply(raw: str) -> Reply:
     try:
         document = decode_json(raw)
     except BadJson as error:
-        raise UnusableReply(f"expected a chat completion, got no JSON ({error})", raw=raw) from None
+        raise UnusableReply(f"expected a chat completion, got invalid JSON ({error})", raw=raw) from None
     choices = document.get("choices") if isinstance(document, dict) else None
     if not isinstance(document, dict) or not isinstance(choices, list):
         raise UnusableReply(f"expected a chat completion with choices, got {error_text(raw)}", raw=raw)

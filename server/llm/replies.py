@@ -400,7 +400,7 @@ _BROKEN: Final = _Broken()
 
 @dataclass(slots=True)
 class _Scan:
-    """The items of a list. Changes in place.
+    """The items of a list. Mutable.
 
     Attributes:
         items: Decoded values; `_BROKEN` where decoding failed.

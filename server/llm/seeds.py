@@ -146,7 +146,7 @@ class _Turns:
         if call is not None and call.prompt_hash != prompt_hash(messages):
             raise CallLogMismatch(
                 f"request {key.request}, turn {key.turn}: expected the stored call to have the prompt "
-                f"{prompt_hash(messages)[:12]}, it has {call.prompt_hash[:12]}. It was made by another version of "
+                f"{prompt_hash(messages)[:12]}; it has {call.prompt_hash[:12]}. It was made by another version of "
                 "Brink or for another campaign: continue with that version, or start the campaign again"
             )
         if call is None or call.outcome is Outcome.SENT:

@@ -14,7 +14,7 @@ from brink.server.queue.job_store import delete_traces
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pruned:
-    """What was deleted, or would be.
+    """Campaigns and traces that were deleted, or would be.
 
     Attributes:
         campaigns: Ids and names of campaigns, oldest first.

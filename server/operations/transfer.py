@@ -126,7 +126,7 @@ def import_campaign(connection: Connection, file: Path) -> tuple[str, dict[str, 
         zipfile.BadZipFile, zlib.error, EOFError, OSError, KeyError, UnicodeDecodeError, NotImplementedError,
         RuntimeError,  # raised by zipfile for encrypted members
     ) as error:  # fmt: skip
-        raise BadFile(f"{file}: expected a file of brink export, undamaged: {error}") from None
+        raise BadFile(f"{file}: expected an undamaged file of brink export: {error}") from None
 
 
 class _Export:
@@ -186,7 +186,7 @@ class _Export:
         return count
 
     def _rows(self, query: Any, batch: int) -> Iterator[RowMapping]:
-        """Yield rows as they are read: all of them may not fit into memory."""
+        """Yield rows as they are read: together they may not fit into memory."""
         options = self._connection.execution_options(stream_results=True, yield_per=batch)
         with options.execute(query) as rows:
             yield from rows.mappings()
@@ -233,7 +233,7 @@ class _Import:
         """
         for name, expected in self._manifest["sha256"].items():
             if self._digest(name) != expected:
-                raise BadFile(f"{name}: damaged, it does not match its checksum")
+                raise BadFile(f"{name}: damaged: it does not match its checksum")
         campaign = self._campaign()
         if CAMPAIGNS.find(self._connection, self._id) is not None:
             raise Conflict(f"campaign {self._id} already exists")
@@ -254,7 +254,7 @@ class _Import:
         right = isinstance(manifest, dict) and manifest.get("format") == FORMAT
         sums = manifest.get("sha256") if right else None
         if not right or not isinstance(sums, dict) or not isinstance(manifest.get("campaign"), str):
-            raise BadFile("expected a file of brink export: its manifest is of another program")
+            raise BadFile("expected a file of brink export: its manifest is from another program")
         if manifest.get("version") != VERSION:
             raise BadFile(f"expected format version {VERSION}, got {manifest.get('version')!r}")
         members = {info.filename for info in self._archive.infolist()} - {_MANIFEST}
@@ -325,7 +325,7 @@ class _Import:
                     raise BadFile(f"arrays/{array}.npy: expected {row['rows']} x {row['columns']} numbers")
                 row["data"] = block.tobytes()
                 if hashlib.sha256(row["data"]).hexdigest() != row["sha256"]:
-                    raise BadFile(f"arrays/{array}.npy: damaged, it does not match its checksum")
+                    raise BadFile(f"arrays/{array}.npy: damaged: it does not match its checksum")
             elif name == "jobs":
                 row |= self._job(row, place)
             yield row
@@ -439,7 +439,7 @@ def _value(value: Any, column: Any, where: str) -> Any:
     if not isinstance(value, wanted) or (wanted is int and isinstance(value, bool)):
         raise BadFile(f"{where}: {column.name}: expected a {wanted.__name__}, got {value!r:.60}")
     if isinstance(value, int) and not -(2**63) <= value < 2**63:
-        raise BadFile(f"{where}: {column.name}: expected a number of 64 bits")
+        raise BadFile(f"{where}: {column.name}: expected a 64-bit number")
     if isinstance(value, str) and getattr(column.type, "length", None) and len(value) > column.type.length:
         raise BadFile(f"{where}: {column.name}: expected at most {column.type.length} characters")
     return value

@@ -29,7 +29,7 @@ class NoParams:
 
 
 class _Problem(Protocol):
-    """Attributes of both kinds of problem.
+    """Attributes that all problems share.
 
     Attributes:
         id: Versioned plug-in id.

@@ -48,7 +48,7 @@ class NpcActionsParams:
     )
     violation: str = setting(
         "any",
-        help="Requirement whose violation counts as unsafe, or any of all six.",
+        help="Requirement whose violation counts as unsafe, or any of the six.",
         choices=("any", *ORACLES),
     )
     criticality: str = setting(
@@ -66,7 +66,7 @@ class NpcActionsParams:
     )
     threshold: float = setting(0.8, help="Minimum score of detections that count.", gt=0.0, lt=1.0)
     road_curve: str = setting("crossroad", help="Shape of the road.", choices=_words("road_curve"))
-    road_id: int = setting(0, help="Number of the road of that shape.", ge=0, le=2)
+    road_id: int = setting(0, help="Number of the road among those of this shape.", ge=0, le=2)
     road_length: int = setting(0, help="0 short, 1 medium, 2 long.", ge=0, le=2)
     driving_task: str = setting("follow_road", help="Task of the ego.", choices=_words("driving_task"))
     time_of_day: str = setting("noon", help="Time of day.", choices=_words("time_of_day"))

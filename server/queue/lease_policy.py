@@ -1,10 +1,10 @@
 """Decides which worker gets which jobs. Contains no SQL: it sees the queue through `QueueView` and changes nothing.
 
-- Traces come first, because somebody is waiting for a picture. Evaluations are taken from the running campaigns by
+- Traces come first, because someone is waiting for a picture. Evaluations are taken from the running campaigns by
   priority, then in turns.
 - A turn is a number of jobs for each live worker. If campaigns took turns job by job, their generations would end
   together, and workers would wait for the last jobs of all of them.
-- A worker gets at most two thirds of an equal share of what is queued. Grants are large at first and single jobs at
+- A worker gets at most two thirds of an equal share of the queue. Grants are large at first and single jobs at
   the end, so that a generation's last jobs spread over all workers. Half of a share would take a fifth more requests
   and gain nothing; a full share lets the slowest worker hold up the others.
 - A job that was tried before is granted alone, to a worker that holds nothing else: if it kills its worker, no other
@@ -61,7 +61,7 @@ class LeaseDemand:
 
 
 class QueuedJob(Protocol):
-    """What the policy reads of a queued job."""
+    """The fields of a queued job that the policy reads."""
 
     id: int
     campaign_id: str
@@ -97,7 +97,7 @@ class CampaignTurn:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Backlog:
-    """A summary of what is queued.
+    """A summary of the queue.
 
     Attributes:
         jobs: Evaluations of running campaigns, counted up to `enough_jobs`.
@@ -241,7 +241,7 @@ class _Line:
 
     @property
     def is_unread(self) -> bool:
-        """Whether no job was read yet. At least one is there, since the campaign is listed."""
+        """Whether no job has been read yet. At least one exists, since the campaign is listed."""
         return self.last < 0 and not self.ended
 
 

@@ -73,7 +73,7 @@ def notify_coordinators(connection: Connection) -> None:
 
 
 async def listen(url: URL, on_jobs: Callable[[], None]) -> None:
-    """Listen on a connection of its own for notifications of new jobs, until cancelled.
+    """Listen on a separate connection for notifications of new jobs, until cancelled.
 
     Args:
         url: URL of a Postgres database.

@@ -165,7 +165,7 @@ def process_is_gone(machine: str, pid: int) -> bool:
 
 
 def forget_absent(connection: Connection, after_s: float) -> int:
-    """Delete workers without contact for so long and without leases; return how many."""
+    """Delete workers that hold no lease and have made no contact for a given time; return how many."""
     holding = exists(select(JobRow.id).where(IS_LEASED, JobRow.lease_worker == WorkerRow.id))
     absent = select(WorkerRow.id).where(
         WorkerRow.last_seen_at < database_now(connection) - timedelta(seconds=after_s), ~holding

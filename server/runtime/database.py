@@ -60,7 +60,7 @@ def check_database(settings: Settings) -> None:
 
 
 def release_leases_of_dead_workers(settings: Settings) -> int:
-    """Return jobs leased by dead workers of this machine to the queue, without counting a loss; return their number.
+    """Requeue jobs leased by dead workers of this machine, without charging an attempt; return their number.
 
     For a start after everything crashed, which is not the fault of the jobs. Only for SQLite, where coordinator and
     database share a machine. If a live worker is mistaken for dead, its results are `stale`, and the jobs run again.

@@ -198,7 +198,7 @@ class DatasetEvaluator:
         """
         cpu_s = time.process_time()
         if spec.simulator != EVALUATOR_ID:
-            raise InvalidEpisode(f"simulator: this is {EVALUATOR_ID}, the job asks for {spec.simulator!r}")
+            raise InvalidEpisode(f"simulator: this is {EVALUATOR_ID}; the job asks for {spec.simulator!r}")
         behaviour = Behaviour.from_json({"mode": SightMode.DETECTOR.value, **spec.behaviour})
         check_weights(behaviour)
         frames = _frames(_parse_request(spec))

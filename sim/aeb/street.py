@@ -41,7 +41,7 @@ YIELDS_WITHIN_M: Final = 16.0
 
 @dataclass(slots=True, kw_only=True)
 class Actor:
-    """A moving body; it moves along its heading.
+    """A body that moves along its heading.
 
     Attributes:
         name: Unique in the episode.

@@ -66,7 +66,7 @@ class Engine:
         pybullet.disconnect(physicsClientId=self._client)
 
     def add_boxes(self, boxes: Sequence[Box]) -> list[BodyId]:
-        """Put upright boxes on the ground; they only move by `move` and push nobody.
+        """Put upright boxes on the ground; they move only through `move` and push nothing.
 
         Boxes of the same size are created in one call, at a tenth of the cost of creating them one by one.
 

@@ -20,7 +20,7 @@ class ObstacleLabel(StrEnum):
 
 
 class LightState(StrEnum):
-    """State of a traffic light as reported by the light detector."""
+    """State of a traffic light as reported by the traffic-light detector."""
 
     GREEN = "green"
     AMBER = "amber"
@@ -50,7 +50,7 @@ class Box(NamedTuple):
 
 
 class LightReading(NamedTuple):
-    """The light detector's report about the next traffic light on the route."""
+    """The traffic-light detector's report on the next light on the route."""
 
     state: LightState
     stop_line_station_m: float

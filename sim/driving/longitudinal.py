@@ -9,7 +9,7 @@ all. The decision for a line holds until the light is green, so that it does not
 frame or report a wrong state: a light that is no longer reported is remembered for a while, and a change counts once
 it has been reported for `confirm_s`.
 
-The ego gives way to a person in or heading into its path, and to a vehicle about to cross it: to whoever is predicted
+The ego gives way to a person in or heading into its path, and to a vehicle about to cross it: to anyone predicted
 to be in the strip that the ego's body will sweep, with a margin, at a time when the ego is there. So a box's label
 decides between stopping and following, its lateral position and motion whether to stop, and its distance where to
 stop; after it disappears, the ego continues once the track has been dropped and a short hold has passed.

@@ -152,7 +152,7 @@ class Script:
         )
         begins = [stretch.from_s for stretch in stretches]
         if begins[0] != 0.0 or begins != sorted(begins):
-            raise InvalidEpisode(f"{where}.stretches: expected them in order of time, the first from 0")
+            raise InvalidEpisode(f"{where}.stretches: expected ascending times, the first 0")
         return cls(kind=Kind(kind), stretches=stretches)
 
 

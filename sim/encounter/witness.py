@@ -177,7 +177,7 @@ class EncounterWitness:
         return Rectangle(ego.x_m, ego.y_m, ego.yaw_rad, 0.5 * ego.length_m, 0.5 * ego.width_m)
 
     def _watch_way(self, index: int, user: ScriptedUser, sample: WorldSample) -> None:
-        """Track since when a road user has been in the ego's way."""
+        """Track how long a road user has been in the ego's way."""
         dx, dy = user.x_m - sample.x_m, user.y_m - sample.y_m
         in_way = -IN_WAY_M < dx < IN_WAY_M and -IN_WAY_M < dy < IN_WAY_M
         if in_way:

@@ -1,7 +1,7 @@
 """The network of `brink-det@1`, its training targets and its loss.
 
 The network is anchor-free and has about half a million parameters, for pictures of 320 x 192. For each cell of a
-grid at a quarter of the picture's resolution and each class, it predicts how likely the cell holds a box centre,
+grid at a quarter of the picture's resolution and each class, it predicts how likely the cell is to hold a box centre,
 and the distances to the four edges of that box.
 
 The heat map's target is a Gaussian around each box centre, as wide as a box may shift and still have an IoU of one

@@ -77,7 +77,7 @@ def _flip(truth: GroundTruth) -> GroundTruth:
 
 
 def _vary_exposure(planes: Picture, rng: np.random.Generator) -> Picture:
-    """Vary gain, offset, white balance and noise of two in three pictures, as between cameras.
+    """Vary gain, offset, white balance and noise of two in three pictures, as cameras differ in them.
 
     The variation is no stronger than the weakest levels of contrast; all other perturbations stay unknown to the
     detector.

@@ -55,7 +55,7 @@ _TILE_SEEDS: Final = 8
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GroundCover:
-    """What lies on the ground in this frame, as polygons in sixteenths of a pixel of the half-size picture.
+    """Shadows, lamp light and reflections, as polygons in sixteenths of a pixel of the half-size picture.
 
     Attributes:
         shadows: Polygons with the remaining brightness of the ground, 0 to 255, in order.

@@ -53,7 +53,7 @@ class Lighting:
     lights_on: bool
 
     def haze(self, distance_m: FloatArray) -> FloatArray:
-        """Return the share of haze in what is seen at a distance, in [0, 1)."""
+        """Return the share of haze in colours seen at a distance, in [0, 1)."""
         return 1.0 - np.exp(-np.asarray(distance_m, dtype=np.float64) / self.haze_m)
 
     def shade(self, rgb: FloatArray, at_m: FloatArray, view: View, lit: FloatArray) -> list[Rgb]:

@@ -270,7 +270,7 @@ class Outline:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Frame:
-    """What the camera sees.
+    """A rendered picture.
 
     Attributes:
         image: RGB, shape ``(height, width, 3)``.
@@ -325,7 +325,7 @@ _MASK: Final = (1 << 64) - 1
 
 
 def choose(look: int, question: int, count: int) -> int:
-    """Return a pseudo-random integer in [0, count) for a look.
+    """Return a pseudo-random integer in [0, count) that depends on a look.
 
     Args:
         look: Selects the value; equal looks give equal values.
@@ -340,7 +340,7 @@ def choose(look: int, question: int, count: int) -> int:
 
 
 def choose_fraction(look: int, question: int) -> float:
-    """Return a pseudo-random number in [0, 1) for a look."""
+    """Return a pseudo-random number in [0, 1) that depends on a look."""
     return choose(look, question, 4096) / 4096
 
 

@@ -295,7 +295,7 @@ _SHRINK_PX: Final = 0.35
 
 
 def clip_segments_near(seen: FloatArray) -> NDArray[np.bool_]:
-    """Clip line segments at the near plane in place and return which of them lie entirely before it.
+    """Clip line segments at the near plane in place and return which of them lie entirely in front of it.
 
     Args:
         seen: Both ends in camera coordinates, shape ``(n, 2, 3)``.

@@ -175,13 +175,13 @@ class FramePainter:
         return frame
 
     def map(self, sample: int) -> Image.Image:
-        """Return the map of a sample with its scale bar; without a film also with the verdict, once violated."""
+        """Return the map of a sample with its scale bar; without a film, also with the verdict after a violation."""
         image = self._map.draw(sample)
         self._draw_scale(image)
         return image if self.filmed else self._with_verdict(image, sample)
 
     def camera(self, sample: int) -> Image.Image:
-        """Return the camera's picture of a sample; from a film also with the verdict, once violated."""
+        """Return the camera's picture of a sample; from a film, also with the verdict after a violation."""
         image = self._camera.draw(sample)
         return self._with_verdict(image, sample) if self.filmed else image
 
@@ -260,7 +260,7 @@ class _Panel:
         self._fastest = max(SPEED_BAR_TO_MPS, float(trace.ego[:, 3].max()))
 
     def draw_still(self, frame: Image.Image) -> None:
-        """Draw what is the same in every frame: captions and the legend."""
+        """Draw the parts that every frame shares: captions and the legend."""
         draw = ImageDraw.Draw(frame)
         unit, left = self._unit, self._left
         middle = (left + self._right) / 2
@@ -345,7 +345,7 @@ class _Panel:
             draw.text((x + 32 * unit, y), text, fill=INK, font=self._small, anchor="lm")
 
     def _draw_key(self, draw: ImageDraw.ImageDraw, key: str, x: float, y: float) -> None:
-        """Draw a sample of a shape or line, left of its name."""
+        """Draw a sample of a shape or line, to the left of its name."""
         unit = self._unit
         left, top, right, bottom = x + 5 * unit, y - 6 * unit, x + 25 * unit, y + 6 * unit
         if key == "ego":

@@ -1,4 +1,4 @@
-"""The scene model of an episode: what film, still picture and web page draw, worked out once from its trace.
+"""The scene model of an episode: what films, still pictures and the web page draw, computed once from its trace.
 
 Every rule that they share stands here: which perceived obstacles are ghosts, who is braking, how tall a building is
 drawn, where the map is centred, which vehicle the front gap is measured to. A drawing only adds colours and pixels.
@@ -67,7 +67,7 @@ class ReplayError(SimulatorError, ValueError):
 
 
 class SurfaceStyle(NamedTuple):
-    """How a kind of surface is drawn: in which paint, with an outline or without, and how tall."""
+    """The drawing style of a kind of surface: its paint, its height, and whether it has an outline."""
 
     paint: str
     outlined: bool = False
@@ -88,7 +88,7 @@ _UNKNOWN_SURFACE: Final = SurfaceStyle("unknown")
 
 
 def surface_style(kind: str) -> SurfaceStyle:
-    """Return how a kind of surface is drawn; heights are made up, as traces record footprints only."""
+    """Return how a kind of surface is drawn; heights are assumed, since traces record only footprints."""
     return _SURFACE_STYLES.get(kind, _UNKNOWN_SURFACE)
 
 

@@ -126,7 +126,7 @@ class Row:
 
 
 def side_by_side(rows: Sequence[Row], *, title: str = "") -> Image.Image:
-    """Return episodes of the same place in one picture: a row each, the same moments in the columns.
+    """Return episodes of the same place in one picture: one row for each, with the same moments in the columns.
 
     Made for chains of perturbations: what each part does alone, and what they do together.
 

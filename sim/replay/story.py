@@ -1,4 +1,4 @@
-"""What an episode is about: the requirement it is judged by, the moments that explain it, and the words for it."""
+"""The story of an episode: the requirement it is judged by, the moments that explain it, and their captions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Moment:
-    """A sample worth a picture, and the reason."""
+    """A sample that is worth drawing, and the reason."""
 
     sample: int
     reason: str
@@ -42,13 +42,13 @@ class Moment:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Story:
-    """What the replay of an episode is about.
+    """The requirement and the moments that the replay of an episode shows.
 
     Attributes:
         requirement: Id of the requirement, as the trace records it.
         title: The same without its version.
         violated: Whether it is violated.
-        decisive: Sample of the first violation, or of the least robustness.
+        decisive: Sample of the first violation, or of the lowest robustness.
         least: Least robustness of the episode, +inf if the requirement never applied.
         moments: At most six, in order of time; the decisive one is among them.
     """
@@ -126,7 +126,7 @@ def _moments(trace: Trace, decisive: int, *, violated: bool) -> tuple[Moment, ..
 
 
 def _lead_up(trace: Trace, decisive: int) -> list[Moment]:
-    """Return moments, those that explain most first: just before, injections, plan changes, events, earlier."""
+    """Return moments, the most explanatory first: just before, injections, plan changes, events, earlier."""
     time_s = trace.time_s
     found: list[Moment] = []
 

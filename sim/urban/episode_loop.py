@@ -117,7 +117,7 @@ class Sensing:
         )
 
     def light(self, perception_step: int, time_s: float) -> LightReading | None:
-        """Return the light detector's report at a perception step."""
+        """Return the traffic-light detector's report at a perception step."""
         world = self._world
         if world.signals is None:
             return None
@@ -182,7 +182,7 @@ class Witness(Protocol):
     """Observes an episode to record more than requirements and traces do."""
 
     def see(self, sample: WorldSample, driving: DrivingSystem) -> None:
-        """Observe a control step, after everybody has moved."""
+        """Observe a control step, after all road users have moved."""
         ...
 
     def violated(self, requirement: str) -> None:

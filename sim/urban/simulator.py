@@ -59,7 +59,7 @@ class BrinkDrive:
             return self._run(spec, scenario, behaviour, requirements, record=record)
         except EngineError as error:
             discard_engine()
-            raise SimulationCrashed(f"the physics engine broke down: {error}") from error
+            raise SimulationCrashed(f"the physics engine failed: {error}") from error
 
     def _run(
         self,
@@ -160,7 +160,7 @@ def provenance(simulator: str, cpu_s: float, **facts: Json) -> dict[str, Json]:
 
 @cache
 def versions() -> Mapping[str, str]:
-    """Return the versions of everything that decides an episode."""
+    """Return the versions of everything that determines an episode."""
     return {
         "brink": __version__,
         "python": platform.python_version(),

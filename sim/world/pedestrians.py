@@ -33,7 +33,7 @@ NEEDED_RED_S = 4.0
 
 
 class Phase(IntEnum):
-    """What a walker is doing."""
+    """The current activity of a walker."""
 
     ALONG = 0
     WAITING = 1
@@ -57,7 +57,7 @@ class Walker:
         crosses_at_m: Station at which it crosses the road, or None.
         kerb_m: Distance of the kerb from the centre line.
         patience_s: Waiting time at the kerb after which it accepts any gap that lets vehicles stop.
-        go_ahead: Returns whether it has the right of way, whatever approaches; None where there is no light.
+        go_ahead: Returns whether it has the right of way, regardless of traffic; None where there is no light.
         on_zebra: Whether it uses a crossing where vehicles must give way.
     """
 

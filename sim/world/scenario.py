@@ -13,7 +13,7 @@ from brink.sim.errors import InvalidEpisode
 
 
 class TimeOfDay(StrEnum):
-    """Time of day, which decides the light."""
+    """Time of day, which determines the light."""
 
     NOON = "noon"
     SUNSET = "sunset"

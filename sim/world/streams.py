@@ -25,7 +25,7 @@ class Stream(IntEnum):
 
 
 def generator(seed: int, stream: Stream, index: int = 0) -> np.random.Generator:
-    """Return the generator at a position of an episode.
+    """Return the random generator of one quantity of an episode.
 
     Args:
         seed: The episode's seed.

@@ -48,7 +48,7 @@ LEAD_STARTS_AHEAD_M = 26.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Surroundings:
-    """What vehicles look at to decide whether they may go. The lists are filled once everybody has been created."""
+    """What vehicles look at to decide whether they may go. The lists are filled once all road users exist."""
 
     signals: SignalPlan | None
     movers: list[Mover]
@@ -156,7 +156,7 @@ class _TrafficBuilder:
         return vehicles
 
     def crossing(self) -> list[Vehicle]:
-        """Return the cars that cross at the lights, one from either side."""
+        """Return the cars that cross at the lights, one from each side."""
         junction = self.road.junctions[0]
         vehicles = []
         for number, from_right in enumerate((True, False)):
@@ -285,7 +285,7 @@ def lane_is_free(
     yaw_rad: float,
     gap_s: float = JOINING_GAP_S,
 ) -> bool:
-    """Return whether nobody on a lane will reach a point within a time gap.
+    """Return whether no road user on a lane will reach a point within a time gap.
 
     Args:
         movers: Everybody, the asking vehicle included.

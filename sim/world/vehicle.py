@@ -1,4 +1,4 @@
-"""Motion of other vehicles: along their lane, at their desired speed, behind whatever is ahead.
+"""Motion of other vehicles: along their lane, at their desired speed, behind any obstacle ahead.
 
 The Intelligent Driver Model sets the acceleration; the lane sets the path. A vehicle looks around five times per
 second and moves twenty times per second.

@@ -1,4 +1,4 @@
-"""Effects of time of day and weather on friction, on perception, and on how other people behave.
+"""Effects of time of day and weather on friction, on perception, and on the behaviour of other road users.
 
 Friction follows common figures for asphalt; the rest are modelling choices, collected here.
 """

@@ -85,7 +85,7 @@ def test_space_toggles_playback_and_a_button_jumps_to_the_violation(solution: Pa
     shown(solution.get_by_role("button", name="Pause", exact=True)).to_be_visible()
     solution.keyboard.press("Space")
     shown(solution.get_by_role("button", name="Play", exact=True)).to_be_visible()
-    jump = solution.get_by_role("button", name="To the violation at")
+    jump = solution.get_by_role("button", name="Go to the violation at")
     seconds = float(jump.inner_text().rpartition("at ")[2].removesuffix(" s"))
     jump.click()
     assert clock(solution) == pytest.approx(seconds, abs=0.11)

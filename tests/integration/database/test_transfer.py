@@ -171,7 +171,7 @@ def huge() -> bytes:
 
 
 WRONG: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] = {
-    "no manifest": ({"manifest.json": lambda _: b"{}"}, "its manifest is of another program"),
+    "no manifest": ({"manifest.json": lambda _: b"{}"}, "its manifest is from another program"),
     "a later version": (
         {"manifest.json": lambda data: data.replace(b'"version": 1', b'"version": 2')},
         "expected format version 1, got 2",
@@ -183,7 +183,7 @@ WRONG: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] = {
     "text for a number": (
         {"solutions.jsonl": in_line(lambda row: row.update(seed="1"))}, "line 1: seed: expected a int, got '1'",
     ),
-    "a number past 64 bits": ({"solutions.jsonl": in_line(lambda row: row.update(seed=2**70))}, "64 bits"),
+    "a number past 64 bits": ({"solutions.jsonl": in_line(lambda row: row.update(seed=2**70))}, "64-bit"),
     "null": ({"solutions.jsonl": in_line(lambda row: row.update(generation=None))}, "got null"),
     "a long text": ({"jobs.jsonl": in_line(lambda row: row.update(needs="x" * 999))}, "at most 128 characters"),
     "a state that is none": ({"jobs.jsonl": in_line(lambda row: row.update(status="gone"))}, "cannot be stored"),

@@ -481,7 +481,7 @@ def test_the_error_names_the_token_field_that_the_endpoint_expects(endpoint: End
         (gives({"choices": None}), "expected a chat completion with choices"),
         (gives(["no"]), "expected a chat completion with choices"),
         (gives({"error": {"message": "no code"}}), "got no code"),
-        (huge(1000), "got no JSON"),
+        (huge(1000), "got invalid JSON"),
     ],
 )
 def test_an_unusable_2xx_answer_is_not_retried(endpoint: Endpoint, step: Step, expected: str) -> None:

@@ -313,7 +313,7 @@ def test_max_calls_limits_the_turns_of_a_request(endpoint: Endpoint) -> None:
     log = MemoryLog()
     answer = asking(llm_settings(endpoint, max_calls=1), log)
     assert log.outcomes == ["invalid", "over_budget"]
-    assert "repair over_budget: all 1 calls of max_calls have been made" in answer.words
+    assert "repair over_budget: all 1 calls of max_calls are used up" in answer.words
     assert len(endpoint.asked) == log.spent().calls == 1
     over = log.calls[CallKey(3, 1)]
     assert (over.calls, over.usage, over.cost, over.raw) == (0, None, 0.0, None)
@@ -323,7 +323,7 @@ def test_max_calls_limits_retries(endpoint: Endpoint) -> None:
     endpoint.then(cut("x"), cut("x"), GOOD)
     log = MemoryLog()
     answer = asking(llm_settings(endpoint, max_calls=2, retries=5), log)
-    assert answer.words == "language model not asked: all 2 calls of max_calls have been made"
+    assert answer.words == "language model not asked: all 2 calls of max_calls are used up"
     assert len(endpoint.asked) == log.spent().calls == 2
 
 
@@ -357,7 +357,7 @@ def test_limits_apply_to_the_whole_campaign(endpoint: Endpoint) -> None:
         async with LlmClient(settings, environ={}) as client:
             return await ask(later, road=ROAD, max_participants=MOST, system=SYSTEM, log=log, client=client)
 
-    assert asyncio.run(run()).words == "language model not asked: all 1 calls of max_calls have been made"
+    assert asyncio.run(run()).words == "language model not asked: all 1 calls of max_calls are used up"
     assert len(endpoint.asked) == 1
 
 

@@ -5,7 +5,7 @@ import { attribute, h, keyed, replace, text } from "../dom.js";
 import { figure } from "../format.js";
 import { rewrite } from "../router.js";
 
-/** Return a badge: a state in a word, with a dot of its colour. */
+/** Return a badge: a state as a word, with a dot of its colour. */
 export function badge(state, words = state) {
   const node = h("span", { class: `badge ${state}` }, words);
   node.update = (next, said = next) => {

@@ -144,7 +144,7 @@ function controls(player, marks, stage) {
   const clock = h("output.clock.figure");
   const speeds = segments("Speed", (speed) => player.setSpeed(Number(speed)), SPEEDS, "1");
   const violation = marks.find((mark) => mark.bad);
-  const jump = violation && h("button", { type: "button", onclick: () => player.hold(violation.time_s) }, `To the violation at ${seconds(violation.time_s)}`);
+  const jump = violation && h("button", { type: "button", onclick: () => player.hold(violation.time_s) }, `Go to the violation at ${seconds(violation.time_s)}`);
 
   player.listen((_, changed) => {
     if (changed.time) text(clock, `${player.time_s.toFixed(1)} / ${seconds(episode.end_s)}`);
@@ -210,7 +210,7 @@ function events(player) {
   if (listed.length === 0) return h("div.replay-events", null, h("h3", null, "Events"), h("p.hint", null, "None recorded."));
   const items = listed.map(({ kind, time_s, caption }) => h("li", { class: kind },
     h("button.quiet.figure", { type: "button", onclick: () => player.hold(time_s) }, seconds(time_s)), h("span", null, caption)));
-  const list = h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Events in order of time" }, h("ol", null, items));
+  const list = h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Events in chronological order" }, h("ol", null, items));
   let current = -1;
   player.listen((_, changed) => {
     if (!changed.sample || signal.aborted) return;
