@@ -10,7 +10,7 @@ Source: Sharifi et al. 2023, section on fitness (the whole archive is rescored e
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, Self, TypeAlias
+from typing import Any, Final, Protocol, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +20,10 @@ from brink.search.metric import Metric, Points
 from brink.search.space import BoolArray, FloatArray, IntArray, SearchSpace, frozen_array
 
 Float32Array: TypeAlias = NDArray[np.float32]
+
+
+ARRAYS: Final = ("numbers", "vectors", "unsafe", "robustness", "neighbours", "unsafe_neighbours")
+"""What `Archive.restore` needs of a stored archive, by name."""
 
 
 class HasNeighbourhood(Protocol):

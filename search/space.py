@@ -185,7 +185,6 @@ class Component:
         return {p.name: value for p, value in zip(self.parameters, array.tolist(), strict=True)}
 
     def _dormant(self, values: Values) -> set[str]:
-        """Return the names of all dormant numbers."""
         return {
             name for block in self._blocks if block.is_dormant(values, self.by_name) for name in block.members
         }

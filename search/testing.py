@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from brink.search.algorithm import Algorithm, Candidate, Evaluation, Failed, Measured, Question, Scored
-from brink.search.archive import Archive, archive_digest
+from brink.search.archive import ARRAYS, Archive, archive_digest
 from brink.search.document import Document
 from brink.search.errors import OrderError, SearchError
 from brink.search.slots import Slots
@@ -353,13 +353,5 @@ def _same_candidates(first: Sequence[Candidate], second: Sequence[Candidate]) ->
 
 def stored_and_restored(archive: Archive) -> Archive:
     """Return an archive restored from its own arrays."""
-    return Archive.restore(
-        archive.metric,
-        archive.neighbourhood,
-        numbers=archive.numbers,
-        vectors=archive.vectors,
-        unsafe=archive.unsafe,
-        robustness=archive.robustness,
-        neighbours=archive.neighbours,
-        unsafe_neighbours=archive.unsafe_neighbours,
-    )
+    arrays = {name: getattr(archive, name) for name in ARRAYS}
+    return Archive.restore(archive.metric, archive.neighbourhood, **arrays)

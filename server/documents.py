@@ -55,7 +55,7 @@ def parse_document(document: object, model: type[Model], expected: str) -> Model
     """
     if not isinstance(document, Mapping):
         came = "nothing" if document is None else f"a {type(document).__name__}"
-        raise InvalidInput([FieldError(pointer="", message=f"expected {expected}, got {came}")])
+        raise InvalidInput.at("", f"expected {expected}, got {came}")
     try:
         return model.model_validate(dict(document))
     except ValidationError as error:
@@ -76,7 +76,7 @@ def read_yaml(path: Path) -> object:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise InvalidInput([FieldError(pointer="", message=f"{path}: {reason}")]) from None
+        raise InvalidInput.at("", f"{path}: {reason}") from None
     return parse_yaml(text, f"{path}: ")
 
 
@@ -89,10 +89,10 @@ def parse_yaml(text: str, prefix: str = "") -> object:
     try:
         document: object = yaml.load(text, _Loader)
     except yaml.YAMLError as error:
-        raise InvalidInput([FieldError(pointer="", message=f"{prefix}{_yaml_problem(error)}")]) from None
+        raise InvalidInput.at("", f"{prefix}{_yaml_problem(error)}") from None
     except (ValueError, RecursionError) as error:  # an invalid date; unlimited nesting
         reason = str(error) if isinstance(error, ValueError) else "nested too deeply"
-        raise InvalidInput([FieldError(pointer="", message=f"{prefix}not YAML: {reason}")]) from None
+        raise InvalidInput.at("", f"{prefix}not YAML: {reason}") from None
     return document
 
 

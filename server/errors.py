@@ -13,7 +13,7 @@ ServerError
 import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Self
 
 TOKEN_FORM: Final = "expected printable ASCII characters without spaces, such as: openssl rand -hex 24"
 """What a bearer token must look like, to fit a header."""
@@ -53,6 +53,11 @@ class InvalidInput(ServerError):
     def __init__(self, errors: Iterable[FieldError]) -> None:
         self.errors = tuple(errors)
         super().__init__("; ".join(map(str, self.errors)))
+
+    @classmethod
+    def at(cls, pointer: str, message: str) -> Self:
+        """Return the error of a single field."""
+        return cls([FieldError(pointer=pointer, message=message)])
 
 
 class NotFound(ServerError):

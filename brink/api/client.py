@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import httpx
 from pydantic import TypeAdapter, ValidationError
 
-from brink.server.errors import TOKEN_FORM, FieldError, InvalidInput, ServerError
+from brink.server.errors import TOKEN_FORM, InvalidInput, ServerError
 
 if TYPE_CHECKING:
     from brink.server.settings import Settings
@@ -151,10 +151,9 @@ async def connect(server: str, token: str | None) -> AsyncIterator[Api]:
         InvalidInput: The URL or the token is malformed.
     """
     if not server.startswith(("http://", "https://")):
-        message = f"expected a URL such as http://127.0.0.1:8700, got {server!r}"
-        raise InvalidInput([FieldError(pointer="--server", message=message)])
+        raise InvalidInput.at("--server", f"expected a URL such as http://127.0.0.1:8700, got {server!r}")
     if token is not None and not all("!" <= letter <= "~" for letter in token):
-        raise InvalidInput([FieldError(pointer="BRINK_TOKEN", message=TOKEN_FORM)])
+        raise InvalidInput.at("BRINK_TOKEN", TOKEN_FORM)
     async with httpx.AsyncClient(base_url=server, timeout=TIMEOUT, headers=_headers(token)) as client:
         yield Api(client, server)
 

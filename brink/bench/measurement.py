@@ -33,38 +33,17 @@ class Row:
 
 
 def at_least(what: str, value: float, least: float, note: str = "") -> Row:
-    """Return a figure whose target is a lower bound.
-
-    Args:
-        what: Name of the figure.
-        value: Measured value.
-        least: Smallest value that meets the target.
-        note: Sample sizes and further figures.
-    """
+    """Return a figure, as in `Row`, whose target is a lower bound."""
     return Row(what=what, value=value, target=f"at least {least:g}", met=value >= least, note=note)
 
 
 def at_most(what: str, value: float, most: float, note: str = "") -> Row:
-    """Return a figure whose target is an upper bound.
-
-    Args:
-        what: Name of the figure.
-        value: Measured value.
-        most: Largest value that meets the target.
-        note: Sample sizes and further figures.
-    """
+    """Return a figure, as in `Row`, whose target is an upper bound."""
     return Row(what=what, value=value, target=f"at most {most:g}", met=value <= most, note=note)
 
 
 def under(what: str, value: float, bound: float, note: str = "") -> Row:
-    """Return a figure whose target is a strict upper bound.
-
-    Args:
-        what: Name of the figure.
-        value: Measured value.
-        bound: Smallest value that misses the target.
-        note: Sample sizes and further figures.
-    """
+    """Return a figure, as in `Row`, whose target is a strict upper bound: the smallest value that misses it."""
     return Row(what=what, value=value, target=f"under {bound:g}", met=value < bound, note=note)
 
 

@@ -526,7 +526,6 @@ def _unsafe_shares(records: Mapping[Chain, Sequence[Record]]) -> dict[Chain, flo
 
 
 def _frame_s(record: Record) -> float:
-    """Return the CPU time per frame."""
     return record.cpu_s / float(str(record.features["frames"]))
 
 

@@ -1,7 +1,7 @@
 """`brink bench`: measurements of this installation, each figure beside its target."""
 
 import asyncio
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,7 +23,7 @@ from brink.search.analysis.comparison import Row as ComparisonRow
 from brink.server.api.schemas import CampaignView
 from brink.server.api.schemas import Progress as CampaignProgress
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
-from brink.server.errors import FieldError, InvalidInput
+from brink.server.errors import InvalidInput
 
 bench = typer.Typer(help="Measure this installation, each figure beside its target.", no_args_is_help=True)
 
@@ -86,6 +86,23 @@ def _conclude_rows(rows: list[Row], *, as_json: bool) -> None:
     )
     missed = any(row.met is False for row in rows)
     _conclude([fields(row) for row in rows], table, as_json=as_json, missed=missed)
+
+
+def _conclude_times(rows: Iterable[Any], columns: Mapping[str, str], *names: str, as_json: bool) -> None:
+    """Print measured times beside their targets in ms.
+
+    Args:
+        rows: Have a `target_ms`, and `met`.
+        columns: Format of each column's value, by header.
+        names: Fields of the JSON document; all by default.
+        as_json: Whether to print the document.
+    """
+    found = list(rows)
+    table = _table(
+        (*columns, "target ms", ""),
+        ((*(form.format(row) for form in columns.values()), _bound(row.target_ms), _met(row.met)) for row in found),
+    )  # fmt: skip
+    _conclude([fields(row, *names) for row in found], table, as_json=as_json)
 
 
 def _table(columns: Sequence[str], rows: Iterable[Sequence[object]] = ()) -> Table:
@@ -157,8 +174,7 @@ def simood(
     wanted = [name.upper() for name in criteria or CRITERIA]
     for name in wanted:
         if name not in CRITERIA:
-            message = f"expected some of {', '.join(CRITERIA)}, got {name!r}"
-            raise InvalidInput([FieldError(pointer="criteria", message=message)])
+            raise InvalidInput.at("criteria", f"expected some of {', '.join(CRITERIA)}, got {name!r}")
     out.mkdir(parents=True, exist_ok=True)
     with _progress() as progress:
         rows = measure_simood(wanted, out, processes=processes, progress=progress)
@@ -240,16 +256,10 @@ def search(as_json: AsJson = False) -> None:
     """
     from brink.bench.search import measure_steps
 
-    rows = measure_steps()
-    table = _table(
-        ("archived", "new", "min ms", "median ms", "target ms", ""),
-        (
-            (f"{row.solutions:,}", row.new, f"{row.min_ms:.2f}", f"{row.median_ms:.2f}",
-             _bound(row.target_ms), _met(row.met))
-            for row in rows
-        ),
-    )  # fmt: skip
-    _conclude([fields(row) for row in rows], table, as_json=as_json)
+    columns = {
+        "archived": "{0.solutions:,}", "new": "{0.new}", "min ms": "{0.min_ms:.2f}", "median ms": "{0.median_ms:.2f}",
+    }  # fmt: skip
+    _conclude_times(measure_steps(), columns, as_json=as_json)
 
 
 @bench.command()
@@ -260,17 +270,11 @@ def monitor(as_json: AsJson = False) -> None:
     """
     from brink.bench.search import measure_monitor
 
-    rows = measure_monitor()
-    table = _table(
-        ("learned from", "min ms", "median ms", "target ms", ""),
-        (
-            (f"{row.solutions:,}", f"{row.min_ms:.3f}", f"{row.median_ms:.3f}",
-             _bound(row.target_ms), _met(row.met))
-            for row in rows
-        ),
-    )  # fmt: skip
+    columns = {
+        "learned from": "{0.solutions:,}", "min ms": "{0.min_ms:.3f}", "median ms": "{0.median_ms:.3f}",
+    }  # fmt: skip
     names = ("solutions", "min_ms", "median_ms", "target_ms")
-    _conclude([fields(row, *names) for row in rows], table, as_json=as_json)
+    _conclude_times(measure_monitor(), columns, *names, as_json=as_json)
 
 
 @bench.command()
@@ -328,16 +332,11 @@ def rendering(
     """
     from brink.bench.pictures import measure_rendering
 
-    rows = measure_rendering(frames)
-    table = _table(
-        ("size", "light", "frame ms", "labels ms", "target ms", ""),
-        (
-            (f"{row.width_px} x {row.height_px}", row.light, f"{row.frame_ms:.2f}", f"{row.labels_ms:.2f}",
-             _bound(row.target_ms), _met(row.met))
-            for row in rows
-        ),
-    )  # fmt: skip
-    _conclude([fields(row) for row in rows], table, as_json=as_json)
+    columns = {
+        "size": "{0.width_px} x {0.height_px}", "light": "{0.light}", "frame ms": "{0.frame_ms:.2f}",
+        "labels ms": "{0.labels_ms:.2f}",
+    }  # fmt: skip
+    _conclude_times(measure_rendering(frames), columns, as_json=as_json)
 
 
 @bench.command()
@@ -480,18 +479,8 @@ def queue(
     ]
     notes += [Text(f"{name} was left out: {reason}", "yellow") for name, reason in found.left_out.items()]
     missed = any(ratio < TARGET_RATIO for *_, ratio in ratios) or any(met is False for _, met in pickups)
-    _conclude(
-        document,
-        throughput_table,
-        "",
-        ratio_table,
-        "",
-        pickup_table,
-        "",
-        *notes,
-        as_json=as_json,
-        missed=missed,
-    )
+    shown = (throughput_table, "", ratio_table, "", pickup_table, "", *notes)
+    _conclude(document, *shown, as_json=as_json, missed=missed)
 
 
 @bench.command()
@@ -606,16 +595,10 @@ def turns(
     table = _table(
         ("generation", "campaigns", "generations", "job by job", "four jobs per worker"),
         (
-            (
-                one.generation,
-                one.campaigns,
-                one.generations,
-                f"{one.single:.1%}",
-                f"{one.four_per_worker:.1%}",
-            )
+            (one.generation, one.campaigns, one.generations, f"{one.single:.1%}", f"{one.four_per_worker:.1%}")
             for one in found
         ),
-    )
+    )  # fmt: skip
     _conclude([fields(one) for one in found], table, as_json=as_json)
 
 

@@ -43,7 +43,7 @@ from brink.server.api.schemas import (
     WorkerView,
 )
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, read_campaign_file
-from brink.server.errors import FieldError, InvalidInput
+from brink.server.errors import InvalidInput
 from brink.server.states import CampaignStatus
 
 POLL_S = 0.5
@@ -223,7 +223,7 @@ def results(
     """
     if out is not None and out.suffix not in (".csv", ".jsonl", ".parquet", ".json"):
         message = f"{out}: expected a file name that ends in .csv, .jsonl, .parquet or .json"
-        raise InvalidInput([FieldError(pointer="--out", message=message)])
+        raise InvalidInput.at("--out", message)
 
     async def work(api: Api) -> None:
         path, params = f"/campaigns/{campaign}/boundary", {"t_b": t_b, "d_th": d_th}

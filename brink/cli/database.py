@@ -33,7 +33,7 @@ from brink.server.access.tokens import create_token, list_tokens, revoke_token
 from brink.server.campaigns.store import CAMPAIGNS
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.upgrade import current_revision, head_revision
-from brink.server.errors import DatabaseError, FieldError, InvalidInput
+from brink.server.errors import DatabaseError, InvalidInput
 from brink.server.operations.doctor import State, examine
 from brink.server.operations.prune import prune
 from brink.server.operations.transfer import export_campaign, import_campaign
@@ -165,8 +165,7 @@ def prune_(
     Example: brink db prune --ended-days 90 --traces-days 14 --yes
     """
     if ended_days is None and traces_days is None:
-        message = "expected this or --traces-days: the age from which to delete"
-        raise InvalidInput([FieldError(pointer="--ended-days", message=message)])
+        raise InvalidInput.at("--ended-days", "expected this or --traces-days: the age from which to delete")
     settings = settings_with(database=database)
     check_database(settings)
     with _opened(settings) as engines, engines.writer.begin() as connection:

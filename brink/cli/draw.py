@@ -26,11 +26,11 @@ from brink.cli.options import (
     with_api,
     write_json,
 )
-from brink.search.archive import Archive
+from brink.search.archive import ARRAYS, Archive
 from brink.server.api.schemas import Boundary, CampaignView, SolutionView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody
 from brink.server.campaigns.plan import Plan, make_plan
-from brink.server.errors import FieldError, InvalidInput, ServerError
+from brink.server.errors import InvalidInput, ServerError
 from brink.sim.replay import render
 from brink.sim.trace import Trace
 from brink.worker.process import EpisodeProcess, episode_result
@@ -88,10 +88,9 @@ def replay(
     Example: brink replay 3f2a 17 --out replay.mp4
     """
     if out.suffix not in (".png", ".gif", ".mp4"):
-        message = f"{out}: expected a file name that ends in .png, .gif or .mp4"
-        raise InvalidInput([FieldError(pointer="--out", message=message)])
+        raise InvalidInput.at("--out", f"{out}: expected a file name that ends in .png, .gif or .mp4")
     if not out.parent.is_dir():
-        raise InvalidInput([FieldError(pointer="--out", message=f"{out.parent}: no such folder")])
+        raise InvalidInput.at("--out", f"{out.parent}: no such folder")
 
     async def work(api: Api) -> None:
         requirement = await fetch_requirement(api, campaign)
@@ -143,9 +142,8 @@ async def fetch_archive(api: Api, campaign: str) -> FetchedArchive:
     with np.load(io.BytesIO(response.content), allow_pickle=False) as npz:
         arrays = {name: npz[name] for name in npz.files}
     plan = make_plan(view.body)
-    columns = ("numbers", "vectors", "unsafe", "robustness", "neighbours", "unsafe_neighbours")
     archive = Archive.restore(
-        plan.problem.space, plan.neighbourhood, **{name: arrays[name] for name in columns}
+        plan.problem.space, plan.neighbourhood, **{name: arrays[name] for name in ARRAYS}
     )
     generations = arrays["generations"]
     ends = np.searchsorted(generations, np.unique(generations), side="right")

@@ -38,7 +38,7 @@ from brink.server.api.boundary_table import (
 )
 from brink.server.api.schemas import Boundary
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.errors import FieldError, InvalidInput
+from brink.server.errors import InvalidInput
 from brink.sim.errors import SimulatorError
 from brink.sim.replay import render
 from brink.sim.trace import Trace
@@ -83,7 +83,7 @@ def evidence(
     Example: brink evidence 3f2a --out evidence --film mp4
     """
     if film not in (None, "gif", "mp4"):
-        raise InvalidInput([FieldError(pointer="--film", message=f"expected gif or mp4, got {film!r}")])
+        raise InvalidInput.at("--film", f"expected gif or mp4, got {film!r}")
     screen = console(stderr=as_json)
     options = _Options(folder=out, t_b=t_b, d_th=d_th, replays=replays, film=film, server=server)
     summary = with_api(server, database, lambda api: _write(api, campaign, options, screen))

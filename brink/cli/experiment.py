@@ -69,15 +69,8 @@ def run(
     from brink.cli.local import RunOptions
 
     options = RunOptions(
-        file=file,
-        workers=workers,
-        out=out,
-        resume=resume,
-        new=new,
-        json=as_json,
-        database=database,
-        port=port,
-    )
+        file=file, workers=workers, out=out, resume=resume, new=new, json=as_json, database=database, port=port
+    )  # fmt: skip
     raise typer.Exit(int(run_experiment(read_experiment_file(file), options) is None))
 
 
@@ -196,7 +189,6 @@ def cancel(name: ExperimentId, database: Database = None, server: Server = None)
 
 
 def _control(name: str, verb: str, database: str | None, server: str | None) -> None:
-
     found = with_api(server, database, lambda api: api.send(ExperimentSummary, f"/experiments/{name}/{verb}"))
     print_line(
         f"experiment {found.id} is {found.status}: {found.simulations:,} of {found.budget:,} simulations"

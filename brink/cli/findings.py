@@ -43,7 +43,7 @@ from brink.server.api.schemas import (
     Variant,
     Violations,
 )
-from brink.server.errors import FieldError, InvalidInput
+from brink.server.errors import InvalidInput
 from brink.server.problems.base import ReportsViolations
 from brink.sim.replay import render
 from brink.sim.replay.sheets import Row, side_by_side
@@ -231,7 +231,6 @@ def _ratio(unsafe: int, trials: int) -> str:
 
 
 def _unsafe_shares(step: StepTally) -> tuple[float, float]:
-    """Return the unsafe shares of a technique alone and with others."""
     return step.alone_unsafe / max(1, step.alone_trials), step.joined_unsafe / max(1, step.joined_trials)
 
 
@@ -261,9 +260,9 @@ def violations(
     Example: brink violations 3f2a --number 71 --name "overtakes into oncoming traffic"
     """
     if (name is not None or unname) and number is None:
-        raise InvalidInput([FieldError(pointer="--number", message="expected the solution to name")])
+        raise InvalidInput.at("--number", "expected the solution to name")
     if name is not None and unname:
-        raise InvalidInput([FieldError(pointer="--unname", message="expected either this or --name")])
+        raise InvalidInput.at("--unname", "expected either this or --name")
 
     async def work(api: Api) -> Violations:
         if number is not None and (name is not None or unname):
@@ -296,7 +295,7 @@ async def _name(api: Api, campaign: str, number: int, requirement: str | None, n
         if len(violated) != 1:
             one_of = f"expected one of {', '.join(violated)}"
             message = one_of if violated else f"solution {number} has no violation"
-            raise InvalidInput([FieldError(pointer="--requirement", message=message)])
+            raise InvalidInput.at("--requirement", message)
         requirement = violated[0]
     path = f"/campaigns/{campaign}/violations/{number}/{requirement}/name"
     if name is None:

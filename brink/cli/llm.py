@@ -24,7 +24,7 @@ from brink.search.algorithm import SeedRequest
 from brink.server.api.schemas import LlmCalls
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
 from brink.server.campaigns.plan import make_checked_plan
-from brink.server.errors import FieldError, InvalidInput
+from brink.server.errors import InvalidInput
 from brink.server.llm.preflight import EndpointReport, check_endpoint, estimate
 from brink.server.llm.prompts import example, question
 from brink.server.llm.settings import LlmSettings
@@ -207,5 +207,5 @@ def _settings(body: CampaignBody) -> LlmSettings:
     """
     if body.llm is None:
         message = "expected a language model, such as {endpoint: http://127.0.0.1:8000/v1, model: ...}"
-        raise InvalidInput([FieldError(pointer="/llm", message=message)])
+        raise InvalidInput.at("/llm", message)
     return body.llm

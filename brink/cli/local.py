@@ -23,7 +23,7 @@ from brink.cli.live import CampaignDisplay
 from brink.cli.options import database_option, program, settings_with
 from brink.search.errors import install_command
 from brink.server.api.schemas import ExperimentProgress, Progress
-from brink.server.errors import Conflict, FieldError, InvalidInput, Unavailable
+from brink.server.errors import Conflict, InvalidInput, Unavailable
 from brink.server.problems.base import NeedsExtra, Problem
 from brink.server.runtime.coordinator import EmbeddedCoordinator, WorkerProcesses
 from brink.server.runtime.database import has_tokens, prepare_database, release_leases_of_dead_workers
@@ -309,4 +309,4 @@ def check_extra(problem: Problem) -> None:
             f"{problem.id} needs the {problem.extra} extra, which is not installed: "
             f"{install_command(problem.extra)}"
         )
-        raise InvalidInput([FieldError(pointer="/problem/id", message=message)])
+        raise InvalidInput.at("/problem/id", message)

@@ -26,7 +26,7 @@ from brink.search.analysis.monitor_evaluation import MonitorEvaluation, evaluate
 from brink.search.archive import Archive
 from brink.search.errors import DocumentError, SpaceError
 from brink.server.documents import read_yaml
-from brink.server.errors import Conflict, FieldError, InvalidInput
+from brink.server.errors import Conflict, InvalidInput
 
 MISSED = (0.01, 0.05, 0.1)
 """Shares of missed hazards for which false alarm rates are shown."""
@@ -183,11 +183,11 @@ def _read(file: Path) -> Monitor:
     try:
         return Monitor.load(file)
     except DocumentError as error:
-        raise InvalidInput([FieldError(pointer="", message=f"{file}: {error}")]) from None
+        raise InvalidInput.at("", f"{file}: {error}") from None
 
 
 def _wrong(place: int, message: str) -> InvalidInput:
-    return InvalidInput([FieldError(pointer=f"/{place}", message=message)])
+    return InvalidInput.at(f"/{place}", message)
 
 
 async def _fetched(api: Api, campaigns: Sequence[str]) -> list[FetchedArchive]:

@@ -229,8 +229,7 @@ def check_picture(file: Path | None) -> None:
         InvalidInput: The name ends in something other than .png, .svg or .pdf.
     """
     if file is not None and file.suffix.lower() not in (".png", ".svg", ".pdf"):
-        message = f"{file}: expected a file name that ends in .png, .svg or .pdf"
-        raise InvalidInput([FieldError(pointer="--picture", message=message)])
+        raise InvalidInput.at("--picture", f"{file}: expected a file name that ends in .png, .svg or .pdf")
 
 
 def file_name(name: str) -> str:

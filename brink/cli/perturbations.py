@@ -72,13 +72,11 @@ def show(
     """
     genes = _genes(gene)
     if out.suffix.lower() not in SUFFIXES:
-        message = f"{out}: expected a file name that ends in .png or .jpg"
-        raise InvalidInput([FieldError(pointer="--out", message=message)])
+        raise InvalidInput.at("--out", f"{out}: expected a file name that ends in .png or .jpg")
     if not out.parent.is_dir():
-        raise InvalidInput([FieldError(pointer="--out", message=f"{out.parent}: no such folder")])
+        raise InvalidInput.at("--out", f"{out.parent}: no such folder")
     if image is not None and not image.is_file():
-        message = f"{image}: {'not a file' if image.exists() else 'no such file'}"
-        raise InvalidInput([FieldError(pointer="--image", message=message)])
+        raise InvalidInput.at("--image", f"{image}: {'not a file' if image.exists() else 'no such file'}")
     if find_spec("cv2") is None:
         raise VisionMissing(
             "drawing images needs OpenCV; install it with: "

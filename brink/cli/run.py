@@ -66,15 +66,8 @@ def run(
     """
     body = read_campaign_file(file)
     options = RunOptions(
-        file=file,
-        workers=workers,
-        out=out,
-        resume=resume,
-        new=new,
-        json=as_json,
-        database=database,
-        port=port,
-    )
+        file=file, workers=workers, out=out, resume=resume, new=new, json=as_json, database=database, port=port
+    )  # fmt: skip
     checked, _ = check_submission(body)
     check_extra(checked.plan.problem)
     screen = console(stderr=as_json)

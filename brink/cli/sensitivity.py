@@ -36,7 +36,7 @@ from brink.search.analysis.boundary import P_THS, RADII, Rescored, by_p_th, by_r
 from brink.search.analysis.comparison import lines_of
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS, Measure
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
-from brink.server.errors import Conflict, FieldError, InvalidInput
+from brink.server.errors import Conflict, InvalidInput
 from brink.server.experiments.body import ExperimentBody, parse_experiment
 
 _USUAL_RADII = ",".join(map(str, RADII))
@@ -136,8 +136,7 @@ def rerun(
     """
     for name, value, known in (("--t-b", t_b, PAPER_T_BS), ("--d-th", d_th, PAPER_D_THS)):
         if value not in known:
-            message = f"expected one of {', '.join(map(str, known))}, got {value:g}"
-            raise InvalidInput([FieldError(pointer=name, message=message)])
+            raise InvalidInput.at(name, f"expected one of {', '.join(map(str, known))}, got {value:g}")
     body = varied(read_campaign_file(file), parameter, _values(values), seeds)
     out.mkdir(parents=True, exist_ok=True)
     experiment = out / f"{file_name(body.name)}.yaml"
@@ -216,8 +215,7 @@ def _numbers(option: str, text: str, *, low: float, high: float, closed: bool) -
     except ValueError:
         found = []
     if not found or not all(low < value < high or (closed and value == high) for value in found):
-        message = f"expected numbers in {bound}, separated by commas, got {text!r}"
-        raise InvalidInput([FieldError(pointer=option, message=message)])
+        raise InvalidInput.at(option, f"expected numbers in {bound}, separated by commas, got {text!r}")
     return found
 
 

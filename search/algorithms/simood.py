@@ -214,7 +214,6 @@ def _drawn(genome: ChainGenome, count: int, rng: np.random.Generator) -> FloatAr
 
 
 def _positions(state: SimoodState) -> dict[bytes, int]:
-    """Return the positions of all individuals, by row."""
     return {key: place for place, key in enumerate(row_keys(state.individuals))}
 
 

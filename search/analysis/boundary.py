@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
-from brink.search.archive import Archive
+from brink.search.archive import ARRAYS, Archive
 from brink.search.metric import Points
 from brink.search.space import BoolArray, FloatArray, IntArray
 
@@ -244,11 +244,7 @@ def rescored(archive: Archive, *, radius: float | None = None, p_th: float | Non
         near, radius=near.radius if radius is None else radius, p_th=near.p_th if p_th is None else p_th
     )
     if wanted.radius == near.radius:  # the counts stay the same
-        return Archive.restore(
-            archive.metric, wanted, numbers=archive.numbers, vectors=archive.vectors, unsafe=archive.unsafe,
-            robustness=archive.robustness, neighbours=archive.neighbours,
-            unsafe_neighbours=archive.unsafe_neighbours,
-        )  # fmt: skip
+        return Archive.restore(archive.metric, wanted, **{name: getattr(archive, name) for name in ARRAYS})
     return Archive.empty(archive.metric, wanted).grown(
         archive.numbers, archive.vectors, archive.unsafe, archive.robustness, keep_rows=False
     )

@@ -12,7 +12,6 @@ PAPER_T_BS = (0.01, 0.03, 0.05, 0.10, 0.15, 0.20)
 PAPER_D_THS = (0.1, 0.2, 0.3)
 PAPER_FRACTIONS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 PAPER_BUDGET = 1_300
-PAPER_REPEATS = 10
 
 
 class _BothMeasures(Protocol[T_co]):

@@ -312,7 +312,6 @@ def participant_distances(first: Rollouts, second: Rollouts) -> FloatArray:
 
 
 def _blocks(rows: int, columns: int) -> Iterator[tuple[slice, slice]]:
-    """Yield the blocks of a distance matrix."""
     for row in range(0, rows, _BLOCK_ROWS):
         for column in range(0, columns, _BLOCK_ROWS):
             yield slice(row, row + _BLOCK_ROWS), slice(column, column + _BLOCK_ROWS)

@@ -112,12 +112,8 @@ def list_tokens(connection: Connection) -> list[StoredToken]:
     """Return all tokens, oldest first."""
     query = select(TokenRow.__table__).order_by(TokenRow.created_at, TokenRow.id)
     return [
-        StoredToken(
-            id=row.id, name=row.name, scope=Scope(row.scope), digest=row.digest, created_at=row.created_at,
-            expires_at=row.expires_at, revoked_at=row.revoked_at,
-        )
-        for row in connection.execute(query)
-    ]  # fmt: skip
+        StoredToken(**{**row, "scope": Scope(row["scope"])}) for row in connection.execute(query).mappings()
+    ]
 
 
 def revoke_token(connection: Connection, token_id: str) -> None:

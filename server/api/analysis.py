@@ -407,7 +407,7 @@ async def score_solutions(campaign_id: str, questions: Questions, services: Serv
         try:
             rows.append(monitor.space.join(monitor.space.encode(values)))
         except SpaceError as error:
-            raise InvalidInput([FieldError(pointer=f"/solutions/{place}", message=str(error))]) from None
+            raise InvalidInput.at(f"/solutions/{place}", str(error)) from None
     risks = await asyncio.get_running_loop().run_in_executor(None, monitor.score, np.array(rows))
     threshold = questions.threshold if questions.threshold is not None else monitor.threshold
     columns = (risks.probability, risks.low, risks.high, risks.neighbours)

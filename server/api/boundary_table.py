@@ -10,7 +10,7 @@ from typing import Any, Final, TypeAlias
 from brink.search.errors import install_command
 from brink.server.api.schemas import Boundary
 from brink.server.campaigns.body import CampaignBody
-from brink.server.errors import FieldError, InvalidInput
+from brink.server.errors import InvalidInput
 
 Cell: TypeAlias = str | int | float | bool | None
 Row: TypeAlias = dict[str, Cell]
@@ -116,7 +116,7 @@ def has_parquet() -> bool:
 def _parquet(rows: Sequence[Row]) -> bytes:
     if not has_parquet():
         message = f"Parquet needs pyarrow, which is not installed: {install_command('analysis')}"
-        raise InvalidInput([FieldError(pointer="/query/format", message=message)])
+        raise InvalidInput.at("/query/format", message)
     # Imported here: an optional extra that takes a second to load.
     import pyarrow as pa
     import pyarrow.parquet as pq

@@ -144,9 +144,7 @@ async def get_combinations(campaign_id: str, services: Services) -> Combinations
     try:
         return combinations_view(found.plan.problem.space, found.archive)
     except UnsupportedSpace:
-        raise NotFound(
-            f"campaign {campaign.id}: {campaign.body.problem.id} has no ordered techniques"
-        ) from None
+        raise _no_techniques(campaign) from None
 
 
 @combinations_router.get("/solutions/{number}/variants")
@@ -157,11 +155,13 @@ async def get_variants(campaign_id: str, number: Number, services: Services) -> 
     try:
         return variants_view(found.plan.problem.space, found.archive, number)
     except UnsupportedSpace:
-        raise NotFound(
-            f"campaign {campaign.id}: {campaign.body.problem.id} has no ordered techniques"
-        ) from None
+        raise _no_techniques(campaign) from None
     except KeyError:
         raise NotFound(f"campaign {campaign.id} has no evaluated solution {number}") from None
+
+
+def _no_techniques(campaign: Campaign) -> NotFound:
+    return NotFound(f"campaign {campaign.id}: {campaign.body.problem.id} has no ordered techniques")
 
 
 class TechniqueNames:

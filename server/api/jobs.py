@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Coroutine
+from dataclasses import asdict
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Query, Request, Response
@@ -118,17 +119,11 @@ async def retry_job(job: Annotated[int, Path(ge=0, le=MAX_NUMBER)], services: Se
 @router.get("/workers", tags=["workers"], responses=NOT_MODIFIED)
 async def get_workers(services: Services, request: Request, response: Response) -> list[WorkerView]:
     """List workers, most recently seen first. Supports conditional requests with ETag."""
-    seen = await read(services.engines, lambda connection: list_workers(connection))
+    seen = await read(services.engines, list_workers)
     horizon = services.settings.worker_seen_s
     views = [
-        WorkerView(
-            id=w.id, host=w.host, pid=w.pid, version=w.version, capabilities=list(w.capabilities),
-            first_seen_at=w.first_seen_at, last_seen_at=w.last_seen_at, seen_s_ago=w.seen_s_ago,
-            live=w.seen_s_ago <= horizon and not w.gone, jobs_done=w.jobs_done, jobs_failed=w.jobs_failed,
-            jobs_held=w.jobs_held,
-        )
-        for w in seen
-    ]  # fmt: skip
+        WorkerView.model_validate({**asdict(w), "live": w.seen_s_ago <= horizon and not w.gone}) for w in seen
+    ]
     set_etag(request, response, views, leave_out=("seen_s_ago",))
     return views
 

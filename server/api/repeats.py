@@ -114,14 +114,9 @@ async def repeat_boundary(
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     repeats, new = await services.campaigns.repeat(
-        campaign,
-        found.plan,
-        found.archive,
-        repeats=body.repeats,
-        t_b=body.t_b,
-        d_th=body.d_th,
-        numbers=body.numbers,
-    )
+        campaign, found.plan, found.archive,
+        repeats=body.repeats, t_b=body.t_b, d_th=body.d_th, numbers=body.numbers,
+    )  # fmt: skip
     set_created(response, f"campaigns/{repeats.id}", new=new)
     views = await _views(services, campaign_id)
     return next(view for view in views if view.campaign == repeats.id)

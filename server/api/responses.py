@@ -13,7 +13,7 @@ from fastapi.responses import JSONResponse
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
 from brink.server.api.schemas import BeingMade, Thresholds, View
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.errors import FieldError, InvalidInput
+from brink.server.errors import InvalidInput
 
 Responses = dict[int | str, dict[str, Any]]
 """What a route accepts as ``responses``."""
@@ -100,8 +100,7 @@ def read_cursor(cursor: str | None) -> tuple[datetime, str] | None:
         return None
     found = re.fullmatch(r"(\d+\.\d+) ([0-9a-z]+)", _decoded(cursor))
     if found is None:
-        message = "expected the value of `next` of an earlier page"
-        raise InvalidInput([FieldError(pointer="/query/cursor", message=message)])
+        raise InvalidInput.at("/query/cursor", "expected the value of `next` of an earlier page")
     return datetime.fromtimestamp(min(float(found[1]), LATEST_S), UTC), found[2]
 
 

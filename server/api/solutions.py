@@ -36,7 +36,7 @@ from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import read
-from brink.server.errors import FieldError, InvalidInput, NotFound
+from brink.server.errors import InvalidInput, NotFound
 from brink.server.problems.base import Problem, describe_candidate
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
@@ -124,10 +124,9 @@ async def get_distances(
         wanted = [int(part) for part in numbers.split(",") if part.strip()]
     except ValueError:
         message = f"expected comma-separated solution numbers, got {numbers[:80]!r}"
-        raise InvalidInput([FieldError(pointer="/query/numbers", message=message)]) from None
+        raise InvalidInput.at("/query/numbers", message) from None
     if not 1 <= len(wanted) <= MAX_DISTANCES:
-        message = f"expected 1 to {MAX_DISTANCES} numbers, got {len(wanted)}"
-        raise InvalidInput([FieldError(pointer="/query/numbers", message=message)])
+        raise InvalidInput.at("/query/numbers", f"expected 1 to {MAX_DISTANCES} numbers, got {len(wanted)}")
     place = {int(number): index for index, number in enumerate(archive.numbers)}
     unknown = [number for number in wanted if number not in place]
     if unknown:

@@ -60,7 +60,7 @@ from brink.server.campaigns.step_store import (
 from brink.server.campaigns.store import CAMPAIGNS, Campaign
 from brink.server.db.engine import Engines, read
 from brink.server.db.writer import Writer, is_transient
-from brink.server.errors import Damaged, FieldError, InvalidInput, Unavailable
+from brink.server.errors import Damaged, InvalidInput, Unavailable
 from brink.server.llm.settings import LlmSettings
 from brink.server.metrics import Metrics
 from brink.server.problems.base import InProcessProblem, MeasuresOnData, Problem, SimulatedProblem
@@ -415,7 +415,7 @@ def _check_same(campaign: Campaign, candidates: Sequence[Candidate], stored: Map
             f"{campaign.body.problem.id} has changed since, or the stored replies with its seeds have; continue with "
             "the version that started the campaign"
         )
-        raise InvalidInput([FieldError(pointer="/algorithm/id", message=message)])
+        raise InvalidInput.at("/algorithm/id", message)
 
 
 def _evaluations(

@@ -11,7 +11,7 @@ from sqlalchemy import Connection
 from brink.search.algorithm import Algorithm, Candidate, Question, Seeded, SeedRequest
 from brink.search.algorithms.multi_objective import MultiObjectiveConfig
 from brink.search.algorithms.repeats import RepeatsConfig
-from brink.search.archive import Archive, Neighbourhood
+from brink.search.archive import ARRAYS, Archive, Neighbourhood
 from brink.search.errors import ConfigError, UnsupportedSpace
 from brink.search.streams import episode_seed
 from brink.server.campaigns import step_store, store
@@ -129,11 +129,10 @@ def make_checked_plan(body: CampaignBody) -> Plan:
         plan.algorithm.check(plan.problem.space, plan.config, budget=body.budget.simulations)
     except UnsupportedSpace as error:
         message = f"{body.algorithm.id} cannot search the space of {body.problem.id}: {error}"
-        raise InvalidInput([FieldError(pointer="/algorithm/id", message=message)]) from None
+        raise InvalidInput.at("/algorithm/id", message) from None
     except ConfigError as error:
         if error.field == "budget":
-            message = str(error).removeprefix("budget: ")
-            raise InvalidInput([FieldError(pointer="/budget/simulations", message=message)]) from None
+            raise InvalidInput.at("/budget/simulations", str(error).removeprefix("budget: ")) from None
         raise InvalidInput([config_field_error(error, "/algorithm/params")]) from None
     return plan
 
@@ -146,7 +145,7 @@ def check_repeatable(plan: Plan) -> None:
     """
     if isinstance(plan.problem, InProcessProblem):
         message = f"{plan.body.problem.id} is computed, not simulated: other seeds give the same verdicts"
-        raise InvalidInput([FieldError(pointer="/repeats", message=message)])
+        raise InvalidInput.at("/repeats", message)
 
 
 def _check_seeder(plan: Plan) -> None:
@@ -158,13 +157,13 @@ def _check_seeder(plan: Plan) -> None:
     uses_model = getattr(plan.config, "seeder", None) == LLM_SEEDER
     if uses_model and plan.body.llm is None:
         message = "expected a language model, such as {endpoint: http://127.0.0.1:8000/v1, model: ...}"
-        raise InvalidInput([FieldError(pointer="/llm", message=message)])
+        raise InvalidInput.at("/llm", message)
     if plan.body.llm is not None and not uses_model:
         message = f"{plan.body.algorithm.id} does not use it; expected algorithm.params.seeder: llm"
-        raise InvalidInput([FieldError(pointer="/llm", message=message)])
+        raise InvalidInput.at("/llm", message)
     if uses_model and not isinstance(plan.problem, SupportsSeeds):
         message = f"{plan.body.problem.id} cannot be described to a language model"
-        raise InvalidInput([FieldError(pointer="/problem/id", message=message)])
+        raise InvalidInput.at("/problem/id", message)
 
 
 def _check_endpoint(llm: LlmSettings | None, allowed: str) -> None:
@@ -185,7 +184,7 @@ def _check_endpoint(llm: LlmSettings | None, allowed: str) -> None:
             f"this coordinator may use {', '.join(bases) or 'models on its own machine, without a key'}, not "
             f"{llm.endpoint}; its operator can allow that in BRINK_LLM_ENDPOINTS"
         )
-        raise InvalidInput([FieldError(pointer="/llm/endpoint", message=message)])
+        raise InvalidInput.at("/llm/endpoint", message)
 
 
 def check_submission(body: CampaignBody) -> tuple[LiveSearch, list[NewSolution]]:
@@ -310,7 +309,7 @@ def _job(problem: SimulatedProblem, candidate: Candidate, seed: int) -> NewJob:
 
 def _no_data(problem: Problem) -> InvalidInput:
     message = f"this algorithm measures on a data set, which {problem.id} does not have"
-    return InvalidInput([FieldError(pointer="/algorithm/id", message=message)])
+    return InvalidInput.at("/algorithm/id", message)
 
 
 def vector_bytes(candidate: Candidate) -> bytes:
@@ -320,13 +319,5 @@ def vector_bytes(candidate: Candidate) -> bytes:
 
 def restored_archive(plan: Plan, stored: StoredArchive) -> Archive:
     """Return the stored archive, without computing distances."""
-    return Archive.restore(
-        plan.problem.space,
-        plan.neighbourhood,
-        numbers=stored.numbers,
-        vectors=stored.vectors,
-        unsafe=stored.unsafe,
-        robustness=stored.robustness,
-        neighbours=stored.neighbours,
-        unsafe_neighbours=stored.unsafe_neighbours,
-    )
+    arrays = {name: getattr(stored, name) for name in ARRAYS}
+    return Archive.restore(plan.problem.space, plan.neighbourhood, **arrays)

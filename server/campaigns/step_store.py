@@ -3,7 +3,7 @@
 import hashlib
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime
 
 import numpy as np
@@ -260,16 +260,8 @@ def _write_results(connection: Connection, step: Step) -> None:
 
 
 def _write_archive(connection: Connection, step: Step) -> None:
-    summary = step.summary
-    connection.execute(
-        insert(GenerationRow).values(
-            campaign_id=step.campaign, number=summary.number, evaluated=summary.evaluated,
-            unsafe=summary.unsafe, failed=summary.failed, measured=summary.measured,
-            best_fitness=summary.best_fitness, median_fitness=summary.median_fitness, dbs=summary.dbs,
-            strict_dbs=summary.strict_dbs,
-            step_s=summary.step_s, told_at=database_now(connection),
-        )
-    )  # fmt: skip
+    counts = {**asdict(step.summary), "told_at": database_now(connection)}
+    connection.execute(insert(GenerationRow).values(campaign_id=step.campaign, **counts))
     if step.block is not None:
         block = step.block
         connection.execute(

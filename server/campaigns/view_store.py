@@ -1,7 +1,7 @@
 """Read-only SQL for views of campaigns: progress, series, solutions."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from typing import Any, Final, NamedTuple, Protocol
 
@@ -123,18 +123,11 @@ def read_version(connection: Connection, campaign_id: str) -> CampaignVersion | 
 def list_generations(connection: Connection, campaign_id: str, since: int) -> list[GenerationSummary]:
     """Return the completed generations from number `since` on."""
     query = (
-        select(GenerationRow.__table__)
+        select(*(getattr(GenerationRow, one.name) for one in fields(GenerationSummary)))
         .where(GenerationRow.campaign_id == campaign_id, GenerationRow.number >= since)
         .order_by(GenerationRow.number)
     )
-    return [
-        GenerationSummary(
-            number=row.number, evaluated=row.evaluated, unsafe=row.unsafe, failed=row.failed, measured=row.measured,
-            best_fitness=row.best_fitness, median_fitness=row.median_fitness, dbs=row.dbs,
-            strict_dbs=row.strict_dbs, step_s=row.step_s, told_at=row.told_at,
-        )
-        for row in connection.execute(query)
-    ]  # fmt: skip
+    return [GenerationSummary(**row) for row in connection.execute(query).mappings()]
 
 
 def count_generation(connection: Connection, campaign_id: str, generation: int) -> int:

@@ -105,7 +105,7 @@ def open_engines(database: str) -> Engines:
             hide_parameters=True,
         )  # fmt: skip
     except ModuleNotFoundError:
-        raise DatabaseError("Postgres needs its driver: pip install 'brink[postgres]'") from None
+        raise DatabaseError("Postgres needs its driver: pip install 'brink-boundary[postgres]'") from None
     return Engines(writer=writer, reader=reader)
 
 

@@ -42,7 +42,7 @@ from brink.sim.perturbations import Pipeline
 from brink.sim.rendering.canvas import visible_bodies
 from brink.sim.rendering.renderer import Renderer
 from brink.sim.rendering.scene import Body, BodyKind, Frame, Light, PictureCamera, StreetScene, Viewpoint
-from brink.sim.urban.simulator import instruction_set, versions
+from brink.sim.urban.simulator import provenance
 from brink.sim.world.scenario import TimeOfDay, Weather
 
 SIZE_PX: Final = (640, 360)
@@ -217,13 +217,7 @@ class DatasetEvaluator:
             verdicts={},
             objectives={"alpha": alpha},
             features={f"average_precision:{name}": value for name, value in by_class.items()},
-            provenance={
-                "simulator": EVALUATOR_ID,
-                **versions(),
-                "instruction_set": instruction_set(),
-                "cpu_s": time.process_time() - cpu_s,
-                "frames": len(frames),
-            },
+            provenance=provenance(EVALUATOR_ID, cpu_s, frames=len(frames)),
         )
 
 

@@ -1,6 +1,5 @@
 """The simulator `brink-aeb@1`: runs a specification and returns the result, bit for bit reproducible."""
 
-import json
 import math
 import time
 from collections.abc import Mapping
@@ -14,12 +13,12 @@ from brink.sim.aeb.specification import AebScenario, Behaviour, Options, SightMo
 from brink.sim.aeb.street import CRUISE_MPS, LANE_Y_M, Street, make_street
 from brink.sim.bullet.engine import EngineError, discard_engine, process_engine
 from brink.sim.catalogue import make_requirements
-from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Json
 from brink.sim.errors import SimulationCrashed
 from brink.sim.perception.detector import find_detector
 from brink.sim.rendering.scene import Light
 from brink.sim.requirements import Requirement, features_of, verdicts_of
-from brink.sim.urban.simulator import instruction_set, versions
+from brink.sim.urban.simulator import provenance, trace_header
 from brink.sim.world.ego import EgoCar
 from brink.sim.world.weather import conditions
 
@@ -113,10 +112,6 @@ def _result(
 ) -> EpisodeResult:
     outcome, sight = episode.outcome, episode.sight
     verdicts = verdicts_of(requirements)
-    trace = None
-    if recorder is not None:
-        about: JsonObject = {"spec": json.loads(spec.canonical_json()), "versions": dict(versions())}
-        trace = recorder.trace(about).to_bytes()
     objectives = {f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()}
     scores: dict[str, float] = {}
     if isinstance(sight, CameraSight):
@@ -127,14 +122,8 @@ def _result(
         verdicts=verdicts,
         objectives=objectives,
         features={**_features(outcome, requirements), **scores},
-        provenance={
-            "simulator": SIMULATOR_ID,
-            **versions(),
-            "instruction_set": instruction_set(),
-            "cpu_s": time.process_time() - cpu_s,
-            "simulated_s": outcome.time_s,
-        },
-        trace=trace,
+        provenance=provenance(SIMULATOR_ID, cpu_s, simulated_s=outcome.time_s),
+        trace=None if recorder is None else recorder.trace(trace_header(spec)).to_bytes(),
     )
 
 

@@ -3,7 +3,6 @@
 Its driving system gets the ground truth; `brink.sim.encounter.camera` puts a camera and a detector in its place.
 """
 
-import json
 import math
 import time
 from collections.abc import Mapping
@@ -16,13 +15,13 @@ from brink.sim.driving.system import ModularDriving
 from brink.sim.encounter.specification import EncounterScenario
 from brink.sim.encounter.witness import EncounterWitness
 from brink.sim.encounter.world import EncounterWorld, make_encounter
-from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject, check_fields
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, check_fields
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
 from brink.sim.requirements import Requirement, features_of, verdicts_of
 from brink.sim.urban.behaviour import BehaviourMode, DetectorBehaviour
 from brink.sim.urban.episode_loop import Detects, Outcome, run_loop
 from brink.sim.urban.recorder import Recorder
-from brink.sim.urban.simulator import instruction_set, versions
+from brink.sim.urban.simulator import outcome_features, provenance, trace_header
 
 MAX_DURATION_S: Final = 120.0
 MAX_GAP_M: Final = 200.0
@@ -107,10 +106,6 @@ class BrinkEncounter:
             detects=self._detects(spec, scenario, world),
         )
         verdicts = verdicts_of(requirements)
-        trace = None
-        if recorder is not None:
-            about: JsonObject = {"spec": json.loads(spec.canonical_json()), "versions": dict(versions())}
-            trace = recorder.trace(about).to_bytes()
         gaps = {
             f"gap_{index}_m": min(gap_m, MAX_GAP_M) for index, gap_m in enumerate(witness.gaps_m, start=1)
         }
@@ -122,27 +117,15 @@ class BrinkEncounter:
                 **gaps,
             },
             features={**_features(outcome, requirements), "violations": list(witness.violations)},
-            provenance={
-                "simulator": self.id,
-                **versions(),
-                "instruction_set": instruction_set(),
-                "cpu_s": time.process_time() - cpu_s,
-                "simulated_s": outcome.last.time_s,
-            },
-            trace=trace,
+            provenance=provenance(self.id, cpu_s, simulated_s=outcome.last.time_s),
+            trace=None if recorder is None else recorder.trace(trace_header(spec)).to_bytes(),
         )
 
 
 def _features(outcome: Outcome, requirements: Mapping[str, Requirement]) -> dict[str, Json]:
     hit = outcome.last.collision
     return {
-        "ended": outcome.ended,
-        "ended_at_s": outcome.last.time_s,
-        "way_m": outcome.way_m,
-        "stood_s": outcome.stood_s,
-        "least_front_gap_m": outcome.least_front_gap_m,
-        "collision": None if hit is None else hit.kind.value,
-        "collided_with": None if hit is None else hit.counterpart,
+        **outcome_features(outcome),
         "impact_speed_mps": None if hit is None else hit.impact_speed_mps,
         **{name: value for name, value in features_of(requirements).items() if _finite(value)},
     }

@@ -4,7 +4,7 @@ The same polygons are painted with smooth edges into the picture and with hard e
 within a pixel. The marks of each body are kept as its outline, so that its silhouette can be counted separately.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -18,7 +18,6 @@ from brink.sim.rendering.scene import (
     Mark,
     Outline,
     Picture,
-    Rgb,
     Stamp,
     Stroke,
 )
@@ -31,7 +30,6 @@ class Canvas:
 
     image: Picture
     ids: IdMask
-    glows: list[tuple[float, float, float, Rgb]] = field(default_factory=list)
 
     def paint(self, marks: list[Mark], number: int) -> None:
         """Paint marks over the current content.

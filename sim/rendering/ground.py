@@ -12,7 +12,6 @@ from typing import Final, TypeAlias
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from brink.sim.rendering.lamps import lamp_head_position, vehicle_light_positions
 from brink.sim.rendering.light import Lighting
@@ -52,8 +51,6 @@ _WET: Final = {0: 0.62, 1: 0.74, 2: 0.86}
 _BACKDROP: Final = Material.GRASS
 _TILE_SEEDS: Final = 8
 """A small number, so that streets share their ground tiles."""
-
-Float32 = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

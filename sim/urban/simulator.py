@@ -87,23 +87,12 @@ class BrinkDrive:
             recorder=recorder,
         )
         verdicts = verdicts_of(requirements)
-        trace = None
-        if recorder is not None:
-            # From the canonical text, so that the trace does not depend on the order of fields.
-            about: JsonObject = {"spec": json.loads(spec.canonical_json()), "versions": dict(versions())}
-            trace = recorder.trace(about).to_bytes()
         return EpisodeResult(
             verdicts=verdicts,
             objectives={f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()},
-            features=_features(outcome, requirements),
-            provenance={
-                "simulator": SIMULATOR_ID,
-                **versions(),
-                "instruction_set": instruction_set(),
-                "cpu_s": time.process_time() - cpu_s,
-                "simulated_s": outcome.last.time_s,
-            },
-            trace=trace,
+            features={**outcome_features(outcome), **features_of(requirements)},
+            provenance=provenance(SIMULATOR_ID, cpu_s, simulated_s=outcome.last.time_s),
+            trace=None if recorder is None else recorder.trace(trace_header(spec)).to_bytes(),
         )
 
 
@@ -131,7 +120,8 @@ def _ego_maker(spec: EpisodeSpec, engine: Engine) -> MakeEgo:
     return EgoCar
 
 
-def _features(outcome: Outcome, requirements: Mapping[str, Requirement]) -> dict[str, Json]:
+def outcome_features(outcome: Outcome) -> dict[str, Json]:
+    """Return the features of an episode that do not depend on its requirements."""
     last = outcome.last
     hit = last.collision
     return {
@@ -142,7 +132,29 @@ def _features(outcome: Outcome, requirements: Mapping[str, Requirement]) -> dict
         "least_front_gap_m": outcome.least_front_gap_m,
         "collision": None if hit is None else hit.kind.value,
         "collided_with": None if hit is None else hit.counterpart,
-        **features_of(requirements),
+    }
+
+
+def trace_header(spec: EpisodeSpec) -> JsonObject:
+    """Return what every trace says about its episode."""
+    # From the canonical text, so that the trace does not depend on the order of fields.
+    return {"spec": json.loads(spec.canonical_json()), "versions": dict(versions())}
+
+
+def provenance(simulator: str, cpu_s: float, **facts: Json) -> dict[str, Json]:
+    """Return the provenance of a result.
+
+    Args:
+        simulator: Id of the simulator.
+        cpu_s: CPU time of this process when the episode began.
+        facts: What else to state.
+    """
+    return {
+        "simulator": simulator,
+        **versions(),
+        "instruction_set": instruction_set(),
+        "cpu_s": time.process_time() - cpu_s,
+        **facts,
     }
 
 
