@@ -30,9 +30,7 @@ def ragged(columns: tuple[str, ...], samples: list[list[tuple[float, ...]]]) -> 
     first = np.cumsum([0, *(len(rows) for rows in samples)]).astype(np.int32)
     rows = [row for sample in samples for row in sample]
     return Ragged(
-        columns=columns,
-        first=first,
-        rows=np.array(rows, dtype=np.float32).reshape(-1, len(columns)),
+        columns=columns, first=first, rows=np.array(rows, dtype=np.float32).reshape(-1, len(columns))
     )
 
 

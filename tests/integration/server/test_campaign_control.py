@@ -276,10 +276,7 @@ def test_values_that_cannot_be_stored_are_rejected_with_their_pointer(
     campaign, worker = submit(client, ball()), FakeWorker(client)
     (job,) = worker.lease(max_jobs=1)
     outcome = completes(job).model_dump() | {"features": {"odd": value}}
-    body = {
-        "worker": worker.identity,
-        "results": [{"job": job.job, "token": job.token, "outcome": outcome}],
-    }
+    body = {"worker": worker.identity, "results": [{"job": job.job, "token": job.token, "outcome": outcome}]}
     headers = {"Content-Type": "application/json"}
     answer = client.post("/api/v1/jobs/results", content=json.dumps(body), headers=headers)
     refused = expect(answer, 422)

@@ -402,9 +402,7 @@ def test_open_jobs_are_counted_by_status_campaign_and_simulator(client: httpx.Cl
     assert counts(client)["ended"] == [first]
 
 
-def test_unrunnable_jobs_are_counted_apart_from_those_of_paused_campaigns(
-    client: httpx.Client,
-) -> None:
+def test_unrunnable_jobs_are_counted_apart_from_those_of_paused_campaigns(client: httpx.Client) -> None:
     waits = submit(client, ball(simulations=20))
     assert counts(client)["unrunnable"] == {SIMULATOR: 20}
     FakeWorker(client).lease(max_jobs=1)

@@ -513,9 +513,7 @@ def test_document_that_is_no_trace_is_a_conflict(client: httpx.Client) -> None:
 
 
 @on_sqlite
-def test_story_is_the_violated_requirement_if_the_campaign_judges_none(
-    client: httpx.Client,
-) -> None:
+def test_story_is_the_violated_requirement_if_the_campaign_judges_none(client: httpx.Client) -> None:
     far = np.full(40, 9.0, np.float32)
     fast = np.where(np.arange(40) < 25, 1.0, -0.5).astype(np.float32)
     found = episode(

@@ -183,9 +183,7 @@ def test_jobs_missing_from_a_heartbeat_reply_are_dropped_and_a_long_one_is_aband
         assert [status.job for status in coordinator.statuses if status.job in lost] == []
 
 
-def test_a_refused_outcome_becomes_an_error_and_the_others_are_accepted(
-    coordinator: FakeCoordinator,
-) -> None:
+def test_a_refused_outcome_becomes_an_error_and_the_others_are_accepted(coordinator: FakeCoordinator) -> None:
     with running_worker(coordinator.url, prefetch_s=10.0) as running:
         coordinator.add()
         coordinator.wait_for_all()
@@ -258,10 +256,7 @@ def test_a_worker_exits_when_idle(coordinator: FakeCoordinator) -> None:
 def test_a_worker_without_a_coordinator_exits_when_idle_and_logs_why(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    with (
-        FakeCoordinator() as gone,
-        caplog.at_level(logging.WARNING),
-    ):
+    with FakeCoordinator() as gone, caplog.at_level(logging.WARNING):
         gone.disappear()
         with running_worker(gone.url, exit_when_idle_s=0.3) as running:
             assert running.join() == 1

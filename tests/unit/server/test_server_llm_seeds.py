@@ -27,14 +27,7 @@ from support.llm_endpoint import (
 
 from brink.search.algorithm import Origin, SeedRequest
 from brink.search.traffic.participants import RoadLimits
-from brink.server.llm.calls import (
-    CallKey,
-    Outcome,
-    Spent,
-    StoredCall,
-    spent_on,
-    worst_usage,
-)
+from brink.server.llm.calls import CallKey, Outcome, Spent, StoredCall, spent_on, worst_usage
 from brink.server.llm.client import MAX_REPLY_BYTES, LlmClient
 from brink.server.llm.prompts import example, question
 from brink.server.llm.protocol import CallLogMismatch, Mode, Usage
@@ -328,11 +321,7 @@ def test_max_calls_limits_retries(endpoint: Endpoint) -> None:
 
 
 @pytest.mark.parametrize(
-    "limits",
-    [
-        {"max_total_tokens": 4000},
-        {"max_cost": 0.004, "input_price": 0.0, "output_price": 1.0},
-    ],
+    "limits", [{"max_total_tokens": 4000}, {"max_cost": 0.004, "input_price": 0.0, "output_price": 1.0}]
 )
 def test_token_and_cost_limits_are_checked_before_sending(endpoint: Endpoint, limits: dict[str, Any]) -> None:
     log = MemoryLog()

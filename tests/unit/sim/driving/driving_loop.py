@@ -24,10 +24,7 @@ CONTROL_S = 0.05
 
 
 def road(
-    *pieces: Piece,
-    lane_width_m: float = 3.5,
-    stop_lines_m: tuple[float, ...] = (),
-    oncoming: bool = True,
+    *pieces: Piece, lane_width_m: float = 3.5, stop_lines_m: tuple[float, ...] = (), oncoming: bool = True
 ) -> LaneRoute:
     """Return a route from the origin to the east, by default 300 m straight."""
     line = ReferenceLine(0.0, 0.0, 0.0, pieces or (Piece(300.0),))

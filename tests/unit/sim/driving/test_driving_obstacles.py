@@ -78,11 +78,7 @@ def test_back_projection_inverts_projection_on_the_ground(depth_m: float, left_m
     assert CAMERA.left_m(x_px, depth_m) == pytest.approx(left_m, abs=1e-9)
 
 
-@given(
-    x_m=st.floats(-20.0, 100.0),
-    y_m=st.floats(-50.0, 50.0),
-    yaw_rad=st.floats(-math.pi, math.pi),
-)
+@given(x_m=st.floats(-20.0, 100.0), y_m=st.floats(-50.0, 50.0), yaw_rad=st.floats(-math.pi, math.pi))
 def test_every_box_lies_in_the_image_and_its_bottom_edge_is_the_nearest_visible_ground(
     x_m: float, y_m: float, yaw_rad: float
 ) -> None:
@@ -403,11 +399,7 @@ def test_a_person_who_walks_away_or_too_slowly_is_not_predicted_in_the_strip() -
     assert obstacle(1.5, 2.0, 1.0).time_in(-1.0, 1.0) is None
 
 
-@given(
-    right_m=st.floats(-8.0, 8.0),
-    width_m=st.floats(0.1, 3.0),
-    across_mps=st.floats(-5.0, 5.0),
-)
+@given(right_m=st.floats(-8.0, 8.0), width_m=st.floats(0.1, 3.0), across_mps=st.floats(-5.0, 5.0))
 def test_predicted_times_agree_with_simulated_motion(
     right_m: float, width_m: float, across_mps: float
 ) -> None:

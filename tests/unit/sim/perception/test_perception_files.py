@@ -10,17 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from brink.sim.errors import InvalidEpisode
-from brink.sim.perception.detector import (
-    NetworkDetector,
-    find_detector,
-    fit_picture,
-)
-from brink.sim.perception.user_files import (
-    DatasetError,
-    DetectorError,
-    read_coco,
-    weights_file,
-)
+from brink.sim.perception.detector import NetworkDetector, find_detector, fit_picture
+from brink.sim.perception.user_files import DatasetError, DetectorError, read_coco, weights_file
 
 BRIGHT = np.zeros((180, 320, 3), np.uint8)
 BRIGHT[40:120, 100:140] = 255

@@ -81,8 +81,7 @@ def rectangle_gap_m(x_m: float, y_m: float, yaw_rad: float) -> float:
     if separated_by_no_axis(corners, other):
         return 0.0
     return min(
-        min(corner_to_edges_m(p, other) for p in corners),
-        min(corner_to_edges_m(p, corners) for p in other),
+        min(corner_to_edges_m(p, other) for p in corners), min(corner_to_edges_m(p, corners) for p in other)
     )
 
 

@@ -153,16 +153,7 @@ def test_no_fixture_stands_on_a_lane() -> None:
 
 def test_scenes_contain_every_kind_of_surface() -> None:
     kinds = {surface.kind for road in ROADS for surface in scene_surfaces(road)}
-    assert kinds == {
-        "road",
-        "pavement",
-        "marking",
-        "crossing",
-        "stop-line",
-        "building",
-        "parked-car",
-        "tree",
-    }
+    assert kinds == {"road", "pavement", "marking", "crossing", "stop-line", "building", "parked-car", "tree"}
 
 
 def test_equal_roads_are_the_same_object() -> None:
