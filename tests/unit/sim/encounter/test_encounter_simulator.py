@@ -85,9 +85,7 @@ FROM_BEHIND = user("car", stretch("keep", 0.0, 30.0, s_m=-25.0, speed_mps=14.0))
 
 @pytest.mark.parametrize("task", ["follow_road", "first_exit", "second_exit"])
 @pytest.mark.parametrize("curve", ["straight", "left", "right", "crossroad"])
-def test_on_an_empty_road_the_ego_arrives_without_a_violation(
-    simulator: BrinkEncounter, curve: str, task: str
-) -> None:
+def test_ego_arrives_safely_on_an_empty_road(simulator: BrinkEncounter, curve: str, task: str) -> None:
     result = simulator.run(spec(duration_s=60.0, road_curve=curve, driving_task=task, road_length=0))
     assert result.features["ended"] == "goal"
     assert told(result) == []

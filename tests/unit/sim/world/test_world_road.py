@@ -24,9 +24,7 @@ lines = st.builds(ReferenceLine, st.floats(-50, 50), st.floats(-50, 50), st.floa
 
 
 @given(lines, st.floats(-40, 80), st.floats(-3, 3), st.floats(-3, 3))
-def test_projection_inverts_placement(
-    line: ReferenceLine, station_m: float, offset_m: float, hint_m: float
-) -> None:
+def test_projection_is_inverse(line: ReferenceLine, station_m: float, offset_m: float, hint_m: float) -> None:
     x_m, y_m, _ = line.pose_at(station_m, offset_m)
     found = line.project(x_m, y_m, station_m + hint_m)
     assert found == pytest.approx((station_m, offset_m), abs=1e-6)
