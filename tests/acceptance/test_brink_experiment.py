@@ -37,9 +37,7 @@ def found(output: str) -> list[dict[str, Any]]:
 
 
 @pytest.mark.long("runs an experiment twice")
-def test_an_experiment_that_is_killed_goes_on_to_the_same_report(
-    databases: Databases, tmp_path: Path, small_problems: None
-) -> None:
+def test_killed_experiment_resumes(databases: Databases, tmp_path: Path, small_problems: None) -> None:
     file = written(tmp_path)
     with databases.database() as url:
         command = ["experiment", "run", file, "--database", url, "--workers", "2"]
@@ -65,9 +63,7 @@ def test_an_experiment_that_is_killed_goes_on_to_the_same_report(
 
 
 @on_sqlite
-def test_a_file_that_is_no_experiment_is_refused_before_anything_is_made(
-    databases: Databases, tmp_path: Path
-) -> None:
+def test_a_file_without_an_experiment_creates_nothing(databases: Databases, tmp_path: Path) -> None:
     file = tmp_path / "wrong.yaml"
     file.write_text(yaml.safe_dump({**EXPERIMENT, "algorithms": [{"id": "ga@1"}, {"id": "gaa@1"}]}))
     said = brink("experiment", "run", str(file), cwd=tmp_path)

@@ -55,7 +55,7 @@ def test_a_campaign_file_becomes_results_and_a_summary(databases: Databases, tmp
 
 
 @pytest.mark.long("runs a campaign twice")
-def test_a_run_that_is_stopped_goes_on_to_the_same_end(
+def test_a_stopped_run_reaches_the_same_end(
     databases: Databases, tmp_path: Path, small_problems: None
 ) -> None:
     stop = signal.SIGINT if databases.backend == "sqlite" else signal.SIGTERM

@@ -39,7 +39,7 @@ def urban_digests() -> dict[str, str]:
 
 
 @pytest.mark.long("runs a campaign several times")
-def test_one_worker_or_four_on_either_database(
+def test_worker_count_and_database(
     databases: Databases, tmp_path: Path, urban_digests: dict[str, str]
 ) -> None:
     with on(databases, tmp_path, BRINK_PLUGINS="") as running:
@@ -53,9 +53,7 @@ def test_one_worker_or_four_on_either_database(
 
 
 @pytest.mark.long("kills and restarts processes")
-def test_everything_killed_in_mid_generation_and_started_again(
-    databases: Databases, tmp_path: Path, small_problems: None
-) -> None:
+def test_everything_killed_and_restarted(databases: Databases, tmp_path: Path, small_problems: None) -> None:
     with on(databases, tmp_path) as running:
         running.start_workers(2)
         campaign = running.submit(BALL)

@@ -47,9 +47,7 @@ def logged(running: Site) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     return records(running.coordinator), records(worker)
 
 
-def test_a_campaign_is_followed_through_coordinator_and_worker_by_its_ids(
-    database: str, tmp_path: Path
-) -> None:
+def test_a_campaign_is_traced_through_coordinator_and_worker_by_id(database: str, tmp_path: Path) -> None:
     with site(tmp_path, database, JSON_LOGS) as running:
         running.start_workers(1, "--id", "w-17")
         fault = {"id": "ball@1", "params": {"fault": "exit", "fault_from": 1.6}}
@@ -114,9 +112,7 @@ def test_details_are_not_logged_unless_asked_for(database: str, tmp_path: Path) 
         pytest.param(TEXT_LOGS, id="text", marks=pytest.mark.long("runs a campaign")),
     ],
 )
-def test_no_secret_is_logged_however_much_is_asked_for(
-    database: str, tmp_path: Path, environment: dict[str, str]
-) -> None:
+def test_no_secret_is_logged_at_any_level(database: str, tmp_path: Path, environment: dict[str, str]) -> None:
     password, token, guess = (f"{name}-{secrets.token_hex(8)}" for name in ("word", "token", "guess"))
     url = make_url(database).set(password=password).render_as_string(hide_password=False)
     key = f"key-{secrets.token_hex(8)}"

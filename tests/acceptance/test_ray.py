@@ -52,14 +52,9 @@ def pool(running: Site, *arguments: str, **more: str) -> Program:
 def node(running: Site, *arguments: str) -> Iterator[Program]:
     """Have one more node of one CPU in the cluster."""
     command = [
-        RAY,
-        "start",
-        "--num-cpus=1",
-        "--min-worker-port=0",
-        "--max-worker-port=0",
-        "--block",
+        RAY, "start", "--num-cpus=1", "--min-worker-port=0", "--max-worker-port=0", "--block",
         *arguments,
-    ]
+    ]  # fmt: skip
     with Program(command, cwd=running.folder, env=running.env) as program:
         try:
             program.await_line("Ray runtime started")
@@ -92,9 +87,7 @@ def command_lines() -> list[bytes]:
     return lines
 
 
-def test_a_campaign_on_ray_finds_the_same_although_an_actor_is_killed(
-    running: Site, ray_home: Path, small_problems: None
-) -> None:
+def test_killing_an_actor_changes_no_result(running: Site, ray_home: Path, small_problems: None) -> None:
     started = pool(running, "--ray", "local", "--workers", "2")
     slow = ball(simulations=60, problem={"id": "ball@1", "params": {"slow_s": 0.05}})
     campaign = running.submit(slow)

@@ -42,7 +42,7 @@ def test_no_view_has_a_serious_fault(site: Served, views: list[View], visit: Vis
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
-def test_neither_has_the_page_that_asks_for_a_token(
+def test_token_page_is_accessible(
     guarded: httpx.Client, visit: Visits, console: Console, theme: Theme
 ) -> None:
     console.expect_status(401)

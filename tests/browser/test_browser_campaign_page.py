@@ -158,9 +158,7 @@ def test_the_boundary_is_saved_as_csv_as_the_api_tells_it(site: Served, page: Pa
     assert numbers == {str(one["number"]) for one in boundary(site)["solutions"]}
 
 
-def test_other_thresholds_change_curve_and_table_and_are_kept_in_the_address(
-    site: Served, visit: Visits
-) -> None:
+def test_new_thresholds_change_curve_and_table_and_are_kept_in_the_url(site: Served, visit: Visits) -> None:
     page = visit(site.url, f"#/campaigns/{site.urban}")
     curve = page.get_by_role("region", name="Boundary solutions over simulations")
     shown(curve.get_by_text("fitness at most t_b")).to_be_visible()

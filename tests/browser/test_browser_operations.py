@@ -24,7 +24,7 @@ def unlucky(own: httpx.Client) -> tuple[str, int]:
     return campaign, jobs[0].job
 
 
-def test_a_quarantined_job_is_looked_at_retried_and_done(
+def test_quarantined_job_is_retried_and_done(
     own: httpx.Client, unlucky: tuple[str, int], visit: Visits
 ) -> None:
     campaign, job = unlucky
@@ -45,7 +45,7 @@ def test_a_quarantined_job_is_looked_at_retried_and_done(
     assert len([one for one in numbers if one["verdict"] in ("safe", "unsafe")]) == 18
 
 
-def test_all_jobs_in_quarantine_are_retried_together(
+def test_quarantined_jobs_are_retried_together(
     own: httpx.Client, unlucky: tuple[str, int], visit: Visits
 ) -> None:
     page = visit(origin(own), "#/jobs")

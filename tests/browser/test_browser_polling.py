@@ -30,9 +30,7 @@ def asked(page: Page) -> list[str]:
     return told
 
 
-def test_a_page_that_nobody_looks_at_asks_for_nothing_and_looks_at_once_when_it_is_shown(
-    site: Served, visit: Visits
-) -> None:
+def test_a_hidden_page_stops_polling_and_refreshes_when_shown(site: Served, visit: Visits) -> None:
     page = visit(site.url, stopped=True)
     shown(page.get_by_role("link", name="night rain", exact=True)).to_be_visible()
     with page.expect_response("**/api/v1/overview*"):
@@ -115,7 +113,7 @@ def killable(own_database: str, tmp_path: Path) -> Iterator[Site]:
         yield made
 
 
-def test_a_page_says_that_the_coordinator_is_away_and_goes_on_when_it_is_back(
+def test_a_page_reports_and_survives_a_lost_coordinator(
     killable: Site, visit: Visits, console: Console
 ) -> None:
     campaign = killable.submit(ball(name="interrupted"))

@@ -123,9 +123,7 @@ def test_what_was_written_goes_along_between_form_and_file(site: Served, visit: 
     shown(page.get_by_label("Name", exact=True)).to_have_value("to and fro")
 
 
-def test_a_file_that_is_wrong_is_left_for_the_form_and_kept(
-    site: Served, visit: Visits, console: Console
-) -> None:
+def test_invalid_file_is_kept_beside_the_form(site: Served, visit: Visits, console: Console) -> None:
     page = visit(site.url, "#/new")
     fill(page, "before the file", 33)
     page.get_by_role("button", name="Campaign file").click()

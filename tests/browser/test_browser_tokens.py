@@ -45,9 +45,7 @@ def test_without_a_token_nothing_is_shown_and_with_the_right_one_everything(
     shown(page.get_by_role("link", name="guarded")).to_be_visible()
 
 
-def test_who_signs_out_is_asked_again_and_the_token_is_forgotten(
-    guarded: httpx.Client, visit: Visits, console: Console
-) -> None:
+def test_signing_out_forgets_the_token(guarded: httpx.Client, visit: Visits, console: Console) -> None:
     console.expect_status(401)
     page = visit(origin(guarded))
     sign_in(page, SECRET, remember=True)
@@ -62,9 +60,7 @@ def test_who_signs_out_is_asked_again_and_the_token_is_forgotten(
     shown(page.get_by_role("heading", name="Sign in")).to_be_visible()
 
 
-def test_a_token_that_may_only_look_sees_no_buttons_and_cannot_submit(
-    guarded: httpx.Client, own_database: str, visit: Visits
-) -> None:
+def test_a_read_only_token_cannot_submit(guarded: httpx.Client, own_database: str, visit: Visits) -> None:
     page = visit(origin(guarded), token=token_of(own_database, "read"))
     shown(page.get_by_role("link", name="guarded")).to_be_visible()
     shown(page.get_by_text("scope read")).to_be_visible()
@@ -79,9 +75,7 @@ def test_a_token_that_may_only_look_sees_no_buttons_and_cannot_submit(
     shown(page.get_by_role("button", name="Submit campaign")).to_have_count(0)
 
 
-def test_a_users_token_may_steer_but_not_delete(
-    guarded: httpx.Client, own_database: str, visit: Visits
-) -> None:
+def test_user_token_may_control_not_delete(guarded: httpx.Client, own_database: str, visit: Visits) -> None:
     page = visit(origin(guarded), token=token_of(own_database, "user"))
     page.get_by_role("link", name="guarded").click()
     page.get_by_role("button", name="Cancel guarded").click()
@@ -90,7 +84,7 @@ def test_a_users_token_may_steer_but_not_delete(
     shown(page.get_by_role("button", name="Delete")).to_have_count(0)
 
 
-def test_a_workers_token_is_refused_with_the_reason(
+def test_worker_token_is_refused(
     guarded: httpx.Client, own_database: str, visit: Visits, console: Console
 ) -> None:
     console.expect_status(401, 403)

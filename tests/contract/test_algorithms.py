@@ -10,10 +10,7 @@ from brink.search.algorithm import Algorithm, Candidate, Evaluation, Failed, Sco
 from brink.search.algorithms.random_search import RandomSearch, RandomSearchConfig, RandomSearchState
 from brink.search.document import Document
 from brink.search.errors import DocumentError, UnsupportedSpace
-from brink.search.problems import (
-    MTQ_SPACE,
-    ONEMAX_SPACE,
-)
+from brink.search.problems import MTQ_SPACE, ONEMAX_SPACE
 from brink.search.slots import Slots
 from brink.search.space import SearchSpace
 from brink.search.testing import ContractBroken, check_algorithm, example_spaces

@@ -19,14 +19,7 @@ from brink.sim.errors import InvalidEpisode
 from brink.sim.requirements import FrontGap, Requirement, WorldSample
 from brink.sim.testing import ContractBroken, check_requirement
 
-SHIPPED = {
-    "front-gap@1",
-    "no-collision@1",
-    "lane-keeping@1",
-    "red-light@1",
-    "speed-limit@1",
-    "progress@1",
-}
+SHIPPED = {"front-gap@1", "no-collision@1", "lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1"}
 
 
 def test_the_shipped_requirements_are_registered() -> None:

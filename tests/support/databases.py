@@ -32,14 +32,9 @@ on_sqlite_then_postgres = pytest.mark.parametrize("databases", SQLITE_THEN_POSTG
 on_postgres = pytest.mark.parametrize("databases", BACKENDS[1:], indirect=True)
 
 FAST = {
-    "fsync": "off",
-    "synchronous_commit": "off",
-    "full_page_writes": "off",
-    "autovacuum": "off",
-    "wal_level": "minimal",
-    "max_wal_senders": "0",
-    "shared_buffers": "32MB",
-}
+    "fsync": "off", "synchronous_commit": "off", "full_page_writes": "off", "autovacuum": "off",
+    "wal_level": "minimal", "max_wal_senders": "0", "shared_buffers": "32MB",
+}  # fmt: skip
 """Postgres settings: nothing in a test's database has to survive a power cut."""
 
 

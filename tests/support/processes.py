@@ -161,17 +161,8 @@ class Site:
     def start_workers(self, count: int, *arguments: str) -> None:
         """Start some more workers."""
         command = [
-            sys.executable,
-            "-m",
-            "worker",
-            "--server",
-            self.url,
-            "--wait",
-            "5",
-            "--memory",
-            "512",
-            *arguments,
-        ]
+            sys.executable, "-m", "worker", "--server", self.url, "--wait", "5", "--memory", "512", *arguments,
+        ]  # fmt: skip
         self.workers += [Program(command, cwd=self.folder, env=self.env) for _ in range(count)]
 
     def kill_everything(self) -> None:

@@ -50,7 +50,7 @@ FAULTS = {
         "_IS_QUEUED = JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED])",
     ),
     "jobs go to workers that cannot run them": Fault(
-        lease_store, '    in_list(JobRow.needs, "capabilities"),\n    _DUE,', "    _DUE,"
+        lease_store, '    in_list(JobRow.needs, "capabilities"),\n    _DUE,', "    _DUE,",
     ),
     "backoffs are not waited for": Fault(
         lease_store, 'or_(JobRow.not_before.is_(None), JobRow.not_before <= bindparam("now"))',
@@ -58,10 +58,10 @@ FAULTS = {
     ),
     "equal simulations run at once": Fault(lease_store, "    ~(_TWIN_RUNS & JobRow.cache),\n", ""),
     "equal simulations are granted together": Fault(
-        lease_policy, "        if job.cache and job.spec_hash in seen:\n            continue\n", ""
+        lease_policy, "        if job.cache and job.spec_hash in seen:\n            continue\n", "",
     ),
     "equal simulations without a cache wait for each other": Fault(
-        lease_store, "~(_TWIN_RUNS & JobRow.cache)", "~_TWIN_RUNS"
+        lease_store, "~(_TWIN_RUNS & JobRow.cache)", "~_TWIN_RUNS",
     ),
     "paused campaigns hand out work": Fault(
         lease_store,
@@ -69,130 +69,123 @@ FAULTS = {
         "        exists(\n            select(JobRow.id)",
     ),
     "paused campaigns hand out retries": Fault(
-        lease_store, "or_(_IS_TRACE, CampaignRow.status == CampaignStatus.RUNNING)\n",
+        lease_store,
+        "or_(_IS_TRACE, CampaignRow.status == CampaignStatus.RUNNING)\n",
         "or_(_IS_TRACE, CampaignRow.id.is_not(None))\n",
     ),
     "priorities are ignored": Fault(
-        lease_store, ".order_by(CampaignRow.priority.desc(), CampaignRow.turn, CampaignRow.id)",
+        lease_store,
+        ".order_by(CampaignRow.priority.desc(), CampaignRow.turn, CampaignRow.id)",
         ".order_by(CampaignRow.turn, CampaignRow.id)",
     ),
     "retries overtake work of a higher priority": Fault(
-        lease_policy, "return best is None or retry.priority >= best", "return True"
+        lease_policy, "return best is None or retry.priority >= best", "return True",
     ),
     "campaigns do not take turns": Fault(
-        lease_store, "statement = _END_TURN if turn > NEW_TURN else _SERVE", "statement = _SERVE"
+        lease_store, "statement = _END_TURN if turn > NEW_TURN else _SERVE", "statement = _SERVE",
     ),
-    "turns begin anew with each grant": Fault(
-        lease_store, "    _write_turns(connection, assignment.turns)\n", ""
-    ),
-    "a turn has no end": Fault(
-        lease_policy, "if served >= TURN * live_workers:", "if live_workers == 0:"
-    ),
-    "a turn is a grant": Fault(
-        lease_policy, "if served >= TURN * live_workers:", "if live_workers > 0:"
-    ),
+    "turns begin anew with each grant": Fault(lease_store, "    _write_turns(connection, assignment.turns)\n", ""),
+    "a turn has no end": Fault(lease_policy, "if served >= TURN * live_workers:", "if live_workers == 0:"),
+    "a turn is a grant": Fault(lease_policy, "if served >= TURN * live_workers:", "if live_workers > 0:"),
     "the end of the queue goes to one worker": Fault(
-        lease_policy, "return min(demand.max_jobs, max(1, share))", "return demand.max_jobs"
+        lease_policy, "return min(demand.max_jobs, max(1, share))", "return demand.max_jobs",
     ),
-    "attempts are not charged": Fault(
-        lease_store, "    attempt=JobRow.attempt + 1,\n", ""
-    ),
+    "attempts are not charged": Fault(lease_store, "    attempt=JobRow.attempt + 1,\n", ""),
     "retries are granted in company": Fault(
-        lease_store, "    .limit(1)\n)\n_CAMPAIGNS", "    .limit(3)\n)\n_CAMPAIGNS"
+        lease_store, "    .limit(1)\n)\n_CAMPAIGNS", "    .limit(3)\n)\n_CAMPAIGNS",
     ),
     "who holds a retry gets more": Fault(
-        lease_policy, "    if any(attempt > 1 for attempt in attempts):\n        return []\n", ""
+        lease_policy, "    if any(attempt > 1 for attempt in attempts):\n        return []\n", "",
     ),
     "a retry goes to a worker that holds jobs": Fault(
-        lease_policy, "            if attempts:\n                return []\n", ""
+        lease_policy, "            if attempts:\n                return []\n", "",
     ),
     "a retry goes back to the worker that failed it": Fault(
         lease_store, '            JobRow.failed_worker != bindparam("worker"),\n',
         "            JobRow.id.is_not(None),\n",
     ),
-    "a job is dealt out twice": Fault(
-        lease_policy, "job.id not in self._granted and not (", "not ("
-    ),
+    "a job is dealt out twice": Fault(lease_policy, "job.id not in self._granted and not (", "not ("),
     "equal simulations are dealt out to two": Fault(
-        lease_policy, "not (job.cache and (job.spec_hash, job.kind) in self._running)", "True"
+        lease_policy, "not (job.cache and (job.spec_hash, job.kind) in self._running)", "True",
     ),
     "equal simulations without a cache are dealt out to one": Fault(
-        lease_policy, "not (job.cache and (job.spec_hash", "not ((job.spec_hash"
+        lease_policy, "not (job.cache and (job.spec_hash", "not ((job.spec_hash",
     ),
     "who comes second finds the same turn": Fault(
-        lease_policy, "self._turns[line.campaign] = self.changed[line.campaign] = (turn, served)",
+        lease_policy,
+        "self._turns[line.campaign] = self.changed[line.campaign] = (turn, served)",
         "self.changed[line.campaign] = (turn, served)",
     ),
     "who comes second sees the queue as it was": Fault(
-        lease_policy, "limit = grant_limit(demand, backlog.jobs - sum(map(len, granted)))",
+        lease_policy,
+        "limit = grant_limit(demand, backlog.jobs - sum(map(len, granted)))",
         "limit = grant_limit(demand, backlog.jobs)",
     ),
     "a retry is dealt out with the rest": Fault(
-        lease_store, "if len(demands) > 1 and (backlog.retries or backlog.traces):", "if backlog.traces:"
+        lease_store, "if len(demands) > 1 and (backlog.retries or backlog.traces):", "if backlog.traces:",
     ),
-    "anybody renews a lease": Fault(
-        lease_store, "secrets.compare_digest(row.lease_token, wanted[row.id])", "True"
-    ),
+    "anybody renews a lease": Fault(lease_store, "secrets.compare_digest(row.lease_token, wanted[row.id])", "True"),
     "anybody gives a lease back": Fault(
         lease_store,
         "JobRow.lease_token == held.token)\n            .values(\n                status",
         "JobRow.id.is_not(None))\n            .values(\n                status",
     ),
-    "a lease given back is charged": Fault(
-        lease_store, "                attempt=JobRow.attempt - 1,\n", ""
-    ),
+    "a lease given back is charged": Fault(lease_store, "                attempt=JobRow.attempt - 1,\n", ""),
     "anybody reports a job": Fault(
         report_store,
         "    if not secrets.compare_digest(row.lease_token, outcome.token):\n        return \"stale\"\n", "",
     ),
     "a report counts twice": Fault(
-        report_store, "if row.status == JobStatus.LEASED and not reported_before:", "if not reported_before:"
+        report_store, "if row.status == JobStatus.LEASED and not reported_before:", "if not reported_before:",
     ),
     "a report that was stored is called stale": Fault(
-        report_store, '    return "duplicate"\n', '    return "stale"\n'
+        report_store, '    return "duplicate"\n', '    return "stale"\n',
     ),
     "a failed job is lost": Fault(
-        report_store, "retry = not outcome.final and row.attempt < row.max_attempts", "retry = False"
+        report_store, "retry = not outcome.final and row.attempt < row.max_attempts", "retry = False",
     ),
     "a failed job is tried for ever": Fault(
-        report_store, "retry = not outcome.final and row.attempt < row.max_attempts", "retry = not outcome.final"
+        report_store, "retry = not outcome.final and row.attempt < row.max_attempts", "retry = not outcome.final",
     ),
     "a job that can never run is tried again": Fault(
         report_store, "retry = not outcome.final and row.attempt < row.max_attempts",
         "retry = row.attempt < row.max_attempts",
     ),
     "failed jobs do not back off": Fault(
-        report_store, '"wait_until": now + timedelta(seconds=wait_s) if retry else None', '"wait_until": None'
+        report_store, '"wait_until": now + timedelta(seconds=wait_s) if retry else None', '"wait_until": None',
     ),
     "leases never run out": Fault(
-        report_store, 'JobRow.lease_expires_at < bindparam("now"))',
+        report_store,
+        'JobRow.lease_expires_at < bindparam("now"))',
         'JobRow.lease_expires_at < datetime.fromisoformat("2000-01-01T00:00:00+00:00"))',
     ),
     "leases run out at once": Fault(
-        report_store, '.where(IS_LEASED, JobRow.lease_expires_at < bindparam("now"))', ".where(IS_LEASED)"
+        report_store, '.where(IS_LEASED, JobRow.lease_expires_at < bindparam("now"))', ".where(IS_LEASED)",
     ),
     "a late report is called stored": Fault(
-        report_store,
-        '    connection.execute(_FORGET_TOKENS, {"jobs": [row.id for row in rows]})\n', "",
+        report_store, '    connection.execute(_FORGET_TOKENS, {"jobs": [row.id for row in rows]})\n', "",
     ),
     "a result is not shared": Fault(
         report_store,
         "    _finish(connection, {twin.id: results[twin.spec_hash, twin.kind] for twin in twins}, now)\n", "",
     ),
     "a result is shared without a cache": Fault(
-        report_store, "        JobRow.status == JobStatus.QUEUED,\n        JobRow.cache,\n    )\n    .order_by",
+        report_store,
+        "        JobRow.status == JobStatus.QUEUED,\n        JobRow.cache,\n    )\n    .order_by",
         "        JobRow.status == JobStatus.QUEUED,\n    )\n    .order_by",
     ),
     "cancelling leaves jobs with workers": Fault(
-        job_store, "JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),\n        )\n        .values(",
+        job_store,
+        "JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),\n        )\n        .values(",
         "JobRow.status == JobStatus.QUEUED,\n        )\n        .values(",
     ),
     "a cancelled job keeps its lease": Fault(
-        job_store, "            status=JobStatus.CANCELLED,\n            lease_token=None,\n",
+        job_store,
+        "            status=JobStatus.CANCELLED,\n            lease_token=None,\n",
         "            status=JobStatus.CANCELLED,\n",
     ),
     "a retry by hand has no attempts": Fault(
-        job_store, "max_attempts=JobRow.attempt + more_attempts", "max_attempts=JobRow.attempt"
+        job_store, "max_attempts=JobRow.attempt + more_attempts", "max_attempts=JobRow.attempt",
     ),
 }  # fmt: skip
 """The faults, by what goes wrong."""

@@ -516,16 +516,11 @@ def search(engines: Engines, *, histories: int, steps: int = 60, shrink: bool = 
     run_state_machine_as_test(
         machine,
         settings=settings(
-            max_examples=histories,
-            stateful_step_count=steps,
-            deadline=None,
-            derandomize=True,
-            database=None,
+            max_examples=histories, stateful_step_count=steps, deadline=None, derandomize=True, database=None,
             phases=(Phase.generate, Phase.shrink) if shrink else (Phase.generate,),
-            suppress_health_check=list(HealthCheck),
-            report_multiple_bugs=False,
+            suppress_health_check=list(HealthCheck), report_multiple_bugs=False,
         ),
-    )
+    )  # fmt: skip
 
 
 def replay(engines: Engines, history: Iterable[Step]) -> None:

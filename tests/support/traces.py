@@ -30,9 +30,7 @@ def ragged(columns: tuple[str, ...], samples: list[list[tuple[float, ...]]]) -> 
     first = np.cumsum([0, *(len(rows) for rows in samples)]).astype(np.int32)
     rows = [row for sample in samples for row in sample]
     return Ragged(
-        columns=columns,
-        first=first,
-        rows=np.array(rows, dtype=np.float32).reshape(-1, len(columns)),
+        columns=columns, first=first, rows=np.array(rows, dtype=np.float32).reshape(-1, len(columns))
     )
 
 
@@ -85,16 +83,9 @@ def make_trace(*, samples: int = 200, lead_stops_at_m: float = 80.0, violated: b
     motions = {
         "lead": ("vehicle", 4.5, 1.85, lead_x, np.full(samples, -1.75), np.zeros(samples)),
         "oncoming": ("vehicle", 4.7, 1.9, 120 - 6 * time_s, np.full(samples, 1.75), np.full(samples, np.pi)),
-        "pedestrian-1": (
-            "pedestrian",
-            0.5,
-            0.5,
-            np.full(samples, 61.0),
-            6 - 1.1 * time_s,
-            np.full(samples, -1.57),
-        ),
+        "pedestrian-1": ("pedestrian", 0.5, 0.5, np.full(samples, 61.0), 6 - 1.1 * time_s, np.full(samples, -1.57)),
         "pedestrian-2": ("pedestrian", 0.5, 0.5, 20 + 1.2 * time_s, np.full(samples, 6.6), np.zeros(samples)),
-    }
+    }  # fmt: skip
     actors = []
     for name, (kind, length_m, width_m, ax, ay, ayaw) in motions.items():
         aspeed = np.abs(np.gradient(ax, 0.1)) if samples > 1 else np.zeros(1)

@@ -218,9 +218,7 @@ def failed_once(queue: Queue, *, priority: int = 0, worker: str = "w1") -> Lease
 
 
 @pytest.mark.parametrize("priority", [0, 3])
-def test_a_due_retry_goes_alone_before_fresh_jobs_of_its_priority_or_lower(
-    queue: Queue, priority: int
-) -> None:
+def test_due_retry_goes_alone_before_fresh_jobs_of_its_priority_or_lower(queue: Queue, priority: int) -> None:
     tried = failed_once(queue, priority=priority)
     queue.campaign(8)
     assert [(job.job, job.attempt) for job in queue.lease("w2")] == [(tried.job, 2)]
@@ -314,7 +312,7 @@ def test_a_job_is_retried_by_another_worker_than_the_one_that_failed_it(queue: Q
 
 
 @pytest.mark.parametrize("elsewhere", [(), ("other@1",)])
-def test_a_job_that_nobody_else_can_run_is_retried_by_the_worker_that_failed_it(
+def test_a_job_nobody_else_can_run_is_retried_by_the_same_worker(
     queue: Queue, elsewhere: tuple[str, ...]
 ) -> None:
     queue.campaign(1)

@@ -195,7 +195,7 @@ BY_HAND = ("not_before IS NOT NULL", "lease_expires_at IS NOT NULL")
 @pytest.mark.parametrize(
     ("work", "least"), [(hot, 10), (periodic, 7), (watching, 8)], ids=["hot", "periodic", "watching"]
 )
-def test_no_statement_that_is_said_again_and_again_reads_all_jobs(
+def test_no_frequent_statement_reads_all_jobs(
     stale: Queue, work: Callable[[Queue], None], least: int
 ) -> None:
     said = statements_of(stale.engines.writer, lambda: work(stale))

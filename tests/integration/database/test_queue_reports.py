@@ -171,9 +171,7 @@ def test_the_last_lease_to_run_out_names_the_campaign_whose_step_is_due(queue: Q
     assert queue.expire() == ((campaign,), 1)
 
 
-def test_a_sweep_takes_back_some_of_many_leases_that_ran_out_the_oldest_first(
-    queue: Queue, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_sweep_takes_back_the_oldest_expired_leases(queue: Queue, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report_store, "MAX_EXPIRED", 3)
     queue.campaign(10)
     late = [*queue.lease("w1", max_jobs=2, lease_s=-1.0), *queue.lease("w2", max_jobs=1, lease_s=-2.0)]

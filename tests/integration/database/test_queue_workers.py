@@ -154,7 +154,7 @@ async def ask(service: QueueService, who: WorkerIdentity, *capabilities: str) ->
     await service.lease(wanted, asyncio.Event())
 
 
-def test_a_coordinator_keeps_no_state_of_a_campaign_that_another_one_stopped(
+def test_coordinator_drops_the_state_of_a_campaign_another_stopped(
     database_url: str, small_problems: None
 ) -> None:
     async def body() -> None:
@@ -173,9 +173,7 @@ def test_a_coordinator_keeps_no_state_of_a_campaign_that_another_one_stopped(
     asyncio.run(body())
 
 
-def test_a_coordinator_forgets_who_was_not_heard_of_lately_but_not_what_they_did(
-    database_url: str, queue: Queue
-) -> None:
+def test_a_coordinator_forgets_silent_workers_but_not_what_they_did(database_url: str, queue: Queue) -> None:
     async def body() -> None:
         async with AsyncExitStack() as stack:
             service = await Coordinators(stack).start(database_url)
@@ -271,9 +269,7 @@ def in_one_transaction(engines: Engines, units: list[Callable[[Connection], Any]
         return [unit(connection) for unit in units]
 
 
-def test_commits_that_lease_from_the_same_campaigns_in_another_order_do_not_wait(
-    two: tuple[Engines, Engines],
-) -> None:
+def test_commits_that_lease_from_campaigns_in_another_order_do_not_wait(two: tuple[Engines, Engines]) -> None:
     queue = Queue(engines=two[0])
     for name in ("a", "b"):
         queue.campaign(4, needs=name)

@@ -194,7 +194,7 @@ def test_a_stale_step_is_not_written(two: Coordinators) -> None:
     assert two.campaign.generation == 1
 
 
-def test_a_campaign_that_moves_on_while_it_is_restored_is_left_to_the_other(
+def test_a_campaign_that_advances_is_left_to_the_other(
     two: Coordinators, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     two.simulate()
@@ -223,7 +223,7 @@ def waiting(engines: Engines) -> Iterator[Coordinators]:
         made.close()
 
 
-def test_seeds_that_come_to_another_meanwhile_are_those_of_both(
+def test_seeds_that_another_received_are_shared(
     waiting: Coordinators, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first, second = waiting.steppers
@@ -283,7 +283,7 @@ def test_one_of_two_may_ask_for_seeds(engines: Engines, waiting: Coordinators) -
         assert not claim(connection, "nobody", "first", 60.0), "there is no such campaign"
 
 
-def test_a_step_on_a_campaign_that_was_paused_meanwhile_is_not_written(
+def test_a_step_on_a_paused_campaign_is_not_written(
     two: Coordinators, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     two.simulate()
@@ -300,9 +300,7 @@ def test_a_step_on_a_campaign_that_was_paused_meanwhile_is_not_written(
     assert count == 0
 
 
-def test_a_database_that_goes_away_ends_no_campaign(
-    two: Coordinators, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_losing_the_database_ends_no_campaign(two: Coordinators, monkeypatch: pytest.MonkeyPatch) -> None:
     two.simulate()
 
     def away(connection: Connection, step: Any) -> bool:
@@ -324,7 +322,7 @@ def test_a_database_that_goes_away_ends_no_campaign(
         DBAPIError("SELECT", {}, Exception("idle in transaction"), connection_invalidated=True),
     ],
 )
-def test_a_database_that_is_busy_ends_no_campaign(
+def test_a_busy_database_ends_nothing(
     two: Coordinators, monkeypatch: pytest.MonkeyPatch, passing: Exception
 ) -> None:
     two.simulate()
@@ -340,9 +338,7 @@ def test_a_database_that_is_busy_ends_no_campaign(
     assert two.steppers[1].advance("c0ffee")
 
 
-def test_a_fault_of_ours_pauses_a_campaign_and_loses_nothing(
-    two: Coordinators, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_internal_error_pauses_and_loses_nothing(two: Coordinators, monkeypatch: pytest.MonkeyPatch) -> None:
     two.simulate()
 
     def faulty(*_: Any, **__: Any) -> None:
@@ -370,9 +366,7 @@ def test_a_damaged_checkpoint_is_not_believed(two: Coordinators) -> None:
     assert "checkpoint of generation 1 is damaged" in two.campaign.status_reason
 
 
-def test_a_campaign_whose_problem_is_missing_waits_for_it(
-    two: Coordinators, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_campaign_waits_for_its_missing_problem(two: Coordinators, monkeypatch: pytest.MonkeyPatch) -> None:
     two.simulate()
     with monkeypatch.context() as patched:
         patched.setattr(catalogue, "_registered", {})
@@ -383,9 +377,7 @@ def test_a_campaign_whose_problem_is_missing_waits_for_it(
     assert two.steppers[1].advance("c0ffee")
 
 
-def test_a_job_that_is_retried_during_the_step_is_waited_for(
-    two: Coordinators, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_job_retried_during_the_step_is_awaited(two: Coordinators, monkeypatch: pytest.MonkeyPatch) -> None:
     first, *others = two.queue.lease(max_jobs=1)
     two.queue.report(Outcome(job=first.job, token=first.token, result=None, error="invalid: no", final=True))
     assert not others

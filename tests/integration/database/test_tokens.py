@@ -128,9 +128,7 @@ def test_what_is_no_token_opens_nothing(url: str, tokens: dict[str, str], given:
 
 @pytest.mark.parametrize("path", ["lease", "heartbeat", "results"])
 @pytest.mark.parametrize("after", ["%0A", "%0D", "%00", "%E2%80%A8", "/", "%2F", "//"])
-def test_no_spelling_of_a_path_gets_past_a_scope(
-    url: str, tokens: dict[str, str], path: str, after: str
-) -> None:
+def test_no_spelling_of_a_path_evades_scopes(url: str, tokens: dict[str, str], path: str, after: str) -> None:
     body = {"worker": {"id": "w"}, "capabilities": ["x"], "wait_s": 0}
     for scope in ("read", "user"):
         answer = httpx.post(f"{url}/api/v1/jobs/{path}{after}", json=body, headers=bearer(tokens[scope]))
@@ -215,7 +213,7 @@ def test_a_token_makes_so_many_requests_a_second(engines: Engines) -> None:
     assert {free.wait_s(one) for _ in range(100)} == {0.0}
 
 
-def test_too_many_requests_are_told_when_to_come_again(
+def test_too_many_requests_get_a_retry_time(
     database_url: str, engines: Engines, small_problems: None
 ) -> None:
     token = made(engines, "read")

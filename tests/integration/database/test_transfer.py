@@ -65,7 +65,7 @@ def exported(
     return campaign, digest, file
 
 
-def test_what_is_taken_in_is_what_was_written(
+def test_import_equals_what_was_exported(
     databases: Databases, exported: tuple[str, str, Path], tmp_path: Path
 ) -> None:
     campaign, digest, file = exported
@@ -211,7 +211,7 @@ WRONG: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_a_file_that_is_not_what_it_says_changes_nothing(
+def test_a_forged_file_changes_nothing(
     databases: Databases, exported: tuple[str, str, Path], name: str
 ) -> None:
     changes, message = WRONG[name]
@@ -255,7 +255,7 @@ def test_damage_is_noticed(exported: tuple[str, str, Path], tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("places", mostly_long([9, 60], [9], "flips many bits"))
-def test_a_flipped_bit_anywhere_is_noticed_or_does_no_harm(
+def test_a_flipped_bit_is_noticed_or_harmless(
     exported: tuple[str, str, Path], tmp_path: Path, places: int
 ) -> None:
     whole = exported[2].read_bytes()

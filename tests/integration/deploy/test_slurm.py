@@ -67,7 +67,7 @@ def test_slurm_signals_the_worker_before_the_time_limit() -> None:
 
 
 @on_sqlite
-def test_a_task_runs_a_campaign_and_exits_cleanly(
+def test_task_runs_a_campaign_and_exits_cleanly(
     running: Site, token_file: Path, small_problems: None
 ) -> None:
     started = task(running, token_file)

@@ -104,9 +104,7 @@ def test_answer_points_at_the_wrong_field(
     "params",
     [r'{"fault": "\ud800"}', r'{"\ud800": 1}', '{"limit": NaN}', '{"limit": 1e999}', '{"limit": [[[' * 40],
 )
-def test_parameters_that_json_cannot_represent_are_rejected(
-    client: httpx.Client, engines: Engines, params: str
-) -> None:
+def test_parameters_beyond_json_are_rejected(client: httpx.Client, engines: Engines, params: str) -> None:
     before = row_counts(engines)
     content = json.dumps(ball()).replace('{"id": "ball@1"}', f'{{"id": "ball@1", "params": {params}}}')
     answer = client.post("/api/v1/campaigns", content=content, headers={"Content-Type": "application/json"})
@@ -122,9 +120,7 @@ def test_all_wrong_fields_are_reported_together(client: httpx.Client) -> None:
     assert {error["pointer"] for error in errors} == {"/seed", "/extra", "/name"}
 
 
-def test_mlcshe_on_one_component_is_rejected_with_an_alternative(
-    client: httpx.Client, engines: Engines
-) -> None:
+def test_mlcshe_on_one_component_is_refused_with_alternative(client: httpx.Client, engines: Engines) -> None:
     body = {**ball(), "problem": {"id": "line@1"}, "algorithm": {"id": "mlcshe@1"}}
     answer = client.post("/api/v1/campaigns", json=body)
     (error,) = answer.json()["errors"]
@@ -205,8 +201,7 @@ HUGE = 10**25
         ("lease", {"worker": IDENTITY, "capabilites": []}, "/capabilites"),
         ("heartbeat", {"worker": IDENTITY, "leases": [{"job": HUGE, "token": "t"}]}, "/leases/0/job"),
         (
-            "results",
-            {"worker": IDENTITY, "results": [{"job": 1, "token": "t", "outcome": {"kind": "other"}}]},
+            "results", {"worker": IDENTITY, "results": [{"job": 1, "token": "t", "outcome": {"kind": "other"}}]},
             "/results/0/outcome",
         ),
         (
@@ -214,18 +209,14 @@ HUGE = 10**25
             {
                 "worker": IDENTITY,
                 "results": [
-                    {
-                        "job": HUGE,
-                        "token": "t",
-                        "outcome": {"kind": "failed", "reason": "error", "message": ""},
-                    }
+                    {"job": HUGE, "token": "t", "outcome": {"kind": "failed", "reason": "error", "message": ""}},
                 ],
             },
             "/results/0/job",
         ),
     ],
-)
-def test_answer_points_at_the_wrong_field_of_a_worker_message(
+)  # fmt: skip
+def test_answer_points_at_the_wrong_worker_field(
     client: httpx.Client, path: str, body: dict[str, Any], pointer: str
 ) -> None:
     answer = client.post(f"/api/v1/jobs/{path}", json=body)

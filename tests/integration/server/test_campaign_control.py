@@ -268,18 +268,13 @@ def test_distances_equal_those_of_the_metric(client: httpx.Client, engines: Engi
 
 
 @pytest.mark.parametrize("value", ["\ud800", [[[]]] * 2, {"deep": None}])
-def test_values_that_cannot_be_stored_are_rejected_with_their_pointer(
-    client: httpx.Client, value: object
-) -> None:
+def test_values_that_cannot_be_stored_are_rejected_by_pointer(client: httpx.Client, value: object) -> None:
     for _ in range(40):
         value = value if isinstance(value, str) else [value]
     campaign, worker = submit(client, ball()), FakeWorker(client)
     (job,) = worker.lease(max_jobs=1)
     outcome = completes(job).model_dump() | {"features": {"odd": value}}
-    body = {
-        "worker": worker.identity,
-        "results": [{"job": job.job, "token": job.token, "outcome": outcome}],
-    }
+    body = {"worker": worker.identity, "results": [{"job": job.job, "token": job.token, "outcome": outcome}]}
     headers = {"Content-Type": "application/json"}
     answer = client.post("/api/v1/jobs/results", content=json.dumps(body), headers=headers)
     refused = expect(answer, 422)
@@ -331,7 +326,7 @@ def test_in_process_problem_needs_no_worker(client: httpx.Client) -> None:
     expect(client.get(f"/api/v1/campaigns/{campaign}/solutions/0/trace"), 404)
 
 
-def test_progress_of_a_campaign_that_ends_meanwhile_has_its_digest(
+def test_progress_has_the_digest_of_a_campaign_ended(
     client: httpx.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     worker, campaign = FakeWorker(client), submit(client, ball())
@@ -347,7 +342,7 @@ def test_progress_of_a_campaign_that_ends_meanwhile_has_its_digest(
     assert (seen["status"], len(seen["digest"] or "")) == ("finished", 64)
 
 
-def test_campaign_is_readable_without_its_plugin(
+def test_readable_without_its_plugin(
     database_url: str, small_problems: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with coordinator(database_url) as client:

@@ -91,9 +91,7 @@ class TestAudit:
         note(ledger, jobs)
         assert findings_of(engines, ledger, {campaign: 0})[1] == [f"job {jobs[0].job}: accepted 2 times"]
 
-    def test_open_jobs_and_campaigns_are_stuck_and_missing_verdicts_are_lost(
-        self, queue: Queue, engines: Engines
-    ) -> None:
+    def test_open_work_is_stuck_and_missing_verdicts_are_lost(self, queue: Queue, engines: Engines) -> None:
         campaign = queue.campaign(1)
         lost, _, stuck = findings_of(engines, Ledger(), {campaign: 1})
         assert stuck == ["job 1 is queued", f"campaign {campaign} is running"]

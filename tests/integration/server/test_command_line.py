@@ -125,9 +125,7 @@ def test_wrong_usage_exits_with_status_2(brink: Command) -> None:
 
 
 @pytest.mark.parametrize("command", [["run"], ["submit"]])
-def test_unknown_field_in_a_campaign_file_is_one_line(
-    brink: Command, tmp_path: Path, command: list[str]
-) -> None:
+def test_unknown_field_in_a_file_is_one_line(brink: Command, tmp_path: Path, command: list[str]) -> None:
     said = brink(*command, campaign_file(tmp_path, bugdet={}))
     assert "/bugdet: unknown field" in said.line
     assert "did you mean 'budget'?" in said.line
@@ -143,9 +141,7 @@ def test_unknown_field_in_a_campaign_file_is_one_line(
         ("", "name, problem, algorithm and budget"),
     ],
 )
-def test_file_that_is_not_a_campaign_is_one_line(
-    brink: Command, tmp_path: Path, content: str, words: str
-) -> None:
+def test_file_without_campaign_is_one_line(brink: Command, tmp_path: Path, content: str, words: str) -> None:
     file = tmp_path / "broken.yaml"
     file.write_text(content)
     assert words in brink("run", str(file)).line
@@ -162,9 +158,7 @@ def test_file_that_is_not_a_campaign_is_one_line(
         ),
     ],
 )
-def test_message_shows_where_a_campaign_file_is_wrong(
-    brink: Command, tmp_path: Path, text: str, message: str
-) -> None:
+def test_message_locates_a_campaign_error(brink: Command, tmp_path: Path, text: str, message: str) -> None:
     file = tmp_path / "campaign.yaml"
     file.write_text(text)
     assert message in brink("run", str(file)).line
@@ -174,9 +168,7 @@ def test_server_that_is_not_a_url_is_one_line(brink: Command) -> None:
     assert "expected a URL such as http://" in brink("status", "--server", "localhost:8700").line
 
 
-def test_token_outside_ascii_is_one_line_without_the_token(
-    brink: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_non_ascii_token_is_one_line_without_it(brink: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("BRINK_TOKEN", "schlüssel")
     line = brink("status").line
     assert "BRINK_TOKEN: expected printable ASCII" in line
@@ -359,7 +351,7 @@ def test_database_error_is_one_line(brink: Command, tmp_path: Path, monkeypatch:
         assert brink("token", "revoke", "00000000").line == "brink: database: database is locked"
 
 
-def test_two_submissions_with_one_key_are_one_campaign(
+def test_one_key_is_one_campaign(
     brink: Command, database_url: str, small_problems: None, tmp_path: Path
 ) -> None:
     file = campaign_file(tmp_path)
@@ -421,9 +413,7 @@ def test_contact_sheet_of_a_street_depends_on_the_seed_alone(brink: Command) -> 
         (["--out", "s.png", "--gene", "smog"], "did you mean 'smoke'?"),
     ],
 )
-def test_wrong_option_of_a_contact_sheet_is_one_line_before_any_work(
-    brink: Command, arguments: list[str], words: str
-) -> None:
+def test_bad_contact_sheet_option_fails_before_work(brink: Command, arguments: list[str], words: str) -> None:
     Path("text.png").write_text("no picture")
     shown = brink("perturbations", "show", *arguments)
     assert shown.out == ""
@@ -431,9 +421,7 @@ def test_wrong_option_of_a_contact_sheet_is_one_line_before_any_work(
     assert not Path("s.png").exists()
 
 
-def test_contact_sheet_without_opencv_says_what_to_install(
-    brink: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_contact_sheet_names_missing_opencv(brink: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(perturbations, "find_spec", lambda name: None)
     assert brink("perturbations", "show", "--out", "s.png").line == (
         "brink: drawing images needs OpenCV; install it with: "
@@ -535,7 +523,7 @@ def test_sound_database_passes_every_check(database_url: str, engines: Engines, 
     assert "distances of 64 solutions verified" in checks["stored"][1]
 
 
-def test_doctor_names_stuck_leases_campaigns_and_missing_workers(
+def test_doctor_names_stuck_work_and_missing_workers(
     database_url: str, engines: Engines, finished: str
 ) -> None:
     queue = Queue(engines=engines)
@@ -563,9 +551,7 @@ def test_doctor_points_at_quarantined_jobs(database_url: str, engines: Engines) 
 
 
 @pytest.mark.parametrize("table", [CheckpointRow, DistanceBlockRow])
-def test_doctor_names_damaged_data(
-    database_url: str, engines: Engines, finished: str, table: type[Any]
-) -> None:
+def test_doctor_finds_damage(database_url: str, engines: Engines, finished: str, table: type[Any]) -> None:
     column = "document" if table is CheckpointRow else "data"
     with engines.writer.begin() as connection:
         connection.execute(update(table).values({column: b"damaged"}))

@@ -337,9 +337,7 @@ def test_etag_changes_only_when_the_answer_does(
     ("known", "status"),
     [("{tag}", 304), ("W/{tag}", 304), ('"other", W/{tag}', 304), ("*", 304), ('"other"', 200), ("", 200)],
 )
-def test_if_none_match_is_understood_as_proxies_send_it(
-    client: httpx.Client, known: str, status: int
-) -> None:
+def test_if_none_match_is_accepted_as_proxies_send_it(client: httpx.Client, known: str, status: int) -> None:
     submit(client, ball())
     tag = client.get("/api/v1/jobs").headers["ETag"]
     answer = client.get("/api/v1/jobs", headers={"If-None-Match": known.format(tag=tag)})
@@ -402,9 +400,7 @@ def test_open_jobs_are_counted_by_status_campaign_and_simulator(client: httpx.Cl
     assert counts(client)["ended"] == [first]
 
 
-def test_unrunnable_jobs_are_counted_apart_from_those_of_paused_campaigns(
-    client: httpx.Client,
-) -> None:
+def test_unrunnable_jobs_are_counted_apart_from_those_of_paused_campaigns(client: httpx.Client) -> None:
     waits = submit(client, ball(simulations=20))
     assert counts(client)["unrunnable"] == {SIMULATOR: 20}
     FakeWorker(client).lease(max_jobs=1)

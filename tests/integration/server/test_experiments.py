@@ -22,16 +22,10 @@ def experiment(**changes: Any) -> dict[str, Any]:
     """Return a small experiment on the ball: two methods, three seeds."""
     ga = ball()["algorithm"]
     return {
-        "name": "small",
-        "problems": [{"name": "ball", "id": "ball@1"}],
-        "algorithms": [
-            {"name": "GA", **ga},
-            {"name": "RS", "id": "random@1", "params": {"generation_size": 20}},
-        ],
-        "seeds": {"first": 1, "count": 3},
-        "budget": {"simulations": 60},
-        **changes,
-    }
+        "name": "small", "problems": [{"name": "ball", "id": "ball@1"}],
+        "algorithms": [{"name": "GA", **ga}, {"name": "RS", "id": "random@1", "params": {"generation_size": 20}}],
+        "seeds": {"first": 1, "count": 3}, "budget": {"simulations": 60}, **changes,
+    }  # fmt: skip
 
 
 def submit(client: httpx.Client, **changes: Any) -> dict[str, Any]:
@@ -137,9 +131,7 @@ def test_an_experiment_runs_to_its_end_and_says_what_it_found(client: httpx.Clie
     assert mean["repeats"] == 3
 
 
-def test_an_experiment_is_paused_resumed_cancelled_and_deleted(
-    client: httpx.Client, engines: Engines
-) -> None:
+def test_experiment_is_paused_resumed_cancelled_and_deleted(client: httpx.Client, engines: Engines) -> None:
     name = submit(client)["id"]
     assert expect(client.post(f"{API}/{name}/pause"))["status"] == "paused"
     assert FakeWorker(client).lease() == []

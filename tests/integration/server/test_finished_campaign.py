@@ -376,9 +376,7 @@ def test_scores_compare_the_campaign_with_its_control(client: httpx.Client) -> N
         assert repeat[key] == found[key], f"{key}: the same campaign with the same seed"
 
 
-def test_campaign_cancelled_before_any_simulation_scores_nothing(
-    client: httpx.Client,
-) -> None:
+def test_campaign_cancelled_before_any_simulation_scores_nothing(client: httpx.Client) -> None:
     campaign = submit(client, ball())
     expect(client.post(f"/api/v1/campaigns/{campaign}/cancel"))
     found = scores(client, campaign)

@@ -47,7 +47,7 @@ MAY_BE_UNAVAILABLE = {
         pytest.param("examples,coverage,fuzzing", 30, marks=pytest.mark.long("tries many requests")),
     ],
 )
-def test_made_up_requests_get_described_answers(
+def test_generated_requests_are_answered(
     database_url: str, tmp_path: Path, phases: str, examples: int
 ) -> None:
     with listening_coordinator(database_url, lease_s=3600) as client:

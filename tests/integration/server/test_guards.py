@@ -71,7 +71,7 @@ def test_token_outside_printable_ascii_is_rejected(token: str) -> None:
 
 @pytest.mark.parametrize("path", ["campaigns", "jobs/lease", "jobs/results"])
 @pytest.mark.parametrize("chunked", [False, True])
-def test_body_above_the_size_limit_is_rejected(
+def test_oversized_body_is_rejected(
     database_url: str, small_problems: None, chunked: bool, path: str
 ) -> None:
     with listening_coordinator(database_url, max_body_bytes=2000) as client:
@@ -85,9 +85,7 @@ def test_body_above_the_size_limit_is_rejected(
 
 
 @pytest.mark.parametrize("token", [None, ""])
-def test_listening_beyond_this_machine_needs_a_token(
-    monkeypatch: pytest.MonkeyPatch, token: str | None
-) -> None:
+def test_listening_on_the_network_needs_a_token(monkeypatch: pytest.MonkeyPatch, token: str | None) -> None:
     if token is not None:
         monkeypatch.setenv("BRINK_TOKEN", token)
     with pytest.raises(CannotListen, match="BRINK_TOKEN"):
@@ -136,9 +134,7 @@ ELSEWHERE = {
     "another host name": (421, "GET", {"Host": "evil.example"}),
     "a host name that begins with the loopback address": (421, "GET", {"Host": "127.0.0.1.evil.example"}),
     "no host name": (421, "GET", {"Host": ""}),
-    "a link is followed": (
-        200, "GET", {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"},
-    ),
+    "a link is followed": (200, "GET", {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"}),
     "the dashboard sends a change": (201, "POST", {"Sec-Fetch-Site": "same-origin"}),
     "another loopback name": (200, "GET", {"Host": "localhost:1"}),
     "the loopback address of IPv6": (200, "GET", {"Host": "[::1]:1"}),

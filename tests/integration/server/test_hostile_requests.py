@@ -120,9 +120,7 @@ def test_a_flood_is_told_to_come_again_later(guarded: tuple[httpx.Client, str]) 
 
 @named("a flood of guessed tokens", 401, 429)
 @on_sqlite
-def test_guesses_are_told_to_come_again_later(
-    guarded: tuple[httpx.Client, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_token_guesses_must_wait(guarded: tuple[httpx.Client, str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(brink.server.access.authentication, "UNAUTHENTICATED_PER_S", 20.0)
     client, token = guarded
     guesses = [f"brink_admin_{parse_token_id(token)}_{number:048x}" for number in range(100)]

@@ -94,9 +94,7 @@ def test_missing_seeds_come_from_repair_and_from_patterns(client: httpx.Client, 
 
 
 @pytest.mark.parametrize("fault", ["refused", "away", "rubbish", "stalled"])
-def test_failing_endpoint_does_not_fail_the_campaign(
-    client: httpx.Client, endpoint: Endpoint, fault: str
-) -> None:
+def test_failing_endpoint_fails_no_campaign(client: httpx.Client, endpoint: Endpoint, fault: str) -> None:
     llm: dict[str, Any] = {}
     if fault == "refused":
         endpoint.then(refuses(401))
@@ -115,9 +113,7 @@ def test_failing_endpoint_does_not_fail_the_campaign(
     assert calls(client, campaign)["calls"][0]["outcome"] == outcome[fault]
 
 
-def test_stuck_search_asks_for_other_seeds_within_its_budget(
-    client: httpx.Client, endpoint: Endpoint
-) -> None:
+def test_stuck_search_requests_new_seeds_within_budget(client: httpx.Client, endpoint: Endpoint) -> None:
     endpoint.then(*[scripted] * 40)
     campaign = submit(client, seeded(endpoint, {"max_calls": 3}, differential="always"))
     current = traffic_worker(client).work(campaign)
@@ -142,9 +138,7 @@ def test_campaign_waits_for_the_model_and_reports_it(client: httpx.Client, endpo
     assert origins(client, campaign)[:POPULATION] == ["llm"] * POPULATION
 
 
-def test_restarted_campaign_repeats_no_request_and_finds_the_same_archive(
-    database_url: str, endpoint: Endpoint
-) -> None:
+def test_restart_repeats_no_request_and_finds_the_same_archive(database_url: str, endpoint: Endpoint) -> None:
     asks = seeded(endpoint, differential="always")
     endpoint.then(*[scripted] * 60)
     with coordinator(database_url) as client:
@@ -190,7 +184,7 @@ def test_request_without_a_reply_counts_against_the_budget(
     assert len(endpoint.asked) == 2
 
 
-def test_pausing_a_campaign_does_not_repeat_its_request(
+def test_pausing_repeats_no_request(
     database_url: str, endpoint: Endpoint, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(brink.server.llm.seeds, "HOLD_S", 0.6)
@@ -227,9 +221,7 @@ def test_contradictory_settings_are_rejected_at_submission(client: httpx.Client,
     assert endpoint.asked == []
 
 
-def test_coordinator_sends_requests_and_keys_only_to_allowed_endpoints(
-    database_url: str, endpoint: Endpoint
-) -> None:
+def test_requests_and_keys_go_only_to_allowed_endpoints(database_url: str, endpoint: Endpoint) -> None:
     keyed = seeded(endpoint, {"api_key_env": "PATH"})
     foreign = seeded(endpoint, {"endpoint": "http://models.example/v1"})
     with coordinator(database_url) as client:
@@ -255,7 +247,7 @@ def test_two_coordinators_send_each_request_once(database_url: str, endpoint: En
     assert len(endpoint.asked) == len(found_calls["calls"]) == found_calls["total_calls"]
 
 
-def test_storing_a_reply_is_retried_until_the_coordinator_stops(
+def test_storing_a_reply_is_retried_until_shutdown(
     engines: Engines, caplog: pytest.LogCaptureFixture
 ) -> None:
     writer, stopping = Writer(engines.writer), threading.Event()
@@ -461,7 +453,7 @@ EVERY_TIME = ("vLLM rejects json_schema", "invalid JSON", "short rate limit", "c
 
 @on_sqlite
 @pytest.mark.parametrize("name", mostly_long(FAULTS, EVERY_TIME, "one fault of each kind runs every time"))
-def test_interrupted_campaign_survives_every_fault_of_the_endpoint(
+def test_interrupted_campaign_survives_endpoint_faults(
     database_url: str, endpoint: Endpoint, name: str
 ) -> None:
     fault = FAULTS[name]

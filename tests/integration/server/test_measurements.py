@@ -226,7 +226,7 @@ def test_problem_without_ordered_techniques_has_no_combinations(client: httpx.Cl
         assert "mtq@1 has no ordered techniques" in detail
 
 
-def test_command_prints_combinations_as_a_table_and_a_sentence(
+def test_command_prints_combinations_and_a_sentence(
     finished: Finished, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")

@@ -42,9 +42,7 @@ def test_campaign_scores_solutions(client: httpx.Client) -> None:
         ({"solutions": [{"where": {"x": "NaN"}, "what": {"y": 0}}]}, "/solutions/0"),
     ],
 )
-def test_answer_points_at_the_solution_that_cannot_be_scored(
-    client: httpx.Client, body: Any, pointer: str
-) -> None:
+def test_answer_points_at_the_unscorable_solution(client: httpx.Client, body: Any, pointer: str) -> None:
     campaign = finish(client, ball(simulations=40))
     document = expect(client.post(f"/api/v1/campaigns/{campaign}/monitor/score", json=body), 422)
     assert [error["pointer"] for error in document["errors"]] == [pointer]
@@ -58,9 +56,7 @@ def test_campaign_without_verdicts_cannot_score(client: httpx.Client) -> None:
 
 
 @on_sqlite
-def test_monitor_file_scores_and_is_evaluated_without_a_server(
-    listening_client: httpx.Client, tmp_path: Path
-) -> None:
+def test_monitor_file_scores_and_is_evaluated_offline(listening_client: httpx.Client, tmp_path: Path) -> None:
     learned = finish(listening_client, ball(simulations=400, algorithm=RANDOM))
     fresh = finish(listening_client, ball(simulations=400, algorithm=RANDOM, seed=9))
     file, server = tmp_path / "monitor.json", ["--server", str(listening_client.base_url)]

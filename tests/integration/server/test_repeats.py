@@ -211,7 +211,7 @@ def test_what_is_computed_is_not_repeated(client: httpx.Client) -> None:
     ]
 
 
-def test_a_campaign_is_deleted_with_its_repeats_once_they_have_ended(
+def test_a_campaign_is_deleted_with_its_repeats_once_they_ended(
     client: httpx.Client, engines: Engines
 ) -> None:
     campaign = finished(client)
@@ -298,7 +298,7 @@ def test_unfinished_repeats_are_not_shown_as_a_verdict_nor_resumed(listening_cli
     assert progress(listening_client, view["campaign"])["status"] == "paused", "whoever looks does not resume"
 
 
-def test_retention_keeps_a_campaign_whose_repeats_are_young(
+def test_retention_keeps_campaigns_with_young_repeats(
     client: httpx.Client, engines: Engines, database_url: str
 ) -> None:
     campaign = finished(client)

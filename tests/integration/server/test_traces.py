@@ -104,7 +104,7 @@ def test_deleted_trace_can_be_made_again(client: httpx.Client, engines: Engines)
     assert client.get(path, params={"wait_s": 0}).content == b"the trace"
 
 
-def test_capable_worker_is_woken_behind_an_incapable_one(
+def test_capable_worker_behind_another_is_woken(
     client: httpx.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(service, "RECHECK_S", 600.0)
@@ -137,9 +137,7 @@ def test_capable_worker_is_woken_behind_an_incapable_one(
 
 
 @pytest.mark.parametrize("what", ["trace", "replay.png", "replay.mp4"])
-def test_trace_that_no_worker_can_make_is_refused_at_once(
-    client: httpx.Client, engines: Engines, what: str
-) -> None:
+def test_trace_no_worker_can_make_is_refused(client: httpx.Client, engines: Engines, what: str) -> None:
     campaign = submit(client, ball())
     FakeWorker(client, capabilities=("another-simulator@1",)).lease()
     before = row_counts(engines)
@@ -164,25 +162,18 @@ def test_responses_for_a_missing_trace_are_documented(client: httpx.Client, what
     assert set(answers["503"]["content"]) == {"application/problem+json"}
 
 
-def test_replay_command_fails_at_once_if_no_worker_can_make_the_trace(
-    listening_client: httpx.Client, tmp_path: Path
-) -> None:
+def test_replay_fails_at_once_if_no_worker_can_trace(listening_client: httpx.Client, tmp_path: Path) -> None:
     campaign = submit(listening_client, ball())
     given = [
-        "replay",
-        campaign,
-        "3",
-        "--out",
-        str(tmp_path / "x.png"),
-        "--server",
+        "replay", campaign, "3", "--out", str(tmp_path / "x.png"), "--server",
         str(listening_client.base_url),
-    ]
+    ]  # fmt: skip
     said = CliRunner().invoke(app, given)
     assert isinstance(said.exception, CoordinatorError)
     assert "no live worker can run faulty@1" in str(said.exception)
 
 
-def test_waiting_for_a_trace_ends_when_its_workers_leave(
+def test_trace_wait_ends_when_workers_leave(
     database_url: str, engines: Engines, small_problems: None
 ) -> None:
     with coordinator(database_url) as client:
@@ -490,16 +481,10 @@ def _with_unbounded_scene(trace: Trace) -> Trace:
 @pytest.mark.parametrize(
     "spoil",
     [
-        _with_short_ego,
-        _without_samples,
-        _in_reverse,
-        _with_rows_past_the_end,
-        _with_other_columns,
-        _with_lone_surrogate,
-        _with_picture_of_no_sample,
-        _with_unbounded_scene,
+        _with_short_ego, _without_samples, _in_reverse, _with_rows_past_the_end, _with_other_columns,
+        _with_lone_surrogate, _with_picture_of_no_sample, _with_unbounded_scene,
     ],
-)
+)  # fmt: skip
 def test_inconsistent_trace_is_a_conflict(client: httpx.Client, spoil: Callable[[Trace], Trace]) -> None:
     path = kept(client, spoil(make_trace(samples=40)).to_bytes())
     assert "cannot be drawn" in expect(client.get(f"{path}/episode"), 409)["detail"]
@@ -513,9 +498,7 @@ def test_document_that_is_no_trace_is_a_conflict(client: httpx.Client) -> None:
 
 
 @on_sqlite
-def test_story_is_the_violated_requirement_if_the_campaign_judges_none(
-    client: httpx.Client,
-) -> None:
+def test_story_is_the_violated_requirement_if_the_campaign_judges_none(client: httpx.Client) -> None:
     far = np.full(40, 9.0, np.float32)
     fast = np.where(np.arange(40) < 25, 1.0, -0.5).astype(np.float32)
     found = episode(
@@ -620,7 +603,7 @@ def test_drawing_does_not_block_other_requests(client: httpx.Client, monkeypatch
 
 
 @on_sqlite
-def test_checking_a_submission_does_not_block_other_requests(
+def test_checking_a_submission_blocks_no_request(
     client: httpx.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     submit(client, ball())

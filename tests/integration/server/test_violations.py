@@ -116,7 +116,7 @@ def test_a_problem_without_violations_says_so(client: httpx.Client) -> None:
     assert "mtq@1 reports no violations" in detail
 
 
-def test_the_command_line_shows_and_names_them(
+def test_command_line_names_them(
     client: httpx.Client, campaign: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "220")

@@ -72,13 +72,8 @@ def test_the_last_results_of_a_generation_are_reported_at_once(coordinator: Fake
 
 @pytest.mark.parametrize(
     ("fault", "reason"),
-    [
-        ("segfault", "crashed"),
-        ("exit", "crashed"),
-        ("out-of-memory", "out-of-memory"),
-        ("invalid", "invalid"),
-    ],
-)
+    [("segfault", "crashed"), ("exit", "crashed"), ("out-of-memory", "out-of-memory"), ("invalid", "invalid")],
+)  # fmt: skip
 def test_a_faulty_job_is_reported_with_its_reason_and_its_neighbours_complete(
     coordinator: FakeCoordinator, fault: str, reason: str
 ) -> None:
@@ -183,9 +178,7 @@ def test_jobs_missing_from_a_heartbeat_reply_are_dropped_and_a_long_one_is_aband
         assert [status.job for status in coordinator.statuses if status.job in lost] == []
 
 
-def test_a_refused_outcome_becomes_an_error_and_the_others_are_accepted(
-    coordinator: FakeCoordinator,
-) -> None:
+def test_a_refused_outcome_becomes_an_error_and_the_others_are_accepted(coordinator: FakeCoordinator) -> None:
     with running_worker(coordinator.url, prefetch_s=10.0) as running:
         coordinator.add()
         coordinator.wait_for_all()
@@ -209,7 +202,7 @@ def test_a_refused_outcome_becomes_an_error_and_the_others_are_accepted(
     assert "\n" not in sent[-1].message
 
 
-def test_stopping_finishes_the_running_episode_and_releases_the_others(
+def test_stopping_finishes_the_episode_and_releases_the_rest(
     coordinator: FakeCoordinator, tmp_path: Path
 ) -> None:
     stopped = tmp_path / "stopped"
@@ -255,13 +248,8 @@ def test_a_worker_exits_when_idle(coordinator: FakeCoordinator) -> None:
     coordinator.wait_for_all()
 
 
-def test_a_worker_without_a_coordinator_exits_when_idle_and_logs_why(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    with (
-        FakeCoordinator() as gone,
-        caplog.at_level(logging.WARNING),
-    ):
+def test_worker_without_a_coordinator_exits_when_idle_and_logs_why(caplog: pytest.LogCaptureFixture) -> None:
+    with FakeCoordinator() as gone, caplog.at_level(logging.WARNING):
         gone.disappear()
         with running_worker(gone.url, exit_when_idle_s=0.3) as running:
             assert running.join() == 1

@@ -46,14 +46,9 @@ def process(shared_processes: list[EpisodeProcess]) -> Iterator[EpisodeProcess]:
 
 def spec(**scenario: Any) -> dict[str, Any]:
     return {
-        "simulator": "faulty@1",
-        "scenario": scenario,
-        "behaviour": {"x": 0.6},
-        "requirements": ["distance@1"],
-        "seed": 1,
-        "duration_s": 1.0,
-        "options": {},
-    }
+        "simulator": "faulty@1", "scenario": scenario, "behaviour": {"x": 0.6}, "requirements": ["distance@1"],
+        "seed": 1, "duration_s": 1.0, "options": {},
+    }  # fmt: skip
 
 
 def run(process: EpisodeProcess, *, timeout_s: float = 20.0, **scenario: Any) -> Completed | JobFailed:
@@ -198,7 +193,7 @@ def test_closing_returns_the_episodes_without_an_outcome(process: EpisodeProcess
     assert process.close() == (4, 5)
 
 
-def test_a_simulator_that_cannot_be_imported_is_left_out_with_the_reason(
+def test_unimportable_simulator_is_skipped_with_reason(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     installed = tmp_path / "lost-1.0.dist-info"
@@ -221,9 +216,7 @@ def test_a_plug_in_that_cannot_be_imported_is_named() -> None:
     process.close()
 
 
-def test_the_process_uses_one_thread_and_does_not_see_the_token(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_process_uses_one_thread_and_sees_no_token(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "environment_reader.py").write_text(
         "import os\n"
         "from brink.sim.catalogue import register\n"

@@ -86,9 +86,7 @@ def test_a_killed_program_leaves_no_process_behind(coordinator: FakeCoordinator)
         _await_deaths(children)
 
 
-def test_a_program_told_to_exit_with_its_parent_ends_with_standard_input(
-    coordinator: FakeCoordinator,
-) -> None:
+def test_program_told_to_exit_with_its_parent_ends_at_end_of_input(coordinator: FakeCoordinator) -> None:
     job = coordinator.add({"fault": "hang"}, timeout_s=3600.0)
     with worker_program(coordinator.url, "--exit-with-parent", "--grace", "3600") as program:
         coordinator.wait_until(lambda c: c.jobs[job].token is not None)
@@ -135,13 +133,8 @@ def guide_blocks(language: str) -> list[str]:
 
 def test_every_message_in_the_guide_is_valid() -> None:
     kinds: list[type[Message]] = [
-        LeaseRequest,
-        LeaseReply,
-        HeartbeatRequest,
-        HeartbeatReply,
-        ResultsRequest,
-        ResultsReply,
-    ]
+        LeaseRequest, LeaseReply, HeartbeatRequest, HeartbeatReply, ResultsRequest, ResultsReply,
+    ]  # fmt: skip
     examples = guide_blocks("json")
     assert len(examples) == len(kinds)
     for kind, example in zip(kinds, examples, strict=True):

@@ -36,9 +36,7 @@ def test_a_record_holds_the_outcome_of_an_episode() -> None:
     assert 0 < record.cpu_s < 5
 
 
-def test_known_outcomes_are_not_run_again_and_keep_their_order(
-    file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_known_outcomes_are_not_rerun_and_keep_order(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     progress: list[tuple[int, int]] = []
     with closing(Records(file, processes=2)) as records:
         first = records.run(SPECS[:3], lambda *done: progress.append(done))

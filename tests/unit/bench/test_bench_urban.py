@@ -45,14 +45,9 @@ def test_a_cost_meets_its_bound_up_to_equality() -> None:
 
 def test_the_cpu_time_of_an_episode_is_plausible() -> None:
     scenario = UrbanScenario(
-        time_of_day=TimeOfDay.NOON,
-        weather=Weather.CLEAR,
-        pedestrians=0,
-        road_curve=RoadCurve.STRAIGHT,
-        road_id=0,
-        road_length=0,
-        driving_task=DrivingTask.FOLLOW_ROAD,
-    )
+        time_of_day=TimeOfDay.NOON, weather=Weather.CLEAR, pedestrians=0, road_curve=RoadCurve.STRAIGHT, road_id=0,
+        road_length=0, driving_task=DrivingTask.FOLLOW_ROAD,
+    )  # fmt: skip
     cost_s = episode_cpu_s(scenario, DetectorBehaviour(mode=BehaviourMode.INJECTED))
     assert 0.005 < cost_s < 2.0
 
@@ -182,15 +177,8 @@ def test_measuring_yields_every_row_and_reports_progress(monkeypatch: pytest.Mon
     monkeypatch.setattr(urban, "run_trials", fake)
     progress: list[tuple[str, int, int]] = []
     sizes = Sizes(
-        candidates=300,
-        scenarios=10,
-        reruns=100,
-        pairs=50,
-        redraws=20,
-        number_redraws=10,
-        ends=20,
-        permutations=99,
-    )
+        candidates=300, scenarios=10, reruns=100, pairs=50, redraws=20, number_redraws=10, ends=20, permutations=99,
+    )  # fmt: skip
     rows: dict[str, Row] = {
         row.what: row for row in measure_difficulty(sizes, progress=lambda *step: progress.append(step))
     }

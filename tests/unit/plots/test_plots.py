@@ -39,22 +39,14 @@ from brink.search.space import Categorical, Component, Dormant, Integer, Real, S
 from brink.search.traffic.constraint import participants_component
 from brink.search.traffic.participants import RoadLimits
 
-MIXED = SearchSpace(
-    (
-        Component(
-            "scenario", (Categorical("weather", ("clear", "wet", "hard_rain")), Integer("lanes", 1, 4))
-        ),
-        Component(
-            "behaviour",
-            (
-                Categorical("label", ("null", "vehicle")),
-                Real("x_px", 0.0, 800.0, "px"),
-                Integer("t0_step", 0, 300),
-            ),
-            (Dormant("label", "null", ("x_px", "t0_step")),),
-        ),
-    )
-)
+MIXED = SearchSpace((
+    Component("scenario", (Categorical("weather", ("clear", "wet", "hard_rain")), Integer("lanes", 1, 4))),
+    Component(
+        "behaviour",
+        (Categorical("label", ("null", "vehicle")), Real("x_px", 0.0, 800.0, "px"), Integer("t0_step", 0, 300)),
+        (Dormant("label", "null", ("x_px", "t0_step")),),
+    ),
+))  # fmt: skip
 """A space with a category, few and many integers, and a number that can be inactive."""
 
 
@@ -264,14 +256,9 @@ def test_independent_parameters_are_not_reported_as_dependent() -> None:
 def _few(count: int, *, unsafe: bool) -> CampaignFigures:
     vectors = np.random.default_rng(3).random((count, 2))
     return campaign(
-        MTQ_SPACE,
-        vectors,
-        np.full(count, unsafe),
-        np.full(count, -1.0 if unsafe else 1.0),
-        radius=0.05,
-        t_b=0.01,
+        MTQ_SPACE, vectors, np.full(count, unsafe), np.full(count, -1.0 if unsafe else 1.0), radius=0.05, t_b=0.01,
         d_th=0.3,
-    )
+    )  # fmt: skip
 
 
 FURTHER = pytest.mark.long("draws all figures of another campaign")

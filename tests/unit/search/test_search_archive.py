@@ -177,7 +177,7 @@ def test_all_safe_neighbourhood_approaches_one_ninth() -> None:
     z=st.floats(0.1, 5),
 )
 @settings(deadline=None)
-def test_interval_contains_the_share_and_fitness_is_in_the_unit_interval(
+def test_interval_contains_the_share_and_fitness_is_bounded(
     counts: list[tuple[int, int]], p_th: float, z: float
 ) -> None:
     unsafe = np.array([k for k, _ in counts], np.int64)
@@ -360,15 +360,9 @@ def test_mismatched_shapes_are_rejected() -> None:
     archive = grown_in_steps(rows, unsafe, [])[-1]
     with pytest.raises(ValueError, match="robustness: expected shape"):
         Archive.restore(
-            SPACE,
-            NEAR,
-            numbers=archive.numbers,
-            vectors=archive.vectors,
-            unsafe=archive.unsafe,
-            robustness=[0.0],
-            neighbours=archive.neighbours,
-            unsafe_neighbours=archive.unsafe_neighbours,
-        )
+            SPACE, NEAR, numbers=archive.numbers, vectors=archive.vectors, unsafe=archive.unsafe, robustness=[0.0],
+            neighbours=archive.neighbours, unsafe_neighbours=archive.unsafe_neighbours,
+        )  # fmt: skip
 
 
 @pytest.mark.parametrize(

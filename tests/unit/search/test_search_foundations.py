@@ -148,7 +148,7 @@ def document(**changes: object) -> Document:
     arrays=st.dictionaries(st.from_regex(r"[a-z_]{1,12}", fullmatch=True), ARRAYS, max_size=4),
 )
 @settings(deadline=None)
-def test_document_survives_storage(
+def test_storage_round_trip(
     header: dict[str, object], arrays: dict[str, np.typing.NDArray[np.generic]]
 ) -> None:
     stored = document(header=header, arrays=arrays)

@@ -165,9 +165,7 @@ def test_later_generations_leave_earlier_states_unchanged() -> None:
         ({"partners": 11}, 400, "partners"),
     ],
 )
-def test_inconsistent_settings_are_rejected_by_field(
-    changes: dict[str, int], budget: int, field: str
-) -> None:
+def test_inconsistent_settings_are_named_by_field(changes: dict[str, int], budget: int, field: str) -> None:
     with pytest.raises(ConfigError) as caught:
         MLCSHE.check(SPACE, MlcsheConfig(**changes), budget=budget)
     assert caught.value.field == field

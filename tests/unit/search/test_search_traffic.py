@@ -71,9 +71,7 @@ def start_of(one: Participant) -> Start:
 
 
 @given(vectors, st.integers(0, 2**32 - 1), roads)
-def test_repaired_participants_are_valid_and_repair_leaves_them_unchanged(
-    vector: NDArray[np.float64], seed: int, road: int
-) -> None:
+def test_repaired_participants_are_valid_and_stay(vector: NDArray[np.float64], seed: int, road: int) -> None:
     component, rng = COMPONENTS[road], np.random.default_rng(seed)
     repaired = component.repair(vector, rng)
     assert list(component.problems(repaired)) == []

@@ -17,14 +17,9 @@ from brink.search.analysis.violations import SECTORS, dbscan, instances, kinds_o
 def test_signature_has_seven_words() -> None:
     found = signature_of(violation())
     assert found.to_json() == {
-        "requirement": "no-collision@1",
-        "counterpart": "vehicle",
-        "sector": "front",
-        "ego": "driving",
-        "other": "same way, cut in",
-        "place": "straight",
-        "at_fault": "at fault",
-    }
+        "requirement": "no-collision@1", "counterpart": "vehicle", "sector": "front", "ego": "driving",
+        "other": "same way, cut in", "place": "straight", "at_fault": "at fault",
+    }  # fmt: skip
     assert (
         str(found)
         == "no-collision with vehicle at the front (same way, cut in), ego driving, straight, at fault"

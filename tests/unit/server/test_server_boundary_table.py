@@ -13,28 +13,20 @@ from brink.server.api.schemas import Boundary, SolutionView
 from brink.server.campaigns.body import parse_body
 from brink.server.states import SolutionVerdict
 
-BODY = parse_body(
-    {
-        "name": "x",
-        "problem": {"id": "urban-injected@1"},
-        "algorithm": {"id": "ga@1"},
-        "budget": {"simulations": 9},
-        "seed": 4,
-    }
-)
+BODY = parse_body({
+    "name": "x", "problem": {"id": "urban-injected@1"}, "algorithm": {"id": "ga@1"}, "budget": {"simulations": 9},
+    "seed": 4,
+})  # fmt: skip
 
 
 def solution(number: int, **changes: Any) -> SolutionView:
     known: dict[str, Any] = {
-        "number": number, "generation": 2, "verdict": SolutionVerdict.SAFE, "robustness": 0.5,
-        "objectives": None, "failure": None, "origin": None, "fitness": 0.05, "neighbours": 40,
-        "unsafe_neighbours": 4, "interval": (0.04, 0.23), "seed": 2**52 + 1, "attempts": 1,
-        "words": 'fog, "late", 3 s',
+        "number": number, "generation": 2, "verdict": SolutionVerdict.SAFE, "robustness": 0.5, "objectives": None,
+        "failure": None, "origin": None, "fitness": 0.05, "neighbours": 40, "unsafe_neighbours": 4,
+        "interval": (0.04, 0.23), "seed": 2**52 + 1, "attempts": 1, "words": 'fog, "late", 3 s',
         "parameters": {"scenario": {"weather": "fog", "lanes": 2}, "behaviour": {"late_s": 3.25}},
         "verdicts": {"front-gap@1": {"robustness": 0.5, "unit": "m", "violated_at_s": None}},
-        "features": {"ended": "goal", "where": [1, 2]},
-        "provenance": {"brink": "0.1.0", "cpu_s": 0.2},
-        **changes,
+        "features": {"ended": "goal", "where": [1, 2]}, "provenance": {"brink": "0.1.0", "cpu_s": 0.2}, **changes,
     }  # fmt: skip
     return SolutionView(**known)
 

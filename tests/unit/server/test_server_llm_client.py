@@ -297,9 +297,7 @@ def test_settings_that_are_not_set_are_not_sent(endpoint: Endpoint) -> None:
         refuses(500, "failed to parse grammar", ErrorForm.HTML),
     ],
 )
-def test_a_rejected_form_is_permanently_replaced_by_a_looser_one(
-    endpoint: Endpoint, form_refusal: Step
-) -> None:
+def test_rejected_form_is_permanently_replaced_by_a_looser(endpoint: Endpoint, form_refusal: Step) -> None:
     endpoint.forms, endpoint.form_refusal = ("schema_in_object", "json_object", "plain"), form_refusal
     endpoint.then(OK, OK)
 
@@ -374,13 +372,8 @@ def test_the_last_error_is_reported_after_all_retries(endpoint: Endpoint) -> Non
 
 @pytest.mark.parametrize(
     ("stated", "waited"),
-    [
-        ("7", 7.0),
-        ("0.5", 0.5),
-        ("Sun, 01 Mar 2026 12:00:09 GMT", 9.0),
-        ("Sun, 01 Mar 2026 13:00:09 +0100", 9.0),
-    ],
-)
+    [("7", 7.0), ("0.5", 0.5), ("Sun, 01 Mar 2026 12:00:09 GMT", 9.0), ("Sun, 01 Mar 2026 13:00:09 +0100", 9.0)],
+)  # fmt: skip
 def test_retry_after_is_honoured(endpoint: Endpoint, stated: str, waited: float) -> None:
     pauses: list[float] = []
     endpoint.then(refuses(429, "slow down", Retry_After=stated), OK)
@@ -454,7 +447,7 @@ def test_an_unreachable_endpoint_is_reported() -> None:
         (refuses(307, "over there", Location="http://127.0.0.1:9/"), RequestRefused, "set endpoint to the new"),
     ],
 )  # fmt: skip
-def test_final_errors_are_reported_at_once_with_advice(
+def test_final_errors_come_with_advice(
     endpoint: Endpoint, step: Step, kind: type[LlmError], advice: str
 ) -> None:
     endpoint.then(step)
@@ -554,8 +547,6 @@ def test_the_key_is_never_repeated(endpoint: Endpoint, caplog: pytest.LogCapture
         (None, None),
     ],
 )
-def test_all_forms_of_model_lists_are_parsed(
-    endpoint: Endpoint, listed: Any, names: tuple[str, ...] | None
-) -> None:
+def test_every_model_list_is_parsed(endpoint: Endpoint, listed: Any, names: tuple[str, ...] | None) -> None:
     endpoint.models = listed
     assert using(llm_settings(endpoint), lambda client: client.models()) == names

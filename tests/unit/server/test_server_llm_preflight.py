@@ -210,7 +210,7 @@ def test_a_model_whose_replies_are_unusable(endpoint: Endpoint) -> None:
         ({"data": [{"id": "other"}]}, "llama3.2", False),
     ],
 )
-def test_the_check_reports_whether_the_model_is_listed(
+def test_check_reports_if_model_is_listed(
     endpoint: Endpoint, listed: Any, model: str, expected: bool
 ) -> None:
     endpoint.models = listed

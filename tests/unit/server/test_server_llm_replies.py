@@ -193,9 +193,7 @@ def test_non_finite_numbers_are_errors(number: str, field: str) -> None:
         ),
     ],
 )  # fmt: skip
-def test_a_start_off_the_allowed_places_is_physically_impossible(
-    road: RoadChecker, solution: Any, place: str, reason: str
-) -> None:
+def test_disallowed_starts_are_impossible(road: RoadChecker, solution: Any, place: str, reason: str) -> None:
     [(pointer, message)] = errors_of(solution, road=road).items()
     assert pointer == f"/solutions/0/participants/0/{place}"
     assert message.startswith("physically impossible: expected ")
@@ -230,9 +228,7 @@ def test_small_corrections_are_accepted() -> None:
 
 
 @pytest.mark.parametrize(("dd_m", "ds_m", "heading_rad"), [(-20.0, 32.0, 0.5), (20.0, 28.0, -0.5)])
-def test_vehicles_may_come_out_of_streets_on_either_side(
-    dd_m: float, ds_m: float, heading_rad: float
-) -> None:
+def test_vehicles_may_enter_from_streets_on_either_side(dd_m: float, ds_m: float, heading_rad: float) -> None:
     found = parsed(reply_text([item(ds_m=ds_m, dd_m=dd_m, heading="across")]))
     assert found.solutions[0][0].dyaw_rad == pytest.approx(heading_rad * math.pi)
 
@@ -284,15 +280,10 @@ def test_errors_quote_no_text_from_the_model(solution: Any) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        '{"solutions": ' + "[" * 100_000,
-        '{"solutions": [' + '{"participants": [' * 50_000,
+        '{"solutions": ' + "[" * 100_000, '{"solutions": [' + '{"participants": [' * 50_000,
         '{"solutions": [' + '{"participants": ' + "[" * 5_000 + "]" * 5_000 + "}]}",
-        '{"solutions": [' + '"' + "x" * 3_000_000 + '"]}',
-        '{"solutions": [' + "1," * 400_000,
-        '{"solutions":' * 100_000,
-        "{" * 1_000_000,
-        '{"participants"' * 60_000,
-        '{   "participants' * 60_000,
+        '{"solutions": [' + '"' + "x" * 3_000_000 + '"]}', '{"solutions": [' + "1," * 400_000,
+        '{"solutions":' * 100_000, "{" * 1_000_000, '{"participants"' * 60_000, '{   "participants' * 60_000,
         '{"solutions": [' + '{"participants": [' * 600 + "1," * 400_000,
     ],
 )  # fmt: skip

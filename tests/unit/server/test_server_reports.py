@@ -121,13 +121,11 @@ def test_scores_by_budget_use_the_results_known_at_the_time() -> None:
 
 
 def report(folder: Path) -> str:
-    body = parse_experiment(
-        {
-            "name": "rq1 <script>", "problems": [{"name": "gap", "id": "mtq@1"}],
-            "algorithms": [{"name": name, "id": "ga@1"} for name in METHODS], "seeds": {"count": SEEDS + 1},
-            "budget": {"simulations": 1300},
-        }
-    )  # fmt: skip
+    body = parse_experiment({
+        "name": "rq1 <script>", "problems": [{"name": "gap", "id": "mtq@1"}],
+        "algorithms": [{"name": name, "id": "ga@1"} for name in METHODS], "seeds": {"count": SEEDS + 1},
+        "budget": {"simulations": 1300},
+    })  # fmt: skip
     pictures = {}
     for measure in Measure:
         for kind, draw in EXPERIMENT_FIGURES.items():
@@ -135,13 +133,8 @@ def report(folder: Path) -> str:
             draw(REPEATS, "gap", measure).savefig(folder / name)
             pictures["gap", measure, kind] = name
     return markdown_report(
-        body,
-        REPEATS,
-        pictures,
-        experiment="3f2a",
-        created_at=datetime(2026, 1, 2, tzinfo=UTC),
-        elapsed_s=3700,
-    )
+        body, REPEATS, pictures, experiment="3f2a", created_at=datetime(2026, 1, 2, tzinfo=UTC), elapsed_s=3700,
+    )  # fmt: skip
 
 
 def test_the_report_agrees_with_the_tables(tmp_path: Path) -> None:
@@ -205,9 +198,7 @@ def trace(truth: list[list[Box]], detected: list[list[Box]]) -> Trace:
         ([NEARLY, CAR], [CAR, NEARLY], 2),
     ],
 )
-def test_a_detection_matches_an_overlapping_box_with_its_label(
-    truth: list[Box], detected: list[Box], matched: int
-) -> None:
+def test_a_detection_matches_a_box_of_its_label(truth: list[Box], detected: list[Box], matched: int) -> None:
     counts = count_detections(trace([truth, []], [detected, []]))
     assert counts == DetectionCounts(truth=len(truth), detected=len(detected), matched=matched)
     columns = counts.to_columns()

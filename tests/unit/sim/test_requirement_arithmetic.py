@@ -22,20 +22,9 @@ from brink.sim.requirements import (
 )
 
 CALM = WorldSample(
-    time_s=0.0,
-    x_m=0.0,
-    y_m=0.0,
-    yaw_rad=0.0,
-    speed_mps=8.0,
-    station_m=0.0,
-    offset_m=0.0,
-    heading_error_rad=0.0,
-    ego_length_m=4.5,
-    ego_width_m=1.8,
-    lane_left_m=1.75,
-    lane_right_m=-1.75,
-    speed_limit_mps=8.33,
-)
+    time_s=0.0, x_m=0.0, y_m=0.0, yaw_rad=0.0, speed_mps=8.0, station_m=0.0, offset_m=0.0, heading_error_rad=0.0,
+    ego_length_m=4.5, ego_width_m=1.8, lane_left_m=1.75, lane_right_m=-1.75, speed_limit_mps=8.33,
+)  # fmt: skip
 
 
 def observe_gaps(requirement: Requirement, *gaps_m: float | None) -> list[float]:

@@ -75,9 +75,7 @@ def result(**changed: Any) -> EpisodeResult:
         ({"provenance": {"x": -math.inf}}, "provenance"),
     ],
 )
-def test_a_result_that_json_cannot_represent_is_rejected_by_field(
-    changed: dict[str, Any], place: str
-) -> None:
+def test_result_that_json_cannot_represent_is_rejected_by_field(changed: dict[str, Any], place: str) -> None:
     with pytest.raises(UnserializableResult, match=place) as caught:
         completed_document(result(**changed))
     assert len(str(caught.value)) < 400
@@ -91,9 +89,7 @@ def test_a_result_that_json_cannot_represent_is_rejected_by_field(
         ({"trace": b"x" * 6_000_001}, "trace"),
     ],
 )
-def test_a_result_beyond_the_bounds_of_the_wire_becomes_a_failure_by_field(
-    changed: dict[str, Any], place: str
-) -> None:
+def test_a_result_beyond_wire_bounds_becomes_a_failure_by_field(changed: dict[str, Any], place: str) -> None:
     outcome = parse_outcome(completed_document(result(**changed)))
     assert isinstance(outcome, JobFailed)
     assert outcome.reason == "error"

@@ -34,9 +34,7 @@ def test_corners_are_those_of_the_paper() -> None:
         (box(600, 700, 610, 900), True),  # extends below the picture
     ],
 )
-def test_a_box_is_tested_against_the_trapezoid_not_its_bounding_rectangle(
-    candidate: Detection, meets: bool
-) -> None:
+def test_a_box_is_tested_against_the_trapezoid_not_its_bounds(candidate: Detection, meets: bool) -> None:
     assert WARNING.intersects(candidate) is meets
 
 

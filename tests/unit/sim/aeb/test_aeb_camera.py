@@ -139,9 +139,7 @@ class Cheating(Known):
         )
 
 
-def test_alpha_is_one_for_the_ground_truth_and_zero_for_no_detections(
-    monkeypatch: pytest.MonkeyPatch, known: Known
-) -> None:
+def test_alpha_is_one_for_truth_and_zero_for_nothing(monkeypatch: pytest.MonkeyPatch, known: Known) -> None:
     assert EVALUATOR.run(evaluation()).objectives == {"alpha": 0.0}
     cheat = Cheating(list(labelled_frames(Split.VALIDATION, 12, seed=1)))
     monkeypatch.setitem(catalogue._registered, DETECTORS, {"known@1": lambda: cheat})

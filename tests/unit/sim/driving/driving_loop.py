@@ -24,10 +24,7 @@ CONTROL_S = 0.05
 
 
 def road(
-    *pieces: Piece,
-    lane_width_m: float = 3.5,
-    stop_lines_m: tuple[float, ...] = (),
-    oncoming: bool = True,
+    *pieces: Piece, lane_width_m: float = 3.5, stop_lines_m: tuple[float, ...] = (), oncoming: bool = True
 ) -> LaneRoute:
     """Return a route from the origin to the east, by default 300 m straight."""
     line = ReferenceLine(0.0, 0.0, 0.0, pieces or (Piece(300.0),))
@@ -109,14 +106,9 @@ def drive(
             seen = camera.look(ego.x_m, ego.y_m, ego.yaw_rad, bodies) if oracle else []
             boxes = (*(sight.box for sight in seen), *ghosts(time_s))
         state = EgoState(
-            x_m=ego.x_m,
-            y_m=ego.y_m,
-            yaw_rad=ego.yaw_rad,
-            speed_mps=ego.speed_mps,
-            accel_mps2=ego.accel_mps2,
-            station_m=near_m,
-            offset_m=offset_m,
-        )
+            x_m=ego.x_m, y_m=ego.y_m, yaw_rad=ego.yaw_rad, speed_mps=ego.speed_mps, accel_mps2=ego.accel_mps2,
+            station_m=near_m, offset_m=offset_m,
+        )  # fmt: skip
         reading = None
         if light is not None:
             ahead = [line for line in route.stop_line_stations_m if line > near_m + 2.25]

@@ -78,12 +78,8 @@ def test_back_projection_inverts_projection_on_the_ground(depth_m: float, left_m
     assert CAMERA.left_m(x_px, depth_m) == pytest.approx(left_m, abs=1e-9)
 
 
-@given(
-    x_m=st.floats(-20.0, 100.0),
-    y_m=st.floats(-50.0, 50.0),
-    yaw_rad=st.floats(-math.pi, math.pi),
-)
-def test_every_box_lies_in_the_image_and_its_bottom_edge_is_the_nearest_visible_ground(
+@given(x_m=st.floats(-20.0, 100.0), y_m=st.floats(-50.0, 50.0), yaw_rad=st.floats(-math.pi, math.pi))
+def test_every_box_lies_in_the_image_on_the_nearest_visible_ground(
     x_m: float, y_m: float, yaw_rad: float
 ) -> None:
     seen = CAMERA.project(0.0, 0.0, 0.0, car(x_m, y_m, yaw_rad))
@@ -140,9 +136,7 @@ def test_a_box_with_a_lower_bottom_edge_is_nearer() -> None:
 
 
 @pytest.mark.parametrize(("label", "expected_m"), [(ObstacleLabel.VEHICLE, 6.0), (ObstacleLabel.PERSON, 6.8)])
-def test_a_box_above_the_horizon_is_placed_by_its_size_and_label(
-    label: ObstacleLabel, expected_m: float
-) -> None:
+def test_box_above_the_horizon_is_placed_by_size_and_label(label: ObstacleLabel, expected_m: float) -> None:
     # 100 px high: 400 * 1.5 / 100 for a vehicle, 400 * 1.7 / 100 for a person.
     found = located(350.0, 450.0, 100.0, 200.0, label=label)
     assert found.x_m - found.length_m / 2 - CAMERA.forward_m == pytest.approx(expected_m)
@@ -159,7 +153,7 @@ def test_a_box_that_ends_just_below_the_horizon_is_placed_by_its_size_too() -> N
     x_m=st.floats(0.0, 50.0),
     turned_rad=st.floats(-0.8, 0.8),
 )
-def test_a_projected_car_is_located_from_any_angle(
+def test_projected_car_is_found_at_any_angle(
     ahead_m: float, left_m: float, x_m: float, turned_rad: float
 ) -> None:
     """The car is aligned with the road; the ego is not."""
@@ -241,7 +235,7 @@ def test_a_box_without_positive_finite_extent_is_ignored(broken: tuple[float, fl
     y=st.tuples(st.floats(0.0, 599.0), st.floats(1.0, 600.0)),
     label=st.sampled_from(ObstacleLabel),
 )
-def test_every_place_is_finite_and_ahead_of_the_camera(
+def test_every_place_is_finite_ahead(
     x: tuple[float, float], y: tuple[float, float], label: ObstacleLabel
 ) -> None:
     for found in LOCALISER.locate(EGO, (box(label, *x, *y),)):
@@ -381,14 +375,9 @@ BOX = Box(label=ObstacleLabel.VEHICLE, x_min_px=0.0, x_max_px=1.0, y_min_px=0.0,
 
 def obstacle(right_m: float, left_m: float, across_mps: float) -> RoadObstacle:
     return RoadObstacle(
-        track=1,
-        label=ObstacleLabel.PERSON,
-        near_m=20.0,
-        far_m=20.5,
-        right_m=right_m,
-        left_m=left_m,
+        track=1, label=ObstacleLabel.PERSON, near_m=20.0, far_m=20.5, right_m=right_m, left_m=left_m,
         across_mps=across_mps,
-    )
+    )  # fmt: skip
 
 
 def test_a_crossing_person_is_predicted_in_the_strip_from_entering_to_leaving() -> None:
@@ -403,14 +392,8 @@ def test_a_person_who_walks_away_or_too_slowly_is_not_predicted_in_the_strip() -
     assert obstacle(1.5, 2.0, 1.0).time_in(-1.0, 1.0) is None
 
 
-@given(
-    right_m=st.floats(-8.0, 8.0),
-    width_m=st.floats(0.1, 3.0),
-    across_mps=st.floats(-5.0, 5.0),
-)
-def test_predicted_times_agree_with_simulated_motion(
-    right_m: float, width_m: float, across_mps: float
-) -> None:
+@given(right_m=st.floats(-8.0, 8.0), width_m=st.floats(0.1, 3.0), across_mps=st.floats(-5.0, 5.0))
+def test_predicted_times_match_simulated_motion(right_m: float, width_m: float, across_mps: float) -> None:
     one = obstacle(right_m, right_m + width_m, across_mps)
     window = one.time_in(-1.0, 1.0)
     for step in range(31):

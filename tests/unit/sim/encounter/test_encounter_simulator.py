@@ -85,9 +85,7 @@ FROM_BEHIND = user("car", stretch("keep", 0.0, 30.0, s_m=-25.0, speed_mps=14.0))
 
 @pytest.mark.parametrize("task", ["follow_road", "first_exit", "second_exit"])
 @pytest.mark.parametrize("curve", ["straight", "left", "right", "crossroad"])
-def test_on_an_empty_road_the_ego_arrives_without_a_violation(
-    simulator: BrinkEncounter, curve: str, task: str
-) -> None:
+def test_ego_arrives_safely_on_an_empty_road(simulator: BrinkEncounter, curve: str, task: str) -> None:
     result = simulator.run(spec(duration_s=60.0, road_curve=curve, driving_task=task, road_length=0))
     assert result.features["ended"] == "goal"
     assert told(result) == []
@@ -115,9 +113,7 @@ def test_a_script_is_followed_to_the_centimetre(simulator: BrinkEncounter) -> No
     assert (van.kind, van.name) == ("vehicle", "van-1")
 
 
-def test_the_ego_stops_for_visible_road_users_and_gaps_are_reported(
-    simulator: BrinkEncounter,
-) -> None:
+def test_the_ego_stops_for_visible_road_users_and_gaps_are_reported(simulator: BrinkEncounter) -> None:
     far = user("pedestrian", stretch("keep", 0.0, 30.0, s_m=60.0, d_m=-4.0, speed_mps=0.0))
     result = simulator.run(spec(BRAKES, far, duration_s=9.0))
     assert result.features["collision"] is None
@@ -180,9 +176,7 @@ def fingerprint(result: EpisodeResult) -> str:
     return hashlib.sha256(repr(features).encode() + (result.trace or b"")).hexdigest()
 
 
-def test_the_same_specification_gives_the_same_bits_in_any_process(
-    simulator: BrinkEncounter,
-) -> None:
+def test_the_same_specification_gives_the_same_bits_in_any_process(simulator: BrinkEncounter) -> None:
     first = fingerprint(simulator.run(spec(BRAKES, FROM_BEHIND), record=True))
     simulator.run(spec(FROM_BEHIND, seed=9, road_curve="crossroad"))
     assert fingerprint(simulator.run(spec(BRAKES, FROM_BEHIND), record=True)) == first

@@ -10,17 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from brink.sim.errors import InvalidEpisode
-from brink.sim.perception.detector import (
-    NetworkDetector,
-    find_detector,
-    fit_picture,
-)
-from brink.sim.perception.user_files import (
-    DatasetError,
-    DetectorError,
-    read_coco,
-    weights_file,
-)
+from brink.sim.perception.detector import NetworkDetector, find_detector, fit_picture
+from brink.sim.perception.user_files import DatasetError, DetectorError, read_coco, weights_file
 
 BRIGHT = np.zeros((180, 320, 3), np.uint8)
 BRIGHT[40:120, 100:140] = 255
@@ -75,9 +66,7 @@ def test_boxes_of_known_categories_are_kept_and_cropped_to_the_picture(tmp_path:
         ({"annotations": [{"id": 3, "image_id": 8, "category_id": 9, "bbox": [0, 0, 5, 5]}]}, "no box belongs"),
     ],
 )  # fmt: skip
-def test_an_invalid_file_is_refused_with_its_first_faults(
-    tmp_path: Path, changes: dict[str, Any], message: str
-) -> None:
+def test_invalid_file_names_its_first_faults(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
     with pytest.raises(DatasetError, match=message):
         read_coco(written(tmp_path, **changes))
 

@@ -12,20 +12,10 @@ from torch import Tensor, nn
 
 from brink.sim.errors import InvalidEpisode
 from brink.sim.perception.boxes import GroundTruth, mean_average_precision
-from brink.sim.perception.detector import (
-    INPUT_PX,
-    NetworkDetector,
-    decode,
-    find_detector,
-    load_file_detector,
-)
+from brink.sim.perception.detector import INPUT_PX, NetworkDetector, decode, find_detector, load_file_detector
 from brink.sim.perception.network import Network, detection_loss, make_target
 from brink.sim.perception.training import detect_all, export_onnx, to_tensor
-from brink.sim.perception.user_files import (
-    DetectorError,
-    check_loads,
-    weights_digest,
-)
+from brink.sim.perception.user_files import DetectorError, check_loads, weights_digest
 
 pytestmark = pytest.mark.long("needs torch")
 torch.set_num_threads(1)  # with more, threads that wait for a core make these tests very slow

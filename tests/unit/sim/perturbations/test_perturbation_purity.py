@@ -37,9 +37,7 @@ def test_level_0_returns_the_frame_byte_for_byte(gene: str) -> None:
 
 
 @pytest.mark.parametrize("perturbation", mostly_long(EFFECTIVE, EXTREMES, "tries every level"), ids=str)
-def test_every_other_level_changes_a_copy_of_the_frame(
-    perturbation: Perturbation,
-) -> None:
+def test_every_other_level_changes_a_copy_of_the_frame(perturbation: Perturbation) -> None:
     for draw in (street, night, blocks):
         frame = draw()
         before = frame.copy()

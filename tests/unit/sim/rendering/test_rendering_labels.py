@@ -118,7 +118,7 @@ def test_the_edge_of_a_house_hides_a_car_from_the_column_computed_by_hand() -> N
     look=st.integers(0, 400),
     overturned=st.booleans(),
 )
-def test_a_silhouette_stays_within_its_box_in_the_world(
+def test_silhouette_stays_in_its_box(
     x_m: float, y_m: float, yaw_rad: float, look: int, overturned: bool
 ) -> None:
     kind = BodyKind.OVERTURNED_VEHICLE if overturned else BodyKind.VEHICLE
@@ -145,7 +145,7 @@ def test_a_silhouette_stays_within_its_box_in_the_world(
 
 @settings(max_examples=100, deadline=None)
 @given(st.lists(st.tuples(*[st.floats(-9, 9)] * 3), min_size=3, max_size=7), st.floats(0.1, 2))
-def test_a_clipped_polygon_lies_beyond_the_near_plane(
+def test_clipped_polygon_lies_past_near_plane(
     points: list[tuple[float, float, float]], near_m: float
 ) -> None:
     corners = np.array(points)

@@ -55,9 +55,7 @@ rectangles = st.tuples(
 @settings(max_examples=300, deadline=None)
 @given(rectangles, rectangles, st.floats(-1.2, 1.2))
 def test_along_any_line_of_sight_the_nearer_of_two_bodies_is_painted_last(
-    first: Rectangle,
-    second: Rectangle,
-    angle_rad: float,
+    first: Rectangle, second: Rectangle, angle_rad: float
 ) -> None:
     entered = (hits(first, angle_rad), hits(second, angle_rad))
     if not separate(first, second) or entered[0] is None or entered[1] is None:

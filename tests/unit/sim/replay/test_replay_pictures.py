@@ -118,7 +118,7 @@ def test_parts_of_a_frame_lie_inside_it_and_do_not_overlap(half_width: int, half
 
 
 @given(st.floats(-3, 3), st.lists(st.tuples(st.floats(-90, 90), st.floats(-90, 90)), min_size=2, max_size=9))
-def test_map_preserves_distances_and_its_canvas_contains_the_drive(
+def test_map_preserves_distances_and_contains_the_drive(
     yaw: float, places: list[tuple[float, float]]
 ) -> None:
     ego = np.zeros((len(places), 5), np.float32)
@@ -233,9 +233,7 @@ def test_film_follows_simulated_time_not_sample_numbers() -> None:
 
 
 @pytest.mark.parametrize(("name", "said"), [("film.avi", "'.avi'"), ("film", "'none'"), (".mp4", "'none'")])
-def test_unknown_extension_is_rejected_with_the_known_ones(
-    tmp_path: Path, short: Trace, name: str, said: str
-) -> None:
+def test_unknown_extension_gets_the_known_ones(tmp_path: Path, short: Trace, name: str, said: str) -> None:
     with pytest.raises(ReplayError, match=rf"extension: expected one of \.gif, \.mp4, \.png; got {said}"):
         render(short, tmp_path / name)
     assert list(tmp_path.iterdir()) == []

@@ -14,14 +14,9 @@ from brink.sim.world.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanSce
 from brink.sim.world.world import UrbanWorld, make_world
 
 SCENARIO = UrbanScenario(
-    time_of_day=TimeOfDay.NOON,
-    weather=Weather.CLEAR,
-    pedestrians=18,
-    road_curve=RoadCurve.STRAIGHT,
-    road_id=1,
-    road_length=1,
-    driving_task=DrivingTask.FOLLOW_ROAD,
-)
+    time_of_day=TimeOfDay.NOON, weather=Weather.CLEAR, pedestrians=18, road_curve=RoadCurve.STRAIGHT, road_id=1,
+    road_length=1, driving_task=DrivingTask.FOLLOW_ROAD,
+)  # fmt: skip
 
 
 @pytest.fixture(name="engine")
@@ -81,8 +76,7 @@ def rectangle_gap_m(x_m: float, y_m: float, yaw_rad: float) -> float:
     if separated_by_no_axis(corners, other):
         return 0.0
     return min(
-        min(corner_to_edges_m(p, other) for p in corners),
-        min(corner_to_edges_m(p, corners) for p in other),
+        min(corner_to_edges_m(p, other) for p in corners), min(corner_to_edges_m(p, corners) for p in other)
     )
 
 
@@ -109,9 +103,7 @@ def corner_to_edges_m(point: tuple[float, float], shape: list[tuple[float, float
     return best
 
 
-def test_the_front_gap_is_the_bumper_to_bumper_distance_in_the_corridor(
-    world: UrbanWorld, engine: Engine
-) -> None:
+def test_front_gap_is_the_bumper_to_bumper_distance_in_corridor(world: UrbanWorld, engine: Engine) -> None:
     ego, lead, oncoming = world.ego, world.vehicles[0], world.vehicles[1]
     facts = Facts(world, engine)
     lead.x_m, lead.y_m, lead.yaw_rad = ego.x_m + 14.0, ego.y_m, 0.0
@@ -165,9 +157,7 @@ def test_a_rear_end_collision_counts_for_the_ego(world: UrbanWorld, engine: Engi
     assert sample.front_gap_m == 0.0
 
 
-def test_a_person_walking_into_a_standing_ego_is_not_a_collision_of_the_ego(
-    world: UrbanWorld, engine: Engine
-) -> None:
+def test_a_person_walking_into_a_standing_ego_is_no_ego_collision(world: UrbanWorld, engine: Engine) -> None:
     ego, person = world.ego, world.walkers[0]
     facts = Facts(world, engine)
     person.x_m, person.y_m, person.phase, person.speed_mps = ego.x_m, ego.y_m + 1.0, Phase.CROSSING, 1.4
@@ -183,7 +173,7 @@ def test_a_person_walking_into_a_standing_ego_is_not_a_collision_of_the_ego(
 
 @pytest.mark.parametrize("overlap_m", [0.02, 0.1, 0.3, 0.9])
 @pytest.mark.parametrize("phase_m", [0.0, 0.1, 0.2, 0.3, 0.39])
-def test_contact_with_a_moving_ego_is_always_a_collision(
+def test_contact_in_motion_is_a_collision(
     world: UrbanWorld, engine: Engine, overlap_m: float, phase_m: float
 ) -> None:
     """Contact with a person at the corner, a person walking into the side, and a car from the side."""
@@ -210,9 +200,7 @@ def test_contact_with_a_moving_ego_is_always_a_collision(
 
 
 @pytest.mark.parametrize("sunk_m", [0.05, 0.2, 0.31, 0.39])
-def test_a_vehicle_that_the_ego_has_run_into_is_still_ahead(
-    world: UrbanWorld, engine: Engine, sunk_m: float
-) -> None:
+def test_a_vehicle_hit_by_the_ego_is_still_ahead(world: UrbanWorld, engine: Engine, sunk_m: float) -> None:
     ego, lead = world.ego, world.vehicles[0]
     facts = Facts(world, engine)
     ego.speed_mps, lead.speed_mps = 8.0, 0.0

@@ -17,14 +17,9 @@ from brink.sim.trace import Trace
 from brink.sim.urban.simulator import BrinkDrive
 
 SCENARIO: JsonObject = {
-    "time_of_day": "night",
-    "weather": "medium_rain",
-    "pedestrians": 18,
-    "road_curve": "crossroad",
-    "road_id": 1,
-    "road_length": 1,
-    "driving_task": "second_exit",
-}
+    "time_of_day": "night", "weather": "medium_rain", "pedestrians": 18, "road_curve": "crossroad", "road_id": 1,
+    "road_length": 1, "driving_task": "second_exit",
+}  # fmt: skip
 ORACLE = EpisodeSpec(
     simulator="brink-drive@1",
     scenario=SCENARIO,
@@ -157,9 +152,7 @@ def test_the_last_sample_of_a_collision_shows_the_contact(simulator: BrinkDrive)
     pytest.fail("too few collisions with other road users")
 
 
-def test_injected_boxes_reach_the_driving_system_and_true_boxes_are_recorded_too(
-    simulator: BrinkDrive,
-) -> None:
+def test_injected_boxes_reach_the_driving_system_and_true_boxes_are_recorded(simulator: BrinkDrive) -> None:
     ghost: JsonObject = {"label": "person", "t0_step": 5.0, "t1_step": 40.0}
     for end in (0, 1):
         ghost |= {f"x_min_{end}_px": 380.0, f"x_max_{end}_px": 430.0}
@@ -201,9 +194,7 @@ def test_an_ego_without_detections_drives_into_slow_traffic(simulator: BrinkDriv
         ({"behaviour": {"mode": "injected"}}, "behaviour.trajectories: missing"),
     ],
 )
-def test_invalid_specifications_are_rejected(
-    simulator: BrinkDrive, changes: dict[str, object], expected: str
-) -> None:
+def test_invalid_specs_are_rejected(simulator: BrinkDrive, changes: dict[str, object], expected: str) -> None:
     with pytest.raises(InvalidEpisode, match=expected):
         simulator.run(replace(ORACLE, **changes))  # type: ignore[arg-type]
 

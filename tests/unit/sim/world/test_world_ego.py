@@ -73,7 +73,7 @@ def test_a_standing_car_does_not_roll_backwards_on_a_hill() -> None:
     st.floats(0.3, 1.0),
     st.lists(st.tuples(st.floats(-20, 20), st.floats(-2, 2)), min_size=1, max_size=8),
 )
-def test_no_command_exceeds_the_friction_circle(
+def test_friction_circle_holds(
     speed_mps: float, friction: float, commands: list[tuple[float, float]]
 ) -> None:
     car = EgoCar((0.0, 0.0, 0.0), speed_mps, friction=friction)
@@ -95,19 +95,14 @@ FIDELITIES = ("bicycle", "wheels")
 SPEC = EpisodeSpec(
     simulator="brink-drive@1",
     scenario={
-        "time_of_day": "noon",
-        "weather": "wet",
-        "pedestrians": 0,
-        "road_curve": "left",
-        "road_id": 1,
-        "road_length": 0,
-        "driving_task": "follow_road",
+        "time_of_day": "noon", "weather": "wet", "pedestrians": 0, "road_curve": "left", "road_id": 1,
+        "road_length": 0, "driving_task": "follow_road",
     },
     behaviour={"mode": "injected", "trajectories": []},
     requirements=("front-gap@1", "lane-keeping@1"),
     seed=3,
     duration_s=8.0,
-)
+)  # fmt: skip
 
 
 def car(fidelity: str, speed_mps: float, friction: float) -> EgoMotion:
@@ -143,9 +138,7 @@ def cornering_mps2(fidelity: str, speed_mps: float, friction: float) -> float:
 
 @pytest.mark.parametrize("friction", [0.9, 0.6, 0.4])
 @pytest.mark.parametrize("speed_mps", [15.0, 20.0])
-def test_both_models_brake_within_the_distance_that_friction_allows(
-    speed_mps: float, friction: float
-) -> None:
+def test_both_models_brake_within_the_distance_friction_allows(speed_mps: float, friction: float) -> None:
     expected_m = speed_mps**2 / (2 * friction * GRAVITY_MPS2)
     bicycle, wheels = (braking_distance_m(fidelity, speed_mps, friction) for fidelity in FIDELITIES)
     assert bicycle == pytest.approx(expected_m, rel=0.05)

@@ -24,9 +24,7 @@ lines = st.builds(ReferenceLine, st.floats(-50, 50), st.floats(-50, 50), st.floa
 
 
 @given(lines, st.floats(-40, 80), st.floats(-3, 3), st.floats(-3, 3))
-def test_projection_inverts_placement(
-    line: ReferenceLine, station_m: float, offset_m: float, hint_m: float
-) -> None:
+def test_projection_is_inverse(line: ReferenceLine, station_m: float, offset_m: float, hint_m: float) -> None:
     x_m, y_m, _ = line.pose_at(station_m, offset_m)
     found = line.project(x_m, y_m, station_m + hint_m)
     assert found == pytest.approx((station_m, offset_m), abs=1e-6)
@@ -153,16 +151,7 @@ def test_no_fixture_stands_on_a_lane() -> None:
 
 def test_scenes_contain_every_kind_of_surface() -> None:
     kinds = {surface.kind for road in ROADS for surface in scene_surfaces(road)}
-    assert kinds == {
-        "road",
-        "pavement",
-        "marking",
-        "crossing",
-        "stop-line",
-        "building",
-        "parked-car",
-        "tree",
-    }
+    assert kinds == {"road", "pavement", "marking", "crossing", "stop-line", "building", "parked-car", "tree"}
 
 
 def test_equal_roads_are_the_same_object() -> None:

@@ -17,26 +17,16 @@ from brink.sim.world.world import STEP_S, UrbanWorld, make_world
 ROAD = ReferenceLine(0.0, 0.0, 0.0, [Piece(300.0)])
 STYLE = DrivingStyle(speed_mps=8.0, headway_s=1.2, braking_mps2=2.8, friction=0.9)
 SCENARIO = UrbanScenario(
-    time_of_day=TimeOfDay.NOON,
-    weather=Weather.CLEAR,
-    pedestrians=18,
-    road_curve=RoadCurve.STRAIGHT,
-    road_id=1,
-    road_length=2,
-    driving_task=DrivingTask.FOLLOW_ROAD,
-)
+    time_of_day=TimeOfDay.NOON, weather=Weather.CLEAR, pedestrians=18, road_curve=RoadCurve.STRAIGHT, road_id=1,
+    road_length=2, driving_task=DrivingTask.FOLLOW_ROAD,
+)  # fmt: skip
 
 
 def vehicle(station_m: float, *, speed_mps: float = 8.0, stops: tuple[StopPoint, ...] = ()) -> Vehicle:
     return Vehicle(
-        name=f"at-{station_m}",
-        size=CAR,
-        path=ROAD,
-        station_m=station_m,
-        speed_mps=speed_mps,
-        style=STYLE,
+        name=f"at-{station_m}", size=CAR, path=ROAD, station_m=station_m, speed_mps=speed_mps, style=STYLE,
         stops=stops,
-    )
+    )  # fmt: skip
 
 
 def drive(vehicles: list[Vehicle], seconds: float, others: tuple[Mover, ...] = ()) -> None:
@@ -50,17 +40,9 @@ def drive(vehicles: list[Vehicle], seconds: float, others: tuple[Mover, ...] = (
 
 def walker(crosses_at_m: float | None, *, patience_s: float = 1.0, on_zebra: bool = False) -> Walker:
     return Walker(
-        name="walker",
-        centre=ROAD,
-        station_m=40.0,
-        offset_m=5.0,
-        speed_mps=1.3,
-        ahead=True,
-        crosses_at_m=crosses_at_m,
-        kerb_m=3.5,
-        patience_s=patience_s,
-        on_zebra=on_zebra,
-    )
+        name="walker", centre=ROAD, station_m=40.0, offset_m=5.0, speed_mps=1.3, ahead=True,
+        crosses_at_m=crosses_at_m, kerb_m=3.5, patience_s=patience_s, on_zebra=on_zebra,
+    )  # fmt: skip
 
 
 def test_a_vehicle_stops_behind_a_standing_one() -> None:
