@@ -8,6 +8,9 @@ WITHOUT_TORCH := --follow-imports=silent --exclude 'perception/(network|training
 PROCESSES = $(shell $(BIN)/python -c 'import os; print(min(4, 1 + (os.cpu_count() or 1)))')
 PIP    := $(BIN)/python -m pip --disable-pip-version-check
 
+# Tests start hundreds of processes, which would otherwise compile every module again.
+export PYTHONDONTWRITEBYTECODE :=
+
 .DEFAULT_GOAL := help
 .PHONY: help run test test-all check install dev chromium screenshots clean
 

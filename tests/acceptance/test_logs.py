@@ -109,9 +109,10 @@ def test_details_are_not_logged_unless_asked_for(database: str, tmp_path: Path) 
     "environment",
     [
         pytest.param(JSON_LOGS, id="json"),
-        pytest.param(TEXT_LOGS, id="text", marks=pytest.mark.long("runs a campaign")),
+        pytest.param(TEXT_LOGS, id="text"),
     ],
 )
+@pytest.mark.long("runs a campaign")
 def test_no_secret_is_logged_at_any_level(database: str, tmp_path: Path, environment: dict[str, str]) -> None:
     password, token, guess = (f"{name}-{secrets.token_hex(8)}" for name in ("word", "token", "guess"))
     url = make_url(database).set(password=password).render_as_string(hide_password=False)

@@ -7,6 +7,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Page
 from playwright.sync_api import expect as shown
+from support.marks import mostly_long
 
 from browser.console import Console
 from browser.served import Served, origin
@@ -30,7 +31,7 @@ def faults(page: Page, options: dict[str, Any]) -> list[str]:
     ]
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("theme", mostly_long(["light", "dark"], ["light"], "checks every view once more"))
 def test_no_view_has_a_serious_fault(site: Served, views: list[View], visit: Visits, theme: Theme) -> None:
     page = visit(site.url, theme=theme)
     found = {}

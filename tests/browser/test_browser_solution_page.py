@@ -122,6 +122,7 @@ def test_episode_without_a_capable_worker_is_made_when_one_appears(
     shown(page.locator("output.clock")).to_have_text("0.0 / 19.9 s")
 
 
+@pytest.mark.long("simulates with real workers")
 def test_solution_can_be_simulated_again_after_its_campaign_ended(own: httpx.Client, visit: Visits) -> None:
     campaign, worker = submit(own, ball()), FakeWorker(own, judge=with_trace)
     while not progress(own, campaign)["generations"]:

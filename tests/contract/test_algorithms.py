@@ -1,5 +1,6 @@
 """Every registered algorithm keeps its contract on every kind of space that it supports."""
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
@@ -55,9 +56,19 @@ def supports(plugin_id: str, space: SearchSpace) -> bool:
     return needed is None or any(isinstance(rule, needed[0]) for rule in rules)
 
 
-@pytest.mark.parametrize("space", SPACES.values(), ids=SPACES)
-@pytest.mark.parametrize("plugin_id", plugin_ids(GROUP))
-def test_algorithm_keeps_its_contract(plugin_id: str, space: SearchSpace) -> None:
+LONG = [("mumoea@1", "traffic"), ("mosat@1", "traffic")]
+"""Pairs that take seconds; NSGA-II, on which both build, runs every time."""
+
+
+@pytest.mark.parametrize(
+    ("plugin_id", "name"),
+    [
+        pytest.param(*pair, marks=pytest.mark.long("takes seconds") if pair in LONG else ())
+        for pair in itertools.product(plugin_ids(GROUP), SPACES)
+    ],
+)
+def test_algorithm_keeps_its_contract(plugin_id: str, name: str) -> None:
+    space = SPACES[name]
     checked = algorithm(plugin_id)
     assert checked.id == plugin_id
     if not supports(plugin_id, space):

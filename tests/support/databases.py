@@ -28,7 +28,6 @@ SQLITE_THEN_POSTGRES = ("sqlite", pytest.param("postgres", marks=pytest.mark.lon
 """What the `databases` fixtures run on: on SQLite always, on Postgres with the long tests."""
 
 on_sqlite = pytest.mark.parametrize("databases", BACKENDS[:1], indirect=True)
-on_sqlite_then_postgres = pytest.mark.parametrize("databases", SQLITE_THEN_POSTGRES, indirect=True)
 on_postgres = pytest.mark.parametrize("databases", BACKENDS[1:], indirect=True)
 
 FAST = {

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from sqlalchemy import text
 from support.api import FakeWorker, ball, coordinator, eventually, expect, listening_coordinator, submit
-from support.databases import Databases, on_sqlite_then_postgres
+from support.databases import Databases
 from typer.testing import CliRunner
 
 import brink.server.access.authentication
@@ -246,7 +246,7 @@ def test_whoever_has_the_database_needs_no_token(engines: Engines, database_url:
     assert looked.exit_code == 0, looked.output
 
 
-@on_sqlite_then_postgres
+@pytest.mark.long("runs a campaign")
 def test_a_run_works_on_a_database_with_tokens(engines: Engines, database_url: str, tmp_path: Path) -> None:
     made(engines, "user")
     file = tmp_path / "small.yaml"

@@ -249,7 +249,10 @@ def test_damage_is_noticed(exported: tuple[str, str, Path], tmp_path: Path) -> N
     with pytest.raises(BadFile, match=r"solutions\.jsonl: damaged"):
         run("import", str(changed), "--database", f"sqlite:///{tmp_path}/new.db")
     (tmp_path / "short.brink").write_bytes(exported[2].read_bytes()[:900])
-    for other, words in (("short.brink", "expected a file of brink export"), ("none.brink", "no such file")):
+    for other, words in (
+        ("short.brink", "expected an undamaged file of brink export"),
+        ("none.brink", "no such file"),
+    ):
         with pytest.raises(BadFile, match=words):
             run("import", str(tmp_path / other), "--database", f"sqlite:///{tmp_path}/new.db")
 

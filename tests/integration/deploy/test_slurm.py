@@ -67,6 +67,7 @@ def test_slurm_signals_the_worker_before_the_time_limit() -> None:
 
 
 @on_sqlite
+@pytest.mark.long("runs a campaign")
 def test_task_runs_a_campaign_and_exits_cleanly(
     running: Site, token_file: Path, small_problems: None
 ) -> None:

@@ -461,6 +461,7 @@ def test_archive_is_scored_with_other_settings(listening_client: httpx.Client, t
 
 
 @on_sqlite
+@pytest.mark.long("runs an experiment")
 def test_searches_with_other_settings_become_an_experiment(databases: Databases, tmp_path: Path) -> None:
     file = tmp_path / "campaign.yaml"
     file.write_text(yaml.safe_dump(SENSITIVITY))

@@ -65,6 +65,7 @@ def seen_by(seed: int, **behaviour: Any) -> EpisodeSpec:
     return replace(base, behaviour={"mode": "detector", "detector": "known@1", **behaviour})
 
 
+@pytest.mark.long("drives with a camera")
 def test_a_detector_that_finds_nothing_hits_the_pedestrian(known: Known) -> None:
     result = SIMULATOR.run(seen_by(1))
     assert result.features["collided_with"] == "pedestrian"
@@ -107,6 +108,7 @@ def test_the_same_specification_gives_the_same_pictures_and_trace(known: Known) 
     assert len(Trace.from_bytes(first.trace).seen_boxes.rows) > 0
 
 
+@pytest.mark.long("draws many pictures")
 def test_labelled_pictures_are_reproducible_and_differ_between_splits() -> None:
     first, again = list(labelled_frames(Split.TRAIN, 3)), list(labelled_frames(Split.TRAIN, 3))
     other = list(labelled_frames(Split.TEST, 3))

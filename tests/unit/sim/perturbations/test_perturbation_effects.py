@@ -256,6 +256,7 @@ def unlike(a: Frame, b: Frame, sigma_px: float) -> float:
     return float(1 - np.corrcoef(smooth[0], smooth[1])[0, 1])
 
 
+@pytest.mark.long("averages many frames")
 def test_larger_grid_holes_hide_more_at_the_same_total_area() -> None:
     frames = (street(720), blocks(720))
     levels = range(1, 9)

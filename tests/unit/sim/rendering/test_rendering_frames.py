@@ -62,6 +62,7 @@ def test_the_order_of_the_bodies_does_not_matter(bodies: list[Body]) -> None:
     assert np.array_equal(found.ids, expected.ids)
 
 
+@pytest.mark.long("draws many pictures")
 def test_light_and_weather_change_the_picture_and_never_the_mask() -> None:
     expected = NOON.frame(EGO, sample_traffic(), 0.0)
     for time_of_day in TimeOfDay:
