@@ -9,6 +9,7 @@ because Ray writes the environment of actors, but not their arguments, to its lo
 """
 
 import logging
+import math
 import os
 import socket
 import time
@@ -106,7 +107,8 @@ class _Member:
     actor: Any
     work: Any
     location: Any
-    started_s: float
+    requested_s: float
+    placed_s: float = math.inf
     leaving: bool = False
     node: str = ""
     log_fields: dict[str, object] = field(default_factory=dict)
@@ -118,8 +120,8 @@ class _Member:
 
     @property
     def healthy(self) -> bool:
-        """Whether the worker has run for a while."""
-        return self.placed and time.monotonic() - self.started_s >= HEALTHY_S
+        """Whether the worker has run for a while; the time that it waited for a CPU does not count."""
+        return time.monotonic() - self.placed_s >= HEALTHY_S
 
 
 def run_pool(settings: PoolSettings) -> int:
@@ -185,7 +187,7 @@ class Pool:
                 self._settings.worker, self._settings.level, self._settings.log_format
             )
             self._members.append(
-                _Member(actor, actor.work.remote(), actor.locate.remote(), started_s=time.monotonic())
+                _Member(actor, actor.work.remote(), actor.locate.remote(), requested_s=time.monotonic())
             )
 
     def _room(self) -> int:
@@ -212,7 +214,7 @@ class Pool:
             self._handle_end(member)
         if self._settings.workers is None:
             horizon_s = time.monotonic() - PLACEMENT_TIMEOUT_S
-            self._kill([m for m in self._members if not m.placed and m.started_s < horizon_s])
+            self._kill([m for m in self._members if not m.placed and m.requested_s < horizon_s])
 
     def _update_location(self, member: _Member) -> None:
         if not ray.wait([member.location], timeout=0)[0]:
@@ -222,6 +224,7 @@ class Pool:
         except RayError as error:
             log.debug("an actor was not placed: %s", _one_line(error))
             return
+        member.placed_s = time.monotonic()
         log.info("worker started", extra=member.log_fields)
 
     def _handle_end(self, member: _Member) -> None:

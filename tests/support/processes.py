@@ -19,7 +19,7 @@ import httpx
 
 TESTS = Path(__file__).resolve().parents[1]
 ROOT = TESTS.parent
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 BRINK = str(Path(sys.executable).with_name("brink"))
 TOY = {"BRINK_PLUGINS": "support.problem_plugin,faulty_simulator"}
 """Lets coordinators find ``ball@1`` and workers find ``faulty@1``."""
