@@ -147,16 +147,19 @@ def with_api(server: str | None, database: str | None, work: Callable[[Api], Awa
         DatabaseError: The database is missing or unusable.
         InvalidInput: The URL or the token is malformed.
     """
+    # Not returned by the task: `asyncio.run` formats the finished task, which takes long for arrays.
+    results: list[T] = []
 
-    async def run() -> T:
+    async def run() -> None:
         if server is None:
             opened = in_process(settings_with(database=database))
         else:
             opened = connect(server, os.environ.get("BRINK_TOKEN") or None)
         async with opened as api:
-            return await work(api)
+            results.append(await work(api))
 
-    return asyncio.run(run())
+    asyncio.run(run())
+    return results[0]
 
 
 def delete_confirmed(

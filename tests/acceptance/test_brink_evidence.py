@@ -16,7 +16,7 @@ BODY: dict[str, Any] = {
     "name": "half",
     "problem": {"id": "urban-injected@1"},
     "algorithm": {"id": "random@1", "params": {"radius": 1.0, "p_th": 0.31, "z": 0.2}},
-    "budget": {"simulations": 90},
+    "budget": {"simulations": 60},
     "seed": 3,
     "repeats": 2,
 }

@@ -36,6 +36,7 @@ def found(output: str) -> list[dict[str, Any]]:
     return [{**repeat, "campaign": ""} for repeat in results["repeats"]]
 
 
+@on_sqlite
 @pytest.mark.long("runs an experiment twice")
 def test_killed_experiment_resumes(databases: Databases, tmp_path: Path, small_problems: None) -> None:
     file = written(tmp_path)
@@ -65,14 +66,11 @@ def test_killed_experiment_resumes(databases: Databases, tmp_path: Path, small_p
 @on_sqlite
 def test_a_file_without_an_experiment_creates_nothing(databases: Databases, tmp_path: Path) -> None:
     file = tmp_path / "wrong.yaml"
-    file.write_text(yaml.safe_dump({**EXPERIMENT, "algorithms": [{"id": "ga@1"}, {"id": "gaa@1"}]}))
-    said = brink("experiment", "run", str(file), cwd=tmp_path)
-    assert said.returncode == 1
-    assert "/problems/0/id" in said.stderr, "ball@1 is known to tests alone"
     file.write_text(
         yaml.safe_dump({**EXPERIMENT, "problems": [{"id": "mtq@1"}], "algorithms": [{"id": "gaa@1"}]})
     )
     said = brink("experiment", "run", str(file), cwd=tmp_path)
+    assert said.returncode == 1
     assert "/algorithms/0/id" in said.stderr
     assert "did you mean 'ga@1'" in said.stderr
     assert not list(tmp_path.glob("*.db"))

@@ -52,7 +52,7 @@ def test_a_campaign_is_traced_through_coordinator_and_worker_by_id(database: str
         running.start_workers(1, "--id", "w-17")
         fault = {"id": "ball@1", "params": {"fault": "exit", "fault_from": 1.6}}
         campaign = running.submit(
-            ball(problem=fault, simulations=40, execution={"max_attempts": 1, "max_failed_share": 1.0})
+            ball(problem=fault, simulations=20, execution={"max_attempts": 1, "max_failed_share": 1.0})
         )
         done = running.await_end(campaign)
         assert done["status"] == "finished"

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from support.api import ball, eventually, undisturbed_digest
 from support.databases import Databases, on_sqlite
-from support.processes import BRINK, TOY, Program, Site, site
+from support.processes import BRINK, PATIENCE_S, TOY, Program, Site, site
 
 RAY = str(Path(sys.executable).with_name("ray"))
 QUICK = {**TOY, "BRINK_RETRY_BACKOFF_S": "0.05", "BRINK_SWEEP_S": "0.1"}
@@ -92,7 +92,7 @@ def test_killing_an_actor_changes_no_result(running: Site, ray_home: Path, small
     slow = ball(simulations=60, problem={"id": "ball@1", "params": {"slow_s": 0.05}})
     campaign = running.submit(slow)
     running.await_progress(campaign, simulations=5)
-    eventually(lambda: len(workers(running)) == 2, "both actors work")
+    eventually(lambda: len(workers(running)) == 2, "both actors work", PATIENCE_S)
     token = running.env["BRINK_TOKEN"].encode()
     lines = command_lines()
     assert any(line.startswith(b"ray::") for line in lines), "actors are seen"
@@ -103,11 +103,11 @@ def test_killing_an_actor_changes_no_result(running: Site, ray_home: Path, small
     done = running.await_end(campaign)
     assert (done["status"], done["failed"]) == ("finished", 0)
     assert done["digest"] == undisturbed_digest(slow)
-    eventually(lambda: len(workers(running)) == 3, "another actor took the dead one's place")
+    eventually(lambda: len(workers(running)) == 3, "another actor took the dead one's place", PATIENCE_S)
     assert started.await_line(r"worker lost: .* worker=(\S+)")[1] == victim["id"]
 
     long = running.submit(ball(problem={"id": "ball@1", "params": {"slow_s": 1.0}}))
-    eventually(lambda: leased(running) > 2, "the workers hold jobs")
+    eventually(lambda: leased(running) > 2, "the workers hold jobs", PATIENCE_S)
     started.signal(signal.SIGTERM)
     assert started.wait() == 0, started.output
     assert leased(running) == 0, "what was not simulated was given back"
@@ -137,7 +137,7 @@ def test_a_pool_follows_its_cluster(running: Site) -> None:
         started = pool(running, "--ray", "auto", BRINK_LOG_FORMAT="json")
         started.await_line('"message": "worker started"')
         with node(running, f"--address={address}"):
-            eventually(lambda: len(workers(running)) == 2, "a worker on the new node")
+            eventually(lambda: len(workers(running)) == 2, "a worker on the new node", PATIENCE_S)
             assert started.output.count("worker started") == 2
             seen = started.await_line('"message": "worker started".*"worker": "([^"]+)"')[1]
             other = next(iter(set(workers(running)) - {seen}))

@@ -39,13 +39,15 @@ def _roomy(folder: Path) -> bool:
 
 
 class LongestFirst(LoadFileScheduling):  # type: ignore[misc]
-    """Distributes whole files, whose tests share fixtures; the folders whose tests take longest come first.
+    """Distributes whole files, whose tests share fixtures; what takes longest comes first.
 
     The tests of the dashboard in a browser share one site, so they all go to one process.
     """
 
     TOGETHER = "tests/browser"
-    FIRST = (TOGETHER, "tests/acceptance", "tests/integration")
+    FIRST = (
+        TOGETHER, "tests/integration/database/test_queue_machine.py", "tests/acceptance", "tests/integration",
+    )  # fmt: skip
 
     def _split_scope(self, nodeid: str) -> str:
         return self.TOGETHER if nodeid.startswith(self.TOGETHER) else str(super()._split_scope(nodeid))

@@ -57,7 +57,22 @@ def statements_of(engine: Engine, run: Callable[[], Any]) -> list[Statement]:
     return said
 
 
-@pytest.fixture(params=[(), ("VACUUM",), ("ANALYZE",), ("VACUUM", "ANALYZE")], ids=" and ".join)
+TIDYINGS = ((), ("VACUUM",), ("ANALYZE",), ("VACUUM", "ANALYZE"))
+"""What Postgres may have done by itself since most jobs were done."""
+
+
+def tidied(*backends: str) -> pytest.MarkDecorator:
+    """Run a test on `stale` queues: one on SQLite, which never tidies up, and one per tidying on Postgres."""
+    cases = {"sqlite": [("sqlite", ())], "postgres": [("postgres", tidying) for tidying in TIDYINGS]}
+    return pytest.mark.parametrize(
+        ("databases", "stale"),
+        [case for backend in backends for case in cases[backend]],
+        ids=lambda value: value if isinstance(value, str) else " and ".join(value) or "untidied",
+        indirect=True,
+    )
+
+
+@pytest.fixture
 def stale(databases: Databases, request: pytest.FixtureRequest) -> Iterator[Queue]:
     """A queue of which nearly everything is done since its statistics were made, or Postgres tidied up by itself."""
     with databases.database() as url:
@@ -192,6 +207,7 @@ BY_HAND = ("not_before IS NOT NULL", "lease_expires_at IS NOT NULL")
 """What the test itself says."""
 
 
+@tidied("sqlite", "postgres")
 @pytest.mark.parametrize(
     ("work", "least"), [(hot, 10), (periodic, 7), (watching, 8)], ids=["hot", "periodic", "watching"]
 )
@@ -254,23 +270,25 @@ def test_no_hot_question_looks_through_all_that_waits(databases: Databases) -> N
         engines.dispose()
 
 
+@tidied("sqlite", "postgres")
 def test_a_scan_would_be_noticed(stale: Queue) -> None:
     query = "SELECT id FROM jobs WHERE last_error = 'boom' ORDER BY id"
     with stale.engines.writer.connect() as connection:
         assert reads_all_jobs(looked_at(connection, (query, ())))
 
 
-@on_postgres
-@pytest.mark.parametrize(
-    "condition",
-    [
-        "status = %(leased)s AND lease_expires_at < %(now)s",  # which may be asked with another status
-        "campaign_id = %(campaign)s AND last_error = 'boom'",
-        "id > %(after)s",
-    ],
+LOOKS = (
+    "status = %(leased)s AND lease_expires_at < %(now)s",  # which may be asked with another status
+    "campaign_id = %(campaign)s AND last_error = 'boom'",
+    "id > %(after)s",
 )
-def test_a_look_through_an_index_of_all_jobs_would_be_noticed(stale: Queue, condition: str) -> None:
+"""Conditions for which Postgres looks through an index of all jobs."""
+
+
+@tidied("postgres")
+def test_a_look_through_an_index_of_all_jobs_would_be_noticed(stale: Queue) -> None:
     with stale.engines.writer.connect() as connection:
-        plan = looked_at(connection, (f"SELECT id FROM jobs WHERE {condition}", {}))
-        assert "Seq Scan" not in plan
-        assert reads_all_jobs(plan), plan
+        for condition in LOOKS:
+            plan = looked_at(connection, (f"SELECT id FROM jobs WHERE {condition}", {}))
+            assert "Seq Scan" not in plan
+            assert reads_all_jobs(plan), plan

@@ -82,6 +82,7 @@ def test_an_experiment_is_submitted_with_all_of_its_campaigns(client: httpx.Clie
             {"problems": [{"id": "ball@1"}, {"name": "far", "id": "ball@1", "params": {"limit": 99}}]},
             "/problems/1/params/limit",
         ),
+        ({"problems": [{"id": "bal@1"}]}, "/problems/0/id"),
         ({"algorithms": [{"id": "ga@1"}, {"id": "gaa@1"}]}, "/algorithms/1/id"),
         ({"algorithms": [{"id": "ga@1", "params": {"radius": -1}}]}, "/algorithms/0/params/radius"),
     ],

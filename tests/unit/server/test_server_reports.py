@@ -120,7 +120,14 @@ def test_scores_by_budget_use_the_results_known_at_the_time() -> None:
             assert scores.figures.strict[k, i, j] == strict_dbs(naive, t_b, d_th)
 
 
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("report")
+
+
+@pytest.fixture(scope="module")
 def report(folder: Path) -> str:
+    """The report in Markdown, with its pictures in `folder`."""
     body = parse_experiment({
         "name": "rq1 <script>", "problems": [{"name": "gap", "id": "mtq@1"}],
         "algorithms": [{"name": name, "id": "ga@1"} for name in METHODS], "seeds": {"count": SEEDS + 1},
@@ -137,19 +144,18 @@ def report(folder: Path) -> str:
     )  # fmt: skip
 
 
-def test_the_report_agrees_with_the_tables(tmp_path: Path) -> None:
-    text = report(tmp_path)
+def test_the_report_agrees_with_the_tables(report: str) -> None:
     mean = np.mean(values(Line(problem="gap", method="GA", control=False), Measure.DBS, 3, 1))
-    assert "30 of 33 campaigns have finished" in text
-    assert f"{mean:.1f} [" in text
-    assert "**MLCSHE** and **GA**" in text
-    assert "MLCSHE finds more" in text
-    assert "The control of RS <b> **reads low**" in text
-    assert text.count("![") == 4
+    assert "30 of 33 campaigns have finished" in report
+    assert f"{mean:.1f} [" in report
+    assert "**MLCSHE** and **GA**" in report
+    assert "MLCSHE finds more" in report
+    assert "The control of RS <b> **reads low**" in report
+    assert report.count("![") == 4
 
 
-def test_a_control_that_reads_low_supports_no_conclusion(tmp_path: Path) -> None:
-    lines = [line for line in report(tmp_path).splitlines() if "beside its control" in line]
+def test_a_control_that_reads_low_supports_no_conclusion(report: str) -> None:
+    lines = [line for line in report.splitlines() if "beside its control" in line]
     assert len(lines) == 6
     for line in lines:
         proves_nothing = "the control reads low here, so this proves nothing" in line
@@ -159,8 +165,8 @@ def test_a_control_that_reads_low_supports_no_conclusion(tmp_path: Path) -> None
         )
 
 
-def test_the_page_embeds_its_images_and_no_foreign_html(tmp_path: Path) -> None:
-    page = html_report(report(tmp_path), "rq1 <script>", tmp_path)
+def test_the_page_embeds_its_images_and_no_foreign_html(report: str, folder: Path) -> None:
+    page = html_report(report, "rq1 <script>", folder)
     assert page.count('src="data:image/png;base64,') == 4
     assert "<script>" not in page
     assert "<b>" not in page

@@ -119,7 +119,10 @@ def test_labelled_pictures_are_reproducible_and_differ_between_splits() -> None:
         assert (frame.truth.boxes[:, 2:] > frame.truth.boxes[:, :2]).all()
 
 
-def evaluation(*, frames: int = 12, **behaviour: Any) -> EpisodeSpec:
+FRAMES = 4
+
+
+def evaluation(*, frames: int = FRAMES, **behaviour: Any) -> EpisodeSpec:
     return EpisodeSpec(
         simulator="brink-dataset@1", scenario={"dataset": "simulator", "frames": frames},
         behaviour={"detector": "known@1", **behaviour}, requirements=(), seed=0, duration_s=1.0,
@@ -143,7 +146,7 @@ class Cheating(Known):
 
 def test_alpha_is_one_for_truth_and_zero_for_nothing(monkeypatch: pytest.MonkeyPatch, known: Known) -> None:
     assert EVALUATOR.run(evaluation()).objectives == {"alpha": 0.0}
-    cheat = Cheating(list(labelled_frames(Split.VALIDATION, 12, seed=1)))
+    cheat = Cheating(list(labelled_frames(Split.VALIDATION, FRAMES, seed=1)))
     monkeypatch.setitem(catalogue._registered, DETECTORS, {"known@1": lambda: cheat})
     result = EVALUATOR.run(evaluation())
     assert result.objectives["alpha"] == pytest.approx(1.0)
@@ -155,7 +158,7 @@ def test_the_second_gene_is_applied_to_the_result_of_the_first(known: Known) -> 
     both, known.shown = known.shown, []
     EVALUATOR.run(evaluation(perturbations=FLARE[1:]))
     assert not any(np.array_equal(a, b) for a, b in zip(both, known.shown, strict=True))
-    frames = list(labelled_frames(Split.VALIDATION, 12, seed=1))
+    frames = list(labelled_frames(Split.VALIDATION, FRAMES, seed=1))
     pipeline = Pipeline(parse_perturbations(FLARE), seed=0)
     assert all(
         np.array_equal(pipeline(f.picture, i), s) for i, (f, s) in enumerate(zip(frames, both, strict=True))

@@ -24,7 +24,8 @@ from brink.sim.replay import render_bytes
 from brink.sim.trace import Trace
 from brink.sim.world.ego import EgoCar
 
-SEEDS = range(20)
+FEW, MORE = range(5), range(5, 20)
+SEEDS = mostly_long([FEW, MORE], [FEW], "drives many episodes")
 SIMULATOR = BrinkAeb()
 
 
@@ -32,8 +33,9 @@ def stops(result: EpisodeResult) -> Json:
     return result.features["no-dangerous-stop@1:dangerous_stops"]
 
 
-def test_with_ground_truth_there_is_no_collision_and_no_dangerous_stop() -> None:
-    for seed in SEEDS:
+@pytest.mark.parametrize("seeds", SEEDS)
+def test_with_ground_truth_there_is_no_collision_and_no_dangerous_stop(seeds: range) -> None:
+    for seed in seeds:
         result = SIMULATOR.run(spec(seed))
         assert result.features["collision"] is None, seed
         assert stops(result) == 0, seed
@@ -45,11 +47,12 @@ def test_with_ground_truth_there_is_no_collision_and_no_dangerous_stop() -> None
         assert all(not verdict.violated for verdict in result.verdicts.values())
 
 
+@pytest.mark.parametrize("seeds", SEEDS)
 @pytest.mark.parametrize(
     "off", mostly_long([{"mode": "blind"}, {"braking": False}], [{"mode": "blind"}], "drives many episodes")
 )
-def test_without_braking_the_pedestrian_is_always_hit(off: dict[str, Any]) -> None:
-    for seed in SEEDS:
+def test_without_braking_the_pedestrian_is_always_hit(off: dict[str, Any], seeds: range) -> None:
+    for seed in seeds:
         result = SIMULATOR.run(spec(seed, **off))
         assert result.features["collided_with"] == "pedestrian", seed
         assert result.verdicts["no-collision@1"].violated
@@ -58,7 +61,7 @@ def test_without_braking_the_pedestrian_is_always_hit(off: dict[str, Any]) -> No
 
 @pytest.mark.parametrize("obstacle", mostly_long(["novelty", "anomaly"], ["anomaly"], "drives many episodes"))
 def test_an_unusual_body_is_hit_if_it_is_not_seen(obstacle: str) -> None:
-    for seed in range(5):
+    for seed in range(3):
         assert (
             SIMULATOR.run(spec(seed, mode="blind", obstacle=obstacle)).features["collided_with"] == obstacle
         )
