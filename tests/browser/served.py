@@ -21,7 +21,7 @@ PATIENCE_S = 90.0
 
 URBAN: dict[str, Any] = {
     "name": "night rain",
-    "problem": {"id": "urban-injected@1", "params": {"duration_s": 14.0}},
+    "problem": {"id": "urban-injected@1", "params": {"duration_s": 20.0}},
     "algorithm": {"id": "mlcshe@1", "params": {"population_size": 4}},
     "budget": {"simulations": 40},
     "seed": 8,

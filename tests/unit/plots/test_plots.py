@@ -361,6 +361,7 @@ def test_equal_campaigns_give_equal_files_without_changing_global_state(tmp_path
     assert dict(mpl.rcParams) == before
 
 
+@pytest.mark.long("draws every figure twice")
 def test_figures_can_be_drawn_in_threads(tmp_path: Path) -> None:
     inputs = mtq_campaign(60)
     threads = [

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.marks import mostly_long
 
 HEAVY = {"numpy", "scipy", "sqlalchemy", "fastapi", "uvicorn", "matplotlib", "PIL", "pandas"}
 CLOSED = "http://127.0.0.1:9"
@@ -22,20 +23,25 @@ print("loaded", *sys.modules)
 """
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "quickstart.yaml"
+SUBMITTED = (["submit", str(EXAMPLE), "--server", CLOSED], 1)
 
 
 @pytest.mark.parametrize(
     ("arguments", "status"),
-    [
-        (["--version"], 0),
-        (["--help"], 0),
-        (["status", "--server", CLOSED], 1),
-        (["status", "3f2a", "--server", CLOSED], 1),
-        (["results", "3f2a", "--server", CLOSED], 1),
-        (["pause", "3f2a", "--server", CLOSED], 1),
-        (["experiment", "status", "3f2a", "--server", CLOSED], 1),
-        (["submit", str(EXAMPLE), "--server", CLOSED], 1),
-    ],
+    mostly_long(
+        [
+            (["--version"], 0),
+            (["--help"], 0),
+            (["status", "--server", CLOSED], 1),
+            (["status", "3f2a", "--server", CLOSED], 1),
+            (["results", "3f2a", "--server", CLOSED], 1),
+            (["pause", "3f2a", "--server", CLOSED], 1),
+            (["experiment", "status", "3f2a", "--server", CLOSED], 1),
+            SUBMITTED,
+        ],
+        [(["--help"], 0), SUBMITTED],
+        "starts many processes",
+    ),
     ids=lambda value: value[0] if isinstance(value, list) else None,
 )
 def test_a_client_command_loads_neither_the_search_nor_the_server(arguments: list[str], status: int) -> None:

@@ -63,7 +63,7 @@ def test_boxes_are_converted_to_the_driving_systems_image() -> None:
     assert any(middle == pytest.approx(400 + 400 * 3.0 / 12.7, abs=12) for middle in persons)
 
 
-@pytest.mark.parametrize("curve", mostly_long(RoadCurve, [RoadCurve.LEFT], "drives with a camera"))
+@pytest.mark.parametrize("curve", mostly_long(RoadCurve, [], "drives with a camera"))
 def test_an_empty_road_causes_no_violation_at_the_default_threshold(curve: RoadCurve) -> None:
     away = user("pedestrian", {**KEEPS, "d_m": 45.0})
     told = seen(away, duration_s=20.0)
@@ -75,7 +75,7 @@ def test_an_empty_road_causes_no_violation_at_the_default_threshold(curve: RoadC
 
 
 @pytest.mark.parametrize("curve", list(RoadCurve))
-@pytest.mark.parametrize("road_id", [0, 1, 2])
+@pytest.mark.parametrize("road_id", mostly_long([0, 1, 2], [1], "draws many pictures"))
 def test_every_road_can_be_rendered(curve: RoadCurve, road_id: int) -> None:
     scene = street_scene(build_road(curve, road_id, 0))
     assert scene.buildings

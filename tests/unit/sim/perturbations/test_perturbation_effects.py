@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from perturbed_pictures import blocks, grey, night, perturb, street
 from scipy.stats import norm
+from support.marks import mostly_long
 
 from brink.sim.perturbations import CATALOGUE, Frame
 from brink.sim.perturbations.layers import composite_white, to_layer
@@ -230,7 +231,7 @@ BY_DIFFERENCE = [name for name in CATALOGUE if name not in ("grid_dropout", "rai
 DRAWS = 6
 
 
-@pytest.mark.parametrize("gene", BY_DIFFERENCE)
+@pytest.mark.parametrize("gene", mostly_long(BY_DIFFERENCE, BY_DIFFERENCE[::3], "tries every level"))
 def test_the_mean_difference_grows_from_level_to_level(gene: str) -> None:
     levels = range(1, CATALOGUE[gene].levels)
     frames = (street(), night(), street()[:, ::-1])
