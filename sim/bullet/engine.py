@@ -54,7 +54,7 @@ class Engine:
 
     @property
     def client(self) -> int:
-        """Id of the physics client, for the ego on wheels."""
+        """Id of the physics client, which the wheeled ego needs."""
         return self._client
 
     def reset(self) -> None:
@@ -114,7 +114,7 @@ class Engine:
         )
 
     def closest(self, one: BodyId, other: BodyId, within_m: float) -> Closest | None:
-        """Return the relative position of two bodies, or None if they are farther apart than a limit.
+        """Return the relative position of two bodies, or None if they are more than `within_m` apart.
 
         Args:
             one: The first body.

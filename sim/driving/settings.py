@@ -1,4 +1,4 @@
-"""All constants of the driving system. With perfect perception, the defaults make a good driver."""
+"""All constants of the driving system. With perfect perception, the defaults drive well."""
 
 from dataclasses import dataclass, field
 

@@ -25,7 +25,7 @@ _SHOES: Final = ((28, 26, 26), (214, 212, 206), (88, 60, 42))
 
 
 class _Limb(NamedTuple):
-    """Joints, radii across and along the body, colour index, and the height in px from which it is drawn."""
+    """A limb: joints, radii across and along the body, colour index, and the body height in px from which it is drawn."""
 
     start: tuple[float, float, float]
     end: tuple[float, float, float]

@@ -56,7 +56,7 @@ EGO_CAR = CarModel()
 
 
 class EgoMotion(Protocol):
-    """The interface of an ego, whichever model simulates it."""
+    """The interface that every motion model of the ego implements."""
 
     x_m: float
     y_m: float
@@ -74,7 +74,7 @@ class EgoMotion(Protocol):
         ...
 
     def drive(self, accel_mps2: float, steer_rad: float, steps: int) -> None:
-        """Drive a number of 100 Hz steps with a constant command, limited to what the car can do.
+        """Drive for `steps` steps of 10 ms with a constant command, limited to what the car can do.
 
         Args:
             accel_mps2: Desired acceleration; negative brakes.
@@ -152,7 +152,7 @@ class EgoCar:
         self._grade_mps2 = GRAVITY_MPS2 * grade
 
     def drive(self, accel_mps2: float, steer_rad: float, steps: int) -> None:
-        """Drive a number of 100 Hz steps with a constant command, limited to what the car can do.
+        """Drive for `steps` steps of 10 ms with a constant command, limited to what the car can do.
 
         Args:
             accel_mps2: Desired acceleration; negative brakes.
