@@ -27,7 +27,7 @@ DANGEROUS_S = 4.0
 STANDS_BELOW_MPS = 0.3
 
 _CONTACT_M = 0.01
-"""Least violation of a collision, so that a contact at zero closing speed is not satisfied."""
+"""Minimum violation of a collision, so that a contact at zero closing speed still counts as a violation."""
 _MIN_OVERRUN_M = 1e-6
 
 
@@ -418,9 +418,9 @@ class Progress(Margin):
 class NoDangerousStop(Margin):
     """`no-dangerous-stop`: emergency braking never brings the ego to a standstill without a reason on the road.
 
-    Robustness: the ego's speed above standstill in m/s while it brakes without a reason; the horizon while it does not
-    brake, or if a person has been in the warning region or heading into it since braking began. Source: Ferreira et
-    al. 2022, who describe dangerous stops without measuring them.
+    Robustness: the ego's speed above standstill in m/s while it brakes without a reason; the horizon while it does
+    not brake, or if a person has been in the warning region or heading into it since braking began. Source: Ferreira
+    et al. 2022, who describe dangerous stops without measuring them.
     """
 
     unit = "m/s"

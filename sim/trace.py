@@ -268,7 +268,7 @@ class Trace:
         except (ValueError, LookupError, TypeError, RecursionError) as error:
             raise InvalidEpisode(f"not a trace: {error}") from error
         if version != TRACE_VERSION:
-            raise InvalidEpisode(f"trace version {version!r}: this code reads version {TRACE_VERSION}")
+            raise InvalidEpisode(f"trace version: expected {TRACE_VERSION}, got {version!r}")
         try:
             return cls._of(header, arrays)
         except (ValueError, LookupError, TypeError, AttributeError) as error:

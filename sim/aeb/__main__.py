@@ -65,19 +65,26 @@ def main(arguments: Sequence[str] | None = None) -> None:
     commands = parser.add_subparsers(required=True)
     training = commands.add_parser("train", help="train brink-det@1 and write its weights")
     training.set_defaults(run=train)
-    training.add_argument("--out", type=Path, required=True, help="output folder for the weights and their metrics")
+    training.add_argument(
+        "--out", type=Path, required=True, help="output folder for the weights and their metrics"
+    )
     training.add_argument(
         "--frames", type=int, default=TRAINING_FRAMES, help="number of training images (%(default)s)"
     )
     training.add_argument("--epochs", type=int, default=EPOCHS, help="number of epochs (%(default)s)")
     training.add_argument(
-        "--seed", type=int, default=0, help="seed of the initial weights, image order and augmentation (%(default)s)"
+        "--seed",
+        type=int,
+        default=0,
+        help="seed of the initial weights, image order and augmentation (%(default)s)",
     )
     evaluation = commands.add_parser("evaluate", help="evaluate a detector on test images")
     evaluation.set_defaults(run=evaluate)
     evaluation.add_argument("--out", type=Path, required=True, help="output folder for the metrics and plots")
     evaluation.add_argument("--detector", default="brink-det@1", help="id of the detector (%(default)s)")
-    evaluation.add_argument("--frames", type=int, default=HELD_OUT_FRAMES, help="number of test images (%(default)s)")
+    evaluation.add_argument(
+        "--frames", type=int, default=HELD_OUT_FRAMES, help="number of test images (%(default)s)"
+    )
     given = vars(parser.parse_args(arguments))
     given["out"].mkdir(parents=True, exist_ok=True)
     given.pop("run")(**given)

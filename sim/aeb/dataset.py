@@ -1,9 +1,9 @@
 """Labelled images of the emergency-braking street, and the evaluator `brink-dataset@1`.
 
 The images show streets at all times of day and in all weather. Training, validation and test use disjoint seeds and
-disjoint appearances (colours, textures, shapes). People stand and walk where the emergency-braking episode places them, and
-elsewhere at all distances. Unusual bodies and perturbations never occur, so that both remain unknown to the detector;
-training varies only the exposure.
+disjoint appearances (colours, textures, shapes). People stand and walk where the emergency-braking episode places
+them, and elsewhere at all distances. Unusual bodies and perturbations never occur, so that both remain unknown to the
+detector; training varies only the exposure.
 
 The evaluator measures a detector on a data set seen through perturbations. It has the interface of a simulator, so
 data-set evaluations are jobs like any other. Perturbations are applied to each frame in order, and the same
@@ -211,7 +211,9 @@ class DatasetEvaluator:
             for curve in curves([truth for _, truth in frames], detections)
         }
         if not by_class:
-            raise SimulationCrashed("expected at least one true box that is not ignored in the data set, got none")
+            raise SimulationCrashed(
+                "expected at least one true box that is not ignored in the data set, got none"
+            )
         alpha = math.fsum(by_class.values()) / len(by_class)
         return EpisodeResult(
             verdicts={},
@@ -238,7 +240,9 @@ def _parse_request(spec: EpisodeSpec) -> _Request:
             raise InvalidEpisode(f"scenario: unknown field {name!r}; expected {', '.join(known)}")
     dataset, digest = spec.scenario.get("dataset", SIMULATOR_DATA), spec.scenario.get("digest", "")
     if not isinstance(dataset, str) or not isinstance(digest, str):
-        raise InvalidEpisode(f"scenario.dataset: expected {SIMULATOR_DATA!r} or the path of an annotations file, got {dataset!r}")
+        raise InvalidEpisode(
+            f"scenario.dataset: expected {SIMULATOR_DATA!r} or the path of an annotations file, got {dataset!r}"
+        )
     frames = _whole("frames", spec.scenario.get("frames"), 1, MAX_FRAMES)
     return _Request(dataset, frames, _whole("seed", spec.scenario.get("seed", 0), 0, 2**31), digest)
 
@@ -280,7 +284,7 @@ def _read_picture(one: CocoPicture) -> Picture:
         raise InvalidEpisode(f"scenario.dataset: {one.file} cannot be read as an image")
     if picture.shape[:2] != (one.height_px, one.width_px):
         raise InvalidEpisode(
-            f"scenario.dataset: {one.file}: expected {one.width_px} x {one.height_px} px according to the annotations, "
-            f"got {picture.shape[1]} x {picture.shape[0]}"
+            f"scenario.dataset: {one.file}: expected {one.width_px} x {one.height_px} px according to the "
+            f"annotations, got {picture.shape[1]} x {picture.shape[0]}"
         )
     return np.asarray(picture, np.uint8)

@@ -156,7 +156,7 @@ class CameraSight:
         street: The street.
         light: Time of day and weather.
         size_px: Size of the images.
-        seed: The episode's seed, for looks and perturbations.
+        seed: The episode's seed, for appearances and perturbations.
         detector: The detector.
         threshold: Minimum score of a detection reported to the brake.
         perturbations: Applied in order.

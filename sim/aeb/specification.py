@@ -1,8 +1,8 @@
 """The specification of an emergency-braking episode: scenario, behaviour, options, and their descriptions.
 
 Medium and hard rain are excluded: their friction is too low to stop in time for a pedestrian at this distance,
-however good the detector is. This module imports no rendering, physics or neural-network code, so a coordinator can read
-specifications.
+however good the detector is. This module imports no rendering, physics or neural-network code, so a coordinator can
+read specifications.
 
 Source: Ferreira et al. 2022, the experiment's scenario.
 """

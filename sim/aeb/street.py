@@ -1,8 +1,8 @@
 """The street of an emergency-braking episode, and the road users on it.
 
 The street runs along x. The ego's lane lies around y = -1.75 m and the oncoming lane around y = +1.75 m; each side
-has a strip with parked vehicles, a pavement and buildings. Everything that the scenario leaves open (appearances, gaps,
-people on the pavement) comes from the episode's seed.
+has a strip with parked vehicles, a pavement and buildings. Everything that the scenario leaves open (appearances,
+gaps, people on the pavement) comes from the episode's seed.
 """
 
 import math

@@ -17,7 +17,7 @@ import pybullet
 
 BodyId = NewType("BodyId", int)
 EngineError: type[Exception] = pybullet.error
-"""Raised by the engine when it breaks down."""
+"""Raised by the engine when it fails."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,7 +119,7 @@ class Engine:
         Args:
             one: The first body.
             other: The second body.
-            within_m: Greatest clearance to report.
+            within_m: Maximum clearance to report.
         """
         points = pybullet.getClosestPoints(one, other, within_m, physicsClientId=self._client)
         if not points:

@@ -1,9 +1,10 @@
 """The ego of `fidelity: wheels`: a chassis on four sphere wheels, driven and braked by the physics engine.
 
-The car is described in URDF, which is generated here. Spheres touch the ground in one point, so grip is Coulomb friction
-at four loaded contacts, and load transfer, friction circle and locking follow from the contacts instead of formulas.
-All damping is set to zero: the engine's default for multibodies distorts braking by a factor of 1.4 to 2.5. Nothing
-but the ground touches the wheels; clearances to others are measured with boxes, as for the single-track model.
+The car is described in URDF, which is generated here. Spheres touch the ground in one point, so grip is Coulomb
+friction at four loaded contacts, and load transfer, friction circle and locking follow from the contacts instead of
+formulas. All damping is set to zero: the engine's default for multibodies distorts braking by a factor of 1.4 to 2.5.
+Nothing but the ground touches the wheels; clearances to others are measured with boxes, as for the single-track
+model.
 """
 
 import atexit
@@ -32,7 +33,7 @@ _FRONT, _REAR = ("front_left", "front_right"), ("rear_left", "rear_right")
 
 
 class WheeledCar:
-    """The ego on wheels, in place of `brink.sim.world.ego.EgoCar`. Created anew for each episode.
+    """The ego on wheels, in place of `brink.sim.world.ego.EgoCar`. Create a new one for each episode.
 
     Args:
         engine: An emptied engine; receives the ground and the car.

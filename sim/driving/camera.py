@@ -7,8 +7,8 @@ windscreen), and looks along the ego's yaw without pitch or roll. The nearest vi
 
 A body is an upright prism over an oriented rectangle. Its box is exact: the footprint is clipped by the near plane
 and by the sides of the field of view before it is projected. So the bottom edge of a box is always the *nearest
-visible* ground point of the body. A body is hidden if one nearer box covers most of its box: cheap to compute, and right for the
-cases that matter (a person or a car behind a van).
+visible* ground point of the body. A body is hidden if one nearer box covers most of its box: cheap to compute, and
+right for the cases that matter (a person or a car behind a van).
 """
 
 import math
@@ -20,7 +20,7 @@ from brink.sim.driving.interface import Box, ObstacleLabel
 
 
 class Body(NamedTuple):
-    """An upright prism that stands on the ground; `x_m`, `y_m` is the centre of its footprint."""
+    """An upright prism that stands on the ground; `x_m`, `y_m` are the centre of its footprint."""
 
     label: ObstacleLabel
     x_m: float

@@ -158,7 +158,7 @@ class Route(Protocol):
 
 
 class DrivingSystem(Protocol):
-    """The driving system under test. Created anew for each episode."""
+    """The driving system under test. Create a new one for each episode."""
 
     def step(self, observation: Observation) -> Command:
         """Run one control step and return its command."""

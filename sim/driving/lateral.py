@@ -9,8 +9,8 @@ disappears.
 **Overtaking** starts when a vehicle that blocks the lane has stood for `standing_s`, the ego is close behind it, the
 map has an oncoming lane all the way, no stop line is near (the vehicle may be queueing), no person is about to be in
 the way, and no vehicle in the oncoming lane would be met before the ego is back. The obstacle is remembered while the
-ego is beside it, out of the camera's view. Before the ego is beside it, the ego gives up and falls back if somebody
-comes or the obstacle moves off, and simply returns if the obstacle has disappeared.
+ego is beside it, out of the camera's view. Before the ego is beside it, the ego gives up and falls back if another
+road user gets in the way or the obstacle moves off, and simply returns if the obstacle has disappeared.
 """
 
 from collections.abc import Sequence

@@ -434,7 +434,7 @@ class RoadObstacle:
         return self.left_m > right_m and self.right_m < left_m
 
     def time_in(self, right_m: float, left_m: float) -> tuple[float, float] | None:
-        """Return when the obstacle will enter and leave a range of lateral offsets; None if not within the horizon."""
+        """Return when the obstacle will enter and leave a range of offsets; None if not within the horizon."""
         speed = self.across_mps
         if speed == 0.0:
             return (0.0, self.horizon_s) if self.overlaps(right_m, left_m) else None

@@ -25,7 +25,7 @@ _DEFAULT_SETTINGS = DrivingSettings()
 
 
 class ModularDriving:
-    """Implements `brink.sim.driving.interface.DrivingSystem`. Created anew for each episode.
+    """Implements `brink.sim.driving.interface.DrivingSystem`. Create a new one for each episode.
 
     Args:
         route: Route to follow.

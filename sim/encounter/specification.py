@@ -152,7 +152,9 @@ class Script:
         )
         begins = [stretch.from_s for stretch in stretches]
         if begins[0] != 0.0 or begins != sorted(begins):
-            raise InvalidEpisode(f"{where}.stretches: expected start times (from_s) in ascending order, the first 0")
+            raise InvalidEpisode(
+                f"{where}.stretches: expected start times (from_s) in ascending order, the first 0"
+            )
         return cls(kind=Kind(kind), stretches=stretches)
 
 

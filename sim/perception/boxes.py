@@ -1,5 +1,4 @@
-"""Bounding boxes in images: overlap (IoU), non-maximum suppression, and the evaluation of
-detections against the ground truth.
+"""Bounding boxes in images: overlap (IoU), non-maximum suppression, and evaluation against the ground truth.
 
 A box is a row x_min, y_min, x_max, y_max in pixels; the maxima are exclusive. Average precision is computed at an
 IoU of 0.5 from the precision at 101 recall levels, over the classes that occur. Ignored ground truth (too small,
@@ -157,7 +156,7 @@ class Curve:
 
 
 def curves(truths: Sequence[GroundTruth], detections: Sequence[Detections]) -> list[Curve]:
-    """Return the curve of each class that has a true box that is not ignored, in ascending order of class.
+    """Return the curve of each class with at least one true box that is not ignored, in ascending order of class.
 
     Args:
         truths: Ground truth of each image.
@@ -224,8 +223,8 @@ def _curve(label: int, truths: Sequence[GroundTruth], detections: Sequence[Detec
 def _match(boxes: FloatArray, truth: FloatArray, ignored: BoolArray) -> tuple[BoolArray, BoolArray]:
     """Return which detections are correct, and which count; the boxes must be sorted by descending score.
 
-    Each detection is matched to the unmatched true box that it overlaps most. One that matches only an ignored box does
-    not count.
+    Each detection is matched to the unmatched true box that it overlaps most. One that matches only an ignored box
+    does not count.
     """
     correct, counts = np.zeros(len(boxes), np.bool_), np.ones(len(boxes), np.bool_)
     if not len(truth):

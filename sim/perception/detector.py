@@ -133,7 +133,7 @@ def _load_onnx(file: Path) -> onnxruntime.InferenceSession:
 
 
 def fit_picture(picture: Picture) -> tuple[Picture, float]:
-    """Convert an image to the input format of `brink-det@1`, shape ``(192, 320, 3)``, and return it with its scale factor.
+    """Return an image in the input format of `brink-det@1`, shape ``(192, 320, 3)``, and its scale factor.
 
     The image is scaled with its aspect ratio kept and padded with grey on the right or below.
 
@@ -309,7 +309,7 @@ def _labels_by_name(names: Mapping[int, str]) -> Mapping[int, int]:
 
 
 def _letterbox(picture: Picture, size_px: tuple[int, int]) -> tuple[Picture, float, int, int]:
-    """Return an image centred in the network's input, its scale factor, and the coordinates of its left and top edge."""
+    """Return an image centred in the network's input, its scale factor, and the position of its left and top edge."""
     small, scale = _scale_to_fit(picture, size_px)
     high, wide = small.shape[:2]
     canvas = np.full((size_px[1], size_px[0], 3), _PADDING, np.uint8)

@@ -77,11 +77,10 @@ def _flip(truth: GroundTruth) -> GroundTruth:
 
 
 def _vary_exposure(planes: Picture, rng: np.random.Generator) -> Picture:
-    """Randomly vary gain, offset, white balance and noise in about two thirds of the images,
-    since these differ between cameras.
+    """Randomly vary gain, offset, white balance and noise in about two thirds of the images.
 
-    The variation is no stronger than the weakest levels of contrast; all other perturbations stay unknown to the
-    detector.
+    These differ between cameras. The variation is no stronger than the weakest levels of contrast; all other
+    perturbations stay unknown to the detector.
     """
     count = len(planes)
     gain = rng.uniform(0.8, 1.2, (count, 1, 1, 1)) * rng.uniform(0.93, 1.07, (count, 1, 1, 3))

@@ -1,7 +1,7 @@
 """Files that users provide: detector weights and labelled data sets in COCO format, checked before use.
 
-This module loads no network, so a coordinator can validate a submission with it. Only plain files on a disk are read: reading a
-device or a pipe might never end.
+This module loads no network, so a coordinator can validate a submission with it. Only plain files on a disk are read:
+reading a device or a pipe might never end.
 
 A data set is read completely or rejected. Boxes of persons and vehicles are kept, other categories are left out.
 Crowds and very small boxes are ignored, as in COCO's own evaluation.
@@ -203,7 +203,9 @@ def _read_coco(file: Path, _modified_ns: int, _size: int) -> CocoDataset:
         reason = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
         raise DatasetError(f"{file}: {reason}") from None
     if all(label is None for label in labels.values()):
-        raise DatasetError(f"{file}: expected at least one category with one of the names {', '.join(CATEGORY_LABELS)}")
+        raise DatasetError(
+            f"{file}: expected at least one category with one of the names {', '.join(CATEGORY_LABELS)}"
+        )
     boxes = _boxes_by_image(file, annotations, labels, sizes)
     paths = {key: _find(file, name) for key, (name, _, _) in sizes.items()}
     missing = [name for key, (name, _, _) in sizes.items() if paths[key] is None]

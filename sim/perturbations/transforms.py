@@ -76,7 +76,7 @@ EXTRA_SQUARES = 5
 
 
 def _grid_dropout(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
-    """Draw a black square at the top left of each cell of ``10 value`` px."""
+    """Draw a black square at the top left of each cell of a grid with a step of ``10 * value`` px."""
     return cast(Frame, cv2.bitwise_and(frame, _grid(frame.shape[0], frame.shape[1], value)))
 
 

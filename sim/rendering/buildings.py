@@ -1,7 +1,7 @@
 """Buildings: facade textures by day and by night, and the visible walls, drawn in perspective.
 
-A facade is drawn once at `PX_PER_M` and then halved separately in length and height, because a wall in perspective shrinks
-more sideways. All walls are placed once per frame; each building is painted when its turn comes.
+A facade is drawn once at `PX_PER_M` and then halved separately in length and height, because a wall in perspective
+shrinks more sideways. All walls are placed once per frame; each building is painted when its turn comes.
 """
 
 import math
@@ -246,7 +246,7 @@ _LIT: Final = ((255, 214, 140), (250, 226, 176), (232, 190, 118))
 
 @lru_cache(maxsize=96)
 def _draw_facade(look: int, length_m: float, height_m: float, night: bool, front: bool) -> Picture:
-    """Draw one side of a building, shape ``(up, along, 3)``, with row 0 at the eaves.
+    """Draw one side of a building as an image of shape ``(up, along, 3)``, with row 0 at the eaves.
 
     Args:
         look: Selects style and colours.
@@ -356,7 +356,7 @@ def _windows(
 
 
 _Rect = tuple[float, float, float, float]
-"""Middle along the wall, bottom edge measured from the top, width, height; m."""
+"""A rectangle on a wall: middle along the wall, bottom edge measured from the top, width and height, in m."""
 
 
 def _box(wall: Noise, scale: float, rect: _Rect, rgb: tuple[float, float, float]) -> None:

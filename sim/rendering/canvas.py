@@ -1,7 +1,8 @@
 """The image and the id mask while they are being painted, and the labels derived from them.
 
-The same polygons are painted with smooth edges into the image and with hard edges into the mask, so both agree
-within a pixel. The marks of each body are kept as its outline, so that the pixels of its silhouette can be counted separately.
+The same polygons are painted with smooth edges into the image and with hard edges into the mask, so both agree within
+a pixel. The marks of each body are kept as its outline, so that the pixels of its silhouette can be counted
+separately.
 """
 
 from dataclasses import dataclass

@@ -140,7 +140,7 @@ class Renderer:
         return outlines
 
     def _marks(self, seen: VisibleItems, view: View) -> _Marks:
-        """Return the marks of all items except buildings, in the order of the items; each kind is drawn in one batch."""
+        """Return the marks of all items except buildings, in item order; each kind is drawn in one batch."""
         lit = self._lit(seen, view)
         marks: _Marks = [[] for _ in seen.things]
         solids: list[tuple[int, PlacedMesh]] = []

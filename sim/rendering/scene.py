@@ -1,4 +1,4 @@
-"""The types of a scene: surfaces, buildings, trees, bodies, light, camera and rendered frame; and the errors that they raise.
+"""The types of a scene: surfaces, buildings, trees, bodies, light, camera and rendered frame; and their errors.
 
 Lengths are in m, angles in radians counter-clockwise, z points up, and the ground is the plane z = 0. `look` is an
 arbitrary integer that selects colours and shape; the same value always gives the same appearance.

@@ -1,8 +1,8 @@
 """The camera view of a replay frame: a recorded camera image, or a perspective sketch if none were recorded.
 
-On a sketch, green solid boxes are the ground truth and vermilion dashed ones what was reported to the driving system. On a
-recorded image, green boxes are the ground truth, red ones the detections that counted, and yellow lines the regions in which a
-detection triggers the brake.
+On a sketch, green solid boxes are the ground truth and vermilion dashed ones what was reported to the driving system.
+On a recorded image, green boxes are the ground truth, red ones the detections that counted, and yellow lines the
+regions in which a detection triggers the brake.
 """
 
 import io

@@ -175,13 +175,13 @@ class FramePainter:
         return frame
 
     def map(self, sample: int) -> Image.Image:
-        """Return the map at a sample with its scale bar and, without recorded images, the verdict after a violation."""
+        """Return the map at a sample with its scale bar and, without camera images, the verdict on a violation."""
         image = self._map.draw(sample)
         self._draw_scale(image)
         return image if self.filmed else self._with_verdict(image, sample)
 
     def camera(self, sample: int) -> Image.Image:
-        """Return the camera view at a sample, on recorded images with the verdict after a violation."""
+        """Return the camera view at a sample; for recorded images, also with the verdict on a violation."""
         image = self._camera.draw(sample)
         return self._with_verdict(image, sample) if self.filmed else image
 
@@ -417,7 +417,7 @@ class _TimeBar:
         return self._left + (time_s - self._start_s) / self._span_s * (self._right - self._left)
 
     def _reported(self) -> NDArray[np.int64]:
-        """Return the number of reported boxes at each sample, shape ``(n,)``; with recorded images, only those of people."""
+        """Return the number of reported boxes at each sample, shape ``(n,)``; with recorded images, only people."""
         if self._trace.film is None:
             return np.asarray(np.diff(self._trace.given_boxes.first), np.int64)
         return reported(self._trace, PERSON)

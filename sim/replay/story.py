@@ -12,7 +12,7 @@ from brink.sim.trace import ACTION, Event, Trace
 from brink.sim.world.scenario import words_of_scenario
 
 PREFERRED: Final = ("front-gap", "no-collision")
-"""Requirements that an episode is about if none is named, in order of preference."""
+"""Requirements that a replay is about if none is named, in order of preference."""
 
 REQUIREMENT_UNITS: Final = {
     "front-gap": "m",
@@ -27,7 +27,7 @@ REQUIREMENT_UNITS: Final = {
 
 _MOST_MOMENTS: Final = 6
 _LEAD_UP_S: Final = (1.0, 2.5, 5.0)
-"""How long before the decisive moment to look for others."""
+"""How long before the decisive moment to look for other moments."""
 
 T = TypeVar("T")
 
@@ -97,7 +97,7 @@ def _choose(trace: Trace, requirement: str | None) -> str:
             trace.robustness,
             key=lambda name: PREFERRED.index(plain_name(name)) if plain_name(name) in PREFERRED else 9,
         )
-        # An episode with recorded camera images may be about any hazard: show one that occurred if the preferred one did not.
+        # An episode with camera images may be about any hazard: show one that occurred if the preferred one did not.
         violated = [
             name for name, series in trace.robustness.items() if trace.film is not None and np.any(series < 0)
         ]
@@ -126,7 +126,7 @@ def _moments(trace: Trace, decisive: int, *, violated: bool) -> tuple[Moment, ..
 
 
 def _lead_up(trace: Trace, decisive: int) -> list[Moment]:
-    """Return the moments before the decisive one, most explanatory first: just before, injections, plan changes, ..."""
+    """Return preceding moments, most explanatory first: just before, injections, plan changes, events, earlier."""
     time_s = trace.time_s
     found: list[Moment] = []
 

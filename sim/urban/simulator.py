@@ -1,4 +1,4 @@
-"""The simulator `brink-drive@1`: a specification in, a result out.
+"""The simulator `brink-drive@1`: runs a specification and returns the result.
 
 The same specification gives the same verdicts and the same trace, bit for bit, in any process and after any other
 episodes on the same class of processor: random draws come from streams addressed by position, all objects are created

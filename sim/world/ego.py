@@ -93,7 +93,7 @@ class MakeEgo(Protocol):
 
 
 class EgoCar:
-    """The ego as a single-track model. Mutable: created anew for each episode.
+    """The ego as a single-track model. Mutable: create a new one for each episode.
 
     Args:
         pose: x_m, y_m and yaw_rad at the start.

@@ -45,7 +45,7 @@ GoAhead: TypeAlias = Callable[[float], bool]
 
 
 class Walker:
-    """A pedestrian. Mutable: created anew for each episode.
+    """A pedestrian. Mutable: create a new one for each episode.
 
     Args:
         name: Unique name in the episode.

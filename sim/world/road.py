@@ -374,7 +374,7 @@ class SignalPlan:
         return _state((time_s + self.phase_s - begins_s) % CYCLE_S, SIDE_GREEN_S)
 
     def main_red_for_s(self, time_s: float) -> float:
-        """Return how long the light for the main road stays red, 0 if it is not red; pedestrians cross while it is."""
+        """Return how long the main road's light stays red, 0 if it is not red; pedestrians cross while it is."""
         in_cycle_s = (time_s + self.phase_s) % CYCLE_S
         return CYCLE_S - in_cycle_s if in_cycle_s >= MAIN_GREEN_S + AMBER_S else 0.0
 

@@ -48,7 +48,7 @@ LEAD_STARTS_AHEAD_M = 26.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Surroundings:
-    """What vehicles take into account to decide whether they may go. The lists are filled once all road users exist."""
+    """What vehicles check to decide whether they may go. The lists are filled once all road users exist."""
 
     signals: SignalPlan | None
     movers: list[Mover]
@@ -240,7 +240,7 @@ class _TrafficBuilder:
         )
 
     def _stops(self, *, forward: bool) -> list[StopPoint]:
-        """Return the stop point on a lane: at the traffic lights if there are any, otherwise at the pedestrian crossing."""
+        """Return the stop point on a lane: at the traffic lights or, without any, at the pedestrian crossing."""
         lane = self.road.forward if forward else self.road.backward
         junction = self.road.junctions[0]
         if junction.lit:

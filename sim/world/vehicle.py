@@ -101,7 +101,7 @@ class PullOut:
 
 
 class Vehicle:
-    """Another vehicle. Mutable: created anew for each episode.
+    """Another vehicle. Mutable: create a new one for each episode.
 
     Args:
         name: Unique name in the episode.
