@@ -94,7 +94,9 @@ class EpisodeSpec:
         }
         unknown = sorted(set(document) - set(expected))
         if unknown:
-            raise InvalidEpisode(f"unknown field {unknown[0]!r} in the episode; expected {', '.join(expected)}")
+            raise InvalidEpisode(
+                f"unknown field {unknown[0]!r} in the episode; expected {', '.join(expected)}"
+            )
         for name, types in expected.items():
             if name not in document:
                 if name == "options":
