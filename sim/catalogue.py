@@ -35,7 +35,7 @@ class Simulator(Protocol):
 
         Raises:
             InvalidEpisode: The specification can never run.
-            SimulationCrashed: This run broke down.
+            SimulationCrashed: This run failed.
         """
         ...
 
@@ -129,7 +129,7 @@ def make_requirement(requirement_id: str) -> Requirement:
 
 
 def make_requirements(wanted_ids: Sequence[str]) -> dict[str, Requirement]:
-    """Return new requirements for one episode, by id and in order.
+    """Return new requirements for one episode by id, in the given order.
 
     Raises:
         InvalidEpisode: An id is unknown or listed twice.

@@ -52,13 +52,13 @@ class EpisodeSpec:
             )
 
     def check_for(self, simulator: str, longest_s: float) -> None:
-        """Check that the episode is meant for a simulator and not too long for it.
+        """Check that the episode names the given simulator and does not exceed its maximum duration.
 
         Raises:
-            InvalidEpisode: It is meant for another simulator, or too long.
+            InvalidEpisode: It names another simulator, or is too long.
         """
         if self.simulator != simulator:
-            raise InvalidEpisode(f"simulator: this is {simulator}; the episode asks for {self.simulator!r}")
+            raise InvalidEpisode(f"simulator: expected {simulator}, got {self.simulator!r}")
         if self.duration_s > longest_s:
             raise InvalidEpisode(
                 f"duration_s: expected at most {longest_s:g} seconds, got {self.duration_s!r}"
@@ -94,7 +94,9 @@ class EpisodeSpec:
         }
         unknown = sorted(set(document) - set(expected))
         if unknown:
-            raise InvalidEpisode(f"unknown field {unknown[0]!r}; an episode has {', '.join(expected)}")
+            raise InvalidEpisode(
+                f"unknown field {unknown[0]!r} in the episode; expected {', '.join(expected)}"
+            )
         for name, types in expected.items():
             if name not in document:
                 if name == "options":
@@ -147,8 +149,8 @@ class EpisodeResult:
 
     Attributes:
         verdicts: One per requirement of the specification, by id.
-        objectives: Measures to search on, all minimised, by name.
-        features: Further facts about the episode, by name.
+        objectives: Objectives of the search by name, all minimised.
+        features: Additional facts about the episode, by name.
         provenance: Versions, instruction-set fingerprint, CPU time, simulated time.
         trace: The compact trace (`brink.sim.trace.Trace.to_bytes`), if it was requested.
     """

@@ -3,12 +3,12 @@
 SimulatorError
 ├── InvalidEpisode      final: the specification can never run; fix it
 ├── PluginMissing       final: a module listed in BRINK_PLUGINS cannot be imported
-└── SimulationCrashed   retryable: this run broke down; the same specification may run again
+└── SimulationCrashed   retryable: this run failed; running the same specification again may work
 """
 
 
 class SimulatorError(Exception):
-    """Base class of all errors that the simulator package raises on purpose."""
+    """Base class of all errors that the simulator package raises deliberately."""
 
 
 class InvalidEpisode(SimulatorError):

@@ -27,12 +27,12 @@ DANGEROUS_S = 4.0
 STANDS_BELOW_MPS = 0.3
 
 _CONTACT_M = 0.01
-"""Least violation of a collision, so that a contact at zero closing speed is not satisfied."""
+"""Minimum violation of a collision, so that a contact at zero closing speed still counts as a violation."""
 _MIN_OVERRUN_M = 1e-6
 
 
 class CollisionKind(StrEnum):
-    """Kind of object that the ego hit."""
+    """Kind of object that the ego collided with."""
 
     VEHICLE = "vehicle"
     PEDESTRIAN = "pedestrian"
@@ -86,7 +86,7 @@ class WorldSample:
             person, or at the goal.
         in_conflict_area: Whether part of the ego is in the oncoming lane, in a junction or on a crossing.
         goal_reached: Whether the ego has reached the end of its route.
-        brakes_for_nothing: Whether emergency braking is active and, since it began, nobody has been in the warning
+        brakes_for_nothing: Whether emergency braking is active and, since it began, no person has been in the warning
             region or heading into it.
     """
 
@@ -126,11 +126,11 @@ class Requirement(Protocol):
 
     @property
     def horizon(self) -> float:
-        """Bound on the absolute robustness, finite and > 0."""
+        """Upper bound on the absolute value of the robustness, finite and > 0."""
         ...
 
     def observe(self, sample: WorldSample) -> float:
-        """Return the finite robustness at the next control step.
+        """Process the next sample and return the robustness at it, which is finite.
 
         Args:
             sample: Later than all samples before it.
@@ -142,7 +142,7 @@ class Requirement(Protocol):
         ...
 
     def features(self) -> Mapping[str, Json]:
-        """Return further facts that this requirement knows about the episode, by name; empty if none."""
+        """Return additional facts that this requirement has measured, by name; empty if there are none."""
         ...
 
 
@@ -187,7 +187,7 @@ class Margin(ABC):
         """Return the robustness at a sample; `observe` clips it to the horizon."""
 
     def observe(self, sample: WorldSample) -> float:
-        """Return the finite robustness at the next control step.
+        """Process the next sample and return the robustness at it, which is finite.
 
         Raises:
             ValueError: The sample holds a NaN.
@@ -213,7 +213,7 @@ class Margin(ABC):
         return Verdict(robustness=self._smallest, unit=self.unit, violated_at_s=self._violated_at_s)
 
     def features(self) -> Mapping[str, Json]:
-        """Return further facts that this requirement knows about the episode, by name."""
+        """Return additional facts that this requirement has measured, by name."""
         return {}
 
 
@@ -271,7 +271,7 @@ class NoCollision(Margin):
         return self.horizon if gap_m is None else max(gap_m, 0.0)
 
     def features(self) -> Mapping[str, Json]:
-        """Return the counterpart and the closing speed of the first collision; None values without one."""
+        """Return the counterpart and the closing speed of the first collision; both None if there was none."""
         collision = self._collision
         if collision is None:
             return {"collision_with": None, "collision_kind": None, "impact_speed_mps": None}
@@ -296,7 +296,7 @@ class LaneKeeping(Margin):
         self._tolerance_m = tolerance_m
 
     def robustness_at(self, sample: WorldSample) -> float:
-        """Return how far the body is inside its lane, plus the tolerance."""
+        """Return how far the body is inside the lane, plus the tolerance."""
         error = sample.heading_error_rad
         reach_m = 0.5 * (
             sample.ego_width_m * abs(math.cos(error)) + sample.ego_length_m * abs(math.sin(error))
@@ -324,7 +324,7 @@ class RedLight(Margin):
         self._entered_at_red = False
 
     def robustness_at(self, sample: WorldSample) -> float:
-        """Return the distance to a red light's stop line, negative past it."""
+        """Return the distance to a red light's stop line, negative once past it."""
         gap_m = sample.stop_line_gap_m
         if gap_m is None:
             self._was_before = self._entered_at_red = False
@@ -369,7 +369,7 @@ class Progress(Margin):
 
     Args:
         stuck_s: Longest standstill without a cause.
-        dangerous_s: The same in a conflict area.
+        dangerous_s: The same where stopping is dangerous.
         stands_below_mps: A slower ego is standing still.
     """
 
@@ -408,7 +408,7 @@ class Progress(Margin):
         return min(left_s, self._dangerous_s - self._danger_s) if sample.in_conflict_area else left_s
 
     def features(self) -> Mapping[str, Json]:
-        """Return the longest standstills without a cause, in seconds."""
+        """Return the longest standstill without a cause, anywhere and in conflict areas, in seconds."""
         return {
             "longest_idle_s": self._longest_idle_s,
             "longest_dangerous_stop_s": self._longest_danger_s,
@@ -418,9 +418,9 @@ class Progress(Margin):
 class NoDangerousStop(Margin):
     """`no-dangerous-stop`: emergency braking never brings the ego to a standstill without a reason on the road.
 
-    Robustness: the ego's speed above standstill in m/s while it brakes for nothing; the horizon while it does not
-    brake, or if somebody has been in the warning region or heading into it since braking began. Source: Ferreira et
-    al. 2022, who describe dangerous stops without measuring them.
+    Robustness: the ego's speed above standstill in m/s while it brakes without a reason; the horizon while it does
+    not brake, or if a person has been in the warning region or heading into it since braking began. Source: Ferreira
+    et al. 2022, who describe dangerous stops without measuring them.
     """
 
     unit = "m/s"
@@ -432,7 +432,7 @@ class NoDangerousStop(Margin):
         self._stands = False
 
     def robustness_at(self, sample: WorldSample) -> float:
-        """Return the speed above standstill while the ego brakes for nothing, else the horizon."""
+        """Return the speed above standstill while the ego brakes without a reason, else the horizon."""
         if not sample.brakes_for_nothing:
             self._stands = False
             return self.horizon

@@ -1,4 +1,4 @@
-"""Contract suites for simulator plug-ins, to run from your own tests or by `brink plugins check`."""
+"""Contract test suites for plug-ins, to be run from your own tests or by `brink plugins check`."""
 
 import json
 import math

@@ -74,7 +74,7 @@ class Ragged:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
-    """An event at a time, such as a collision, or the start of overtaking."""
+    """An event at a point in time, such as a collision or the start of overtaking."""
 
     time_s: float
     kind: str
@@ -89,7 +89,7 @@ class Surface:
         kind: ``road``, ``pavement``, ``marking``, ``crossing``, ``stop-line``, ``building``, ``parked-car``,
             ``tree``.
         points: Corners in world coordinates, shape ``(k, 2)``.
-        closed: Whether it is an area; otherwise it is a line of `width_m`.
+        closed: True for an area; false for a line `width_m` wide.
         width_m: Width of a line, 0 for an area.
     """
 
@@ -117,12 +117,12 @@ PERCEIVED_COLUMNS = ("track", "label", "x_m", "y_m", "vx_mps", "vy_mps", "length
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Film:
-    """Images of a camera in the loop with all detections in them; enough to score the episode again.
+    """Recorded images of a camera in the loop with ground truth and all detections, enough to rescore the episode.
 
     Attributes:
         size_px: Width and height of the images that the detector received.
         pictures: Some of these images, with their perturbations, as JPEG and possibly downscaled.
-        samples: Sample of each picture, ascending, shape ``(len(pictures),)``.
+        samples: Sample of each image, ascending, shape ``(len(pictures),)``.
         judged: Ground truth of every sample, columns `JUDGED_COLUMNS`, in px of the images.
         found: Detections of every sample, columns `FOUND_COLUMNS`, in px of the images.
         regions: Regions of interest in the image, by name: corners in px, shape ``(k, 2)``.
@@ -152,7 +152,7 @@ class Film:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self | None:
-        """Return the film stored by `arrays`, or None if there is none."""
+        """Return the film stored in the result of `arrays`, or None if there is none."""
         if "film.size_px" not in arrays:
             return None
         blob, ends = arrays["film.pictures"].tobytes(), arrays["film.ends"].tolist()
@@ -268,7 +268,7 @@ class Trace:
         except (ValueError, LookupError, TypeError, RecursionError) as error:
             raise InvalidEpisode(f"not a trace: {error}") from error
         if version != TRACE_VERSION:
-            raise InvalidEpisode(f"trace version {version!r}: this code reads version {TRACE_VERSION}")
+            raise InvalidEpisode(f"trace version: expected {TRACE_VERSION}, got {version!r}")
         try:
             return cls._of(header, arrays)
         except (ValueError, LookupError, TypeError, AttributeError) as error:

@@ -1,4 +1,4 @@
-"""Train or evaluate `brink-det@1` on pictures of the emergency-braking street.
+"""Train or evaluate `brink-det@1` on images of the emergency-braking street.
 
 python -m brink.sim.aeb train --out FOLDER      writes the weights and training.json
 python -m brink.sim.aeb evaluate --out FOLDER   writes evaluation.json and evaluation.png
@@ -19,13 +19,13 @@ EPOCHS: Final = 12
 
 
 def train(out: Path, *, frames: int, epochs: int, seed: int) -> None:
-    """Train the detector and write its weights; validation and test pictures are never trained on.
+    """Train the detector and write its weights; validation and test images are not used for training.
 
     Args:
         out: Output folder.
-        frames: Number of training pictures.
+        frames: Number of training images.
         epochs: Number of epochs.
-        seed: Seed of initial weights and order.
+        seed: Seed of the initial weights, the order of the images and the augmentation.
     """
     from brink.sim.perception import training  # loads torch
 
@@ -41,12 +41,12 @@ def train(out: Path, *, frames: int, epochs: int, seed: int) -> None:
 
 
 def evaluate(out: Path, *, detector: str, frames: int) -> None:
-    """Evaluate a detector on test pictures and write the report.
+    """Evaluate a detector on test images and write the report.
 
     Args:
         out: Output folder.
         detector: Id of the detector.
-        frames: Number of test pictures.
+        frames: Number of test images.
     """
     from brink.sim.perception.detector import find_detector  # loads onnxruntime
     from brink.sim.perception.evaluation import write_report  # loads matplotlib
@@ -56,7 +56,7 @@ def evaluate(out: Path, *, detector: str, frames: int) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run one of the two commands."""
+    """Parse the arguments and run `train` or `evaluate`."""
     parser = argparse.ArgumentParser(
         prog="python -m brink.sim.aeb",
         description=__doc__,
@@ -65,19 +65,26 @@ def main(arguments: Sequence[str] | None = None) -> None:
     commands = parser.add_subparsers(required=True)
     training = commands.add_parser("train", help="train brink-det@1 and write its weights")
     training.set_defaults(run=train)
-    training.add_argument("--out", type=Path, required=True, help="folder for weights and figures")
     training.add_argument(
-        "--frames", type=int, default=TRAINING_FRAMES, help="training pictures (%(default)s)"
+        "--out", type=Path, required=True, help="output folder for the weights and their metrics"
     )
-    training.add_argument("--epochs", type=int, default=EPOCHS, help="epochs (%(default)s)")
     training.add_argument(
-        "--seed", type=int, default=0, help="seed of initial weights and order (%(default)s)"
+        "--frames", type=int, default=TRAINING_FRAMES, help="number of training images (%(default)s)"
     )
-    evaluation = commands.add_parser("evaluate", help="evaluate a detector on test pictures")
+    training.add_argument("--epochs", type=int, default=EPOCHS, help="number of epochs (%(default)s)")
+    training.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        help="seed of the initial weights, image order and augmentation (%(default)s)",
+    )
+    evaluation = commands.add_parser("evaluate", help="evaluate a detector on test images")
     evaluation.set_defaults(run=evaluate)
-    evaluation.add_argument("--out", type=Path, required=True, help="folder for figures and plots")
+    evaluation.add_argument("--out", type=Path, required=True, help="output folder for the metrics and plots")
     evaluation.add_argument("--detector", default="brink-det@1", help="id of the detector (%(default)s)")
-    evaluation.add_argument("--frames", type=int, default=HELD_OUT_FRAMES, help="test pictures (%(default)s)")
+    evaluation.add_argument(
+        "--frames", type=int, default=HELD_OUT_FRAMES, help="number of test images (%(default)s)"
+    )
     given = vars(parser.parse_args(arguments))
     given["out"].mkdir(parents=True, exist_ok=True)
     given.pop("run")(**given)

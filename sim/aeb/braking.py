@@ -1,9 +1,9 @@
-"""The emergency brake: two regions of the picture, and a latch.
+"""The emergency brake: two trigger regions in the image, and a latch that keeps braking.
 
-The regions are trapezoids, defined for a picture of 1280 x 720 and scaled with it. A person in the *warning* region
+The regions are trapezoids, defined for an image of 1280 x 720 and scaled with it. A person in the *warning* region
 triggers the brake, and so does a vehicle in the smaller *danger* region. For a person it is enough that the box
 intersects the region. For a vehicle the middle of the box's lower edge must lie in the region for several consecutive
-frames, because the box of a long vehicle parked beside the lane extends far into the picture.
+frames, because the box of a long vehicle parked beside the lane extends far into the image.
 
 Source: Ferreira et al. 2022, automatic emergency braking. Boxes are tested against the trapezoid, not against its
 bounding rectangle.
@@ -20,7 +20,8 @@ REFERENCE_PX: Final = (1280, 720)
 TOP_ROW_PX: Final = 470.0
 HOLD_S: Final = 0.5
 VEHICLE_FRAMES: Final = 3
-"""Consecutive frames with a vehicle in its region; duplicate boxes of parked ones last one or two."""
+"""Consecutive frames with a vehicle in its region that trigger the brake; duplicate boxes of parked
+vehicles last only one or two frames."""
 
 _Rows = TypeVar("_Rows", float, NDArray[np.floating])
 
@@ -28,7 +29,7 @@ PERSON, VEHICLE = "person", "vehicle"
 
 
 class Detection(NamedTuple):
-    """A box in a picture, in pixels, with its label and score."""
+    """A box in an image, in pixels, with its label and score."""
 
     label: str
     x_min_px: float
@@ -40,11 +41,11 @@ class Detection(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Region:
-    """An upright trapezoid on the lower edge of a picture, symmetric about its middle.
+    """A trapezoid on the lower edge of the image, symmetric about the image's vertical centre line.
 
     Attributes:
-        width_px: Width of the picture.
-        height_px: Height of the picture.
+        width_px: Width of the image.
+        height_px: Height of the image.
         base_px: Width at the lower edge.
         top_px: Width at `top_row_px`.
         top_row_px: Row of the upper edge.
@@ -58,13 +59,13 @@ class Region:
 
     @classmethod
     def from_reference(cls, base_px: float, top_px: float, width_px: int, height_px: int) -> "Region":
-        """Scale a region of the reference picture to a picture of another size.
+        """Scale a region of the reference image to an image of another size.
 
         Args:
-            base_px: Width at the lower edge, in the reference picture.
-            top_px: Width at the upper edge, in the reference picture.
-            width_px: Width of the picture.
-            height_px: Height of the picture.
+            base_px: Width at the lower edge, in the reference image.
+            top_px: Width at the upper edge, in the reference image.
+            width_px: Width of the image.
+            height_px: Height of the image.
         """
         across, down = width_px / REFERENCE_PX[0], height_px / REFERENCE_PX[1]
         return cls(
@@ -76,7 +77,7 @@ class Region:
         )
 
     def corners(self) -> tuple[tuple[float, float], ...]:
-        """Return its corners, clockwise from the upper left, in pixels."""
+        """Return the corners, clockwise from the upper left, in pixels."""
         middle, bottom = 0.5 * self.width_px, float(self.height_px)
         return (
             (middle - 0.5 * self.top_px, self.top_row_px),
@@ -111,20 +112,20 @@ class Region:
         return low >= self.top_row_px and aside <= self._half_px(low)
 
     def _half_px(self, row_px: _Rows) -> _Rows:
-        """Return half the width at a row."""
+        """Return half the trapezoid's width at a row."""
         depth = (row_px - self.top_row_px) / (self.height_px - self.top_row_px)
         return 0.5 * (self.top_px + depth * (self.base_px - self.top_px))
 
 
 @dataclass(slots=True)
 class EmergencyBrake:
-    """Brakes for what the detector reports. Stateful: every episode needs its own instance.
+    """Brakes in response to the detector's reports. Stateful: every episode needs its own instance.
 
     Attributes:
         warning: A person who intersects this region triggers the brake.
         danger: A vehicle that stands in this region triggers the brake.
         hold_s: How long braking continues without a trigger.
-        enabled: Whether the brake works at all.
+        enabled: Whether the brake is enabled at all.
     """
 
     warning: Region
@@ -138,13 +139,13 @@ class EmergencyBrake:
     def for_picture(
         cls, width_px: int, height_px: int, *, hold_s: float = HOLD_S, enabled: bool = True
     ) -> "EmergencyBrake":
-        """Return the brake for a camera with pictures of a given size.
+        """Create the brake for camera images of a given size.
 
         Args:
-            width_px: Width of the picture.
-            height_px: Height of the picture.
+            width_px: Width of the image.
+            height_px: Height of the image.
             hold_s: How long braking continues without a trigger.
-            enabled: Whether the brake works at all.
+            enabled: Whether the brake is enabled at all.
         """
         return cls(
             warning=Region.from_reference(730.0, 230.0, width_px, height_px),
@@ -154,7 +155,7 @@ class EmergencyBrake:
         )
 
     def decide(self, time_s: float, detections: Sequence[Detection]) -> bool:
-        """Return whether to brake at a time, given the detections in its frame."""
+        """Return whether to brake, given the time and the detections of a frame."""
         person = any(box.label == PERSON and self.warning.intersects(box) for box in detections)
         vehicle = any(box.label == VEHICLE and self.danger.contains_bottom_centre(box) for box in detections)
         self._vehicle_frames = self._vehicle_frames + 1 if vehicle else 0

@@ -1,9 +1,9 @@
-"""Labelled pictures of the emergency-braking street, and the evaluator `brink-dataset@1`.
+"""Labelled images of the emergency-braking street, and the evaluator `brink-dataset@1`.
 
-The pictures show streets at all times of day and in all weather. Training, validation and test use disjoint seeds and
-disjoint looks (colours, textures, shapes). People stand and walk where the emergency-braking episode places them, and
-elsewhere at all distances. Unusual bodies and perturbations never occur, so that both remain unknown to the detector;
-training varies only the exposure.
+The images show streets at all times of day and in all weather. Training, validation and test use disjoint seeds and
+disjoint appearances (colours, textures, shapes). People stand and walk where the emergency-braking episode places
+them, and elsewhere at all distances. Unusual bodies and perturbations never occur, so that both remain unknown to the
+detector; training varies only the exposure.
 
 The evaluator measures a detector on a data set seen through perturbations. It has the interface of a simulator, so
 data-set evaluations are jobs like any other. Perturbations are applied to each frame in order, and the same
@@ -48,15 +48,15 @@ from brink.sim.world.scenario import TimeOfDay, Weather
 SIZE_PX: Final = (640, 360)
 FRAMES_A_STREET: Final = 10
 MIN_HEIGHT_SHARE: Final = 12.0 / 360.0
-"""Boxes lower than this share of the picture are ignored: 6 px in the network's half-size input."""
+"""Boxes lower than this share of the image are ignored: 6 px in the network's half-size input."""
 MIN_WIDTH_SHARE: Final = 6.0 / 640.0
-"""Boxes narrower than this share of the picture are ignored: 3 px in the network's half-size input."""
+"""Boxes narrower than this share of the image are ignored: 3 px in the network's half-size input."""
 MIN_VISIBLE: Final = 0.25
 _LABELS: Final = {BodyKind.VEHICLE: 0, BodyKind.PERSON: 1}
 
 
 class Split(IntEnum):
-    """Purpose of a picture; also offsets its seeds and looks."""
+    """Split that an image belongs to; its value also offsets the image's seeds and `look` values."""
 
     TRAIN = 1
     VALIDATION = 2
@@ -64,12 +64,12 @@ class Split(IntEnum):
 
 
 def labelled_frames(split: Split, count: int, seed: int = 0) -> Iterator[LabelledFrame]:
-    """Yield labelled pictures; equal arguments give equal pictures.
+    """Yield labelled images; the same arguments always give the same images.
 
     Args:
         split: One of the three disjoint sets.
-        count: Number of pictures.
-        seed: Selects the pictures within the set.
+        count: Number of images.
+        seed: Selects the images within the set.
     """
     for street in range(-(-count // FRAMES_A_STREET)):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(int(split), street)))
@@ -110,7 +110,7 @@ def _street_frames(split: Split, rng: np.random.Generator) -> Iterator[LabelledF
 
 
 def _without_overlaps(bodies: list[Body]) -> list[Body]:
-    """Return the bodies that do not overlap an earlier one."""
+    """Return the bodies without those that overlap an earlier one."""
     kept: list[Body] = []
     for body in bodies:
         reach = [0.5 * (body.length_m + other.length_m) for other in kept]
@@ -155,9 +155,9 @@ def _person(number: int, ego_x_m: float, split: Split, rng: np.random.Generator)
 
 
 def label_frame(frame: Frame) -> LabelledFrame:
-    """Return a rendered picture with its ground truth.
+    """Return a rendered image with its ground truth.
 
-    A box covers the whole body within the picture, including hidden parts; bodies that are almost hidden are ignored.
+    A box covers the whole body within the image, including hidden parts; bodies that are almost hidden are ignored.
     """
     seen = [body for body in visible_bodies(frame) if body.box is not None and body.kind in _LABELS]
     boxes = np.array([body.whole_box for body in seen], np.float32).reshape(len(seen), 4)
@@ -185,20 +185,20 @@ class DatasetEvaluator:
     """Evaluates a detector on a data set. One instance per process is enough; it caches the last data set."""
 
     def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:
-        """Evaluate once; the objective ``alpha`` is the mAP at an IoU of one half.
+        """Evaluate the detector; the objective ``alpha`` is its mAP at an IoU of 0.5.
 
         Args:
-            spec: `scenario` names the data set and the number of pictures, `behaviour` the detector and
+            spec: `scenario` names the data set and the number of images, `behaviour` the detector and
                 perturbations.
             record: Ignored, because there is no trace.
 
         Raises:
             InvalidEpisode: The specification can never run.
-            SimulationCrashed: No box in the pictures counts.
+            SimulationCrashed: All true boxes are ignored, or there are none.
         """
         cpu_s = time.process_time()
         if spec.simulator != EVALUATOR_ID:
-            raise InvalidEpisode(f"simulator: this is {EVALUATOR_ID}; the job asks for {spec.simulator!r}")
+            raise InvalidEpisode(f"simulator: expected {EVALUATOR_ID}, got {spec.simulator!r}")
         behaviour = Behaviour.from_json({"mode": SightMode.DETECTOR.value, **spec.behaviour})
         check_weights(behaviour)
         frames = _frames(_parse_request(spec))
@@ -211,7 +211,9 @@ class DatasetEvaluator:
             for curve in curves([truth for _, truth in frames], detections)
         }
         if not by_class:
-            raise SimulationCrashed("no box in the data set counts")
+            raise SimulationCrashed(
+                "expected at least one true box that is not ignored in the data set, got none"
+            )
         alpha = math.fsum(by_class.values()) / len(by_class)
         return EpisodeResult(
             verdicts={},
@@ -222,7 +224,7 @@ class DatasetEvaluator:
 
 
 class _Request(NamedTuple):
-    """Name or annotations of a data set, number of pictures, seed, and expected digest of the annotations."""
+    """Data set (a name or an annotations file), number of images, seed, and expected digest of the annotations."""
 
     dataset: str
     frames: int
@@ -231,14 +233,16 @@ class _Request(NamedTuple):
 
 
 def _parse_request(spec: EpisodeSpec) -> _Request:
-    """Return the data set that a specification asks for."""
+    """Parse the data set and sampling options from a specification."""
     known = ("dataset", "frames", "seed", "digest")
     for name in spec.scenario:
         if name not in known:
             raise InvalidEpisode(f"scenario: unknown field {name!r}; expected {', '.join(known)}")
     dataset, digest = spec.scenario.get("dataset", SIMULATOR_DATA), spec.scenario.get("digest", "")
     if not isinstance(dataset, str) or not isinstance(digest, str):
-        raise InvalidEpisode(f"scenario.dataset: expected {SIMULATOR_DATA!r} or a file, got {dataset!r}")
+        raise InvalidEpisode(
+            f"scenario.dataset: expected {SIMULATOR_DATA!r} or the path of an annotations file, got {dataset!r}"
+        )
     frames = _whole("frames", spec.scenario.get("frames"), 1, MAX_FRAMES)
     return _Request(dataset, frames, _whole("seed", spec.scenario.get("seed", 0), 0, 2**31), digest)
 
@@ -251,7 +255,7 @@ def _whole(name: str, value: Json, low: int, high: int) -> int:
 
 @lru_cache(maxsize=1)
 def _frames(request: _Request) -> tuple[tuple[Picture, GroundTruth], ...]:
-    """Return the pictures of a data set; the last one is cached, as a picture takes about 50 ms to make."""
+    """Return the images of a data set; the last data set is cached, as rendering an image takes about 50 ms."""
     if request.dataset == SIMULATOR_DATA:
         frames = labelled_frames(Split.VALIDATION, request.frames, seed=request.seed + 1)
         return tuple((frame.picture, frame.truth) for frame in frames)
@@ -268,7 +272,7 @@ def _frames(request: _Request) -> tuple[tuple[Picture, GroundTruth], ...]:
 
 
 def sample_evenly(pictures: Sequence[CocoPicture], count: int) -> list[CocoPicture]:
-    """Return a number of pictures spread evenly over a data set, or all of them if it has fewer."""
+    """Return `count` images spread evenly over a data set, or all of them if it has fewer."""
     if count >= len(pictures):
         return list(pictures)
     return [pictures[index * len(pictures) // count] for index in range(count)]
@@ -277,10 +281,10 @@ def sample_evenly(pictures: Sequence[CocoPicture], count: int) -> list[CocoPictu
 def _read_picture(one: CocoPicture) -> Picture:
     picture = cv2.imread(str(one.file), cv2.IMREAD_COLOR_RGB)
     if picture is None:
-        raise InvalidEpisode(f"scenario.dataset: {one.file} is not a picture")
+        raise InvalidEpisode(f"scenario.dataset: {one.file} cannot be read as an image")
     if picture.shape[:2] != (one.height_px, one.width_px):
         raise InvalidEpisode(
-            f"scenario.dataset: {one.file}: expected {one.width_px} x {one.height_px} px as its annotations say, "
-            f"got {picture.shape[1]} x {picture.shape[0]}"
+            f"scenario.dataset: {one.file}: expected {one.width_px} x {one.height_px} px according to the "
+            f"annotations, got {picture.shape[1]} x {picture.shape[0]}"
         )
     return np.asarray(picture, np.uint8)

@@ -33,7 +33,7 @@ _KINDS: Final = {BodyKind.VEHICLE: CollisionKind.VEHICLE, BodyKind.PERSON: Colli
 
 
 class WorldMonitor:
-    """Measures the true state of an episode.
+    """Measures the ground-truth state of an episode.
 
     Args:
         street: The street; its bodies are added to the engine.
@@ -88,7 +88,7 @@ class WorldMonitor:
     def _measure(
         self, body: BodyId, shape: Body, name: str, velocity: tuple[float, float], *, beside: bool
     ) -> None:
-        """Measure a body's clearance to the ego; of a body that passes beside it, only contacts count."""
+        """Measure the clearance between a body and the ego; if it passes `beside` the ego, only contacts count."""
         found = self._engine.closest(self._ego_body, body, NEAR_M)
         if found is None:
             return
@@ -113,7 +113,7 @@ class WorldMonitor:
         return self._collision is not None
 
     def anyone_expected(self) -> bool:
-        """Return whether, by ground truth, anyone is in the warning region or on course into it."""
+        """Return whether, by ground truth, anyone is in the warning region or on a course into it."""
         return any(self._expects(actor) for actor, _ in self._actors)
 
     def _expects(self, actor: Actor) -> bool:
@@ -135,7 +135,7 @@ class WorldMonitor:
         return False
 
     def sample(self, time_s: float, *, brakes_for_nothing: bool) -> WorldSample:
-        """Return the current true state."""
+        """Return the current ground-truth state."""
         ego = self._ego
         front_m = self._front_gap()
         return WorldSample(
@@ -224,7 +224,7 @@ class Episode:
     Attributes:
         street: The street.
         ego: The car under test.
-        monitor: Measures the true state.
+        monitor: Measures the ground-truth state.
         sight: Provides the observations.
         brake: Decides when to brake.
         requirements: By id; they observe every frame.
@@ -285,7 +285,7 @@ class Episode:
         return sample
 
     def _update_justified(self, frame: int, brakes: bool) -> None:
-        """Track whether the current braking has a reason."""
+        """Track whether the current braking is justified."""
         if self.monitor.anyone_expected():
             self._expected_frame = frame
         if not brakes:

@@ -1,6 +1,6 @@
-"""Records an emergency-braking episode as a `brink.sim.trace.Trace` that any replay can draw.
+"""Records an emergency-braking episode as a `brink.sim.trace.Trace` that every replay can render.
 
-Boxes are in coordinates of the trace's 800 x 600 picture. They apply to any resolution, because the horizontal field
+Boxes are in coordinates of the trace's 800 x 600 image. They apply to any resolution, because the horizontal field
 of view is the same.
 """
 
@@ -34,10 +34,10 @@ from brink.sim.world.ego import EgoCar
 
 TRACE_PX: Final = (800.0, 600.0)
 PICTURE_EVERY: Final = 2
-"""Every second frame is kept as a picture: ten a second, the frame rate of films."""
+"""Every second frame is kept as an image: ten per second, the frame rate of replay videos."""
 JPEG_QUALITY: Final = 70
 PICTURE_WIDTH_PX: Final = 480
-"""Wider pictures are scaled down to this width, so that a film of ten seconds takes one or two megabytes."""
+"""Wider images are scaled down to this width, so that a ten-second film takes one or two megabytes."""
 _SURFACES: Final = {Material.ASPHALT: "road", Material.PAVEMENT: "pavement", Material.MARKING: "marking"}
 
 
@@ -47,7 +47,7 @@ class AebRecorder:
     Args:
         street: The street.
         ego: The car under test.
-        size_px: Size of the camera's picture.
+        size_px: Size of the camera's image.
     """
 
     def __init__(self, street: Street, ego: EgoCar, size_px: tuple[int, int]) -> None:
@@ -149,7 +149,7 @@ class AebRecorder:
 
 
 class _FilmRecorder:
-    """Records the camera's boxes of every picture, and every second picture."""
+    """Records the true boxes and detections of every frame, and the image of every second frame."""
 
     def __init__(self) -> None:
         self._pictures: list[bytes] = []
@@ -158,7 +158,7 @@ class _FilmRecorder:
         self._found: list[list[tuple[float, ...]]] = []
 
     def append(self, sample: int, shot: CameraShot) -> None:
-        """Record the picture and boxes of a sample."""
+        """Record the image and boxes of a sample."""
         if sample % PICTURE_EVERY == 0:
             self._samples.append(sample)
             self._pictures.append(_jpeg(shot.picture))
@@ -166,7 +166,7 @@ class _FilmRecorder:
         self._found.append(_rows(shot.found.labels, shot.found.boxes, shot.found.scores))
 
     def film(self, samples: int, size_px: tuple[int, int]) -> Film | None:
-        """Return the film of an episode with a number of samples; None if there was no camera."""
+        """Return the film of an episode with the given number of samples, or None if there was no camera."""
         if not self._samples:
             return None
         nothing: list[list[tuple[float, ...]]] = [[]] * (samples - len(self._judged))
@@ -208,7 +208,7 @@ def _ragged(rows: Sequence[Sequence[tuple[float, ...]]], columns: tuple[str, ...
 
 
 def _surfaces(street: Street) -> tuple[Surface, ...]:
-    """Return the static scene from above."""
+    """Return the static scene as seen from above."""
     scene = street.scene
     surfaces = [
         Surface(kind=_SURFACES[g.material], points=g.points.astype(np.float32), closed=True, width_m=0.0)

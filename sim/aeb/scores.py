@@ -1,6 +1,6 @@
 """Detection scores of an episode: overall, and separately inside and outside the warning region.
 
-A box is inside if it intersects the region. Boxes on the other side are neutral.
+A box is inside if it intersects the region. Boxes on the other side are ignored in scoring.
 """
 
 from collections.abc import Sequence
@@ -18,9 +18,9 @@ class Scores:
     """Scores of one episode at one threshold; NaN where there was nothing to detect.
 
     Attributes:
-        alpha: mAP at an IoU of one half.
+        alpha: mAP at an IoU of 0.5.
         precision: Share of correct detections among those above the threshold.
-        recall: Share of the true boxes that they find.
+        recall: Share of the true boxes found by detections above the threshold.
         precision_inside: Precision inside the warning region.
         recall_inside: Recall inside the warning region.
         precision_outside: Precision outside the warning region.
@@ -88,7 +88,7 @@ def rescore(film: Film, threshold: float) -> Scores:
 def _side(
     truths: Sequence[GroundTruth], detections: Sequence[Detections], warning: Region, *, inside: bool
 ) -> tuple[list[GroundTruth], list[Detections]]:
-    """Return the frames restricted to one side: other true boxes are ignored, other detections dropped."""
+    """Restrict the frames to one side of the region: ignore other true boxes, drop other detections."""
     kept_truths, kept_found = [], []
     for truth, detected in zip(truths, detections, strict=True):
         on_side = warning.intersects_each(truth.boxes) == inside

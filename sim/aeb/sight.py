@@ -25,14 +25,14 @@ from brink.sim.world.ego import EgoCar
 Picture: TypeAlias = NDArray[np.uint8]
 
 MIN_HEIGHT_SHARE: Final = 8.0 / 360.0
-"""Lower ground-truth boxes are ignored: 8 px in a picture of 640 x 360."""
+"""Ground-truth boxes below this share of the image's height are ignored: 8 px in an image of 640 x 360."""
 
 
 class CameraShot(NamedTuple):
-    """One picture of a camera in the loop.
+    """One image of a camera in the loop, with its ground truth and detections.
 
     Attributes:
-        picture: The picture shown to the detector, RGB, shape ``(h, w, 3)``.
+        picture: The image shown to the detector, RGB, shape ``(h, w, 3)``.
         truth: Ground truth, including ignored boxes.
         found: All detections.
     """
@@ -49,7 +49,7 @@ class Observation(NamedTuple):
         truth: Ground-truth boxes including unusual bodies; a fallen tree is labelled as a vehicle, since it blocks
             the road like one.
         detections: Boxes reported to the brake.
-        shot: Picture and detections of the camera, None without one.
+        shot: Image, ground truth and detections of the camera; None without a camera.
     """
 
     truth: tuple[Detection, ...]
@@ -73,12 +73,12 @@ class Sight(Protocol):
 
 
 class OracleSight:
-    """Ground truth by geometry: boxes of all bodies in view that are not covered by a nearer one.
+    """Computes the ground truth by geometry: boxes of all bodies in view that no nearer body covers.
 
     Args:
-        width_px: Width of the picture.
-        height_px: Height of the picture.
-        reported: Whether the boxes are reported to the brake; if not, it gets nothing.
+        width_px: Width of the image.
+        height_px: Height of the image.
+        reported: Whether the boxes are reported to the brake; if not, it receives no boxes.
     """
 
     def __init__(self, width_px: int, height_px: int, *, reported: bool = True) -> None:
@@ -105,11 +105,11 @@ class OracleSight:
 
 
 class InjectedSight:
-    """Injected boxes, the only ones that the brake gets.
+    """Reports only injected boxes to the brake.
 
     Args:
-        width_px: Width of the picture.
-        height_px: Height of the picture.
+        width_px: Width of the image.
+        height_px: Height of the image.
         trajectories: The boxes, in the urban simulator's image.
     """
 
@@ -155,8 +155,8 @@ class CameraSight:
     Args:
         street: The street.
         light: Time of day and weather.
-        size_px: Size of the pictures.
-        seed: The episode's seed, for looks and perturbations.
+        size_px: Size of the images.
+        seed: The episode's seed, for appearances and perturbations.
         detector: The detector.
         threshold: Minimum score of a detection reported to the brake.
         perturbations: Applied in order.

@@ -1,8 +1,8 @@
 """The specification of an emergency-braking episode: scenario, behaviour, options, and their descriptions.
 
 Medium and hard rain are excluded: their friction is too low to stop in time for a pedestrian at this distance,
-however good the detector is. This module imports no rendering, physics or network, so a coordinator can read
-specifications.
+however good the detector is. This module imports no rendering, physics or neural-network code, so a coordinator can
+read specifications.
 
 Source: Ferreira et al. 2022, the experiment's scenario.
 """
@@ -32,7 +32,7 @@ class Occluder(StrEnum):
 
 
 class Obstacle(StrEnum):
-    """A body on the road that no detector was trained on."""
+    """A body on the road of a kind that no detector was trained on."""
 
     NONE = "none"
     NOVELTY = "novelty"
@@ -53,8 +53,8 @@ class AebScenario:
     """The street, the weather and the pedestrian.
 
     Attributes:
-        time_of_day: Affects the picture.
-        weather: Affects the picture and friction.
+        time_of_day: Affects the image.
+        weather: Affects the image and friction.
         occluder: Hides the pedestrian.
         crossing_m: Distance from the ego's front bumper to the pedestrian's line.
         arrival_s: When the pedestrian reaches the middle of the lane, relative to an ego that does not brake.
@@ -105,7 +105,7 @@ DETECTOR: Final = "brink-det@1"
 
 
 class SightMode(StrEnum):
-    """Source of the boxes that the brake gets."""
+    """Source of the boxes that the brake receives."""
 
     ORACLE = "oracle"
     """The ground truth."""
@@ -114,18 +114,18 @@ class SightMode(StrEnum):
     BLIND = "blind"
     """No boxes."""
     DETECTOR = "detector"
-    """A detector's boxes in the camera's pictures, which may be perturbed."""
+    """A detector's boxes in the camera's images, which may be perturbed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Behaviour:
-    """Source of the brake's boxes, and the perturbations of the pictures.
+    """Source of the boxes that the brake receives, and the perturbations of the images.
 
     Attributes:
         mode: Source of the boxes.
         detector: Id of the detector.
         threshold: Minimum score of a detection reported to the brake.
-        perturbations: Applied to every picture, in order.
+        perturbations: Applied to every image, in order.
         fields: Whether random fields are drawn for each frame or once.
         trajectories: Injected boxes.
         weights: Digest of a user's weights file; empty for a registered detector.
@@ -187,7 +187,7 @@ def check_weights(behaviour: Behaviour) -> None:
     """Check that the weights file on this machine is the one the campaign was submitted with.
 
     Raises:
-        InvalidEpisode: It is not.
+        InvalidEpisode: The file has changed.
     """
     if behaviour.weights and behaviour.weights != weights_digest(behaviour.detector):
         raise InvalidEpisode(
@@ -200,7 +200,7 @@ class Options:
     """Options of an episode.
 
     Attributes:
-        size_px: Size of the camera's picture.
+        size_px: Size of the camera's image.
         hold_s: How long braking continues without a trigger.
         braking: Whether the brake works.
     """

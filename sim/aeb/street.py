@@ -1,8 +1,8 @@
 """The street of an emergency-braking episode, and the road users on it.
 
 The street runs along x. The ego's lane lies around y = -1.75 m and the oncoming lane around y = +1.75 m; each side
-has a strip with parked vehicles, a pavement and buildings. Everything that the scenario leaves open (looks, gaps,
-people on the pavement) comes from the episode's seed.
+has a strip with parked vehicles, a pavement and buildings. Everything that the scenario leaves open (appearances,
+gaps, people on the pavement) comes from the episode's seed.
 """
 
 import math
@@ -45,7 +45,7 @@ class Actor:
 
     Attributes:
         name: Unique in the episode.
-        body: Its looks, size and initial pose.
+        body: Its appearance, size and initial pose.
         x_m: Current position.
         y_m: Current position.
         speed_mps: Current speed along its heading.
@@ -86,7 +86,7 @@ class Actor:
         self.y_m += step_m * math.sin(self.body.yaw_rad)
 
     def current_body(self) -> Body:
-        """Return its body at the current position."""
+        """Return the actor's body at its current position."""
         body = self.body
         person = body.kind is BodyKind.PERSON
         return Body(
@@ -250,7 +250,7 @@ def _actors(scenario: AebScenario, seed: int, line_x_m: float, first_id: int) ->
 
 
 def _pedestrian(scenario: AebScenario, rng: np.random.Generator, line_x_m: float, number: int) -> Actor:
-    """Return the pedestrian, timed to reach the middle of the lane with an ego that does not brake."""
+    """Return the pedestrian, whose arrival in the middle of the lane is timed for an ego that does not brake."""
     from_y_m = -(LANE_M + STRIP_M - 0.3)
     travelled_m = LANE_Y_M - from_y_m
     arrival_s = scenario.crossing_m / CRUISE_MPS + scenario.arrival_s
@@ -267,7 +267,7 @@ def _pedestrian(scenario: AebScenario, rng: np.random.Generator, line_x_m: float
 
 
 def _stroller(rng: np.random.Generator, number: int) -> Actor:
-    """Return the second walker, who stays on the pavement."""
+    """Return the second pedestrian, who stays on the pavement."""
     length_m, width_m, height_m = PERSON_SIZE_M
     along = float(rng.choice([0.0, math.pi]))
     x_m, y_m = float(rng.uniform(15.0, 50.0)), -(KERB_M + float(rng.uniform(1.3, 2.3)))
@@ -291,7 +291,7 @@ def _vehicle(
 
 
 def _obstacle(obstacle: Obstacle, rng: np.random.Generator, line_x_m: float, number: int) -> Actor:
-    """Return the unusual body, at a random position in the ego's lane before the pedestrian's line."""
+    """Return the obstacle, at a random position in the ego's lane before the pedestrian's line."""
     tree = obstacle is Obstacle.NOVELTY
     length_m, width_m, height_m = TREE_SIZE_M if tree else OVERTURNED_SIZE_M
     x_m, y_m = float(rng.uniform(25.0, line_x_m - 12.0)), LANE_Y_M + float(rng.uniform(-0.5, 0.5))

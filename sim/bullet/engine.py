@@ -17,7 +17,7 @@ import pybullet
 
 BodyId = NewType("BodyId", int)
 EngineError: type[Exception] = pybullet.error
-"""Raised by the engine when it breaks down."""
+"""Raised by the engine when it fails."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +54,7 @@ class Engine:
 
     @property
     def client(self) -> int:
-        """Id of the physics client, for the ego on wheels."""
+        """Id of the physics client, which the wheeled ego needs."""
         return self._client
 
     def reset(self) -> None:
@@ -114,12 +114,12 @@ class Engine:
         )
 
     def closest(self, one: BodyId, other: BodyId, within_m: float) -> Closest | None:
-        """Return the relative position of two bodies, or None if they are farther apart than a limit.
+        """Return the relative position of two bodies, or None if they are more than `within_m` apart.
 
         Args:
             one: The first body.
             other: The second body.
-            within_m: Greatest clearance to report.
+            within_m: Maximum clearance to report.
         """
         points = pybullet.getClosestPoints(one, other, within_m, physicsClientId=self._client)
         if not points:

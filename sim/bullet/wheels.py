@@ -1,9 +1,10 @@
 """The ego of `fidelity: wheels`: a chassis on four sphere wheels, driven and braked by the physics engine.
 
-The car is described by a URDF text written here. Spheres touch the ground in one point, so grip is Coulomb friction
-at four loaded contacts, and load transfer, friction circle and locking follow from the contacts instead of formulas.
-All damping is set to zero: the engine's default for multibodies distorts braking by a factor of 1.4 to 2.5. Nothing
-but the ground touches the wheels; clearances to others are measured with boxes, as for the single-track model.
+The car is described in URDF, which is generated here. Spheres touch the ground in one point, so grip is Coulomb
+friction at four loaded contacts, and load transfer, friction circle and locking follow from the contacts instead of
+formulas. All damping is set to zero: the engine's default for multibodies distorts braking by a factor of 1.4 to 2.5.
+Nothing but the ground touches the wheels; clearances to others are measured with boxes, as for the single-track
+model.
 """
 
 import atexit
@@ -32,7 +33,7 @@ _FRONT, _REAR = ("front_left", "front_right"), ("rear_left", "rear_right")
 
 
 class WheeledCar:
-    """The ego on wheels, in place of `brink.sim.world.ego.EgoCar`. Created anew for each episode.
+    """The ego on wheels, in place of `brink.sim.world.ego.EgoCar`. Create a new one for each episode.
 
     Args:
         engine: An emptied engine; receives the ground and the car.
@@ -129,7 +130,7 @@ class WheeledCar:
         self._grade = grade
 
     def drive(self, accel_mps2: float, steer_rad: float, steps: int) -> None:
-        """Drive a number of 100 Hz steps with a constant command, limited to what the car can do.
+        """Drive for `steps` steps of 10 ms with a constant command, limited to what the car can do.
 
         Args:
             accel_mps2: Desired acceleration; negative brakes.

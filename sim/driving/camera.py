@@ -7,8 +7,8 @@ windscreen), and looks along the ego's yaw without pitch or roll. The nearest vi
 
 A body is an upright prism over an oriented rectangle. Its box is exact: the footprint is clipped by the near plane
 and by the sides of the field of view before it is projected. So the bottom edge of a box is always the *nearest
-visible* ground point of the body. A body is hidden if one nearer box covers most of its box: cheap, and right for the
-cases that matter (a person or a car behind a van).
+visible* ground point of the body. A body is hidden if one nearer box covers most of its box: cheap to compute, and
+right for the cases that matter (a person or a car behind a van).
 """
 
 import math
@@ -20,7 +20,7 @@ from brink.sim.driving.interface import Box, ObstacleLabel
 
 
 class Body(NamedTuple):
-    """An upright prism that stands on the ground; `x_m`, `y_m` is the centre of its footprint."""
+    """An upright prism that stands on the ground; `x_m`, `y_m` are the centre of its footprint."""
 
     label: ObstacleLabel
     x_m: float
@@ -50,9 +50,9 @@ class Camera:
         height_m: Height of the camera above the ground, > 0.
         forward_m: Distance of the camera ahead of the ego's centre.
         near_m: Depth of the near plane; nothing closer is projected.
-        far_m: Bodies that begin farther away are not visible.
-        min_width_px: Narrower boxes are not visible.
-        min_height_px: Lower boxes are not visible.
+        far_m: Bodies whose nearest point is farther away are not visible.
+        min_width_px: Bodies with narrower boxes are not visible.
+        min_height_px: Bodies with lower boxes are not visible.
         hidden_fraction: A box is hidden if a nearer one covers at least this share of it.
         focal_px: Focal length, derived.
         centre_x_px: Column of the optical axis, derived.
@@ -83,14 +83,14 @@ class Camera:
         object.__setattr__(self, "horizon_px", self.height_px / 2)
 
     def ground_depth_m(self, y_px: float) -> float | None:
-        """Return the depth along the axis of the ground visible in row `y_px`; None at and above the horizon."""
+        """Return the depth along the optical axis of the ground in row `y_px`; None at and above the horizon."""
         below_px = y_px - self.horizon_px
         if below_px <= 0:
             return None
         return self.focal_px * self.height_m / below_px
 
     def left_m(self, x_px: float, depth_m: float) -> float:
-        """Return the distance to the left of the axis of a point visible in column `x_px` at a depth."""
+        """Return how far left of the optical axis a point at a depth lies if it appears in column `x_px`."""
         return (self.centre_x_px - x_px) * depth_m / self.focal_px
 
     def project(self, x_m: float, y_m: float, yaw_rad: float, body: Body) -> tuple[Box, float] | None:

@@ -9,7 +9,7 @@ from brink.sim.driving.settings import ControlSettings, VehicleShape
 
 
 class Controller(Protocol):
-    """Turns a plan into a command."""
+    """Turns a plan into steering and acceleration commands."""
 
     def control(self, ego: EgoState, plan: Plan) -> Command:
         """Return the command for the next control step."""

@@ -57,7 +57,7 @@ class LightReading(NamedTuple):
 
 
 class Observation(NamedTuple):
-    """Everything that the driving system learns in one control step (20 Hz).
+    """Everything that the driving system receives in one control step (20 Hz).
 
     Attributes:
         time_s: Simulated time.
@@ -99,7 +99,7 @@ class PlanState(NamedTuple):
 
 
 class PerceivedObstacle(NamedTuple):
-    """A confirmed track: an obstacle that the planner assumes around the ego, in world coordinates."""
+    """A confirmed track: an obstacle near the ego that the planner treats as real, in world coordinates."""
 
     track: int
     label: ObstacleLabel
@@ -158,7 +158,7 @@ class Route(Protocol):
 
 
 class DrivingSystem(Protocol):
-    """The driving system under test. Created anew for each episode."""
+    """The driving system under test. Create a new one for each episode."""
 
     def step(self, observation: Observation) -> Command:
         """Run one control step and return its command."""
@@ -171,5 +171,5 @@ class DrivingSystem(Protocol):
 
     @property
     def obstacles(self) -> tuple[PerceivedObstacle, ...]:
-        """The obstacles around the ego that the planner assumed in the last step."""
+        """The obstacles near the ego that the planner treated as real in the last step."""
         ...

@@ -9,8 +9,8 @@ disappears.
 **Overtaking** starts when a vehicle that blocks the lane has stood for `standing_s`, the ego is close behind it, the
 map has an oncoming lane all the way, no stop line is near (the vehicle may be queueing), no person is about to be in
 the way, and no vehicle in the oncoming lane would be met before the ego is back. The obstacle is remembered while the
-ego is beside it, out of the camera's view. Before the ego is beside it, the ego gives up and falls back if somebody
-comes or the obstacle moves off, and simply returns if the obstacle has disappeared.
+ego is beside it, out of the camera's view. Before the ego is beside it, the ego gives up and falls back if another
+road user gets in the way or the obstacle moves off, and simply returns if the obstacle has disappeared.
 """
 
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ _REMEMBERED_S = 4.0
 
 
 class Nudging:
-    """Decides on the offset within the lane at each perception step.
+    """Chooses the offset within the lane at each perception step.
 
     Args:
         settings: Clearances and times.
@@ -151,7 +151,7 @@ _NEVER_S = -1e9
 
 
 class Overtaking:
-    """Decides on overtaking at each perception step.
+    """Decides at each perception step whether and how to overtake.
 
     Args:
         route: Provides oncoming lanes and stop lines.
@@ -193,7 +193,7 @@ class Overtaking:
         return self._track
 
     def clearance_m(self, offset_m: float) -> float:
-        """Return the free space between the ego at an offset and the obstacle beside it."""
+        """Return the lateral clearance between the obstacle and an ego at the given offset."""
         return offset_m - self._half_width_m - self._left_m
 
     def gap_m(self, front_m: float) -> float:
@@ -323,7 +323,7 @@ class Overtaking:
         self._aim_at(obstacle)
 
     def _pass_next(self, obstacles: Sequence[RoadObstacle]) -> None:
-        """Stay out to pass the next standing vehicle if there is no room to return before it."""
+        """Stay in the oncoming lane to pass the next stationary vehicle if there is no room to return before it."""
         for obstacle in obstacles:
             if (
                 obstacle.label is ObstacleLabel.VEHICLE

@@ -91,7 +91,7 @@ def follow_accel(settings: FollowSettings, speed_mps: float, gap_m: float, other
 
 
 def stop_accel(decel_mps2: float, gain_per_s: float, speed_mps: float, distance_m: float) -> float:
-    """Return the highest acceleration in m/s^2 that stops the ego within a distance.
+    """Return the highest acceleration in m/s^2 with which the ego can stop within a distance.
 
     Follows the speed profile sqrt(2 decel distance): below the profile it allows acceleration, on the profile it
     brakes with `decel_mps2`, above it harder.
@@ -109,7 +109,7 @@ def stop_accel(decel_mps2: float, gain_per_s: float, speed_mps: float, distance_
 
 
 class TrafficLightLaw:
-    """Remembers the last reading, and the stop line at which the ego decided to continue."""
+    """Limits acceleration at traffic lights; remembers the last reading and a decision not to stop."""
 
     __slots__ = ("_goes_on_at_m", "_other_since_s", "_reading", "_seen_s", "_settings", "_stopping")
 
@@ -122,7 +122,7 @@ class TrafficLightLaw:
         self._stopping = False
 
     def accel(self, time_s: float, reading: LightReading | None, front_m: float, speed_mps: float) -> float:
-        """Return the highest acceleration in m/s^2 that the light allows.
+        """Return the highest acceleration in m/s^2 that the traffic light allows.
 
         Args:
             time_s: Current time.
@@ -184,7 +184,7 @@ _LEAST_SPEED_MPS = 2.0
 
 
 class GiveWay:
-    """Decides at each perception step where to stop and whether to pass slowly; holds its reasons for a moment.
+    """Decides at each perception step where to stop and whether to pass slowly; holds each decision briefly.
 
     Args:
         settings: Margins and times.
@@ -202,7 +202,7 @@ class GiveWay:
         self.stops_m: list[float] = []
         """Stations at which the front bumper must stop."""
         self.slow = False
-        """Whether somebody stands so close to the path that the ego passes slowly."""
+        """Whether a person is so close to the path that the ego passes slowly."""
 
     def update(
         self,

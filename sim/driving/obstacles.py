@@ -4,14 +4,12 @@
 
 - **Bottom edge**: the distance. The edge is projected back to the ground as the obstacle's nearest point.
 - **Height**: the distance of a box whose bottom edge lies above the horizon, or so little below it that the place
-  would
-be farther than `max_ground_range_m`, where one pixel is worth ten metres. Such a box is placed where an object of its
-label's assumed height would look that tall.
+  would be farther than `max_ground_range_m`, where one pixel corresponds to ten metres. Such a box is placed where an
+  object of its label's assumed height would look that tall.
 - **Left and right edges**: the lateral position and extent at that distance, and so whether the obstacle stands in
-  the
-lane, at its edge, or outside. A body of the label's usual size, aligned with the lane (known from the map), is
-shifted sideways until its image matches the box, so that the visible side of a vehicle does not count as width. The
-obstacle is wider or narrower than usual by as much as the box differs from that image.
+  the lane, at its edge, or outside. A body of the label's usual size, aligned with the lane (known from the map), is
+  shifted sideways until its image matches the box, so that the visible side of a vehicle does not count as width. The
+  obstacle is wider or narrower than usual by as much as the box differs from that image.
 - **Label**: the assumed height, length and width.
 
 A box that the image border cuts on one side is placed by its other edge alone.
@@ -68,7 +66,7 @@ class Localiser(Protocol):
     """Places boxes on the ground."""
 
     def locate(self, ego: EgoState, boxes: tuple[Box, ...]) -> list[Place]:
-        """Return one place for each box that can be placed, in the order of the boxes."""
+        """Return the position of each box that can be placed on the ground, in the order of the boxes."""
         ...
 
 
@@ -200,7 +198,7 @@ def _fitted(
 def _from_inner_edge(
     near: float, inner: float, border: float, length: float, width: float
 ) -> tuple[float, float]:
-    """Return depth and lateral position of the centre of a body whose image is cut on its outer side.
+    """Return depth and lateral position of the centre of a body that the image border cuts off.
 
     Its inner edge is the far end of its inner side. If that side would be outside the image at the nearest depth, the
     nearest visible point is not the body's near end but the point where its inner side enters the image.
@@ -228,7 +226,7 @@ class Track:
     Attributes:
         x_m: Centre of its body.
         y_m: Centre of its body.
-        standing_since_s: Time since when it has been standing; None if it moves or is too new to tell.
+        standing_since_s: Time at which it stopped; None if it moves or is too new to tell.
     """
 
     __slots__ = (
@@ -266,7 +264,7 @@ class Track:
 
 
 class Tracker(Protocol):
-    """Turns places into tracks."""
+    """Turns the places of detections into tracks."""
 
     def update(self, time_s: float, places: Sequence[Place]) -> list[Track]:
         """Process the places of one perception step and return the confirmed tracks, oldest first."""
@@ -432,11 +430,11 @@ class RoadObstacle:
     horizon_s: float = 3.0
 
     def overlaps(self, right_m: float, left_m: float) -> bool:
-        """Return whether it currently reaches into a strip of offsets."""
+        """Return whether the obstacle currently overlaps a range of lateral offsets."""
         return self.left_m > right_m and self.right_m < left_m
 
     def time_in(self, right_m: float, left_m: float) -> tuple[float, float] | None:
-        """Return the predicted times of entering and leaving a strip of offsets; None if not within the horizon."""
+        """Return when the obstacle will enter and leave a range of offsets; None if not within the horizon."""
         speed = self.across_mps
         if speed == 0.0:
             return (0.0, self.horizon_s) if self.overlaps(right_m, left_m) else None
@@ -455,7 +453,7 @@ def by_distance(obstacle: RoadObstacle) -> tuple[float, int]:
 
 
 class Predictor(Protocol):
-    """Maps tracks to the route and predicts them."""
+    """Maps tracks to the route and predicts their motion."""
 
     def predict(self, time_s: float, ego: EgoState, tracks: Sequence[Track]) -> list[RoadObstacle]:
         """Return one obstacle for each track, in the order of the tracks.
@@ -469,7 +467,7 @@ class Predictor(Protocol):
 
 
 class ConstantVelocityPredictor:
-    """Predicts constant velocity along and across the route."""
+    """Predicts that obstacles keep their velocity along and across the route."""
 
     __slots__ = ("_route", "_settings")
 

@@ -34,7 +34,7 @@ _SHOWN_MODE_BELOW_MPS2 = 0.5
 
 
 class Plan(NamedTuple):
-    """Input of the controller.
+    """The planner's output, which the controller follows.
 
     Attributes:
         mode: What the planner is doing.
@@ -175,7 +175,7 @@ class RoutePlanner:
     def _still_beside(
         self, obstacles: Sequence[RoadObstacle], ego: EgoState, front_m: float, passed: int | None
     ) -> list[tuple[RoadObstacle, float]]:
-        """Return the obstacles that the ego clears only by moving over, with the lateral distance left for each."""
+        """Return the obstacles that the ego must move over for, each with the lateral distance still to move."""
         ways = []
         reach_m = self._half_width_m + _BLOCKS_WITHIN_M
         last_m = front_m + self._settings.nudge.look_ahead_m

@@ -1,4 +1,4 @@
-"""All constants of the driving system. With perfect perception, the defaults make a good driver."""
+"""All constants of the driving system. With perfect perception, the defaults drive well."""
 
 from dataclasses import dataclass, field
 
@@ -30,9 +30,9 @@ class LocalisationSettings:
         vehicle_width_m: Assumed width of a vehicle.
         vehicle_length_m: Assumed length of a vehicle.
         person_size_m: Assumed extent of a person.
-        min_extent_m: Least width and length of an obstacle.
+        min_extent_m: Minimum width and length of an obstacle.
         max_ground_range_m: Bottom edges that imply a farther place are not trusted; the box is placed by its size.
-        min_range_m: Least distance from the camera.
+        min_range_m: Minimum distance from the camera.
         pixel_noise_px: Assumed standard deviation of a bottom edge.
         border_px: A box this close to the left or right image border may extend beyond it.
     """
@@ -56,7 +56,7 @@ class TrackingSettings:
     Attributes:
         birth_hits: Hits that confirm a track.
         death_misses: Misses in a row that end a confirmed track; a tentative one ends at the first.
-        gate_m: Greatest distance of a place from its track's predicted position...
+        gate_m: Maximum distance of a place from its track's predicted position...
         gate_per_sigma: ...plus this many standard deviations of its range.
         min_overlap: A box that overlaps its track's last box by at least this intersection over union belongs to the
             track, wherever it was placed.
@@ -107,7 +107,7 @@ class SpeedSettings:
         limit_margin_mps: Margin below the speed limit.
         lateral_accel_mps2: Comfortable lateral acceleration in curves; low enough for a wet road.
         curve_decel_mps2: Comfortable braking before curves.
-        min_curve_mps: Least speed in curves.
+        min_curve_mps: Minimum speed in curves.
         grid_m: Step of the speed profile.
     """
 
@@ -221,7 +221,7 @@ class NudgeSettings:
         hold_s: The offset is kept this long after its cause is gone.
         rate_mps: Rate at which the path offset moves.
         look_ahead_m: Obstacles farther ahead do not cause a nudge yet.
-        creep_mps: Least speed until the ego has moved over.
+        creep_mps: Minimum speed until the ego has moved over.
         stop_gap_m: The ego stops this close to an obstacle if it has not moved over.
         tight_clearance_m: An obstacle that leaves less room than this is passed slowly...
         pass_speed_mps: ...at this speed.
@@ -245,8 +245,8 @@ class OvertakeSettings:
 
     Attributes:
         standing_s: A vehicle must have stood this long to be overtaken.
-        min_gap_m: Least gap from which the ego can pull out.
-        max_gap_m: Greatest gap from which overtaking is considered.
+        min_gap_m: Minimum gap from which the ego can pull out.
+        max_gap_m: Maximum gap from which overtaking is considered.
         easy_gap_m: From a smaller gap than this the ego swings out wider...
         swing_share: ...by this share of the difference.
         clearance_m: Free space beside the obstacle.
@@ -256,7 +256,7 @@ class OvertakeSettings:
         rate_mps: Rate at which the path offset moves.
         blind_gap_m: An obstacle that was closer than this when it left the image is remembered: the ego has turned
             away.
-        oncoming_mps: Least assumed speed of oncoming vehicles.
+        oncoming_mps: Minimum assumed speed of oncoming vehicles.
         pull_out_s: Time for moving out and back, in addition to the driving time.
         return_gap_m: The ego returns when its rear is this far past the obstacle.
         margin_m: The oncoming lane must extend this far beyond the obstacle.

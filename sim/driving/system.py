@@ -25,7 +25,7 @@ _DEFAULT_SETTINGS = DrivingSettings()
 
 
 class ModularDriving:
-    """Implements `brink.sim.driving.interface.DrivingSystem`. Created anew for each episode.
+    """Implements `brink.sim.driving.interface.DrivingSystem`. Create a new one for each episode.
 
     Args:
         route: Route to follow.
@@ -83,7 +83,7 @@ class ModularDriving:
 
     @property
     def plan(self) -> PlanState:
-        """The planner's last decision; the target speed is the one that its acceleration limit leads to in 1 s."""
+        """The planner's last decision; the target speed is what its acceleration limit allows within 1 s."""
         plan = self._plan
         return PlanState(
             mode=plan.mode,

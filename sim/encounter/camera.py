@@ -1,4 +1,4 @@
-"""The simulator `brink-encounter-camera@1`: encounters in which a detector looks at rendered camera pictures.
+"""The simulator `brink-encounter-camera@1`: encounters in which a detector processes rendered camera images.
 
 The road is rendered from the ego's camera, and the detector's boxes are converted to the driving system's image.
 """
@@ -54,7 +54,7 @@ class EncounterCamera:
     Args:
         world: The world of the encounter.
         place: Time of day and weather.
-        seed: Selects the looks.
+        seed: Selects the appearances.
         detector: The detector.
         threshold: Minimum score of a box.
         camera: The driving system's camera, which defines the image of the returned boxes.
@@ -84,7 +84,7 @@ class EncounterCamera:
         self._renderer = Renderer(street_scene(world.road), light, self._picture, seed)
 
     def boxes(self, time_s: float) -> tuple[Box, ...]:
-        """Return the current detections, in px of the driving system's image."""
+        """Return the current detections, in pixels of the driving system's image."""
         ego = self._world.ego
         bodies = [self._body(index, user, time_s) for index, user in enumerate(self._world.road_users)]
         view = Viewpoint(x_m=ego.x_m, y_m=ego.y_m, yaw_rad=ego.yaw_rad)
@@ -115,7 +115,7 @@ class EncounterCamera:
 
 
 def street_scene(road: Road) -> StreetScene:
-    """Return a road as a scene with the same surfaces and fixtures that replays show from above."""
+    """Convert a road to a scene for rendering, with the surfaces and fixtures that replays show from above."""
     still = fixtures(road)
     return StreetScene(
         ground=(_grass(road), *road_surfaces(road)),

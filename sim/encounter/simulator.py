@@ -1,6 +1,6 @@
 """The simulator `brink-encounter@1`: runs a specification and returns the result, bit for bit reproducible.
 
-Its driving system gets the ground truth; `brink.sim.encounter.camera` puts a camera and a detector in its place.
+Its driving system receives the ground truth; `brink.sim.encounter.camera` replaces it with a camera and a detector.
 """
 
 import math
@@ -37,10 +37,10 @@ class BrinkEncounter:
         self._camera = Camera()
 
     def _check(self, behaviour: Mapping[str, Json]) -> None:
-        """Check the behaviour.
+        """Check that this simulator supports the behaviour.
 
         Raises:
-            InvalidEpisode: This simulator does not support it.
+            InvalidEpisode: It does not.
         """
         check_fields("behaviour", behaviour, ("mode",))
         if behaviour["mode"] != BehaviourMode.ORACLE:
@@ -51,7 +51,7 @@ class BrinkEncounter:
     def _detects(
         self, spec: EpisodeSpec, scenario: EncounterScenario, world: EncounterWorld
     ) -> Detects | None:
-        """Return the detector of an episode, None if the driving system gets the ground truth."""
+        """Return the detector of an episode, or None if the driving system receives the ground truth."""
         return None
 
     def run(self, spec: EpisodeSpec, *, record: bool = False) -> EpisodeResult:

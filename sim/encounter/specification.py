@@ -1,7 +1,7 @@
 """The specification of an encounter: the place, the scripts of the road users, and their descriptions.
 
 A script consists of stretches of motion along and across the road. Stations run along the centre line of the ego's
-first lane from 0 at the ego's initial centre; offsets are to the left of it. This module imports nothing heavy.
+first lane from 0 at the ego's initial centre; offsets are to the left of it. This module has no heavy imports.
 """
 
 import math
@@ -31,7 +31,7 @@ _RANGES: Final[Mapping[str, tuple[float, float]]] = {
 
 
 class Kind(StrEnum):
-    """Kind of a road user."""
+    """Kind of road user."""
 
     CAR = "car"
     VAN = "van"
@@ -40,10 +40,10 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stretch:
-    """Motion with constant acceleration and one smooth lateral shift.
+    """A section of a script: motion with constant acceleration and one smooth lateral shift.
 
     Attributes:
-        action: One word for the manoeuvre.
+        action: Name of the manoeuvre.
         from_s: Start time.
         lasts_s: Duration.
         s_m: Station at the start.
@@ -65,7 +65,7 @@ class Stretch:
     aside_m: float
 
     def at(self, time_s: float) -> tuple[float, float, float, float]:
-        """Return station, offset, heading and speed at a script time; beyond its end the motion continues."""
+        """Return station, offset, heading and speed at a time in the script; beyond its end the motion continues."""
         t = time_s - self.from_s
         within_s = min(max(t, 0.0), self.lasts_s)
         along_m = (self.speed_mps + 0.5 * self.accel_mps2 * within_s) * within_s
@@ -96,7 +96,7 @@ class Stretch:
         check_fields(where, document, ("action", *_RANGES))
         action = document["action"]
         if not isinstance(action, str) or not 0 < len(action) <= 40:
-            raise InvalidEpisode(f"{where}.action: expected a word, got {action!r:.80}")
+            raise InvalidEpisode(f"{where}.action: expected a name of 1 to 40 characters, got {action!r:.80}")
         numbers = {}
         for name, (low, high) in _RANGES.items():
             value = document[name]
@@ -145,14 +145,16 @@ class Script:
             )
         if not isinstance(items, list) or not 1 <= len(items) <= MAX_STRETCHES:
             raise InvalidEpisode(
-                f"{where}.stretches: expected a list of 1 to {MAX_STRETCHES}, got {items!r:.80}"
+                f"{where}.stretches: expected a list of 1 to {MAX_STRETCHES} items, got {items!r:.80}"
             )
         stretches = tuple(
             Stretch.from_json(f"{where}.stretches[{index}]", item) for index, item in enumerate(items)
         )
         begins = [stretch.from_s for stretch in stretches]
         if begins[0] != 0.0 or begins != sorted(begins):
-            raise InvalidEpisode(f"{where}.stretches: expected ascending times, the first 0")
+            raise InvalidEpisode(
+                f"{where}.stretches: expected start times (from_s) in ascending order, the first 0"
+            )
         return cls(kind=Kind(kind), stretches=stretches)
 
 
@@ -164,7 +166,7 @@ def scripts_from_json(document: Json) -> tuple[Script, ...]:
     """
     if not isinstance(document, list) or len(document) > MAX_ROAD_USERS:
         raise InvalidEpisode(
-            f"scenario.road_users: expected a list of at most {MAX_ROAD_USERS}, got {document!r:.80}"
+            f"scenario.road_users: expected a list of at most {MAX_ROAD_USERS} road users, got {document!r:.80}"
         )
     return tuple(
         Script.from_json(f"scenario.road_users[{index}]", item) for index, item in enumerate(document)
@@ -205,7 +207,7 @@ class EncounterScenario:
             )
         if "pedestrians" in document:
             raise InvalidEpisode(
-                "scenario: unknown field 'pedestrians'; people are road users of kind pedestrian"
+                "scenario: unknown field 'pedestrians'; list people as road_users of kind 'pedestrian'"
             )
         place = {name: value for name, value in document.items() if name != "road_users"}
         return cls(
@@ -256,7 +258,7 @@ _MAX_ACTIONS: Final = 3
 
 
 def describe_script(script: Mapping[str, Json]) -> str:
-    """Describe a script: where the road user starts, and its actions except keeping its speed."""
+    """Describe a script: where the road user starts and what it does, except for keeping its speed."""
     stretches = script["stretches"]
     assert isinstance(stretches, list)
     steps = [stretch for stretch in stretches if isinstance(stretch, Mapping)]

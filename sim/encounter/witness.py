@@ -52,7 +52,7 @@ class Rectangle(NamedTuple):
     half_width_m: float
 
     def corners(self) -> list[Point]:
-        """Return its corners, counter-clockwise from the front left."""
+        """Return the corners, counter-clockwise from the front left."""
         cos_yaw, sin_yaw = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         return [
             (self.x_m + a * cos_yaw - b * sin_yaw, self.y_m + a * sin_yaw + b * cos_yaw)
@@ -65,7 +65,7 @@ class Rectangle(NamedTuple):
         ]
 
     def nearest_point(self, point: Point) -> Point:
-        """Return the point of the rectangle that is nearest to another point."""
+        """Return the point of the rectangle that is nearest to a given point."""
         dx, dy = point[0] - self.x_m, point[1] - self.y_m
         cos_yaw, sin_yaw = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         along = min(max(dx * cos_yaw + dy * sin_yaw, -self.half_length_m), self.half_length_m)
@@ -74,7 +74,7 @@ class Rectangle(NamedTuple):
 
 
 def _overlap(first: Rectangle, second: Rectangle) -> float:
-    """Return the smallest overlap along the axes of both rectangles; not positive if they are apart."""
+    """Return the smallest overlap along the axes of both rectangles; zero or negative if they do not overlap."""
     dx, dy = second.x_m - first.x_m, second.y_m - first.y_m
     least = math.inf
     for axis_rad in (
@@ -169,7 +169,7 @@ class EncounterWitness:
 
     @property
     def criticality_m(self) -> float:
-        """Smallest distance of any road user to the ego; infinite if there is none."""
+        """Smallest distance between the ego and any road user; infinite if there are no road users."""
         return min(self.gaps_m, default=math.inf)
 
     def _ego(self) -> Rectangle:
@@ -218,7 +218,7 @@ class EncounterWitness:
         )
 
     def _in_way(self, sample: WorldSample) -> int | None:
-        """Return the nearest road user in the ego's way."""
+        """Return the nearest road user in the ego's way, if any."""
         ego = self._ego()
         gaps = [
             (signed_gap_m(ego, make_rectangle(user)), index)

@@ -109,7 +109,7 @@ class ScriptedUser:
             self._pace = min(1.0, self._pace + PULLS_AWAY_MPS2 * change)
 
     def _must_slow_for(self, other: RoadUser) -> bool:
-        """Return whether another road user is so close ahead in its path that it must slow down."""
+        """Return whether another road user is so close ahead in this vehicle's path that it must slow down."""
         dx, dy = other.x_m - self.x_m, other.y_m - self.y_m
         cos_yaw, sin_yaw = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         ahead_m = dx * cos_yaw + dy * sin_yaw
@@ -161,7 +161,7 @@ class EncounterWorld:
             user.advance(step, STEP_S, self.road_users)
 
     def grade_at(self, station_m: float) -> float:
-        """Return the grade of the ego's route; only the main road has one."""
+        """Return the grade of the ego's route at a station; only the main road slopes."""
         return self.road.style.grade if station_m < self.leaves_road_m else 0.0
 
 

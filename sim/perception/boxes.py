@@ -1,7 +1,7 @@
-"""Boxes in pictures: overlap, non-maximum suppression, and how detections score against the ground truth.
+"""Bounding boxes in images: overlap (IoU), non-maximum suppression, and evaluation against the ground truth.
 
 A box is a row x_min, y_min, x_max, y_max in pixels; the maxima are exclusive. Average precision is computed at an
-IoU of one half from the precision at 101 recalls, over the classes that occur. Ignored ground truth (too small,
+IoU of 0.5 from the precision at 101 recall levels, over the classes that occur. Ignored ground truth (too small,
 almost hidden) is neutral: a detection on it counts neither for nor against the detector.
 
 Source: the evaluation of the COCO data set, at its IoU threshold of .5.
@@ -43,7 +43,7 @@ def _area(boxes: FloatArray) -> FloatArray:
 def non_maximum_suppression(
     boxes: FloatArray, scores: FloatArray, labels: NDArray[np.int64], max_overlap: float
 ) -> IndexArray:
-    """Return the indices of the boxes that remain, best first, after each removes worse overlapping ones.
+    """Return the indices of the boxes that survive non-maximum suppression, best score first.
 
     Args:
         boxes: Shape ``(n, 4)``.
@@ -69,7 +69,7 @@ RECALLS: Final = np.linspace(0.0, 1.0, 101)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GroundTruth:
-    """The true boxes of a picture.
+    """The true boxes of an image.
 
     Attributes:
         labels: Class of each box, shape ``(n,)``.
@@ -84,7 +84,7 @@ class GroundTruth:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Detections:
-    """A detector's boxes for a picture.
+    """A detector's boxes for an image.
 
     Attributes:
         labels: Class of each box, shape ``(n,)``.
@@ -99,7 +99,7 @@ class Detections:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LabelledFrame:
-    """A picture with its ground truth.
+    """An image with its ground truth.
 
     Attributes:
         picture: RGB, shape ``(h, w, 3)``.
@@ -130,17 +130,17 @@ class Curve:
 
     @property
     def precision(self) -> NDArray[np.float64]:
-        """Share of correct detections among the first 1, 2, … detections."""
+        """Precision of the 1, 2, … detections with the highest scores."""
         return np.asarray(np.cumsum(self.hits) / np.arange(1, len(self.hits) + 1))
 
     @property
     def recall(self) -> NDArray[np.float64]:
-        """Share of all true boxes found by the first 1, 2, … detections."""
+        """Recall of the 1, 2, … detections with the highest scores."""
         return np.asarray(np.cumsum(self.hits) / max(1, self.positives))
 
     @property
     def average_precision(self) -> float:
-        """Mean of the best precision at or beyond each of 101 recalls; 0 where a recall is never reached."""
+        """Mean, over 101 recall levels, of the best precision at or above the level; 0 where it is never reached."""
         if not len(self.hits):
             return 0.0
         best_beyond = np.maximum.accumulate(self.precision[::-1])[::-1]
@@ -149,25 +149,25 @@ class Curve:
         return float(np.sum(best_beyond[place[reached]]) / len(RECALLS))
 
     def at_score(self, score: float) -> tuple[float, float]:
-        """Return precision and recall of the detections with at least a score; precision is 1 without any."""
+        """Return precision and recall at a minimum score; precision is 1 if no detection reaches it."""
         count = int(np.count_nonzero(self.scores >= score))
         correct = int(np.count_nonzero(self.hits[:count]))
         return (correct / count if count else 1.0), correct / max(1, self.positives)
 
 
 def curves(truths: Sequence[GroundTruth], detections: Sequence[Detections]) -> list[Curve]:
-    """Return the curve of each class that occurs among boxes that count, in ascending order of class.
+    """Return the curve of each class with at least one true box that is not ignored, in ascending order of class.
 
     Args:
-        truths: Ground truth of each picture.
-        detections: Detections in the same pictures, in the same order.
+        truths: Ground truth of each image.
+        detections: Detections in the same images, in the same order.
 
     Raises:
-        ValueError: The numbers of pictures differ.
+        ValueError: The numbers of images differ.
     """
     if len(truths) != len(detections):
         raise ValueError(
-            f"expected equally many ground truths and detections, got {len(truths)} and {len(detections)}"
+            f"expected one set of detections per image, got {len(detections)} for {len(truths)} images"
         )
     occurring = np.unique(
         np.concatenate([truth.labels[~truth.ignored] for truth in truths] or [np.empty(0, int)])
@@ -176,7 +176,7 @@ def curves(truths: Sequence[GroundTruth], detections: Sequence[Detections]) -> l
 
 
 def mean_average_precision(truths: Sequence[GroundTruth], detections: Sequence[Detections]) -> float:
-    """Return mAP at an IoU of one half, in [0, 1]; NaN if no box counts."""
+    """Return the mAP at an IoU of 0.5, in [0, 1]; NaN if there are no true boxes, or all are ignored."""
     values = [curve.average_precision for curve in curves(truths, detections)]
     return float(np.mean(values)) if values else float("nan")
 
@@ -184,15 +184,15 @@ def mean_average_precision(truths: Sequence[GroundTruth], detections: Sequence[D
 def precision_and_recall(
     truths: Sequence[GroundTruth], detections: Sequence[Detections], score: float
 ) -> tuple[float, float]:
-    """Return precision and recall over all classes for detections with at least a score.
+    """Return precision and recall over all classes, counting only detections with at least the given score.
 
     Args:
-        truths: Ground truth of each picture.
-        detections: Detections in the same pictures.
+        truths: Ground truth of each image.
+        detections: Detections in the same images.
         score: Minimum score.
 
     Returns:
-        Precision and recall, NaN where there is nothing to divide by.
+        Precision and recall, NaN where the denominator is zero.
     """
     by_class = curves(truths, detections)
     counted = [curve.hits[curve.scores >= score] for curve in by_class]
@@ -221,9 +221,10 @@ def _curve(label: int, truths: Sequence[GroundTruth], detections: Sequence[Detec
 
 
 def _match(boxes: FloatArray, truth: FloatArray, ignored: BoolArray) -> tuple[BoolArray, BoolArray]:
-    """Return which boxes, sorted best first, are correct, and which of them count.
+    """Return which detections are correct, and which count; the boxes must be sorted by descending score.
 
-    Each box takes the unmatched true box that it overlaps most. It takes an ignored one only if it overlaps no other.
+    Each detection is matched to the unmatched true box that it overlaps most. One that matches only an ignored box
+    does not count.
     """
     correct, counts = np.zeros(len(boxes), np.bool_), np.ones(len(boxes), np.bool_)
     if not len(truth):
@@ -242,7 +243,7 @@ def _match(boxes: FloatArray, truth: FloatArray, ignored: BoolArray) -> tuple[Bo
 
 
 def calibration(curve: Curve, bins: int = 10) -> list[tuple[float, float, int]]:
-    """Return mean score, share of correct detections and their number for each non-empty score bin."""
+    """Return the mean score, share of correct detections and number of detections of each non-empty score bin."""
     edges = np.linspace(0.0, 1.0, bins + 1)
     place = np.clip(np.digitize(curve.scores, edges) - 1, 0, bins - 1)
     rows = []

@@ -1,10 +1,10 @@
 """Detectors of vehicles and people: `brink-det@1`, networks from users' files, and the lookup by id.
 
-A detector takes an RGB picture of any size and returns boxes in its pixels. `brink-det@1` runs with onnxruntime on
+A detector takes an RGB image of any size and returns boxes in its pixels. `brink-det@1` runs with onnxruntime on
 one thread; its weights ship with the package.
 
 Users name their own detectors as ``onnx:FILE``, ``torchscript:FILE`` or ``ultralytics:FILE``. The network in an
-ONNX or TorchScript file takes one RGB picture, shape ``(1, 3, h, w)``, float32 in [0, 1], scaled to fit and padded
+ONNX or TorchScript file takes one RGB image, shape ``(1, 3, h, w)``, float32 in [0, 1], scaled to fit and padded
 with grey. Its output, in px of its input, has one of two forms:
 
 - one array of shape ``(1, 4 + c, n)``, as exported from YOLO networks: centre x, centre y, width, height, and a
@@ -12,10 +12,10 @@ with grey. Its output, in px of its input, has one of two forms:
 - three arrays: boxes ``(n, 4)`` as x_min, y_min, x_max, y_max, scores ``(n,)`` and labels ``(n,)``, in this order or
   named ``boxes``, ``scores`` and ``labels``, as in torchvision's detectors.
 
-Class names are read from ``FILE.json`` beside the weights, ``{"names": ["vehicle", "person"]}``, or from the
+Class names are read from ``FILE.json`` next to the weights, ``{"names": ["vehicle", "person"]}``, or from the
 metadata that YOLO's exporter writes. Without names, a single array of two classes means vehicle and person, and of
 any other number COCO's classes in YOLO's order; three arrays use torchvision's COCO numbers. Any other output is
-refused when the network is loaded.
+rejected when the network is loaded.
 """
 
 import ast
@@ -44,7 +44,7 @@ Picture: TypeAlias = NDArray[np.uint8]
 DETECTORS: Final = "brink.detectors"
 LABELS: Final = ("vehicle", "person")
 INPUT_PX: Final = (320, 192)
-"""Input of `brink-det@1`: width and height."""
+"""Width and height of the input of `brink-det@1`."""
 STRIDE: Final = 4
 MIN_SCORE: Final = 0.001
 MAX_DETECTIONS: Final = 100
@@ -55,16 +55,16 @@ FLEXIBLE_INPUT_PX: Final = (640, 384)
 COCO_LABELS: Final[Mapping[int, int]] = {0: 1, 2: 0, 3: 0, 5: 0, 6: 0, 7: 0}
 """Labels of COCO's classes numbered from 0: person; car, motorcycle, bus, train, truck."""
 TORCHVISION_LABELS: Final[Mapping[int, int]] = {1: 1, 3: 0, 4: 0, 6: 0, 7: 0, 8: 0}
-"""The same in torchvision's numbers, from 1."""
+"""The same for torchvision's class numbers, which start at 1."""
 _OWN_PADDING: Final = 115
 _PADDING: Final = 114
 
 
 class Detector(Protocol):
-    """Finds vehicles and people."""
+    """Finds vehicles and people in images."""
 
     def detect(self, picture: Picture) -> Detections:
-        """Return the detections in a picture: labels 0 (vehicle) and 1 (person), boxes in its pixels, scores.
+        """Return the labels (0 vehicle, 1 person), boxes (in image pixels) and scores of the detections in an image.
 
         Args:
             picture: RGB, shape ``(h, w, 3)``.
@@ -73,7 +73,7 @@ class Detector(Protocol):
 
 
 def find_detector(detector_id: str) -> Detector:
-    """Return the detector with an id; it may be shared, because detectors are stateless.
+    """Return the detector with the given id; detectors are stateless, so it may be shared.
 
     Args:
         detector_id: A registered detector such as ``brink-det@1``, or a user's file: ``onnx:FILE``,
@@ -104,7 +104,7 @@ def _check_picture(picture: Picture) -> None:
 
 
 def _scale_to_fit(picture: Picture, size_px: tuple[int, int]) -> tuple[Picture, float]:
-    """Return a picture scaled to fit (width, height), and the scale factor."""
+    """Return an image scaled to fit (width, height), and the scale factor."""
     height_px, width_px = picture.shape[:2]
     scale = min(size_px[0] / width_px, size_px[1] / height_px)
     size = max(1, round(width_px * scale)), max(1, round(height_px * scale))
@@ -113,7 +113,7 @@ def _scale_to_fit(picture: Picture, size_px: tuple[int, int]) -> tuple[Picture, 
 
 
 def _to_planes(canvas: Picture) -> NDArray[np.float32]:
-    """Return an RGB picture as network input, shape ``(1, 3, h, w)``, in [0, 1]."""
+    """Return an RGB image as network input, shape ``(1, 3, h, w)``, in [0, 1]."""
     return np.ascontiguousarray(canvas.transpose(2, 0, 1)[None], dtype=np.float32) / np.float32(255.0)
 
 
@@ -133,12 +133,12 @@ def _load_onnx(file: Path) -> onnxruntime.InferenceSession:
 
 
 def fit_picture(picture: Picture) -> tuple[Picture, float]:
-    """Return a picture as `brink-det@1` takes it, shape ``(192, 320, 3)``, and its scale factor.
+    """Return an image in the input format of `brink-det@1`, shape ``(192, 320, 3)``, and its scale factor.
 
-    The picture is scaled with its aspect ratio kept and padded with grey on the right or below.
+    The image is scaled with its aspect ratio kept and padded with grey on the right or below.
 
     Raises:
-        DetectorError: It is not an RGB picture.
+        DetectorError: It is not an RGB image.
     """
     _check_picture(picture)
     small, scale = _scale_to_fit(picture, INPUT_PX)
@@ -188,12 +188,12 @@ class NetworkDetector:
         self._input = self._session.get_inputs()[0].name
 
     def infer(self, canvas: Picture) -> tuple[FloatArray, FloatArray]:
-        """Return the heat map and the edges for a fitted picture."""
+        """Return the heat map and the edges for a fitted image."""
         heat, edges = self._session.run(None, {self._input: _to_planes(canvas)})
         return heat[0], edges[0]
 
     def detect(self, picture: Picture) -> Detections:
-        """Return the detections in a picture."""
+        """Return the detections in an image."""
         canvas, scale = fit_picture(picture)
         found = decode(*self.infer(canvas))
         boxes = np.clip(found.boxes / np.float32(scale), 0.0, _limits(picture))
@@ -225,7 +225,7 @@ class LoadedNetwork(Protocol):
 
     @property
     def input_px(self) -> tuple[int, int]:
-        """Width and height of its input."""
+        """Width and height of the network's input."""
         ...
 
     @property
@@ -234,7 +234,7 @@ class LoadedNetwork(Protocol):
         ...
 
     def infer(self, planes: NDArray[np.float32]) -> list[NDArray[Any]]:
-        """Return the outputs for a picture, shape ``(1, 3, h, w)``."""
+        """Return the outputs for an image, shape ``(1, 3, h, w)``."""
         ...
 
 
@@ -246,7 +246,7 @@ class FileDetector:
         source: Its file, named in messages.
 
     Raises:
-        DetectorError: Its output for a grey picture is not a detection.
+        DetectorError: Its output for a grey image is not a detection.
     """
 
     def __init__(self, network: LoadedNetwork, source: str) -> None:
@@ -256,7 +256,7 @@ class FileDetector:
         self.detect(np.full((height_px, width_px, 3), _PADDING, np.uint8))
 
     def detect(self, picture: Picture) -> Detections:
-        """Return the detections in a picture."""
+        """Return the detections in an image."""
         _check_picture(picture)
         canvas, scale, left, top = _letterbox(picture, self._network.input_px)
         boxes, scores, classes, default_labels = self._parse(self._network.infer(_to_planes(canvas)))
@@ -274,7 +274,7 @@ class FileDetector:
     def _parse(
         self, outputs: Sequence[NDArray[Any]]
     ) -> tuple[FloatArray, FloatArray, NDArray[np.int64], Mapping[int, int]]:
-        """Return boxes, scores, classes, and the labels of classes for a network without class names."""
+        """Return boxes, scores, classes, and the labels to use if the network has no class names."""
         shapes = [array.shape for array in outputs]
         if (
             len(outputs) == 1
@@ -309,7 +309,7 @@ def _labels_by_name(names: Mapping[int, str]) -> Mapping[int, int]:
 
 
 def _letterbox(picture: Picture, size_px: tuple[int, int]) -> tuple[Picture, float, int, int]:
-    """Return a picture centred in the network's input, its scale factor, and its left and top edge."""
+    """Return an image centred in the network's input, its scale factor, and the position of its left and top edge."""
     small, scale = _scale_to_fit(picture, size_px)
     high, wide = small.shape[:2]
     canvas = np.full((size_px[1], size_px[0], 3), _PADDING, np.uint8)
@@ -388,7 +388,7 @@ class UltralyticsDetector:
         self._label_of = _labels_by_name(dict(self._model.names))
 
     def detect(self, picture: Picture) -> Detections:
-        """Return the detections in a picture."""
+        """Return the detections in an image."""
         found = self._model.predict(
             picture[:, :, ::-1], conf=MIN_SCORE, iou=NMS_OVERLAP, max_det=MAX_DETECTIONS, device="cpu",
             verbose=False,
@@ -405,7 +405,7 @@ class UltralyticsDetector:
 
 @cache
 def load_file_detector(detector_id: str) -> Detector:
-    """Load the detector of an id such as ``onnx:FILE``, once per process.
+    """Load the detector with an id such as ``onnx:FILE``, once per process.
 
     Raises:
         DetectorError: The kind is unknown, or the file is missing or not a detector.
@@ -430,7 +430,7 @@ def _import(module: str, kind: str, requirement: str) -> Any:
 
 
 def _read_names_file(file: Path) -> dict[int, str]:
-    """Return the class names from the JSON file beside the weights; empty if there is no such file.
+    """Return the class names from the JSON file next to the weights; empty if there is no such file.
 
     Raises:
         DetectorError: The file is invalid or has no known class.
@@ -444,7 +444,7 @@ def _read_names_file(file: Path) -> dict[int, str]:
         names = {}
     if not _labels_by_name(names):
         raise DetectorError(
-            f'{names_file}: expected {{"names": ["vehicle", "person"]}} with at least one of them'
+            f'{names_file}: expected {{"names": ["vehicle", "person"]}} with at least one of these names'
         )
     return names
 
@@ -464,7 +464,7 @@ def _parse_literal(text: object) -> Any:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Load the detector of an id; if that fails, print the reason and return 1."""
+    """Load the detector with the given id; if that fails, print the reason and return 1."""
     try:
         load_file_detector(arguments[0])
     except DetectorError as error:

@@ -23,12 +23,12 @@ from brink.sim.perception.detector import LABELS, Detector
 DEPTHS_M: Final = ((0.0, 5.0), (5.0, 10.0), (10.0, 20.0), (20.0, 40.0), (40.0, 80.0))
 THRESHOLD: Final = 0.5
 SIDES_PX: Final = (6, 8, 12, 16)
-"""Sides in pictures of 640 x 360; the network sees half of that."""
+"""Side lengths in images of 640 x 360; the network receives half of that."""
 _COLOURS: Final = ("#0072b2", "#d55e00")
 
 
 def evaluate(detector: Detector, frames: Sequence[LabelledFrame]) -> tuple[dict[str, Any], list[Curve]]:
-    """Return the figures of a detector on pictures as plain JSON values, and its curves by class."""
+    """Return a detector's metrics as plain JSON values, and its precision-recall curve for each class."""
     truths = [frame.truth for frame in frames]
     detections = [detector.detect(frame.picture) for frame in frames]
     by_class = curves(truths, detections)
@@ -61,7 +61,7 @@ def _class_figures(curve: Curve) -> dict[str, Any]:
 
 
 def _from_side(side_px: float, frames: Sequence[LabelledFrame], detections: Sequence[Detections]) -> float:
-    """Return the mAP when boxes with a shorter side are ignored."""
+    """Return the mAP when true boxes with a side shorter than `side_px` are ignored."""
     truths = []
     for frame in frames:
         sides = (frame.truth.boxes[:, 2:] - frame.truth.boxes[:, :2]).min(axis=1)
@@ -72,7 +72,7 @@ def _from_side(side_px: float, frames: Sequence[LabelledFrame], detections: Sequ
 def _by_depth(
     label: int, frames: Sequence[LabelledFrame], detections: Sequence[Detections]
 ) -> list[dict[str, Any]]:
-    """Return average precision and recall by distance; bodies at other distances are ignored."""
+    """Return average precision and recall for each range of distances; bodies outside it are ignored."""
     rows = []
     for low_m, high_m in DEPTHS_M:
         truths = []
@@ -90,7 +90,7 @@ def _by_depth(
 
 
 def plot(figures: dict[str, Any], by_class: Sequence[Curve]) -> Figure:
-    """Plot precision over recall, share of correct detections over score, and recall over distance."""
+    """Plot precision against recall, share of correct detections against score, and recall against distance."""
     figure = Figure(figsize=(12, 3.8), layout="constrained")
     FigureCanvasAgg(figure)
     left, middle, right = figure.subplots(1, 3)
@@ -106,7 +106,7 @@ def plot(figures: dict[str, Any], by_class: Sequence[Curve]) -> Figure:
         right.plot(depth_m, [row["average_precision"] for row in rows], "o-", color=colour, label=name)
     middle.plot([0, 1], [0, 1], color="#999999", linewidth=1, linestyle=(0, (3, 3)))
     left.set(xlabel="recall", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02))
-    middle.set(xlabel="score", ylabel="share of right detections", xlim=(0, 1), ylim=(0, 1.02))
+    middle.set(xlabel="score", ylabel="share of correct detections", xlim=(0, 1), ylim=(0, 1.02))
     right.set(xlabel="distance (m)", ylabel="average precision", ylim=(0, 1.02))
     for axes in (left, middle, right):
         axes.legend(frameon=False, fontsize=9)
@@ -118,16 +118,16 @@ def write_report(detector_id: str, detector: Detector, frames: Sequence[Labelled
     """Evaluate a detector, write `evaluation.json` and `evaluation.png`, and print the tables.
 
     Args:
-        detector_id: Named in the report.
+        detector_id: Id of the detector, for the report.
         detector: The detector.
-        frames: Test pictures.
+        frames: Test images.
         out: Output folder.
     """
     figures, by_class = evaluate(detector, frames)
     figures = {"detector": detector_id, **figures}
     (out / "evaluation.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
     plot(figures, by_class).savefig(out / "evaluation.png", dpi=110, metadata={"Software": None})
-    print(f"{detector_id}: mAP@0.5 {figures['map']:.3f} on {len(frames)} test pictures")  # noqa: T201
+    print(f"{detector_id}: mAP@0.5 {figures['map']:.3f} on {len(frames)} test images")  # noqa: T201
     sides = ", ".join(f"from {row['from_px']} px {row['map']:.3f}" for row in figures["by_shorter_side"])
     print(f"  by shorter side of the boxes: {sides}")  # noqa: T201
     for name, figure in figures["classes"].items():

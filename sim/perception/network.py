@@ -1,11 +1,11 @@
 """The network of `brink-det@1`, its training targets and its loss.
 
-The network is anchor-free and has about half a million parameters, for pictures of 320 x 192. For each cell of a
-grid at a quarter of the picture's resolution and each class, it predicts how likely the cell is to hold a box centre,
+The network is anchor-free and has about half a million parameters, for images of 320 x 192. For each cell of a
+grid at a quarter of the image's resolution and each class, it predicts how likely the cell is to hold a box centre,
 and the distances to the four edges of that box.
 
-The heat map's target is a Gaussian around each box centre, as wide as a box may shift and still have an IoU of one
-half. Edges are trained in the cells near a centre. Cells inside ignored boxes are not trained.
+The heat map's target is a Gaussian around each box centre, as wide as the shift that leaves a box an IoU of 0.5
+with itself. Edges are trained in the cells near a centre. Cells inside ignored boxes are not trained.
 
 Sources: Zhou et al. 2019, "Objects as Points" (centres, penalty-reduced focal loss); Tian et al. 2019, "FCOS"
 (distances to the edges); Rezatofighi et al. 2019 (generalised IoU).
@@ -53,7 +53,7 @@ class _Residual(nn.Module):
 class Network(nn.Module):
     """The detection network.
 
-    Takes pictures, shape ``(n, 3, h, w)`` with h and w divisible by 32, RGB in [0, 1]. Returns the logits of the
+    Takes images, shape ``(n, 3, h, w)`` with h and w divisible by 32, RGB in [0, 1]. Returns the logits of the
     heat map, shape ``(n, classes, h / 4, w / 4)``, and the distances in px from each cell's centre to the left,
     upper, right and lower edge of a box of each class, shape ``(n, classes, 4, h / 4, w / 4)``.
     """
@@ -105,7 +105,7 @@ def _upsample(x: Tensor) -> Tensor:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """Training target of a batch.
+    """Training target for a batch.
 
     Attributes:
         heat: In [0, 1], 1 at box centres, shape ``(n, classes, h, w)``.
@@ -157,7 +157,7 @@ def _draw_box(
     left, upper, right, lower = box.tolist()
     column = min(int(0.5 * (left + right) / STRIDE), ACROSS - 1)
     row = min(int(0.5 * (upper + lower) / STRIDE), DOWN - 1)
-    # A shift by a sixth of the size along each axis still leaves an IoU of one half.
+    # A shift by a sixth of the size along each axis still leaves an IoU of 0.5.
     spread = [max(0.6, (high - low) / STRIDE / 6.0) / 1.5 for low, high in ((left, right), (upper, lower))]
     reach = [int(np.ceil(3.0 * sigma)) for sigma in spread]
     columns = np.arange(max(0, column - reach[0]), min(ACROSS, column + reach[0] + 1))
@@ -176,7 +176,7 @@ def _draw_box(
 
 
 def detection_loss(heat: Tensor, edges: Tensor, target: Target) -> Tensor:
-    """Return the scalar loss of an output; classes have equal weight, and so have the boxes of a class.
+    """Return the scalar loss of an output; all classes have equal weight, as do all boxes of a class.
 
     Args:
         heat: Logits, shape ``(n, classes, h, w)``.

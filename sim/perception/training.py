@@ -1,6 +1,6 @@
 """Training of `brink-det@1`: batches, exposure variation, the optimiser loop, and the export to ONNX.
 
-Initial weights and the order of pictures come from a seed and everything runs on one thread, so that a second run
+Initial weights and the order of images come from a seed and everything runs on one thread, so that a second run
 on the same kind of processor gives the same weights.
 """
 
@@ -30,7 +30,7 @@ PROGRESS_EVERY: Final = 500
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TrainingSet:
-    """Pictures in the form that the network takes.
+    """Images in the network's input format, with their ground truth.
 
     Attributes:
         planes: Shape ``(n, 192, 320, 3)``, uint8.
@@ -49,12 +49,12 @@ def make_deterministic() -> None:
 
 
 def collect(frames: Iterable[LabelledFrame], count: int, name: str) -> TrainingSet:
-    """Fit pictures to the network, and print the progress.
+    """Convert images to the network's input format, and print the progress.
 
     Args:
-        frames: The pictures.
-        count: Number of pictures.
-        name: Name of the set in the output.
+        frames: The images.
+        count: Number of images.
+        name: Name of the set in the printed progress.
     """
     planes = np.empty((count, INPUT_PX[1], INPUT_PX[0], 3), np.uint8)
     truths = []
@@ -66,7 +66,7 @@ def collect(frames: Iterable[LabelledFrame], count: int, name: str) -> TrainingS
         truths.append(GroundTruth(labels=truth.labels, boxes=scaled, ignored=truth.ignored))
         if (index + 1) % PROGRESS_EVERY == 0:
             elapsed_s = time.monotonic() - started
-            print(f"{name}: {index + 1} of {count} pictures, {elapsed_s:.0f} s", flush=True)  # noqa: T201
+            print(f"{name}: {index + 1} of {count} images, {elapsed_s:.0f} s", flush=True)  # noqa: T201
     return TrainingSet(planes=planes, truths=tuple(truths))
 
 
@@ -77,10 +77,10 @@ def _flip(truth: GroundTruth) -> GroundTruth:
 
 
 def _vary_exposure(planes: Picture, rng: np.random.Generator) -> Picture:
-    """Vary gain, offset, white balance and noise of two in three pictures, as cameras differ in them.
+    """Randomly vary gain, offset, white balance and noise in about two thirds of the images.
 
-    The variation is no stronger than the weakest levels of contrast; all other perturbations stay unknown to the
-    detector.
+    These differ between cameras. The variation is no stronger than the weakest levels of contrast; all other
+    perturbations stay unknown to the detector.
     """
     count = len(planes)
     gain = rng.uniform(0.8, 1.2, (count, 1, 1, 1)) * rng.uniform(0.93, 1.07, (count, 1, 1, 3))
@@ -93,7 +93,7 @@ def _vary_exposure(planes: Picture, rng: np.random.Generator) -> Picture:
 
 
 def to_tensor(planes: Picture) -> torch.Tensor:
-    """Return pictures as the network's input, shape ``(n, 3, 192, 320)``, in [0, 1]."""
+    """Return images as the network's input, shape ``(n, 3, 192, 320)``, in [0, 1]."""
     tensor = torch.from_numpy(np.ascontiguousarray(planes.transpose(0, 3, 1, 2))).float() / 255.0
     return tensor.contiguous(memory_format=torch.channels_last)
 
@@ -104,13 +104,13 @@ def train(
     """Train a network.
 
     Args:
-        pictures: Training pictures.
-        validation: Validation pictures.
-        epochs: Number of passes over the training pictures.
-        seed: Seed of initial weights, order and augmentation.
+        pictures: Training images.
+        validation: Validation images.
+        epochs: Number of passes over the training images.
+        seed: Seed of the initial weights, the order of the images and the augmentation.
 
     Returns:
-        The network, and its mAP on the validation pictures after each epoch.
+        The network, and its mAP on the validation images after each epoch.
     """
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
@@ -159,7 +159,7 @@ def train(
 
 
 def _update_average(average: Network, network: Network, step: int) -> None:
-    """Move the average a little towards the network, faster in the first steps."""
+    """Update the exponential moving average of the weights; its decay is smaller in the first steps."""
     decay = min(AVERAGE_DECAY, (1 + step) / (10 + step))
     with torch.no_grad():
         for mean, current in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
@@ -170,7 +170,7 @@ def _update_average(average: Network, network: Network, step: int) -> None:
 
 
 def detect_all(network: Network, planes: Picture) -> list[Detections]:
-    """Return the network's detections in each picture."""
+    """Return the network's detections in each image."""
     network.eval()
     detections = []
     with torch.no_grad():
@@ -205,9 +205,9 @@ def write_results(
 
     Args:
         network: The trained network.
-        test: Test pictures, for the figures in the record.
+        test: Test images, for the metrics in the record.
         out: Output folder.
-        settings: Number of pictures, epochs and seed.
+        settings: Number of images, epochs and seed.
         validation_map: mAP after each epoch.
     """
     detections = detect_all(network, test.planes)

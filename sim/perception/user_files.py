@@ -1,13 +1,13 @@
 """Files that users provide: detector weights and labelled data sets in COCO format, checked before use.
 
-Loads no network, so a coordinator can validate a submission with it. Only plain files on a disk are read: reading a
-device or a pipe might never end.
+This module loads no network, so a coordinator can validate a submission with it. Only plain files on a disk are read:
+reading a device or a pipe might never end.
 
-A data set is read completely or refused. Boxes of persons and vehicles are kept, other categories are left out.
+A data set is read completely or rejected. Boxes of persons and vehicles are kept, other categories are left out.
 Crowds and very small boxes are ignored, as in COCO's own evaluation.
 
 SimulatorError
-├── DetectorError    a detector cannot be loaded, or cannot process a picture
+├── DetectorError    a detector cannot be loaded, or cannot process an image
 └── DatasetError     a data set is missing or invalid
 
 Source: the COCO data format, https://cocodataset.org/#format-data.
@@ -39,7 +39,7 @@ CATEGORY_LABELS: Final[Mapping[str, int]] = {
 }  # fmt: skip
 """Label of each known category: 0 for a vehicle, 1 for a person."""
 MIN_HEIGHT_SHARE: Final = 8.0 / 360.0
-"""Boxes lower than this share of the picture's height are ignored."""
+"""Boxes lower than this share of the image's height are ignored."""
 MAX_LISTED: Final = 3
 """Number of faults that a message lists."""
 _SYSTEM_FOLDERS: Final = ("/proc", "/sys")
@@ -49,7 +49,7 @@ _Box: TypeAlias = tuple[int, tuple[float, float, float, float], bool]
 
 
 class DetectorError(SimulatorError):
-    """A detector cannot be loaded, or cannot process a picture."""
+    """A detector cannot be loaded, or cannot process an image."""
 
 
 class DatasetError(SimulatorError):
@@ -57,7 +57,7 @@ class DatasetError(SimulatorError):
 
 
 def _unreadable(file: Path) -> str | None:
-    """Return the reason why a file must not be read, None if it may be."""
+    """Return the reason why a file must not be read, or None if it may be read."""
     try:
         real = file.resolve()
         status = real.stat()
@@ -67,14 +67,14 @@ def _unreadable(file: Path) -> str | None:
     if stat.S_ISDIR(status.st_mode):
         return "expected a file, got a folder"
     if not stat.S_ISREG(status.st_mode) or any(real.is_relative_to(folder) for folder in _SYSTEM_FOLDERS):
-        return "expected a file on a disk"
+        return "expected a regular file on a disk"
     if status.st_size > MAX_BYTES:
         return f"expected at most {MAX_BYTES} bytes, got {status.st_size}"
     return None
 
 
 def weights_file(detector_id: str) -> Path | None:
-    """Return the weights file named by a detector id, None for a registered detector.
+    """Return the weights file named by a detector id, or None for a registered detector.
 
     Raises:
         DetectorError: The kind is unknown, or the file cannot be read.
@@ -110,7 +110,7 @@ def _digest(file: Path, _modified_ns: int, _size: int) -> str:
 
 
 def check_loads(detector_id: str) -> None:
-    """Load a weights file in a separate process, if this machine has the libraries for it.
+    """Check that a weights file can be loaded, in a separate process, if this machine has the libraries for it.
 
     Raises:
         DetectorError: The file is not a detector.
@@ -134,13 +134,13 @@ def _check_loads(detector_id: str, _content: str) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CocoPicture:
-    """One picture of a data set.
+    """One image of a data set.
 
     Attributes:
-        file: Path of the picture.
+        file: Path of the image.
         width_px: Width stated by the annotations.
         height_px: Height stated by the annotations.
-        truth: Ground truth in pixels of the picture.
+        truth: Ground truth in pixels of the image.
     """
 
     file: Path
@@ -156,7 +156,7 @@ class CocoDataset:
     Attributes:
         file: The annotations.
         digest: Digest of the annotations, 16 hexadecimal digits.
-        pictures: In the order of the file, including pictures without boxes.
+        pictures: In the order of the file, including images without boxes.
     """
 
     file: Path
@@ -168,10 +168,10 @@ def read_coco(file: Path) -> CocoDataset:
     """Read a data set; an unchanged file is read only once.
 
     Args:
-        file: Annotations in JSON. Pictures are searched for in its folder and in the subfolder ``images``.
+        file: Annotations in JSON. Images are searched for in its folder and in the subfolder ``images``.
 
     Raises:
-        DatasetError: The file is missing or invalid, a box is invalid, or a picture is missing.
+        DatasetError: The file is missing or invalid, a box is invalid, or an image is missing.
     """
     try:
         status = file.stat()
@@ -203,14 +203,16 @@ def _read_coco(file: Path, _modified_ns: int, _size: int) -> CocoDataset:
         reason = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error)
         raise DatasetError(f"{file}: {reason}") from None
     if all(label is None for label in labels.values()):
-        raise DatasetError(f"{file}: expected a category named one of {', '.join(CATEGORY_LABELS)}")
+        raise DatasetError(
+            f"{file}: expected at least one category with one of the names {', '.join(CATEGORY_LABELS)}"
+        )
     boxes = _boxes_by_image(file, annotations, labels, sizes)
     paths = {key: _find(file, name) for key, (name, _, _) in sizes.items()}
     missing = [name for key, (name, _, _) in sizes.items() if paths[key] is None]
     if missing:
         more = f" and {len(missing) - MAX_LISTED} more" if len(missing) > MAX_LISTED else ""
         raise DatasetError(
-            f"{file}: pictures not found beside it or in images/: {', '.join(missing[:MAX_LISTED])}{more}"
+            f"{file}: images not found in its folder or in images/: {', '.join(missing[:MAX_LISTED])}{more}"
         )
     pictures = tuple(
         CocoPicture(file=path, width_px=wide, height_px=high, truth=_truth(boxes[key], high))
@@ -218,7 +220,7 @@ def _read_coco(file: Path, _modified_ns: int, _size: int) -> CocoDataset:
         if path is not None
     )
     if not any(len(picture.truth.labels) for picture in pictures):
-        raise DatasetError(f"{file}: no box belongs to one of the categories {', '.join(CATEGORY_LABELS)}")
+        raise DatasetError(f"{file}: no box belongs to any of the categories {', '.join(CATEGORY_LABELS)}")
     return CocoDataset(file=file, digest=hashlib.sha256(raw).hexdigest()[:16], pictures=pictures)
 
 
@@ -269,7 +271,7 @@ def _boxes_by_image(
 def _box(
     annotation: Any, labels: Mapping[Any, int | None], sizes: Mapping[Any, tuple[str, int, int]]
 ) -> _Box | None:
-    """Return an annotation's box, None if its category is unknown to detectors."""
+    """Return an annotation's box, or None if its category is not among the known ones."""
     if not isinstance(annotation, dict):
         raise DatasetError(f"expected an object, got {annotation!r}")
     if annotation.get("image_id") not in sizes:
@@ -287,7 +289,7 @@ def _box(
         raise DatasetError(f"bbox: expected a width and a height above 0, got {box!r}")
     _, width_px, height_px = sizes[annotation["image_id"]]
     if x >= width_px or y >= height_px or x + wide <= 0 or y + high <= 0:
-        raise DatasetError(f"bbox: {box!r} lies outside its picture of {width_px} x {height_px}")
+        raise DatasetError(f"bbox: {box!r} lies outside its image of {width_px} x {height_px}")
     corners = (max(0.0, x), max(0.0, y), min(float(width_px), x + wide), min(float(height_px), y + high))
     return label, corners, bool(annotation.get("iscrowd", 0))
 

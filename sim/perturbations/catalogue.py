@@ -6,8 +6,8 @@ coordinator can build a search space of genes that only workers can apply.
 SimulatorError
 └── PerturbationError
     ├── InvalidPerturbation  final, also an InvalidEpisode: unknown gene or level; fix the specification
-    ├── InvalidFrame         the input is not an RGB uint8 picture
-    ├── PerturbationFailed   a transform raised, or did not return a picture; names the gene
+    ├── InvalidFrame         the input is not an RGB uint8 image
+    ├── PerturbationFailed   a transform raised, or did not return an image; names the gene
     └── VisionMissing        OpenCV is not installed
 
 Source: Ferreira et al. 2022, table I. Two of its levels have no effect and are replaced (docs/adr/0022): snow 1,
@@ -26,19 +26,19 @@ from brink.sim.errors import InvalidEpisode, SimulatorError
 
 
 class PerturbationError(SimulatorError):
-    """Root of this package's errors."""
+    """Base class of all errors that the perturbations package raises deliberately."""
 
 
 class InvalidPerturbation(PerturbationError, InvalidEpisode):
-    """The gene or the level does not exist."""
+    """A gene or level that does not exist."""
 
 
 class InvalidFrame(PerturbationError):
-    """The input is not an RGB uint8 picture of a usable size."""
+    """The input is not an RGB uint8 image of a usable size."""
 
 
 class PerturbationFailed(PerturbationError):
-    """A transform raised, or did not return a picture of the same size; the message names the gene."""
+    """A transform raised, or did not return an image of the same size; the message names the gene."""
 
 
 class VisionMissing(PerturbationError):
@@ -46,7 +46,7 @@ class VisionMissing(PerturbationError):
 
 
 Frame: TypeAlias = npt.NDArray[np.uint8]
-"""A picture: RGB, uint8, shape ``(height, width, 3)``."""
+"""An image: RGB, uint8, shape ``(height, width, 3)``."""
 
 Transform: TypeAlias = Callable[[Frame, float, np.random.Generator], Frame]
 """Maps (frame, value of a level, generator) to a new frame. Must be pure; the input frame is read-only."""
@@ -83,7 +83,7 @@ class Gene:
         return tuple(dict.fromkeys((1, self.levels // 2, self.levels - 1)))
 
     def value(self, level: int) -> float | None:
-        """Return the parameter of a level, None for level 0.
+        """Return the parameter of a level, or None for level 0.
 
         Raises:
             InvalidPerturbation: The level does not exist.
@@ -110,7 +110,7 @@ class Gene:
         """
         if isinstance(level, bool) or not isinstance(level, int) or not 0 <= level < self.levels:
             raise InvalidPerturbation(
-                f"{self.name}: expected a level in 0 to {self.levels - 1} (0 has no effect), got {level!r}"
+                f"{self.name}: expected a level from 0 to {self.levels - 1} (0 has no effect), got {level!r}"
             )
 
 
@@ -213,17 +213,17 @@ def register(gene: Gene, transform: Transform) -> None:
         transform: Applies the gene.
 
     Raises:
-        InvalidPerturbation: The catalogue already has a gene of that name.
+        InvalidPerturbation: The catalogue already has a gene with that name.
     """
     if gene.name in CATALOGUE:
         raise InvalidPerturbation(
-            f"{gene.name}: the catalogue already has a gene of that name; choose another"
+            f"{gene.name}: the catalogue already has a gene with that name; choose another name"
         )
     _registered[gene.name] = (gene, transform)
 
 
 def find_registered_transform(name: str) -> Transform | None:
-    """Return the transform of a registered gene, None for a gene of the catalogue."""
+    """Return the transform of a registered gene, or None for a gene of the catalogue."""
     return _registered[name][1] if name in _registered else None
 
 

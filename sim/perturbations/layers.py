@@ -1,6 +1,6 @@
 """Building blocks of the transforms: pixel scale, compositing, lightness, and smooth noise.
 
-A layer consists of two pictures: the transmission of the frame behind it, and the light that it adds.
+A layer consists of two images: the transmission of the frame behind it, and the light that it adds.
 """
 
 from typing import TypeAlias, cast

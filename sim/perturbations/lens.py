@@ -159,14 +159,14 @@ def condensation(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
 
 
 def wet_lens(frame: Frame, rng: np.random.Generator) -> Frame:
-    """Apply a film of water with large drops, at an opacity of 0.15."""
+    """Apply a film of water with large drops, both with an opacity of 0.15."""
     opacity, light = _film(frame, 0.3, 0.8, rng)
     _draw_drops(opacity, light, rng.gamma(2.5, 5.0, WET_DROPS) + 3, rng, edge=cv2.LINE_8)
     return _composite_film(frame, opacity, light, WET_OPACITY)
 
 
 def _film(frame: Frame, least: float, most: float, rng: np.random.Generator) -> tuple[Layer, Layer]:
-    """Return the opacity of an uneven film, roughly between `least` and `most`, and its light."""
+    """Return the opacity (roughly between `least` and `most`) and the light of an uneven film of mist or water."""
     height, width = frame.shape[:2]
     coarse = clouds(
         (max(2, height // 4), max(2, width // 4)), FILM_CELL_PX * reference_scale(frame) / 4, 2, rng
@@ -283,7 +283,7 @@ def transmission(
 
 @lru_cache(maxsize=2)
 def _glare(value: float, height: int) -> Layer:
-    """Return 255 times the transmission around the source, a square of ``2 radius + 1`` px."""
+    """Return 255 times the transmission around the source, in a square with sides of ``2 radius + 1`` px."""
     scale = height / 720
     radius = to_pixels(value, scale)
     offset = np.arange(-radius, radius + 1, dtype=np.float64)

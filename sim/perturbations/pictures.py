@@ -1,4 +1,4 @@
-"""Pictures for trying out perturbations: files, a drawn street, and contact sheets."""
+"""Images for trying out perturbations: files, a drawn street, and contact sheets."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,7 +15,7 @@ MARGIN_PX = 6
 PAPER, INK = 255, (32, 36, 42)
 COLUMNS = 3
 OVERSAMPLING = 2
-"""Pictures are perturbed at this multiple of the tile size, which keeps fine detail realistic."""
+"""Images are perturbed at this multiple of the tile size, which keeps fine detail realistic."""
 
 
 def contact_sheet(
@@ -23,10 +23,10 @@ def contact_sheet(
 ) -> Frame:
     """Return a sheet with the lowest, middle and highest level of each gene.
 
-    A gene with two levels shows the original picture in third place.
+    For a gene with only two levels, the third tile shows the original image.
 
     Args:
-        picture: The picture to perturb: RGB, uint8, shape ``(height, width, 3)``.
+        picture: The image to perturb: RGB, uint8, shape ``(height, width, 3)``.
         genes: The genes to show, in this order.
         seed: Seed of the random fields, the same for all levels of a gene.
         tile_width: Width of a tile in px.
@@ -78,10 +78,10 @@ def _add_margin(picture: Frame) -> Frame:
 
 
 def read_picture(path: Path) -> Frame:
-    """Read a picture file as RGB, uint8, shape ``(height, width, 3)``; transparency is dropped.
+    """Read an image file as RGB, uint8, shape ``(height, width, 3)``; transparency is dropped.
 
     Raises:
-        InvalidFrame: The file is not a picture, or the picture is too small.
+        InvalidFrame: The file is not an image, or the image is too small.
         OSError: The file cannot be read.
     """
     content = np.frombuffer(path.read_bytes(), dtype=np.uint8)
@@ -90,17 +90,17 @@ def read_picture(path: Path) -> Frame:
     except cv2.error:  # exceeds OpenCV's limit on the number of pixels
         decoded = None
     if decoded is None:
-        raise InvalidFrame(f"{path}: expected a picture (PNG, JPEG, WebP, TIFF, BMP), got something else")
+        raise InvalidFrame(f"{path}: expected an image (PNG, JPEG, WebP, TIFF, BMP), got something else")
     picture = cast(Frame, cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB))
     check_frame(picture, f"{path}: ")
     return picture
 
 
 def write_picture(picture: Frame, path: Path) -> None:
-    """Write an RGB picture in the format given by the file's suffix, such as ``.png``.
+    """Write an RGB image in the format given by the file's suffix, such as ``.png``.
 
     Raises:
-        InvalidFrame: OpenCV does not support the format, or this picture in it.
+        InvalidFrame: OpenCV does not support the format, or this image in it.
         OSError: The file cannot be written.
     """
     try:
@@ -119,7 +119,7 @@ Colour = tuple[int, int, int]
 
 
 def draw_street(height: int = HEIGHT_PX) -> Frame:
-    """Draw a street by day with houses, cars and people, 16:9 RGB; every call returns the same picture.
+    """Draw a daytime street with houses, cars and people as a 16:9 RGB image, the same for every call.
 
     Args:
         height: Height in px, at least 16.

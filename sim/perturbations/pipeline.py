@@ -54,7 +54,7 @@ class Perturbation:
 
     @property
     def value(self) -> float | None:
-        """The parameter of the level, None for level 0."""
+        """The parameter of the level, or None for level 0."""
         return find_gene(self.gene).value(self.level)
 
     @property
@@ -68,7 +68,7 @@ class Perturbation:
 
     @classmethod
     def from_json(cls, document: Json) -> Self:
-        """Read a perturbation from ``{"gene": "smoke", "level": 3}``.
+        """Parse a perturbation from ``{"gene": "smoke", "level": 3}``.
 
         Raises:
             InvalidPerturbation: The document has another form, or the gene or level does not exist.
@@ -81,7 +81,7 @@ class Perturbation:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read a perturbation from ``gene:level``, such as ``smoke:3``.
+        """Parse a perturbation from ``gene:level``, such as ``smoke:3``.
 
         Raises:
             InvalidPerturbation: The text has another form, or the gene or level does not exist.
@@ -93,7 +93,7 @@ class Perturbation:
 
 
 def parse_perturbations(items: Iterable[Json]) -> tuple[Perturbation, ...]:
-    """Read an ordered list of perturbations, each ``gene:level`` or an object with ``gene`` and ``level``.
+    """Parse an ordered list of perturbations, each ``gene:level`` or an object with ``gene`` and ``level``.
 
     Raises:
         InvalidPerturbation: An item is invalid; the message gives its position.
@@ -126,7 +126,7 @@ class Mode(StrEnum):
 
 
 def generator(seed: int, position: int, frame: int) -> np.random.Generator:
-    """Return the generator of one perturbation in one frame.
+    """Return the random generator for one perturbation in one frame.
 
     Args:
         seed: The episode's seed, >= 0.
@@ -145,8 +145,8 @@ def apply(frame: Frame, perturbation: Perturbation, rng: np.random.Generator) ->
         rng: Draws the random fields of this frame.
 
     Raises:
-        InvalidFrame: `frame` is not such a picture.
-        PerturbationFailed: The transform raised or returned something else; names the gene.
+        InvalidFrame: `frame` is not such an image.
+        PerturbationFailed: The transform raised, or did not return such an image; the message names the gene.
         VisionMissing: OpenCV is not installed.
     """
     check_frame(frame)
@@ -165,7 +165,8 @@ def apply(frame: Frame, perturbation: Perturbation, rng: np.random.Generator) ->
         given.dtype,
     ):
         raise PerturbationFailed(
-            f"{perturbation}: expected a {given.dtype} frame of shape {given.shape} back, got {_describe(perturbed)}"
+            f"{perturbation}: expected a {given.dtype} frame of shape {given.shape} from the transform, "
+            f"got {_describe(perturbed)}"
         )
     return perturbed
 
@@ -194,7 +195,7 @@ class Pipeline:
         for perturbation in self.perturbations:
             if not isinstance(perturbation, Perturbation):
                 raise InvalidPerturbation(
-                    f"expected Perturbation objects, got {perturbation!r}; parse_perturbations reads lists"
+                    f"expected Perturbation objects, got {perturbation!r}; use parse_perturbations for other forms"
                 )
         if self.seed < 0:
             raise InvalidPerturbation(f"seed: expected an integer >= 0, got {self.seed!r}")
@@ -207,8 +208,8 @@ class Pipeline:
             index: Index of the frame in its episode, from 0.
 
         Raises:
-            InvalidFrame: `frame` is not such a picture.
-            PerturbationFailed: A transform raised or returned something else; names the gene.
+            InvalidFrame: `frame` is not such an image.
+            PerturbationFailed: A transform raised, or did not return such an image; the message names the gene.
             VisionMissing: OpenCV is not installed.
         """
         check_frame(frame)
@@ -228,14 +229,14 @@ def _transform(name: str) -> Transform:
         if error.name != "cv2":
             raise
         raise VisionMissing(
-            "perturbing pictures needs OpenCV; install it with: "
+            "perturbing images needs OpenCV; install it with: "
             ".venv/bin/pip install -c constraints.txt -e '.[vision]'"
         ) from None
     return TRANSFORMS[name]
 
 
 def check_frame(frame: Frame, where: str = "") -> None:
-    """Check that an object is a picture that can be perturbed.
+    """Check that an object is an image that can be perturbed.
 
     Args:
         frame: Should be RGB, uint8, shape ``(height, width, 3)``, at least 16 px a side.
@@ -253,7 +254,7 @@ def check_frame(frame: Frame, where: str = "") -> None:
     ):
         return
     raise InvalidFrame(
-        f"{where}expected an RGB picture: uint8, shape (height, width, 3), at least {MIN_SIDE_PX} px a side; "
+        f"{where}expected an RGB image: uint8, shape (height, width, 3), at least {MIN_SIDE_PX} px a side; "
         f"got {_describe(frame)}"
     )
 

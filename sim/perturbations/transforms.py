@@ -1,4 +1,4 @@
-"""The transforms of the catalogue's genes; those of sensor, transmission and exposure are defined here.
+"""The transforms of the catalogue's genes; those for sensor, transmission and exposure are defined here.
 
 Importing this module loads OpenCV; importing the catalogue does not. Every transform maps (frame, value of the level,
 generator) to a new frame.
@@ -24,7 +24,7 @@ NOISE_SPARE = 2**20
 
 
 def _shifted_pixels(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
-    """Shift each row cyclically to the left by 0 to ``int(3 / value)`` px.
+    """Shift each row cyclically to the left by a random 0 to ``int(3 / value)`` px.
 
     The largest shift scales with the frame's height and is at least 1 px.
     """
@@ -38,9 +38,9 @@ def _shifted_pixels(frame: Frame, value: float, rng: np.random.Generator) -> Fra
 
 
 def _gaussian_noise(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
-    """Add N(0, sqrt(value)) of full scale to every channel of every pixel.
+    """Add noise with a standard deviation of ``sqrt(value)`` of full scale to every channel of every pixel.
 
-    The noise is a window at a random position, with a random sign, into a fixed pool of normal numbers.
+    The noise is a window at a random position, with a random sign, into a fixed pool of normally distributed noise.
     """
     above, below = _noise_pool(value, frame.size)
     start = int(rng.integers(NOISE_SPARE))
@@ -48,13 +48,13 @@ def _gaussian_noise(frame: Frame, value: float, rng: np.random.Generator) -> Fra
         above, below = below, above
     window = slice(start, start + frame.size)
     noisy = cv2.add(frame, above[window].reshape(frame.shape))
-    # One of the two parts is zero at every pixel, so two clipped operations equal one.
+    # One of the two parts is zero at every pixel, so two clipped operations have the same effect as one.
     return cast(Frame, cv2.subtract(noisy, below[window].reshape(frame.shape), dst=noisy))
 
 
 @lru_cache(maxsize=2)
 def _noise_pool(variance: float, size: int) -> tuple[Layer, Layer]:
-    """Return the positive and negative parts of a fixed sequence of normal numbers, in grey values, uint8."""
+    """Return the positive and negative parts of a fixed sequence of Gaussian noise, in grey levels, as uint8."""
     normal = np.random.default_rng(NOISE_SEED).standard_normal(size + NOISE_SPARE, dtype=np.float32)
     noise = np.rint(normal * np.float32(255 * np.sqrt(variance)))
     return np.clip(noise, 0, 255).astype(np.uint8), np.clip(-noise, 0, 255).astype(np.uint8)
@@ -76,13 +76,13 @@ EXTRA_SQUARES = 5
 
 
 def _grid_dropout(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
-    """Draw a black square at the top left of each cell of ``10 value`` px."""
+    """Draw a black square at the top left of each cell of a grid with a step of ``10 * value`` px."""
     return cast(Frame, cv2.bitwise_and(frame, _grid(frame.shape[0], frame.shape[1], value)))
 
 
 @lru_cache(maxsize=2)
 def _grid(height: int, width: int, value: float) -> Frame:
-    """Return 0 in the squares and 255 elsewhere, shape ``(height, width, 3)``."""
+    """Return a mask that is 0 in the squares and 255 elsewhere, shape ``(height, width, 3)``."""
     cell_px = max(2.0, GRID_PX * value * height / REFERENCE_HEIGHT_PX)
     side = max(1, round(cell_px / 2))
     inside = [
@@ -114,13 +114,13 @@ def _channel_dropout(frame: Frame, value: float, rng: np.random.Generator) -> Fr
 
 
 def _brightness(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
-    """Add ``255 value`` and clip."""
+    """Add ``255 * value`` to every channel and clip."""
     added = round(255 * value)
     return cast(Frame, cv2.add(frame, np.full(4, added, dtype=np.float64)))
 
 
 def _contrast(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
-    """Multiply by ``1 + value``, round and clip."""
+    """Multiply every channel by ``1 + value``, round and clip."""
     return cast(Frame, cv2.convertScaleAbs(frame, alpha=1 + value))
 
 

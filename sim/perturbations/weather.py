@@ -72,7 +72,7 @@ def snow(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
 
 
 def rain(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
-    """Draw slanted drops, blur and darken the frame, and for kinds 4 and 5 put water on the lens.
+    """Draw slanted drops, blur and darken the frame, and, for kinds 4 and 5, add water on the lens.
 
     The number of drops follows the frame's area in reference pixels, so a smaller frame shows the same rain.
 
@@ -91,7 +91,7 @@ def rain(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
 
 
 def _draw_drops(frame: Frame, kind: _Rain, rng: np.random.Generator) -> Layer:
-    """Return 255 where there is a drop and 0 elsewhere, drawn at the resolution of a drop's width."""
+    """Return a mask that is 255 in the drops and 0 elsewhere, drawn at the resolution of a drop's width."""
     height, width = frame.shape[:2]
     scale = reference_scale(frame)
     width_px = to_pixels(DROP_WIDTH_PX, scale)
@@ -144,7 +144,7 @@ def smoke(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
 def draw_discs(
     height: int, width: int, density: float, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Draw the centres and radii of the discs.
+    """Sample the centres and radii of the smoke discs.
 
     Args:
         height: Height of the frame in px.

@@ -1,4 +1,4 @@
-"""Camera pictures of the driving world, with an id mask that tells which body each pixel shows."""
+"""Camera images of the driving world, with an id mask that tells which body each pixel shows."""
 
 from brink.sim.rendering.canvas import PixelBox, VisibleBody, visible_bodies
 from brink.sim.rendering.renderer import Renderer

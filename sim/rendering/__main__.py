@@ -1,4 +1,4 @@
-"""Draw contact sheets of the renderer: ``python -m brink.sim.rendering --out FOLDER``."""
+"""Render sample images and contact sheets: ``python -m brink.sim.rendering --out FOLDER``."""
 
 import argparse
 import math
@@ -20,7 +20,7 @@ _COLUMNS = 3
 
 
 def main() -> None:
-    """Write all pictures, and sheets that show them side by side."""
+    """Write all images, and contact sheets that show them side by side."""
     parser = argparse.ArgumentParser(prog="python -m brink.sim.rendering", description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="output folder, created if missing")
     parser.add_argument("--seed", type=int, default=3, help="seed of textures, clouds and the sun's position")
@@ -78,7 +78,7 @@ def _on(street: StreetScene, light: Light, seed: int) -> Picture:
 
 
 def _stepping_out(distance_m: float) -> list[Body]:
-    """Return a person between two parked cars, with the gap at a distance ahead of the camera."""
+    """Return a person between two parked cars, with the gap `distance_m` ahead of the camera."""
     x_m = distance_m + 1.3
     return [
         vehicle(1, x_m - 3.0, -4.6),

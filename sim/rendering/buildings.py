@@ -1,7 +1,7 @@
 """Buildings: facade textures by day and by night, and the visible walls, drawn in perspective.
 
-A facade is drawn once at `PX_PER_M` and then halved separately along and up, because a wall in perspective shrinks
-more sideways. All walls are placed once a frame; each building is painted when its turn comes.
+A facade is drawn once at `PX_PER_M` and then halved separately in length and height, because a wall in perspective
+shrinks more sideways. All walls are placed once per frame; each building is painted when its turn comes.
 """
 
 import math
@@ -22,7 +22,7 @@ from brink.sim.rendering.view import NEAR_M, SHIFT, View, clip_near, to_fixed_po
 
 _MAX_HALVINGS: Final = 5
 _COARSE_FROM: Final = 2.6
-"""A wall this many times as high in the picture as its texture is drawn at half size."""
+"""A wall is drawn at half size if it is more than this many times as high in the image as its texture."""
 _PLAIN_BELOW_PX: Final = 7.0
 """A wall narrower than this is painted in a single colour."""
 
@@ -34,7 +34,7 @@ class PlacedWalls:
     Attributes:
         seen: Top left, top right, bottom right, bottom left in camera coordinates, shape ``(walls, 4, 3)``.
         pixels: The same corners in pixels, shape ``(walls, 4, 2)``.
-        to_wall: Homographies from picture pixels to a wall's unit square, up to scale, shape ``(walls, 3, 3)``.
+        to_wall: Homographies from image pixels to a wall's unit square, up to scale, shape ``(walls, 3, 3)``.
         shown: Whether a wall faces the camera and extends beyond the near plane, shape ``(walls,)``.
         near: Whether a wall must be clipped at the near plane, shape ``(walls,)``.
         haze: Share of haze, shape ``(walls,)``.
@@ -49,13 +49,13 @@ class PlacedWalls:
 
 
 class BuildingPainter:
-    """Paints buildings under one light.
+    """Paints buildings under fixed lighting.
 
     Args:
         buildings: All buildings of the scene.
         lighting: The light.
-        width_px: Width of the picture.
-        height_px: Height of the picture.
+        width_px: Width of the image.
+        height_px: Height of the image.
     """
 
     def __init__(
@@ -138,7 +138,7 @@ class BuildingPainter:
         return found
 
     def _plain(self, wall: int, haze: float) -> Rgb:
-        """Return a wall's mean colour through haze."""
+        """Return a wall's mean colour as seen through haze."""
         share = self._light[wall] * (1 - haze)
         building = self._buildings[wall // 4]
         rgb = _mean_colour(building.look, *self._sizes[wall], self._lighting.night, wall % 2 == 0)
@@ -185,7 +185,7 @@ class BuildingPainter:
         cv2.copyTo(warped, mask, canvas.image[top:bottom, left:right])
 
     def _fitting_texture(self, wall: int, wide_px: float, high_px: float) -> Picture:
-        """Return the wall's texture, halved until about one texture pixel falls on one picture pixel."""
+        """Return the wall's texture, halved until about one texture pixel falls on one image pixel."""
         building = self._buildings[wall // 4]
         full = _draw_facade(building.look, *self._sizes[wall], self._lighting.night, wall % 2 == 0)
         along = math.log2(max(full.shape[1] / max(wide_px, 1.0), 1.0))
@@ -208,7 +208,7 @@ def _to_texture(to_wall: FloatArray, wide: int, high: int, left: int, top: int) 
 
 
 def _warp(texture: Picture, to_texture: FloatArray, size: tuple[int, int], *, coarse: bool) -> Picture:
-    """Warp a texture into a region of the picture; a coarse texture is drawn at half size and enlarged."""
+    """Warp a texture into a region of the image; with `coarse`, at half size and then enlarged."""
     drawn = size
     if coarse:
         drawn = ((size[0] + 1) // 2, (size[1] + 1) // 2)
@@ -225,7 +225,7 @@ def _warp(texture: Picture, to_texture: FloatArray, size: tuple[int, int], *, co
 
 
 def _inverses(matrices: FloatArray) -> FloatArray:
-    """Invert 3 x 3 matrices up to scale, which a homography does not depend on; shape ``(n, 3, 3)``."""
+    """Invert 3 x 3 matrices up to a scale factor, which homographies ignore; shape ``(n, 3, 3)``."""
     a, b, c = matrices[:, :, 0], matrices[:, :, 1], matrices[:, :, 2]
     return np.stack((np.cross(b, c), np.cross(c, a), np.cross(a, b)), axis=1)
 
@@ -246,7 +246,7 @@ _LIT: Final = ((255, 214, 140), (250, 226, 176), (232, 190, 118))
 
 @lru_cache(maxsize=96)
 def _draw_facade(look: int, length_m: float, height_m: float, night: bool, front: bool) -> Picture:
-    """Draw one side of a building, shape ``(up, along, 3)``, with row 0 at the eaves.
+    """Draw one side of a building as an image of shape ``(up, along, 3)``, with row 0 at the eaves.
 
     Args:
         look: Selects style and colours.
@@ -356,7 +356,7 @@ def _windows(
 
 
 _Rect = tuple[float, float, float, float]
-"""Middle along the wall, bottom edge measured from the top, width, height; m."""
+"""A rectangle on a wall: middle along the wall, bottom edge measured from the top, width and height, in m."""
 
 
 def _box(wall: Noise, scale: float, rect: _Rect, rgb: tuple[float, float, float]) -> None:

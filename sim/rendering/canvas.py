@@ -1,7 +1,8 @@
-"""The picture and the id mask while they are painted, and the labels that are counted from them.
+"""The image and the id mask while they are being painted, and the labels derived from them.
 
-The same polygons are painted with smooth edges into the picture and with hard edges into the mask, so both agree
-within a pixel. The marks of each body are kept as its outline, so that its silhouette can be counted separately.
+The same polygons are painted with smooth edges into the image and with hard edges into the mask, so both agree within
+a pixel. The marks of each body are kept as its outline, so that the pixels of its silhouette can be counted
+separately.
 """
 
 from dataclasses import dataclass
@@ -26,7 +27,7 @@ from brink.sim.rendering.view import SHIFT
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class Canvas:
-    """A picture and its id mask while they are painted."""
+    """An image and its id mask while they are being painted."""
 
     image: Picture
     ids: IdMask
@@ -60,7 +61,7 @@ class Canvas:
 
 
 def _silhouette(outline: Outline, width_px: int, height_px: int) -> tuple[int, int, Coverage] | None:
-    """Return the left and top corner and the hard-edged mask of a body alone, cropped to the picture."""
+    """Return the top-left corner and the hard-edged mask of a body on its own, cropped to the image."""
     box = _bounds(outline.marks, width_px, height_px)
     if box is None:
         return None
@@ -101,7 +102,7 @@ def _bounds(marks: tuple[Mark, ...], width_px: int, height_px: int) -> tuple[int
 
 
 class PixelBox(NamedTuple):
-    """A box of whole pixels; the maxima are exclusive."""
+    """A box in integer pixel coordinates; the maxima are exclusive."""
 
     x_min_px: int
     y_min_px: int
@@ -111,15 +112,15 @@ class PixelBox(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VisibleBody:
-    """A body that lies at least partly within the picture.
+    """A body that lies at least partly within the image.
 
     Attributes:
         id: Id of the body.
         kind: Kind of body.
         box: Tight box around its visible pixels; None if it is completely hidden.
-        whole_box: Tight box around its unoccluded silhouette, cropped to the picture.
+        whole_box: Tight box around its unoccluded silhouette, cropped to the image.
         visible_px: Number of visible pixels.
-        whole_px: Number of pixels of the unoccluded silhouette within the picture, at least 1.
+        whole_px: Number of pixels of the unoccluded silhouette within the image, at least 1.
         depth_m: Depth of the nearest corner along the camera's axis; 0 if the body reaches behind the camera.
     """
 
@@ -138,7 +139,7 @@ class VisibleBody:
 
 
 def visible_bodies(frame: Frame) -> tuple[VisibleBody, ...]:
-    """Return all bodies at least partly within the picture, hidden ones included, sorted by id."""
+    """Return all bodies at least partly within the image, hidden ones included, sorted by id."""
     height_px, width_px = frame.ids.shape
     found = []
     for number in sorted(frame.outlines):
@@ -168,7 +169,7 @@ def visible_bodies(frame: Frame) -> tuple[VisibleBody, ...]:
 
 
 def _tight_box(mask: Coverage, left: int, top: int) -> PixelBox | None:
-    """Return the tight box around the nonzero pixels of a mask at (left, top), None if there are none."""
+    """Return the tight box around the nonzero pixels of a mask at (left, top), or None if there are none."""
     columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
     if len(rows) == 0:
         return None

@@ -1,7 +1,7 @@
 """The ground: surfaces with texture, the shadows and lamp light on them, and reflections on a wet road.
 
 Surfaces are painted flat, in order. A brightness map (texture times shadow times light) is multiplied over all of
-them, and haze is added. A picture row is a line of constant depth, so each row has one texture scale.
+them, and haze is added. An image row is a line of constant depth, so each row has one texture scale.
 """
 
 import itertools
@@ -50,12 +50,12 @@ _ON_ASPHALT: Final = (Material.MARKING, Material.CROSSING, Material.GUTTER)
 _WET: Final = {0: 0.62, 1: 0.74, 2: 0.86}
 _BACKDROP: Final = Material.GRASS
 _TILE_SEEDS: Final = 8
-"""A small number, so that streets share their ground tiles."""
+"""Number of different seeds: small, so that streets share their ground tiles."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GroundCover:
-    """Shadows, lamp light and reflections, as polygons in sixteenths of a pixel of the half-size picture.
+    """Shadows, lamp light and reflections, as polygons in sixteenths of a pixel of the half-size image.
 
     Attributes:
         shadows: Polygons with the remaining brightness of the ground, 0 to 255, in order.
@@ -125,7 +125,7 @@ class GroundPainter:
         """Paint everything below the horizon.
 
         Args:
-            image: The picture, with the sky already painted above the horizon.
+            image: The image, with the sky already painted above the horizon.
             view: The camera.
             cover: Shadows, lamp light and reflections.
         """
@@ -198,7 +198,7 @@ class GroundPainter:
             if level >= 0:
                 self._texture_band(view, rows, (first, last, level, 1), out[first:last])
                 continue
-            # A texture pixel this close covers several picture pixels, so half the resolution is enough.
+            # A texture pixel this close covers several image pixels, so half the resolution is enough.
             half = np.empty(((last - first + 1) // 2, (view.width_px + 1) // 2, out.shape[2]), np.uint8)
             self._texture_band(view, rows, (first, last, 0, 2), half)
             cv2.resize(
@@ -207,7 +207,7 @@ class GroundPainter:
         return out
 
     def _texture_band(self, view: View, rows: _Rows, band: tuple[int, int, int, int], out: Picture) -> None:
-        """Draw rows of the texture. A band is its first and last row, the tile level and the pixel step."""
+        """Draw one band of texture rows. A band holds its first and last row, tile level and pixel step."""
         first, last, level, step = band
         ahead, spread = rows.ahead_m[first:last:step], rows.spread_m[first:last:step]
         across = (view.width_px / 2 - 0.5 - np.arange(0, view.width_px, step)) / view.focal_px
@@ -336,7 +336,7 @@ Shadow: TypeAlias = tuple[FloatArray, int]
 
 
 class ShadowCaster:
-    """Computes shadows for one light.
+    """Computes shadows under fixed lighting.
 
     Args:
         lighting: The light.
@@ -367,7 +367,7 @@ class ShadowCaster:
         return found
 
     def tree_shadows(self, tree: Tree, low_m: float) -> list[Shadow]:
-        """Return the shadows of a crown that starts at a height, and of its trunk."""
+        """Return the shadows of a tree's crown, whose lower end is at `low_m`, and of its trunk."""
         if not self._casts:
             return []
         place = np.array([tree.x_m, tree.y_m])
@@ -385,18 +385,18 @@ class ShadowCaster:
 
 
 def to_half_size(polygon: IntArray, first_row_px: int) -> IntArray:
-    """Convert a polygon to a half-size picture that begins at a row."""
+    """Convert a polygon to the coordinates of a half-size image that begins at a given row."""
     moved: IntArray = (polygon - np.array([0, first_row_px << SHIFT], np.int32)) >> 1
     return moved
 
 
 def project_areas(areas: Sequence[Shadow], view: View, first_row_px: int) -> list[tuple[IntArray, int]]:
-    """Project visible areas of the ground to polygons of a half-size picture.
+    """Project visible areas of the ground to polygons of a half-size image.
 
     Args:
         areas: Areas and their values.
         view: The camera.
-        first_row_px: Row at which the half-size picture begins.
+        first_row_px: Row at which the half-size image begins.
     """
     if not areas:
         return []
@@ -424,7 +424,7 @@ def project_areas(areas: Sequence[Shadow], view: View, first_row_px: int) -> lis
 
 
 def lamp_light_pools(lamp: Lamp) -> list[Shadow]:
-    """Return rings of light below a lamp and the brightness that each adds, the widest first."""
+    """Return the discs of light below a lamp and the brightness that each adds, the widest first."""
     x_m, y_m = lamp_head_position(lamp)
     return [
         (np.array([x_m, y_m]) + radius * lamp.height_m * _OCTAGON, value)
@@ -435,7 +435,7 @@ def lamp_light_pools(lamp: Lamp) -> list[Shadow]:
 def body_reflections(
     bodies: Sequence[Body], colours: Sequence[Rgb], lit: Sequence[bool], view: View
 ) -> list[list[tuple[IntArray, Rgb]]]:
-    """Return the reflections of each body and its lights on a wet road, as plain polygons.
+    """Return the reflections of each body and its lights on a wet road, as polygons of one colour each.
 
     Args:
         bodies: The bodies.

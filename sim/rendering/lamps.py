@@ -28,7 +28,7 @@ def lamp_head_position(lamp: Lamp) -> tuple[float, float]:
 
 
 def vehicle_light_positions(body: Body) -> list[tuple[tuple[float, float, float], float]]:
-    """Return the world positions of a vehicle's four lights, each with 1.0 for front or -1.0 for rear."""
+    """Return the world positions of a vehicle's four lights, each followed by 1.0 for front or -1.0 for rear."""
     cosine, sine = math.cos(body.yaw_rad), math.sin(body.yaw_rad)
     up = min(0.46 * body.height_m, 0.8)
     places = []
@@ -102,7 +102,7 @@ class Halos:
         """Add the halos of painted objects; a light is visible if its pixel belongs to its own body.
 
         Args:
-            canvas: The finished picture and mask.
+            canvas: The finished image and mask.
             things: Painted objects.
             parked: Ids of parked vehicles, which have their lights off.
             view: The camera.

@@ -1,4 +1,4 @@
-"""Lighting: the numeric effect of time of day and weather on sun, sky, haze, road and lamps."""
+"""Lighting: how time of day and weather affect sun, sky, haze, road and lamps, as numbers."""
 
 import math
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ _SUN_STREAM: Final = 71
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lighting:
-    """The light of a picture. Colours are RGB in 0 to 255; strengths are shares of full daylight.
+    """The lighting of an image. Colours are RGB in 0 to 255; strengths are shares of full daylight.
 
     Attributes:
         sun: Unit vector to the sun, shape ``(3,)``.
@@ -53,7 +53,7 @@ class Lighting:
     lights_on: bool
 
     def haze(self, distance_m: FloatArray) -> FloatArray:
-        """Return the share of haze in colours seen at a distance, in [0, 1)."""
+        """Return the share of haze in the colour of an object at a given distance, in [0, 1)."""
         return 1.0 - np.exp(-np.asarray(distance_m, dtype=np.float64) / self.haze_m)
 
     def shade(self, rgb: FloatArray, at_m: FloatArray, view: View, lit: FloatArray) -> list[Rgb]:

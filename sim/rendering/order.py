@@ -1,4 +1,4 @@
-"""Painter's order: which objects may be in view, and in which sequence they are painted.
+"""Painter's order: which objects may be in view, and in which order they are painted.
 
 If a plane separates two objects, the one on the camera's side can never be hidden by the other. An object is painted
 before another exactly if the other may hide it, that is, if no plane rules that out. Vertical planes through the
@@ -68,7 +68,7 @@ class Items:
     far_m: FloatArray
 
     def joined(self, other: "Items") -> "Items":
-        """Return these items followed by others."""
+        """Return these items followed by the other items."""
         return Items(
             things=self.things + other.things,
             corners=np.concatenate((self.corners, other.corners)),
@@ -96,7 +96,7 @@ _Row: TypeAlias = tuple[Thing, FloatArray, float, float, float]
 
 
 def make_static_items(scene: StreetScene) -> Items:
-    """Return the items of everything that does not move."""
+    """Return the items for all static objects."""
     rows: list[_Row] = []
     for number, house in enumerate(scene.buildings):
         corners = footprint(house.x_m, house.y_m, house.yaw_rad, house.length_m, house.width_m)
@@ -114,7 +114,7 @@ def make_static_items(scene: StreetScene) -> Items:
 
 
 def make_body_items(bodies: Sequence[Body]) -> Items:
-    """Return the items of bodies, sorted by id so that the order of the argument does not matter."""
+    """Return the items for bodies, sorted by id so that the order of the input does not matter."""
     ordered = sorted(bodies, key=lambda body: body.id)
     return _stacked(
         [
@@ -157,7 +157,7 @@ def _in_view(items: Items, view: View) -> tuple[NDArray[np.int64], FloatArray, F
     """Find the items that may be visible.
 
     Returns:
-        Rows of these items, shape ``(k,)``; their column ranges, shape ``(k, 2)``; nearest depths of all items.
+        Indices of these items, shape ``(k,)``; their column ranges, shape ``(k, 2)``; nearest depths of all items.
     """
     count = len(items.things)
     points = np.empty((count, 8, 3))
@@ -193,11 +193,11 @@ def paint_order(
     Args:
         corners_m: Footprints, convex and counter-clockwise, shape ``(n, 4, 2)``.
         heights_m: Bottom and top of each object, shape ``(n, 2)``.
-        columns_px: First and last picture column that each object may touch, shape ``(n, 2)``.
+        columns_px: First and last image column that each object may touch, shape ``(n, 2)``.
         eye_m: Position of the camera.
 
     Returns:
-        Indices; of equals, the farther comes first, then the lower index.
+        Indices; objects with no required order are painted farthest first, and ties by index.
     """
     count = len(corners_m)
     if count < 2:
@@ -215,7 +215,7 @@ def paint_order(
 def _may_hide(
     corners_m: FloatArray, heights_m: FloatArray, columns_px: FloatArray, eye_m: tuple[float, float, float]
 ) -> NDArray[np.bool_]:
-    """Return whether object a may hide object b, shape ``(a, b)``."""
+    """Return for each pair of objects whether the first may hide the second, shape ``(n, n)``."""
     count = len(corners_m)
     edges = np.roll(corners_m, -1, axis=1) - corners_m
     normals = np.stack((edges[..., 1], -edges[..., 0]), axis=-1)

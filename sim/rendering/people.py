@@ -25,7 +25,7 @@ _SHOES: Final = ((28, 26, 26), (214, 212, 206), (88, 60, 42))
 
 
 class _Limb(NamedTuple):
-    """Joints, radii across and along the body, colour index, and the height in px from which it is drawn."""
+    """Joints, radii across and along the body, colour index, and the minimum body height in px to draw it."""
 
     start: tuple[float, float, float]
     end: tuple[float, float, float]

@@ -1,7 +1,7 @@
-"""The renderer: from a street, a light and a viewpoint to the picture and the id mask.
+"""The renderer: turns a street, a light and a viewpoint into an image and an id mask.
 
 Sky and ground are painted first, then all upright objects in painter's order. Halos, rain and noise come last; they
-change the picture but never the mask.
+change the image but never the mask.
 """
 
 import math
@@ -67,7 +67,7 @@ _Marks: TypeAlias = list[list[Mark]]
 
 
 class Renderer:
-    """Renders one street under one light.
+    """Renders one street under fixed lighting.
 
     Args:
         scene: Everything that does not move.
@@ -140,7 +140,7 @@ class Renderer:
         return outlines
 
     def _marks(self, seen: VisibleItems, view: View) -> _Marks:
-        """Return the marks of all items except buildings, in their order; one kind is drawn in one batch."""
+        """Return the marks of all items except buildings, in item order; each kind is drawn in one batch."""
         lit = self._lit(seen, view)
         marks: _Marks = [[] for _ in seen.things]
         solids: list[tuple[int, PlacedMesh]] = []

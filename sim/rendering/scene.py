@@ -1,10 +1,10 @@
 """The types of a scene: surfaces, buildings, trees, bodies, light, camera and rendered frame; and their errors.
 
 Lengths are in m, angles in radians counter-clockwise, z points up, and the ground is the plane z = 0. `look` is an
-arbitrary integer that selects colours and shape; the same look always gives the same result.
+arbitrary integer that selects colours and shape; the same value always gives the same appearance.
 
 SimulatorError
-└── RenderingError          root of this package's errors
+└── RenderingError          base class of all errors
     ├── InvalidScene        final: a body, building or surface cannot be drawn; fix the scene
     └── InvalidCamera       final: the camera's size, position or field of view is impossible
 """
@@ -132,7 +132,7 @@ class Body:
     """An object with an id. It fills an upright box over an oriented rectangle.
 
     Attributes:
-        id: Positive and unique in a picture, parked vehicles included.
+        id: Positive and unique in an image, parked vehicles included.
         kind: Kind of object.
         x_m: Centre of the footprint.
         y_m: Centre of the footprint.
@@ -189,11 +189,11 @@ class Light:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PictureCamera:
-    """A pinhole camera with square pixels and its optical axis in the middle of the picture.
+    """A pinhole camera with square pixels and its optical axis in the middle of the image.
 
     Attributes:
-        width_px: Width of the picture.
-        height_px: Height of the picture.
+        width_px: Width of the image.
+        height_px: Height of the image.
         fov_deg: Horizontal field of view, in (0, 180).
         height_m: Height above the ground.
         forward_m: Distance ahead of the ego's centre.
@@ -242,7 +242,7 @@ class Stroke(NamedTuple):
 
 
 class Stamp(NamedTuple):
-    """A textured piece of a body: its position in the picture, its pixels, and which of them are opaque."""
+    """A textured piece of a body: its position in the image, its pixels, and which of them are opaque."""
 
     left_px: int
     top_px: int
@@ -255,7 +255,7 @@ Mark: TypeAlias = Stroke | Stamp
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outline:
-    """The marks that a body was painted with; its silhouette is counted from them.
+    """The marks that a body was painted with; the pixels of its silhouette are counted from them.
 
     Attributes:
         kind: Kind of body.
@@ -270,7 +270,7 @@ class Outline:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Frame:
-    """A rendered picture.
+    """A rendered image.
 
     Attributes:
         image: RGB, shape ``(height, width, 3)``.
@@ -309,7 +309,7 @@ def _check_positive(where: str, **lengths_m: float) -> None:
 
 
 class RenderingError(SimulatorError):
-    """Root of this package's errors."""
+    """Base class of all errors that the rendering package raises deliberately."""
 
 
 class InvalidScene(RenderingError):
@@ -325,11 +325,11 @@ _MASK: Final = (1 << 64) - 1
 
 
 def choose(look: int, question: int, count: int) -> int:
-    """Return a pseudo-random integer in [0, count) that depends on a look.
+    """Return a pseudo-random integer in [0, count) that depends only on the look and the question.
 
     Args:
-        look: Selects the value; equal looks give equal values.
-        question: Identifies the choice, so that different choices for one look are independent.
+        look: Selects the value; the same look always gives the same value.
+        question: Identifies the choice, so that different choices for the same look are independent.
         count: Number of options.
     """
     mixed = (look * _MULTIPLIER + question * 0xD1B54A32D192ED03 + 0x632BE59BD9B4E019) & _MASK
@@ -340,7 +340,7 @@ def choose(look: int, question: int, count: int) -> int:
 
 
 def choose_fraction(look: int, question: int) -> float:
-    """Return a pseudo-random number in [0, 1) that depends on a look."""
+    """Return a pseudo-random number in [0, 1) that depends only on the look and the question."""
     return choose(look, question, 4096) / 4096
 
 

@@ -22,7 +22,7 @@ _SKY_STREAM: Final = 74
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rays:
-    """Panorama coordinates of the pixels of a reduced sky picture, for one pitch."""
+    """Panorama coordinates of the pixels of a reduced sky image, for one pitch."""
 
     columns: NDArray[np.float32]
     rows: NDArray[np.float32]
@@ -30,7 +30,7 @@ class _Rays:
 
 
 class Sky:
-    """Paints the part of the picture above the horizon.
+    """Paints the part of the image above the horizon.
 
     Args:
         lighting: The light.
@@ -77,7 +77,7 @@ class Sky:
 
 
 def _panorama(lighting: Lighting, seed: int) -> Picture:
-    """Return the sky over two clockwise turns, ``(rows, columns, 3)``; yaw 0 is a quarter of the way."""
+    """Return a sky panorama of two clockwise turns, ``(rows, columns, 3)``; yaw 0 is a quarter of the way across."""
     rng = np.random.default_rng((seed, _SKY_STREAM))
     elevation = _HIGH - (np.arange(_ROWS) + 0.5) / _ROWS * (_HIGH - _LOW)
     azimuth = -(np.arange(_WIDTH_PX) + 0.5) / _WIDTH_PX * 2 * math.pi
@@ -153,7 +153,7 @@ _TURNS_PER_S: Final = 30.0
 
 
 class RainAndGrain:
-    """Adds rain streaks and image noise to a finished picture; the time selects a layer and its offset.
+    """Adds rain streaks and image noise to a finished image; the time selects a layer and its offset.
 
     Args:
         lighting: The light.
@@ -170,7 +170,7 @@ class RainAndGrain:
         self._grain = [_grain(rng, shape) for _ in range(_SHEETS if lighting.night else 0)]
 
     def apply(self, image: Picture, time_s: float) -> None:
-        """Change the picture in place."""
+        """Add rain streaks and noise to an image in place."""
         turn = round(time_s * _TURNS_PER_S)
         for sheets, operation in ((self._rain, cv2.add), (self._grain, cv2.subtract)):
             if not sheets:

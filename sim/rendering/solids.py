@@ -38,7 +38,7 @@ class Finish(IntEnum):
 
 
 class Group(IntEnum):
-    """Parts of a model that are ordered by planes between them."""
+    """Groups of faces of a model; planes between the groups decide their painting order."""
 
     WHEELS = 0
     LOWER = 1
@@ -182,7 +182,7 @@ def draw_meshes(
 
 
 def _ranks(meshes: list[Mesh], eyes: FloatArray, owner: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return sort keys for painting: model by model, hidden groups of a model first."""
+    """Return sort keys for painting: model by model, and within a model the hidden groups first."""
     order = np.zeros((len(meshes), len(Group)), dtype=np.int64)
     order[:, Group.DISCS] = 4
     for row, (mesh, eye) in enumerate(zip(meshes, eyes.tolist(), strict=True)):
@@ -386,7 +386,7 @@ def draw_limbs(
 
 
 def _axis_column(pixels: FloatArray, points: FloatArray) -> FloatArray:
-    """Return the column of a limb's axis beside each polygon point; for a flat limb, the point's own."""
+    """Return the column of a limb's axis in the row of each polygon point; for a flat limb, the point's column."""
     start, end = pixels[:, 0], pixels[:, 1]
     rise = end[:, 1] - start[:, 1]
     steep = np.abs(rise) > np.abs(end[:, 0] - start[:, 0]) * 0.5

@@ -39,15 +39,15 @@ _CROWN_M: Final = 3.2
 _STEP_M: Final = 2.0
 _CAR_LOOKS: Final = 64
 _HOUSE_LOOKS: Final = 24
-"""A small number, so that streets share models and textures, which are expensive to make."""
+"""Number of different appearances: small, so that streets share models and textures, which are expensive to make."""
 
 
 def street_from_road(road: Road, *, seed: int = 0) -> StreetScene:
-    """Return a road with its surfaces, buildings, trees, parked vehicles and lamps.
+    """Convert a road to a scene with its surfaces, buildings, trees, parked vehicles and lamps.
 
     Args:
         road: The road.
-        seed: Selects the looks of buildings, trees and parked vehicles; the road fixes their positions.
+        seed: Selects the appearance of buildings, trees and parked vehicles; the road fixes their positions.
     """
     surfaces = road_surfaces(road)
     beside = [surface for surface in surfaces if surface.material is Material.PAVEMENT]
@@ -85,7 +85,7 @@ def _ground(surface: Surface) -> Ground:
 
 
 def _widened(points: FloatArray, width_m: float) -> FloatArray:
-    """Return the outline of a line of a given width."""
+    """Return the outline of a polyline with a given width."""
     along = np.gradient(points, axis=0)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
     across *= 0.5 * width_m / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
@@ -117,7 +117,7 @@ def _strip(line: ReferenceLine, from_m: float, to_m: float, half_m: float, mater
 
 
 def building_from_fixture(fixture: Fixture, look: int) -> Building:
-    """Return a building of the roadside."""
+    """Convert a roadside fixture to a building."""
     return Building(
         x_m=fixture.x_m,
         y_m=fixture.y_m,

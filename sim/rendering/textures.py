@@ -50,7 +50,7 @@ def smooth_noise(
 
 @lru_cache(maxsize=16)
 def ground_tiles(seed: int, *, wet: bool) -> tuple[Picture, ...]:
-    """Return the ground tile and its successive halvings, each of shape ``(side, side, 4)``.
+    """Return the mipmap levels of the ground tile, largest first, each of shape ``(side, side, 4)``.
 
     The channels are asphalt, pavement, grass, and reflectivity (255 is a puddle).
     """
@@ -104,7 +104,7 @@ def _slabs(rng: np.random.Generator) -> Noise:
 
 
 def draw_leaves(look: int, *, fallen: bool) -> list[tuple[Picture, Coverage]]:
-    """Draw a crown of leaves and its successive halvings.
+    """Draw a crown of leaves and return its mipmap levels, largest first.
 
     Args:
         look: Selects the colour.

@@ -43,7 +43,7 @@ def _tinted_leaves(
 
 
 class TreePainter:
-    """Makes the marks of trees under one light.
+    """Makes the marks of trees under fixed lighting.
 
     Args:
         lighting: The light.
@@ -124,7 +124,7 @@ class TreePainter:
         view: View,
         lit: float,
     ) -> Stamp | None:
-        """Return the leaves that fill an upright ellipse, cropped to the picture; None if out of view."""
+        """Return the leaves that fill an upright ellipse, cropped to the image; None if out of view."""
         depth, left_m, up_m = view.point_to_camera(*centre_m)
         if depth < _NEAREST_M:
             return None
@@ -161,7 +161,7 @@ class TreePainter:
         return Stamp(left, top, mixed.astype(np.uint8, copy=False), mask.astype(np.uint8, copy=False))
 
     def _veil(self, size: tuple[int, int]) -> Picture:
-        """Return a haze-coloured picture of a size (width, height)."""
+        """Return a plain haze-coloured image of the given size (width, height)."""
         rows, columns = max(size[1], self._haze.shape[0]), max(size[0], self._haze.shape[1])
         if (rows, columns) != self._haze.shape[:2]:
             self._haze = np.empty((rows, columns, 3), np.uint8)

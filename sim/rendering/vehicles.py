@@ -113,7 +113,7 @@ class _VehicleBuilder:
         return self._face(corners, rgb, Group.LOWER, shown_px=shown_px)
 
     def _end(self, x: float, part: tuple[float, float, float, float]) -> list[Point]:
-        """Return an upright rectangle at x.
+        """Return an upright rectangle across the vehicle at x.
 
         `part` gives its left and right edge in vehicle widths, then its lower and upper edge in vehicle heights.
         """
@@ -369,7 +369,7 @@ def _circle(x: float, z: float, radius: float, count: int) -> list[tuple[float, 
 
 
 def _within(quad: list[Point], s: float, t: float) -> Point:
-    """Return a point of a quad: s along its first edge, t towards its third."""
+    """Return the point of a quad at fraction s along its first edge and t of the way to its third."""
     a, b, c, d = quad
     x, y, z = ((1 - t) * ((1 - s) * a[i] + s * b[i]) + t * ((1 - s) * d[i] + s * c[i]) for i in range(3))
     return x, y, z
@@ -389,7 +389,7 @@ _VAN_FROM_M: Final = 1.9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shape:
-    """Proportions of a vehicle: x in lengths from the middle, z in heights, widths in widths."""
+    """Proportions of a vehicle: x in vehicle lengths from the middle, z in heights, widths in vehicle widths."""
 
     nose_z: float
     belt_z: float

@@ -1,7 +1,7 @@
 """Perspective projection: from world to camera to pixels, with clipping at the near plane.
 
 Camera coordinates are (depth along the axis, left, up) in m. Pixel centres have integer coordinates, as in OpenCV, so
-the left edge of the picture is at -0.5. OpenCV gets polygons in integer sixteenths of a pixel.
+the left edge of the image is at -0.5. OpenCV receives polygons in integer sixteenths of a pixel.
 """
 
 import math
@@ -90,7 +90,7 @@ class View:
         return seen
 
     def project(self, points_m: FloatArray) -> FloatArray:
-        """Project camera coordinates to pixels; depths in front of the near plane are raised to it."""
+        """Project camera coordinates to pixels; depths nearer than the near plane are clamped to it."""
         scale = self.focal_px / np.maximum(points_m[:, 0], NEAR_M)
         out = np.empty((len(points_m), 2))
         out[:, 0] = self.width_px / 2 - 0.5 - points_m[:, 1] * scale

@@ -1,4 +1,4 @@
-"""Replays of episodes: a still picture, a film, plots over time."""
+"""Replays of episodes: still images, videos, and plots over time."""
 
 from brink.sim.replay.render import render, render_bytes
 from brink.sim.replay.scene import ReplayError

@@ -1,8 +1,8 @@
-"""The camera's picture in a frame: a sketch in perspective of a trace without a film, or a picture of its film.
+"""The camera view of a replay frame: a recorded camera image, or a perspective sketch if none were recorded.
 
-On a sketch, green solid boxes are the ground truth and vermilion dashed ones what the driving system was told. On a
-film, green boxes are the ground truth, red ones the detections that counted, and yellow lines the regions in which a
-detection triggers the brake.
+On a sketch, green solid boxes are the ground truth and vermilion dashed ones what was reported to the driving system.
+On a recorded image, green boxes are the ground truth, red ones the detections that counted, and yellow lines the
+regions in which a detection triggers the brake.
 """
 
 import io
@@ -47,7 +47,7 @@ from brink.sim.replay.style import (
 from brink.sim.trace import Film, FloatArray, Trace
 
 FAR_PX: Final = 4000.0
-"""Points are drawn at most this far outside the picture."""
+"""Points are drawn at most this far outside the image."""
 
 
 class _Area(NamedTuple):
@@ -57,11 +57,11 @@ class _Area(NamedTuple):
 
 
 class SketchView:
-    """Sketches the camera's picture of any sample of one episode.
+    """Sketches the camera view at any sample of one episode.
 
     Args:
         trace: The episode.
-        size_px: Width and height of the picture, four to three.
+        size_px: Width and height of the image, 4:3.
     """
 
     def __init__(self, trace: Trace, *, size_px: tuple[int, int]) -> None:
@@ -78,7 +78,7 @@ class SketchView:
         self._font = typeface(max(8, round(size_px[1] / 18)), bold=True)
 
     def draw(self, sample: int) -> Image.Image:
-        """Return the picture at a sample, in RGB, of the view's size."""
+        """Return the camera view at a sample as an RGB image of the view's size."""
         width, height = (side * SUPERSAMPLING for side in self._size)
         image = Image.new("RGB", (width, height), SKY)
         draw = ImageDraw.Draw(image)
@@ -130,7 +130,7 @@ class SketchView:
             draw.polygon(wall.ravel().tolist(), fill=shades[style.paint])
 
     def _project(self, points: Points, height_m: float) -> Points:
-        """Return (depth, left) at a height above the ground as supersampled pixels of the view."""
+        """Project points (depth, left) at a height above the ground to supersampled pixels of the view."""
         camera = self._camera
         depth = np.maximum(points[:, 0], SKETCHED_FROM_M)
         pixels = np.empty((len(points), 2))
@@ -139,7 +139,7 @@ class SketchView:
         return np.clip(pixels, -FAR_PX, FAR_PX) * (self._scale * SUPERSAMPLING)
 
     def _draw_ground_truth(self, draw: ImageDraw.ImageDraw, sample: int) -> None:
-        """Draw a silhouette and a solid box for each road user in the picture, the nearest last."""
+        """Draw a silhouette and a solid box for each road user in the image, the nearest last."""
         rows = self._trace.seen_boxes.at(sample)
         for row in rows[np.argsort(rows[:, 4])]:
             box = self._corners(row) * SUPERSAMPLING
@@ -157,13 +157,13 @@ class SketchView:
             draw.text(at, word, fill=GHOST, font=self._font, stroke_width=2, stroke_fill=PAPER)
 
     def _corners(self, row: FloatArray) -> Points:
-        """Return top left and bottom right of an image box in pixels of the view, inside it."""
+        """Return the top-left and bottom-right corner of an image box in pixels of the view, clipped to it."""
         corners = np.array([(row[1], row[3]), (row[2], row[4])], dtype=np.float64) * self._scale
         return np.clip(corners, 1.0, np.array(self._size) - 2.0)
 
 
 def _cut(points: Points) -> Points:
-    """Return the part of a polygon of (depth, left) beyond the least depth that is drawn."""
+    """Clip a polygon of (depth, left) points to depths beyond the smallest one that is drawn."""
     if (points[:, 0] >= SKETCHED_FROM_M).all():
         return points
     corners: list[Points] = []
@@ -178,12 +178,12 @@ def _cut(points: Points) -> Points:
 
 
 class FilmView:
-    """Draws the picture that a film shows at any sample of one episode, with its boxes.
+    """Draws the recorded camera image at any sample of one episode, with its boxes.
 
     Args:
         trace: The episode.
-        film: Its film.
-        size_px: Width and height of the drawing; the picture is stretched to it.
+        film: Its recorded images and boxes.
+        size_px: Width and height of the drawing; the image is stretched to it.
     """
 
     def __init__(self, trace: Trace, film: Film, *, size_px: tuple[int, int]) -> None:
@@ -195,7 +195,7 @@ class FilmView:
         self._font = typeface(max(9, round(size_px[1] / 28)), bold=True)
 
     def draw(self, sample: int) -> Image.Image:
-        """Return the picture at a sample, in RGB, of the view's size."""
+        """Return the camera view at a sample as an RGB image of the view's size."""
         film = self._film
         index = int(self._shown[sample])
         with Image.open(io.BytesIO(film.pictures[index])) as picture:
@@ -230,7 +230,7 @@ class FilmView:
         draw.text((left, y), text, fill=FOUND_ON_PICTURE, font=self._font, stroke_width=2, stroke_fill=PAPER)
 
     def _corners(self, row: FloatArray) -> tuple[float, float, float, float]:
-        """Return left, top, right, bottom of an image box in pixels of the view, inside it."""
+        """Return left, top, right and bottom of an image box in pixels of the view, clipped to it."""
         low = np.array([row[1], row[3]], np.float64) * self._scale
         high = np.array([row[2], row[4]], np.float64) * self._scale
         limit = np.array(self._size) - 1.0
@@ -239,14 +239,14 @@ class FilmView:
 
 
 def camera_view(trace: Trace, size_px: tuple[int, int]) -> FilmView | SketchView:
-    """Return the view of an episode's film, or a sketch if there is none."""
+    """Return a view of the recorded camera images, or a sketch if the trace has none."""
     if trace.film is None:
         return SketchView(trace, size_px=size_px)
     return FilmView(trace, trace.film, size_px=size_px)
 
 
 def draw_film_legend(draw: ImageDraw.ImageDraw, at: tuple[float, float], unit: float) -> None:
-    """Draw the legend of a film's picture in one row.
+    """Draw the legend of a recorded camera image in one row.
 
     Args:
         draw: Where to draw.

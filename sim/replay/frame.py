@@ -1,4 +1,4 @@
-"""One frame of a replay: header, map from above, the camera's picture, panel with legend, and time bar."""
+"""One frame of a replay: header, map from above, camera view, panel with legend, and time bar."""
 
 from dataclasses import dataclass
 from typing import Final, Self, TypeAlias
@@ -64,7 +64,7 @@ LAMPS: Final = ("red", "amber", "green")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
-    """The rectangles of a frame, and the unit that text and lines scale with: 1 at 540 px of height."""
+    """The rectangles of a frame, and the unit that text and lines scale with, 1 at a height of 540 px."""
 
     size: Size
     unit: float
@@ -80,10 +80,10 @@ class Layout:
 
         Args:
             size: Width and height of the frame.
-            filmed: Whether the camera's picture, 16 to 9, takes the large place and the map the small one.
+            filmed: Whether the recorded camera image (16:9) takes the large area and the map the small one.
 
         Raises:
-            ReplayError: The size is out of bounds, or odd (H.264 halves both sides for its colours).
+            ReplayError: The size is out of bounds, or odd (H.264 stores colours at half resolution).
         """
         width, height = size
         (least_width, least_height), (most_width, most_height) = LEAST_SIZE, GREATEST_SIZE
@@ -113,7 +113,7 @@ class Layout:
 
 
 def extent(rectangle: Rectangle) -> Size:
-    """Return width and height of a rectangle."""
+    """Return the width and height of a rectangle."""
     left, top, right, bottom = rectangle
     return right - left, bottom - top
 
@@ -158,11 +158,11 @@ class FramePainter:
 
     @property
     def filmed(self) -> bool:
-        """Whether the episode has a film of its camera's pictures."""
+        """Whether the trace contains recorded camera images."""
         return self.trace.film is not None
 
     def frame(self, sample: int) -> Image.Image:
-        """Return the frame of a sample, in RGB."""
+        """Return the frame at a sample as an RGB image."""
         frame = self._still.copy()
         frame.paste(self.map(sample), self.layout.map[:2])
         frame.paste(self.camera(sample), self.layout.camera[:2])
@@ -175,18 +175,18 @@ class FramePainter:
         return frame
 
     def map(self, sample: int) -> Image.Image:
-        """Return the map of a sample with its scale bar; without a film, also with the verdict after a violation."""
+        """Return the map at a sample with its scale bar and, without camera images, the verdict on a violation."""
         image = self._map.draw(sample)
         self._draw_scale(image)
         return image if self.filmed else self._with_verdict(image, sample)
 
     def camera(self, sample: int) -> Image.Image:
-        """Return the camera's picture of a sample; from a film, also with the verdict after a violation."""
+        """Return the camera view at a sample; for recorded images, also with the verdict on a violation."""
         image = self._camera.draw(sample)
         return self._with_verdict(image, sample) if self.filmed else image
 
     def verdict(self) -> str:
-        """Return the verdict of the episode in words."""
+        """Return the verdict on the episode in words."""
         name, time_s = self.story.title, float(self.trace.time_s[self.story.decisive])
         if self.story.violated:
             return f"{name} violated at {time_s:.1f} s"
@@ -273,7 +273,7 @@ class _Panel:
         self._draw_legend(draw, line + round(8 * unit))
 
     def draw(self, frame: Image.Image, sample: int) -> None:
-        """Draw the values of a sample."""
+        """Draw the values at a sample."""
         draw = ImageDraw.Draw(frame)
         self._draw_speed(draw, sample)
         self._draw_requirement(draw, sample)
@@ -334,7 +334,7 @@ class _Panel:
             ("ghost: perceived, not there", "ghost"), ("camera: ground truth", "box"), ("camera: reported", "dashed"),
         ]  # fmt: skip
         if self._trace.film is not None:
-            entries = entries[:4]  # the lines on the picture are explained below it
+            entries = entries[:4]  # the lines on the image are explained below it
         spots = [(0, 0), (1, 0), (0, 1), (1, 1), (0, 2), (0, 3), (0, 4)]
         for (text, key), (column, row) in zip(entries, spots, strict=False):
             x = self._left + column * (self._right - self._left) / 2
@@ -345,7 +345,7 @@ class _Panel:
             draw.text((x + 32 * unit, y), text, fill=INK, font=self._small, anchor="lm")
 
     def _draw_key(self, draw: ImageDraw.ImageDraw, key: str, x: float, y: float) -> None:
-        """Draw a sample of a shape or line, to the left of its name."""
+        """Draw a legend key (an example of a shape or line) to the left of its name."""
         unit = self._unit
         left, top, right, bottom = x + 5 * unit, y - 6 * unit, x + 25 * unit, y + 6 * unit
         if key == "ego":
@@ -417,7 +417,7 @@ class _TimeBar:
         return self._left + (time_s - self._start_s) / self._span_s * (self._right - self._left)
 
     def _reported(self) -> NDArray[np.int64]:
-        """Return the number of reported boxes at each sample, shape ``(n,)``; with a film, only those of people."""
+        """Return the number of reported boxes at each sample, shape ``(n,)``; with recorded images, only people."""
         if self._trace.film is None:
             return np.asarray(np.diff(self._trace.given_boxes.first), np.int64)
         return reported(self._trace, PERSON)

@@ -1,7 +1,7 @@
 """The map of a frame: the scene from above, the road users on it, and what the driving system perceives.
 
-Everything that stands still is painted once, on a canvas around the whole drive with one byte a pixel. A frame cuts
-its part out, draws what moves on it, and is reduced to half its size, which smooths the edges.
+Everything that stands still is painted once, on a canvas around the whole drive with one byte per pixel. A frame
+crops its part, draws what moves on it, and is reduced to half its size, which smooths the edges.
 """
 
 from dataclasses import dataclass
@@ -64,13 +64,13 @@ Label: TypeAlias = tuple[tuple[float, float], str, Rgb]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Viewport:
-    """A map from world coordinates to pixels of the canvas.
+    """The transformation from world coordinates to pixels of the canvas.
 
     Attributes:
         px_per_m: Scale.
-        turn_rad: The world is turned counter-clockwise by this angle before it is drawn.
-        left_m: Least x of the turned world on the canvas.
-        top_m: Greatest y of the turned world on the canvas.
+        turn_rad: The world is rotated counter-clockwise by this angle before it is drawn.
+        left_m: Smallest x of the rotated world on the canvas.
+        top_m: Greatest y of the rotated world on the canvas.
         size_px: Width and height of the canvas.
     """
 
@@ -84,7 +84,7 @@ class Viewport:
     def along(
         cls, route: FloatArray, ego: FloatArray, *, px_per_m: float, margin_m: tuple[float, float]
     ) -> Self:
-        """Return a canvas around the whole drive, turned so that the drive starts to the right.
+        """Return a viewport around the whole drive, rotated so that the drive starts out to the right.
 
         Args:
             route: The route, shape ``(k, 2)``.
@@ -95,7 +95,7 @@ class Viewport:
         turn_rad = -float(ego[0, 2])
         places = np.asarray(ego[:, :2], dtype=np.float64)
         if len(route) > 1:
-            # Take the heading of the road: a swerve in the first sample must not turn the map.
+            # Take the heading of the road: a swerve in the first sample must not rotate the map.
             nearest = int(np.hypot(*(route - ego[0, :2]).T).argmin())
             start = min(nearest, len(route) - 2)
             step = route[start + 1] - route[start]
@@ -113,7 +113,7 @@ class Viewport:
         )
 
     def to_px(self, points: Points | FloatArray) -> Points:
-        """Return world coordinates as pixels of the canvas, shape ``(k, 2)``."""
+        """Convert world coordinates to pixels of the canvas, shape ``(k, 2)``."""
         turned = _turned(np.asarray(points, dtype=np.float64), self.turn_rad)
         return (turned - (self.left_m, self.top_m)) * (self.px_per_m, -self.px_per_m)
 
@@ -169,7 +169,7 @@ class MapView:
         self._font = typeface(font_px, bold=True)
 
     def draw(self, sample: int) -> Image.Image:
-        """Return the map at a sample, in RGB, of the view's size."""
+        """Return the map at a sample as an RGB image of the view's size."""
         wide, high = (side * SUPERSAMPLING for side in self._size)
         corner = np.round(self._centres[sample] - (wide / 2, high / 2))
         left, top = (int(value) for value in corner)
@@ -277,14 +277,14 @@ class MapView:
 
 
 def _reduced(point: tuple[float, float], lines: float) -> tuple[float, float]:
-    """Return a supersampled point in pixels of the map, moved down by lines of text."""
+    """Convert a supersampled point to pixels of the map, moved down by a number of text lines."""
     return point[0] / SUPERSAMPLING, point[1] / SUPERSAMPLING + lines * 12
 
 
 def _placed(
     template: Points, poses: FloatArray, length_m: float, width_m: float, viewport: Viewport
 ) -> tuple[Points, Flags]:
-    """Return a shape at all its poses, so that a frame only has to shift it.
+    """Transform a shape to all its poses in advance, so that a frame only has to shift it.
 
     Args:
         template: Corners in half lengths ahead and half widths to the left, shape ``(k, 2)``.
@@ -305,7 +305,7 @@ def _placed(
 
 
 def _paint_canvas(scene: EpisodeScene, viewport: Viewport) -> Image.Image:
-    """Return the canvas of an episode, in palette mode, of the viewport's size."""
+    """Paint the static map of an episode (surfaces and route) as a palette image of the viewport's size."""
     colours = {
         colour: i for i, colour in enumerate(dict.fromkeys([GROUND, ROUTE, *FILLS.values(), *EDGES.values()]))
     }

@@ -1,4 +1,4 @@
-"""Writes the replay of an episode as a picture or a film, depending on the extension of the file."""
+"""Writes the replay of an episode as a still image or a video, depending on the file extension."""
 
 import os
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from brink.sim.replay.scene import ReplayError
 from brink.sim.trace import Trace
 
 DEFAULT_SIZES: Final = {".png": (1280, 720), ".gif": (800, 450), ".mp4": (960, 540)}
-"""Width and height of a frame, by extension; a PNG has more below its frame."""
+"""Width and height of a frame, by extension; a PNG shows more below its frame."""
 
 
 def render(
@@ -21,16 +21,16 @@ def render(
     size: tuple[int, int] | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Draw an episode into a file: a still picture (.png) or a film (.gif, .mp4).
+    """Render an episode to a file: a still image (.png) or a video (.gif, .mp4).
 
-    The file is written beside its place and then moved there, so it appears whole or not at all.
+    The file is written under a temporary name and then renamed, so it appears complete or not at all.
 
     Args:
         trace: The episode.
-        path: The file; its extension decides what is drawn.
+        path: The file; its extension decides the kind of replay.
         requirement: Id of the requirement to judge; for the default see `story_of`.
-        size: Width and height of a frame; by default a good one for the extension.
-        on_progress: Called after each frame with the number of frames drawn and of all.
+        size: Width and height of a frame; the default depends on the extension.
+        on_progress: Called after each frame with the number of frames drawn and the total.
 
     Returns:
         The path.
@@ -39,7 +39,7 @@ def render(
         ReplayError: The extension is unknown, the size out of bounds, the trace empty or without the requirement.
         OSError: The file cannot be written.
     """
-    # Figures and films take a second to load: only a caller who draws waits for them.
+    # These modules take a second to import, so they are imported only when an episode is rendered.
     from brink.sim.replay.frame import FramePainter
     from brink.sim.replay.sheets import still
     from brink.sim.replay.video import write_gif, write_mp4
@@ -69,7 +69,7 @@ def render_bytes(
     requirement: str | None = None,
     size: tuple[int, int] | None = None,
 ) -> bytes:
-    """Draw an episode and return the content of the file.
+    """Render an episode and return the content of the file.
 
     Args:
         trace: The episode.

@@ -1,10 +1,10 @@
-"""The scene model of an episode: what films, still pictures and the web page draw, computed once from its trace.
+"""The scene model of an episode: what videos, still images and the web page show, computed once from its trace.
 
-Every rule that they share stands here: which perceived obstacles are ghosts, who is braking, how tall a building is
+All rules that they share are here: which perceived obstacles are ghosts, who is braking, how tall a building is
 drawn, where the map is centred, which vehicle the front gap is measured to. A drawing only adds colours and pixels.
 
 SimulatorError
-└── ReplayError         the picture or film cannot be drawn; the message says what can
+└── ReplayError         the replay cannot be rendered; the message says what can
 """
 
 from collections.abc import Mapping
@@ -33,12 +33,12 @@ GHOSTS: Final = tuple(f"ghost {label}" for label in LABELS)
 PERSON: Final = 1
 """Label of a person."""
 PERSON_REGION: Final = "warning"
-"""Region of a film's pictures in which a person triggers the brake; in the others a vehicle does."""
+"""Region of the recorded camera images in which a person triggers the brake; in the others a vehicle does."""
 PICTURE_COLOURS: Final = {"judged": (64, 222, 128), "found": (255, 52, 52), "region": (255, 214, 64)}
-"""Colours of lines that show on a picture by day and night: ground truth, detections, brake regions."""
+"""Colours of lines that are visible on images by day and by night: ground truth, detections, brake regions."""
 
 _MATCH_M: Final = 2.5
-"""A perceived obstacle this close to a road user of its kind is that road user; any other is a ghost."""
+"""A perceived obstacle this close to a road user of its kind is taken to be that road user; any other is a ghost."""
 _ACTOR_KINDS: Final = ("vehicle", "pedestrian", "vehicle")
 """The kind of road user that an obstacle matches, by label."""
 _MOVING_MPS: Final = 1.0
@@ -47,7 +47,7 @@ _LEAST_SIDE_M: Final = 0.8
 """Smaller obstacles are drawn this large."""
 SKETCHED_FROM_M: Final = 0.4
 SKETCHED_TO_M: Final = 90.0
-"""Least and greatest distance of what a sketch of the camera's picture shows."""
+"""Smallest and greatest distance of objects shown in a sketch of the camera view."""
 
 _BRAKING_MPS2: Final = -1.0
 _SMOOTHING_S: Final = 2.0
@@ -63,7 +63,7 @@ _TIED_M: Final = 0.02
 
 
 class ReplayError(SimulatorError, ValueError):
-    """The picture or film cannot be drawn from this trace."""
+    """The image or video cannot be rendered from this trace."""
 
 
 class SurfaceStyle(NamedTuple):
@@ -96,7 +96,7 @@ Ring: TypeAlias = tuple[tuple[float, float], ...]
 
 
 class Shapes(NamedTuple):
-    """Road users from above.
+    """Top-view outlines of the road users.
 
     Corners of a car are in half lengths ahead and half widths to the left of its centre. A person is a disc.
     """
@@ -134,13 +134,13 @@ def is_car(actor: ActorTrack) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Obstacles:
-    """Perceived obstacles as they are drawn, a row for each row of ``trace.perceived``.
+    """Perceived obstacles as they are drawn, one row for each row of ``trace.perceived``.
 
     Attributes:
         yaw_rad: Headings: of the motion, or the ego's for an obstacle that hardly moves, shape ``(k,)``.
         length_m: Extents along the headings, shape ``(k,)``.
         width_m: Extents across the headings, shape ``(k,)``.
-        ghost: Whether nothing of the kind is there, shape ``(k,)``.
+        ghost: Whether no road user of that kind is there, shape ``(k,)``.
     """
 
     yaw_rad: Points
@@ -151,7 +151,7 @@ class Obstacles:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeScene:
-    """An episode with everything that its drawings derive from it.
+    """An episode with everything derived from it for drawing.
 
     Attributes:
         trace: The episode.
@@ -169,7 +169,7 @@ class EpisodeScene:
 
     @classmethod
     def of(cls, trace: Trace) -> Self:
-        """Return the scene of a trace whose arrays fit together."""
+        """Return the scene of a trace; its arrays must be consistent."""
         standing = [index for index, s in enumerate(trace.scene) if surface_style(s.kind).height_m > 0]
         with np.errstate(all="ignore"):  # a trace may hold any number
             return cls(
@@ -212,14 +212,14 @@ def _brakes(actor: ActorTrack, trace: Trace) -> Flags:
 
 
 def map_centres(trace: Trace, look_ahead_m: float) -> Points:
-    """Return the centre of the map at each sample: ahead of the ego, smoothed so that the map does not swing.
+    """Return the centre of the map at each sample: ahead of the ego, smoothed so that the map does not swing around.
 
     Args:
         trace: The episode.
         look_ahead_m: How far ahead of the ego the centre lies.
 
     Returns:
-        World coordinates, shape ``(n, 2)``. Where the ego's pose is not finite, the last finite one counts.
+        World coordinates, shape ``(n, 2)``. Where the ego's pose is not finite, the last finite one is used.
     """
     pose = np.asarray(trace.ego[:, :3], dtype=np.float64)
     known = np.flatnonzero(np.isfinite(pose).all(axis=1))
@@ -237,7 +237,7 @@ def map_centres(trace: Trace, look_ahead_m: float) -> Points:
 
 
 def pictures_shown(film: Film, samples: int) -> NDArray[np.int64]:
-    """Return the index of the picture that each sample shows: the latest so far, or else the first."""
+    """Return the index of the image shown at each sample: the latest so far, or the first if there is none yet."""
     latest = np.searchsorted(film.samples, np.arange(samples), side="right") - 1
     return np.asarray(np.maximum(0, latest), dtype=np.int64)
 
@@ -248,7 +248,7 @@ def plain_name(plugin_id: str) -> str:
 
 
 def spec_part(trace: Trace, name: str) -> Mapping[str, Json]:
-    """Return an object of the episode's specification, such as ``behaviour``; empty if it is missing."""
+    """Return a part of the episode's specification, such as ``behaviour``; empty if it is missing."""
     spec = trace.about.get("spec")
     part = spec.get(name) if isinstance(spec, Mapping) else None
     return part if isinstance(part, Mapping) else {}

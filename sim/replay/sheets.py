@@ -1,4 +1,4 @@
-"""Pictures made of several frames: the still picture of one episode, and several episodes side by side."""
+"""Images composed of several frames: the still image of one episode, and several episodes side by side."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from brink.sim.trace import Trace
 
 GAP: Final = 12
 CLOSE_UP_M: Final = 30.0
-"""Width of the part of the map that a picture of the strip shows."""
+"""Width of the part of the map that each image of the strip shows."""
 CLOSE_UP_AHEAD_M: Final = 6.0
 
 MOMENTS_S: Final = (-1.5, -0.75, 0.0)
@@ -31,12 +31,12 @@ FOOTER_PX: Final = 40
 
 
 def still(trace: Trace, *, requirement: str | None = None, size: Size = (1280, 720)) -> Image.Image:
-    """Return the still picture of an episode: its decisive moment, a strip of moments before it, plots over time.
+    """Return the still image of an episode: its decisive moment, a strip of earlier moments, and plots over time.
 
     Args:
         trace: The episode.
         requirement: Id of the requirement to judge; for the default see `story_of`.
-        size: Width and height of the frame at the top; the picture is as wide and nearly twice as high.
+        size: Width and height of the frame at the top; the image is as wide and nearly twice as high.
 
     Raises:
         ReplayError: The trace is empty, lacks the requirement, or the size is out of bounds.
@@ -118,7 +118,7 @@ class Row:
 
     Attributes:
         words: What distinguishes it, such as its chain of perturbations.
-        trace: The episode, with a film.
+        trace: The episode, with recorded camera images.
     """
 
     words: str
@@ -126,19 +126,19 @@ class Row:
 
 
 def side_by_side(rows: Sequence[Row], *, title: str = "") -> Image.Image:
-    """Return episodes of the same place in one picture: one row for each, with the same moments in the columns.
+    """Return one image of several episodes at the same place: a row for each, with the same moments in the columns.
 
     Made for chains of perturbations: what each part does alone, and what they do together.
 
     Args:
         rows: The episodes; the columns show moments before and at the decisive moment of the last one.
-        title: Heading of the picture.
+        title: Heading of the image.
 
     Raises:
-        ReplayError: There are no rows, or an episode has no film.
+        ReplayError: There are no rows, or an episode has no recorded camera images.
     """
     if not rows:
-        raise ReplayError("there are no episodes to show side by side")
+        raise ReplayError("expected at least one episode to show side by side, got none")
     story = story_of(rows[-1].trace)
     decisive_s = float(rows[-1].trace.time_s[story.decisive])
     width = WORDS_PX + len(MOMENTS_S) * (TILE_PX[0] + MARGIN) + 2 * MARGIN
@@ -162,7 +162,7 @@ def _left(column: int) -> int:
 def _draw_row(sheet: Image.Image, draw: ImageDraw.ImageDraw, row: Row, top: int, decisive_s: float) -> None:
     trace = row.trace
     if trace.film is None:
-        raise ReplayError("an episode has no pictures from a camera")
+        raise ReplayError("expected recorded camera images in every episode, got an episode without any")
     story = story_of(trace)
     _draw_words(draw, row.words, story, top)
     view = FilmView(trace, trace.film, size_px=TILE_PX)

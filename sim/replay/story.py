@@ -12,7 +12,7 @@ from brink.sim.trace import ACTION, Event, Trace
 from brink.sim.world.scenario import words_of_scenario
 
 PREFERRED: Final = ("front-gap", "no-collision")
-"""Requirements that an episode is about if none is named, in order of preference."""
+"""Requirements that a replay is about if none is named, in order of preference."""
 
 REQUIREMENT_UNITS: Final = {
     "front-gap": "m",
@@ -27,7 +27,7 @@ REQUIREMENT_UNITS: Final = {
 
 _MOST_MOMENTS: Final = 6
 _LEAD_UP_S: Final = (1.0, 2.5, 5.0)
-"""How long before the decisive moment to look for others."""
+"""How long before the decisive moment to look for other moments."""
 
 T = TypeVar("T")
 
@@ -49,7 +49,7 @@ class Story:
         title: The same without its version.
         violated: Whether it is violated.
         decisive: Sample of the first violation, or of the lowest robustness.
-        least: Least robustness of the episode, +inf if the requirement never applied.
+        least: Lowest robustness of the episode, +inf if the requirement never applied.
         moments: At most six, in order of time; the decisive one is among them.
     """
 
@@ -97,7 +97,7 @@ def _choose(trace: Trace, requirement: str | None) -> str:
             trace.robustness,
             key=lambda name: PREFERRED.index(plain_name(name)) if plain_name(name) in PREFERRED else 9,
         )
-        # An episode with a film is about any hazard: show one that happened if the preferred one did not.
+        # An episode with camera images may be about any hazard: show one that occurred if the preferred one did not.
         violated = [
             name for name, series in trace.robustness.items() if trace.film is not None and np.any(series < 0)
         ]
@@ -110,7 +110,7 @@ def _choose(trace: Trace, requirement: str | None) -> str:
 
 
 def _moments(trace: Trace, decisive: int, *, violated: bool) -> tuple[Moment, ...]:
-    """Pick the weightiest moments that are at least a twentieth of the episode apart."""
+    """Pick the most important moments that are at least a twentieth of the episode apart."""
     last = len(trace.time_s) - 1
     candidates = [Moment(sample=decisive, reason="violation" if violated else "closest")]
     candidates += _lead_up(trace, decisive)
@@ -126,7 +126,7 @@ def _moments(trace: Trace, decisive: int, *, violated: bool) -> tuple[Moment, ..
 
 
 def _lead_up(trace: Trace, decisive: int) -> list[Moment]:
-    """Return moments, the most explanatory first: just before, injections, plan changes, events, earlier."""
+    """Return preceding moments, most explanatory first: just before, injections, plan changes, events, earlier."""
     time_s = trace.time_s
     found: list[Moment] = []
 
@@ -197,7 +197,7 @@ def runs(values: Sequence[T]) -> list[tuple[T, int, int]]:
 
 
 def scenario_words(trace: Trace) -> str:
-    """Return the scenario as a line of words; empty if the trace does not describe it."""
+    """Return a one-line description of the scenario; empty if the trace does not describe it."""
     scenario = spec_part(trace, "scenario")
     words = ""
     if scenario:
@@ -208,7 +208,7 @@ def scenario_words(trace: Trace) -> str:
 
 
 def perturbation_words(trace: Trace) -> str:
-    """Return the perturbations of the camera's pictures, in order; empty if there were none."""
+    """Describe the perturbations of the camera images, in order; empty if there were none."""
     steps = spec_part(trace, "behaviour").get("perturbations")
     if not isinstance(steps, list):
         return ""
@@ -216,7 +216,7 @@ def perturbation_words(trace: Trace) -> str:
 
 
 def report_word(trace: Trace) -> str:
-    """Return how the reported boxes came about: ``injected``, ``detected`` in pictures, or ``seen`` as they are."""
+    """Return how the reported boxes arose: ``injected``, ``detected`` in images, or ``seen`` (the ground truth)."""
     mode = spec_part(trace, "behaviour").get("mode")
     if trace.film is not None or mode == "detector":
         return "detected"
@@ -233,7 +233,7 @@ def unit_of(requirement: str) -> str:
 
 
 def with_unit(value: float, requirement: str) -> str:
-    """Return a robustness with sign and unit, such as ``−0.8 m``; with two decimals if it is close to zero."""
+    """Return a robustness with sign and unit, such as ``−0.8 m``; with two decimal places if it is close to zero."""
     unit = unit_of(requirement)
     decimals = 1 if abs(value) >= 0.1 else 2
     return f"{value:+.{decimals}f}{f' {unit}' if unit else ''}".replace("-", "−")

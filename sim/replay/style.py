@@ -1,7 +1,7 @@
 """Colours, typeface and line styles of every replay.
 
 The hues are Okabe and Ito's, which people with colour vision deficiencies can tell apart; red and green things also
-differ in their lines. Blue is the ego, vermilion what the driving system was told, crimson a violation.
+differ in their lines. Blue is the ego, vermilion what was reported to the driving system, crimson a violation.
 """
 
 from functools import cache
@@ -15,7 +15,7 @@ from PIL import ImageDraw, ImageFont
 from brink.sim.replay.scene import PICTURE_COLOURS, Points
 
 SUPERSAMPLING: Final = 2
-"""Moving pictures are drawn this much larger and then reduced, which smooths their edges."""
+"""Frames are drawn this much larger and then reduced, which smooths their edges."""
 
 Rgb: TypeAlias = tuple[int, int, int]
 
@@ -80,27 +80,27 @@ LAMP_OFF: Final[Rgb] = (78, 84, 90)
 
 
 def hexadecimal(colour: Rgb) -> str:
-    """Return a colour as matplotlib reads it, such as ``#d55e00``."""
+    """Return a colour in the hexadecimal form that matplotlib reads, such as ``#d55e00``."""
     return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
 def readable_on(colour: Rgb) -> Rgb:
-    """Return ink or paper, whichever reads better on a background of this colour."""
+    """Return the ink or paper colour, whichever is more legible on a background of this colour."""
     red, green, blue = colour
     return INK if 0.299 * red + 0.587 * green + 0.114 * blue > 140 else PAPER
 
 
 @cache
 def typeface(size_px: int, bold: bool = False) -> ImageFont.FreeTypeFont:
-    """Return DejaVu Sans, which ships with matplotlib, so that pictures look the same on every machine."""
-    import matplotlib as mpl  # slow to load: not before something is drawn
+    """Return DejaVu Sans, which ships with matplotlib, so that images look the same on every machine."""
+    import matplotlib as mpl  # slow to import, so imported only when something is drawn
 
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
     return ImageFont.truetype(str(Path(mpl.get_data_path()) / "fonts" / "ttf" / name), max(6, size_px))
 
 
 def dashes(points: Points, dash: float, gap: float, *, closed: bool = False) -> list[Points]:
-    """Cut a line into dashes, each of shape ``(2, 2)``; dashes do not bend around corners.
+    """Split a line into dashes, each of shape ``(2, 2)``; dashes do not bend around corners.
 
     Args:
         points: Corners of the line, shape ``(k, 2)``.
@@ -140,14 +140,14 @@ def draw_dashed(
 def draw_banner(
     draw: ImageDraw.ImageDraw, centre: tuple[float, float], text: str, unit: float, colour: Rgb = VIOLATION
 ) -> None:
-    """Draw white words on a filled plate.
+    """Draw white text on a filled rectangle with rounded corners.
 
     Args:
         draw: Where to draw.
-        centre: Middle of the plate in pixels.
-        text: The words.
+        centre: Middle of the rectangle in pixels.
+        text: The text.
         unit: Scale of text and lines, 1 in a frame of 540 px height.
-        colour: Colour of the plate.
+        colour: Colour of the rectangle.
     """
     font = typeface(round(14 * unit), bold=True)
     half = draw.textlength(text, font=font) / 2 + 12 * unit

@@ -31,13 +31,13 @@ DPI: Final = 100
 GREATEST_ROBUSTNESS: Final = 12.0
 """Robustness is drawn up to this value: beyond it there is no danger, and the rest would look flat."""
 QUIET: Final = ("keep",)
-"""Actions in which a scripted road user just drives on."""
+"""Actions in which a scripted road user simply keeps going."""
 
 
 def timeline_figure(
     trace: Trace, *, requirement: str | None = None, size: tuple[int, int] = (1200, 620)
 ) -> Figure:
-    """Return the plots of an episode over time.
+    """Return a figure with plots of an episode over time.
 
     Args:
         trace: The episode.
@@ -72,7 +72,7 @@ def timeline_figure(
 def timeline_image(
     trace: Trace, *, requirement: str | None = None, size: tuple[int, int] = (1200, 620)
 ) -> Image.Image:
-    """Return `timeline_figure` as a picture in RGB.
+    """Return `timeline_figure` as an RGB image.
 
     Args:
         trace: The episode.

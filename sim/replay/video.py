@@ -1,4 +1,4 @@
-"""Films: frames as a GIF or as H.264 in MP4, ten per simulated second, so that they play in real time."""
+"""Videos: frames as a GIF or as H.264 in MP4, ten per simulated second, so that they play in real time."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -13,14 +13,14 @@ from PIL import Image
 from brink.sim.replay.frame import FramePainter
 
 ProgressCallback: TypeAlias = Callable[[int, int], None]
-"""Called with the number of frames drawn and of all."""
+"""Called with the number of frames drawn and the total."""
 
 FRAMES_PER_S: Final = 10
 HOLD_S: Final = 1.0
 """How long the last frame is held."""
 GIF_COLOURS: Final = 96
 MP4_QUALITY: Final = "23"
-"""Constant rate factor of x264: flat drawings need no better."""
+"""Constant rate factor of x264: flat drawings need no higher quality."""
 MOST_FRAMES: Final = 3000
 
 
@@ -39,7 +39,7 @@ def film_samples(painter: FramePainter) -> list[int]:
 
 
 def write_mp4(painter: FramePainter, path: Path, on_progress: ProgressCallback | None = None) -> None:
-    """Write the film of an episode as MP4: H.264, yuv420p, index first, so that browsers play it at once.
+    """Write the video of an episode as MP4: H.264, yuv420p, index first, so that browsers can play it at once.
 
     Args:
         painter: Draws the frames.
@@ -60,7 +60,7 @@ def write_mp4(painter: FramePainter, path: Path, on_progress: ProgressCallback |
 
 
 def write_gif(painter: FramePainter, path: Path, on_progress: ProgressCallback | None = None) -> None:
-    """Write the film of an episode as a looping GIF with one palette for all frames.
+    """Write the video of an episode as a looping GIF with one palette for all frames.
 
     Args:
         painter: Draws the frames.
@@ -84,7 +84,7 @@ def write_gif(painter: FramePainter, path: Path, on_progress: ProgressCallback |
 
 
 def _film_palette(painter: FramePainter) -> Image.Image:
-    """Return one palette for all moments of the story, so that colours do not flicker."""
+    """Return one palette, made from all moments of the story, so that colours do not flicker."""
     pictures = [painter.frame(moment.sample) for moment in painter.story.moments]
     width, height = painter.layout.size
     sheet = Image.new("RGB", (width, height * len(pictures)))

@@ -1,6 +1,6 @@
 """The behaviour of the obstacle detector: injected trajectories of image boxes, or the ground truth.
 
-Imports nothing heavy, so that code that builds a search space can read the parameters from here.
+This module has no heavy imports, so that code that builds a search space can read the parameters from here.
 """
 
 from collections.abc import Mapping
@@ -15,12 +15,12 @@ from brink.sim.errors import InvalidEpisode
 IMAGE_WIDTH_PX = 800
 IMAGE_HEIGHT_PX = 600
 MIN_BOX_PX = 50.0
-"""Least width and height of a sampled box; an episode accepts any box with a positive extent."""
+"""Minimum width and height of a sampled box; an episode accepts any box with a positive extent."""
 
 PERCEPTION_STEP_S = 0.1
 DEFAULT_DURATION_S = 30.0
 MIN_DURATION_SHARE = 1.0 / 18.0
-"""Least duration of a sampled trajectory, as a share of the episode."""
+"""Minimum duration of a sampled trajectory, as a share of the episode."""
 
 TRAJECTORY_COUNT = 2
 """Number of trajectories in a sampled behaviour; an episode accepts up to `MAX_TRAJECTORIES`."""
@@ -153,7 +153,7 @@ class DetectorBehaviour:
 
 
 def words_of_behaviour(trajectories: Json) -> str:
-    """Return a description of injected detections with their times, such as ``detected: person 17.4-26.7 s``."""
+    """Describe injected detections with their times, such as ``detected: person 17.4-26.7 s``."""
     if not isinstance(trajectories, list) or not trajectories:
         return "nothing detected"
     detections = []

@@ -1,6 +1,6 @@
-"""The loop of an episode: sense, decide, drive, advance the others, measure, and evaluate the requirements.
+"""The episode loop: sense, decide, drive, advance the others, measure, and evaluate the requirements.
 
-`Sensing` produces what the driving system is told: the localised ego with its errors, the light detector's readings
+`Sensing` produces what the driving system receives: the localised ego with its errors, the light detector's readings
 and the obstacle boxes. The obstacle detector is the component under test: its boxes are injected or the ground truth,
 never noisy. The quality of the other parts depends on time of day and weather.
 """
@@ -89,7 +89,7 @@ class Sensing:
         self._light_chances: list[float] = chances.tolist()
 
     def localise(self, perception_step: int | None) -> EgoState:
-        """Return the localised state of the ego.
+        """Return the ego's state as estimated by localisation.
 
         Args:
             perception_step: Number of the perception step, at which errors change; None between perception steps.
@@ -179,14 +179,14 @@ STANDS_BELOW_MPS = 0.1
 
 
 class Witness(Protocol):
-    """Observes an episode to record more than requirements and traces do."""
+    """Observes an episode to record what neither requirements nor traces record."""
 
     def see(self, sample: WorldSample, driving: DrivingSystem) -> None:
         """Observe a control step, after all road users have moved."""
         ...
 
     def violated(self, requirement: str) -> None:
-        """Observe that a requirement is violated in the step last seen, whether or not for the first time."""
+        """Observe a violation in the step last seen; called in every step in which the requirement is violated."""
         ...
 
 
@@ -313,7 +313,7 @@ class _Loop:
         return sample
 
     def _decide(self, step: int) -> Command:
-        """Let the driving system sense and decide."""
+        """Give the driving system its observation and return its command."""
         time_s = step * STEP_S
         sensing = self.sensing
         if step % CONTROL_PER_PERCEPTION:
@@ -336,7 +336,7 @@ class _Loop:
             self.recorder.end(time_s, self.driving, shown)
 
     def outcome(self) -> Outcome:
-        """Return the outcome."""
+        """Return the outcome of the episode."""
         sample = self.sample
         ended = "goal" if sample.goal_reached else "time"
         return Outcome(

@@ -1,7 +1,7 @@
 """Exact facts of an episode: bodies in the physics engine, and a `WorldSample` of the ego at each step.
 
 The engine is queried only for pairs that may be close, as decided by cheap bounds on centre distances. A moving body
-is put in its place right before it is queried, so distant bodies cost nothing.
+is moved to its pose right before it is queried, so distant bodies cost nothing.
 """
 
 import math
@@ -26,7 +26,7 @@ without being ahead of it.
 """
 
 CREEPING_MPS = 0.05
-"""An ego slower than this hits nobody: others run into it."""
+"""In a collision with an ego slower than this, the other road user hits the ego."""
 
 SUNK_IN_M = 0.3
 SUNK_IN_S = 0.1
@@ -194,7 +194,7 @@ class Facts:
         return front_m
 
     def _before_bumper(self, found: Closest) -> bool:
-        """Return whether the shortest line to a body leads ahead rather than to the side."""
+        """Return whether the shortest line from the ego to a body points ahead rather than to the side."""
         yaw_rad = self._world.ego.yaw_rad
         return -(found.normal_x * math.cos(yaw_rad) + found.normal_y * math.sin(yaw_rad)) > AHEAD_COS
 
@@ -225,7 +225,7 @@ class Facts:
         limit_m: float,
         nearest: _Nearest,
     ) -> Closest | None:
-        """Return how a body lies relative to the ego, and update the nearest body."""
+        """Return the position of a body relative to the ego, and update the nearest body."""
         found = self._engine.closest(self._ego_body, body, limit_m)
         if found is None:
             return None

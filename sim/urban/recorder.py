@@ -119,7 +119,7 @@ class Recorder:
         self.sample(time_s, driving, *self._shown, light)
 
     def judge(self, requirement: str, robustness: float) -> None:
-        """Record a requirement's robustness at a control step; a sample keeps the smallest since the last one."""
+        """Record a requirement's robustness at a control step; each sample keeps the smallest since the last."""
         if robustness < self._least[requirement]:
             self._least[requirement] = robustness
 

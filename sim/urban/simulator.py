@@ -1,4 +1,4 @@
-"""The simulator `brink-drive@1`: a specification in, a result out.
+"""The simulator `brink-drive@1`: runs a specification and returns the result.
 
 The same specification gives the same verdicts and the same trace, bit for bit, in any process and after any other
 episodes on the same class of processor: random draws come from streams addressed by position, all objects are created
@@ -51,7 +51,7 @@ class BrinkDrive:
 
         Raises:
             InvalidEpisode: The specification can never run.
-            SimulationCrashed: The physics engine broke down.
+            SimulationCrashed: The physics engine failed.
         """
         scenario, behaviour = _read(spec)
         requirements = make_requirements(spec.requirements)
@@ -136,7 +136,7 @@ def outcome_features(outcome: Outcome) -> dict[str, Json]:
 
 
 def trace_header(spec: EpisodeSpec) -> JsonObject:
-    """Return what every trace says about its episode."""
+    """Return the description of an episode that every trace contains."""
     # From the canonical text, so that the trace does not depend on the order of fields.
     return {"spec": json.loads(spec.canonical_json()), "versions": dict(versions())}
 
@@ -147,7 +147,7 @@ def provenance(simulator: str, cpu_s: float, **facts: Json) -> dict[str, Json]:
     Args:
         simulator: Id of the simulator.
         cpu_s: CPU time of this process when the episode began.
-        facts: What else to state.
+        facts: Additional entries.
     """
     return {
         "simulator": simulator,
@@ -172,9 +172,9 @@ def versions() -> Mapping[str, str]:
 
 @cache
 def instruction_set() -> str:
-    """Return the class of processor with a fingerprint of its floating-point arithmetic.
+    """Return the processor architecture with a fingerprint of its floating-point arithmetic.
 
-    Machines with the same text give the same episodes. The fingerprint is made of the low bits of functions whose
+    Machines with the same value give the same episodes. The fingerprint is made of the low bits of functions whose
     last digits may depend on the mathematics library and the processor.
     """
     probes = [math.sin(1e5 + 0.1 * i) * math.exp(0.37 * i) * math.atan2(i, 3.3) for i in range(1, 40)]

@@ -56,7 +56,7 @@ EGO_CAR = CarModel()
 
 
 class EgoMotion(Protocol):
-    """The interface of an ego, whichever model simulates it."""
+    """The interface that every motion model of the ego implements."""
 
     x_m: float
     y_m: float
@@ -74,7 +74,7 @@ class EgoMotion(Protocol):
         ...
 
     def drive(self, accel_mps2: float, steer_rad: float, steps: int) -> None:
-        """Drive a number of 100 Hz steps with a constant command, limited to what the car can do.
+        """Drive for `steps` steps of 10 ms with a constant command, limited to what the car can do.
 
         Args:
             accel_mps2: Desired acceleration; negative brakes.
@@ -93,7 +93,7 @@ class MakeEgo(Protocol):
 
 
 class EgoCar:
-    """The ego as a single-track model. Mutable: created anew for each episode.
+    """The ego as a single-track model. Mutable: create a new one for each episode.
 
     Args:
         pose: x_m, y_m and yaw_rad at the start.
@@ -152,7 +152,7 @@ class EgoCar:
         self._grade_mps2 = GRAVITY_MPS2 * grade
 
     def drive(self, accel_mps2: float, steer_rad: float, steps: int) -> None:
-        """Drive a number of 100 Hz steps with a constant command, limited to what the car can do.
+        """Drive for `steps` steps of 10 ms with a constant command, limited to what the car can do.
 
         Args:
             accel_mps2: Desired acceleration; negative brakes.

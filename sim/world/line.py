@@ -135,7 +135,7 @@ class ReferenceLine:
             shrink = 1.0 - piece.curvature_1pm * offset_m
             if shrink <= 0:
                 raise ValueError(
-                    f"offset_m: {offset_m} reaches the centre of an arc of {piece.curvature_1pm} 1/m"
+                    f"offset_m: {offset_m} reaches the centre of an arc with a curvature of {piece.curvature_1pm} 1/m"
                 )
             pieces.append(Piece(piece.length_m * shrink, piece.curvature_1pm / shrink))
         x_m, y_m, yaw_rad = self.pose_at(0.0, offset_m)

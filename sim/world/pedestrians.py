@@ -45,7 +45,7 @@ GoAhead: TypeAlias = Callable[[float], bool]
 
 
 class Walker:
-    """A pedestrian. Mutable: created anew for each episode.
+    """A pedestrian. Mutable: create a new one for each episode.
 
     Args:
         name: Unique name in the episode.
@@ -122,7 +122,7 @@ class Walker:
 
     @property
     def has_right_of_way(self) -> bool:
-        """Whether vehicles must give way to it."""
+        """Whether vehicles must give way to this pedestrian."""
         return self.on_zebra and self.phase is not Phase.ALONG
 
     def _place(self) -> None:
@@ -250,7 +250,7 @@ def make_people(
 
 
 def _clear_of_junctions(road: Road, station_m: float) -> float:
-    """Return the nearest station for crossing the road outside every junction."""
+    """Return the nearest station outside all junctions at which to cross the road."""
     reach_m = road.kerb_m + road.style.pavement_m + CLEAR_OF_JUNCTION_M
     for junction in road.junctions:
         beyond_m = station_m - junction.station_m

@@ -19,7 +19,7 @@ SPEED_LIMIT_MPS = 30.0 / 3.6
 RIGHT_TURN_RADIUS_M = 7.0
 LEFT_TURN_RADIUS_M = 9.0
 SIDE_STREET_M = 60.0
-"""Drivers who leave a side street start this far from the junction; those who enter it are relevant up to there."""
+"""Drivers who leave a side street start this far from the junction; those who enter one matter up to there."""
 PARKING_STRIP_M = 2.1
 CROSSING_WIDTH_M = 3.0
 STOP_LINE_BEFORE_CROSSING_M = 1.5
@@ -34,7 +34,7 @@ CYCLE_S = MAIN_GREEN_S + SIDE_GREEN_S + 2.0 * (AMBER_S + ALL_RED_S)
 
 @dataclass(frozen=True, slots=True)
 class RoadStyle:
-    """The properties in which the three roads of one shape differ.
+    """The properties in which the three roads of the same shape differ.
 
     Attributes:
         radius_m: Radius of the curve's centre line; 0 for straight roads.
@@ -150,7 +150,7 @@ class Road:
 
     @property
     def stop_line_before_junction_m(self) -> float:
-        """Distance of the stop line from the middle of a lit junction."""
+        """Distance of the stop line from the middle of a junction with traffic lights."""
         return self.kerb_m + CROSSING_WIDTH_M + 1.0 + STOP_LINE_BEFORE_CROSSING_M
 
 
@@ -228,7 +228,7 @@ def turn_begins_m(junction_m: float, lane_width_m: float, *, right: bool) -> flo
 
 
 def turn_piece(*, right: bool) -> Piece:
-    """Return the quarter circle of a turn."""
+    """Return the quarter circle that a turn follows."""
     radius_m = RIGHT_TURN_RADIUS_M if right else LEFT_TURN_RADIUS_M
     return Piece(0.5 * math.pi * radius_m, (-1.0 if right else 1.0) / radius_m)
 
@@ -314,7 +314,7 @@ class LaneRoute:
 
 
 def ego_route(road: Road, task: DrivingTask) -> LaneRoute:
-    """Return the ego's route; every task is about as long as the road."""
+    """Return the ego's route, which is about as long as the road for every task."""
     stop_lines = tuple(
         junction.forward_m - road.stop_line_before_junction_m for junction in road.junctions if junction.lit
     )
@@ -374,7 +374,7 @@ class SignalPlan:
         return _state((time_s + self.phase_s - begins_s) % CYCLE_S, SIDE_GREEN_S)
 
     def main_red_for_s(self, time_s: float) -> float:
-        """Return how long the main road stays red, 0 if it is not red; pedestrians cross it during that time."""
+        """Return how long the main road's light stays red, 0 if it is not red; pedestrians cross while it is."""
         in_cycle_s = (time_s + self.phase_s) % CYCLE_S
         return CYCLE_S - in_cycle_s if in_cycle_s >= MAIN_GREEN_S + AMBER_S else 0.0
 

@@ -1,6 +1,6 @@
 """The urban scenario: seven categorical parameters, their JSON form, and their description in words.
 
-Imports nothing heavy, so that code that builds a search space can read the parameters from here.
+This module has no heavy imports, so that code that builds a search space can read the parameters from here.
 """
 
 from collections.abc import Mapping
@@ -42,7 +42,7 @@ class RoadCurve(StrEnum):
 
 
 class DrivingTask(StrEnum):
-    """Where the ego is to go; at a crossroad, the exits lead right and left."""
+    """Where the ego is to go; at a crossroads, the first exit leads right and the second left."""
 
     FOLLOW_ROAD = "follow_road"
     FIRST_EXIT = "first_exit"
@@ -86,7 +86,7 @@ class UrbanScenario:
 
     Attributes:
         time_of_day: Affects visibility, lane-position and light detection, and how others drive.
-        weather: Affects the same, and friction.
+        weather: Affects the same and, in addition, friction.
         pedestrians: Number of pedestrians, 0 or 18.
         road_curve: Shape of the road.
         road_id: One of three roads of that shape, which differ in radius or slope, lane width and roadside.

@@ -24,7 +24,7 @@ BUILDING_EVERY_M = 17.0
 PARKED_EVERY_M = 6.6
 TREE_EVERY_M = 13.0
 _FREE_PLACES = frozenset((1, 4, 5, 9, 12, 16, 18, 23))
-"""Empty spaces of the parking strip, counted along both sides."""
+"""Indices of the parking spaces left empty, counted along both sides of the road."""
 
 BEFORE_M = 25.0
 BEYOND_M = 45.0

@@ -9,7 +9,7 @@ import numpy as np
 
 
 class Stream(IntEnum):
-    """Purpose of a random stream. Changing a value changes episodes."""
+    """Purpose of a random stream. Changing a value changes the outcome of episodes."""
 
     START = 0
     LOCALISATION = 1
@@ -25,7 +25,7 @@ class Stream(IntEnum):
 
 
 def generator(seed: int, stream: Stream, index: int = 0) -> np.random.Generator:
-    """Return the random generator of one quantity of an episode.
+    """Return the random generator for one quantity of an episode.
 
     Args:
         seed: The episode's seed.

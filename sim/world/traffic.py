@@ -1,4 +1,4 @@
-"""Traffic on a road besides the ego: the lead vehicle, oncoming and crossing cars, and cars that join.
+"""Other vehicles on a road: the lead vehicle, oncoming and crossing cars, and merging cars.
 
 The scenario (road, weather, time of day) decides how they drive; the episode's seed only varies each vehicle around
 its type. Every vehicle has its own random stream.
@@ -32,11 +32,11 @@ from brink.sim.world.vehicle import CAR, VAN, DrivingStyle, Mover, MustStop, Pul
 from brink.sim.world.weather import Conditions
 
 JOINING_GAP_S = 4.5
-"""Drivers join or cross a lane only if nobody on it would arrive within this time."""
+"""Drivers merge into or cross a lane only if no vehicle on it would arrive within this time."""
 
 MERGING_ROOM_M = 7.0
 HALF_LANE_M = 1.9
-"""Drivers do not join where somebody is within `MERGING_ROOM_M` along and `HALF_LANE_M` across the lane."""
+"""Drivers do not merge where a vehicle is within `MERGING_ROOM_M` along and `HALF_LANE_M` across the lane."""
 
 MOUTH_SETBACK_M = 2.5
 """Distance from the kerb line at which drivers wait to leave a side street."""
@@ -48,7 +48,7 @@ LEAD_STARTS_AHEAD_M = 26.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Surroundings:
-    """What vehicles look at to decide whether they may go. The lists are filled once all road users exist."""
+    """What vehicles check to decide whether they may go. The lists are filled once all road users exist."""
 
     signals: SignalPlan | None
     movers: list[Mover]
@@ -63,7 +63,7 @@ def make_traffic(
     Args:
         road: The road they drive on.
         weather: Sets how they drive.
-        around: What they look at.
+        around: What they take into account.
         seed: The episode's seed.
         exit_right: Whether the ego takes the right exit (False: the left one); None if it follows the road.
     """
@@ -179,7 +179,7 @@ class _TrafficBuilder:
         return vehicles
 
     def joining(self) -> Vehicle:
-        """Return a car that leaves the right side street and joins the ego's lane when there is a gap."""
+        """Return a car that leaves the right side street and merges into the ego's lane when there is a gap."""
         rng = generator(self.seed, Stream.VEHICLE, 130)
         junction = self.road.junctions[0]
         path = joining_lane(self.road, junction)
@@ -240,7 +240,7 @@ class _TrafficBuilder:
         )
 
     def _stops(self, *, forward: bool) -> list[StopPoint]:
-        """Return the crossing or the stop line on a lane of the road."""
+        """Return the stop point on a lane: at the traffic lights or, without any, at the pedestrian crossing."""
         lane = self.road.forward if forward else self.road.backward
         junction = self.road.junctions[0]
         if junction.lit:
@@ -262,7 +262,7 @@ class _TrafficBuilder:
         return any(walker.has_right_of_way for walker in self.around.walkers)
 
     def _not_free(self, point: tuple[float, float, float]) -> MustStop:
-        """Return a rule: wait while anybody on the lane is about to arrive at a point."""
+        """Return a rule that makes a vehicle wait while a road user on the lane is about to arrive at a point."""
         x_m, y_m, yaw_rad = point
 
         def must_stop(vehicle: Vehicle, time_s: float) -> bool:
@@ -271,7 +271,7 @@ class _TrafficBuilder:
         return must_stop
 
     def _give_way_left(self, junction: Junction) -> StopPoint:
-        """Return the point at which a left turn gives way to oncoming cars."""
+        """Return the point at which a vehicle turning left gives way to oncoming cars."""
         begins_m = turn_begins_m(junction.forward_m, self.road.style.lane_width_m, right=False)
         point = self.road.backward.pose_at(junction.backward_m)
         return StopPoint(begins_m, self._not_free(point))
@@ -288,7 +288,7 @@ def lane_is_free(
     """Return whether no road user on a lane will reach a point within a time gap.
 
     Args:
-        movers: Everybody, the asking vehicle included.
+        movers: All vehicles and the ego, the asking vehicle included.
         asking: The vehicle that wants to enter the lane; it is never in its own way.
         x_m: The point.
         y_m: The point.

@@ -58,7 +58,7 @@ VAN = VehicleSize(5.6, 2.0, 2.3)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DrivingStyle:
-    """A driving style.
+    """How a vehicle is driven.
 
     Attributes:
         speed_mps: Desired speed on a free, straight road.
@@ -101,7 +101,7 @@ class PullOut:
 
 
 class Vehicle:
-    """Another vehicle. Mutable: created anew for each episode.
+    """Another vehicle. Mutable: create a new one for each episode.
 
     Args:
         name: Unique name in the episode.
@@ -275,7 +275,7 @@ class Vehicle:
 
 
 def _follow(speed: float, ahead_speed: float, gap_m: float, headway_s: float, standstill_m: float) -> float:
-    """Return the acceleration behind an obstacle, without the free-road term."""
+    """Return the acceleration behind an obstacle: the model's interaction term, without the free-road term."""
     if gap_m <= 0.05:
         return -EMERGENCY_MPS2
     wanted_m = standstill_m + max(

@@ -61,7 +61,7 @@ _DARKNESS: Mapping[TimeOfDay, float] = {TimeOfDay.NOON: 0.0, TimeOfDay.SUNSET: 0
 
 
 def conditions(time_of_day: TimeOfDay, weather: Weather) -> Conditions:
-    """Return the driving conditions for a time of day and a weather.
+    """Return the driving conditions for a given time of day and weather.
 
     A low sun dazzles only in a clear sky, and most on a wet road; clouds remove glare and make it darker.
     """

@@ -61,7 +61,7 @@ class World(Protocol):
 
     @property
     def signals(self) -> SignalPlan | None:
-        """The traffic lights; None except at a crossroad."""
+        """The traffic lights; None except at a crossroads."""
         ...
 
     @property
@@ -101,7 +101,7 @@ class UrbanWorld:
         road: The road.
         route: The ego's route.
         weather: The driving conditions.
-        signals: The traffic lights; None except at a crossroad.
+        signals: The traffic lights; None except at a crossroads.
         ego: The car under test.
         vehicles: All other vehicles, the lead vehicle first.
         walkers: All pedestrians.
@@ -193,7 +193,7 @@ def leaves_road_m(road: Road, task: DrivingTask) -> float:
 
 
 def signal_plan(scenario: UrbanScenario, seed: int) -> SignalPlan:
-    """Return the traffic-light plan; each crossroad has its own cycle offset, slightly varied by the seed."""
+    """Return the traffic-light plan; each crossroads has its own cycle offset, which the seed varies slightly."""
     offset_s = 0.19 * CYCLE_S * (3 * scenario.road_id + scenario.road_length)
     drift_s = float(generator(seed, Stream.SIGNALS).normal(0.0, 0.6))
     return SignalPlan(phase_s=(offset_s + drift_s) % CYCLE_S)

@@ -408,7 +408,7 @@ def test_contact_sheet_of_a_street_depends_on_the_seed_alone(brink: Command) -> 
         (["--out", "gone/sheet.png"], "--out: gone: no such folder"),
         (["--out", "s.png", "--image", "gone.png"], "--image: gone.png: no such file"),
         (["--out", "s.png", "--image", "."], "--image: .: not a file"),
-        (["--out", "s.png", "--image", "text.png"], "text.png: expected a picture (PNG, JPEG"),
+        (["--out", "s.png", "--image", "text.png"], "text.png: expected an image (PNG, JPEG"),
         (["--out", "s.png", "--gene", "smog"], "--gene: unknown perturbation 'smog'; "),
         (["--out", "s.png", "--gene", "smog"], "did you mean 'smoke'?"),
     ],

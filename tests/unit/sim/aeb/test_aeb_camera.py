@@ -174,7 +174,7 @@ def test_the_second_gene_is_applied_to_the_result_of_the_first(known: Known) -> 
         ({"behaviour": {"detector": "unknown@1"}}, "detector: expected one of"),
         ({"behaviour": {"perturbations": [{"gene": "snwo", "level": 1}]}}, "snow"),
         ({"behaviour": {"perturbations": [{"gene": "snow", "level": 9}]}}, "behaviour.perturbations"),
-        ({"simulator": "brink-aeb@1"}, "this is brink-dataset@1"),
+        ({"simulator": "brink-aeb@1"}, "simulator: expected brink-dataset@1, got"),
     ],
 )
 def test_an_invalid_evaluation_is_refused(known: Known, changes: dict[str, Any], message: str) -> None:
@@ -299,7 +299,7 @@ def test_episodes_side_by_side_show_the_same_moments(trace: Trace) -> None:
         pixels[HEADER_PX : HEADER_PX + TILE_PX[1], -TILE_PX[0] :],
         pixels[HEADER_PX + TILE_PX[1] + MARGIN : HEADER_PX + 2 * TILE_PX[1] + MARGIN, -TILE_PX[0] :],
     )
-    with pytest.raises(ReplayError, match="no pictures"):
+    with pytest.raises(ReplayError, match="recorded camera images in every episode"):
         side_by_side([Row(words="x", trace=replace(trace, film=None))])
-    with pytest.raises(ReplayError, match="no episodes"):
+    with pytest.raises(ReplayError, match="at least one episode to show"):
         side_by_side([])

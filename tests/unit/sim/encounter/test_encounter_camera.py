@@ -107,7 +107,7 @@ def test_an_invalid_specification_is_refused(changes: JsonObject, message: str) 
 
 
 def test_each_simulator_runs_only_its_own_episodes() -> None:
-    with pytest.raises(InvalidEpisode, match="this is brink-encounter@1"):
+    with pytest.raises(InvalidEpisode, match="simulator: expected brink-encounter@1, got"):
         BrinkEncounter().run(seen())
-    with pytest.raises(InvalidEpisode, match="this is brink-encounter-camera@1"):
+    with pytest.raises(InvalidEpisode, match="simulator: expected brink-encounter-camera@1, got"):
         BrinkEncounterCamera().run(spec())

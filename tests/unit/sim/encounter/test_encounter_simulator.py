@@ -200,7 +200,7 @@ KEEPS = stretch("keep", 0.0, 5.0)
     ("changed", "message"),
     [
         ({"scenario": {**PLACE}}, "road_users: missing"),
-        ({"scenario": {**PLACE, "road_users": [], "pedestrians": 18}}, "people are road users"),
+        ({"scenario": {**PLACE, "road_users": [], "pedestrians": 18}}, "list people as road_users"),
         ({"scenario": {**PLACE, "road_users": [user("car", KEEPS)] * 7}}, "at most 6"),
         ({"scenario": {**PLACE, "road_users": [user("tank", KEEPS)]}}, "one of car, van, pedestrian"),
         ({"scenario": {**PLACE, "road_users": [user("car")]}}, "1 to 64"),
@@ -217,7 +217,7 @@ KEEPS = stretch("keep", 0.0, 5.0)
         ({"behaviour": {"mode": "oracle", "threshold": 0.5}}, "unknown field 'threshold'"),
         ({"options": {"fidelity": "wheels"}}, "options: expected none"),
         ({"duration_s": 500.0}, "at most 120"),
-        ({"simulator": "brink-drive@1"}, "this is brink-encounter@1"),
+        ({"simulator": "brink-drive@1"}, "simulator: expected brink-encounter@1, got"),
     ],
 )
 def test_an_invalid_specification_is_refused(

@@ -56,7 +56,7 @@ def test_boxes_of_known_categories_are_kept_and_cropped_to_the_picture(tmp_path:
     [
         ({"images": []}, "non-empty list of images"),
         ({"annotations": None}, "list of annotations"),
-        ({"categories": [{"id": 9, "name": "kite"}]}, "category named one of vehicle, car"),
+        ({"categories": [{"id": 9, "name": "kite"}]}, "category with one of the names vehicle, car"),
         ({"annotations": [{"id": 5, "image_id": 7, "category_id": 1, "bbox": [1, 2, 3]}]}, "annotation 5: bbox: exp"),
         ({"annotations": [{"id": 5, "image_id": 7, "category_id": 1, "bbox": [1, 2, 0, 3]}]}, "above 0"),
         ({"annotations": [{"id": 5, "image_id": 7, "category_id": 1, "bbox": [999, 2, 5, 3]}]}, "outside its"),

@@ -82,7 +82,7 @@ def test_numpy_levels_are_stored_as_plain_integers() -> None:
 
 
 def test_a_pipeline_refuses_other_objects_and_negative_seeds() -> None:
-    with pytest.raises(InvalidPerturbation, match="got 'rain:3'; parse_perturbations"):
+    with pytest.raises(InvalidPerturbation, match="got 'rain:3'; use parse_perturbations"):
         Pipeline(("rain:3",), seed=0)  # type: ignore[arg-type]
     with pytest.raises(InvalidPerturbation, match="seed: expected an integer >= 0, got -1"):
         Pipeline((), seed=-1)
@@ -112,11 +112,11 @@ def test_a_list_of_perturbations_keeps_its_order() -> None:
         ("fog:1", "unknown perturbation 'fog'; expected one of shifted_pixels"),
         ("rain", "such as smoke:3, got 'rain'"),
         ("rain:-1", "such as smoke:3, got 'rain:-1'"),
-        ("rain:6", r"rain: expected a level in 0 to 5 \(0 has no effect\), got 6"),
+        ("rain:6", r"rain: expected a level from 0 to 5 \(0 has no effect\), got 6"),
         ({"gene": "rain"}, "expected a perturbation such as"),
         ({"gene": "rain", "level": 1, "x": 2}, "expected a perturbation such as"),
-        ({"gene": "rain", "level": 1.0}, "expected a level in 0 to 5"),
-        ({"gene": "rain", "level": True}, "expected a level in 0 to 5"),
+        ({"gene": "rain", "level": 1.0}, "expected a level from 0 to 5"),
+        ({"gene": "rain", "level": True}, "expected a level from 0 to 5"),
         ({"gene": ["rain"], "level": 1}, "expected the name of a perturbation"),
         (None, "expected a perturbation such as"),
     ],
@@ -147,7 +147,7 @@ def test_a_registered_gene_works_like_those_of_the_catalogue(own_gene: Gene) -> 
 
 def test_a_registered_gene_cannot_reuse_a_name_of_the_catalogue() -> None:
     gene = Gene(name="rain", values=(1,), unit="", effect="")
-    with pytest.raises(InvalidPerturbation, match="rain: the catalogue already has a gene of that name"):
+    with pytest.raises(InvalidPerturbation, match="rain: the catalogue already has a gene with that name"):
         register(gene, lambda frame, value, rng: frame)
 
 
@@ -215,7 +215,7 @@ def test_frames_may_be_read_only_and_need_not_be_contiguous(gene: str) -> None:
 )
 def test_arrays_other_than_rgb_pictures_are_refused(frame: Frame, words: str) -> None:
     for level in (0, 3):
-        with pytest.raises(InvalidFrame, match=rf"expected an RGB picture: uint8.*{words}"):
+        with pytest.raises(InvalidFrame, match=rf"expected an RGB image: uint8.*{words}"):
             apply(frame, Perturbation("smoke", level), generator(0, 0, 0))
     with pytest.raises(InvalidFrame, match=words):
         Pipeline((), seed=0)(frame, 0)
@@ -235,10 +235,13 @@ def _draws_on_its_input(frame: Frame, value: float, rng: np.random.Generator) ->
     [
         (_breaks, "custom:1: ZeroDivisionError: out of fog"),
         (_draws_on_its_input, "custom:1: ValueError: .*read-only"),
-        (lambda frame, value, rng: None, "custom:1: expected a uint8 frame .* back, got a NoneType"),
+        (
+            lambda frame, value, rng: None,
+            "custom:1: expected a uint8 frame .* from the transform, got a NoneType",
+        ),
         (
             lambda frame, value, rng: frame[1:],
-            r"custom:1: .* of shape \(48, 85, 3\) back, got .* \(47, 85, 3\)",
+            r"custom:1: .* of shape \(48, 85, 3\) from the transform, got .* \(47, 85, 3\)",
         ),
         (lambda frame, value, rng: frame * 1.0, "custom:1: expected a uint8 frame .* got a float64 array"),
     ],

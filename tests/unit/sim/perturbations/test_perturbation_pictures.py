@@ -46,13 +46,13 @@ def test_transparent_and_grey_files_become_rgb(tmp_path: Path) -> None:
 def test_files_that_are_not_pictures_are_refused(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "a.png"
     file.write_bytes(content)
-    with pytest.raises(InvalidFrame, match=r"a\.png: expected a picture \(PNG"):
+    with pytest.raises(InvalidFrame, match=r"a\.png: expected an image \(PNG"):
         read_picture(file)
 
 
 def test_a_picture_that_is_too_small_is_refused_by_name(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "dot.png"), np.zeros((4, 4, 3), dtype=np.uint8))
-    with pytest.raises(InvalidFrame, match=r"dot\.png: expected an RGB picture: .* at least 16 px a side"):
+    with pytest.raises(InvalidFrame, match=r"dot\.png: expected an RGB image: .* at least 16 px a side"):
         read_picture(tmp_path / "dot.png")
 
 

@@ -189,7 +189,7 @@ def test_an_ego_without_detections_drives_into_slow_traffic(simulator: BrinkDriv
         ({"requirements": ("front-gap",)}, "did you mean 'front-gap@1'"),
         ({"requirements": ("front-gap@1", "front-gap@1")}, "twice"),
         ({"duration_s": 1e6}, "expected at most"),
-        ({"simulator": "other@1"}, "this is brink-drive@1"),
+        ({"simulator": "other@1"}, "simulator: expected brink-drive@1, got"),
         ({"scenario": {}}, "scenario.time_of_day: missing"),
         ({"behaviour": {"mode": "injected"}}, "behaviour.trajectories: missing"),
     ],
