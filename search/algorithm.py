@@ -6,7 +6,7 @@ calls give equal states, bit for bit. Between `tell` and the next `ask` the coor
 `Document`, and evaluated complete solutions separately, as an `Archive`.
 
 An algorithm may also request seeds from outside, for example from a language model (`Seeded`). The coordinator then
-calls `Seeded.wanted` before every `ask`; as long as that returns a request, no generation can be asked, and
+calls `Seeded.wanted` before every `ask`; as long as that returns a request, no generation can be asked for, and
 `Seeded.seeded` passes in the proposals, possibly none. Proposals are never trusted: the constraints of the space
 repair them, and the algorithm decides which to accept.
 """
@@ -87,7 +87,7 @@ Evaluation: TypeAlias = Scored | Measured | Failed
 
 
 class State(Protocol):
-    """The properties that every algorithm's state has."""
+    """The properties that the state of every algorithm has."""
 
     @property
     def generation(self) -> int:
@@ -164,12 +164,12 @@ class Algorithm(Protocol):
             evaluations: One for each pending candidate, by number, in any order.
 
         Raises:
-            OrderError: Nothing is pending, or the numbers are not the pending ones.
+            OrderError: Nothing is pending, or the numbers are not those of the pending candidates.
         """
         ...
 
     def finished(self, state: Any) -> bool:
-        """Return whether the search is over: the budget is spent, or nothing new is left to ask."""
+        """Return whether the search is over: the budget is spent, or nothing new is left to evaluate."""
         ...
 
     def dump(self, state: Any) -> Document:
@@ -192,7 +192,7 @@ class Algorithm(Protocol):
 
 
 class Origin(StrEnum):
-    """Where a solution comes from."""
+    """The source of a solution."""
 
     RANDOM = "random"
     HEURISTIC = "heuristic"

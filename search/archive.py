@@ -23,7 +23,7 @@ Float32Array: TypeAlias = NDArray[np.float32]
 
 
 ARRAYS: Final = ("numbers", "vectors", "unsafe", "robustness", "neighbours", "unsafe_neighbours")
-"""What `Archive.restore` needs of a stored archive, by name."""
+"""Names of the stored arrays from which `Archive.restore` restores an archive."""
 
 
 class HasNeighbourhood(Protocol):
@@ -42,7 +42,7 @@ class Neighbourhood:
     """Settings of neighbourhoods and of the boundary.
 
     Attributes:
-        radius: Largest distance of a neighbour (delta), >= 0.
+        radius: Maximum distance of a neighbour (delta), >= 0.
         p_th: Threshold probability of the unsafe region, in (0, 1).
         z: Quantile of the standard normal for the Wilson interval, > 0.
     """
@@ -133,7 +133,7 @@ class Archive:
         neighbours: ArrayLike,
         unsafe_neighbours: ArrayLike,
     ) -> Self:
-        """Return the archive stored as these arrays, without computing any distance.
+        """Restore an archive from its stored arrays, without computing any distance.
 
         Args:
             of: The archive's space, or its metric.
@@ -161,7 +161,10 @@ class Archive:
             if column.shape != rows.shape[:1]:
                 raise ValueError(f"{name}: expected shape {rows.shape[:1]}, got {column.shape}")
         if (columns["neighbours"] > len(rows)).any():
-            raise ValueError("neighbours: expected at most the number of solutions")
+            most = int(columns["neighbours"].max())
+            raise ValueError(
+                f"neighbours: expected counts of at most {len(rows)}, the number of solutions; got {most}"
+            )
         interval, fitness = _scores(columns["unsafe_neighbours"], columns["neighbours"], neighbourhood)
         return cls(
             metric=metric,
@@ -207,7 +210,9 @@ class Archive:
             )
         all_numbers = np.concatenate([self.numbers, new_numbers])
         if np.unique(new_numbers).size < new_numbers.size or np.isin(new_numbers, self.numbers).any():
-            raise ValueError("numbers: expected each candidate once; some are already in the archive")
+            raise ValueError(
+                "numbers: expected each candidate once; some are repeated or already in the archive"
+            )
         all_unsafe = np.concatenate([self.unsafe, new_unsafe])
         new_points = self.metric.points(rows)
         points = self._points.followed_by(new_points)
@@ -234,7 +239,7 @@ class Archive:
     def _neighbour_counts(
         self, new: Points, everything: Points, unsafe: BoolArray, kept: Float32Array | None
     ) -> tuple[IntArray, IntArray]:
-        """Return the neighbour and unsafe counts of all points; store the new distances in `kept`."""
+        """Return how many neighbours, and unsafe neighbours, every point has; store the new distances in `kept`."""
         known = len(self)
         totals = np.zeros((len(everything), 2), np.int64)
         totals[:known] = np.stack([self.neighbours, self.unsafe_neighbours], axis=1)
@@ -255,7 +260,7 @@ class Archive:
     def distances(
         self, rows: Sequence[int] | NDArray[np.intp], columns: Sequence[int] | NDArray[np.intp]
     ) -> FloatArray:
-        """Return the distances between the solutions at two lists of positions, shape ``(rows, columns)``."""
+        """Return the distances between the solutions at `rows` and those at `columns`, shape ``(rows, columns)``."""
         return self.metric.between(
             self.vectors[np.asarray(rows, np.intp)], self.vectors[np.asarray(columns, np.intp)]
         )
@@ -290,7 +295,7 @@ def _scores(
 
 
 def archive_digest(archive: Archive) -> str:
-    """Return the SHA-256 of an archive as 64 hexadecimal digits; equal digests prove equal campaigns, bit for bit.
+    """Return the SHA-256 of an archive's candidate numbers, solutions, verdicts and fitness, as hexadecimal digits.
 
     The hash covers, in this order and little-endian: the text ``brink-archive-1`` and a newline; the numbers of
     solutions n and of parameters d, each int64; the candidate numbers, n int64; the vectors, n x d float64 row by

@@ -22,7 +22,7 @@ _HEADER = "header"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Document:
-    """A versioned record.
+    """A versioned document: a JSON header and named arrays.
 
     Attributes:
         kind: Owner of the state, such as ``mlcshe@1``.
@@ -61,7 +61,7 @@ class Document:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """Read a document.
+        """Return the document stored as the given bytes.
 
         Raises:
             DocumentError: The bytes are not a document, or are corrupt.
@@ -89,7 +89,7 @@ class Document:
         """Return the document itself, after checking its kind and version.
 
         Raises:
-            DocumentError: Either differs.
+            DocumentError: The kind or the version differs.
         """
         if (self.kind, self.version) != (kind, version):
             raise DocumentError(

@@ -11,7 +11,7 @@ SearchError
 
 
 class SearchError(Exception):
-    """Root of all errors that the search package raises deliberately."""
+    """Base class of all errors that the search package raises deliberately."""
 
 
 class SpaceError(SearchError, ValueError):

@@ -16,7 +16,7 @@ def _counts(unsafe: ArrayLike, evaluated: ArrayLike) -> tuple[IntArray, IntArray
     k, n = np.broadcast_arrays(np.asarray(unsafe), np.asarray(evaluated))
     for name, counts in (("unsafe", k), ("evaluated", n)):
         if counts.dtype.kind not in "iu":
-            raise ValueError(f"{name}: expected whole counts, got {counts.dtype}")
+            raise ValueError(f"{name}: expected integer counts, got {counts.dtype}")
     if (n < 1).any() or (k < 0).any() or (k > n).any():
         raise ValueError("expected 0 <= unsafe <= evaluated and evaluated >= 1 in every neighbourhood")
     return k.astype(np.int64), n.astype(np.int64)

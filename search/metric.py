@@ -61,7 +61,7 @@ class Points:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Metric:
-    """A distance over numbers and categories.
+    """A distance over numeric and categorical parameters.
 
     Attributes:
         ranges: Range of each parameter, > 0 for numbers, shape ``(d,)``.
@@ -88,12 +88,12 @@ class Metric:
 
     @classmethod
     def of_space(cls, space: SearchSpace) -> Self:
-        """Return the distance between complete solutions."""
+        """Return the metric for complete solutions."""
         return cls(space.ranges, space.categorical)
 
     @classmethod
     def of_component(cls, space: SearchSpace, index: int) -> Self:
-        """Return the distance between vectors of one component."""
+        """Return the metric for vectors of one component."""
         part = space.slices[index]
         return cls(space.ranges[part], space.categorical[part])
 
@@ -103,7 +103,7 @@ class Metric:
         return int(self.ranges.size)
 
     def points(self, rows: FloatArray) -> Points:
-        """Preprocess rows of shape ``(n, d)``; do it once for rows that are measured repeatedly.
+        """Preprocess rows of shape ``(n, d)``; do it once for rows that are compared repeatedly.
 
         Raises:
             SpaceError: The shape is wrong, or a category is not a small integer.

@@ -26,7 +26,7 @@ def tournament(fitness: FloatArray, size: int, rng: np.random.Generator) -> int:
 def crossed(
     mother: FloatArray, father: FloatArray, probability: float, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Return two children with each gene swapped with a probability (uniform crossover).
+    """Return two children with each gene swapped with the given probability (uniform crossover).
 
     Args:
         mother: Shape ``(d,)``.
@@ -41,7 +41,7 @@ def crossed(
 def mutated(
     component: Component, vector: FloatArray, probability: float, rng: np.random.Generator
 ) -> FloatArray:
-    """Return a copy with each gene mutated with a probability; it may need repair.
+    """Return a copy with each gene mutated with the given probability; it may need repair.
 
     Numbers get a Gaussian step with their parameter's sigma. Categories are redrawn uniformly, so one may stay the
     same.

@@ -79,13 +79,15 @@ class Number:
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             raise SpaceError(f"{self.name}: expected finite low < high, got {low!r} and {high!r}")
         if not math.isfinite(high - low):
-            raise SpaceError(f"{self.name}: expected a range that a float can hold, got {low!r} to {high!r}")
+            raise SpaceError(
+                f"{self.name}: expected a range whose width a float can hold, got {low!r} to {high!r}"
+            )
         if self.sigma is not None and not (math.isfinite(self.sigma) and self.sigma > 0):
             raise SpaceError(f"{self.name}: expected sigma > 0, got {self.sigma!r}")
 
     @property
     def range(self) -> float:
-        """Width of the range, which is the unit of distances."""
+        """Width of the range, by which distances are normalised."""
         return float(self.high - self.low)
 
     @property
@@ -150,7 +152,7 @@ class Real(Number):
         return min(float(rng.uniform(self.low, self.high)), self.high)
 
     def rounded(self, value: float) -> float:
-        """Return the number itself."""
+        """Return the number unchanged."""
         return value
 
     def problem(self, value: float) -> str | None:
@@ -176,7 +178,7 @@ class Integer(Number):
         check_name("parameter", self.name)
         for bound in (self.low, self.high):
             if isinstance(bound, bool) or not isinstance(bound, int) or abs(bound) > MAX_INTEGER:
-                raise SpaceError(f"{self.name}: expected whole bounds within ±2**53, got {bound!r}")
+                raise SpaceError(f"{self.name}: expected integer bounds within ±2**53, got {bound!r}")
         Number.__post_init__(self)
 
     def draw(self, rng: np.random.Generator) -> float:
@@ -262,7 +264,7 @@ class Constraint(Protocol):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters that it owns."""
+        """Names of the parameters that the constraint owns."""
         ...
 
     def fit(self, parameters: Mapping[str, Parameter]) -> None:
@@ -297,19 +299,19 @@ class _Pair:
 
     @property
     def names(self) -> tuple[str, str]:
-        """Names of the parameters that it owns."""
+        """Names of the parameters that the constraint owns."""
         raise NotImplementedError
 
     @property
     def _bounds(self) -> tuple[float, float]:
-        """The minimum difference, and the upper end of both ranges."""
+        """The minimum difference, and the upper bound of both numbers."""
         raise NotImplementedError
 
     def fit(self, parameters: Mapping[str, Parameter]) -> None:
         """Raise SpaceError if the constraint does not fit the component's parameters."""
         kind, names, (minimum, size) = type(self).__name__, self.names, self._bounds
         if names[0] == names[1]:
-            raise SpaceError(f"{kind}: expected two parameters, got {names[0]!r} twice")
+            raise SpaceError(f"{kind}: expected two different parameters, got {names[0]!r} twice")
         numbers = [_number(parameters, name, kind) for name in names]
         if type(numbers[0]) is not type(numbers[1]):
             raise SpaceError(f"{kind}: expected {names[0]} and {names[1]} both real or both integer")
@@ -345,7 +347,7 @@ def _are_apart(low: float, high: float, gap: float) -> bool:
 
 
 def _stretched(low: float, high: float, gap: float, size: float) -> tuple[float, float]:
-    """Return the pair at least a gap apart: raise the upper number if that fits, else lower the lower one."""
+    """Return the pair at least `gap` apart: with the upper number raised if that fits, else the lower one lowered."""
     if _are_apart(low, high, gap):
         return low, high
     if low + gap <= size:
@@ -373,7 +375,7 @@ class Extent(_Pair):
 
     @property
     def names(self) -> tuple[str, str]:
-        """Names of the parameters that it owns."""
+        """Names of the parameters that the constraint owns."""
         return self.low, self.high
 
     @property
@@ -409,7 +411,7 @@ class Duration(_Pair):
 
     @property
     def names(self) -> tuple[str, str]:
-        """Names of the parameters that it owns."""
+        """Names of the parameters that the constraint owns."""
         return self.start, self.end
 
     @property
@@ -446,7 +448,7 @@ class Dormant:
         """Raise SpaceError if the constraint does not fit the component's parameters."""
         label = parameters.get(self.label)
         if not isinstance(label, Categorical):
-            raise SpaceError(f"Dormant: expected {self.label!r} to name a categorical parameter")
+            raise SpaceError(f"Dormant: expected the label {self.label!r} to be a categorical parameter")
         if self.null_choice not in label.choices:
             known = did_you_mean(self.null_choice, label.choices)
             raise SpaceError(f"Dormant: {self.label} has no choice {self.null_choice!r}{known}")

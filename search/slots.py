@@ -21,12 +21,12 @@ from brink.search.parameters import Categorical, Parameter, Real, Values
 from brink.search.space import Component, FloatArray, SearchSpace, frozen_array
 
 _MAX_ATTEMPTS: Final = 100
-"""Mutations tried before an individual is drawn afresh; only a tiny catalogue needs so many."""
+"""Number of mutations tried before an individual is drawn afresh; only a tiny catalogue needs so many."""
 
 
 @dataclass(frozen=True, slots=True)
 class Slots:
-    """Constraint of a component made of slots: distinct techniques, intensities on their levels.
+    """Constraint on a component made of slots: techniques are distinct, and each intensity is that of a level.
 
     Attributes:
         pairs: Names of technique and intensity, slot by slot, in the order in which techniques are applied.
@@ -38,7 +38,7 @@ class Slots:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters that it owns."""
+        """Names of the parameters that the constraint owns."""
         return tuple(name for pair in self.pairs for name in pair)
 
     def fit(self, parameters: Mapping[str, Parameter]) -> None:
@@ -52,7 +52,7 @@ class Slots:
             category, number = parameters.get(technique), parameters.get(intensity)
             if not isinstance(category, Categorical) or len(category.choices) != len(self.levels):
                 raise SpaceError(
-                    f"Slots: expected {technique!r} to be a category of {len(self.levels)} choices"
+                    f"Slots: expected {technique!r} to be categorical with {len(self.levels)} choices"
                 )
             if not isinstance(number, Real) or (number.low, number.high) != (0.0, 1.0):
                 raise SpaceError(f"Slots: expected {intensity!r} to be a real number in [0, 1]")
@@ -61,7 +61,7 @@ class Slots:
             raise SpaceError("Slots: expected the same choices in every slot")
 
     def repair(self, values: Values, parameters: Mapping[str, Parameter]) -> None:
-        """Replace a repeated technique by the next free one, and round every intensity to a level."""
+        """Replace each repeated technique with the next free one, and round every intensity to that of a level."""
         taken: set[int] = set()
         for technique, intensity in self.pairs:
             choice = int(values[technique])
@@ -98,7 +98,7 @@ class Slots:
 
 
 def slots_of(space: SearchSpace) -> tuple[int, Slots]:
-    """Return the position of the component made of slots, and its constraint.
+    """Return the index of the component made of slots, and the component's `Slots` constraint.
 
     Raises:
         UnsupportedSpace: The space has no such component.
@@ -107,7 +107,9 @@ def slots_of(space: SearchSpace) -> tuple[int, Slots]:
         for rule in component.constraints:
             if isinstance(rule, Slots) and len(rule.names) == component.dimension:
                 return index, rule
-    raise UnsupportedSpace("expected a component of ordered slots, each a technique and its intensity")
+    raise UnsupportedSpace(
+        "expected a space with a component of ordered slots, each a technique and its intensity"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +201,7 @@ class ChainGenome:
         return first, second
 
     def ablations(self, individual: FloatArray) -> list[FloatArray]:
-        """Return every proper part of an individual, the empty one first, then each swap of two neighbours."""
+        """Return every proper part of an individual, the empty one first, then each swap of adjacent slots."""
         slots = [self.columns(slot) for slot in range(len(self.slots.pairs))]
         variants = []
         for size in range(len(slots)):

@@ -65,7 +65,7 @@ def frozen_array(values: Any, dtype: Any = np.float64) -> NDArray[Any]:
 
 @dataclass(frozen=True, slots=True)
 class Component:
-    """A named part of the genome.
+    """A named part of a search space, such as the scenario or the behaviour.
 
     Attributes:
         name: Unique in its space, such as ``scenario``.
@@ -126,7 +126,7 @@ class Component:
 
     @property
     def size(self) -> float:
-        """Number of different vectors before constraints; infinite with a real parameter."""
+        """Number of different vectors ignoring constraints; infinite with a real parameter."""
         size = 1.0
         for parameter in self.parameters:
             match parameter:
@@ -206,7 +206,7 @@ class Component:
                     values[name] = self.by_name[name].draw(rng)
 
     def problems(self, vector: FloatArray) -> Iterator[str]:
-        """Yield what is wrong with a vector, each problem with the parameter's path; nothing if it is valid.
+        """Yield what is wrong with a vector, each problem with the path of its parameter; nothing if it is valid.
 
         Raises:
             SpaceError: The vector has the wrong shape.
@@ -259,7 +259,7 @@ class Component:
         return {p.name: p.decode(values[p.name]) for p in self.parameters}
 
     def encode(self, values: Mapping[str, object]) -> FloatArray:
-        """Return the vector of human-readable values.
+        """Return the vector that encodes human-readable values.
 
         Raises:
             SpaceError: A parameter is missing, unknown, out of range, or violates a constraint.
@@ -300,7 +300,7 @@ class Component:
 
 @dataclass(frozen=True, slots=True)
 class SearchSpace:
-    """A typed genome.
+    """A search space of named components with typed parameters.
 
     Attributes:
         components: In the order of a solution's vectors, with unique names.
@@ -333,7 +333,7 @@ class SearchSpace:
 
     @property
     def size(self) -> float:
-        """Number of different solutions before constraints; infinite with a real parameter."""
+        """Number of different solutions ignoring constraints; infinite with a real parameter."""
         return float(np.prod([component.size for component in self.components]))
 
     def column_names(self) -> tuple[str, ...]:
@@ -384,7 +384,7 @@ class SearchSpace:
         """Check that a complete solution is valid.
 
         Raises:
-            SpaceError: It is not; names the first wrong parameter.
+            SpaceError: The solution is invalid; the message names the first invalid parameter.
         """
         for component, vector in zip(self.components, self._counted(vectors), strict=True):
             for problem in component.problems(vector):
@@ -427,7 +427,7 @@ class SearchSpace:
         return {component.name: component.decode(vector) for component, vector in parts}
 
     def encode(self, values: Mapping[str, Mapping[str, object]]) -> tuple[FloatArray, ...]:
-        """Return the vectors of ``{component: {parameter: value}}``.
+        """Return the vectors that encode ``{component: {parameter: value}}``.
 
         Raises:
             SpaceError: A value is missing, unknown, out of range, or violates a constraint; names the parameter.
@@ -435,7 +435,7 @@ class SearchSpace:
         for name, content in values.items():
             self.index(name)
             if not isinstance(content, Mapping):
-                raise SpaceError(f"{name}: expected its parameters by name, got {content!r}")
+                raise SpaceError(f"{name}: expected an object of its parameters by name, got {content!r}")
         missing = [component.name for component in self.components if component.name not in values]
         if missing:
             raise SpaceError(f"{missing[0]}: missing component")

@@ -32,7 +32,7 @@ def _sequence(seed: int, stream: int, index: tuple[int, ...]) -> np.random.SeedS
 
 
 def generator(seed: int, stream: Stream | int, *index: int) -> np.random.Generator:
-    """Return the generator at one position.
+    """Return the generator at one position of a stream.
 
     Args:
         seed: The campaign's seed, >= 0.

@@ -150,7 +150,7 @@ def check_algorithm(
     ends_itself: bool = False,
     repeats: bool = False,
 ) -> Run:
-    """Check that an algorithm keeps its contract on a space; return the campaign that was run.
+    """Check that an algorithm fulfils its contract on a space; return the campaign that was run.
 
     Args:
         algorithm: The algorithm to check.
@@ -160,7 +160,7 @@ def check_algorithm(
         evaluate: Evaluates a candidate, deterministically; None for synthetic verdicts.
         seed: The campaign's seed.
         ends_itself: Whether the algorithm may finish before the budget is spent.
-        repeats: Whether it asks the same solutions repeatedly on purpose.
+        repeats: Whether the algorithm may ask for the same solution repeatedly.
 
     Raises:
         ContractBroken: A clause of the contract does not hold.
@@ -313,7 +313,7 @@ def _check_reload(
     seed: int,
     budget: int,
 ) -> None:
-    """Resume from the stored state of every generation; the next one must be the same."""
+    """Check that a search resumed from the stored state of any generation continues with the same next generation."""
     archive = run.archive
     asked, candidates = algorithm.ask(algorithm.start(space, config, seed=seed, budget=budget))
     waiting = algorithm.load(

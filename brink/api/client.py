@@ -22,13 +22,13 @@ TIMEOUT = httpx.Timeout(90.0, connect=5.0)
 
 
 class CoordinatorError(ServerError):
-    """The coordinator rejected a request or could not be reached; the message is meant for people."""
+    """The coordinator rejected a request or could not be reached; the message can be shown to users."""
 
 
 class Api:
     """The REST API of one coordinator.
 
-    `read` and `send` validate an answer against its schema; `get` and `post` return the JSON document unchanged.
+    `read` and `send` validate a response against its schema; `get` and `post` return the JSON document unchanged.
     """
 
     def __init__(self, client: httpx.AsyncClient, where: str) -> None:
@@ -36,35 +36,35 @@ class Api:
         self.where = where
 
     async def read(self, schema: type[T], path: str, params: Mapping[str, Any] | None = None) -> T:
-        """Return the answer to a GET request.
+        """Return the response to a GET request, validated against a schema.
 
         Args:
-            schema: Type of the answer: a model, or a list of models.
+            schema: Type of the response: a model, or a list of models.
             path: Path below ``/api/v1``.
             params: Query parameters.
 
         Raises:
-            CoordinatorError: The request failed, or the answer does not match the schema.
+            CoordinatorError: The request failed, or the response does not match the schema.
         """
         answer: T = self._validated(schema, await self.request("GET", path, params=params))
         return answer
 
     async def send(self, schema: type[T], path: str, content: Any = None) -> T:
-        """Return the answer to a POST request.
+        """Send a POST request and return the response, validated against a schema.
 
         Args:
-            schema: Type of the answer.
+            schema: Type of the response.
             path: Path below ``/api/v1``.
             content: JSON body; None sends no body.
 
         Raises:
-            CoordinatorError: The request failed, or the answer does not match the schema.
+            CoordinatorError: The request failed, or the response does not match the schema.
         """
         answer: T = self._validated(schema, await self.request("POST", path, json=content))
         return answer
 
     async def get(self, path: str, params: Mapping[str, Any] | None = None) -> Any:
-        """Return the decoded JSON answer to a GET request.
+        """Return the decoded JSON response to a GET request.
 
         Raises:
             CoordinatorError: The request failed.
@@ -72,7 +72,7 @@ class Api:
         return (await self.request("GET", path, params=params)).json()
 
     async def post(self, path: str, content: Any = None) -> Any:
-        """Return the decoded JSON answer to a POST request; None if the answer is empty.
+        """Send a POST request and return the decoded JSON response; None if the response is empty.
 
         Raises:
             CoordinatorError: The request failed.
@@ -81,7 +81,7 @@ class Api:
         return response.json() if response.content else None
 
     async def request(self, method: str, path: str, **options: Any) -> httpx.Response:
-        """Return the response to a request.
+        """Send a request and return its response.
 
         Args:
             method: HTTP method.
@@ -124,7 +124,7 @@ def _adapter(schema: Any) -> TypeAdapter[Any]:
 
 
 def _error_message(response: httpx.Response) -> str:
-    """Return the message of an error response, one line for each wrong field."""
+    """Return the message of an error response, one line for each invalid field."""
     try:
         document = response.json()
     except ValueError:
@@ -141,7 +141,7 @@ def _error_message(response: httpx.Response) -> str:
 
 @asynccontextmanager
 async def connect(server: str, token: str | None) -> AsyncIterator[Api]:
-    """Yield the API of a coordinator, over HTTP.
+    """Yield a client for the API of a coordinator over HTTP.
 
     Args:
         server: URL of the coordinator.
@@ -160,7 +160,7 @@ async def connect(server: str, token: str | None) -> AsyncIterator[Api]:
 
 @asynccontextmanager
 async def in_process(settings: "Settings") -> AsyncIterator[Api]:
-    """Yield the API of a coordinator in this process; another coordinator may use the same database.
+    """Yield a client for a coordinator in this process; another coordinator may use the same database.
 
     Args:
         settings: Settings of the coordinator; they name the database.

@@ -1,1 +1,1 @@
-"""Measurements of the service, its simulators and its algorithms; each figure stands beside its target."""
+"""Benchmarks of the service, its simulators and its algorithms, with a target for each figure."""

@@ -3,7 +3,7 @@
 Two coordinators and four workers share a Postgres server. A proxy loses, delays, truncates and repeats their
 messages. Processes, episodes, database connections and the database itself are killed or suspended, and the clocks of
 two workers are wrong. Afterwards no acknowledged verdict may be missing or counted twice, no job may be stuck, and
-every archive must equal that of the same campaign without faults.
+every archive must be identical to that of the same campaign without faults.
 """
 
 import asyncio
@@ -71,7 +71,7 @@ _Processes: TypeAlias = "Sequence[CoordinatorProcess] | Sequence[Process]"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChaosPlan:
-    """Parameters of a trial.
+    """Parameters of a fault-injection trial.
 
     Attributes:
         minutes: Minimum duration of the fault injection.
@@ -96,11 +96,11 @@ class ChaosPlan:
     plugins: tuple[str, ...] = ()
 
     def rng(self, stream: int) -> random.Random:
-        """Return the generator of a stream of random numbers."""
+        """Return the random generator for a stream."""
         return random.Random(f"{self.seed}/{stream}")
 
     def body(self, index: int) -> dict[str, Any]:
-        """Return the body of a campaign."""
+        """Return the request body that submits a campaign."""
         algorithms: tuple[dict[str, Any], ...] = (
             {"id": "mlcshe@1"},
             {"id": "ga@1"},
@@ -117,7 +117,7 @@ class ChaosPlan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Findings:
-    """Errors that the audit found; empty if there are none.
+    """Errors that the audit found, by kind; all empty if there are none.
 
     Attributes:
         lost: Accepted verdicts that are not stored, and solutions without a verdict.
@@ -133,13 +133,13 @@ class Findings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChaosOutcome:
-    """Outcome of a trial.
+    """Outcome of a fault-injection trial.
 
     Attributes:
         broken: Number of faults of processes, connections and databases, by kind.
         messages: Number of message faults, by kind.
         requests: Number of requests.
-        statuses: Number of reported results, by the coordinator's answer.
+        statuses: Number of reported results, by the coordinator's response.
         campaigns: Number of simulations of each submitted campaign.
         digests: Archive digests of each campaign, with faults and undisturbed.
         findings: Errors that the audit found.
@@ -159,12 +159,12 @@ class ChaosOutcome:
 
     @property
     def same(self) -> int:
-        """Number of archives that equal those of the undisturbed run."""
+        """Number of archives that are identical to those of the undisturbed run."""
         return sum(ours == theirs for ours, theirs in self.digests.values())
 
 
 def run_trial(plan: ChaosPlan, progress: Progress) -> ChaosOutcome:
-    """Run a trial.
+    """Run a fault-injection trial.
 
     Args:
         plan: Parameters of the trial.
@@ -209,14 +209,14 @@ class Ledger:
 
     Attributes:
         accepted: Accepted results of each job, as they are stored.
-        statuses: Number of results by the coordinator's answer.
+        statuses: Number of results by the coordinator's response.
     """
 
     accepted: dict[int, list[str]] = field(default_factory=dict)
     statuses: Counter[str] = field(default_factory=Counter)
 
     def note(self, request: bytes, reply: bytes) -> None:
-        """Record the results of one report and the coordinator's answers."""
+        """Record the results of one report and the coordinator's responses."""
         results: Sequence[Mapping[str, Any]] = json.loads(request)["results"]
         statuses: Sequence[Mapping[str, Any]] = json.loads(reply)["statuses"]
         for result, answer in zip(results, statuses, strict=True):
@@ -227,10 +227,10 @@ class Ledger:
 
 
 def audit(connection: Connection, ledger: Ledger, campaigns: Mapping[str, int]) -> Findings:
-    """Compare what coordinators accepted with what the database holds.
+    """Compare the results that coordinators accepted with those in the database.
 
     Args:
-        connection: Connection to the database, to which nothing writes any more.
+        connection: Connection to the database, which nothing writes to any more.
         ledger: The accepted results.
         campaigns: Number of simulations of each submitted campaign.
     """
@@ -289,7 +289,7 @@ class FaultyProxy:
 
     Args:
         ports: Ports of the coordinators on this machine; each request goes to a random one.
-        ledger: Records what coordinators answer to results, whether or not the worker receives it.
+        ledger: Records how coordinators respond to results, whether or not the worker receives it.
         share: Fraction of the requests that suffer a fault.
         rng: Source of randomness.
     """
@@ -306,7 +306,7 @@ class FaultyProxy:
 
     @property
     def url(self) -> str:
-        """URL for the workers."""
+        """URL that the workers connect to."""
         assert self._server is not None
         return f"http://127.0.0.1:{self._server.sockets[0].getsockname()[1]}"
 
@@ -628,7 +628,7 @@ class _Trial:
             running += 1
 
     async def _poll(self, client: httpx.AsyncClient) -> int:
-        """Store the digests of finished campaigns; return how many are running or did not answer."""
+        """Store the digests of finished campaigns; return how many are not known to have finished."""
         open_campaigns = [campaign for campaign in self.campaigns if campaign not in self.digests]
         for campaign in open_campaigns:
             path = f"/campaigns/{campaign}/progress?since=1000000"
@@ -638,7 +638,7 @@ class _Trial:
         return len(self.campaigns) - len(self.digests)
 
     async def _request(self, client: httpx.AsyncClient, method: str, path: str, **more: Any) -> Any | None:
-        """Send a request to a random coordinator; return its answer, or None if it is unavailable.
+        """Send a request to a random coordinator; return the decoded response, or None if there is none.
 
         Raises:
             MeasurementFailed: The coordinator rejected the request, which no fault can cause.

@@ -102,7 +102,7 @@ def _first_view(browser: Browser, url: str) -> FirstView:
 
 
 def _poll(coordinator: CoordinatorProcess, campaign: str, times: int = 500) -> tuple[float, float]:
-    """Return the mean time in ms that the coordinator takes for an unchanged poll, and the size of its answer."""
+    """Return the coordinator's mean time in ms for a poll without changes, and the size of its response."""
     with httpx.Client(base_url=f"{coordinator.url}/api/v1", timeout=60.0) as api:
         path = f"/campaigns/{campaign}/progress?since=1000000"
         headers = {"If-None-Match": api.get(path).raise_for_status().headers["etag"]}
@@ -117,7 +117,7 @@ def _poll(coordinator: CoordinatorProcess, campaign: str, times: int = 500) -> t
 
 
 def _unchanged_polls(coordinator: CoordinatorProcess) -> tuple[float, float]:
-    """Return the total time in s and the number of polls answered with 304."""
+    """Return the total time in s of the polls answered with 304, and their number."""
     found = {"_sum": 0.0, "_count": 0.0}
     for family in coordinator.metric_families():
         for sample in family.samples:
@@ -156,7 +156,7 @@ def _drag(browser: Browser, url: str, campaign: str) -> tuple[float, float, int]
 
 
 def _left_open(browser: Browser, url: str, campaign: str, polls: int, progress: Progress) -> float:
-    """Return the growth of a page's heap in MiB from the first tenth of the polls to the last."""
+    """Return by how many MiB a page's heap grows after the first tenth of the polls."""
     context = browser.new_context(viewport={"width": 1280, "height": 900})
     page = context.new_page()
     page.clock.install()

@@ -34,7 +34,7 @@ SOAK_WORKERS = 2
 SOAK_SIMULATIONS = 500
 SAMPLE_INTERVAL_S = 10.0
 WARM_UP_S = 300.0
-"""Start of a soak that is not counted, while caches fill and allocators settle; at most a quarter of the time."""
+"""Initial time of a soak that is left out, as caches fill and allocators settle; at most a quarter of the soak."""
 TARGET_MIB_PER_HOUR = 10.0
 
 
@@ -65,7 +65,7 @@ class Answers:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LargeArchive:
-    """Cost of a large archive.
+    """Response times, database size and step time with a large archive.
 
     Attributes:
         answers: Response times.
@@ -106,7 +106,7 @@ def measure_archive(progress: Progress, *, solutions: int = 100_000, samples: in
 async def fill_archive(
     coordinator: CoordinatorProcess, solutions: int, progress: Progress
 ) -> tuple[str, float]:
-    """Run a campaign with instantaneous simulations.
+    """Fill an archive by running a campaign with instantaneous simulations.
 
     Args:
         coordinator: A running coordinator.
@@ -167,7 +167,7 @@ async def _response_times(
 
 @contextlib.asynccontextmanager
 async def _load_clients(url: str, count: int, *, batch: int) -> AsyncIterator[None]:
-    """Run clients that act as workers until the end of the block."""
+    """Run clients that play workers until the end of the block."""
 
     async def work(client: LoadClient) -> None:
         held = await client.lease()

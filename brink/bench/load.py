@@ -1,4 +1,4 @@
-"""Synthetic load: the problem ``load@1``, whose episodes only wait, its campaigns, and clients that act as workers.
+"""Synthetic load: the problem ``load@1``, whose episodes only wait, its campaigns, and clients that play workers.
 
 Episodes take log-normal times, as simulations do. Times and verdicts depend only on the candidate and its seed, so
 every run of a campaign must produce the same archive. The problem is not in the catalogue: processes that need it
@@ -42,8 +42,8 @@ OUTCOME = {
 class LoadParams:
     """Distribution of episode times."""
 
-    mean_s: float = setting(0.0, help="Mean time of an episode; 0 does nothing.", ge=0.0, le=60.0, unit="s")
-    sigma: float = setting(0.5, help="Standard deviation of the time's logarithm.", ge=0.0, le=2.0)
+    mean_s: float = setting(0.0, help="Mean duration of an episode; 0: no wait.", ge=0.0, le=60.0, unit="s")
+    sigma: float = setting(0.5, help="Standard deviation of the logarithm of the duration.", ge=0.0, le=2.0)
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -118,13 +118,13 @@ register(SIMULATORS, LOAD, Waiter)
 def load_campaign(
     jobs: int, *, generation: int, seed: int, mean_s: float = 0.0, **params: float
 ) -> dict[str, Any]:
-    """Return the body of a campaign that runs random search on ``load@1`` without the simulation cache.
+    """Return the request body for a campaign that runs random search on ``load@1`` without the simulation cache.
 
     Args:
         jobs: Budget of simulations.
         generation: Jobs per generation.
         seed: Seed of the points and of the episode times.
-        mean_s: Mean time of an episode; 0 does nothing.
+        mean_s: Mean duration of an episode; 0 for no wait.
         params: Further parameters of the algorithm.
     """
     return {
@@ -135,7 +135,7 @@ def load_campaign(
 
 
 class LoadClient:
-    """A worker without a simulator: leases and reports over one kept-alive connection.
+    """A worker without a simulator, which leases and reports jobs over one persistent connection.
 
     It speaks HTTP over asyncio streams, because a full HTTP client costs more CPU time than the coordinator.
 
@@ -145,7 +145,7 @@ class LoadClient:
     Args:
         url: URL of the coordinator.
         name: Worker id.
-        max_jobs: Most jobs per lease request.
+        max_jobs: Maximum number of jobs per lease request.
         wait_s: Longest time for which the coordinator may hold a lease request.
     """
 

@@ -33,17 +33,17 @@ class Row:
 
 
 def at_least(what: str, value: float, least: float, note: str = "") -> Row:
-    """Return a figure, as in `Row`, whose target is a lower bound."""
+    """Return a `Row` whose target is a lower bound."""
     return Row(what=what, value=value, target=f"at least {least:g}", met=value >= least, note=note)
 
 
 def at_most(what: str, value: float, most: float, note: str = "") -> Row:
-    """Return a figure, as in `Row`, whose target is an upper bound."""
+    """Return a `Row` whose target is an upper bound."""
     return Row(what=what, value=value, target=f"at most {most:g}", met=value <= most, note=note)
 
 
 def under(what: str, value: float, bound: float, note: str = "") -> Row:
-    """Return a figure, as in `Row`, whose target is a strict upper bound: the smallest value that misses it."""
+    """Return a `Row` whose target is a strict upper bound: a value equal to the bound misses the target."""
     return Row(what=what, value=value, target=f"under {bound:g}", met=value < bound, note=note)
 
 

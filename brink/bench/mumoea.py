@@ -1,4 +1,4 @@
-"""Comparison of muMOEA with its ablations and with MOSAT, NSGA-II and random search, at equal simulations.
+"""Comparison of muMOEA with its ablations and with MOSAT, NSGA-II and random search, at equal budgets.
 
 All methods run on the same road with the same seeds, without a coordinator. Completed searches are stored. Source of
 the measures: Tian et al., Tables 3 and 4.
@@ -39,7 +39,7 @@ CODE: Final = (
     "search", "server/campaigns/violations.py", "server/problems", "sim/bullet", "sim/driving", "sim/encounter",
     "sim/requirements.py", "sim/urban", "sim/world",
 )  # fmt: skip
-"""Code that determines what a search finds; stored searches of other code are not used."""
+"""Code that determines what a search finds; searches stored by other versions of the code are not used."""
 MIN_TYPES: Final = 8
 LOWER_IS_BETTER: Final = ("per_violation", "first", "last_type")
 LABELS: Final[Mapping[str, str]] = {
@@ -59,7 +59,7 @@ class OnlyMutants(Mumoea):
     """muMOEA with major mutants in place of differential seeds."""
 
     def heuristic_seeds(self, genome: TrafficGenome, count: int, rng: np.random.Generator) -> list[Child]:
-        """Return an empty list."""
+        """Return no seeds, so that major mutants take their place."""
         return []
 
 
@@ -73,7 +73,7 @@ METHODS: Final[Mapping[str, tuple[Algorithm, Any]]] = {
     "NSGA-II": (Nsga2(), Nsga2.config_type()),
     "random search": (RandomSearch(), RandomSearch.config_type()),
 }
-"""The methods and their configurations: the defaults, except for what the name says."""
+"""The methods and their configurations: the defaults, except for the change that the name states."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,7 +92,7 @@ class Found:
 
     @property
     def types(self) -> set[str]:
-        """Types of its violations, in words."""
+        """Types of the solution's violations, in words."""
         return set(kinds_of(self.violations))
 
 
@@ -257,7 +257,7 @@ def _mean_distance(solutions: Sequence[Found]) -> float:
 
 
 class Comparison:
-    """Runs every method with every seed, and writes tables and figures. Stored searches are not run again.
+    """Comparison of all methods over several seeds, with tables and figures. Stored searches are not run again.
 
     Args:
         folder: Folder for searches, tables and figures.
@@ -336,7 +336,7 @@ class Comparison:
             writer.writerows(rows)
 
     def _draw(self, by_method: Mapping[str, Sequence[SearchRun]]) -> None:
-        """Draw the number of types over simulations: the mean of each method and its range."""
+        """Plot the number of types against the number of simulations: mean and range of each method."""
         # Imported here: matplotlib takes half a second to load.
         from matplotlib.figure import Figure
 
@@ -357,7 +357,7 @@ class Comparison:
 
 
 def _fingerprint(params: NpcActionsParams) -> str:
-    """Return a fingerprint of code, configurations and problem that identifies stored searches."""
+    """Return a fingerprint of the code, the configurations and the problem, which identifies stored searches."""
     settings = [(name, algorithm.id, repr(config)) for name, (algorithm, config) in METHODS.items()]
     text = repr((settings, params, code_fingerprint(CODE)))
     return hashlib.sha256(text.encode()).hexdigest()[:12]
@@ -369,7 +369,7 @@ def _finite(measures: Sequence[Measures], name: str) -> list[float]:
 
 
 def _summary(measures: Mapping[str, Sequence[Measures]]) -> list[Row]:
-    """Return the mean of each measure of each method, and its range."""
+    """Return the mean and the range of every measure for every method."""
     rows = []
     for name, label in LABELS.items():
         for method, found in measures.items():
@@ -383,7 +383,7 @@ def _summary(measures: Mapping[str, Sequence[Measures]]) -> list[Row]:
 
 
 def _tests(measures: Mapping[str, Sequence[Measures]]) -> list[Row]:
-    """Return A12 and the p-value of muMOEA against each other method, and of its variant `always`."""
+    """Return A12 and p-value of muMOEA, and of its variant `always`, against each of the other methods."""
     pairs = [
         (subject, name, method)
         for subject, names in ((ADAPTIVE, tuple(LABELS)), (ALWAYS, ("types", "fault_types")))

@@ -1,4 +1,4 @@
-"""CPU time of camera pictures on one thread: rendering a frame and its labels, and perturbing a frame."""
+"""CPU time on one thread of rendering a camera frame, computing its labels, and perturbing it."""
 
 import importlib
 import os
@@ -31,14 +31,14 @@ GENE_TARGETS_MS = {
     "gaussian_noise": 1.0, "gaussian_blur": 6.0, "grid_dropout": 0.1, "coarse_dropout": 0.15, "snow": 5.0,
     "broken_lens": 3.0, "dirty": 3.0, "condensation": 3.0, "sun_flare": 8.0, "rain": 7.0, "smoke": 20.0,
 }  # fmt: skip
-"""Longest allowed time at 1280x720: for blur at the middle level, for dropouts beyond a copy of the frame."""
+"""Longest allowed time at 1280x720; blur counts at the middle level, dropouts without the time to copy a frame."""
 AT_MIDDLE_LEVEL = {"gaussian_blur"}
 BEYOND_COPY = {"grid_dropout", "coarse_dropout"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameTime:
-    """Median CPU time of a rendered frame.
+    """Median CPU times of rendering a frame and computing its labels.
 
     Attributes:
         width_px: Width of the frame.
@@ -63,7 +63,7 @@ class FrameTime:
 
 
 def measure_rendering(frames: int = 60) -> list[FrameTime]:
-    """Measure rendering at each size and light, while the ego drives and people walk.
+    """Measure rendering for each size and lighting condition, with a moving ego and walking pedestrians.
 
     Args:
         frames: Number of frames whose median is taken.
@@ -113,7 +113,7 @@ class GeneTime:
         top_ms: Time at the highest level.
         target_ms: Longest allowed time, or None.
         met: Whether the target is met; None without a target.
-        albumentations_ms: Time of the equivalent of albumentations at the highest level, or None.
+        albumentations_ms: Time of the albumentations equivalent at the highest level, or None.
     """
 
     height_px: int
@@ -127,12 +127,12 @@ class GeneTime:
 
     @property
     def ratio(self) -> float | None:
-        """How many times longer the equivalent takes; None if it was not measured."""
+        """Time of the albumentations equivalent divided by that of the perturbation; None if it was not measured."""
         return None if self.albumentations_ms is None else self.albumentations_ms / self.top_ms
 
 
 def measure_perturbations(heights_px: Sequence[int] = (360, 720), repeats: int = 40) -> list[GeneTime]:
-    """Measure every perturbation, beside its equivalent in albumentations if that is installed.
+    """Measure every perturbation and, if albumentations is installed, its equivalent there.
 
     Args:
         heights_px: Heights of 16:9 frames.
@@ -180,7 +180,7 @@ def _copy_ms(frame: Frame, repeats: int) -> float:
 
 
 def _median_ms(call: Callable[[int], Any], repeats: int) -> float:
-    """Return the median CPU time of a call after the first one, which fills caches."""
+    """Return the median CPU time of a call in ms, without the first call, which fills caches."""
     times_ms = []
     for index in range(repeats + 1):
         start = time.process_time_ns()
@@ -191,7 +191,7 @@ def _median_ms(call: Callable[[int], Any], repeats: int) -> float:
 
 
 def _albumentations() -> dict[str, Callable[..., Any]]:
-    """Return the equivalents of genes at their highest level in albumentations; empty if it is not installed."""
+    """Return the albumentations equivalents of genes at their highest level; empty if it is not installed."""
     os.environ["NO_ALBUMENTATIONS_UPDATE"] = "1"  # it looks for updates on import
     try:
         library = importlib.import_module("albumentations")

@@ -142,7 +142,7 @@ class CoordinatorProcess(Process):
         return list(text_string_to_metric_families(text))
 
     def metrics(self) -> dict[str, float]:
-        """Return the metrics without labels, by name."""
+        """Return the values of the metrics that have no labels, by name."""
         return {
             sample.name: sample.value
             for family in self.metric_families()

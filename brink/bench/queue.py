@@ -1,4 +1,4 @@
-"""Throughput and pick-up times of Brink's job queue, beside Celery on Redis and procrastinate on Postgres.
+"""Throughput and pick-up times of Brink's job queue, compared with Celery on Redis and procrastinate on Postgres.
 
 All queues run on the same machine and are durable: an acknowledged job survives a power cut. Celery and procrastinate
 are measured where they are installed.
@@ -51,7 +51,7 @@ TARGET_BATCH = 8
 TARGET_RATIO = 5.0
 TARGET_PICKUP_MS = 10.0
 CAMPAIGN_JOBS = 5000
-"""Jobs per campaign: the time of the last generation step, which is not measured here, grows quadratically."""
+"""Jobs per campaign. The time of the last generation step, not measured here, grows quadratically with them."""
 CELERY_PREFETCH = 8
 PICKUP_SAMPLES = 200
 SETTINGS = {
@@ -60,7 +60,7 @@ SETTINGS = {
     PROCRASTINATE: "fsync, synchronous_commit and full_page_writes on; one worker process with that many coroutines",
     CELERY: "appendonly yes, appendfsync always; task_acks_late, results kept, prefetch 8 per process, prefork pool",
 }
-"""What makes each system durable."""
+"""Settings that make each system durable."""
 _TIMEOUT_S = 180.0
 _INSTALL = "pip install 'brink-boundary[bench]'"
 
@@ -72,7 +72,7 @@ class Throughput:
     Attributes:
         system: Queue and its database.
         workers: Number of workers.
-        batch: Most jobs per request; for the other systems, jobs that a worker prefetches.
+        batch: Maximum number of jobs per request; for the other systems, number of jobs that a worker prefetches.
         jobs: Number of jobs.
         seconds: Time from the first start to the last stored outcome.
         lease_p50_ms: Median time of a request that reports and leases; None where there is no such request.
@@ -125,7 +125,7 @@ class Comparison:
     Attributes:
         throughput: Throughput of each system by workers and batch size.
         pickups: Pick-up times of each system.
-        settings: What makes each system durable.
+        settings: Settings that make each system durable.
         left_out: Reason for each system that was not measured.
     """
 
@@ -214,7 +214,7 @@ class _Plan:
 
     @property
     def few(self) -> int:
-        """Number of jobs for measurements in which each job takes long."""
+        """Number of jobs for measurements in which jobs are slow."""
         return max(200, self.jobs // 3)
 
 
@@ -251,7 +251,7 @@ def _missing() -> dict[str, str]:
 
 
 def _medians(measured: Iterable[Throughput]) -> list[Throughput]:
-    """Return the repeated measurement with the median rate."""
+    """Return, of each repeated measurement, the repetition with the median rate."""
     found: dict[tuple[str, int, int], list[Throughput]] = {}
     for one in measured:
         found.setdefault((one.system, one.workers, one.batch), []).append(one)
@@ -259,7 +259,7 @@ def _medians(measured: Iterable[Throughput]) -> list[Throughput]:
 
 
 def _merged(measured: Iterable[Pickup]) -> list[Pickup]:
-    """Merge repeated measurements into one."""
+    """Merge the repetitions of each measurement into one."""
     found: dict[tuple[str, str], tuple[float, ...]] = {}
     for one in measured:
         found[one.system, one.since] = found.get((one.system, one.since), ()) + one.times_ms
@@ -341,7 +341,7 @@ class _BrinkQueue:
         )  # fmt: skip
 
     async def _pickup_times(self) -> tuple[list[float], list[float]]:
-        """Return the times in ms since the submission of a campaign and since its job was stored."""
+        """Return the times in ms from submitting a campaign, and from storing its job, until a client has the job."""
         engines = open_engines(self._database)
         submitted: list[float] = []
         stored: list[float] = []
@@ -430,7 +430,7 @@ class _OtherQueue(ABC):
 
     @abstractmethod
     def throughput(self, workers: int, jobs: int) -> Throughput:
-        """Measure the throughput of no-op tasks with a number of workers."""
+        """Measure the throughput of no-op tasks with the given number of workers."""
 
     @abstractmethod
     def pickup(self) -> Pickup:
@@ -466,7 +466,7 @@ class _CeleryQueue(_OtherQueue):
         self._no_op: Any = no_op
 
     def throughput(self, workers: int, jobs: int) -> Throughput:
-        """Measure the throughput of no-op tasks with a pool of processes."""
+        """Measure the throughput of no-op tasks with a pool of worker processes."""
         results = [self._no_op.delay() for _ in range(jobs)]
         with self._workers(workers):
             times = self._run_times(results)
@@ -492,7 +492,7 @@ class _CeleryQueue(_OtherQueue):
         ]  # fmt: skip
 
     def _run_times(self, results: list[Any]) -> list[float]:
-        """Return when each task ran. Reads all results in one request, so as not to disturb the workers."""
+        """Return the time at which each task ran, read in a single request so as not to disturb the workers."""
         client = self._app.backend.client
         keys = [self._app.backend.get_key_for_task(result.id) for result in results]
         deadline = time.monotonic() + _TIMEOUT_S
@@ -518,7 +518,7 @@ class _ProcrastinateQueue(_OtherQueue):
         asyncio.run(self._create_schema())
 
     def throughput(self, workers: int, jobs: int) -> Throughput:
-        """Measure the throughput of no-op tasks with a number of coroutines."""
+        """Measure the throughput of no-op tasks with the given number of coroutines."""
         asyncio.run(self._defer(jobs))
         with self._workers(workers):
             first, last = self._await_done(jobs)

@@ -34,7 +34,7 @@ GENERATIONS = (100, TARGET_GENERATION)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Utilisation:
-    """Utilisation of workers.
+    """Measured utilisation of the workers.
 
     Attributes:
         workers: Number of workers.
@@ -60,7 +60,7 @@ class Utilisation:
 
     @property
     def share(self) -> float:
-        """Fraction of the workers' time in which they ran episodes."""
+        """Fraction of their time that the workers spent running episodes."""
         return self.busy_s / (self.workers * self.seconds)
 
     @property
@@ -75,7 +75,7 @@ class Utilisation:
 def measure_utilisation(
     progress: Progress, *, workers: int | None = None, seconds: float = 30.0, scale: float = 0.2
 ) -> list[Utilisation]:
-    """Measure one, two and four campaigns with 1 to 64 workers, or one and two campaigns with a given number.
+    """Measure utilisation by one, two and four campaigns with 1 to 64 workers, or by one and two with a given number.
 
     Args:
         progress: Progress callback.
@@ -193,7 +193,7 @@ class _SimulatedWorkers:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TurnLengths:
-    """Modelled utilisation of `TARGET_WORKERS` workers by how long a campaign's turn lasts (ADR 32).
+    """Modelled utilisation of `TARGET_WORKERS` workers for two lengths of a campaign's turn (ADR 32).
 
     Attributes:
         generation: Jobs per generation of each campaign.
@@ -211,7 +211,7 @@ class TurnLengths:
 
 
 def model_turns(seeds: int = 20) -> list[TurnLengths]:
-    """Model the scheduling without a coordinator: no overhead, only waiting for the ends of generations.
+    """Model the scheduling without a coordinator: workers lose time only while they wait for generations to end.
 
     Args:
         seeds: Number of runs whose mean is taken.
@@ -238,7 +238,7 @@ def _mean_utilisation(generation: int, campaigns: int, turn: int, generations: i
 
 
 def _utilisation(generation: int, campaigns: int, turn: int, generations: int, rng: random.Random) -> float:
-    """Return the fraction of the workers' time in episodes until the first campaign completes its generations.
+    """Return the fraction of time that workers spend in episodes until the first campaign is complete.
 
     Args:
         generation: Jobs per generation of each campaign.

@@ -1,4 +1,4 @@
-"""CPU time of the search: a generation step at growing archive sizes, and a query of a monitor."""
+"""CPU time of the search: a generation step at several archive sizes, and a query to a monitor."""
 
 import statistics
 import time
@@ -30,7 +30,7 @@ TARGETS_MS = {1_300: 5.0, 20_000: 80.0}
 """Longest allowed median time of a generation step, by archive size."""
 MONITOR_SIZES = (300, 1_300, 5_000, 20_000)
 MONITOR_TARGETS_MS = {1_300: 1.0}
-"""Longest allowed median time of a query, by the number of solutions from which the monitor learned."""
+"""Longest allowed median time of a query, by the number of solutions to which the monitor was fitted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,7 +38,7 @@ class StepTime:
     """Time of a generation step or of a query.
 
     Attributes:
-        solutions: Number of solutions before the step, or from which a monitor learned.
+        solutions: Number of solutions before the step, or to which a monitor was fitted.
         new: Number of solutions that the step adds; 0 for a query.
         min_ms: Shortest time over the repeats.
         median_ms: Median time over the repeats.
@@ -80,7 +80,7 @@ def mixed_space() -> SearchSpace:
 
 
 def measure_steps(sizes: Sequence[int] = SIZES, repeats: int = 15, seed: int = 1) -> tuple[StepTime, ...]:
-    """Measure a generation step at several archive sizes: distances, counts and fitness of 60 new solutions.
+    """Time a generation step (computing distances, counts and fitness for 60 new solutions) at several archive sizes.
 
     Args:
         sizes: Archive sizes before the step.
@@ -106,7 +106,7 @@ def measure_steps(sizes: Sequence[int] = SIZES, repeats: int = 15, seed: int = 1
 def measure_monitor(
     sizes: Sequence[int] = MONITOR_SIZES, repeats: int = 500, seed: int = 1
 ) -> tuple[StepTime, ...]:
-    """Measure a query of monitors that learned from several numbers of solutions.
+    """Time a query to monitors fitted to different numbers of solutions.
 
     Args:
         sizes: Numbers of solutions.

@@ -71,7 +71,7 @@ class Account:
         return {"user": self.uid, "group": self.gid, "extra_groups": ()}
 
     def can(self, *command: str | Path) -> bool:
-        """Return whether a command succeeds as this user."""
+        """Return whether a command succeeds when run as this user."""
         try:
             done = subprocess.run(command, cwd="/", capture_output=True, check=False, **self.options)
         except OSError:
@@ -211,7 +211,7 @@ def temporary_postgres(settings: Mapping[str, str] = DURABLE_POSTGRES) -> Iterat
     """Run a Postgres server until the end of the block.
 
     Args:
-        settings: Settings of ``postgresql.conf``.
+        settings: Settings for ``postgresql.conf``.
 
     Raises:
         NoPostgres: Postgres is not installed or did not start.

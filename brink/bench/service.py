@@ -73,7 +73,7 @@ class _Run:
 
 
 def measure_service(workers: int, algorithm: str, *, episodes: int = 240, repeats: int = 3) -> ServiceRate:
-    """Measure the service and the bare loop.
+    """Measure throughput and CPU time of the service and of the bare loop.
 
     Args:
         workers: Number of processes that simulate.

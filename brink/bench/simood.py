@@ -35,7 +35,7 @@ CODE: Final = (
     "sim/aeb", "sim/bullet", "sim/perception", "sim/perturbations", "sim/rendering", "sim/requirements.py",
     "sim/world",
 )  # fmt: skip
-"""Code that determines the outcome of an episode; stored outcomes of other code are not used."""
+"""Code that determines the outcome of an episode; outcomes stored by other versions of the code are not used."""
 ACCIDENT: Final = "no-collision@1"
 DANGEROUS_STOP: Final = "no-dangerous-stop@1"
 
@@ -59,7 +59,7 @@ MAX_EXTRA_TIME: Final = 0.20
 MAX_EXTRA_MEMORY: Final = 0.05
 TIMED_CHAINS: Final = 12
 PICTURES: Final = (20, 60)
-"""Sizes of the data set. They rank individuals as 240 pictures do, with a correlation of alpha of .97 and .99."""
+"""Sizes of the data set. They rank individuals much as 240 pictures do: their alphas correlate by .97 and .99."""
 COST_PLACES: Final = range(2)
 FRAMES_IN_8_S: Final = 80
 MAX_CAMERA_EPISODE_S: Final = 0.9
@@ -69,7 +69,7 @@ _SIMOOD: Final = Simood()
 
 
 def measure_simood(criteria: Sequence[str], folder: Path, *, processes: int, progress: Progress) -> list[Row]:
-    """Measure criteria. Outcomes of episodes are stored in the folder and used again.
+    """Measure the given criteria. Outcomes of episodes are stored in the folder and reused.
 
     Args:
         criteria: Some of `CRITERIA`; A3 and A4 are one measurement.
@@ -133,7 +133,7 @@ class Places:
 
 
 class _Criteria:
-    """Episodes and tables of some criteria.
+    """Base of the measurements: runs episodes in reproducible places and writes tables.
 
     Args:
         records: Runs episodes and stores their outcomes.
@@ -193,7 +193,7 @@ class Hazards(_Criteria):
         ]
 
     def sweep(self) -> list[Row]:
-        """Measure A2: every gene at every level alone in three places; fallen trees and overturned vehicles."""
+        """Measure A2: every gene at every level, alone, in three places; fallen trees and overturned vehicles."""
         singles = self._run_chains("A2 singles", _singles(), SWEEP_PLACES)
         self._write_sweep(singles)
         records = [record for of_chain in singles.values() for record in of_chain]
@@ -408,7 +408,7 @@ class Searches(_Criteria):
         return tuple((str(p["gene"]), int(str(p["level"]))) for p in problem.perturbations(vectors))
 
     def _count_hazards(self, part: str, chains: Sequence[Chain]) -> tuple[int, int]:
-        """Return the number of hazardous episodes and of all episodes."""
+        """Return the number of hazardous episodes and the total number of episodes."""
         specs = [self._places.episode(place, chain) for chain in chains for place in REPEATS]
         records = self._run(part, specs)
         return sum(record.unsafe for record in records), len(records)
@@ -498,7 +498,7 @@ class Costs(_Criteria):
         ]  # fmt: skip
 
     def _wall_times(self, part: str, specs: Sequence[EpisodeSpec]) -> tuple[float, float]:
-        """Return the time of a first run, which fills caches, and the mean time of a run after it, in s."""
+        """Return the time of the first run, which fills caches, and the mean time of the later runs, in s."""
         first, *others = [record.wall_s for record in self._run_fresh(part, [specs[0], *specs])]
         return first, statistics.fmean(others)
 
@@ -557,7 +557,7 @@ def _singles() -> list[Chain]:
 
 
 def _harmless_levels(unsafe_shares: Mapping[Chain, float]) -> dict[str, int]:
-    """Return for each gene the highest level up to which no level alone is ever hazardous."""
+    """Return, for each gene, the highest level such that no level up to it is ever hazardous alone."""
     found: dict[str, int] = {}
     for name, gene in CATALOGUE.items():
         for level in range(1, gene.levels):

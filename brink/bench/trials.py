@@ -1,4 +1,4 @@
-"""Episodes run in a process pool without a coordinator, and stored outcomes that are not computed twice."""
+"""Running episodes in a process pool without a coordinator, and storing outcomes so that none is computed twice."""
 
 import contextlib
 import hashlib
@@ -119,7 +119,7 @@ def code_fingerprint(packages: Sequence[str]) -> str:
 
 
 class Records:
-    """Runs episodes in a process pool and stores their outcomes in a file, so that no episode runs twice.
+    """A process pool that stores the outcomes of episodes in a file, so that no episode runs twice.
 
     Args:
         file: JSON-lines file. Episodes whose outcomes it already holds are not run again.
@@ -135,7 +135,7 @@ class Records:
         if file.exists():
             text = file.read_text(encoding="utf-8")
             for line in text.splitlines():
-                with contextlib.suppress(ValueError):  # a run that was killed truncates its last line
+                with contextlib.suppress(ValueError):  # a killed run may leave its last line incomplete
                     document = json.loads(line)
                     digest = document.pop("spec")
                     self._known[digest] = Record(**document)

@@ -126,13 +126,13 @@ def draw_candidate(rng: np.random.Generator) -> Candidate:
 
 
 def with_behaviour(scenario: Candidate, behaviour: Candidate) -> Candidate:
-    """Return the scenario of one candidate with the behaviour of another."""
+    """Return a candidate with the scenario of one candidate and the behaviour of another."""
     kept = {name: scenario.values[name] for name in SCENARIO_CHOICES}
     return Candidate(values={**behaviour.values, **kept})
 
 
 def without_ghosts(scenario: Candidate) -> Candidate:
-    """Return a candidate whose detector reports nothing."""
+    """Return a candidate with the given scenario and a detector that reports nothing."""
     values = dict(scenario.values)
     for ghost in range(TRAJECTORY_COUNT):
         values[f"{ghost}.label"] = NULL_LABEL
@@ -248,8 +248,8 @@ class Sizes:
         scenarios: Random scenarios with `BEHAVIOURS_PER_SCENARIO` behaviours each.
         reruns: Candidates that run again with another seed.
         pairs: Pairs of neighbours.
-        redraws: Changes of each categorical parameter, each with two seeds.
-        number_redraws: Changes of each numeric parameter; more, because most boxes do not affect the ego.
+        redraws: Changes to each categorical parameter, each with two seeds.
+        number_redraws: Changes to each numeric parameter; more, because most boxes do not affect the ego.
         ends: Scenarios that run with a perfect detector, and without any detection.
         permutations: Permutations in each test.
     """
@@ -359,7 +359,7 @@ class _Difficulty:
         return _between("verdicts that another seed flips", share, 0.03, 0.15, f"{count} candidates")
 
     def neighbours_agree(self) -> Row:
-        """Return how much more often neighbours have equal verdicts than random pairs."""
+        """Return how much more often neighbours have the same verdict than random pairs do."""
         candidates, trials = self._sample()
         rng = self._rng(3)
         specs, bases, apart = [], [], []
@@ -482,7 +482,7 @@ _GHOSTS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cost:
-    """A measured cost.
+    """A measured time or amount of memory, and its target.
 
     Attributes:
         what: Name of the cost.
@@ -528,7 +528,7 @@ def _episode_cost(
 
 
 def episode_cpu_s(scenario: UrbanScenario, behaviour: DetectorBehaviour) -> float:
-    """Return the CPU time of an episode of the full 30 s: it continues after a collision and at the goal."""
+    """Return the CPU time of an episode that lasts the full 30 s, even after a collision or at the goal."""
     from brink.sim.bullet.engine import process_engine
     from brink.sim.urban.episode_loop import run_loop
 

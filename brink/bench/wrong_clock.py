@@ -11,7 +11,7 @@ from brink.worker.run import main as run_worker
 
 
 def skew_clocks(ahead_s: float, rate: float) -> None:
-    """Replace the clocks of this process.
+    """Replace the clocks of this process with wrong ones.
 
     Args:
         ahead_s: Offset of the time of day, in s.

@@ -1,4 +1,4 @@
-"""`brink bench`: measurements of this installation, each figure beside its target."""
+"""`brink bench`: benchmarks of this installation, with a target for each figure."""
 
 import asyncio
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -25,19 +25,21 @@ from brink.server.api.schemas import Progress as CampaignProgress
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
 from brink.server.errors import InvalidInput
 
-bench = typer.Typer(help="Measure this installation, each figure beside its target.", no_args_is_help=True)
+bench = typer.Typer(
+    help="Benchmark this installation and compare each figure with its target.", no_args_is_help=True
+)
 
 PAPER_FILES = tuple(Path("examples") / f"paper-{name}.yaml" for name in ("mlcshe", "ga", "random"))
 PAPER_TARGET_S = 180.0
 
-Processes = Annotated[int, typer.Option(min=1, help="Number of processes to run in.")]
+Processes = Annotated[int, typer.Option(min=1, help="Number of processes.")]
 
 # Commands import their measurement themselves: most load a simulator or need optional packages.
 
 
 @contextmanager
 def _progress() -> Iterator[Progress]:
-    """Yield a progress callback that draws bars on a terminal, and elsewhere prints a line every tenth."""
+    """Yield a progress callback that draws bars on a terminal, and otherwise prints a line every 10%."""
     screen = Console(stderr=True)
     bars = ProgressBars(
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
@@ -60,11 +62,11 @@ def _progress() -> Iterator[Progress]:
 
 
 def _conclude(document: Any, *shown: RenderableType, as_json: bool, missed: bool = False) -> None:
-    """Print a measurement as JSON or for people, and exit with 1 if it misses a target.
+    """Print a measurement as JSON or as text, and exit with 1 if it misses a target.
 
     Args:
         document: JSON document of the measurement.
-        shown: Tables and lines for people.
+        shown: Tables and lines of the text output.
         as_json: Whether to print the document.
         missed: Whether a target is missed.
     """
@@ -79,7 +81,7 @@ def _conclude(document: Any, *shown: RenderableType, as_json: bool, missed: bool
 
 
 def _conclude_rows(rows: list[Row], *, as_json: bool) -> None:
-    """Print measured figures beside their targets, and exit with 1 if one is missed."""
+    """Print measured figures with their targets, and exit with 1 if a target is missed."""
     table = _table(
         ("what", "value", "target", "", "of"),
         ((row.what, f"{row.value:.4g}", row.target, _met(row.met), row.note) for row in rows),
@@ -89,10 +91,10 @@ def _conclude_rows(rows: list[Row], *, as_json: bool) -> None:
 
 
 def _conclude_times(rows: Iterable[Any], columns: Mapping[str, str], *names: str, as_json: bool) -> None:
-    """Print measured times beside their targets in ms.
+    """Print measured times with their targets in ms, and exit with 1 if a target is missed.
 
     Args:
-        rows: Have a `target_ms`, and `met`.
+        rows: Measurements with the attributes `target_ms` and `met`.
         columns: Format of each column's value, by header.
         names: Fields of the JSON document; all by default.
         as_json: Whether to print the document.
@@ -127,7 +129,7 @@ def _bound(bound: float | None, words: str = "at most") -> str:
 def difficulty(
     candidates: Annotated[int, typer.Option(min=100, help="Number of random candidates.")] = 2000,
     share: Annotated[
-        float, typer.Option(min=0.01, max=1.0, help="Fraction of the other samples to run, for a quick look.")
+        float, typer.Option(min=0.01, max=1.0, help="Fraction by which to scale the other sample sizes.")
     ] = 1.0,
     processes: Processes = 2,
     seed: Annotated[int, typer.Option(min=0)] = 0,
@@ -193,7 +195,7 @@ def mumoea(
     / "bench-mumoea",
     as_json: AsJson = False,
 ) -> None:
-    """Compare muMOEA with its ablations, MOSAT, NSGA-II and random search, at equal simulations.
+    """Compare muMOEA with its ablations, MOSAT, NSGA-II and random search, at equal budgets.
 
     The full comparison takes hours. Completed searches are kept in the folder, so the same command continues after
     an interruption.
@@ -264,7 +266,7 @@ def search(as_json: AsJson = False) -> None:
 
 @bench.command()
 def monitor(as_json: AsJson = False) -> None:
-    """Measure a query of safety monitors that learned from archives of growing size.
+    """Measure the time of a query to safety monitors fitted to archives of growing size.
 
     Example: brink bench monitor
     """
@@ -280,10 +282,12 @@ def monitor(as_json: AsJson = False) -> None:
 @bench.command()
 def sim(
     episodes: Annotated[int, typer.Option(min=20, help="Episodes per run.")] = 240,
-    repeats: Annotated[int, typer.Option(min=1, help="Runs of each kind.")] = 3,
+    repeats: Annotated[
+        int, typer.Option(min=1, help="Number of runs of the service, and of the bare loop.")
+    ] = 3,
     as_json: AsJson = False,
 ) -> None:
-    """Measure episodes: CPU time of one, and throughput of the whole service with 1 and 2 workers.
+    """Measure the CPU time of an episode, and the throughput of the whole service with 1 and 2 workers.
 
     Example: brink bench sim
     """
@@ -323,10 +327,10 @@ def sim(
 
 @bench.command()
 def rendering(
-    frames: Annotated[int, typer.Option(min=1, help="Frames whose median is taken.")] = 60,
+    frames: Annotated[int, typer.Option(min=1, help="Number of frames; medians are shown.")] = 60,
     as_json: AsJson = False,
 ) -> None:
-    """Measure the CPU time of a rendered frame and of its labels, at each size and light.
+    """Measure the CPU time needed to render a frame and to compute its labels, for each size and lighting condition.
 
     Example: brink bench rendering --frames 60
     """
@@ -344,12 +348,12 @@ def perturbations(
     heights: Annotated[
         list[int] | None, typer.Option("--height", min=36, help="Height of 16:9 frames, in px.")
     ] = None,
-    repeats: Annotated[int, typer.Option(min=1, help="Calls at each level.")] = 40,
+    repeats: Annotated[int, typer.Option(min=1, help="Number of calls at each level.")] = 40,
     as_json: AsJson = False,
 ) -> None:
     """Measure the CPU time of every perturbation at its lowest, middle and highest level.
 
-    The equivalents of albumentations are measured at the highest level if that library is installed.
+    If albumentations is installed, its equivalents are measured at the highest level.
 
     Example: brink bench perturbations --height 720
     """
@@ -378,7 +382,7 @@ def paper(
     ] = True,
     as_json: AsJson = False,
 ) -> None:
-    """Run the paper's three campaigns and print their DBS tables, each beside its controls.
+    """Run the paper's three campaigns and print their DBS tables, each campaign with its control.
 
     Example: brink bench paper --workers 2
     """
@@ -400,7 +404,7 @@ def paper(
 async def _paper(
     url: str, bodies: list[CampaignBody], *, control: bool, quiet: bool
 ) -> tuple[dict[str, float], list[ComparisonRow]]:
-    """Run campaigns one after another; return their times in seconds and their comparison."""
+    """Run campaigns one after another; return their durations in seconds and their comparison."""
     times: dict[str, float] = {}
     ids = []
     async with httpx.AsyncClient(base_url=url, timeout=TIMEOUT) as client:
@@ -423,11 +427,11 @@ def queue(
     quick: Annotated[bool, typer.Option("--quick", help="Only 4 workers, batches of 8.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Measure queue throughput and pick-up times, beside Celery on Redis and procrastinate on Postgres.
+    """Measure queue throughput and pick-up times, compared with Celery on Redis and procrastinate on Postgres.
 
     All queues run durably: acknowledged jobs survive a power cut. The other queues need pip install
     'brink-boundary[bench]' and an installed redis-server; Postgres is started in a temporary folder. Use --quick for
-    a quick look.
+    a short measurement.
 
     Example: brink bench queue
     """
@@ -477,7 +481,7 @@ def queue(
     notes: list[RenderableType] = [
         f"[dim]{system}: {setting}[/dim]" for system, setting in found.settings.items()
     ]
-    notes += [Text(f"{name} was left out: {reason}", "yellow") for name, reason in found.left_out.items()]
+    notes += [Text(f"{name} was not measured: {reason}", "yellow") for name, reason in found.left_out.items()]
     missed = any(ratio < TARGET_RATIO for *_, ratio in ratios) or any(met is False for _, met in pickups)
     shown = (throughput_table, "", ratio_table, "", pickup_table, "", *notes)
     _conclude(document, *shown, as_json=as_json, missed=missed)
@@ -498,7 +502,7 @@ def chaos(
 
     Two coordinators and four workers run. Processes, episodes, the database and its connections are killed or
     suspended; messages are lost, truncated, delayed and repeated; the clocks of two workers are wrong. No verdict may
-    be lost or counted twice, no job may get stuck, and every archive must equal that of the undisturbed campaign.
+    be lost or counted twice, no job may get stuck, and every archive must match that of the undisturbed campaign.
 
     Example: brink bench chaos --minutes 10
     """
@@ -530,9 +534,9 @@ def chaos(
         ((f"verdicts or jobs {name}", len(found), "0", _met(not found)) for name, found in wrong.items()),
     )
     same = f"{outcome.same} of {len(outcome.digests)}"
-    verdicts.add_row("archives equal to the undisturbed ones", same, "all", _met(undisturbed))
+    verdicts.add_row("archives identical to the undisturbed ones", same, "all", _met(undisturbed))
     _conclude(
-        document, injected, "", f"answers to results: {answers}",
+        document, injected, "", f"responses to reported results: {answers}",
         *(Text(f"exited by itself and was restarted: {end}") for end in outcome.unexpected_exits), "", verdicts,
         *(Text(f"{name}: {one}", "red") for name, found in wrong.items() for one in found[:10]),
         as_json=as_json, missed=any(wrong.values()) or not undisturbed,
@@ -546,17 +550,19 @@ def scale(
         typer.Option(
             min=2,
             max=5000,
-            help="Measure only this many workers, with four jobs per worker in each generation.",
+            help="Measure only with this many workers, with four jobs per worker in each generation.",
         ),
     ] = None,
     seconds: Annotated[float, typer.Option(min=5, help="Approximate duration of each measurement.")] = 30.0,
     shrunk: Annotated[
         float,
-        typer.Option("--scale", min=0.01, max=1, help="Fraction of the full 5 s that an episode takes."),
+        typer.Option(
+            "--scale", min=0.01, max=1, help="Mean duration of an episode as a fraction of the full 5 s."
+        ),
     ] = 0.2,
     as_json: AsJson = False,
 ) -> None:
-    """Measure the utilisation of 1 to 64 simulated workers, by one campaign and by several at once.
+    """Measure the utilisation of 1 to 64 simulated workers, with one campaign and with several at once.
 
     Between two generations of a campaign, workers wait for its longest episodes; other campaigns fill the gap.
 
@@ -582,10 +588,10 @@ def scale(
 
 @bench.command()
 def turns(
-    seeds: Annotated[int, typer.Option(min=1, help="Number of runs whose mean is taken.")] = 20,
+    seeds: Annotated[int, typer.Option(min=1, help="Number of runs; means are shown.")] = 20,
     as_json: AsJson = False,
 ) -> None:
-    """Model the utilisation of 64 workers by how long a campaign's turn lasts, without a coordinator.
+    """Model how the utilisation of 64 workers depends on the length of a campaign's turn, without a coordinator.
 
     Example: brink bench turns
     """
@@ -669,11 +675,13 @@ def soak(
 @bench.command()
 def dashboard(
     solutions: Annotated[
-        int, typer.Option(min=2000, help="Number of solutions of the campaign on display.")
+        int, typer.Option(min=2000, help="Number of solutions in the displayed campaign.")
     ] = 20_000,
     polls: Annotated[
         int,
-        typer.Option(min=100, help="Polls of a page that stays open; the default corresponds to one day."),
+        typer.Option(
+            min=100, help="Number of polls by a page that stays open; the default corresponds to one day."
+        ),
     ] = 8_640,
     as_json: AsJson = False,
 ) -> None:

@@ -50,7 +50,7 @@ POLL_S = 0.5
 ERRORS_SHOWN = 5
 SOLUTIONS_SHOWN = 5
 ALL_GENERATIONS = 10**9
-"""Cursor beyond the last generation of every campaign: progress without series."""
+"""Cursor beyond the last generation of every campaign, for progress without its series of generations."""
 RETRY_PAGE = 1000
 """Quarantined jobs to fetch at a time."""
 
@@ -291,7 +291,7 @@ def pause(campaign: CampaignId, database: Database = None, server: Server = None
 
 
 def resume(campaign: CampaignId, database: Database = None, server: Server = None) -> None:
-    """Resume a paused campaign, without the candidates that have failed.
+    """Resume a paused campaign. Candidates that have failed are not simulated again.
 
     Example: brink resume 3f2a --server http://coordinator:8700
     """

@@ -28,7 +28,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
         "results": ("brink.cli.campaigns:results", "Show or export distinct boundary solutions"),
         "violations": ("brink.cli.findings:violations", "Show the types of violations found"),
         "combinations": ("brink.cli.findings:combinations", "Show hazardous chains of perturbations"),
-        "compare": ("brink.cli.compare:compare", "Compare campaigns, each beside its control"),
+        "compare": ("brink.cli.compare:compare", "Compare campaigns, each with its control"),
         "plot": ("brink.cli.draw:plot", "Draw the figures of a campaign"),
         "replay": ("brink.cli.draw:replay", "Draw one episode as PNG, GIF or MP4"),
     },
@@ -57,7 +57,7 @@ SECTIONS: Final[Mapping[str, Mapping[str, tuple[str, str]]]] = {
     "Tools": {
         "perturbations": ("brink.cli.perturbations:perturbations", "List and show image perturbations"),
         "llm": ("brink.cli.llm:llm", "Check and preview language models"),
-        "bench": ("brink.cli.bench:bench", "Measure this installation"),
+        "bench": ("brink.cli.bench:bench", "Benchmark this installation"),
     },
 }  # fmt: skip
 """By section and name: the ``module:attribute`` that defines the command, and its line in ``brink --help``."""

@@ -25,7 +25,7 @@ def compare(
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Compare campaigns: DBS and strict DBS at the paper's thresholds, each beside its control.
+    """Compare campaigns: DBS and strict DBS at the paper's thresholds, each campaign with its control.
 
     Example: brink compare 3f2a 91bc 77d0
     """
@@ -43,7 +43,7 @@ async def compared(api: Api, campaigns: Sequence[str], *, control: bool) -> list
 
 
 def compared_archives(fetched: Sequence[FetchedArchive], *, control: bool) -> list[Row]:
-    """Compare archives, each campaign once."""
+    """Compare the archives of campaigns; a campaign given twice counts once."""
     fetched = list({item.id: item for item in fetched}.values())
     names = [item.body.name for item in fetched]
     return compare_campaigns(

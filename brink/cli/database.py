@@ -1,6 +1,6 @@
 """Commands on the database itself: db, token, doctor, export, import.
 
-They need no coordinator and no token: anyone who can read the database may do everything.
+They need no coordinator and no token: anyone with access to the database can do everything.
 """
 
 import sqlite3
@@ -99,7 +99,7 @@ def export(
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
-    """Write a campaign with all its data to one file, for archiving or for another database.
+    """Write a campaign with all its data to one file, for archiving or for import into another database.
 
     Example: brink export 3f2a --out traffic.brink
     """
@@ -165,7 +165,10 @@ def prune_(
     Example: brink db prune --ended-days 90 --traces-days 14 --yes
     """
     if ended_days is None and traces_days is None:
-        raise InvalidInput.at("--ended-days", "expected this or --traces-days: the age from which to delete")
+        raise InvalidInput.at(
+            "--ended-days",
+            "expected this option, --traces-days or both: the age in days from which to delete",
+        )
     settings = settings_with(database=database)
     check_database(settings)
     with _opened(settings) as engines, engines.writer.begin() as connection:
@@ -186,19 +189,19 @@ def prune_(
 
 
 def _shrink(file: Path) -> None:
-    """Return the free pages of an SQLite file to the file system.
+    """Release the free pages of an SQLite file to the file system.
 
     Raises:
         DatabaseError: The file cannot be shrunk now.
     """
     try:
         with closing(sqlite3.connect(file)) as connection:
-            connection.execute("VACUUM")  # impossible inside a transaction, where our engines run everything
+            connection.execute("VACUUM")  # impossible in a transaction, which our engines always use
             connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
     except sqlite3.Error as error:
         raise DatabaseError(
-            f"everything is deleted, but {file} keeps its size ({error}). Shrinking needs as much free disk space as "
-            "the file occupies, and no other writer: stop the coordinator and run the command again"
+            f"the old data is deleted, but {file} keeps its size ({error}). Shrinking needs as much free disk space "
+            "as the file occupies, and no other writer: stop the coordinator and run the command again"
         ) from None
 
 
@@ -304,7 +307,7 @@ def list_(database: Database = None, as_json: AsJson = False) -> None:
 @token.command()
 def revoke(
     token_id: Annotated[
-        str, typer.Argument(help="Id of the token: its third part, see `brink token list`.", metavar="ID")
+        str, typer.Argument(help="Id of the token: its third part, as in `brink token list`.", metavar="ID")
     ],
     database: Database = None,
 ) -> None:
@@ -316,4 +319,4 @@ def revoke(
     check_database(settings)
     with _opened(settings) as engines, engines.writer.begin() as connection:
         revoke_token(connection, token_id)
-    console().print(f"token {token_id} is rejected within {TOKEN_CACHE_S:g} s")
+    console().print(f"token {token_id} will be rejected within {TOKEN_CACHE_S:g} s")

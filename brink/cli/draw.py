@@ -53,7 +53,7 @@ def plot(
 ) -> None:
     """Draw the figures of a campaign.
 
-    They show DBS over simulations for several thresholds, the archive embedded in two dimensions, fitness over
+    They show DBS against simulations for several thresholds, the archive embedded in two dimensions, fitness over
     generations, and how the verdict depends on each parameter.
 
     Example: brink plot 3f2a --out figures
@@ -81,7 +81,7 @@ def replay(
     database: Database = None,
     server: Server = None,
 ) -> None:
-    """Draw one episode from above, with the camera image and the detections given to the driving system.
+    """Draw one episode: the top view, the camera image, and the detections given to the driving system.
 
     Without --server, this machine runs the episode again; with it, the coordinator's workers do.
 
@@ -159,8 +159,8 @@ async def write_results(api: Api, campaign: str, folder: Path, *, t_b: float, d_
         api: Coordinator of the campaign.
         campaign: Id of the campaign.
         folder: Folder to write to; created if missing.
-        t_b: Highest fitness of boundary solutions.
-        d_th: Smallest distance between two boundary solutions.
+        t_b: Maximum fitness of a boundary solution.
+        d_th: Minimum distance between two boundary solutions.
 
     Returns:
         The boundary.
@@ -184,8 +184,8 @@ def draw_figures(
     Args:
         fetched: The campaign.
         folder: Folder to write to.
-        t_b: Highest fitness of boundary solutions.
-        d_th: Smallest distance between two boundary solutions.
+        t_b: Maximum fitness of a boundary solution.
+        d_th: Minimum distance between two boundary solutions.
         formats: File formats.
 
     Returns:
@@ -211,7 +211,7 @@ class NoTrace(ServerError):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drawing:
-    """The source and the destination of pictures of episodes.
+    """The campaign whose episodes are drawn, and the folder for the pictures.
 
     Attributes:
         api: Coordinator of the campaign.
@@ -291,7 +291,7 @@ async def run_episode(api: Api, campaign: str, number: int) -> Trace:
 
 
 async def write_replays(drawing: Drawing, numbers: Sequence[int]) -> list[Path]:
-    """Draw replays of some solutions as PNG, skipping those without a trace; return the files."""
+    """Draw replays of solutions as PNG files, skipping solutions without a trace; return the files."""
     files = []
     requirement = await fetch_requirement(drawing.api, drawing.campaign)
     for number in numbers:
@@ -307,6 +307,6 @@ async def write_replays(drawing: Drawing, numbers: Sequence[int]) -> list[Path]:
 
 
 async def fetch_requirement(api: Api, campaign: str) -> str | None:
-    """Return the requirement that gives the verdict of a campaign; None if several do."""
+    """Return the requirement that determines the verdicts of a campaign; None if several do."""
     params = (await api.read(CampaignView, f"/campaigns/{campaign}")).body.problem.params
     return str(params["requirement"]) if "requirement" in params else None

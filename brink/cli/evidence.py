@@ -1,4 +1,4 @@
-"""`brink evidence`: a folder from which others can check and use the boundary of a campaign."""
+"""`brink evidence`: export a folder with which others can verify and use a campaign's boundary."""
 
 import asyncio
 from collections.abc import Sequence
@@ -67,16 +67,16 @@ def evidence(
     t_b: FitnessThreshold = DEFAULT_T_B,
     d_th: DistanceThreshold = DEFAULT_D_TH,
     replays: Annotated[
-        int, typer.Option(min=0, help="Number of replays, of the best boundary solutions.")
+        int, typer.Option(min=0, help="Number of boundary solutions to replay, best first.")
     ] = 1000,
     film: Annotated[
-        str | None, typer.Option(help="gif or mp4: also write replays as films, which takes longer.")
+        str | None, typer.Option(help="gif or mp4: also write replays as videos, which takes longer.")
     ] = None,
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
-    """Export the boundary of a campaign: tables, rules, replays, and true objects beside the detected ones.
+    """Export the boundary of a campaign: tables, rules, replays, and the boxes of true and detected objects.
 
     Without --server, this machine runs the episodes again; with it, the coordinator's workers do.
 
@@ -153,7 +153,7 @@ async def _replays(
     options: _Options,
     screen: Console,
 ) -> tuple[int, list[str]]:
-    """Write replays and add the component's detections to the rows; return the number of replays, and failures."""
+    """Write replays and add detection counts to the rows; return the number of replays and a note per failure."""
     chosen = [
         (row, solution.number)
         for row, solution in zip(rows, boundary.solutions, strict=True)

@@ -114,7 +114,7 @@ def _print_status(progress: ExperimentProgress, found: ExperimentView) -> None:
     print_line(
         f"experiment {progress.id} ({progress.name}): {progress.status}, "
         f"{progress.simulations:,} of {progress.budget:,} simulations, {rate_of(progress.rate_per_s)}, "
-        f"left {duration(progress.remaining_s)}"
+        f"remaining {duration(progress.remaining_s)}"
     )
     numbers = ("simulations", "unsafe", "failed")
     table = plain_table("campaign", "method", "problem", "seed", "status", *numbers, right=("seed", *numbers))

@@ -133,7 +133,7 @@ class ExperimentRun:
 
 
 class ExperimentDisplay(LiveDisplay):
-    """Shows the progress of an experiment and its campaigns."""
+    """Progress display of an experiment and its campaigns."""
 
     def show(self, progress: ExperimentProgress, members: Sequence[MemberView]) -> None:
         """Show the progress of an experiment."""
@@ -143,7 +143,7 @@ class ExperimentDisplay(LiveDisplay):
 def _panel(progress: ExperimentProgress, members: Sequence[MemberView]) -> Group:
     rows = [
         ("campaigns", f"{progress.finished} of {progress.campaigns} finished"),
-        ("rate", f"{rate_of(progress.rate_per_s)}   left {duration(progress.remaining_s)}"),
+        ("rate", f"{rate_of(progress.rate_per_s)}   remaining {duration(progress.remaining_s)}"),
         (
             "workers",
             f"{progress.workers or 'none yet'}   running {progress.leased}   queued {progress.queued}",
@@ -182,7 +182,7 @@ def _line(progress: ExperimentProgress) -> str:
     return (
         f"{progress.simulations}/{progress.budget} simulations, {progress.finished} of "
         f"{progress.campaigns} campaigns finished, {rate_of(progress.rate_per_s)}, "
-        f"left {duration(progress.remaining_s)}, workers {progress.workers}"
+        f"remaining {duration(progress.remaining_s)}, workers {progress.workers}"
     )
 
 
@@ -252,13 +252,13 @@ def print_results(screen: Console, results: Results) -> None:
 
 
 def _unsafe_share(repeats: Sequence[Repeat], problem: str, method: str) -> float:
-    """Return the mean unsafe share over the campaigns of a method on a problem."""
+    """Return the unsafe share, averaged over the campaigns of a method on a problem."""
     scores = [one.scores for one in repeats if (one.problem, one.method) == (problem, method)]
     return float(np.mean([one.unsafe / max(1, one.evaluated) for one in scores]))
 
 
 def write_report(results: Results, elapsed_s: float, body: ExperimentBody, folder: Path) -> list[Path]:
-    """Write the report of an experiment as one HTML page, and as Markdown with figures and data beside it.
+    """Write the report of an experiment as one HTML page, and as Markdown with separate figures and data.
 
     Args:
         results: Results with at least one campaign.

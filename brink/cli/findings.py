@@ -1,4 +1,4 @@
-"""Findings besides the boundary: `brink violations` and `brink combinations`, and the same at the end of a run.
+"""Findings other than the boundary: `brink violations` and `brink combinations`, and the same at the end of a run.
 
 Each kind of findings is a class that prints, writes and draws itself.
 """
@@ -80,7 +80,7 @@ class Findings(Protocol):
         ...
 
     def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
-        """Return commands to continue with, each with its purpose."""
+        """Return commands to suggest to the user next, each with its purpose."""
         ...
 
 
@@ -101,7 +101,7 @@ async def fetch_findings(api: Api, fetched: FetchedArchive) -> Sequence[Findings
 
 def combinations(
     campaign: CampaignId,
-    shown: Annotated[int, typer.Option(min=1, help="Rows of each table.")] = CHAINS_SHOWN,
+    shown: Annotated[int, typer.Option(min=1, help="Number of rows in each table.")] = CHAINS_SHOWN,
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
@@ -139,7 +139,7 @@ class CombinationFindings:
         )
 
     def show(self, screen: Console, shown: int = CHAINS_SHOWN) -> None:
-        """Print the chains, the techniques, and the sentence."""
+        """Print the chains, the techniques, and the summary sentence."""
         chains = self._found.combinations
         table = plain_table("chain", "unsafe", "parts alone", "other order", "")
         for one in chains[:shown]:
@@ -175,7 +175,7 @@ class CombinationFindings:
         return [document, table]
 
     async def draw(self, drawing: Drawing) -> list[Path]:
-        """Draw the clearest combinations beside their parts and other orders; return the files."""
+        """Draw the clearest combinations, each with its parts and other orders; return the files."""
         files: list[Path] = []
         for one in self._found.combinations:
             if drawing.stop.is_set() or len(files) == CHAINS_DRAWN:
@@ -192,7 +192,7 @@ class CombinationFindings:
         return files
 
     def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
-        """Return commands to continue with, each with its purpose."""
+        """Return commands to suggest to the user next, each with its purpose."""
         hints = [(f"combinations {campaign}{database}", "list all chains of techniques")]
         hazards = [number for one in self._found.combinations for number in (*one.together, *one.turned)]
         if hazards:
@@ -213,7 +213,7 @@ async def _variants(drawing: Drawing, number: int) -> list[Row]:
 
 
 def _claim(one: CombinationView) -> str:
-    """Return how a chain is hazardous: "only together" implies minimal."""
+    """Return in which ways a chain is hazardous; "minimal" is omitted where "only together" implies it."""
     claims = {
         "only together": one.only_together,
         "only in this order": one.order_matters,
@@ -238,19 +238,19 @@ def violations(
     campaign: CampaignId,
     number: Annotated[
         int | None,
-        typer.Option(min=0, help="Show only this solution; with --name or --unname, name its violation."),
+        typer.Option(min=0, help="Show only this solution; with --name or --unname, the solution to change."),
     ] = None,
     requirement: Annotated[
         str | None,
         typer.Option(
-            help="Show only violations of this requirement; with --name or --unname, select one of several."
+            help="Show only violations of this requirement; with --name or --unname, the violation to change."
         ),
     ] = None,
     name: Annotated[str | None, typer.Option(help="Name the violation; the name becomes its type.")] = None,
     unname: Annotated[
         bool, typer.Option("--unname", help="Remove the name; the rules determine the type again.")
     ] = False,
-    shown: Annotated[int, typer.Option(min=1, help="Rows of the table.")] = TYPES_SHOWN,
+    shown: Annotated[int, typer.Option(min=1, help="Number of rows in the table.")] = TYPES_SHOWN,
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
@@ -260,9 +260,11 @@ def violations(
     Example: brink violations 3f2a --number 71 --name "overtakes into oncoming traffic"
     """
     if (name is not None or unname) and number is None:
-        raise InvalidInput.at("--number", "expected the solution to name")
+        raise InvalidInput.at(
+            "--number", "expected the number of the solution whose violation is to be named or unnamed"
+        )
     if name is not None and unname:
-        raise InvalidInput.at("--unname", "expected either this or --name")
+        raise InvalidInput.at("--unname", "expected only one of --name and --unname, got both")
 
     async def work(api: Api) -> Violations:
         if number is not None and (name is not None or unname):
@@ -323,7 +325,7 @@ class ViolationFindings:
         return violations_sentence(self._found)
 
     def show(self, screen: Console) -> None:
-        """Print the most common types, and the sentence."""
+        """Print the most common types, and the summary sentence."""
         print_violations(screen, self._found)
 
     def write(self, folder: Path) -> list[Path]:
@@ -339,7 +341,7 @@ class ViolationFindings:
         return files + await _draw_gallery(self._found, drawing)
 
     def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
-        """Return commands to continue with, each with its purpose."""
+        """Return commands to suggest to the user next, each with its purpose."""
         hints = [(f"violations {campaign}{database}", "list all types of violations")]
         if types := _by_frequency(self._found):
             hints.append((f"replay {campaign} {types[0].first} --out violation.mp4{database}", "watch one"))
@@ -352,7 +354,7 @@ def _by_frequency(found: Violations) -> list[TypeView]:
 
 
 def print_violations(screen: Console, found: Violations, shown: int = TYPES_SHOWN) -> None:
-    """Print the most common types of violations, and a sentence with the number of types."""
+    """Print the most common types of violations, and a summary sentence."""
     types = _by_frequency(found)
     numbers = ("solutions", "distinct", "first")
     table = plain_table(*numbers, "type of violation", right=numbers)
@@ -369,12 +371,12 @@ def print_violations(screen: Console, found: Violations, shown: int = TYPES_SHOW
 
 
 def violations_sentence(found: Violations) -> str:
-    """Return the number of types and of solutions with violations, in a sentence."""
+    """Return a sentence with the number of types of violations and of solutions that have them."""
     solutions = len({number for kind in found.types for number in kind.numbers})
     at_fault = sum(kind.at_fault is True for kind in found.types)
     return (
         f"{len(found.types)} types of violations in {solutions} solutions; "
-        f"in {at_fault} of the types the rules put the ego vehicle at fault"
+        f"in {at_fault} of the types, the ego vehicle is at fault according to the rules"
     )
 
 

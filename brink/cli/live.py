@@ -52,7 +52,7 @@ class LiveDisplay:
 
 
 class CampaignDisplay(LiveDisplay):
-    """Shows the progress of a campaign."""
+    """Progress display of a campaign."""
 
     def __init__(self, console: Console) -> None:
         super().__init__(console)
@@ -64,7 +64,7 @@ class CampaignDisplay(LiveDisplay):
         return len(self._series)
 
     def show(self, progress: Progress) -> None:
-        """Show the progress of a campaign, with the generations that are new."""
+        """Show the progress of a campaign, including the generations that are new."""
         self._series += [one for one in progress.generations if one.number >= len(self._series)]
         self._update(lambda: self._panel(progress), lambda: self._line(progress))
 
@@ -76,7 +76,7 @@ class CampaignDisplay(LiveDisplay):
         return Group(budget_bar(progress.name, progress.simulations, progress.budget, kind), facts)
 
     def _facts(self, progress: Progress) -> list[tuple[str, str, str]]:
-        """Return name, value and sparkline of each line."""
+        """Return the name, value and sparkline of each line of the panel."""
         last = self._series[-1] if self._series else None
         shares = [one.unsafe / one.evaluated for one in self._series if one.evaluated]
         best = [one.best_fitness for one in self._series if one.best_fitness is not None]
@@ -89,7 +89,7 @@ class CampaignDisplay(LiveDisplay):
                 f"{last.best_fitness:.3f}" if last and last.best_fitness is not None else "–",
                 spark(best),
             ),
-            ("rate", f"{rate_of(progress.rate_per_s)}   left {duration(progress.remaining_s)}", ""),
+            ("rate", f"{rate_of(progress.rate_per_s)}   remaining {duration(progress.remaining_s)}", ""),
             (
                 "workers",
                 f"{progress.workers or 'none yet'}   running {progress.leased}   queued {progress.queued}",
@@ -121,7 +121,7 @@ class CampaignDisplay(LiveDisplay):
             f"{progress.simulations}/{progress.budget} simulations",
             *(f"{name} {facts[name]}" for name in shown if name in facts),
             rate_of(progress.rate_per_s),
-            f"left {duration(progress.remaining_s)}",
+            f"remaining {duration(progress.remaining_s)}",
             f"workers {progress.workers}",
         ]
         return ", ".join([*parts, progress.asking] if progress.asking else parts)
@@ -134,7 +134,7 @@ def budget_bar(name: str, simulations: int, budget: int, kind: str = "simulation
         name: Name shown in front of the bar.
         simulations: Completed so far; may exceed the budget.
         budget: Simulations in all.
-        kind: What is counted, for people.
+        kind: What is counted, in words.
     """
     bar = Table.grid(padding=(0, 1))
     bar.add_row(

@@ -38,7 +38,7 @@ ASSUMED_REQUESTS: Final = 5
 
 @llm.command()
 def check(file: CampaignFile, as_json: AsJson = False) -> None:
-    """Check the language model of a campaign file and what it supports, with up to three small requests.
+    """Check that a campaign file's language model works, and what it supports, with up to three small requests.
 
     Example: brink llm check examples/traffic-llm.yaml
     """
@@ -89,13 +89,13 @@ def _yes(value: bool) -> str:
 def dry_run(
     file: CampaignFile,
     requests: Annotated[
-        int, typer.Option(min=0, help="Differential requests to assume for the estimate.")
+        int, typer.Option(min=0, help="Number of differential requests that the estimate assumes.")
     ] = ASSUMED_REQUESTS,
     as_json: AsJson = False,
 ) -> None:
     """Print the prompts of a campaign and estimate the cost of its calls, without calling the model.
 
-    In the differential prompt, made-up solutions stand for those that the search will have found by then.
+    In the differential prompt, example solutions take the place of those that the search will have found by then.
 
     Example: brink llm dry-run examples/traffic-llm.yaml
     """

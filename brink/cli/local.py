@@ -41,7 +41,7 @@ ProgressT = TypeVar("ProgressT", Progress, ExperimentProgress)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Session:
-    """An embedded coordinator while a command uses it.
+    """An embedded coordinator and its workers, as a command uses them.
 
     Attributes:
         api: Its API.
@@ -155,7 +155,7 @@ class Workload(Protocol[ProgressT]):
         ...
 
     def reasons(self, progress: ProgressT) -> Sequence[str]:
-        """Return why the work ended unfinished."""
+        """Return the reasons why the work ended unfinished."""
         ...
 
 
@@ -235,13 +235,13 @@ def run_to_end(
 
     async def work(session: Session) -> T | None:
         name = await _start(workload, options, session)
-        if workload.noun == "campaign" and not session.needs_token:  # nobody else knows the token
+        if workload.noun == "campaign" and not session.needs_token:  # the token is secret
             screen.print(f"watch it in a browser: {session.url}/#/campaigns/{name}", soft_wrap=True)
         async with stopping(session.stop):
             session.processes.start(options.workers)
             progress = await workload.watch(session, name)
             if session.stop.is_set():
-                # A paused run takes no workers until somebody resumes it.
+                # A paused run takes no workers until it is resumed.
                 with contextlib.suppress(CoordinatorError):
                     await session.api.post(f"/{workload.noun}s/{name}/pause")
                 screen.print(
@@ -299,7 +299,7 @@ async def stopping(stop: asyncio.Event) -> AsyncIterator[None]:
 
 
 def check_extra(problem: Problem) -> None:
-    """Check that the workers of this machine can simulate a problem.
+    """Check that workers on this machine have the optional dependencies that a problem needs.
 
     Raises:
         InvalidInput: An optional dependency is not installed.

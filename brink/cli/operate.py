@@ -88,8 +88,8 @@ def worker(
         typer.Option(
             metavar="ADDRESS",
             show_default=False,
-            help="Run workers on a Ray cluster instead, one per free CPU: HOST:PORT, auto for the cluster of this "
-            "machine, local to start Ray here.",
+            help="Run workers on a Ray cluster instead, one per free CPU: HOST:PORT, auto for the cluster running on "
+            "this machine, local to start one here.",
         ),
     ] = None,
     workers: Annotated[
@@ -99,7 +99,7 @@ def worker(
         ),
     ] = None,
     grace_s: Annotated[
-        float, typer.Option(min=0.0, help="Seconds that the running episode may take to end after SIGTERM.")
+        float, typer.Option(min=0.0, help="Grace period of the running episode after SIGTERM, in seconds.")
     ] = 8.0,
     log_format: LogFormatOption = None,
     log_level: LogLevelOption = None,

@@ -1,4 +1,4 @@
-"""Options that several commands share, access to the API, and output for people and programs."""
+"""Options that several commands share, access to the API, and output as text and as JSON."""
 
 import asyncio
 import json
@@ -72,11 +72,11 @@ New = Annotated[bool, typer.Option("--new", help="Start a new run even if an ear
 Port = Annotated[int, typer.Option(min=0, max=65535, help="Port of the coordinator; 0 picks a free port.")]
 FitnessThreshold = Annotated[
     float,
-    typer.Option("--t-b", min=0.0, max=1.0, help="Highest fitness that still counts as on the boundary."),
+    typer.Option("--t-b", min=0.0, max=1.0, help="Maximum fitness of a boundary solution."),
 ]
 DistanceThreshold = Annotated[
     float,
-    typer.Option("--d-th", min=0.0, max=1.0, help="Smallest distance between two distinct solutions."),
+    typer.Option("--d-th", min=0.0, max=1.0, help="Minimum distance between distinct boundary solutions."),
 ]
 
 
@@ -109,7 +109,7 @@ def _setting_errors(error: "ValidationError", given: dict[str, Any]) -> list[Fie
 
 
 def program() -> str:
-    """Return how to call `brink` in a hint that can be pasted: by path if it is not on PATH, with its plug-ins."""
+    """Return the `brink` command for use in hints, with its path if it is not on PATH and with its plug-ins."""
     from brink.sim.catalogue import PLUGINS_VARIABLE
 
     called = Path(sys.argv[0])
@@ -123,7 +123,7 @@ def program() -> str:
 
 
 def database_option(settings: "Settings") -> str:
-    """Return the option that names the database in a hint, without its password.
+    """Return the option that names the database in hints, without the password.
 
     Empty for the default database and for that of the environment: the next command finds those by itself.
     """
@@ -165,11 +165,11 @@ def with_api(server: str | None, database: str | None, work: Callable[[Api], Awa
 def delete_confirmed(
     path: str, what: str, *, confirmed: bool, server: str | None, database: str | None
 ) -> None:
-    """Delete a resource after the user has confirmed it.
+    """Delete a resource after the user has confirmed the deletion.
 
     Args:
         path: Path of the resource.
-        what: Name of the resource, for people.
+        what: Description of the resource, for the prompt.
         confirmed: Delete without asking.
         server: URL of the coordinator; None opens the database in this process.
         database: URL of the database; None takes the default one.
@@ -226,7 +226,7 @@ def plain_table(*columns: str, right: Collection[str] = (), title: str | None = 
 
 
 def check_picture(file: Path | None) -> None:
-    """Check the file name of a picture before anything slow starts.
+    """Check the file name of a picture, before any slow work starts.
 
     Raises:
         InvalidInput: The name ends in something other than .png, .svg or .pdf.

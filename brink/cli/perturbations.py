@@ -48,7 +48,7 @@ def _as_json(gene: Gene) -> dict[str, Any]:
 
 
 def _values(gene: Gene) -> str:
-    """Return up to five values, or the first two and the last."""
+    """Return all levels' values as text if there are at most five, otherwise the first two and the last."""
     shown = [f"{value:g}" for value in gene.values]
     return ", ".join(shown) if len(shown) <= 5 else f"{shown[0]}, {shown[1]} … {shown[-1]}"
 
@@ -57,7 +57,7 @@ def _values(gene: Gene) -> str:
 def show(
     out: Annotated[Path, typer.Option(help="File to write: .png or .jpg.")],
     image: Annotated[
-        Path | None, typer.Option(help="Image to perturb (default: a drawn street).", show_default=False)
+        Path | None, typer.Option(help="Image to perturb (default: a synthetic street).", show_default=False)
     ] = None,
     gene: Annotated[
         list[str] | None,
@@ -66,7 +66,7 @@ def show(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random perturbations.")] = 0,
     tile_width: Annotated[int, typer.Option(min=80, max=1920, help="Width of a tile in pixels.")] = 320,
 ) -> None:
-    """Draw a contact sheet: each gene at its lowest, middle and highest level on an image.
+    """Draw a contact sheet of an image perturbed by each gene at its lowest, middle and highest level.
 
     Example: brink perturbations show --image street.jpg --out sheet.png --gene rain --gene smoke
     """

@@ -151,7 +151,7 @@ async def repeat_finished(session: Session, campaign: str, times: int) -> Repeat
 
 
 def _print_repeats(screen: Console, view: RepeatsView) -> None:
-    """Print how many boundary solutions were confirmed, and those most likely to be unsafe."""
+    """Print how many boundary solutions were confirmed, and the solutions most likely to be unsafe."""
     screen.print(repeats_sentence(view), soft_wrap=True)
     evaluated = [one for one in view.solutions if one.evaluated]
     if not evaluated:
@@ -228,7 +228,7 @@ def _draw_repeats(view: RepeatsView, file: Path) -> None:
 
 
 def _around(one: RepeatedSolution) -> tuple[float, float, float] | None:
-    """Return unsafe share and interval of the neighbourhood of a solution."""
+    """Return the unsafe share of a solution's neighbourhood and its interval, or None if unknown."""
     if one.around is None or one.around_low is None or one.around_high is None:
         return None
     return one.around, one.around_low, one.around_high

@@ -54,7 +54,9 @@ def run(
     new: New = False,
     out: Annotated[Path, typer.Option(help="Folder for results and figures.")] = RESULTS,
     pictures: Annotated[bool, typer.Option(help="Draw figures and replays at the end.")] = True,
-    replays: Annotated[int, typer.Option(min=0, max=50, help="Replays of the best boundary solutions.")] = 3,
+    replays: Annotated[
+        int, typer.Option(min=0, max=50, help="Number of boundary solutions to replay, best first.")
+    ] = 3,
     port: Port = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
@@ -153,7 +155,7 @@ class Report:
         boundary: The distinct boundary solutions.
         files: All files written so far.
         control: One sentence for each comparison with a control.
-        findings: Findings besides the boundary.
+        findings: Findings other than the boundary.
     """
 
     boundary: Boundary
@@ -313,5 +315,5 @@ def _print_next(
 
 
 def _about_the_boundary(progress: Progress, boundary: Boundary) -> bool:
-    """Return whether the search looked for the boundary or found some of it, rather than diverse violations."""
+    """Return whether the search looked for the boundary, or found boundary solutions although it did not."""
     return progress.looks_for_boundary or boundary.dbs > 0

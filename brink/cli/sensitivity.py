@@ -68,7 +68,7 @@ def rescore(
 ) -> None:
     """Score a campaign again with other neighbourhood radii (delta) and threshold probabilities (p_th).
 
-    It simulates nothing.
+    No simulations are run.
 
     Example: brink sensitivity rescore 3f2a --picture sensitivity.png
     """
@@ -115,11 +115,13 @@ def rerun(
     seeds: Annotated[int, typer.Option(min=2, max=100, help="Number of searches with each value.")] = 5,
     t_b: Annotated[
         float,
-        typer.Option("--t-b", help="Highest fitness of boundary solutions; one of the paper's."),
+        typer.Option("--t-b", help="Maximum fitness of a boundary solution; one of the paper's values."),
     ] = DEFAULT_T_B,
     d_th: Annotated[
         float,
-        typer.Option("--d-th", help="Smallest distance between distinct solutions; one of the paper's."),
+        typer.Option(
+            "--d-th", help="Minimum distance between distinct solutions; one of the paper's values."
+        ),
     ] = DEFAULT_D_TH,
     workers: Workers = 2,
     database: Database = None,
@@ -130,7 +132,7 @@ def rerun(
     ] = RESULTS,
     as_json: AsJson = False,
 ) -> None:
-    """Search again with several values of a parameter and several seeds, as an experiment, and compare.
+    """Search again with several values of a parameter and several seeds, as an experiment, and compare the results.
 
     Example: brink sensitivity rerun examples/quickstart.yaml --parameter population_size --values 5,10,20 --seeds 5
     """
@@ -198,7 +200,7 @@ def varied(body: CampaignBody, parameter: str, values: list[Any], seeds: int) ->
 
 
 def _values(text: str) -> list[Any]:
-    """Return values in their JSON types: numbers, booleans, otherwise strings."""
+    """Return comma-separated values in their JSON types: numbers, booleans, otherwise strings."""
     found: list[Any] = []
     for part in filter(None, map(str.strip, text.split(","))):
         try:

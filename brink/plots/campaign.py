@@ -48,7 +48,7 @@ DBS_HEIGHT_PX: Final = 620
 
 
 def figure_dbs(inputs: CampaignFigures) -> Figure:
-    """Plot distinct boundary solutions over simulations: a panel per d_th, a line per t_b, strict DBS dashed."""
+    """Plot distinct boundary solutions against simulations: a panel per d_th, a line per t_b, strict DBS dashed."""
     archive = inputs.archive
     p_th = archive.neighbourhood.p_th
     figure = new_figure(
@@ -221,7 +221,7 @@ _TOP_PX, _BOTTOM_PX = 150, 44
 
 
 def figure_parameters(inputs: CampaignFigures) -> Figure:
-    """Plot the unsafe share over each parameter, strongest dependence first: by category, or by bins of equal size.
+    """Plot the unsafe share by each parameter's values (categories or equal-sized bins), strongest dependence first.
 
     Values of inactive parameters are left out. A search does not sample at random, so the figure shows where unsafe
     solutions were found, not why.
@@ -257,7 +257,7 @@ def figure_parameters(inputs: CampaignFigures) -> Figure:
 
 
 def _ceiling(found: list[Dependence], overall: float) -> float:
-    """Return the upper limit of the panels: the highest limit of an interval, rounded up, ignoring tiny groups."""
+    """Return the upper limit of the panels' y axes: the highest interval limit, rounded up, ignoring tiny groups."""
     highest = 0.0 if np.isnan(overall) else overall
     for dependence in found:
         large = dependence.counts >= FEWEST_IN_BIN
@@ -385,7 +385,7 @@ def figure_fronts(
 def recorded_diversities(
     space: SearchSpace, vectors: FloatArray, ends: Sequence[int], config: MultiObjectiveConfig
 ) -> FloatArray:
-    """Return the distance of each solution to the recent ones when it was evaluated.
+    """Return each solution's distance to the solutions that were recent when it was evaluated.
 
     Args:
         space: The search space, which has participants.

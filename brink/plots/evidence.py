@@ -59,11 +59,11 @@ class RepeatedPoint:
 
 
 def figure_repeats(points: Sequence[RepeatedPoint], *, p_th: float, times: str, title: str) -> Figure:
-    """Plot the probability of unsafe of each solution with its interval, in ascending order.
+    """Plot the estimated unsafe probability of each solution with its interval, in ascending order.
 
     Args:
         points: Solutions, at least one.
-        p_th: Probability of unsafe on the boundary.
+        p_th: Unsafe probability that defines the boundary.
         times: Number of simulations of each, in words.
         title: Title of the figure.
     """
@@ -97,7 +97,7 @@ def figure_repeats(points: Sequence[RepeatedPoint], *, p_th: float, times: str, 
     axes.set_ylim(-0.8, max(len(ordered), 12) - 0.2)
     show_percent(axes.xaxis)
     axes.set_yticks(range(len(ordered)), [str(point.number) for point in ordered], fontsize=SMALL_PT)
-    axes.set_xlabel("probability of unsafe")
+    axes.set_xlabel("unsafe probability")
     axes.set_ylabel("solution")
     style_axes(axes, grid="x")
     axes.tick_params(axis="y", labelsize=SMALL_PT)
@@ -125,7 +125,7 @@ def figure_rescored(
     d_th: float,
     title: str,
 ) -> Figure:
-    """Plot DBS and strict DBS of one archive over the radius and over p_th.
+    """Plot DBS and strict DBS of one archive against the radius and against p_th.
 
     Args:
         radii: Counts by radius, ascending.
@@ -145,7 +145,7 @@ def figure_rescored(
     _plot_counts(right, [one.p_th for one in p_ths], [(one.dbs, one.strict_dbs) for one in p_ths])
     for axes, value, name in (
         (left, own[0], "radius of a neighbourhood (delta)"),
-        (right, own[1], "probability of unsafe on the boundary (p_th)"),
+        (right, own[1], "unsafe probability on the boundary (p_th)"),
     ):
         axes.axvline(value, color=MUTED, linewidth=1.2, linestyle="--", zorder=0)
         _finish_counts(axes, name)
@@ -273,7 +273,7 @@ def _plot_calibration(axes: Axes, evaluation: MonitorEvaluation) -> None:
     axes.set_xlim(0, 1)
     axes.set_ylim(0, 1)
     set_panel_title(axes, "Calibration")
-    axes.set_xlabel("predicted probability of unsafe")
+    axes.set_xlabel("predicted unsafe probability")
     axes.set_ylabel("observed unsafe share")
     style_axes(axes, grid="both")
 

@@ -1,4 +1,4 @@
-"""Figures of an experiment: DBS by d_th and by share of the budget, as in Figs. 5 and 6 of the MLCSHE paper.
+"""Figures of an experiment: DBS against d_th and against the share of the budget, as in Figs. 5 and 6 of MLCSHE.
 
 They show means over the seeds with 95% Student intervals; controls are dashed. Source: Sharifi et al. 2023.
 """
@@ -35,7 +35,7 @@ NAMES: Final = {Measure.DBS: "distinct boundary solutions (DBS)", Measure.STRICT
 
 
 def figure_by_distance(repeats: Sequence[Repeat], problem: str, measure: Measure) -> Figure:
-    """Plot DBS over d_th, a panel per t_b (Fig. 5).
+    """Plot DBS against d_th, a panel per t_b (Fig. 5).
 
     Args:
         repeats: Finished campaigns.
@@ -70,7 +70,7 @@ def figure_by_distance(repeats: Sequence[Repeat], problem: str, measure: Measure
 
 
 def figure_by_budget(repeats: Sequence[Repeat], problem: str, measure: Measure, d_th: float = 0.2) -> Figure:
-    """Plot DBS over the share of the budget, a panel per t_b (Fig. 6).
+    """Plot DBS against the share of the budget spent, a panel per t_b (Fig. 6).
 
     Args:
         repeats: Finished campaigns.
@@ -106,7 +106,7 @@ def figure_by_budget(repeats: Sequence[Repeat], problem: str, measure: Measure, 
 
 
 def interval_limits(span: MeanInterval) -> tuple[float, float]:
-    """Return the limits of the interval of a mean count, at least 0; the mean itself for a single value."""
+    """Return the limits of a mean count's interval, clipped at 0; the mean itself for a single value."""
     low, high = span.low, span.high
     return span.mean if low is None else max(0.0, low), span.mean if high is None else high
 

@@ -70,7 +70,7 @@ def style_axes(axes: Axes, *, grid: str = "y") -> None:
 
 
 class EndLabel(NamedTuple):
-    """A label beside the end of a line."""
+    """A label at the end of a line."""
 
     value: float
     text: str
@@ -78,7 +78,7 @@ class EndLabel(NamedTuple):
 
 
 def label_ends(axes: Axes, labels: Sequence[EndLabel], *, apart: float = 0.062) -> None:
-    """Write labels beside the ends of lines, moved apart where they would overlap.
+    """Write labels at the ends of lines, moved apart where they would overlap.
 
     Args:
         axes: Axes with final limits.
@@ -96,7 +96,7 @@ def label_ends(axes: Axes, labels: Sequence[EndLabel], *, apart: float = 0.062) 
 
 
 def _spread(heights: Sequence[float], apart: float) -> list[float]:
-    """Move ascending heights as little as possible so that they are apart and, if there is room, within [0, 1]."""
+    """Move ascending heights as little as possible to be at least `apart` apart and, given room, within [0, 1]."""
     places: list[float] = []
     for height in heights:
         places.append(max(height, places[-1] + apart) if places else max(height, 0.0))
@@ -121,7 +121,7 @@ def set_panel_title(axes: Axes, title: str) -> None:
 
 
 def show_percent(*axes: Axis) -> None:
-    """Label the ticks of axes in whole percent."""
+    """Format axis tick labels as whole percentages."""
     for axis in axes:
         axis.set_major_formatter(PercentFormatter(xmax=1, decimals=0))
 

@@ -24,7 +24,7 @@ COLUMNS: Final = ("time_s", "which", "label", "x_min_px", "x_max_px", "y_min_px"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DetectionCounts:
-    """Numbers of boxes in all samples of an episode.
+    """Numbers of true, detected and matched boxes over all samples of an episode.
 
     Attributes:
         truth: Boxes of the ground truth.
@@ -37,7 +37,7 @@ class DetectionCounts:
     matched: int
 
     def to_columns(self) -> dict[str, int]:
-        """Return the counts, with missed objects and false positives, by their names in tables."""
+        """Return the counts, including missed objects and false positives, by column name."""
         return {
             "seen": self.truth, "said": self.detected, "matched": self.matched,
             "missed": self.truth - self.matched, "invented": self.detected - self.matched,
@@ -45,7 +45,7 @@ class DetectionCounts:
 
 
 def count_detections(trace: Trace) -> DetectionCounts:
-    """Match the detections of an episode with its ground truth."""
+    """Count the detections of an episode that match its ground truth."""
     matched = sum(
         _count_matches(trace.seen_boxes.at(sample), trace.given_boxes.at(sample))
         for sample in range(len(trace.time_s))

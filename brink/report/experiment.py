@@ -135,7 +135,7 @@ def _comparison_text(duel: Duel, first: float, second: float, low: Collection[st
         f"{NAMES[duel.measure]} {first:.1f} against {second:.1f}, A12 {duel.result.a12:.2f} ({duel.size}), "
         f"p {_p_value(duel.result.p_value)}, corrected {_p_value(duel.adjusted)}"
     )
-    other = "beside its control" if duel.second.control else f"and **{duel.second.method}**"
+    other = "compared with its control" if duel.second.control else f"and **{duel.second.method}**"
     return f"**{duel.first.method}** {other}: {figures}; {conclusion(duel, first, second, low)}."
 
 
@@ -228,7 +228,7 @@ def _method(repeats: Sequence[Repeat]) -> str:
         "method's result is due to behaviour.",
         "**Tests**: Mann-Whitney U, two-sided, with Holm's correction over all comparisons of a table; Vargha and "
         "Delaney's A12, called small from .56, medium from .64, large from .71, and likewise below one half.",
-        "Intervals are Student's intervals over the seeds.",
+        "Intervals are Student's t intervals over the seeds.",
     ]
     if low:
         items.append(

@@ -1,7 +1,7 @@
-"""A generational genetic algorithm on whole complete solutions that minimises the boundary fitness of the archive.
+"""A generational genetic algorithm on complete solutions that minimises the boundary fitness of the archive.
 
 It supports any space. Children that were evaluated before stay in the population with their fitness and are not asked
-again. A population that has converged, and so breeds nothing new, is replaced by a random one.
+for again. A population that has converged, and so breeds nothing new, is replaced by a random one.
 
 Source: Sharifi et al. 2023, baseline GA.
 """
@@ -34,12 +34,12 @@ class GeneticAlgorithmConfig(BoundaryConfig):
     """Settings of the genetic algorithm."""
 
     population_size: int = setting(60, help="Complete solutions per generation.", ge=2, le=10_000)
-    crossover_probability: float = setting(0.85, help="Probability that two parents cross.", ge=0, le=1)
-    gene_swap_probability: float = setting(
-        0.5, help="Probability that a gene is swapped when parents cross.", ge=0, le=1
+    crossover_probability: float = setting(
+        0.85, help="Probability that crossover is applied to two parents.", ge=0, le=1
     )
+    gene_swap_probability: float = setting(0.5, help="Probability that crossover swaps a gene.", ge=0, le=1)
     mutation_probability: float = setting(0.01, help="Probability that a gene mutates.", gt=0, le=1)
-    tournament_size: int = setting(3, help="Contestants in each parent selection.", ge=1, le=100)
+    tournament_size: int = setting(3, help="Number of contestants in each tournament.", ge=1, le=100)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,7 +56,7 @@ class GeneticAlgorithmState(LedgerState):
 
 
 class GeneticAlgorithm(LedgerAlgorithm[GeneticAlgorithmConfig, GeneticAlgorithmState]):
-    """Generational, with tournament selection and uniform crossover."""
+    """A generational genetic algorithm with tournament selection and uniform crossover."""
 
     id = "ga@1"
     summary = "Genetic algorithm on whole solutions, towards the hazard boundary."

@@ -1,6 +1,6 @@
 """Common base of the built-in algorithms: the ledger of all candidates, shared settings, and most of the contract.
 
-The ledger records every solution that was ever asked: the archive, failed and measured solutions, and the queue. The
+The ledger records every solution ever asked for: the archive, failed and measured solutions, and the queue. The
 queue is the next or the pending generation. Numbers count from 0 in the order of asking and are not stored: every
 archived, failed or queued solution has used up one. The next generation is planned as soon as the last one is told;
 an empty queue means that the search is over.
@@ -20,18 +20,18 @@ from brink.search.settings import check_settings, setting
 from brink.search.space import FloatArray, SearchSpace, frozen_array
 
 MAX_BREEDINGS: Final = 10
-"""Populations bred without a new solution before a search restarts from a random one."""
+"""Number of populations bred without a new solution before a search restarts from a random one."""
 
 MAX_RESTARTS: Final = 90
-"""Random populations without a new solution before a finite space counts as exhausted."""
+"""Number of random populations without a new solution before a finite space counts as exhausted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoundaryConfig:
     """Settings of every algorithm that searches for the boundary of the p_th-unsafe region."""
 
-    radius: float = setting(0.3, help="Largest distance of a neighbour (delta).", gt=0, le=1)
-    p_th: float = setting(0.1, help="Probability of unsafe on the boundary.", gt=0, lt=1)
+    radius: float = setting(0.3, help="Maximum distance of a neighbour (delta).", gt=0, le=1)
+    p_th: float = setting(0.1, help="Unsafe probability that defines the boundary.", gt=0, lt=1)
     z: float = setting(1.96, help="Quantile of the standard normal for the Wilson interval.", gt=0, le=10)
 
     def __post_init__(self) -> None:
@@ -156,7 +156,7 @@ class Ledger:
         """Return the ledger with the pending generation evaluated and an empty queue.
 
         Raises:
-            OrderError: Nothing is pending, or the numbers are not the pending ones.
+            OrderError: Nothing is pending, or the numbers are not those of the pending candidates.
         """
         self._check_pending(evaluations)
         scored: list[tuple[Candidate, Scored]] = []
@@ -197,7 +197,7 @@ class Ledger:
             )
 
     def fitness_of(self, index: slice, individuals: FloatArray) -> FloatArray:
-        """Return the smallest fitness of all archived solutions that contain each individual.
+        """Return, for each individual, the smallest fitness of the archived solutions that contain it.
 
         Args:
             index: Columns of the individuals in a row.
@@ -324,7 +324,7 @@ def stored_rows(document: Document, name: str, width: int) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LedgerState:
-    """Base of the states of all these algorithms.
+    """Base class of the states of all built-in algorithms.
 
     Attributes:
         ledger: All candidates.
@@ -358,7 +358,7 @@ S = TypeVar("S", bound=LedgerState)
 
 
 class LedgerAlgorithm(Generic[C, S]):
-    """Base of all these algorithms; a subclass implements `tell` and the four hooks.
+    """Base class of all built-in algorithms; a subclass implements `tell` and the four hooks.
 
     Attributes:
         id: Versioned plug-in id.
@@ -373,7 +373,7 @@ class LedgerAlgorithm(Generic[C, S]):
     layout: int = 1
 
     def _min_budget(self, space: SearchSpace, config: C) -> int:
-        """Check space and settings, and return the smallest budget."""
+        """Check space and settings, and return the smallest sufficient budget."""
         raise NotImplementedError
 
     def _first_state(self, ledger: Ledger, config: C) -> S:
@@ -381,11 +381,11 @@ class LedgerAlgorithm(Generic[C, S]):
         raise NotImplementedError
 
     def _content(self, state: S) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Return header and arrays of a state, without its ledger."""
+        """Return the header entries and arrays that store a state, without its ledger."""
         return {}, {}
 
     def _restored(self, ledger: Ledger, config: C, document: Document) -> S:
-        """Return the state of a restored ledger and the document with its `_content`."""
+        """Return the state restored from its ledger and from the document that holds its `_content`."""
         raise NotImplementedError
 
     def check(self, space: SearchSpace, config: C, *, budget: int) -> None:

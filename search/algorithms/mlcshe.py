@@ -49,7 +49,7 @@ class MlcsheConfig(BoundaryConfig):
     partners: int = setting(1, help="Smallest number of partners for each individual (k).", ge=1, le=1_000)
     gene_swap_probability: float = setting(0.5, help="Probability that crossover swaps a gene.", ge=0, le=1)
     mutation_probability: float = setting(1.0, help="Probability that a gene mutates.", gt=0, le=1)
-    tournament_size: int = setting(3, help="Contestants in each parent selection.", ge=1, le=100)
+    tournament_size: int = setting(3, help="Number of contestants in each tournament.", ge=1, le=100)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -97,24 +97,24 @@ class Mlcshe(LedgerAlgorithm[MlcsheConfig, MlcsheState]):
         if len(space.components) != 2:
             names = ", ".join(component.name for component in space.components)
             raise UnsupportedSpace(
-                f"{self.id} joins two populations: expected a space of two components, got {names}; "
-                "ga@1 and random@1 take any space"
+                f"{self.id} evolves two populations: expected a space of two components, got {names}; "
+                "ga@1 and random@1 support any space"
             )
         if config.archive_size >= config.population_size:
             raise ConfigError(
                 "archive_size",
-                f"expected less than population_size, {config.population_size}, to leave room for offspring; "
+                f"expected less than population_size ({config.population_size}), to leave room for offspring; "
                 f"got {config.archive_size}",
             )
         if config.partners > config.population_size:
             raise ConfigError(
                 "partners",
-                f"expected at most population_size, {config.population_size}, got {config.partners}",
+                f"expected at most population_size ({config.population_size}), got {config.partners}",
             )
         return config.population_size**2
 
     def _first_state(self, ledger: Ledger, config: MlcsheConfig) -> MlcsheState:
-        # The whole populations are their own archives, so the first generation joins all pairs.
+        # The whole populations are their own archives, so the first generation combines all pairs.
         first, second = (_random_population(ledger, config, index, attempt=0) for index in range(2))
         rows = ledger.unseen(_collaborations(ledger, config, (first, second), attempt=0))
         return MlcsheState(config=config, ledger=ledger.plan(rows), populations=(first, second))
@@ -183,7 +183,7 @@ def _collaborations(
 
 
 def _further_partners(population: Population, wanted: int, rng: np.random.Generator) -> list[int]:
-    """Return random individuals outside the archive to make up the wanted number of partners."""
+    """Return random individuals from outside the archive that complete the wanted number of partners."""
     lacking = wanted - population.archived
     if lacking <= 0:
         return []

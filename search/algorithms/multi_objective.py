@@ -29,11 +29,11 @@ CRITICALITY: Final = "criticality_m"
 """Objective that a problem must measure: the smallest distance to a violation, negative if violated."""
 ORIGINS: Final = tuple(Origin)
 _MAX_FILLS: Final = 30
-"""Rounds of random draws to fill a generation that breeding could not fill."""
+"""Maximum rounds of random draws to fill a generation that breeding could not fill."""
 
 
 def gap_objective(participant: int) -> str:
-    """Return the name of the objective for a participant's smallest gap to the ego; participants count from 1."""
+    """Return the name of the objective for a participant's smallest gap to the ego; numbers start from 1."""
     return f"gap_{participant}_m"
 
 
@@ -45,7 +45,7 @@ class MultiObjectiveConfig(BoundaryConfig):
         50, help="Solutions in the population, and children per generation.", ge=4, le=1_000
     )
     diversity: str = setting(
-        "mean", help="Diversity is the mean or the smallest distance to recently tried solutions.",
+        "mean", help="Whether diversity is the mean or the smallest distance to recent solutions.",
         choices=("mean", "min"),
     )  # fmt: skip
     lately: int = setting(5, help="Number of generations that count as recent.", ge=1, le=100)
@@ -95,7 +95,7 @@ class History:
         Args:
             candidates: Candidates of the generation.
             evaluations: Their evaluations, by number.
-            origins: Where each comes from.
+            origins: The origin of each candidate.
             generation: Number of the generation.
 
         Raises:
@@ -135,14 +135,14 @@ class History:
         return np.isfinite(self.criticality)
 
     def recent(self, generations: int) -> list[int]:
-        """Return the numbers of the solutions with a verdict in the last generations."""
+        """Return the numbers of the solutions of the last generations that have a verdict."""
         if not len(self):
             return []
         recent = self.generations > self.generations[-1] - generations
         return [int(number) for number in np.flatnonzero(self.has_verdict & recent)]
 
     def origin(self, number: int) -> Origin:
-        """Return where a solution comes from."""
+        """Return the origin of a solution."""
         return ORIGINS[int(self.origins[number])]
 
 
@@ -171,7 +171,7 @@ class MultiObjectiveState(LedgerState):
         history: All solutions told so far.
         population: Numbers of the solutions in the population, best first.
         diversity: Diversity of the population in m, shape ``(n,)``.
-        queue_origins: Where each queued solution comes from.
+        queue_origins: The origin of each queued solution.
         criticality_bounds: Bounds of the criticality over the whole history.
         diversity_bounds: Bounds of the diversity over the whole history.
     """
@@ -206,7 +206,7 @@ class MultiObjectiveState(LedgerState):
 S = TypeVar("S", bound=MultiObjectiveState)
 
 Child: TypeAlias = tuple[FloatArray, Origin]
-"""A row of the space, and where it comes from."""
+"""A row of the space, and its origin."""
 
 
 def empty_state(ledger: Ledger, config: MultiObjectiveConfig) -> MultiObjectiveState:
@@ -228,7 +228,7 @@ def empty_state(ledger: Ledger, config: MultiObjectiveConfig) -> MultiObjectiveS
 
 
 def select_survivors(state: S, evaluations: Mapping[int, Evaluation], genome: TrafficGenome) -> S:
-    """Return the state after a generation, with the best of parents and children as its population.
+    """Return the state after a generation, with the best of the parents and children as its population.
 
     Args:
         state: A state with a pending generation.
@@ -236,7 +236,7 @@ def select_survivors(state: S, evaluations: Mapping[int, Evaluation], genome: Tr
         genome: Genome of the space.
 
     Raises:
-        OrderError: Nothing is pending, or the numbers are not the pending ones.
+        OrderError: Nothing is pending, or the numbers are not those of the pending candidates.
         KeyError: An evaluation lacks the criticality.
     """
     pending = state.ledger.pending
@@ -262,7 +262,7 @@ def select_survivors(state: S, evaluations: Mapping[int, Evaluation], genome: Tr
 def diversities(
     genome: TrafficGenome, history: History, numbers: Sequence[int], config: MultiObjectiveConfig
 ) -> FloatArray:
-    """Return the distance of solutions to recently tried ones, excluding themselves.
+    """Return the distance of each solution to the recently tried solutions other than itself.
 
     Args:
         genome: Genome of the space.
@@ -360,7 +360,7 @@ def child_of(
 
 
 def state_content(state: MultiObjectiveState) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return header and arrays of a state, without its ledger."""
+    """Return the header entries and arrays that store a state, without its ledger."""
     history = state.history
     bounds = [state.criticality_bounds, state.diversity_bounds]
     columns = [history.criticality, history.unsafe, history.generations, history.origins, *history.gaps.T]
@@ -378,7 +378,7 @@ def state_content(state: MultiObjectiveState) -> tuple[dict[str, Any], dict[str,
 
 
 def restored_state(ledger: Ledger, config: MultiObjectiveConfig, document: Document) -> MultiObjectiveState:
-    """Return the state of a restored ledger and a document with its `state_content`.
+    """Return the state restored from its ledger and from a document that holds its `state_content`.
 
     Args:
         ledger: The ledger.
@@ -396,9 +396,9 @@ def restored_state(ledger: Ledger, config: MultiObjectiveConfig, document: Docum
     if not isinstance(population, list) or not all(
         isinstance(number, int) and 0 <= number < len(rows) for number in population
     ):
-        raise DocumentError(f"population: expected numbers of solutions, got {population!r}")
+        raise DocumentError(f"population: expected a list of solution numbers, got {population!r}")
     if len(diversity) != len(population) or len(columns) != len(rows) or len(bounds) != 2:
-        raise DocumentError("expected the same number of entries in every table of the search")
+        raise DocumentError("expected the same number of entries in every array of the search")
     origins = document.header.get("queue_origins")
     if not isinstance(origins, list) or not set(origins) <= set(Origin) or len(origins) != len(ledger.queue):
         raise DocumentError(f"queue_origins: expected one for each queued solution, got {origins!r}")

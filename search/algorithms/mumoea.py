@@ -54,13 +54,13 @@ from brink.search.traffic.variation import (
 _BEST_SHARE: Final = 0.25
 """Participants in the best quarter of the population, on either objective, get small instead of major changes."""
 _COMPARED: Final = 12
-"""How many of the latest solutions, with and without a violation each, a proposal is compared with."""
+"""A proposal is compared with this many of the latest solutions with a violation, and as many without."""
 _SHOWN: Final = 3
-"""How many of the latest solutions, with and without a violation each, a request shows."""
+"""A request shows this many of the latest solutions with a violation, and as many without."""
 
 
 class Want(StrEnum):
-    """Seeds that the search needs next."""
+    """The kind of seeds that the search needs next."""
 
     NOTHING = "nothing"
     INITIAL = "initial"
@@ -97,12 +97,15 @@ class MumoeaConfig(MultiObjectiveConfig):
         help="What counts as progress: a new kind of violation, or a change of the first front.",
     )  # fmt: skip
     stuck_after: int = setting(
-        3, help="Generations in a row without progress that count as stuck (t).", ge=1, le=1_000
+        3, help="Consecutive generations without progress that count as stuck (t).", ge=1, le=1_000
     )
     seeds: int = setting(10, help="Differential seeds per request.", ge=1, le=200)
-    rounds: int = setting(3, help="How often seeds that do not differ enough are sent back.", ge=0, le=10)
+    rounds: int = setting(
+        3, help="How many times seeds that do not differ enough are sent back.", ge=0, le=10
+    )
     least_share: float = setting(
-        0.5, help="Smallest distance of a seed to a violation, as a share of the known solutions' median.", ge=0, le=1
+        0.5, ge=0, le=1,
+        help="Minimum distance of a seed to violating solutions, relative to the median among known solutions.",
     )  # fmt: skip
     weight: float = setting(0.5, help="Weight of criticality in the scalar fitness (w).", ge=0, le=1)
     crossover: str = setting(
@@ -141,7 +144,7 @@ class FitnessRange:
         return not self.low < self.mean < self.high
 
     def threshold(self, c1: float = 0.5, m1: float = 0.5) -> float:
-        """Return the rate from which an operator applies."""
+        """Return the smallest rate at which an operator is applied."""
         return c1 * (self.high - self.mean) + m1 * (self.mean - self.low)
 
 
@@ -246,7 +249,7 @@ _BASE_FIELDS: Final = tuple(field.name for field in fields(MultiObjectiveState))
 
 
 class Mumoea(LedgerAlgorithm[MumoeaConfig, MumoeaState]):
-    """The adaptive search with seeds."""
+    """muMOEA, the adaptive multi-objective search with seeds."""
 
     id = "mumoea@1"
     summary = "muMOEA: adaptive multi-objective search, seeded by patterns or a language model."
@@ -258,7 +261,9 @@ class Mumoea(LedgerAlgorithm[MumoeaConfig, MumoeaState]):
         if config.seeds > config.population_size:
             raise ConfigError("seeds", f"expected at most population_size, got {config.seeds}")
         if config.seeder == "llm" and config.initial == "random" and config.differential == "never":
-            raise ConfigError("seeder", "llm is never asked; expected initial: seeds, or differential seeds")
+            raise ConfigError(
+                "seeder", "llm would never be used: expected initial: seeds, or differential other than never"
+            )
         return config.population_size
 
     def _first_state(self, ledger: Ledger, config: MumoeaConfig) -> MumoeaState:
@@ -289,7 +294,7 @@ class Mumoea(LedgerAlgorithm[MumoeaConfig, MumoeaState]):
         """Return the state after the pending generation was evaluated.
 
         Raises:
-            OrderError: Nothing is pending, or the numbers are not the pending ones.
+            OrderError: Nothing is pending, or the numbers are not those of the pending candidates.
             KeyError: An evaluation lacks the criticality.
         """
         genome = TrafficGenome.of(state.ledger.space)
@@ -337,7 +342,7 @@ class Mumoea(LedgerAlgorithm[MumoeaConfig, MumoeaState]):
             OrderError: No seeds were requested.
         """
         if state.want is Want.NOTHING:
-            raise OrderError("seeded: no seeds are wanted")
+            raise OrderError("seeded: no seeds were requested")
         genome = TrafficGenome.of(state.ledger.space)
         rng = generator(state.ledger.seed, Stream.SEEDS, state.ledger.generation, state.requests)
         # The other components of a seed come from the best solution.
@@ -351,7 +356,7 @@ class Mumoea(LedgerAlgorithm[MumoeaConfig, MumoeaState]):
             seeds = [*children, *_pattern_seeds(genome, missing, rng)]
             return plan_generation(replace(state, want=Want.NOTHING), seeds, genome, rng)
         if not children:
-            # Nobody answered: use patterns, and start no further round.
+            # No proposals came back: use patterns, and start no further round.
             state = replace(state, round=state.config.rounds)
             children = self.heuristic_seeds(genome, state.config.seeds, rng)
         return _with_seeds(state, children, genome)
@@ -574,7 +579,7 @@ class _Breeding:
         return children[:count]
 
     def _children(self, first: int, second: int, rng: np.random.Generator) -> list[Child]:
-        """Cross the best participant of the better parent with a random one of the other parent."""
+        """Return two children: cross the better parent's best participant with a random one of the other parent."""
         if self._fitness[second] > self._fitness[first]:
             first, second = second, first
         mother, father = self._solutions[first], self._solutions[second]
@@ -586,7 +591,7 @@ class _Breeding:
         ]
 
     def _best_participant(self, place: int) -> int:
-        """Return the best participant of a solution on the objective on which the solution ranks best."""
+        """Return a solution's best participant on the objective on which the solution itself ranks best."""
         objectives = self._state.objectives
         ranks = (objectives < objectives[place]).sum(axis=0)
         count = len(self._solutions[place])

@@ -40,7 +40,9 @@ from brink.search.traffic.variation import TrafficGenome, crossed_uniformly, mot
 class Nsga2Config(MultiObjectiveConfig):
     """Settings of NSGA-II."""
 
-    crossover_probability: float = setting(0.8, help="Probability that two parents cross.", ge=0, le=1)
+    crossover_probability: float = setting(
+        0.8, help="Probability that crossover is applied to two parents.", ge=0, le=1
+    )
     mutation_probability: float = setting(0.3, help="Probability that a child mutates.", ge=0, le=1)
 
 
@@ -54,7 +56,7 @@ class MosatConfig(Nsga2Config):
 
 
 class Nsga2(LedgerAlgorithm[Nsga2Config, MultiObjectiveState]):
-    """NSGA-II with fixed rates."""
+    """NSGA-II with fixed crossover and mutation rates."""
 
     id = "nsga2@1"
     summary = "NSGA-II: critical and diverse scenarios of scripted traffic, with fixed rates."
@@ -74,7 +76,7 @@ class Nsga2(LedgerAlgorithm[Nsga2Config, MultiObjectiveState]):
         """Return the state after the pending generation was evaluated.
 
         Raises:
-            OrderError: Nothing is pending, or the numbers are not the pending ones.
+            OrderError: Nothing is pending, or the numbers are not those of the pending candidates.
             KeyError: An evaluation lacks the criticality.
         """
         genome = TrafficGenome.of(state.ledger.space)

@@ -1,4 +1,4 @@
-"""Random search: independent draws without repetition, the baseline of every comparison.
+"""Random search: random draws with duplicates rejected, the baseline for every comparison.
 
 It supports any space. Source: Sharifi et al. 2023, baseline RS.
 """
@@ -32,7 +32,7 @@ class RandomSearchState(LedgerState):
 
 
 class RandomSearch(LedgerAlgorithm[RandomSearchConfig, RandomSearchState]):
-    """Independent draws from the space."""
+    """Random draws from the space, with duplicates rejected."""
 
     id = "random@1"
     summary = "Random search: independent draws from the space."

@@ -1,9 +1,9 @@
 """Repeated simulation of given solutions with different seeds, without any search.
 
-One episode tells whether a solution was unsafe once. The probability that it is unsafe takes repeated episodes with
-other seeds: other pedestrians, other noise, another phase of the traffic lights. Candidate number i is solution
-``i mod n`` of the n given ones. Rounds are complete before the next begins, so a stopped campaign has equally many
-episodes of each solution, to within one.
+One episode tells whether a solution was unsafe once. Estimating the probability that it is unsafe takes repeated
+episodes with other seeds: other pedestrians, other noise, another phase of the traffic lights. Candidate number i is
+solution ``i mod n`` of the n given ones. Each round is completed before the next begins, so a stopped campaign has
+equally many episodes of each solution, to within one.
 
 The archive holds every solution many times, so its neighbourhoods and boundary are meaningless; use `tallied`.
 """
@@ -48,7 +48,7 @@ class RepeatsState(LedgerState):
 
 
 class Repeats(LedgerAlgorithm[RepeatsConfig, RepeatsState]):
-    """The same solutions with different seeds."""
+    """Repeated simulation of the given solutions with different seeds."""
 
     id = "repeat@1"
     summary = "No search: given solutions, each simulated with many seeds."
@@ -87,7 +87,7 @@ def _planned(config: RepeatsConfig, ledger: Ledger) -> RepeatsState:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tallies:
-    """Estimated probability of unsafe for each of n solutions, from its own simulations.
+    """Estimated unsafe probability of each of n solutions, from its own simulations.
 
     Attributes:
         evaluated: Simulations with a verdict, shape ``(n,)``.
@@ -104,7 +104,7 @@ class Tallies:
     high: FloatArray
 
     def contains(self, p_th: float) -> BoolArray:
-        """Return which intervals contain a probability, shape ``(n,)``."""
+        """Return which intervals contain `p_th`, shape ``(n,)``."""
         inside: BoolArray = (self.low <= p_th) & (p_th <= self.high)
         return inside
 

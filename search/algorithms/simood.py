@@ -56,10 +56,12 @@ class SimoodConfig(BoundaryConfig):
     generations: int = setting(20, help="Generations after the first population (g).", ge=0, le=10_000)
     population_size: int = setting(20, help="Individuals in the population (n).", ge=2, le=10_000)
     parents: int = setting(2, help="Parents, and children, per generation (k).", ge=2, le=1_000)
-    crossover_probability: float = setting(0.99, help="Probability that two parents cross.", ge=0, le=1)
+    crossover_probability: float = setting(
+        0.99, help="Probability that crossover is applied to two parents.", ge=0, le=1
+    )
     mutation_probability: float = setting(0.1, help="Probability that a child mutates.", ge=0, le=1)
     omega: float = setting(
-        0.5, help="Weight of intensity: larger values prefer weaker perturbations.", ge=0, le=1
+        0.5, help="Weight of intensity: larger values favour weaker perturbations.", ge=0, le=1
     )
     alpha: str = setting(
         "quality", help="What alpha measures: quality (mAP) or errors.", choices=("quality", "errors")
@@ -72,10 +74,13 @@ class SimoodConfig(BoundaryConfig):
     propose: str = setting(
         "ga", help="How individuals are proposed: bred, or drawn at random.", choices=("ga", "random")
     )
-    finalists: int = setting(5, help="Best individuals that are simulated at the end.", ge=0, le=10_000)
+    finalists: int = setting(5, help="Number of best individuals to simulate at the end.", ge=0, le=10_000)
     repeats: int = setting(3, help="Scenarios in which each finalist is simulated.", ge=1, le=1_000)
     explained: int = setting(
-        5, help="Hazardous finalists whose parts and other orders are also simulated.", ge=0, le=10_000
+        5,
+        help="Number of hazardous finalists whose parts and other orders are also simulated.",
+        ge=0,
+        le=10_000,
     )
 
 
@@ -108,7 +113,7 @@ class SimoodState(LedgerState):
 
 
 class Simood(LedgerAlgorithm[SimoodConfig, SimoodState]):
-    """The genetic algorithm on data, with its finalists in the simulator."""
+    """A genetic algorithm that evaluates individuals on a data set and simulates the finalists."""
 
     id = "simood-ga@1"
     summary = "SiMOOD: perturbations bred on a data set, the best of them simulated."
@@ -120,7 +125,7 @@ class Simood(LedgerAlgorithm[SimoodConfig, SimoodState]):
         if config.parents > config.population_size:
             raise ConfigError("parents", f"expected at most population_size, got {config.parents}")
         if config.evaluate == "data" and not config.finalists:
-            raise ConfigError("finalists", "expected at least 1: data alone gives no verdict")
+            raise ConfigError("finalists", "expected at least 1: a data set alone gives no verdict")
         return config.population_size + _reserve(config, genome)
 
     def _first_state(self, ledger: Ledger, config: SimoodConfig) -> SimoodState:
@@ -141,7 +146,7 @@ class Simood(LedgerAlgorithm[SimoodConfig, SimoodState]):
         """Return the state after the pending generation was evaluated.
 
         Raises:
-            OrderError: Nothing is pending, or the numbers are not the pending ones.
+            OrderError: Nothing is pending, or the numbers are not those of the pending candidates.
             KeyError: An evaluation lacks the objective alpha.
         """
         pending = state.ledger.pending
@@ -171,7 +176,9 @@ class Simood(LedgerAlgorithm[SimoodConfig, SimoodState]):
         if not isinstance(population, list) or not all(
             isinstance(place, int) and 0 <= place < len(individuals) for place in population
         ):
-            raise DocumentError(f"population: expected positions of individuals, got {population!r}")
+            raise DocumentError(
+                f"population: expected a list of positions of individuals, got {population!r}"
+            )
         stage = document.header.get("stage")
         if stage not in set(Stage):
             raise DocumentError(f"stage: expected one of {', '.join(Stage)}, got {stage!r}")

@@ -69,7 +69,7 @@ class BudgetPoint:
 
 
 def has_evidence(archive: Archive) -> BoolArray:
-    """Return which solutions have evidence of a boundary, shape ``(n,)``: an interval around p_th, both verdicts."""
+    """Return which solutions have evidence of a boundary, shape ``(n,)``: an interval with p_th, both verdicts."""
     p_th = archive.neighbourhood.p_th
     straddles = (archive.interval[:, 0] <= p_th) & (p_th <= archive.interval[:, 1])
     mixed = (archive.unsafe_neighbours > 0) & (archive.unsafe_neighbours < archive.neighbours)
@@ -94,7 +94,7 @@ def distinct_boundary(archive: Archive, t_b: float, d_th: float, strict: bool = 
 
 
 def _spread(archive: Archive, order: IndexArray, d_th: float) -> IndexArray:
-    """Return the positions that are at least d_th away from all those taken before them."""
+    """Return the positions that greedy selection in the given order keeps, each at least d_th from all before it."""
     points = archive.metric.points(archive.vectors[order])
     left = np.arange(order.size)
     taken: list[int] = []
@@ -209,11 +209,11 @@ def dbs_by_budget(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rescored:
-    """The boundary of an archive with other settings.
+    """The boundary of an archive, rescored with other settings.
 
     Attributes:
-        radius: Largest distance of a neighbour (delta).
-        p_th: Probability of unsafe on the boundary.
+        radius: Maximum distance of a neighbour (delta).
+        p_th: Unsafe probability that defines the boundary.
         neighbours: Median number of solutions in a neighbourhood.
         near: Solutions with a fitness of at most t_b.
         dbs: DBS.
@@ -233,8 +233,8 @@ def rescored(archive: Archive, *, radius: float | None = None, p_th: float | Non
 
     Args:
         archive: The evaluated solutions.
-        radius: Largest distance of a neighbour, >= 0; None keeps that of the archive.
-        p_th: Probability of unsafe on the boundary, in (0, 1); None keeps that of the archive.
+        radius: Maximum distance of a neighbour, >= 0; None keeps that of the archive.
+        p_th: Unsafe probability that defines the boundary, in (0, 1); None keeps that of the archive.
 
     Raises:
         ValueError: A setting is out of range.
@@ -255,7 +255,7 @@ def by_radius(archive: Archive, radii: Sequence[float], *, t_b: float, d_th: flo
 
     Args:
         archive: The evaluated solutions.
-        radii: Largest distances of a neighbour, >= 0.
+        radii: Maximum distances of a neighbour, >= 0.
         t_b: Largest fitness of a boundary solution.
         d_th: Smallest distance between two boundary solutions.
 
@@ -266,11 +266,11 @@ def by_radius(archive: Archive, radii: Sequence[float], *, t_b: float, d_th: flo
 
 
 def by_p_th(archive: Archive, p_ths: Sequence[float], *, t_b: float, d_th: float) -> list[Rescored]:
-    """Return the boundary for each of several probabilities of unsafe.
+    """Return the boundary for each of several unsafe probabilities p_th.
 
     Args:
         archive: The evaluated solutions.
-        p_ths: Probabilities of unsafe on the boundary, in (0, 1).
+        p_ths: Unsafe probabilities that define the boundary, in (0, 1).
         t_b: Largest fitness of a boundary solution.
         d_th: Smallest distance between two boundary solutions.
 

@@ -45,7 +45,7 @@ class Verdict(NamedTuple):
 
 
 class Tally(NamedTuple):
-    """Number of unsafe simulations out of all."""
+    """Number of unsafe simulations, and number of all simulations."""
 
     unsafe: int
     trials: int
@@ -83,29 +83,29 @@ class Combination:
 
     @property
     def hazardous(self) -> bool:
-        """Whether it is unsafe in at least four of five places."""
+        """Whether the chain is unsafe in at least a share `HAZARDOUS` of its places."""
         return self.tally.share >= HAZARDOUS
 
     @property
     def minimal(self) -> bool:
-        """Whether it is hazardous and no part is."""
+        """Whether the chain is hazardous and none of its parts is."""
         return (
             self.hazardous and self.complete and all(part.share < HAZARDOUS for part in self.parts.values())
         )
 
     @property
     def only_together(self) -> bool:
-        """Whether it is hazardous and every part is safe."""
+        """Whether the chain is hazardous and every part of it is safe."""
         return self.hazardous and self.complete and all(part.share <= SAFE for part in self.parts.values())
 
     @property
     def order_matters(self) -> bool:
-        """Whether it is hazardous and another order is safe."""
+        """Whether the chain is hazardous and another order of its steps is safe."""
         return self.hazardous and any(order.share <= SAFE for order in self.orders.values())
 
 
 def verdicts_by_chain(space: SearchSpace, archive: Archive) -> dict[Chain, dict[bytes, Verdict]]:
-    """Return the verdicts of an archive by chain and place; of repeated solutions, the first.
+    """Return the verdicts of an archive by chain and place; for repeated solutions, the first verdict.
 
     Raises:
         UnsupportedSpace: The space has no slots.

@@ -29,7 +29,7 @@ from brink.search.archive import Archive
 from brink.search.space import FloatArray, SearchSpace
 
 SPREADS: Final = 2.0
-"""Standard deviations of its draws by which a campaign must exceed its control to show an effect of behaviour."""
+"""A campaign shows an effect of behaviour if it exceeds its control by this many standard deviations of the draws."""
 CALIBRATION: Final = 0.15
 """Share by which a control can read low although behaviour has no effect (docs/explanation/mlcshe-results.md)."""
 LEVEL: Final = 0.05
@@ -122,7 +122,7 @@ def rows_of(scores: Scores, *, campaign: str, label: str) -> list[Row]:
 
 
 def control_summaries(rows: Sequence[Row], t_b: float, d_th: float) -> list[str]:
-    """Return a sentence on each campaign with a control.
+    """Return a sentence about each campaign that has a control.
 
     Args:
         rows: The result of `compare`.
@@ -138,7 +138,7 @@ def control_summaries(rows: Sequence[Row], t_b: float, d_th: float) -> list[str]
 
 
 def control_summary(row: Row, control: Row, place: tuple[int, int]) -> str:
-    """Return what a campaign and its control show together, as a sentence.
+    """Return a sentence on what a campaign shows compared with its control.
 
     Args:
         row: Row of the campaign.
@@ -154,9 +154,7 @@ def control_summary(row: Row, control: Row, place: tuple[int, int]) -> str:
     beyond = found - blind
     if beyond > max(SPREADS * float(control.strict_spread[place]), CALIBRATION * blind):
         return f"{facts}: the component's behaviour accounts for about {beyond:.0f} of {found:g}"
-    return (
-        f"{facts}: no more than scenarios and chance give, so this does not show that the component matters"
-    )
+    return f"{facts}: no more than scenarios and chance explain, so this does not show that the component matters"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -172,7 +170,7 @@ class Repeat:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Line:
-    """A method, or its control, on one problem."""
+    """A method, or its control, on one problem: a row of the tables."""
 
     problem: str
     method: str
@@ -180,13 +178,13 @@ class Line:
 
     @property
     def label(self) -> str:
-        """Name of the line."""
+        """Name of the row in tables."""
         return f"{self.method}, control" if self.control else self.method
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Standing:
-    """An entry of Table 1: mean and interval of a line for one pair of thresholds."""
+    """An entry of Table 1: mean and interval of one `Line` for one pair of thresholds."""
 
     line: Line
     measure: Measure
@@ -197,7 +195,7 @@ class Standing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Duel:
-    """An entry of Table 2: one line compared with another for one pair of thresholds.
+    """An entry of Table 2: one `Line` compared with another for one pair of thresholds.
 
     Attributes:
         first: The line whose larger values give an A12 above one half.
@@ -219,12 +217,12 @@ class Duel:
 
     @property
     def size(self) -> str:
-        """The effect size as a word."""
+        """The effect size in words, such as ``medium``."""
         return effect_size(self.result.a12)
 
 
 def lines_of(repeats: Sequence[Repeat]) -> dict[Line, list[tuple[int, Figures]]]:
-    """Return seeds and figures by line: all methods, then all controls."""
+    """Return the seeds and figures of each row of the tables: all methods, then all controls."""
     found: dict[Line, list[tuple[int, Figures]]] = {}
     for repeat in repeats:
         line = Line(problem=repeat.problem, method=repeat.method, control=False)
@@ -237,7 +235,7 @@ def lines_of(repeats: Sequence[Repeat]) -> dict[Line, list[tuple[int, Figures]]]
 
 
 def standings(repeats: Sequence[Repeat]) -> list[Standing]:
-    """Return Table 1: means and 95% intervals for all lines, measures and thresholds."""
+    """Return Table 1: means and 95% confidence intervals for every `Line`, measure and pair of thresholds."""
     return [
         Standing(
             line=line, measure=measure, t_b=t_b, d_th=d_th,
@@ -293,7 +291,7 @@ def _table(
 
 
 def conclusion(duel: Duel, first: float, second: float, low: Collection[str]) -> str:
-    """Return the conclusion from a comparison, as the end of a sentence about its figures.
+    """Return the conclusion from a comparison, worded as the end of a sentence about its figures.
 
     Args:
         duel: The comparison.
@@ -307,10 +305,10 @@ def conclusion(duel: Duel, first: float, second: float, low: Collection[str]) ->
         if duel.first.method in low:
             return "the control reads low here, so this proves nothing"
         if significant and first > second:
-            return f"more than scenarios and chance give: behaviour accounts for {first - second:.1f}"
+            return f"more than scenarios and chance explain: behaviour accounts for {first - second:.1f}"
         if uncorrected and first > second:
-            return f"perhaps more than scenarios and chance give: {chance}"
-        return "no more than scenarios and chance give, as far as these repeats show"
+            return f"perhaps more than scenarios and chance explain: {chance}"
+        return "no more than scenarios and chance explain, as far as these repeats show"
     if not significant:
         return chance if uncorrected else "these repeats show no difference"
     better = duel.first.method if duel.result.a12 > 0.5 else duel.second.method
@@ -318,7 +316,7 @@ def conclusion(duel: Duel, first: float, second: float, low: Collection[str]) ->
 
 
 def with_low_controls(repeats: Sequence[Repeat], problem: str | None = None) -> list[str]:
-    """Return the methods whose control reads low with any seed, on one problem or (None) on any."""
+    """Return the methods whose control reads low for any seed, on the given problem or, if it is None, on any."""
     return sorted(
         {
             one.method

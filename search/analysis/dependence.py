@@ -1,6 +1,6 @@
-"""How verdicts, and the axes of a map, depend on single parameters.
+"""How verdicts, and the axes of a map, depend on individual parameters.
 
-A search does not sample evenly: the unsafe share over a parameter shows where unsafe solutions were found, not how
+A search does not sample evenly: the unsafe share by parameter value shows where unsafe solutions were found, not how
 likely they are.
 """
 
@@ -26,9 +26,9 @@ from brink.search.space import (
 FEWEST_IN_BIN: Final = 15
 MAX_BINS: Final = 8
 FEW_INTEGERS: Final = 9
-"""Largest number of values of an integer that is shown value by value."""
+"""Integers with at most this many values are shown value by value."""
 DETECTABLE: Final = 0.05
-"""Probability that, over all parameters together, one without an effect stands out."""
+"""Probability that any parameter without an effect appears significant, over all parameters together."""
 LEAST_EXPLAINED: Final = 0.25
 """Smallest share of the variance along an axis that the named parameter must explain."""
 LEAST_ACTIVE: Final = 0.8
@@ -37,7 +37,7 @@ LEAST_ACTIVE: Final = 0.8
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ParameterColumn:
-    """The values of one parameter over an archive.
+    """The values of one parameter in an archive.
 
     Attributes:
         component: Name of its component.
@@ -94,7 +94,7 @@ def _active(component: Component, rows: FloatArray) -> BoolArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Dependence:
-    """The unsafe share over the values of one parameter.
+    """The unsafe share by the values of one parameter, and how strong the dependence is.
 
     Attributes:
         column: The parameter.
@@ -201,9 +201,9 @@ class AxisMeaning:
 def axis_meanings(
     space: SearchSpace, vectors: FloatArray, points: FloatArray
 ) -> tuple[AxisMeaning | None, AxisMeaning | None]:
-    """Return the parameter that explains most of each axis of a map, or None if none explains a quarter.
+    """Return, for each axis of a map, the parameter that explains most of it; None if none explains a quarter.
 
-    A category explains the variance between its groups (correlation ratio), a number the squared correlation.
+    The explained share is the correlation ratio for a category, and the squared correlation for a number.
 
     Args:
         space: The search space.

@@ -3,7 +3,7 @@
 Every evaluated solution has a weight that falls with its distance, exp(-sum of w_j d_j) over the parameters j. d_j is
 the difference of two numbers as a share of their range, or 1 for different categories; w_j >= 0 is the weight of the
 parameter. The weights are chosen to minimise the mean log loss when each solution is predicted from all others; most
-become 0. With n the sum of weights and k that of the unsafe solutions, the probability of unsafe is
+become 0. With n the sum of weights and k that of the unsafe solutions, the unsafe probability is
 (k + m) / (n + 1); the overall unsafe share m has the weight of one evaluation. The interval is Wilson's for k of n.
 
 Where few solutions were simulated, n is small, the interval wide and the answer "unknown": a solution is called
@@ -47,12 +47,12 @@ LEVELS: Final = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """Weights tried for each parameter."""
 _START: Final = LEVELS.index(1.0)
 MAX_PREDICTED: Final = 1_000
-"""Largest number of solutions, drawn at random, whose predictions the weights are chosen by."""
+"""Maximum number of solutions, drawn at random, whose predictions determine the weights."""
 MAX_LEARNED: Final = 3_000
-"""Largest number of solutions, drawn at random, that predict them; a fitted monitor uses all solutions."""
+"""Maximum number of solutions, drawn at random, that predict those; a fitted monitor uses all solutions."""
 MAX_SWEEPS: Final = 4
 BLOCK_PAIRS: Final = 1 << 20
-"""Largest number of pairs of solutions compared at a time."""
+"""Maximum number of pairs of solutions compared at a time."""
 
 
 class Answer(StrEnum):
@@ -65,10 +65,10 @@ class Answer(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Risks:
-    """Estimates for m solutions.
+    """Risk estimates for m solutions.
 
     Attributes:
-        probability: Probability of unsafe, shape ``(m,)``.
+        probability: Unsafe probability, shape ``(m,)``.
         low: Lower limit of its interval, shape ``(m,)``.
         high: Upper limit of its interval, shape ``(m,)``.
         neighbours: Total weight of the evaluated solutions around each, in evaluations, shape ``(m,)``.
@@ -80,7 +80,7 @@ class Risks:
     neighbours: FloatArray
 
     def answers(self, threshold: float) -> list[Answer]:
-        """Return the answers for a threshold probability, as decided by the intervals."""
+        """Return the answers for a threshold probability, each decided by the interval."""
         return [
             Answer.UNSAFE if low > threshold else Answer.SAFE if high <= threshold else Answer.UNKNOWN
             for low, high in zip(self.low.tolist(), self.high.tolist(), strict=True)
@@ -89,10 +89,10 @@ class Risks:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Risk:
-    """Estimate for one solution.
+    """Risk estimate for one solution.
 
     Attributes:
-        probability: Probability of unsafe.
+        probability: Unsafe probability.
         low: Lower limit of its interval.
         high: Upper limit of its interval.
         neighbours: Total weight of the evaluated solutions around it, in evaluations.
@@ -139,7 +139,7 @@ class Monitor:
         threshold: float,
         z: float = Z_95,
     ) -> Self:
-        """Return a monitor with given weights.
+        """Return a monitor with the given weights.
 
         Args:
             space: Space of the complete solutions.
@@ -155,7 +155,8 @@ class Monitor:
         rows, verdicts = frozen_array(vectors), frozen_array(unsafe, np.bool_)
         if rows.ndim != 2 or rows.shape[1] != space.dimension or verdicts.shape != rows.shape[:1]:
             raise ValueError(
-                f"expected a verdict for each row of {space.dimension}, got {rows.shape} and {verdicts.shape}"
+                f"expected rows of {space.dimension} numbers and a verdict for each, "
+                f"got shapes {rows.shape} and {verdicts.shape}"
             )
         if not len(rows):
             raise ValueError("expected at least one evaluated solution")
@@ -299,10 +300,10 @@ class Monitor:
 
     @classmethod
     def from_json(cls, text: str) -> Self:
-        """Return the monitor in a JSON document.
+        """Return the monitor stored in a JSON document.
 
         Raises:
-            DocumentError: The text is not a monitor, or of an unknown version.
+            DocumentError: The text is not a monitor, or its version is unknown.
         """
         try:
             document = json.loads(text)
@@ -311,7 +312,9 @@ class Monitor:
         if not isinstance(document, dict) or document.get("format") != FORMAT:
             raise DocumentError(f"expected a document with format {FORMAT!r}")
         if document.get("version") != VERSION:
-            raise DocumentError(f"expected version {VERSION}, got {document.get('version')!r}: fit it again")
+            raise DocumentError(
+                f"expected version {VERSION}, got {document.get('version')!r}: fit the monitor again"
+            )
         try:
             space = SearchSpace(
                 tuple(
@@ -329,7 +332,7 @@ class Monitor:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Return the monitor in a file.
+        """Return the monitor stored in a file.
 
         Raises:
             DocumentError: The file does not contain a monitor.
@@ -354,7 +357,7 @@ def _parameter(described: Mapping[str, Any]) -> Parameter:
 
 
 def _scaled(rows: FloatArray, scales: FloatArray) -> FloatArray:
-    """Return the numbers with a positive weight, scaled so that their differences add up to the exponent."""
+    """Return the numbers with a positive weight, scaled so that their differences sum to the exponent."""
     used = scales > 0
     return np.ascontiguousarray(rows[:, used] * scales[used]) if used.any() else np.zeros((len(rows), 1))
 

@@ -1,4 +1,4 @@
-"""Evaluation of a safety monitor on fresh simulations, with classification metrics, beside two baselines.
+"""Evaluation of a safety monitor on fresh simulations, with classification metrics, compared with two baselines.
 
 The metrics cover discrimination, accuracy, calibration and the cost of alarms. The baselines are the majority, which
 predicts the overall unsafe share everywhere, and gradient-boosted trees on the same parameters (scikit-learn's, with
@@ -31,7 +31,7 @@ class CalibrationBin:
 
     Attributes:
         solutions: Number of solutions.
-        predicted: Mean predicted probability of unsafe.
+        predicted: Mean predicted unsafe probability.
         low: Mean lower limit of the predicted intervals.
         high: Mean upper limit of the predicted intervals.
         observed: Unsafe share.
@@ -55,7 +55,7 @@ class CalibrationBin:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OperatingPoint:
-    """Error rates of an alarm that is raised at every probability from a threshold up.
+    """Error rates of an alarm that is raised if the probability is at least a threshold.
 
     Attributes:
         probability: The threshold.
@@ -75,7 +75,7 @@ class ClassificationMetrics:
     Attributes:
         solutions: Number of solutions.
         unsafe: Number of unsafe solutions.
-        auroc: Probability that an unsafe solution was given a larger probability than a safe one; 0.5 is guessing.
+        auroc: Probability that an unsafe solution was given a higher probability than a safe one; 0.5 is guessing.
         brier: Mean squared error of the probabilities; smaller is better.
         bins: Calibration, ascending by probability, with about equally many solutions in each bin.
     """
@@ -93,7 +93,7 @@ def classification_metrics(
     """Compare predicted probabilities with verdicts.
 
     Args:
-        probability: Predicted probability of unsafe, shape ``(n,)``.
+        probability: Predicted unsafe probability, shape ``(n,)``.
         unsafe: Verdicts, shape ``(n,)``; both must occur.
         low: Lower limits of the predicted intervals, shape ``(n,)``; None for the probabilities themselves.
         high: Upper limits of the predicted intervals, shape ``(n,)``; None for the probabilities themselves.
@@ -137,7 +137,7 @@ def operating_points(
     """Return the trade-off between missed hazards and false alarms.
 
     Args:
-        probability: Predicted probability of unsafe, shape ``(n,)``.
+        probability: Predicted unsafe probability, shape ``(n,)``.
         unsafe: Verdicts, shape ``(n,)``; both must occur.
         at: Thresholds, in any order; None for all predicted probabilities, descending.
     """
@@ -154,7 +154,7 @@ def operating_points(
 
 
 def fewest_false_alarms(points: Sequence[OperatingPoint], missed: float) -> OperatingPoint:
-    """Return the point with the fewest false alarms among those that miss at most a share of the hazards.
+    """Return the point with the fewest false alarms among those that miss at most the given share of hazards.
 
     Raises:
         ValueError: Every point misses more.
@@ -167,7 +167,7 @@ def fewest_false_alarms(points: Sequence[OperatingPoint], missed: float) -> Oper
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Predictor:
-    """A predictor with its quality.
+    """A predictor, with its metrics and error rates.
 
     Attributes:
         name: Its name.
@@ -182,7 +182,7 @@ class Predictor:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnswerCount:
-    """How often a monitor gave an answer, and how often that solution was unsafe.
+    """Number of solutions for which a monitor gave one of its answers, and how many of them were unsafe.
 
     Attributes:
         answer: The answer.
@@ -243,7 +243,7 @@ def _bin_json(part: CalibrationBin) -> dict[str, Any]:
 def evaluate_monitor(
     monitor: Monitor, vectors: FloatArray, unsafe: BoolArray, *, seed: int = 1
 ) -> MonitorEvaluation:
-    """Evaluate a monitor, the majority and gradient-boosted trees on fresh simulations.
+    """Evaluate a monitor and its baselines (the majority, gradient-boosted trees) on fresh simulations.
 
     Args:
         monitor: The monitor; the baselines learn from the same solutions.

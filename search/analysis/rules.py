@@ -1,4 +1,4 @@
-"""A region of solutions in words: the rules of a shallow decision tree over the parameters, and their accuracy.
+"""A region of solutions described by the rules of a shallow decision tree, with the accuracy of the rules.
 
 The region is, for example, the unsafe solutions or those on the boundary. The accuracy is cross-validated by scenario
 (the first component): solutions with the same scenario are never in both training and test set, so that a tree gains
@@ -27,7 +27,7 @@ FOLDS: Final = 5
 USELESS: Final = 0.55
 """Balanced accuracy up to which rules are useless; guessing gives .50."""
 LEAST_LEAF: Final = 15
-"""Smallest number of solutions of a rule."""
+"""Minimum number of solutions per rule."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +50,7 @@ class Rule:
 
     @property
     def share(self) -> float:
-        """Share of its solutions in the region."""
+        """Share of the rule's solutions that are in the region."""
         return self.inside / self.solutions
 
 
@@ -83,7 +83,7 @@ class Rules:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Feature:
-    """A column that a tree may split: a number, or whether a category has a certain choice."""
+    """A column that a tree may split on: a number, or whether a category has a certain choice."""
 
     name: str
     parameter: Parameter
@@ -114,7 +114,7 @@ def region_rules(archive: Archive, space: SearchSpace, inside: BoolArray, region
     if find_spec("sklearn") is None:
         raise MissingExtra(f"rules need scikit-learn, which is not installed: {install_command('analysis')}")
     if inside.all() or not inside.any():
-        raise ValueError(f"{region}: expected some solutions inside and some outside")
+        raise ValueError(f"{region}: expected some solutions inside and some outside the region")
     from sklearn.tree import DecisionTreeClassifier  # optional, and slow to import
 
     features = _features(space)
@@ -273,7 +273,7 @@ def rules_markdown(found: Sequence[Rules]) -> str:
 
 
 def trust(one: Rules) -> str:
-    """Return how far the rules can be trusted, in words."""
+    """Return a description of how far the rules can be trusted."""
     if one.accuracy is None:
         return "Too few solutions to cross-validate the rules."
     useful = one.balanced is not None and one.balanced > USELESS

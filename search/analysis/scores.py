@@ -1,4 +1,4 @@
-"""Scores of a campaign: DBS and strict DBS at shares of its budget, beside those of a behaviour-blind control.
+"""Scores of a campaign: DBS and strict DBS at shares of its budget, and those of a behaviour-blind control.
 
 A control has the same solutions with verdicts that ignore the behaviour. `ScenarioRisk` estimates from an archive the
 probability that a solution is unsafe, given its scenario alone; a control redraws every verdict independently with
@@ -58,7 +58,7 @@ class ScenarioRisk:
         evaluated: Evaluated solutions per scenario, shape ``(s,)``.
         unsafe: Unsafe solutions per scenario, shape ``(s,)``.
         shrinkage: Weight of similar scenarios, in evaluations, > 0.
-        bandwidth: Reach of similarity, in distance between scenarios, > 0.
+        bandwidth: Distance at which the similarity of scenarios has fallen by a factor of e, > 0.
     """
 
     metric: Metric
@@ -79,14 +79,14 @@ class ScenarioRisk:
         shrinkage: float = SHRINKAGE,
         bandwidth: float = BANDWIDTH,
     ) -> Self:
-        """Estimate the risk of scenarios from an archive.
+        """Fit the risk of scenarios to an archive.
 
         Args:
             archive: An archive with at least one solution.
             space: The archive's space.
             scenario: Position of the scenario component.
             shrinkage: Weight of similar scenarios, in evaluations, > 0.
-            bandwidth: Reach of similarity, in distance between scenarios, > 0.
+            bandwidth: Distance at which the similarity of scenarios has fallen by a factor of e, > 0.
 
         Raises:
             ValueError: The archive is empty, or a setting is not positive.
@@ -113,7 +113,7 @@ class ScenarioRisk:
         return float(self.evaluated.mean())
 
     def probability(self, scenarios: FloatArray) -> FloatArray:
-        """Return the probability of unsafe for known or new scenarios, shape ``(m, d)`` to ``(m,)``."""
+        """Return the unsafe probability of known or new scenarios, shape ``(m, d)`` to ``(m,)``."""
         different, which = np.unique(scenarios, axis=0, return_inverse=True)
         probability = np.empty(len(different))
         mean = self.unsafe.sum() / self.evaluated.sum()
@@ -134,7 +134,7 @@ class ScenarioRisk:
 def blind_archive(archive: Archive, risk: ScenarioRisk, *, seed: int, draw: int = 0) -> Archive:
     """Return an archive of the same solutions with redrawn verdicts that ignore the behaviour.
 
-    The robustness of a solution becomes a uniform draw minus its probability of unsafe.
+    The robustness of a solution becomes a uniform draw minus its unsafe probability.
 
     Args:
         archive: The evaluated solutions.
@@ -162,7 +162,7 @@ class Figures:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Control:
-    """Scores of the control of a campaign.
+    """Scores of a campaign's control.
 
     Attributes:
         figures: Means over `DRAWS` draws.

@@ -1,4 +1,4 @@
-"""Similar solutions: a map of an archive, with similar solutions close together, and the nearest ones to a solution.
+"""A map of an archive, with similar solutions close together, and the solutions nearest to a given one.
 
 The map is a classical (Torgerson) scaling of the distances. For more than `EXACT_POINTS` solutions it is fitted to
 landmarks, spread evenly over the archive, and all solutions are placed by their distances to these. A fitted map can
@@ -27,7 +27,7 @@ class Projection:
 
     Attributes:
         metric: Distance between complete solutions.
-        landmarks: Solutions that others are placed by, shape ``(k, d)``.
+        landmarks: Solutions from whose distances all others are placed, shape ``(k, d)``.
         centre: Mean squared distance from the landmarks to each of them, shape ``(k,)``.
         scale: Shift along each axis per squared distance to each landmark, shape ``(k, 2)``.
         explained: Share of the squared distances shown by the map, in [0, 1]; the rest is outside the plane.
@@ -83,7 +83,7 @@ class Projection:
         )
 
     def placed(self, vectors: FloatArray) -> FloatArray:
-        """Return the points of solutions on the map, in units of the metric, shape ``(n, d)`` to ``(n, 2)``."""
+        """Return the positions of solutions on the map, in units of the metric, shape ``(n, d)`` to ``(n, 2)``."""
         points = np.zeros((len(vectors), 2))
         if not len(self.landmarks):
             return points
@@ -122,7 +122,7 @@ def embedded(archive: Archive, *, exact_points: int = EXACT_POINTS, landmarks: i
 
 
 def _principal_axes(squared: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Return the two largest eigenvalues of the doubly centred matrix, their vectors, and its trace."""
+    """Return the two largest eigenvalues of the doubly centred matrix, their eigenvectors, and the trace."""
     from scipy import linalg  # slow to import
 
     centred = -0.5 * (squared - squared.mean(axis=0) - squared.mean(axis=1)[:, None] + squared.mean())
@@ -135,7 +135,7 @@ def _principal_axes(squared: FloatArray) -> tuple[FloatArray, FloatArray, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Nearest:
-    """The solutions nearest to a solution, nearest first.
+    """The nearest neighbours of a solution, nearest first.
 
     Attributes:
         positions: Positions in the archive, shape ``(k,)``.
@@ -147,14 +147,14 @@ class Nearest:
 
 
 def nearest_solutions(archive: Archive, position: int, count: int) -> Nearest:
-    """Return the solutions nearest to one, without itself; on ties, the lower number first.
+    """Return the solutions nearest to a given one, excluding itself; ties are in ascending order of number.
 
     This computes one row of distances: a tenth of a second for 100,000 solutions.
 
     Args:
         archive: The evaluated solutions.
         position: Position of the solution in the archive.
-        count: Largest number of solutions to return, >= 0.
+        count: Maximum number of solutions to return, >= 0.
     """
     distances = archive.distances([position], np.arange(len(archive)))[0]
     others = np.flatnonzero(np.arange(len(archive)) != position)

@@ -33,7 +33,7 @@ class Comparison:
     """Effect size and significance of the difference between two methods.
 
     Attributes:
-        a12: Probability that a value of the first method exceeds one of the second, ties counted half.
+        a12: Probability that a value of the first method exceeds one of the second, counting ties as one half.
         u: Mann-Whitney U of the first method.
         p_value: Two-sided p-value of U.
     """
@@ -44,13 +44,16 @@ class Comparison:
 
 
 def mean_interval(values: Sequence[float], confidence: float = 0.95) -> MeanInterval:
-    """Return the mean and its Student interval.
+    """Return the mean and its confidence interval by Student's t distribution.
 
     Raises:
-        ValueError: There are no values, or the confidence is not in (0, 1).
+        ValueError: There are no values, or the confidence level is not in (0, 1).
     """
     if not len(values) or not 0 < confidence < 1:
-        raise ValueError(f"expected values and a confidence in (0, 1), got {len(values)} and {confidence!r}")
+        raise ValueError(
+            f"expected at least one value and a confidence level in (0, 1); "
+            f"got {len(values)} values and confidence {confidence!r}"
+        )
     sample = np.asarray(values, np.float64)
     mean = float(sample.mean())
     if sample.size == 1:
@@ -64,7 +67,7 @@ def mean_interval(values: Sequence[float], confidence: float = 0.95) -> MeanInte
 
 
 def a12(first: Sequence[float], second: Sequence[float]) -> float:
-    """Return the probability that a value of the first sample exceeds one of the second, ties counted half.
+    """Return the probability that a value of the first sample exceeds one of the second, counting ties as one half.
 
     Raises:
         ValueError: A sample is empty.
@@ -96,7 +99,7 @@ SIZES = ((0.71, "large"), (0.64, "medium"), (0.56, "small"))
 
 
 def effect_size(effect: float) -> str:
-    """Return the size of an A12 in either direction: ``negligible``, ``small``, ``medium`` or ``large``.
+    """Return the effect size of an A12 in either direction: ``negligible``, ``small``, ``medium`` or ``large``.
 
     Raises:
         ValueError: It is not in [0, 1].

@@ -28,10 +28,10 @@ SECTORS: Final = ("front", "front left", "left", "rear left", "rear", "rear righ
 """Sectors around the ego, counter-clockwise, 45 degrees each; ``front`` is centred straight ahead."""
 
 NEIGHBOURS: Final = 3
-"""Points that make a neighbourhood dense (min_samples), including the point itself."""
+"""Minimum number of points in a dense neighbourhood (min_samples), including the point itself."""
 
 REACH: Final = 1.0
-"""Largest distance of neighbours (eps), in scaled circumstances."""
+"""Maximum distance between neighbours (eps), in scaled circumstances."""
 
 _STANDS_MPS: Final = 0.3
 _BRAKES_MPS2: Final = -1.5
@@ -179,7 +179,7 @@ class FoundViolation:
     Attributes:
         number: Number of the solution.
         circumstances: Circumstances reported by the simulator.
-        signature: Type by the rules.
+        signature: Type according to the rules.
         name: Type assigned by a person, or None.
     """
 
@@ -242,7 +242,7 @@ def dbscan(points: FloatArray, reach: float = REACH, neighbours: int = NEIGHBOUR
 
     Args:
         points: Shape ``(n, d)``.
-        reach: Largest distance of neighbours (eps).
+        reach: Maximum distance between neighbours (eps).
         neighbours: Neighbours that make a point a core point, including itself (min_samples).
 
     Returns:
@@ -272,6 +272,6 @@ def dbscan(points: FloatArray, reach: float = REACH, neighbours: int = NEIGHBOUR
 
 
 def instances(violations: Sequence[Mapping[str, Any]]) -> int:
-    """Return the number of distinct instances among violations of one type: clusters plus single violations."""
+    """Return the number of distinct instances among violations of one type: clusters plus unclustered ones."""
     labels = dbscan(np.array([scaled_circumstances(violation) for violation in violations]))
     return int(labels.max(initial=-1) + 1 + np.count_nonzero(labels < 0))

@@ -1,4 +1,4 @@
-"""The constraint on a component of traffic participants, set by the road, the kinds and the actions.
+"""The constraint on a component of traffic participants, which depends on the road, the kinds and the actions.
 
 What `Participants.repair` returns can always be driven: the participants come first and empty places last; everyone
 starts on a lane, a pavement or a side street, clear of all others; and every action fits its participant's kind.
@@ -35,13 +35,13 @@ from brink.search.traffic.participants import (
 
 ALONG_M = 1.0
 ACROSS_M = 0.3
-"""Least gaps between participants at the start, along and across the road."""
+"""Minimum gaps between participants at the start, along and across the road."""
 
 KERB_ROOM_M = 0.35
-"""Least distance of pedestrians from the edges of a pavement."""
+"""Minimum distance of pedestrians from the edges of a pavement."""
 
 WAITS_M = 5.0
-"""Least distance of vehicles in a side street from the kerb line at the start."""
+"""Minimum distance of vehicles in a side street from the kerb line at the start."""
 
 _NO_ACTION = 0
 _FILLER_S = 2.0
@@ -64,7 +64,7 @@ class Start:
 
     @property
     def across(self) -> bool:
-        """Whether it heads across the road."""
+        """Whether the participant heads across the road."""
         return abs(math.cos(self.dyaw_rad)) < 0.5
 
 
@@ -73,7 +73,7 @@ def nearest_start(kind: Kind, start: Start, road: RoadLimits) -> Start:
 
     Args:
         kind: Kind of the participant.
-        start: The start it should have.
+        start: The wanted start.
         road: The road.
     """
     ds_m = min(max(start.ds_m, -REACH_M), REACH_M)
@@ -175,7 +175,7 @@ def _alternatives(kind: Kind, start: Start, road: RoadLimits) -> Iterator[Start]
 
 @dataclass(frozen=True, slots=True)
 class Participants:
-    """Constraint of a component made of traffic participants; it owns all parameters of the component.
+    """Constraint on a component of traffic participants; it owns all parameters of the component.
 
     Attributes:
         count: Largest number of participants.
@@ -189,13 +189,13 @@ class Participants:
 
     def __post_init__(self) -> None:
         if not 1 <= self.count <= MAX_PARTICIPANTS:
-            raise SpaceError(f"Participants: expected 1 to {MAX_PARTICIPANTS}, got {self.count!r}")
+            raise SpaceError(f"Participants: expected a count of 1 to {MAX_PARTICIPANTS}, got {self.count!r}")
         places = tuple(ParameterNames.of(index) for index in range(1, self.count + 1))
         object.__setattr__(self, "places", places)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters that it owns."""
+        """Names of the parameters that the constraint owns."""
         return tuple(name for place in self.places for name in place.all)
 
     def fit(self, parameters: Mapping[str, Parameter]) -> None:
@@ -248,7 +248,7 @@ class Participants:
         for name in self.names:
             if values[name] != repaired[name]:
                 expected = parameters[name].decode(repaired[name])
-                return f"expected {name} to be {expected!r} with the other values, got {values[name]!r}"
+                return f"expected {name} to be {expected!r} given the other values, got {values[name]!r}"
         return None
 
     def describe(self) -> dict[str, Any]:
@@ -262,7 +262,7 @@ class Participants:
         return tuple(participant for participant in decoded if participant is not None)
 
     def encode(self, participants: Solution) -> FloatArray:
-        """Return the vector of participants; it may need repair.
+        """Return the vector that encodes participants; it may need repair.
 
         Raises:
             SpaceError: There are too many participants, or one has too many actions.
@@ -310,7 +310,7 @@ def participants_component(name: str, count: int, road: RoadLimits) -> Component
 
 
 def participants_of(space: SearchSpace) -> tuple[int, Participants]:
-    """Return the position of the component of participants, and its constraint.
+    """Return the index of the traffic-participants component and the component's `Participants` constraint.
 
     Raises:
         UnsupportedSpace: The space has no such component.
@@ -319,4 +319,4 @@ def participants_of(space: SearchSpace) -> tuple[int, Participants]:
         for rule in component.constraints:
             if isinstance(rule, Participants) and len(rule.names) == component.dimension:
                 return index, rule
-    raise UnsupportedSpace("expected a component of traffic participants with timed actions")
+    raise UnsupportedSpace("expected a space with a component of traffic participants with timed actions")

@@ -140,7 +140,7 @@ class _Mover:
 
     @property
     def _is_crossing(self) -> bool:
-        """Whether it is a pedestrian on the carriageway, who keeps walking to the other side in any case."""
+        """Whether this is a pedestrian on the carriageway, who always keeps walking to the other side."""
         return self._kind is Kind.PEDESTRIAN and self._road.on_carriageway(self._d_m)
 
     def _cross(self, index: int, duration_s: float, speed: float) -> None:
@@ -152,7 +152,7 @@ class _Mover:
         self._move(index, duration_s, 0.0)
 
     def _move(self, index: int, duration_s: float, accel_mps2: float, aside_m: float = 0.0) -> None:
-        """Add one stretch until the top speed or a standstill, and one at the final speed."""
+        """Add a stretch until the top speed or a standstill is reached, and another for the remaining time."""
         if aside_m:
             aside_m = self._limited_step(aside_m)
         fastest = MAX_SPEEDS_MPS[self._kind]
@@ -186,7 +186,7 @@ class _Mover:
             self._append(index, waits_s, 0.0, 0.0, 0.0)
 
     def _until_edge(self, lasts_s: float, accel_mps2: float) -> tuple[float, float]:
-        """Return how long a pedestrian walks until the far edge of the pavement, and how long they wait there."""
+        """Return how long a pedestrian walks to the far edge of the pavement, and how long they then wait there."""
         if self._kind is not Kind.PEDESTRIAN or not _direction(self._heading_rad)[1]:
             return lasts_s, 0.0
         road = self._road
@@ -270,7 +270,7 @@ class Rollouts:
 
 
 def trajectory_distances(first: Rollouts, second: Rollouts) -> tuple[FloatArray, FloatArray]:
-    """Return the distance TD of all pairs of participants, and the number of waypoints that each sums over.
+    """Return the distance TD for all pairs of participants, and the number of waypoints that each sum covers.
 
     TD sums the distances between the waypoints of the actions that both participants have.
 
@@ -285,7 +285,7 @@ def trajectory_distances(first: Rollouts, second: Rollouts) -> tuple[FloatArray,
 
 
 def encounter_distances(first: Rollouts, second: Rollouts) -> FloatArray:
-    """Return the distance ED of all pairs of solutions: the mean of TD over all pairs of their participants.
+    """Return the distance ED for all pairs of solutions: the mean of TD over all pairs of their participants.
 
     Returns:
         Distances in m, shape ``(n, m)``.
@@ -298,7 +298,7 @@ def encounter_distances(first: Rollouts, second: Rollouts) -> FloatArray:
 
 
 def participant_distances(first: Rollouts, second: Rollouts) -> FloatArray:
-    """Return the mean TD of each participant to all participants of the second solutions.
+    """Return the mean TD from each participant of `first` to all participants of `second`.
 
     Returns:
         Distances in m, NaN for a missing participant, shape ``(n, p)``.
@@ -318,9 +318,10 @@ def _blocks(rows: int, columns: int) -> Iterator[tuple[slice, slice]]:
 
 
 def matched_distance(first: Rollouts, second: Rollouts) -> float:
-    """Return the distance of two solutions under the best one-to-one matching; 0 for equal solutions.
+    """Return the distance between two solutions under the best one-to-one matching of their participants.
 
     The distance of a matched pair is its mean distance per waypoint; an unmatched participant counts `UNMATCHED_M`.
+    Identical solutions have the distance 0.
 
     Args:
         first: Roll-out of one solution.
@@ -341,7 +342,7 @@ def matched_distance(first: Rollouts, second: Rollouts) -> float:
 
 
 def matched_distances(first: Rollouts, second: Rollouts) -> FloatArray:
-    """Return `matched_distance` of all pairs of solutions, in m, shape ``(n, m)``."""
+    """Return `matched_distance` for all pairs of solutions, in m, shape ``(n, m)``."""
     return np.array(
         [
             [matched_distance(first.take([row]), second.take([column])) for column in range(len(second))]

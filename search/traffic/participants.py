@@ -54,7 +54,7 @@ class RoadLimits:
     def __post_init__(self) -> None:
         if not self.lane_width_m >= 2.5 or self.strip_m < 0 or not self.pavement_m >= 1.0:
             raise SpaceError(
-                "RoadLimits: expected lanes of 2.5 m or more, a strip of 0 or more, pavements of 1 or more"
+                "RoadLimits: expected lanes of at least 2.5 m, strips of at least 0 m and pavements of at least 1 m"
             )
 
     @property
@@ -72,7 +72,7 @@ class RoadLimits:
         return self.right_kerb_m < offset_m < self.left_kerb_m
 
     def street_lane(self, station_m: float, offset_m: float) -> float | None:
-        """Return the station of the lane towards the road in the nearest crossing street; None if out of reach."""
+        """Return the station of the nearest lane that leads from a crossing street to the road; None without one."""
         half_m = (-0.5 if offset_m > 0 else 0.5) * self.lane_width_m
         lanes_m = [middle_m + half_m for middle_m in self.streets_m if abs(middle_m + half_m) <= REACH_M]
         return min(lanes_m, key=lambda lane_m: abs(lane_m - station_m), default=None)
@@ -185,7 +185,7 @@ class Participant:
 
     @property
     def on_foot(self) -> bool:
-        """Whether it is a pedestrian."""
+        """Whether the participant is a pedestrian."""
         return self.kind is Kind.PEDESTRIAN
 
 
@@ -229,7 +229,7 @@ class ParameterNames:
 
     @classmethod
     def of(cls, index: int) -> "ParameterNames":
-        """Return the names for a participant; participants count from 1."""
+        """Return the names for a participant; participants are numbered from 1."""
         prefix = f"p{index}."
         return cls(
             kind=prefix + "kind",

@@ -1,4 +1,4 @@
-"""Random solutions of traffic participants: hand-written patterns, mutation and crossover, and their rows in a space.
+"""Random solutions of traffic participants: patterns, mutation and crossover, and conversion to rows of a space.
 
 All functions are pure; what they return may need repair. `TrafficGenome` repairs solutions and converts them to and
 from rows of a search space.
@@ -55,7 +55,7 @@ class TrafficGenome:
 
     Attributes:
         space: The space.
-        index: Position of the component of participants.
+        index: Index of the traffic-participants component.
         rule: Its constraint.
     """
 
@@ -169,7 +169,7 @@ def small_change(participant: Participant, rng: np.random.Generator) -> Particip
 
 
 def major_change(participant: Participant, rng: np.random.Generator) -> Participant:
-    """Return a participant with its actions shuffled, one inserted, or all replaced from a random one on."""
+    """Return a participant with a shifted start, and actions shuffled, inserted, or replaced from a random one on."""
     genes = list(participant.genes)
     choice = int(rng.integers(3))
     if choice == 0 and len(genes) > 1:
@@ -277,7 +277,7 @@ def mutated_randomly(
 
 
 def _gene(action: Action, low_s: float, high_s: float, rng: np.random.Generator, least: float = 0.0) -> Gene:
-    """Draw an action: duration in a range, magnitude from the share `least` of its range up."""
+    """Draw an action's duration from a range, and its magnitude from the range that starts at the share `least`."""
     return Gene(
         action=action,
         duration_s=float(np.clip(rng.uniform(low_s, high_s), MIN_DURATION_S, MAX_DURATION_S)),

@@ -197,7 +197,7 @@ def test_impossible_counts_are_rejected(unsafe: int, evaluated: int) -> None:
 
 
 def test_fractional_counts_are_rejected() -> None:
-    with pytest.raises(ValueError, match="whole counts"):
+    with pytest.raises(ValueError, match="integer counts"):
         wilson_interval(np.array([0.5]), np.array([3]))
 
 

@@ -1,4 +1,4 @@
-"""Conclusions in words: a campaign beside its control, and methods compared over repeats."""
+"""Conclusions in words: a campaign compared with its control, and methods compared over repeats."""
 
 import numpy as np
 import pytest
@@ -22,8 +22,8 @@ def row(strict: float, *, spread: float = 0.0, repeats: float | None = None) -> 
     ("found", "blind", "spread", "repeats", "expected"),
     [
         (39, 33.0, 0.5, 6.0, "accounts for about 6 of 39"),
-        (39, 33.0, 4.0, 6.0, "no more than scenarios and chance give"),  # within the draws' spread
-        (37, 33.0, 0.0, 6.0, "no more than scenarios and chance give"),  # within the control's own error
+        (39, 33.0, 4.0, 6.0, "no more than scenarios and chance explain"),  # within the draws' spread
+        (37, 33.0, 0.0, 6.0, "no more than scenarios and chance explain"),  # within the control's own error
         (7, 2.0, 0.6, 4.0, "accounts for about 5 of 7"),
         (16, 0.6, 0.5, 1.1, "proves nothing"),
         (0, 0.0, 0.0, 6.0, "nothing to attribute"),
@@ -67,7 +67,7 @@ def duel(second: Line, p: float, adjusted: float, a12: float) -> Duel:
         (RS, 0.001, 0.01, 0.9, ("GA",), "GA finds more"),  # its control does not matter here
         (GA_CONTROL, 0.001, 0.01, 0.9, (), "behaviour accounts for 5.0"),
         (GA_CONTROL, 0.01, 0.2, 0.9, (), "it may be chance"),
-        (GA_CONTROL, 0.3, 1.0, 0.6, (), "no more than scenarios and chance give"),
+        (GA_CONTROL, 0.3, 1.0, 0.6, (), "no more than scenarios and chance explain"),
         (GA_CONTROL, 0.001, 0.01, 0.9, ("GA",), "proves nothing"),
     ],
 )

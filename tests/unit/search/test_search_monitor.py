@@ -128,7 +128,7 @@ def test_fitting_on_a_random_subset_is_reproducible(monkeypatch: pytest.MonkeyPa
     [
         ("{", "expected a monitor"),
         ("[]", "format 'brink-monitor'"),
-        ('{"format": "brink-monitor", "version": 1}', "expected version 2, got 1: fit it again"),
+        ('{"format": "brink-monitor", "version": 1}', "expected version 2, got 1: fit the monitor again"),
         ('{"format": "brink-monitor", "version": 2}', "expected a monitor: KeyError"),
     ],
 )

@@ -263,7 +263,7 @@ def test_missing_and_unknown_components_and_parameters_are_named() -> None:
         SPACE.encode(values)
     with pytest.raises(SpaceError, match="behaviour: missing component"):
         SPACE.encode({"scenario": valid()["scenario"]})
-    with pytest.raises(SpaceError, match="behaviour: expected its parameters by name, got 3"):
+    with pytest.raises(SpaceError, match="behaviour: expected an object of its parameters by name, got 3"):
         SPACE.encode({**valid(), "behaviour": 3})  # type: ignore[dict-item]
     with pytest.raises(SpaceError, match="scenari: unknown component; did you mean 'scenario'"):
         SPACE.encode({**valid(), "scenari": {}})
@@ -297,14 +297,14 @@ PAIR = (Real("a", 0.0, 10.0), Real("b", 0.0, 10.0))
         ((), (), "at least one parameter"),
         ((PAIR[0], PAIR[0]), (), "distinct parameter names"),
         (PAIR, (Extent("a", "c", 1.0, 10.0),), "unknown parameter 'c'"),
-        (PAIR, (Extent("a", "a", 1.0, 10.0),), "two parameters"),
+        (PAIR, (Extent("a", "a", 1.0, 10.0),), "two different parameters"),
         (PAIR, (Extent("a", "b", 1.0, 20.0),), r"expected a in \[0, 20\]"),
         ((PAIR[0], Integer("b", 0, 10)), (Extent("a", "b", 1.0, 10.0),), "both real or both integer"),
         (PAIR, (Extent("a", "b", 0.0, 10.0),), r"a minimum in \(0, 10\]"),
         (PAIR, (Duration("a", "b", 11.0, 10.0),), r"a minimum in \(0, 10\]"),
         (PAIR, (Extent("a", "b", 1.0, 10.0), Duration("b", "a", 1.0, 10.0)), "more than one constraint"),
         ((*PAIR, Categorical("c", ("x",))), (Extent("a", "c", 1.0, 10.0),), "got a categorical"),
-        (PAIR, (Dormant("a", "x", ("b",)),), "name a categorical"),
+        (PAIR, (Dormant("a", "x", ("b",)),), "expected the label 'a' to be a categorical"),
         ((*PAIR, Categorical("c", ("x",))), (Dormant("c", "y", ("a",)),), "no choice 'y'"),
         ((*PAIR, Categorical("c", ("x",))), (Dormant("c", "x", ()),), "distinct members"),
         ((Real("a", 1.0, 2.0), Categorical("c", ("x",))), (Dormant("c", "x", ("a",)),), "0 in the range of a"),
@@ -336,7 +336,7 @@ def test_unusable_names_and_choices_are_rejected() -> None:
         Categorical("c", ("a", "a"))
     with pytest.raises(SpaceError, match="named choices"):
         Categorical("c", ())
-    with pytest.raises(SpaceError, match="whole bounds"):
+    with pytest.raises(SpaceError, match="integer bounds"):
         Integer("i", 0, 2**60)
     part = Component("part", PAIR)
     with pytest.raises(SpaceError, match="distinct names"):
@@ -406,7 +406,7 @@ def test_invalid_slots_are_named(vector: list[float], problem: str) -> None:
     ("slots", "message"),
     [
         (Slots((), (3, 6, 11)), "1 to 3 slots"),
-        (Slots((("gene_1", "intensity_1"),), (3, 6)), "category of 2 choices"),
+        (Slots((("gene_1", "intensity_1"),), (3, 6)), "categorical with 2 choices"),
         (Slots((("gene_1", "intensity_1"),), (3, 6, 1)), "at least 2 levels"),
         (Slots((("gene_1", "count"),), (3, 6, 11)), "real number in"),
         (Slots((("gene_1", "intensity_1"), ("other", "intensity_2")), (3, 6, 11)), "same choices"),

@@ -54,7 +54,7 @@ def test_equal_samples_show_no_difference() -> None:
 def test_empty_samples_are_rejected() -> None:
     with pytest.raises(ValueError, match="at least one value"):
         compared([], [1.0])
-    with pytest.raises(ValueError, match="expected values"):
+    with pytest.raises(ValueError, match="expected at least one value"):
         mean_interval([])
 
 

@@ -158,13 +158,13 @@ def test_impossible_participants_are_rejected() -> None:
         rule.encode((car,))
     with pytest.raises(SpaceError, match="at most 4 participants, got 5"):
         rule.encode((car,) * 5)
-    with pytest.raises(SpaceError, match="expected 1 to 6, got 7"):
+    with pytest.raises(SpaceError, match="expected a count of 1 to 6, got 7"):
         participants_component("participants", 7, ROADS[0])
     with pytest.raises(SpaceError, match="expected the parameter"):
         Component("participants", (Real("x", 0.0, 1.0),), (Participants(1, ROADS[0]),))
     with pytest.raises(UnsupportedSpace, match="participants with timed actions"):
         participants_of(SearchSpace((Component("x", (Real("x", 0.0, 1.0),)),)))
-    with pytest.raises(SpaceError, match=r"lanes of 2\.5 m or more"):
+    with pytest.raises(SpaceError, match=r"lanes of at least 2\.5 m"):
         RoadLimits(lane_width_m=1.0)
 
 

@@ -155,12 +155,12 @@ def test_the_report_agrees_with_the_tables(report: str) -> None:
 
 
 def test_a_control_that_reads_low_supports_no_conclusion(report: str) -> None:
-    lines = [line for line in report.splitlines() if "beside its control" in line]
+    lines = [line for line in report.splitlines() if "compared with its control" in line]
     assert len(lines) == 6
     for line in lines:
         proves_nothing = "the control reads low here, so this proves nothing" in line
         assert proves_nothing == ("RS" in line)
-        assert ("behaviour accounts for" in line or "than scenarios and chance give" in line) == (
+        assert ("behaviour accounts for" in line or "than scenarios and chance explain" in line) == (
             "RS" not in line
         )
 

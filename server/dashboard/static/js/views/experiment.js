@@ -246,7 +246,7 @@ function sentences(duels, rows, chosen) {
   const means = new Map(rows.map((row) => [row.key, row.mean]));
   return duels.map((one) => {
     const [first, second] = [means.get(`${one.first} false`), means.get(`${one.second} ${one.control}`)];
-    const beside = one.control ? " beside its control" : ` and ${one.second}`;
+    const beside = one.control ? " compared with its control" : ` and ${one.second}`;
     return [`${one.first}:${one.second}:${one.control}`, one.first + beside,
       `: ${chosen.name} ${first.toFixed(1)} against ${second.toFixed(1)}, A12 ${one.a12.toFixed(2)} (${one.effect}), p ${pValue(one.p)}, corrected ${pValue(one.p_holm)}; `, `${one.says}.`];
   });
