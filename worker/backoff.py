@@ -1,4 +1,4 @@
-"""Retries of a server that does not answer: exponential backoff, and one log line per interval of an outage."""
+"""Retries while a server does not respond: exponential backoff, and one log line per interval of an outage."""
 
 import logging
 import time
@@ -29,7 +29,7 @@ class Backoff:
     cap_s: float
 
     def delay_s(self, failures: int, rng: Random) -> float:
-        """Return a random wait between 50% and 100% of the doubled, capped time.
+        """Return a random wait between 50% and 100% of the exponentially growing, capped time.
 
         Args:
             failures: Consecutive failures so far, >= 1.
@@ -47,7 +47,7 @@ class Outage:
         server: URL of the coordinator, for the log.
         backoff: Waits between attempts.
         rng: Source of the jitter.
-        clock: Monotonic seconds.
+        clock: Monotonic clock, in seconds.
 
     Attributes:
         since_s: Start of the outage on the clock, or None while the coordinator answers.

@@ -36,7 +36,7 @@ LONGEST_RETRY_AFTER_S: Final = 1.0
 """A longer Retry-After is left to the caller."""
 
 _RETRYABLE: Final = frozenset({httpx.codes.REQUEST_TIMEOUT, httpx.codes.TOO_MANY_REQUESTS})
-"""Client errors that do not blame the request: the network was slow, or the rate limit was exceeded."""
+"""Client errors that are not the request's fault: the network was slow, or the rate limit was exceeded."""
 
 Reply = TypeVar("Reply", bound=Message)
 

@@ -15,7 +15,7 @@ WorkerError
 
 
 class WorkerError(Exception):
-    """Root of the errors that the worker package raises on purpose."""
+    """Base class of all errors that the worker package raises deliberately."""
 
 
 class SettingsError(WorkerError, ValueError):

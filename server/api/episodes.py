@@ -1,7 +1,7 @@
-"""Routes of one solution's episode: its trace, replays of it, the scene that the dashboard draws, its film.
+"""Routes of a solution's episode: its trace, replays, the scene that the dashboard draws, and the camera's film.
 
-A trace that is not kept is made by a worker while the client waits. Nobody waits, and nothing is enqueued, while no
-live worker could make it.
+If a trace was not kept, a worker records it while the client waits. Requests fail, and nothing is enqueued, while no
+live worker can record it.
 """
 
 import asyncio
@@ -47,7 +47,7 @@ NOT_YET: dict[int | str, dict[str, Any]] = {
 UNREADABLE = (
     SimulatorError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError, MemoryError,
 )  # fmt: skip
-"""Errors that drawing a malformed trace may raise: a worker may send anything."""
+"""Errors that drawing a malformed trace may raise, since workers may send anything."""
 
 Number = Annotated[int, PathParameter(ge=0, le=MAX_NUMBER)]
 Index = Annotated[
@@ -85,7 +85,7 @@ async def get_replay(
     services: Services,
     wait_s: Wait = 20.0,
 ) -> Response:
-    """Return a picture or a film of a solution's episode, seen from above."""
+    """Return an image or a video of a solution's episode, seen from above."""
     campaign = await services.campaigns.get(campaign_id)
     document = await _trace_of(services, campaign, number, request, wait_s)
     if document is None:
@@ -120,7 +120,7 @@ async def get_episode(
     "/pictures/{index}.jpg", response_class=Response, responses={200: {"content": {"image/jpeg": {}}}}
 )
 async def get_picture(campaign_id: str, number: Number, index: Index, services: Services) -> Response:
-    """Return a picture of the film of a solution's episode, if its trace is kept and has a film."""
+    """Return one picture from the film of a solution's episode, if its trace is kept and has a film."""
     campaign = await services.campaigns.get(campaign_id)
     picture = await services.films.picture(campaign, number, index)
     return Response(picture, media_type="image/jpeg")
@@ -130,7 +130,7 @@ async def _drawn(executor: Executor | None, number: int, draw: Callable[[], T]) 
     """Draw a solution's trace in a thread.
 
     Args:
-        executor: Where to draw; None for the event loop's own threads.
+        executor: Where to draw; None for the event loop's default threads.
         number: The solution.
         draw: Draws the trace.
 
@@ -165,7 +165,7 @@ async def _trace_of(
     deadline = asyncio.get_running_loop().time() + wait_s
 
     def look_up(connection: Connection) -> tuple[TraceStatus, bool]:
-        """Return the state of the trace, and whether no live worker could make it."""
+        """Return the state of the trace, and whether no live worker can record it."""
         found = trace_status(connection, campaign.id, number)
         waits = found.document is None and found.needs is not None and found.job in (None, JobStatus.QUEUED)
         return found, waits and not can_run(connection, str(found.needs), services.settings.worker_seen_s)
@@ -197,6 +197,6 @@ async def _trace_of(
 
 
 def _being_made() -> JSONResponse:
-    """Return the answer to a client that would have to wait longer."""
+    """Return the response to a client whose waiting time has passed before the trace was available."""
     view = BeingMade(detail="a worker is making the trace; try again soon")
     return JSONResponse(view.model_dump(), status_code=202, headers={"Retry-After": "2"})

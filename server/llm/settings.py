@@ -59,7 +59,7 @@ def _endpoint(given: object) -> object:
 
 
 def _env_name(given: object) -> object:
-    """Validate the name of an environment variable without repeating it: it may be the key itself."""
+    """Validate the name of an environment variable without quoting it in errors, as it may be the key itself."""
     if isinstance(given, str) and not _ENV_NAME.fullmatch(given):
         raise _hiding(
             "expected the name of an environment variable in capitals, such as OPENAI_API_KEY, not the key itself"
@@ -123,7 +123,7 @@ class LlmSettings(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _no_keys(cls, given: Any) -> Any:
-        """Refuse a key, without repeating it."""
+        """Reject a key without quoting it in the error."""
         if isinstance(given, Mapping):
             for name in given:
                 if name not in cls.model_fields and _SECRET_FIELD.search(str(name)):

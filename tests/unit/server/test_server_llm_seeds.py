@@ -196,7 +196,7 @@ CASES = {
         (gives({"choices": []}),), (), ("invalid",), "0 of 4 usable (expected a chat completion", 1, 1,
     ),
     "huge": Case(
-        (huge(8 * MAX_REPLY_BYTES),), (), ("invalid",), "0 of 4 usable (expected an answer of at most", 1, 1,
+        (huge(8 * MAX_REPLY_BYTES),), (), ("invalid",), "0 of 4 usable (expected a response of at most", 1, 1,
     ),
     "rate limit": Case((refuses(429, "slow", Retry_After="3"), GOOD), (LLM,) * 4, ("ok",), "4 of 4 usable", 2, 1),
     "rate limit by date": Case(
