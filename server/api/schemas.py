@@ -250,7 +250,7 @@ class CombinationView(ChainTally):
     parts: Annotated[
         list[ChainTally],
         Field(
-            description="Tallies over the scenarios with simulations of both part and chain. The empty chain is a part."
+            description="Tallies over the scenarios with simulations of part and chain. The empty chain is a part."
         ),
     ]
     orders: list[ChainTally]
@@ -374,7 +374,7 @@ class JobCounts(View):
     unrunnable: Annotated[
         dict[str, int],
         Field(
-            description="Number of jobs queued in unpaused campaigns that no live worker can run, by missing capability."
+            description="Number of queued jobs of unpaused campaigns that no live worker can run, by capability."
         ),
     ]
 

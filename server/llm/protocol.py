@@ -430,7 +430,7 @@ def parse_retry_after(headers: Mapping[str, str], now: datetime) -> float | None
 
 
 def embedded_status(raw: str) -> int | None:
-    """Return the error status in the body of a 2xx response, or None; some gateways report upstream errors this way."""
+    """Return the error status in the body of a 2xx response, or None: some gateways put upstream errors there."""
     if '"error"' not in raw:
         return None
     try:
