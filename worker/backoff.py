@@ -50,7 +50,7 @@ class Outage:
         clock: Monotonic clock, in seconds.
 
     Attributes:
-        since_s: Start of the outage on the clock, or None while the coordinator answers.
+        since_s: Start of the outage on the clock, or None while the coordinator responds.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class Outage:
         return self._backoff.delay_s(self._failures, self._rng)
 
     def record_success(self) -> None:
-        """Record that the coordinator answered."""
+        """Record that the coordinator responded."""
         if self.since_s is not None:
             fields = {"after_s": round(self._clock() - self.since_s, 1)}
             log.info("the coordinator at %s is back", self._server, extra=fields)

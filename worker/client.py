@@ -96,7 +96,7 @@ class CoordinatorClient:
         """Lease jobs.
 
         Raises:
-            CoordinatorUnavailable: The coordinator did not answer, or asked to retry later.
+            CoordinatorUnavailable: The coordinator did not respond, or asked to retry later.
             RequestRefused: The coordinator refused the request.
             UnexpectedReply: The server does not speak this version of the wire protocol.
         """
@@ -147,7 +147,7 @@ class CoordinatorClient:
             raise CoordinatorUnavailable(f"{self.server}: no answer ({reason})") from error
         if response.status_code == httpx.codes.OK:
             return self._parse(response.content, reply_type)
-        message = f"{self.server}: {name} answered {_explain(response)}"
+        message = f"{self.server}: {name} returned {_explain(response)}"
         if response.status_code >= 500 or response.status_code in _RETRYABLE:
             raise CoordinatorUnavailable(message, retry_after_s=_retry_after_s(response))
         if response.status_code >= 400:

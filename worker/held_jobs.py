@@ -261,7 +261,7 @@ class HeldJobs:
             self.changed.notify_all()
 
     def acknowledge(self, report: Report, statuses: Sequence[ResultStatus], *, wall_s: float) -> None:
-        """Forget the outcomes and leases of a report that the coordinator has answered.
+        """Forget the outcomes and leases of a report that the coordinator has responded to.
 
         Args:
             report: The report.

@@ -260,7 +260,7 @@ class Dependences(View):
 async def get_dependence(
     campaign_id: str, services: Services, request: Request, response: Response
 ) -> Dependences:
-    """Return the unsafe share by value of each parameter. It is no risk estimate, since searches sample unevenly."""
+    """Return the unsafe share by value of each parameter. Not a risk estimate, as searches sample unevenly."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     etag = _etag(campaign, found.generation)
@@ -387,7 +387,7 @@ class RiskView(View):
     high: float
     neighbours: Annotated[
         float,
-        Field(description="Total weight of the nearby evaluations, which acts as their effective number."),
+        Field(description="Effective number of nearby evaluations: their total weight."),
     ]
     answer: Annotated[Answer, Field(description="`unknown` if the interval contains the threshold.")]
 

@@ -35,7 +35,7 @@ MEANINGS: Final = {
     "generation": "generation of the solution",
     "robustness.*": "robustness of each requirement, in its unit",
     "feature.*": "other measurements of the episode",
-    "version.*": "version of each part of the simulation",
+    "version.*": "version of each part of the software that ran the simulation",
     "*.*": "parameter of a component of the solution, decoded",
     "component.*": "number of ground-truth boxes (seen), of detections (said), or of false positives (invented)",
 }

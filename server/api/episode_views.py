@@ -113,7 +113,7 @@ class SurfaceView(View):
     closed: Annotated[bool, Field(description="True for an area; false for a line `width_m` wide.")]
     width_m: float
     points: Annotated[list[Point], Field(description="In metres.")]
-    paint: Annotated[str, Field(description="Name of its colours; kinds that look alike have the same.")]
+    paint: Annotated[str, Field(description="Name of its style; kinds that look alike share one.")]
     outlined: Annotated[bool, Field(description="Whether its edge is drawn.")]
     height_m: Annotated[
         float, Field(description="Height at which it is drawn in perspective; 0 if it is flat.")
@@ -128,7 +128,10 @@ class CentreView(View):
 
 
 class ShapesView(View):
-    """Top-view outlines of road users. A car's points are half lengths ahead and half widths left of its centre."""
+    """Top-view outlines of road users.
+
+    The points of a car are relative to its centre: half lengths ahead, half widths to the left.
+    """
 
     car_body: Ring
     car_windows: Sequence[Ring]
@@ -152,7 +155,7 @@ class RowsView(View):
 
 
 class PictureCamera(View):
-    """The camera in whose pixels the boxes `seen` and `given` are stated. It faces along the ego's yaw."""
+    """The camera to whose picture the boxes `seen` and `given` refer, in pixels. It faces along the ego's yaw."""
 
     width_px: int
     height_px: int

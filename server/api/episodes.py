@@ -36,10 +36,13 @@ REPLAY_MEDIA = {"png": "image/png", "gif": "image/gif", "mp4": "video/mp4"}
 """Media types of replays, by extension."""
 
 NOT_YET: dict[int | str, dict[str, Any]] = {
-    202: {"model": BeingMade, "description": "A worker is making it; try again after `Retry-After`."},
+    202: {
+        "model": BeingMade,
+        "description": "A worker is recording the trace; try again after `Retry-After`.",
+    },
     503: {
         "model": ProblemDetail,
-        "description": "No live worker can make it; try again after `Retry-After`.",
+        "description": "No live worker can record the trace; try again after `Retry-After`.",
     },
 }
 """Responses of a route that needs a trace while there is none."""
@@ -53,7 +56,7 @@ Number = Annotated[int, PathParameter(ge=0, le=MAX_NUMBER)]
 Index = Annotated[
     int, PathParameter(ge=0, lt=MOST_PICTURES, description="Index of a picture in the film, from 0.")
 ]
-Wait = Annotated[float, Query(ge=0, le=60, description="How long to wait for workers to make the trace.")]
+Wait = Annotated[float, Query(ge=0, le=60, description="How long to wait for a worker to record the trace.")]
 
 T = TypeVar("T")
 
@@ -148,7 +151,7 @@ async def _drawn(executor: Executor | None, number: int, draw: Callable[[], T]) 
 async def _trace_of(
     services: Context, campaign: Campaign, number: int, request: Request, wait_s: float
 ) -> bytes | None:
-    """Return the trace of a solution, waiting for a worker to make it; None if that takes too long.
+    """Return the trace of a solution, waiting for a worker to record it; None if that takes too long.
 
     Args:
         services: The services of this process.
@@ -159,8 +162,8 @@ async def _trace_of(
 
     Raises:
         NotFound: There is no such solution, or it was not simulated.
-        Conflict: Its simulator records no traces, or the trace cannot be made.
-        NoWorker: No live worker can make it.
+        Conflict: Its simulator records no traces, or the trace cannot be recorded.
+        NoWorker: No live worker can record it.
     """
     deadline = asyncio.get_running_loop().time() + wait_s
 
@@ -197,6 +200,6 @@ async def _trace_of(
 
 
 def _being_made() -> JSONResponse:
-    """Return the response to a client whose waiting time has passed before the trace was available."""
+    """Return the 202 response for a client whose wait ended before the trace was available."""
     view = BeingMade(detail="a worker is making the trace; try again soon")
     return JSONResponse(view.model_dump(), status_code=202, headers={"Retry-After": "2"})

@@ -122,7 +122,7 @@ async def submit_experiment(
     response: Response,
     idempotency_key: IdempotencyKey = None,
 ) -> ExperimentView:
-    """Submit an experiment: every algorithm on every problem with every seed. If one cannot run, none does."""
+    """Submit an experiment: every algorithm on every problem with every seed. If any cannot run, none does."""
     experiment, new = await services.experiments.submit(body, idempotency_key)
     set_created(response, f"experiments/{experiment.id}", new=new)
     return experiment_view(experiment)
@@ -208,7 +208,7 @@ async def get_results(
 ) -> Results:
     """Return the result tables of the campaigns that have finished.
 
-    They have DBS and strict DBS at fractions of the budget, each computed from the solutions evaluated by then; means
+    These are DBS and strict DBS at fractions of the budget, each computed from the solutions evaluated by then; means
     with intervals; and Mann-Whitney U with Vargha-Delaney A12 between methods.
     """
     experiment = await services.experiments.get(experiment_id)

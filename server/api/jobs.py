@@ -44,9 +44,7 @@ class WireRoute(APIRoute):
                 return await usual(request)
             try:
                 message = model.model_validate_json(await request.body())
-            except (
-                ClientDisconnect
-            ):  # or the body was too large or too slow; the middleware then sends the response
+            except ClientDisconnect:  # or the body was too large or too slow: the middleware responds
                 return Response(status_code=400)
             except ValidationError:
                 return await usual(request)  # renders the errors

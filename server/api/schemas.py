@@ -105,7 +105,7 @@ class Progress(View):
     workers: Annotated[int, Field(description="Live workers.")]
     unrunnable: Annotated[
         dict[str, int],
-        Field(description="Number of queued jobs that no live worker can run, by the missing capability."),
+        Field(description="Number of queued jobs that no live worker can run, by required capability."),
     ]
     looks_for_boundary: Annotated[
         bool,
@@ -374,7 +374,7 @@ class JobCounts(View):
     unrunnable: Annotated[
         dict[str, int],
         Field(
-            description="Number of queued jobs of unpaused campaigns that no live worker can run, by capability."
+            description="Number of queued jobs in unpaused campaigns that no live worker can run, by capability."
         ),
     ]
 
@@ -475,7 +475,7 @@ class ExperimentSummary(View):
     deleted: Annotated[int, Field(description="Number of its campaigns that have since been deleted.")]
     finished: int
     simulations: int
-    budget: Annotated[int, Field(description="Finished candidates of all campaigns.")]
+    budget: Annotated[int, Field(description="Budget of simulations, summed over all campaigns.")]
     failed: Annotated[int, Field(description="Failed candidates of all campaigns.")]
     created_at: datetime
 

@@ -177,8 +177,7 @@ class Stepper:
             if seed_request(live.plan, live.state) is not None:
                 return self._seed(campaign, live)
             if not outcomes:
-                # Another coordinator may have called `ask` between the reading of the outcomes and the making of the
-                # state.
+                # Another coordinator may have called `ask` after the outcomes were read, before the state was made.
                 with self._engines.reader.connect() as connection:
                     outcomes = job_store.generation_outcomes(connection, campaign_id, campaign.generation)
                 if _is_open(outcomes):
@@ -390,7 +389,7 @@ def _is_open(outcomes: Iterable[JobOutcome]) -> bool:
 
 
 def _checkpoint(plan: Plan, state: Any, generation: int) -> Checkpoint:
-    """Return the checkpoint of a state on which `ask` was not called since the last `tell`."""
+    """Return the checkpoint of a state on which `ask` has not been called since the last `tell`."""
     archive: Archive = state.archive
     return Checkpoint(
         generation=generation,

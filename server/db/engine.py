@@ -117,9 +117,7 @@ def _sqlite(url: URL, begin: str, *, cache_kib: int) -> Engine:
 
     @event.listens_for(engine, "connect")
     def configure(connection: sqlite3.Connection, _: ConnectionPoolEntry) -> None:
-        connection.isolation_level = (
-            None  # the driver's implicit BEGIN is not immediate and does not cover DDL
-        )
+        connection.isolation_level = None  # the driver's implicit BEGIN is not immediate and skips DDL
         _enter_wal(connection)
         for pragma in ("synchronous=FULL", "foreign_keys=ON", f"cache_size=-{cache_kib}"):
             connection.execute(f"PRAGMA {pragma}").close()

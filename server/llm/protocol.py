@@ -158,7 +158,7 @@ def decode_json(text: str) -> object:
     stripped = text.strip()
     value, end = decode_json_at(stripped, 0)
     if end != len(stripped):
-        raise BadJson(f"expected nothing after character {end}")
+        raise BadJson(f"expected the end of the text after character {end}")
     return value
 
 
@@ -456,7 +456,7 @@ def error_from(
         now: Current time, to which a Retry-After date is relative.
     """
     text = error_text(raw)
-    message = f"{settings.endpoint} answered {status}: {text}"
+    message = f"{settings.endpoint} returned {status}: {text}"
     if status == 402 or (status == 429 and _NO_CREDIT.search(raw)):
         return AccessRefused(f"{message}. There is no credit left")
     if status in _RETRYABLE or (status >= 500 and status != _NOT_IMPLEMENTED):

@@ -94,20 +94,32 @@ class LlmSettings(BaseModel):
     )
     seed: Annotated[int | None, Field(ge=0, lt=2**31, description="Sampling seed; only sent if set.")] = None
     max_tokens: Annotated[
-        int, Field(ge=64, le=1_000_000, description="Maximum tokens of a reply; a solution takes about 200.")
+        int,
+        Field(
+            ge=64,
+            le=1_000_000,
+            description="Maximum number of tokens in a reply; a solution takes about 200.",
+        ),
     ] = 4096
     token_field: Annotated[
         Literal["max_tokens", "max_completion_tokens"],
-        Field(description="Request field with the maximum tokens of a reply."),
+        Field(description="Request field that limits the tokens of a reply."),
     ] = "max_tokens"
     timeout_s: Annotated[float, Field(gt=0, le=3600, description="Maximum time to wait for a reply.")] = 120.0
-    retries: Annotated[int, Field(ge=0, le=20, description="Retries of a call after the first try.")] = 4
+    retries: Annotated[
+        int, Field(ge=0, le=20, description="Number of retries of a call after the first attempt.")
+    ] = 4
     max_wait_s: Annotated[
-        float, Field(ge=0, le=3600, description="Maximum pause between tries, including Retry-After.")
+        float, Field(ge=0, le=3600, description="Maximum pause between attempts, including Retry-After.")
     ] = 120.0
-    max_calls: Annotated[int, Field(ge=1, le=1_000_000, description="Maximum calls of a campaign.")] = 50
+    max_calls: Annotated[
+        int, Field(ge=1, le=1_000_000, description="Maximum number of calls for a campaign.")
+    ] = 50
     max_total_tokens: Annotated[
-        int | None, Field(ge=1, le=10**12, description="Maximum tokens of a campaign, prompts and replies.")
+        int | None,
+        Field(
+            ge=1, le=10**12, description="Maximum number of tokens for a campaign, in prompts and replies."
+        ),
     ] = None
     max_cost: Annotated[
         float | None,

@@ -439,7 +439,7 @@ def _value(value: Any, column: Any, where: str) -> Any:
     if not isinstance(value, wanted) or (wanted is int and isinstance(value, bool)):
         raise BadFile(f"{where}: {column.name}: expected a {wanted.__name__}, got {value!r:.60}")
     if isinstance(value, int) and not -(2**63) <= value < 2**63:
-        raise BadFile(f"{where}: {column.name}: expected a 64-bit number")
+        raise BadFile(f"{where}: {column.name}: expected a 64-bit integer")
     if isinstance(value, str) and getattr(column.type, "length", None) and len(value) > column.type.length:
         raise BadFile(f"{where}: {column.name}: expected at most {column.type.length} characters")
     return value

@@ -62,7 +62,7 @@ class NpcActionsParams:
     )
     detector: str = setting(
         "brink-det@1",
-        help="Detector for sight: detector. Its id, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE.",
+        help="Detector if sight is detector: its id, or onnx:FILE, torchscript:FILE, ultralytics:FILE.",
     )
     threshold: float = setting(0.8, help="Minimum score of detections that count.", gt=0.0, lt=1.0)
     road_curve: str = setting("crossroad", help="Shape of the road.", choices=_words("road_curve"))

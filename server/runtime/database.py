@@ -62,7 +62,7 @@ def check_database(settings: Settings) -> None:
 def release_leases_of_dead_workers(settings: Settings) -> int:
     """Requeue jobs leased by dead workers of this machine, without charging an attempt; return their number.
 
-    Meant for a start after a crash of everything, for which the jobs are not to blame. Only for SQLite, where
+    Meant for a restart after everything crashed, which was not the fault of the jobs. Only for SQLite, where
     coordinator and database share a machine. If a live worker is mistaken for dead, its results are `stale`, and the
     jobs run again.
     """

@@ -208,7 +208,7 @@ CASES = {
     ),
     "busy once": Case((refuses(503, "busy"), GOOD), (LLM,) * 4, ("ok",), "4 of 4 usable", 2, 1),
     "busy for long": Case(
-        (refuses(503, "busy"),) * 3, (), ("unavailable",), "answered 503: busy; gave up after 3 tries", 3, 0,
+        (refuses(503, "busy"),) * 3, (), ("unavailable",), "returned 503: busy; gave up after 3 tries", 3, 0,
     ),
     "cut off once": Case((cut("x"), GOOD), (LLM,) * 4, ("ok",), "4 of 4 usable", 2, 2),
     "cut off for good": Case((cut("x"),) * 3, (), ("unavailable",), "gave up after 3 tries", 3, 3),
