@@ -1,4 +1,4 @@
-"""Runs migrations on the connection that `brink.server.db.upgrade` opened and locked, in its transaction."""
+"""Runs the migrations on the connection opened and locked by `brink.server.db.upgrade`, within its transaction."""
 
 from alembic import context
 from sqlalchemy import Connection

@@ -124,7 +124,7 @@ def create_app(settings: Settings, *, sweeping: bool = True) -> FastAPI:
 
 @cache
 def _routes() -> list[BaseRoute]:
-    """Return the API's routes, which all apps of a process share: building them takes most of an app's start."""
+    """Return the API's routes, which all apps of a process share, since building them dominates the startup time."""
     api = APIRouter()
     # Routes are tried in order, so the busiest come first.
     for router in (
@@ -135,8 +135,11 @@ def _routes() -> list[BaseRoute]:
         api.include_router(router)
     everything = APIRouter(
         responses={
-            "4XX": {"model": ProblemDetail, "description": "The request is wrong; `detail` says how."},
-            "5XX": {"model": ProblemDetail, "description": "The coordinator cannot respond now; try again."},
+            "4XX": {"model": ProblemDetail, "description": "The request is invalid; `detail` says why."},
+            "5XX": {
+                "model": ProblemDetail,
+                "description": "The coordinator cannot serve this request now; try again later.",
+            },
         }
     )
     everything.include_router(api, prefix="/api/v1")
@@ -191,7 +194,7 @@ def _context(
 
 
 async def _sweep(context: Context, stopping: asyncio.Event) -> None:
-    """Repair the effects of crashes at intervals: reclaim lost leases, and advance campaigns that are due."""
+    """Periodically repair the effects of crashes: reclaim lost leases, and advance campaigns that are due."""
     while not stopping.is_set():
         try:
             await context.queue.sweep()

@@ -20,7 +20,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 class Body(BaseModel):
-    """Base of all request bodies: strict types, no unknown fields."""
+    """Base class of all request bodies: strict types, no unknown fields."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -97,7 +97,7 @@ def parse_yaml(text: str, prefix: str = "") -> object:
 
 
 class _Loader(yaml.SafeLoader):
-    """Rejects duplicate keys, where YAML would silently use the last one."""
+    """A YAML loader that rejects duplicate keys, of which YAML would silently use the last."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]

@@ -4,7 +4,7 @@ ServerError
 ├── InvalidInput      422  the input is invalid; has a pointer to each invalid field
 ├── NotFound          404  there is no such resource
 ├── Conflict          409  the state of the resource does not allow the request
-├── Unavailable       503  try again later: the database is away, the coordinator is stopping
+├── Unavailable       503  try again later: the database is unavailable, the coordinator is stopping
 │   └── NoWorker           no live worker can do the work
 └── DatabaseError          command line only, exit code 1: the database cannot be used as it is
     └── Damaged            the stored data of one campaign is inconsistent
@@ -16,11 +16,11 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 TOKEN_FORM: Final = "expected printable ASCII characters without spaces, such as: openssl rand -hex 24"
-"""What a bearer token must look like, to fit a header."""
+"""The format of a bearer token, which must fit into a header."""
 
 
 class ServerError(Exception):
-    """Base of all errors that the coordinator raises on purpose."""
+    """Base class of all errors that the server package raises deliberately."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,13 +15,13 @@ class Metrics:
         self.registry = CollectorRegistry()
         self.requests = Histogram(
             "brink_request_seconds",
-            "Time from request to response; leases wait for jobs on purpose",
+            "Time from request to response; lease requests wait for jobs by design",
             ["method", "route", "status"],
             buckets=_REQUEST_S,
             registry=self.registry,
         )
         self.results = Counter(
-            "brink_results", "Reported results, by how they were answered", ["status"],
+            "brink_results", "Reported results, by the status returned for them", ["status"],
             registry=self.registry,
         )  # fmt: skip
         self.failures = Counter(
@@ -33,6 +33,6 @@ class Metrics:
             registry=self.registry,
         )  # fmt: skip
         self.commits = Histogram(
-            "brink_commit_seconds", "Time of a write transaction; all other writes wait", buckets=_STEP_S,
+            "brink_commit_seconds", "Duration of a write transaction; all other writes wait", buckets=_STEP_S,
             registry=self.registry,
         )  # fmt: skip

@@ -61,7 +61,9 @@ class Settings(BaseSettings):
     ] = ""
     log_level: Annotated[LogLevel, Field(description="Minimum severity of log lines.")] = LogLevel.INFO
     log_format: Annotated[LogFormat, Field(description="Log lines as text or as JSON.")] = LogFormat.TEXT
-    access_log: Annotated[bool, Field(description="Log every request, not only at level debug.")] = False
+    access_log: Annotated[bool, Field(description="Log every request at level info instead of debug.")] = (
+        False
+    )
 
     @field_validator("log_level", "log_format", mode="before")
     @classmethod

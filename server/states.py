@@ -45,8 +45,8 @@ class Scope(StrEnum):
     """The access that a token grants.
 
     Attributes:
-        READ: Read access.
-        USER: Read access, and submitting and controlling campaigns.
+        READ: Viewing everything.
+        USER: Viewing everything, and submitting and controlling campaigns.
         WORKER: Leasing and reporting jobs, nothing else.
         ADMIN: Everything, including deletion.
     """

@@ -1,4 +1,4 @@
-"""Retries of a server that does not answer: exponential backoff, and one log line per interval of an outage."""
+"""Retries while a server does not respond: exponential backoff, and one log line per interval of an outage."""
 
 import logging
 import time
@@ -29,7 +29,7 @@ class Backoff:
     cap_s: float
 
     def delay_s(self, failures: int, rng: Random) -> float:
-        """Return a random wait between 50% and 100% of the doubled, capped time.
+        """Return a random wait between 50% and 100% of the exponentially growing, capped time.
 
         Args:
             failures: Consecutive failures so far, >= 1.
@@ -47,10 +47,10 @@ class Outage:
         server: URL of the coordinator, for the log.
         backoff: Waits between attempts.
         rng: Source of the jitter.
-        clock: Monotonic seconds.
+        clock: Monotonic clock, in seconds.
 
     Attributes:
-        since_s: Start of the outage on the clock, or None while the coordinator answers.
+        since_s: Start of the outage on the clock, or None while the coordinator responds.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class Outage:
         return self._backoff.delay_s(self._failures, self._rng)
 
     def record_success(self) -> None:
-        """Record that the coordinator answered."""
+        """Record that the coordinator responded."""
         if self.since_s is not None:
             fields = {"after_s": round(self._clock() - self.since_s, 1)}
             log.info("the coordinator at %s is back", self._server, extra=fields)

@@ -1,4 +1,4 @@
-"""The simulation process: runs one episode after another, so that a crash of the physics kills only itself.
+"""The simulation process: runs one episode after another, so that a crash in the physics ends only this process.
 
 Run as ``python -m brink.worker.child`` with three pipes: requests in, replies out, and a lifeline that ends this
 process with its parent. Standard output and error belong to the simulators. `brink.worker.child_protocol` defines

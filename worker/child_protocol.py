@@ -30,7 +30,7 @@ _LENGTH = struct.Struct(">I")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChildMessage:
-    """Base of the messages. The worker's side rejects unknown fields."""
+    """Base class of the messages. The worker's side rejects unknown fields."""
 
     __pydantic_config__: ClassVar = {"extra": "forbid"}
 

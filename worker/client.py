@@ -36,7 +36,7 @@ LONGEST_RETRY_AFTER_S: Final = 1.0
 """A longer Retry-After is left to the caller."""
 
 _RETRYABLE: Final = frozenset({httpx.codes.REQUEST_TIMEOUT, httpx.codes.TOO_MANY_REQUESTS})
-"""Client errors that do not blame the request: the network was slow, or the rate limit was exceeded."""
+"""Client errors that are not the request's fault: the network was slow, or the rate limit was exceeded."""
 
 Reply = TypeVar("Reply", bound=Message)
 
@@ -96,7 +96,7 @@ class CoordinatorClient:
         """Lease jobs.
 
         Raises:
-            CoordinatorUnavailable: The coordinator did not answer, or asked to retry later.
+            CoordinatorUnavailable: The coordinator did not respond, or asked to retry later.
             RequestRefused: The coordinator refused the request.
             UnexpectedReply: The server does not speak this version of the wire protocol.
         """
@@ -147,7 +147,7 @@ class CoordinatorClient:
             raise CoordinatorUnavailable(f"{self.server}: no answer ({reason})") from error
         if response.status_code == httpx.codes.OK:
             return self._parse(response.content, reply_type)
-        message = f"{self.server}: {name} answered {_explain(response)}"
+        message = f"{self.server}: {name} returned {_explain(response)}"
         if response.status_code >= 500 or response.status_code in _RETRYABLE:
             raise CoordinatorUnavailable(message, retry_after_s=_retry_after_s(response))
         if response.status_code >= 400:

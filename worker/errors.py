@@ -3,7 +3,7 @@
 WorkerError
 ├── SettingsError              final: a setting is out of range or malformed
 ├── CoordinatorError
-│   ├── CoordinatorUnavailable retryable: no answer, 5xx, 408 or 429; the same request may succeed later
+│   ├── CoordinatorUnavailable retryable: no response, 5xx, 408 or 429; the same request may succeed later
 │   ├── RequestRefused         final: 4xx; the same request will be refused again
 │   └── UnexpectedReply        final: the server does not speak this version of the wire protocol
 ├── NoCluster                  final: there is no Ray cluster at this address
@@ -15,7 +15,7 @@ WorkerError
 
 
 class WorkerError(Exception):
-    """Root of the errors that the worker package raises on purpose."""
+    """Base class of all errors that the worker package raises deliberately."""
 
 
 class SettingsError(WorkerError, ValueError):
@@ -35,7 +35,7 @@ class CoordinatorError(WorkerError):
 
 
 class CoordinatorUnavailable(CoordinatorError):
-    """The coordinator did not answer, or asked the worker to retry later.
+    """The coordinator did not respond, or asked the worker to retry later.
 
     Attributes:
         retry_after_s: Requested wait, or None.

@@ -3,7 +3,7 @@
 The threads of a worker communicate only through `HeldJobs`, which one condition guards. A job is in exactly one
 place: waiting, in the simulation process (running or next), or finished and not yet acknowledged.
 
-A job held here is a job that no other worker can run, and near the end of a generation that makes the others wait. So
+No other worker can run a job that is held here, and near the end of a generation that makes the others wait. So
 `PrefetchPolicy` limits the held work by time rather than by number of jobs.
 """
 
@@ -39,8 +39,8 @@ class PrefetchPolicy:
     """How many jobs to hold, from the measured times of episodes and requests.
 
     Attributes:
-        max_jobs: Most jobs to hold, >= 1.
-        prefetch_s: Simulation time worth of jobs to hold.
+        max_jobs: Maximum number of jobs to hold, >= 1.
+        prefetch_s: Work to hold, in seconds of simulation.
         episode_s: Moving average of an episode's wall-clock time, or None before the first.
         round_trip_s: Moving average of a request's time.
     """
@@ -51,13 +51,13 @@ class PrefetchPolicy:
     round_trip_s: float = 0.005
 
     def after_episode(self, wall_s: float) -> Self:
-        """Return the policy with one more episode measured."""
+        """Return the policy updated with the duration of one more episode."""
         if self.episode_s is None:
             return replace(self, episode_s=wall_s)
         return replace(self, episode_s=self.episode_s + _NEWEST_WEIGHT * (wall_s - self.episode_s))
 
     def after_request(self, wall_s: float) -> Self:
-        """Return the policy with one more request measured."""
+        """Return the policy updated with the duration of one more request."""
         return replace(self, round_trip_s=self.round_trip_s + _NEWEST_WEIGHT * (wall_s - self.round_trip_s))
 
     @property
@@ -117,7 +117,7 @@ class Poll:
     """A request to make while no job is held: wait for up to `room` jobs.
 
     Attributes:
-        room: Most jobs to lease.
+        room: Maximum number of jobs to lease.
         idle_left_s: Time until the worker exits for being idle, or None if it does not.
     """
 
@@ -132,7 +132,7 @@ class HeldJobs:
         policy: Decides how many jobs to hold; updated with every measurement.
         report_after_s: Longest time that an outcome waits before it is reported.
         exit_when_idle_s: Time without a job after which the worker exits, or None.
-        clock: Monotonic seconds.
+        clock: Monotonic clock, in seconds.
 
     Attributes:
         changed: Guards all state, and is notified of every change.
@@ -261,7 +261,7 @@ class HeldJobs:
             self.changed.notify_all()
 
     def acknowledge(self, report: Report, statuses: Sequence[ResultStatus], *, wall_s: float) -> None:
-        """Forget the outcomes and leases of a report that the coordinator has answered.
+        """Forget the outcomes and leases of a report that the coordinator has responded to.
 
         Args:
             report: The report.
@@ -282,10 +282,10 @@ class HeldJobs:
             self.changed.notify_all()
 
     def handle_refusal(self, report: Report, reason: str) -> None:
-        """Isolate the outcome that the coordinator refuses, and replace it by a failure.
+        """Isolate the outcome that the coordinator refuses, and replace it with a failure.
 
         The outcomes of a refused report are sent again one at a time. An outcome that is refused on its own is
-        replaced by an error. If that is refused too, the job is dropped and its lease will expire.
+        replaced with an error. If that is refused too, the job is dropped and its lease will expire.
         """
         with self.changed:
             if len(report.outcomes) > 1 or report.room:

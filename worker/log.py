@@ -1,6 +1,6 @@
 """Logging of coordinator and workers: one line per event, as text for people or as JSON for log collectors.
 
-The subject of an event is given in fields, passed as ``extra=``: ``campaign``, ``generation``, ``job``, ``worker``,
+What an event is about is given in fields, passed as ``extra=``: ``campaign``, ``generation``, ``job``, ``worker``,
 ``attempt``, ``reason`` and so on. The text format appends them to the message as ``key=value``. All processes use the
 same fields, so that one campaign can be followed through their logs.
 """

@@ -57,7 +57,7 @@ START_ATTEMPTS: Final = 3
 """Consecutive failed starts of the simulation process after which the worker gives up."""
 
 BODY_ERRORS: Final = frozenset({400, 413, 422})
-"""Statuses of refusals that blame the request body; any other blames the worker or the address."""
+"""Statuses of refusals that are due to the request body; any other is due to the worker or the address."""
 
 LONGEST_PAUSE_WHEN_STOPPING_S: Final = 0.5
 
@@ -71,7 +71,7 @@ class Worker:
 
     Args:
         client: Client of the coordinator; the caller closes it.
-        settings: Everything else.
+        settings: All other settings.
     """
 
     def __init__(self, client: CoordinatorClient, settings: WorkerSettings) -> None:
@@ -175,7 +175,7 @@ class Worker:
         return self._exit_status(coordinator_away=reporter.coordinator_away)
 
     def _supervise(self) -> None:
-        """Wait for the end; after a stop, kill the running episode when its grace time is over."""
+        """Wait until the worker is done; after a stop, kill the running episode once its grace period is over."""
         changed = self._held.changed
         with changed:
             while not self._reporter_done and self._grace_end_s is None:
@@ -305,7 +305,7 @@ class Runner:
         return self._process.pending > 0 and not self._held.stopping
 
     def _receive(self) -> bool:
-        """Wait for one outcome. Return False if the process was killed on purpose."""
+        """Wait for one outcome. Return False if the process was killed deliberately."""
         try:
             finished = self._process.receive()
         except EpisodeAbandoned as abandoned:

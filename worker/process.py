@@ -313,7 +313,7 @@ class EpisodeProcess:
 
 
 def parse_outcome(document: JsonObject) -> Completed | JobFailed:
-    """Return an outcome that a simulation process sent; one that breaks the wire's bounds becomes a failure."""
+    """Return an outcome that a simulation process sent; one that exceeds the limits of the wire becomes a failure."""
     try:
         return _OUTCOME.validate_python(document)
     except ValidationError as error:

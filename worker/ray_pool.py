@@ -31,7 +31,7 @@ from brink.worker.run import stopped_by_signals
 from brink.worker.settings import WorkerSettings, new_worker_id
 
 LOCAL: Final = "local"
-"""Address that starts a new Ray on this machine instead of joining a cluster."""
+"""Address that starts a new Ray instance on this machine instead of joining a cluster."""
 
 POLL_S: Final = 0.5
 PLACEMENT_TIMEOUT_S: Final = 30.0
@@ -42,9 +42,9 @@ MAX_FALSE_STARTS: Final = 3
 """Number of workers that could not work after which the pool gives up, unless another worker is healthy."""
 NO_CPU_WARNING_S: Final = 15.0
 NO_CPU_REPEAT_S: Final = 60.0
-"""Without a running worker, the pool logs a warning after the first time and then at intervals of the second."""
+"""While no worker runs, the pool logs a warning after the first time, and then at intervals of the second."""
 OBJECT_STORE_BYTES: Final = 80 * 1024 * 1024
-"""Object store of a new Ray: roughly the minimum that Ray accepts, since nothing is stored in it."""
+"""Size of a new Ray instance's object store: about the minimum that Ray accepts, since nothing is stored in it."""
 EXIT_TIMEOUT_S: Final = LAST_REPORT_S + 5.0
 """How long a worker may take to exit after its running episode."""
 

@@ -115,12 +115,14 @@ def _parser() -> argparse.ArgumentParser:
 
     add("--server", required=True, metavar="URL", help="base URL of the coordinator")
     add("--id", metavar="NAME", help="unique name (default: host, process id and random digits)")
-    add_number("--max-jobs", defaults.max_jobs, "N", "most jobs to hold")
-    add_number("--prefetch", defaults.prefetch_s, "S", "seconds of simulation worth of jobs to hold")
+    add_number("--max-jobs", defaults.max_jobs, "N", "maximum number of jobs to hold")
+    add_number("--prefetch", defaults.prefetch_s, "S", "work to hold, in seconds of simulation")
     add_number("--wait", defaults.wait_s, "S", "seconds to wait for a job when idle")
     add_number("--memory", defaults.memory_mib, "MIB", "memory that an episode may take in MiB; 0: no limit")
-    add_number("--grace", defaults.grace_s, "S", "seconds for the running episode after SIGTERM")
-    add("--exit-when-idle", type=float, metavar="S", help="exit after this time without a job")
+    add_number(
+        "--grace", defaults.grace_s, "S", "seconds that the running episode may continue after SIGTERM"
+    )
+    add("--exit-when-idle", type=float, metavar="S", help="exit after this many seconds without a job")
     add("--plugin", action="append", default=[], metavar="MODULE", help="module with simulators; repeatable")
     add("--exit-with-parent", action="store_true", help="exit when standard input ends")
     level_help = f"minimum severity of log lines (default: {LEVEL_VARIABLE}, else info)"

@@ -27,9 +27,9 @@ class WorkerSettings:
         server: Base URL of the coordinator, such as ``http://127.0.0.1:8700``.
         worker_id: Unique name, constant for the life of the process, 1 to 64 characters.
         token: Bearer token, or None if the coordinator requires none.
-        max_jobs: Most jobs to hold at once, the running one included, 1 to 128.
-        prefetch_s: Simulation time worth of jobs to hold, at most `max_jobs` jobs. A smaller value spreads the end of
-            a generation more evenly over the workers; a larger one makes fewer requests.
+        max_jobs: Maximum number of jobs to hold at once, the running one included, 1 to 128.
+        prefetch_s: Work to hold, in seconds of simulation, at most `max_jobs` jobs. A smaller value spreads the end
+            of a generation more evenly over the workers; a larger one makes fewer requests.
         wait_s: How long the lease request of an idle worker may wait for a job, at most 60.
         report_after_s: Longest time that an outcome waits before it is reported.
         memory_mib: Memory that episodes may add to what the started simulation process uses; 0 sets no limit.

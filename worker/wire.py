@@ -28,7 +28,7 @@ JobNumber = Annotated[int, Field(ge=0, le=2**63 - 1)]
 
 
 class Message(BaseModel):
-    """Base of all messages: unknown fields are rejected, values are immutable."""
+    """Base class of all messages: unknown fields are rejected, values are immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -56,7 +56,7 @@ class WorkerIdentity(Message):
             max_length=128,
             pattern=NO_NUL,
             description="Boot id and PID namespace of the process. A coordinator on the same machine looks up `pid` "
-            "and takes back the leases of a dead process at once. If empty, it never does.",
+            "and takes back the leases of a dead process at once. If this is empty, it never does.",
         ),
     ] = ""
 
@@ -201,7 +201,7 @@ class ResultsRequest(Message):
 
 
 class ResultStatus(Message):
-    """The answer to one reported outcome."""
+    """The response to one reported outcome."""
 
     job: int
     status: Annotated[

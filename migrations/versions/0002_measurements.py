@@ -1,6 +1,6 @@
-"""measurements on data sets: a kind of job, a verdict, their counts; who failed a job, and on which machine
+"""measurements on data sets: job kind, verdict, counts; the worker that failed a job; the machine of a worker
 
-SQLite cannot change a check, so its tables are recreated; reflection would lose the other checks, so they are
+SQLite cannot alter a CHECK constraint, so its tables are recreated; reflection would lose the other ones, so they are
 spelled out.
 
 Revision ID: 0002
@@ -162,7 +162,7 @@ def _solutions(verdicts: tuple[str, ...]) -> list[sa.schema.SchemaItem]:
 
 
 def _index_again() -> None:
-    """Create again the unchanged indexes that were dropped with the tables."""
+    """Recreate the unchanged indexes that were dropped with the tables."""
     leased = sa.text("status = 'leased'")
     op.create_index("ix_jobs_leased", "jobs", ["lease_expires_at"], sqlite_where=leased)
     op.create_index("ix_jobs_lease_worker", "jobs", ["lease_worker"], sqlite_where=leased)

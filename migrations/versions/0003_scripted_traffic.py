@@ -1,4 +1,4 @@
-"""names that people give to violations; calls of language models; origins of solutions
+"""user-given names of violations; calls to language models; origins of solutions
 
 Revision ID: 0003
 Revises: 0002

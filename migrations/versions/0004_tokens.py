@@ -1,4 +1,4 @@
-"""tokens
+"""bearer tokens
 
 Revision ID: 0004
 Revises: 0003

@@ -1,4 +1,4 @@
-"""longer turns
+"""longer turns: the number of jobs that a campaign has handed out in its turn
 
 Revision ID: 0005
 Revises: 0004

@@ -1,4 +1,4 @@
-"""repeats
+"""repeats of solutions with other seeds
 
 Revision ID: 0007
 Revises: 0006

@@ -1,4 +1,4 @@
-"""sequence numbers of campaigns
+"""sequence numbers of campaigns, which increase with every change
 
 Revision ID: 0008
 Revises: 0007

@@ -39,8 +39,8 @@ class DbsGrid:
     """DBS for several thresholds.
 
     Attributes:
-        t_bs: Largest fitness of a boundary solution, one per row.
-        d_ths: Smallest distance between two distinct solutions, one per column.
+        t_bs: Maximum fitness of a boundary solution, one per row.
+        d_ths: Minimum distance between two distinct solutions, one per column.
         dbs: DBS, shape ``(len(t_bs), len(d_ths))``.
         strict: Strict DBS, same shape.
     """
@@ -81,8 +81,8 @@ def distinct_boundary(archive: Archive, t_b: float, d_th: float, strict: bool = 
 
     Args:
         archive: The evaluated solutions.
-        t_b: Largest fitness of a boundary solution.
-        d_th: Smallest distance between two boundary solutions.
+        t_b: Maximum fitness of a boundary solution.
+        d_th: Minimum distance between two boundary solutions.
         strict: Whether to take only solutions with evidence of a boundary.
     """
     eligible = archive.fitness <= t_b
@@ -117,8 +117,8 @@ def dbs(archive: Archive, t_b: float, d_th: float) -> int:
 
     Args:
         archive: The evaluated solutions.
-        t_b: Largest fitness of a boundary solution.
-        d_th: Smallest distance between two boundary solutions.
+        t_b: Maximum fitness of a boundary solution.
+        d_th: Minimum distance between two boundary solutions.
     """
     return int(distinct_boundary(archive, t_b, d_th).size)
 
@@ -128,8 +128,8 @@ def strict_dbs(archive: Archive, t_b: float, d_th: float) -> int:
 
     Args:
         archive: The evaluated solutions.
-        t_b: Largest fitness of a boundary solution.
-        d_th: Smallest distance between two boundary solutions.
+        t_b: Maximum fitness of a boundary solution.
+        d_th: Minimum distance between two boundary solutions.
     """
     return int(distinct_boundary(archive, t_b, d_th, strict=True).size)
 
@@ -141,8 +141,8 @@ def dbs_grid(
 
     Args:
         archive: The evaluated solutions.
-        t_bs: Largest fitness of a boundary solution.
-        d_ths: Smallest distance between two boundary solutions.
+        t_bs: Maximum fitness of a boundary solution.
+        d_ths: Minimum distance between two boundary solutions.
     """
     return DbsGrid(
         t_bs=tuple(t_bs),
@@ -177,8 +177,8 @@ def dbs_by_budget(
         archive: The evaluated solutions, ascending by number.
         budget: Simulations of the whole campaign.
         fractions: Shares in (0, 1], ascending.
-        t_bs: Largest fitness of a boundary solution.
-        d_ths: Smallest distance between two boundary solutions.
+        t_bs: Maximum fitness of a boundary solution.
+        d_ths: Minimum distance between two boundary solutions.
 
     Raises:
         ValueError: The fractions do not ascend in (0, 1], or the archive does not ascend by number.
@@ -256,8 +256,8 @@ def by_radius(archive: Archive, radii: Sequence[float], *, t_b: float, d_th: flo
     Args:
         archive: The evaluated solutions.
         radii: Maximum distances of a neighbour, >= 0.
-        t_b: Largest fitness of a boundary solution.
-        d_th: Smallest distance between two boundary solutions.
+        t_b: Maximum fitness of a boundary solution.
+        d_th: Minimum distance between two boundary solutions.
 
     Raises:
         ValueError: A radius is out of range.
@@ -271,8 +271,8 @@ def by_p_th(archive: Archive, p_ths: Sequence[float], *, t_b: float, d_th: float
     Args:
         archive: The evaluated solutions.
         p_ths: Unsafe probabilities that define the boundary, in (0, 1).
-        t_b: Largest fitness of a boundary solution.
-        d_th: Smallest distance between two boundary solutions.
+        t_b: Maximum fitness of a boundary solution.
+        d_th: Minimum distance between two boundary solutions.
 
     Raises:
         ValueError: A probability is out of range.

@@ -201,8 +201,8 @@ class Duel:
         first: The line whose larger values give an A12 above one half.
         second: The other line.
         measure: The measure compared.
-        t_b: Largest fitness of a boundary solution.
-        d_th: Smallest distance between two distinct solutions.
+        t_b: Maximum fitness of a boundary solution.
+        d_th: Minimum distance between two distinct solutions.
         result: U, p-value and A12.
         adjusted: The p-value, corrected for all comparisons of the table.
     """

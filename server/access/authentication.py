@@ -1,6 +1,6 @@
 """Authentication of requests by bearer token, and rate limits.
 
-Tokens are cached for a few seconds, so a new token starts to work, and a revoked one stops, that much later.
+Tokens are cached, so it takes a few seconds until a new token is accepted or a revoked one is rejected.
 """
 
 import asyncio
@@ -41,7 +41,7 @@ class _Bucket:
         self._left, self._at = max(1.0, rate), now
 
     def take(self, rate: float, now: float) -> float:
-        """Take one request from the bucket; return 0, or how long to wait for one, in seconds."""
+        """Take one request from the bucket; return 0, or how long to wait until one is available, in seconds."""
         self._left = min(max(1.0, rate), self._left + (now - self._at) * rate)
         self._at = now
         if self._left >= 1.0:
@@ -83,9 +83,9 @@ class Authenticator:
         self._buckets: dict[str, _Bucket] = {}
 
     async def requires_token(self) -> bool:
-        """Return whether requests need a token: one is set, other machines can connect, or a token was ever stored.
+        """Return whether requests need a token: if one is set, other machines can connect, or any was ever stored.
 
-        Expired and revoked tokens count: otherwise a coordinator would open to everyone when its last token expires.
+        Expired and revoked tokens count; otherwise, a coordinator would accept everyone once its last token expires.
         """
         if self._own is not None or self._exposed:
             return True
@@ -103,18 +103,18 @@ class Authenticator:
             return None
         await self._refresh()
         stored = self._known.get(token_id)
-        # Compare in any case, so that timing does not reveal which ids exist.
+        # Always compare, so that timing does not reveal which ids exist.
         same = secrets.compare_digest(token_digest(token), stored.digest if stored is not None else "0" * 64)
         if stored is None or not same or not stored.is_valid(datetime.now(UTC)):
             return None
         return Caller(stored.id, stored.scope)
 
     def wait_s(self, caller: Caller) -> float:
-        """Count a request with a token; return 0, or how long the client has to wait, in seconds."""
+        """Count a request against the limit of its token; return 0, or how long the client must wait, in seconds."""
         return self._take(f"token {caller.id}", self._rate_limit)
 
     def unauthenticated_wait_s(self, address: str) -> float:
-        """Count a request without a valid token; return 0, or how long the client has to wait, in seconds."""
+        """Count a request without a valid token; return 0, or how long the client must wait, in seconds."""
         return self._take(f"address {address}", UNAUTHENTICATED_PER_S)
 
     def _take(self, name: str, rate: float) -> float:

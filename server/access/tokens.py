@@ -84,7 +84,7 @@ def parse_token_id(token: str) -> str | None:
 
 
 def token_digest(token: str) -> str:
-    """Return the stored digest of a token. Tokens are random enough that a slow hash would add nothing."""
+    """Return the stored digest of a token. Tokens are random enough that a slow hash would add no security."""
     return hashlib.sha256(token.encode()).hexdigest()
 
 
@@ -94,7 +94,7 @@ def create_token(connection: Connection, scope: Scope, name: str, expires_in: ti
     Args:
         connection: Write connection.
         scope: What the token may be used for.
-        name: Name for people.
+        name: Human-readable name.
         expires_in: Lifetime; None for a token that does not expire.
     """
     token_id, token = new_token(scope)
@@ -132,7 +132,7 @@ def revoke_token(connection: Connection, token_id: str) -> None:
 
 
 def any_token(connection: Connection, *, valid_only: bool = True) -> bool:
-    """Return whether a valid token exists or, with ``valid_only`` off, whether any token was ever stored."""
+    """Return whether a valid token exists or, if ``valid_only`` is false, whether any token was ever stored."""
     query = select(TokenRow.id).limit(1)
     if valid_only:
         now = database_now(connection)

@@ -1,1 +1,1 @@
-"""The REST API: routes parse, call one service function, return a schema."""
+"""The REST API. Each route parses its request, calls one service function, and returns a response schema."""

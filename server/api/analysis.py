@@ -39,7 +39,7 @@ DIGITS = 4
 
 
 class ColourBy(View):
-    """The values of one parameter, one for each drawn solution."""
+    """The values of one parameter by which the map is coloured, one for each drawn solution."""
 
     parameter: Annotated[str, Field(description="Name as component.parameter.")]
     unit: str
@@ -55,10 +55,13 @@ class ColourBy(View):
 
 
 class MapView(View):
-    """Positions of solutions on the map, in columns, in order of evaluation."""
+    """Positions of solutions on the map, as one list per column, in order of evaluation."""
 
     version: Annotated[
-        str, Field(description="Points of one layout version do not move; pass it with `after`.")
+        str,
+        Field(
+            description="Version of the layout, within which points do not move; pass it together with `after`."
+        ),
     ]
     generation: Annotated[int, Field(description="Generations completed.")]
     evaluated: Annotated[int, Field(description="Evaluated solutions.")]
@@ -90,7 +93,7 @@ async def get_map(
         int, Query(ge=0, le=MAX_NUMBER, description="How many of its solutions the client has.")
     ] = 0,
     parameter: Annotated[
-        str, Query(max_length=200, description="Add the values of component.parameter.")
+        str, Query(max_length=200, description="Parameter whose values to include, as component.parameter.")
     ] = "",
 ) -> Response:
     """Return the positions of a campaign's solutions on its map; large campaigns are thinned out."""
@@ -170,7 +173,7 @@ def _colour_by(column: ParameterColumn, rows: NDArray[np.intp]) -> ColourBy:
 
 
 class CourseView(View):
-    """Convergence curve in columns: each point counts only what had been evaluated by then."""
+    """Convergence curve, as one list per column; each point counts only solutions evaluated by then."""
 
     t_b: float
     d_th: float
@@ -190,7 +193,7 @@ async def get_course(
     t_b: Threshold = DEFAULT_T_B,
     d_th: Threshold = DEFAULT_D_TH,
 ) -> CourseView:
-    """Return the convergence curve: the number of distinct boundary solutions over simulations, at any thresholds."""
+    """Return the convergence curve: distinct boundary solutions against simulations, at any thresholds."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     etag = _etag(campaign, found.generation, t_b, d_th)
@@ -218,7 +221,7 @@ def _no_curve(evaluated: int) -> str | None:
 
 
 class DependenceView(View):
-    """The unsafe share of solutions over the values of one parameter."""
+    """The unsafe share of solutions by value of one parameter."""
 
     component: str
     parameter: str
@@ -257,7 +260,7 @@ class Dependences(View):
 async def get_dependence(
     campaign_id: str, services: Services, request: Request, response: Response
 ) -> Dependences:
-    """Return the unsafe share over the values of each parameter. Not a risk estimate: searches sample unevenly."""
+    """Return the unsafe share by value of each parameter. Not a risk estimate, as searches sample unevenly."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     etag = _etag(campaign, found.generation)
@@ -289,7 +292,7 @@ def _dependence(one: Dependence, parameters: int) -> DependenceView:
 
 
 class ScoresView(View):
-    """DBS that a campaign reached: one value for each fraction of its budget, each t_b and each d_th."""
+    """DBS that a campaign reached, for each fraction of its budget, each t_b and each d_th."""
 
     id: str
     name: str
@@ -309,7 +312,7 @@ class ScoresView(View):
     says: Annotated[
         list[list[str]],
         Field(
-            description="Conclusion from the comparison with the control at the whole budget, for each t_b and d_th; "
+            description="Conclusion from the comparison with the control at the full budget, for each t_b and d_th; "
             "empty without a control."
         ),
     ]
@@ -326,7 +329,7 @@ async def get_scores(
         float, Query(ge=0, le=60, description="How long to wait for the scores, in seconds.")
     ] = 10.0,
 ) -> ScoresView:
-    """Return the DBS and strict DBS of an ended campaign at fractions of its budget, next to those of its control."""
+    """Return the DBS and strict DBS of an ended campaign, and of its control, at fractions of its budget."""
     campaign = await services.campaigns.get(campaign_id)
     if campaign.status not in ENDED:
         raise Conflict(f"campaign {campaign.id} is {campaign.status}: scores are available once it has ended")
@@ -383,9 +386,10 @@ class RiskView(View):
     low: Annotated[float, Field(description="Lower limit of the interval.")]
     high: float
     neighbours: Annotated[
-        float, Field(description="Weight of the evaluations near it, as a number of evaluations.")
+        float,
+        Field(description="Effective number of nearby evaluations: their total weight."),
     ]
-    answer: Annotated[Answer, Field(description="Unknown if the interval contains the threshold.")]
+    answer: Annotated[Answer, Field(description="`unknown` if the interval contains the threshold.")]
 
 
 class Scored(View):
@@ -394,7 +398,9 @@ class Scored(View):
     campaign: str
     learned_from: Annotated[int, Field(description="Number of solutions that the monitor was fitted to.")]
     threshold: float
-    risks: Annotated[list[RiskView], Field(description="In the order of the solutions.")]
+    risks: Annotated[
+        list[RiskView], Field(description="One estimate for each solution, in the order of the request.")
+    ]
 
 
 @monitors_router.post("/monitor/score")

@@ -29,17 +29,17 @@ MEANINGS: Final = {
     "seed": "seed of its episode: the same seed gives the same episode, bit for bit",
     "words": "description of the solution in words",
     "campaign": "id of the campaign",
-    "problem": "problem that was searched",
-    "algorithm": "algorithm that searched it",
+    "problem": "problem that the campaign searched",
+    "algorithm": "algorithm that the campaign used",
     "campaign_seed": "seed of the search",
     "generation": "generation of the solution",
     "robustness.*": "robustness of each requirement, in its unit",
     "feature.*": "other measurements of the episode",
-    "version.*": "version of each part that the simulation ran with",
+    "version.*": "version of each part of the software that ran the simulation",
     "*.*": "parameter of a component of the solution, decoded",
-    "component.*": "boxes of the ground truth (seen) and detections (said); invented: false positives",
+    "component.*": "number of ground-truth boxes (seen), of detections (said), or of false positives (invented)",
 }
-"""Meaning of the columns; a star stands for any name."""
+"""Meaning of the columns; an asterisk stands for any name."""
 _TIMINGS: Final = ("cpu_s", "simulated_s")
 
 
@@ -109,7 +109,7 @@ def table_bytes(rows: Sequence[Row], form: str) -> bytes:
 
 
 def has_parquet() -> bool:
-    """Return whether pyarrow is installed, which Parquet needs."""
+    """Return whether pyarrow, which Parquet needs, is installed."""
     return find_spec("pyarrow") is not None
 
 

@@ -82,7 +82,7 @@ async def check_campaign(
     ],
     services: Services,
 ) -> CampaignBody:
-    """Validate a campaign file without submitting it: return the parsed campaign, or the errors of a submission."""
+    """Validate a campaign file without submitting it; return the parsed campaign, or the errors of a submission."""
     body = parse_body(parse_yaml(text))
     await services.campaigns.check(body)
     return body
@@ -167,7 +167,7 @@ async def _progress_etag(services: Context, campaign_id: str, since: int) -> str
 
     def look(connection: Connection) -> tuple[object, ...] | None:
         version = view_store.read_version(connection, campaign_id)
-        if version is None or version.ended:  # workers come and go, which does not concern an ended campaign
+        if version is None or version.ended:  # an ended campaign is unaffected by workers that come and go
             return version
         live = live_capabilities(connection, services.settings.worker_seen_s)
         return (*version, sorted((worker, sorted(able)) for worker, able in live.items()))
@@ -233,7 +233,7 @@ def read_progress(
         connection: Read connection.
         campaign_id: Full id of the campaign.
         since: Number of the first generation to return.
-        worker_seen_s: A worker last seen longer ago than this is not live, in seconds.
+        worker_seen_s: Time since its last contact after which a worker is no longer live, in seconds.
         archive: Archive of an ended campaign, if it could be read.
         asking: What a language model is being asked for this campaign, if anything.
         trouble: Why the database rejects writes, if it does.
@@ -274,7 +274,7 @@ overview_router = APIRouter(tags=["campaigns"])
 
 
 class Overview(View):
-    """Campaigns, newest first, in columns."""
+    """Campaigns, newest first, as one list per column."""
 
     id: list[str]
     name: list[str]
@@ -285,7 +285,9 @@ class Overview(View):
     status_reason: list[str]
     sequence: Annotated[list[int], Field(description="Increases with every change to the campaign.")]
     budget: list[int]
-    simulations: Annotated[list[int], Field(description="Finished so far, including the current generation.")]
+    simulations: Annotated[
+        list[int], Field(description="Candidates finished so far, including those of the current generation.")
+    ]
     evaluated: list[int]
     unsafe: list[int]
     failed: list[int]

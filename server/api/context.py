@@ -1,4 +1,4 @@
-"""The services of this process, injected into the routes, and facts about the client of a request."""
+"""The services of this process, injected into the routes, and information about the client of a request."""
 
 import asyncio
 from collections.abc import AsyncIterator
@@ -44,7 +44,7 @@ class Context:
     metrics: Metrics
     figures: Figures
     drawing: ThreadPoolExecutor
-    """Threads for rendering: a film takes seconds, which nothing else should wait for."""
+    """Threads for rendering: a video takes seconds, and nothing else should wait for it."""
 
 
 async def context_of(request: Request) -> Context:  # async: a thread switch would cost more than the lookup

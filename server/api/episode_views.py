@@ -1,4 +1,4 @@
-"""An episode as the API returns it: a trace and its scene model in columns of rounded numbers, ready to be drawn.
+"""An episode as the API returns it: a trace and its scene model as columns of rounded numbers, ready to be drawn.
 
 Absent and unbounded values are null. Positions are rounded to 1 mm, angles to 0.0001 rad, boxes to a
 tenth of a pixel. Traces are checked first: a worker may have sent anything.
@@ -55,13 +55,13 @@ from brink.sim.trace import (
 )
 
 LONGEST_S: Final = 24 * 3600.0
-"""Longest episode that is drawn: the dashboard draws marks along its time."""
+"""Longest episode that is drawn, since the dashboard draws marks along its whole duration."""
 MOST_NUMBERS: Final = 4_000_000
-"""Numbers in the arrays of one episode; an hour of urban driving has a third of this."""
+"""Maximum total size of the arrays of one episode; an hour of urban driving has a third of this."""
 LEAST_SCORE: Final = 0.1
-"""Detections with a lower score are left out: there are ten times as many of them, and nobody looks at them."""
+"""Detections with a lower score are left out: there are ten times as many of them, and they are of no interest."""
 LOOK_AHEAD_M: Final = 12.0
-"""How far ahead of the ego the middle of the dashboard's map lies."""
+"""Distance from the ego to the centre of the dashboard's map, which lies ahead of it."""
 
 _COLUMNS: Final = {
     "seen_boxes": BOX_COLUMNS, "given_boxes": BOX_COLUMNS, "perceived": PERCEIVED_COLUMNS,
@@ -73,7 +73,7 @@ _BOX: Final = 1
 _DECIMALS: Final = {
     "score": 3, "x_m": _PLACE, "y_m": _PLACE, "vx_mps": 2, "vy_mps": 2, "length_m": 2, "width_m": 2,
 }  # fmt: skip
-"""Decimals of the columns of rows; others have those of boxes."""
+"""Decimal places by column; columns not listed are rounded like box coordinates."""
 
 Column: TypeAlias = list[float | None]
 Point: TypeAlias = tuple[float, float]
@@ -81,7 +81,7 @@ Ring: TypeAlias = Sequence[Point]
 
 
 class TrackView(View):
-    """A road user at each sample; null where it is absent."""
+    """The motion of a road user, with one value per sample; null where it is absent."""
 
     x_m: Column
     y_m: Column
@@ -93,13 +93,13 @@ class TrackView(View):
 
 
 class EgoView(TrackView):
-    """The ego at each sample."""
+    """The motion of the ego, with one value per sample."""
 
     accel_mps2: Column
 
 
 class ActorView(TrackView):
-    """Another road user at each sample."""
+    """Another road user: its kind, and its motion with one value per sample."""
 
     name: str
     kind: Annotated[str, Field(description="vehicle or pedestrian.")]
@@ -110,12 +110,14 @@ class SurfaceView(View):
     """A flat polygon or line of the scene; surfaces are drawn in the given order."""
 
     kind: str
-    closed: Annotated[bool, Field(description="Whether it is an area; otherwise a line of `width_m`.")]
+    closed: Annotated[bool, Field(description="True for an area; false for a line `width_m` wide.")]
     width_m: float
     points: Annotated[list[Point], Field(description="In metres.")]
-    paint: Annotated[str, Field(description="Kinds that look alike share a paint.")]
+    paint: Annotated[str, Field(description="Name of its style; kinds that look alike share one.")]
     outlined: Annotated[bool, Field(description="Whether its edge is drawn.")]
-    height_m: Annotated[float, Field(description="How tall it is drawn in perspective; 0 if it is flat.")]
+    height_m: Annotated[
+        float, Field(description="Height at which it is drawn in perspective; 0 if it is flat.")
+    ]
 
 
 class CentreView(View):
@@ -126,26 +128,34 @@ class CentreView(View):
 
 
 class ShapesView(View):
-    """Road users from above. A car's corners are in half lengths ahead and half widths to the left of its centre."""
+    """Top-view outlines of road users.
+
+    The points of a car are relative to its centre: half lengths ahead, half widths to the left.
+    """
 
     car_body: Ring
     car_windows: Sequence[Ring]
     car_brake_lights: Sequence[Ring]
     person_radius_m: float
-    person_nose: Annotated[float, Field(description="Reach of the nose from the centre, in radii.")]
+    person_nose: Annotated[
+        float, Field(description="Distance from the centre to the tip of the nose, in radii.")
+    ]
 
 
 class RowsView(View):
-    """Rows that belong to samples, any number per sample, in columns."""
+    """Table rows, any number of them per sample, as one list per column."""
 
     first: Annotated[
-        list[int], Field(description="Index of the first row of each sample, then the number of all rows.")
+        list[int],
+        Field(description="Index of each sample's first row, followed by the total number of rows."),
     ]
-    columns: Annotated[dict[str, Column], Field(description="By name; label is 0 vehicle, 1 person.")]
+    columns: Annotated[
+        dict[str, Column], Field(description="By name; in the column `label`, 0 is a vehicle and 1 a person.")
+    ]
 
 
 class PictureCamera(View):
-    """The camera of the boxes `seen` and `given`, which are in its pixels. It looks along the ego's yaw."""
+    """The camera to whose picture the boxes `seen` and `given` refer, in pixels. It faces along the ego's yaw."""
 
     width_px: int
     height_px: int
@@ -154,28 +164,32 @@ class PictureCamera(View):
     horizon_px: float
     height_m: Annotated[float, Field(description="Above the ground.")]
     forward_m: Annotated[float, Field(description="Ahead of the ego's centre.")]
-    from_m: Annotated[float, Field(description="Sketches leave out anything nearer.")]
-    to_m: Annotated[float, Field(description="Sketches leave out areas that begin farther away.")]
+    from_m: Annotated[float, Field(description="Sketches omit anything nearer.")]
+    to_m: Annotated[float, Field(description="Sketches omit areas that begin farther away.")]
 
 
 class FilmView(View):
-    """The pictures of a camera in the loop. Boxes are in pixels of these pictures."""
+    """The pictures recorded by a camera in the loop. Boxes are in pixels of these pictures."""
 
     size_px: tuple[int, int]
     samples: Annotated[list[int], Field(description="The sample of each picture, ascending.")]
     shown: Annotated[list[int], Field(description="Index of the picture that each sample shows.")]
-    judged: Annotated[RowsView, Field(description="Ground truth; ignored is 1 where it counts for nothing.")]
+    judged: Annotated[
+        RowsView, Field(description="Ground truth; `ignored` is 1 for boxes that do not count.")
+    ]
     found: Annotated[
         RowsView,
-        Field(description="Detections with at least `least_score`; counts is 1 from `threshold` on."),
+        Field(
+            description="Detections with a score of at least `least_score`; `counts` is 1 from `threshold` on."
+        ),
     ]
-    threshold: Annotated[float, Field(description="Lowest score of a detection that counted.")]
-    least_score: Annotated[float, Field(description="Lowest score of a detection that is listed.")]
+    threshold: Annotated[float, Field(description="Minimum score of a detection that counts.")]
+    least_score: Annotated[float, Field(description="Minimum score of a detection that is listed.")]
     regions: Annotated[dict[str, list[Point]], Field(description="Areas that trigger the brake.")]
     person_region: Annotated[
         str, Field(description="Name of the region for people; the other regions are for vehicles.")
     ]
-    colours: Annotated[dict[str, str], Field(description="Colours of the lines: judged, found, region.")]
+    colours: Annotated[dict[str, str], Field(description="Line colours of `judged`, `found` and `region`.")]
 
 
 class EventView(View):
@@ -189,18 +203,22 @@ class EventView(View):
 
 
 class StoryView(View):
-    """What the episode is about."""
+    """The requirement that the episode is about, and its decisive sample."""
 
     requirement: str
     violated: bool
-    decisive: Annotated[int, Field(description="Sample of the first violation, or of the lowest robustness.")]
+    decisive: Annotated[
+        int, Field(description="Sample of the first violation or, without one, of the lowest robustness.")
+    ]
 
 
 class EpisodeWords(View):
-    """The episode in words. Lists are by label; their last entry is for any other label."""
+    """The episode in words. Lists are indexed by label; their last entry is for any other label."""
 
     scenario: str
-    perturbations: Annotated[str, Field(description="Perturbations of the pictures; empty without any.")]
+    perturbations: Annotated[
+        str, Field(description="Perturbations of the pictures; empty if there are none.")
+    ]
     report: Annotated[str, Field(description="Origin of the given boxes: injected, detected or seen.")]
     labels: Annotated[Sequence[str], Field(description="Names of labels.")]
     sighted: Annotated[Sequence[str], Field(description="Captions of perceived obstacles that really exist.")]
@@ -213,7 +231,9 @@ class EpisodeView(View):
     time_s: list[float]
     ego: EgoView
     route: Annotated[list[Point], Field(description="Centre line of the ego's lane.")]
-    route_layer: Annotated[int, Field(description="How many surfaces of the scene lie below the route.")]
+    route_layer: Annotated[
+        int, Field(description="Number of surfaces of the scene that lie below the route.")
+    ]
     centre: CentreView
     actors: list[ActorView]
     scene: list[SurfaceView]
@@ -224,14 +244,19 @@ class EpisodeView(View):
         RowsView,
         Field(
             description="What the driving system perceives. A box is drawn at `yaw_rad`, `drawn_length_m` by "
-            "`drawn_width_m`; ghost is 1 if nothing of its kind is there."
+            "`drawn_width_m`; `ghost` is 1 if nothing of its kind is there."
         ),
     ]
     plan_mode: list[str]
     target_speed_mps: Column
-    lights: Annotated[list[str], Field(description="State of the ego's traffic light; empty without one.")]
-    robustness: Annotated[dict[str, Column], Field(description="Over time, by requirement.")]
-    units: Annotated[dict[str, str], Field(description="By requirement; empty where unknown.")]
+    lights: Annotated[
+        list[str],
+        Field(description="State of the ego's traffic light at each sample; empty if there is no light."),
+    ]
+    robustness: Annotated[dict[str, Column], Field(description="Value at each sample, by requirement.")]
+    units: Annotated[
+        dict[str, str], Field(description="Unit of the robustness, by requirement; empty if unknown.")
+    ]
     events: list[EventView]
     story: StoryView | None
     words: EpisodeWords
@@ -240,14 +265,14 @@ class EpisodeView(View):
 
 
 def episode_view(trace: Trace, requirement: str | None) -> EpisodeView:
-    """Return an episode in columns.
+    """Convert a trace to the column-oriented form that the API returns.
 
     Args:
         trace: The episode.
         requirement: The requirement that the campaign judges; by default the one that a replay is about.
 
     Raises:
-        InvalidEpisode: The trace does not fit together, or is too long to be drawn.
+        InvalidEpisode: The trace is inconsistent, or too long to be drawn.
     """
     _check(trace)
     scene = EpisodeScene.of(trace)
@@ -305,7 +330,7 @@ def episode_view(trace: Trace, requirement: str | None) -> EpisodeView:
 
 
 def _check(trace: Trace) -> None:
-    """Raise InvalidEpisode if the arrays do not belong together."""
+    """Raise InvalidEpisode if the arrays of a trace are inconsistent."""
     samples = len(trace.time_s)
     _expect(isinstance(trace.about, Mapping), "about: expected a mapping")
     _expect(
@@ -325,14 +350,14 @@ def _check(trace: Trace) -> None:
     for name, (array, shape) in shapes.items():
         _expect(array.shape == shape, f"{name}: expected shape {shape}, got {array.shape}")
     for name, words in (("plan_mode", trace.plan_mode), ("lights", trace.lights)):
-        _expect(len(words) == samples, f"{name}: expected {samples} words, got {len(words)}")
+        _expect(len(words) == samples, f"{name}: expected {samples} strings, got {len(words)}")
     ragged = {"seen_boxes": trace.seen_boxes, "given_boxes": trace.given_boxes, "perceived": trace.perceived}
     if trace.film is not None:
         ragged |= {"judged": trace.film.judged, "found": trace.film.found}
         pictures = trace.film.samples
         _expect(pictures.shape == (len(trace.film.pictures),), "film: expected one sample per picture")
         within = ((pictures >= 0) & (pictures < samples)).all() and (np.diff(pictures) > 0).all()
-        _expect(bool(within), "film: expected ascending samples of the episode")
+        _expect(bool(within), "film: expected ascending indices of samples of the episode")
     for name, rows in ragged.items():
         _check_rows(name, rows, samples)
     numbers = sum(array.size for array, _ in shapes.values()) + sum(
@@ -349,9 +374,9 @@ def _check_rows(name: str, ragged: Ragged, samples: int) -> None:
         f"{name}: expected columns {', '.join(columns)}, got shape {rows.shape}",
     )
     whole = first.shape == (samples + 1,) and first.dtype.kind in "iu"
-    _expect(whole, f"{name}: expected {samples + 1} whole numbers in first, got {first.dtype} {first.shape}")
+    _expect(whole, f"{name}: expected {samples + 1} integers in `first`, got {first.dtype} {first.shape}")
     ascends = first[0] == 0 and first[-1] == len(rows) and (np.diff(first.astype(np.int64)) >= 0).all()
-    _expect(bool(ascends), f"{name}: expected first to ascend from 0 to {len(rows)}")
+    _expect(bool(ascends), f"{name}: expected `first` to ascend from 0 to {len(rows)}")
 
 
 def _expect(holds: bool, message: str) -> None:
@@ -360,7 +385,7 @@ def _expect(holds: bool, message: str) -> None:
 
 
 def _column(values: ArrayLike, decimals: int) -> Any:
-    """Return rounded numbers; pydantic writes those that are not finite as null."""
+    """Return rounded numbers; pydantic writes non-finite ones as null."""
     return np.round(np.asarray(values, dtype=np.float64), decimals).tolist()
 
 
@@ -415,7 +440,7 @@ def _surface(surface: Surface) -> SurfaceView:
 
 
 def _rows(ragged: Ragged, **derived: Column) -> RowsView:
-    """Return rows in columns, with columns that the scene model adds."""
+    """Return rows as one list per column, including the columns that the scene model adds."""
     columns: dict[str, Column] = {
         str(name): _column(ragged.rows[:, place], _DECIMALS.get(str(name), _BOX))
         for place, name in enumerate(ragged.columns)
@@ -441,7 +466,7 @@ def _story(trace: Trace, requirement: str | None) -> StoryView | None:
 
 
 def _or_empty(describe: Callable[[Trace], str], trace: Trace) -> str:
-    """Return a description of a trace; empty if the trace is malformed: workers are not trusted."""
+    """Return a description of a trace, or an empty one if the trace is malformed, since workers are not trusted."""
     try:
         return describe(trace)
     except (LookupError, TypeError, ValueError, ArithmeticError):
@@ -480,7 +505,7 @@ def _film(trace: Trace, film: Film) -> FilmView:
 
 
 def _with_score(found: Ragged, least: float) -> Ragged:
-    """Return the detections with at least some score."""
+    """Return the detections with at least the given score."""
     listed = found.rows[:, FOUND_COLUMNS.index("score")] >= least
     before = np.concatenate([[0], np.cumsum(listed)])
     return Ragged(columns=found.columns, first=before[found.first], rows=found.rows[listed])

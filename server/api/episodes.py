@@ -1,7 +1,7 @@
-"""Routes of one solution's episode: its trace, replays of it, the scene that the dashboard draws, its film.
+"""Routes of a solution's episode: its trace, replays, the scene that the dashboard draws, and the camera's film.
 
-A trace that is not kept is made by a worker while the client waits. Nobody waits, and nothing is enqueued, while no
-live worker could make it.
+If a trace was not kept, a worker records it while the client waits. Requests fail, and nothing is enqueued, while no
+live worker can record it.
 """
 
 import asyncio
@@ -36,10 +36,13 @@ REPLAY_MEDIA = {"png": "image/png", "gif": "image/gif", "mp4": "video/mp4"}
 """Media types of replays, by extension."""
 
 NOT_YET: dict[int | str, dict[str, Any]] = {
-    202: {"model": BeingMade, "description": "A worker is making it; try again after `Retry-After`."},
+    202: {
+        "model": BeingMade,
+        "description": "A worker is recording the trace; try again after `Retry-After`.",
+    },
     503: {
         "model": ProblemDetail,
-        "description": "No live worker can make it; try again after `Retry-After`.",
+        "description": "No live worker can record the trace; try again after `Retry-After`.",
     },
 }
 """Responses of a route that needs a trace while there is none."""
@@ -47,13 +50,13 @@ NOT_YET: dict[int | str, dict[str, Any]] = {
 UNREADABLE = (
     SimulatorError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError, MemoryError,
 )  # fmt: skip
-"""Errors that drawing a malformed trace may raise: a worker may send anything."""
+"""Errors that drawing a malformed trace may raise, since workers may send anything."""
 
 Number = Annotated[int, PathParameter(ge=0, le=MAX_NUMBER)]
 Index = Annotated[
     int, PathParameter(ge=0, lt=MOST_PICTURES, description="Index of a picture in the film, from 0.")
 ]
-Wait = Annotated[float, Query(ge=0, le=60, description="How long to wait for workers to make the trace.")]
+Wait = Annotated[float, Query(ge=0, le=60, description="How long to wait for a worker to record the trace.")]
 
 T = TypeVar("T")
 
@@ -85,7 +88,7 @@ async def get_replay(
     services: Services,
     wait_s: Wait = 20.0,
 ) -> Response:
-    """Return a picture or a film of a solution's episode, seen from above."""
+    """Return an image or a video of a solution's episode, seen from above."""
     campaign = await services.campaigns.get(campaign_id)
     document = await _trace_of(services, campaign, number, request, wait_s)
     if document is None:
@@ -120,7 +123,7 @@ async def get_episode(
     "/pictures/{index}.jpg", response_class=Response, responses={200: {"content": {"image/jpeg": {}}}}
 )
 async def get_picture(campaign_id: str, number: Number, index: Index, services: Services) -> Response:
-    """Return a picture of the film of a solution's episode, if its trace is kept and has a film."""
+    """Return one picture from the film of a solution's episode, if its trace is kept and has a film."""
     campaign = await services.campaigns.get(campaign_id)
     picture = await services.films.picture(campaign, number, index)
     return Response(picture, media_type="image/jpeg")
@@ -130,7 +133,7 @@ async def _drawn(executor: Executor | None, number: int, draw: Callable[[], T]) 
     """Draw a solution's trace in a thread.
 
     Args:
-        executor: Where to draw; None for the event loop's own threads.
+        executor: Where to draw; None for the event loop's default threads.
         number: The solution.
         draw: Draws the trace.
 
@@ -148,7 +151,7 @@ async def _drawn(executor: Executor | None, number: int, draw: Callable[[], T]) 
 async def _trace_of(
     services: Context, campaign: Campaign, number: int, request: Request, wait_s: float
 ) -> bytes | None:
-    """Return the trace of a solution, waiting for a worker to make it; None if that takes too long.
+    """Return the trace of a solution, waiting for a worker to record it; None if that takes too long.
 
     Args:
         services: The services of this process.
@@ -159,13 +162,13 @@ async def _trace_of(
 
     Raises:
         NotFound: There is no such solution, or it was not simulated.
-        Conflict: Its simulator records no traces, or the trace cannot be made.
-        NoWorker: No live worker can make it.
+        Conflict: Its simulator records no traces, or the trace cannot be recorded.
+        NoWorker: No live worker can record it.
     """
     deadline = asyncio.get_running_loop().time() + wait_s
 
     def look_up(connection: Connection) -> tuple[TraceStatus, bool]:
-        """Return the state of the trace, and whether no live worker could make it."""
+        """Return the state of the trace, and whether no live worker can record it."""
         found = trace_status(connection, campaign.id, number)
         waits = found.document is None and found.needs is not None and found.job in (None, JobStatus.QUEUED)
         return found, waits and not can_run(connection, str(found.needs), services.settings.worker_seen_s)
@@ -197,6 +200,6 @@ async def _trace_of(
 
 
 def _being_made() -> JSONResponse:
-    """Return the answer to a client that would have to wait longer."""
+    """Return the 202 response for a client whose wait ended before the trace was available."""
     view = BeingMade(detail="a worker is making the trace; try again soon")
     return JSONResponse(view.model_dump(), status_code=202, headers={"Retry-After": "2"})

@@ -86,7 +86,7 @@ class DuelView(View):
     u: float
     p: float
     p_holm: Annotated[
-        float, Field(description="p, corrected over all comparisons of this problem and measure.")
+        float, Field(description="p value, corrected over all comparisons of this problem and measure.")
     ]
     a12: float
     effect: str
@@ -208,7 +208,7 @@ async def get_results(
 ) -> Results:
     """Return the result tables of the campaigns that have finished.
 
-    They hold DBS and strict DBS at fractions of the budget, each computed from the solutions evaluated by then; means
+    These are DBS and strict DBS at fractions of the budget, each computed from the solutions evaluated by then; means
     with intervals; and Mann-Whitney U with Vargha-Delaney A12 between methods.
     """
     experiment = await services.experiments.get(experiment_id)
@@ -270,7 +270,7 @@ def read_progress(
     Args:
         connection: Read connection.
         experiment: The experiment.
-        worker_seen_s: A worker last seen longer ago than this is not live, in seconds.
+        worker_seen_s: Time since its last contact after which a worker is no longer live, in seconds.
         trouble: Why the database rejects writes, if it does.
     """
     ids = [member.campaign.id for member in experiment.members]
@@ -286,7 +286,7 @@ def read_progress(
     before = store.completed_by(connection, ids, now - timedelta(seconds=span_s))
     told = experiment.simulations
     done = told + in_generations
-    if before:  # how far the generations in flight were by then is unknown
+    if before:  # the progress of the current generations at that time is unknown
         rate = (told - before) / span_s if span_s > 0 and told > before else None
     else:
         rate = done / elapsed_s if elapsed_s > 0 and done else None

@@ -104,7 +104,9 @@ async def _name(services: Context, campaign_id: str, number: int, requirement: s
 async def _found(services: Context, campaign: Campaign) -> list[FoundViolation]:
     problem = (await services.archives.get(campaign)).plan.problem
     if not isinstance(problem, ReportsViolations):
-        raise NotFound(f"campaign {campaign.id}: {campaign.body.problem.id} reports no violations")
+        raise NotFound(
+            f"campaign {campaign.id}: problem {campaign.body.problem.id} does not support reporting violations"
+        )
     return await read(
         services.engines,
         lambda connection: read_violations(connection, campaign.id, problem),
@@ -138,7 +140,7 @@ combinations_router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["soluti
 
 @combinations_router.get("/combinations")
 async def get_combinations(campaign_id: str, services: Services) -> Combinations:
-    """Return which chains of techniques are hazardous, and which of them only together or only in one order."""
+    """Return the hazardous chains of techniques, and which of them need all their techniques or a certain order."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     try:
@@ -161,7 +163,7 @@ async def get_variants(campaign_id: str, number: Number, services: Services) -> 
 
 
 def _no_techniques(campaign: Campaign) -> NotFound:
-    return NotFound(f"campaign {campaign.id}: {campaign.body.problem.id} has no ordered techniques")
+    return NotFound(f"campaign {campaign.id}: problem {campaign.body.problem.id} has no ordered techniques")
 
 
 class TechniqueNames:
@@ -196,7 +198,7 @@ class TechniqueNames:
 
 
 def combinations_view(space: SearchSpace, archive: Archive) -> Combinations:
-    """Return the tallies of all chains, the most informative combinations first.
+    """Return the tallies of all chains, the most informative ones first.
 
     Raises:
         UnsupportedSpace: The problem has no ordered techniques.

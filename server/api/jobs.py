@@ -44,7 +44,7 @@ class WireRoute(APIRoute):
                 return await usual(request)
             try:
                 message = model.model_validate_json(await request.body())
-            except ClientDisconnect:  # or the body was too large or too slow, which the middleware answers
+            except ClientDisconnect:  # or the body was too large or too slow: the middleware responds
                 return Response(status_code=400)
             except ValidationError:
                 return await usual(request)  # renders the errors
@@ -103,7 +103,7 @@ async def get_jobs(
 
 @router.get("/jobs/counts", responses=NOT_MODIFIED)
 async def get_job_counts(services: Services, request: Request, response: Response) -> JobCounts:
-    """Count unfinished jobs by campaign and need. Supports conditional requests with ETag."""
+    """Count unfinished jobs by campaign and required capability. Supports conditional requests with ETag."""
     seen_s = services.settings.worker_seen_s
     view = await read(services.engines, lambda connection: job_counts(connection, seen_s))
     set_etag(request, response, view)
@@ -129,7 +129,7 @@ async def get_workers(services: Services, request: Request, response: Response) 
 
 
 def job_counts(connection: Connection, worker_seen_s: float) -> JobCounts:
-    """Return the counts of unfinished jobs, and which of them cannot run now."""
+    """Return the counts of unfinished jobs, and which of these jobs cannot run now."""
     counts = sorted(count_jobs(connection), key=lambda one: (one.campaign, one.status, one.needs, one.kind))
     able = set().union(*live_capabilities(connection, worker_seen_s).values())
     unrunnable: Counter[str] = Counter()

@@ -35,7 +35,7 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Content-Security-Policy": "default-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'self'",
 }
-"""Headers of every response. There are no CORS headers: pages of other origins may not read anything."""
+"""Headers of every response. There are no CORS headers: pages from other origins may not read anything."""
 _DOCS_POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
     "frame-ancestors 'none'"
@@ -148,10 +148,10 @@ class AccessMiddleware:
 
 
 def _unprintable_path(scope: Scope) -> Response | None:
-    """Reject control characters: a route may match a path that ends in a line feed, a scope check does not."""
+    """Reject a path with control characters: routes may match a trailing line feed, but scope checks do not."""
     if scope["path"].isprintable():
         return None
-    return problem(404, "Not found", "expected a path of printable characters")
+    return problem(404, "Not found", "expected only printable characters in the path")
 
 
 def _rate_limited(wait_s: float) -> Response:
@@ -236,7 +236,7 @@ _PLAIN_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 class MetricsMiddleware:
     """Measures and logs requests, and gives each an id.
 
-    The id is taken from a well-formed ``X-Request-ID``, such as a proxy sets, or generated. The response carries it,
+    The id is taken from a well-formed ``X-Request-ID``, which a proxy may set, or generated. The response carries it,
     and so do all log records of the request. Headers, queries and bodies are never logged.
 
     Args:

@@ -1,4 +1,4 @@
-"""Errors as problem+json (RFC 9457), rendered here and nowhere else."""
+"""The rendering of all errors as problem+json (RFC 9457)."""
 
 import logging
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 
 
 NO_WORKER = "No worker"
-"""Title of errors that pass once somebody starts a worker; the dashboard then shows how."""
+"""Title of errors that starting a worker resolves; the dashboard then shows how to do that."""
 
 
 def problem(
@@ -36,7 +36,7 @@ def problem(
         status: HTTP status.
         title: Kind of error.
         detail: What is wrong and what to do.
-        errors: Errors of single input fields.
+        errors: Errors in individual input fields.
         headers: Additional response headers.
     """
     content: dict[str, Any] = {"type": "about:blank", "title": title, "status": status, "detail": detail}

@@ -1,4 +1,4 @@
-"""Routes of repeats: simulations of boundary solutions with other seeds, to see whether the boundary holds up."""
+"""Routes of repeats: simulations of boundary solutions with other seeds, to check whether the boundary holds up."""
 
 from collections import Counter
 from typing import Annotated, Self
@@ -24,14 +24,14 @@ DEFAULT_REPEATS = 50
 class RepeatsBody(Body):
     """Which solutions to simulate again, and how often."""
 
-    repeats: Annotated[int, Field(ge=2, le=10_000, description="Simulations for each solution.")] = (
+    repeats: Annotated[int, Field(ge=2, le=10_000, description="Number of simulations of each solution.")] = (
         DEFAULT_REPEATS
     )
-    t_b: Annotated[float, Field(ge=0, le=1, description="Largest fitness of a boundary solution.")] = (
+    t_b: Annotated[float, Field(ge=0, le=1, description="Maximum fitness of a boundary solution.")] = (
         DEFAULT_T_B
     )
     d_th: Annotated[
-        float, Field(ge=0, le=1, description="Smallest distance between two boundary solutions.")
+        float, Field(ge=0, le=1, description="Minimum distance between two boundary solutions.")
     ] = DEFAULT_D_TH
     numbers: Annotated[
         list[Annotated[int, Field(ge=0, le=MAX_NUMBER)]] | None,
@@ -60,7 +60,9 @@ class RepeatedSolution(View):
     """Estimated probability that a repeated solution is unsafe."""
 
     number: int
-    evaluated: Annotated[int, Field(description="Simulations with other seeds that returned a verdict.")]
+    evaluated: Annotated[
+        int, Field(description="Number of simulations with other seeds that returned a verdict.")
+    ]
     unsafe: int
     probability: Annotated[float | None, Field(description="Unsafe share of these simulations.")]
     low: Annotated[float, Field(description="Lower limit of its Wilson interval.")]
@@ -74,7 +76,7 @@ class RepeatedSolution(View):
 
 
 class RepeatsView(View):
-    """Results of simulating solutions of a campaign again."""
+    """Results of simulating solutions of a campaign again with other seeds."""
 
     campaign: Annotated[str, Field(description="Campaign that runs the repeats.")]
     of: Annotated[str, Field(description="Campaign whose solutions are repeated.")]
@@ -85,7 +87,7 @@ class RepeatsView(View):
     boundary: Annotated[
         bool,
         Field(
-            description="Whether they are the distinct boundary at t_b and d_th. If not, they were chosen by number, "
+            description="Whether these are the distinct boundary at t_b and d_th. If not, they were named by number, "
             "and t_b is 1 and d_th 0, which excludes nothing."
         ),
     ]
@@ -94,10 +96,12 @@ class RepeatsView(View):
     p_th: float
     simulations: int
     budget: int
-    holding: Annotated[int, Field(description="Solutions whose interval contains p_th.")]
-    below: Annotated[int, Field(description="Solutions whose interval lies below p_th: safer than reported.")]
-    above: Annotated[int, Field(description="Solutions whose interval lies above p_th.")]
-    evaluated: Annotated[int, Field(description="Simulations over all solutions.")]
+    holding: Annotated[int, Field(description="Number of solutions whose interval contains p_th.")]
+    below: Annotated[
+        int, Field(description="Number of solutions whose interval lies below p_th: safer than reported.")
+    ]
+    above: Annotated[int, Field(description="Number of solutions whose interval lies above p_th.")]
+    evaluated: Annotated[int, Field(description="Number of verdicts so far, over all solutions.")]
     unsafe: int
     solutions: Annotated[list[RepeatedSolution], Field(description="Best fitness first.")]
 

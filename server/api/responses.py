@@ -1,4 +1,4 @@
-"""Conventions that routes share: entity tags, pages with cursors, idempotent submission, 202 while computing."""
+"""Conventions that routes share: entity tags, cursor pagination, idempotent submission, 202 while computing."""
 
 import base64
 import hashlib
@@ -18,14 +18,14 @@ from brink.server.errors import InvalidInput
 Responses = dict[int | str, dict[str, Any]]
 """What a route accepts as ``responses``."""
 
-NOT_MODIFIED: Final[Responses] = {304: {"description": "Not modified since that ETag."}}
+NOT_MODIFIED: Final[Responses] = {304: {"description": "Not modified: the client's ETag is current."}}
 COMPUTING: Final[Responses] = {
     202: {"model": BeingMade, "description": "Still being computed; try again after `Retry-After` seconds."}
 }
 THRESHOLDS: Final = Thresholds(
     t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH, t_bs=list(PAPER_T_BS), d_ths=list(PAPER_D_THS)
 )
-"""Default thresholds, and the grid of the paper."""
+"""Default thresholds, and the paper's grid of thresholds."""
 
 
 def set_etag(
@@ -37,7 +37,7 @@ def set_etag(
         request: The request, whose ``If-None-Match`` is compared.
         response: The response whose headers and status are set.
         view: The content.
-        leave_out: Fields of each view that change all the time, such as ages and rates.
+        leave_out: Fields of each view that change constantly, such as ages and rates.
     """
     digest = hashlib.sha256()
     for part in (view,) if isinstance(view, View) else view:
@@ -54,7 +54,7 @@ def etag_of(*parts: object) -> str:
 
 
 def matches(request: Request, etag: str) -> bool:
-    """Return whether the request's ``If-None-Match`` names a tag; a compressing proxy makes tags weak."""
+    """Return whether ``If-None-Match`` contains a tag, also in the weak form that compressing proxies make of it."""
     known = request.headers.get("if-none-match", "")
     return any(one.strip().removeprefix("W/") in (etag, "*") for one in known.split(","))
 
@@ -100,7 +100,7 @@ def read_cursor(cursor: str | None) -> tuple[datetime, str] | None:
         return None
     found = re.fullmatch(r"(\d+\.\d+) ([0-9a-z]+)", _decoded(cursor))
     if found is None:
-        raise InvalidInput.at("/query/cursor", "expected the value of `next` of an earlier page")
+        raise InvalidInput.at("/query/cursor", "expected the value of `next` from an earlier page")
     return datetime.fromtimestamp(min(float(found[1]), LATEST_S), UTC), found[2]
 
 

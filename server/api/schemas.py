@@ -10,11 +10,11 @@ from brink.server.experiments.body import ExperimentBody
 from brink.server.states import CampaignStatus, JobStatus, SolutionVerdict
 
 MAX_NUMBER = 2**53
-"""Largest number of a job or solution that is looked up; every JSON parser reads it exactly."""
+"""Largest job or solution number that is looked up; every JSON parser reads it exactly."""
 
 
 class View(BaseModel):
-    """Base of all response schemas. Validators are built at first use, since the command line needs few of them."""
+    """Base class of all response schemas. Validators are built on first use: the command line needs few of them."""
 
     model_config = ConfigDict(frozen=True, defer_build=True)
 
@@ -22,10 +22,10 @@ class View(BaseModel):
 class Thresholds(View):
     """Thresholds at which boundary solutions are counted."""
 
-    t_b: Annotated[float, Field(description="Default of the largest fitness of a boundary solution.")]
-    d_th: Annotated[float, Field(description="Default of the smallest distance between boundary solutions.")]
-    t_bs: Annotated[list[float], Field(description="Values of t_b in tables of scores.")]
-    d_ths: Annotated[list[float], Field(description="Values of d_th in tables of scores.")]
+    t_b: Annotated[float, Field(description="Default maximum fitness of a boundary solution.")]
+    d_th: Annotated[float, Field(description="Default minimum distance between boundary solutions.")]
+    t_bs: Annotated[list[float], Field(description="Values of t_b in score tables.")]
+    d_ths: Annotated[list[float], Field(description="Values of d_th in score tables.")]
 
 
 class CampaignView(View):
@@ -67,7 +67,9 @@ class GenerationView(View):
     unsafe: int
     failed: int
     measured: int
-    best_fitness: Annotated[float | None, Field(description="Best value of what the algorithm minimises.")]
+    best_fitness: Annotated[
+        float | None, Field(description="Best value of the quantity that the algorithm minimises.")
+    ]
     median_fitness: float | None
     dbs: int
     strict_dbs: int
@@ -86,7 +88,9 @@ class Progress(View):
         int, Field(description="Increases with every change to the campaign except changes of job states.")
     ]
     budget: int
-    simulations: Annotated[int, Field(description="Finished so far, including the current generation.")]
+    simulations: Annotated[
+        int, Field(description="Candidates finished so far, including those of the current generation.")
+    ]
     evaluated: int
     unsafe: int
     failed: int
@@ -100,7 +104,8 @@ class Progress(View):
     elapsed_s: float
     workers: Annotated[int, Field(description="Live workers.")]
     unrunnable: Annotated[
-        dict[str, int], Field(description="Queued jobs by the required capability that no live worker has.")
+        dict[str, int],
+        Field(description="Number of queued jobs that no live worker can run, by required capability."),
     ]
     looks_for_boundary: Annotated[
         bool,
@@ -163,7 +168,7 @@ class SolutionPage(View):
 
 
 class DbsCell(View):
-    """DBS and strict DBS for one pair of thresholds."""
+    """DBS and strict DBS at one pair of thresholds."""
 
     t_b: float
     d_th: float
@@ -245,7 +250,7 @@ class CombinationView(ChainTally):
     parts: Annotated[
         list[ChainTally],
         Field(
-            description="Tallies over the scenarios where part and chain were simulated. The empty chain is a part."
+            description="Tallies over the scenarios with simulations of part and chain. The empty chain is a part."
         ),
     ]
     orders: list[ChainTally]
@@ -275,7 +280,7 @@ class StepTally(View):
 
 
 class Variant(View):
-    """A solution with the same scenario as another, and with some of its techniques or another order of them."""
+    """A solution with the same scenario as another, and with a subset or another order of its techniques."""
 
     number: int
     unsafe: bool
@@ -356,7 +361,7 @@ class JobList(View):
 
 
 class JobCounts(View):
-    """Counts of unfinished jobs in columns: one row for each combination of state, campaign, kind and need."""
+    """Counts of unfinished jobs by state, campaign, kind and required capability, as one list per column."""
 
     status: Annotated[list[JobStatus], Field(description="Queued, leased or quarantined.")]
     campaign: list[str]
@@ -369,7 +374,7 @@ class JobCounts(View):
     unrunnable: Annotated[
         dict[str, int],
         Field(
-            description="Queued jobs of unpaused campaigns, by the required capability that no live worker has."
+            description="Number of queued jobs in unpaused campaigns that no live worker can run, by capability."
         ),
     ]
 
@@ -392,7 +397,7 @@ class WorkerView(View):
 
 
 class ProblemView(View):
-    """A problem of the catalogue."""
+    """A problem in the catalogue."""
 
     id: str
     summary: str
@@ -405,12 +410,14 @@ class ProblemView(View):
     ]
     algorithm_defaults: Annotated[
         dict[str, Any],
-        Field(description="Defaults for parameters of algorithms that replace their own on this problem."),
+        Field(
+            description="Defaults of algorithm parameters that replace the algorithm's own on this problem."
+        ),
     ]
 
 
 class AlgorithmView(View):
-    """An algorithm of the catalogue."""
+    """An algorithm in the catalogue."""
 
     id: str
     summary: str
@@ -433,7 +440,9 @@ class ProblemDetail(BaseModel):
     detail: str
     errors: Annotated[
         list[dict[str, str | None]],
-        Field(description="For invalid input: pointer, message and closest valid name of each wrong field."),
+        Field(
+            description="For invalid input: pointer, message and closest valid name for each invalid field."
+        ),
     ] = []
 
 
@@ -459,15 +468,15 @@ class ExperimentSummary(View):
     status: Annotated[
         CampaignStatus,
         Field(
-            description="Running while any campaign is; otherwise paused, failed, cancelled, or finished if all are."
+            description="The first of running, paused, failed, cancelled that any campaign is in; otherwise finished."
         ),
     ]
     campaigns: Annotated[int, Field(description="Number of campaigns.")]
-    deleted: Annotated[int, Field(description="Number of campaigns deleted since.")]
+    deleted: Annotated[int, Field(description="Number of its campaigns that have since been deleted.")]
     finished: int
     simulations: int
-    budget: Annotated[int, Field(description="Simulations over all campaigns.")]
-    failed: Annotated[int, Field(description="Failed candidates.")]
+    budget: Annotated[int, Field(description="Budget of simulations, summed over all campaigns.")]
+    failed: Annotated[int, Field(description="Failed candidates of all campaigns.")]
     created_at: datetime
 
 

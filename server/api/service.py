@@ -118,7 +118,7 @@ class AccessView(View):
 
 @router.get("/access", tags=["access"])
 async def get_access(request: Request) -> AccessView:
-    """Return the access rights of the caller. Like every path, answers 401 without a valid token."""
+    """Return the access rights of the caller. Like every path, it responds with 401 without a valid token."""
     caller = caller_of(request)
     return AccessView(tokens=caller is not None, scope=Scope.ADMIN if caller is None else caller.scope)
 

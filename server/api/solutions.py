@@ -115,7 +115,7 @@ async def get_boundary(
 async def get_distances(
     campaign_id: str,
     services: Services,
-    numbers: Annotated[str, Query(description="Comma-separated numbers.")],
+    numbers: Annotated[str, Query(description="Comma-separated numbers of solutions.")],
 ) -> Response:
     """Return the pairwise distances between evaluated solutions."""
     campaign = await services.campaigns.get(campaign_id)
@@ -220,8 +220,8 @@ def boundary_view(
         connection: Read connection.
         campaign: The campaign.
         read: Its archive.
-        t_b: Largest fitness of a boundary solution.
-        d_th: Smallest distance between two boundary solutions.
+        t_b: Maximum fitness of a boundary solution.
+        d_th: Minimum distance between two boundary solutions.
     """
     archive = read.archive
     chosen = distinct_boundary(archive, t_b, d_th)
@@ -282,7 +282,7 @@ class Neighbours(View):
     confidence: Annotated[float, Field(description="Confidence level of the interval, such as 0.95.")]
     looks_for_boundary: Annotated[
         bool,
-        Field(description="Whether the algorithm searches for this boundary; if not, fitness says little."),
+        Field(description="Whether the algorithm searches for this boundary; if not, fitness means little."),
     ]
     neighbours: Annotated[int, Field(description="Solutions within the radius, including this one.")]
     unsafe_neighbours: int

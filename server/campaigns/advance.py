@@ -1,9 +1,9 @@
 """Advances campaigns: the generation step (evaluate, tell, ask, store), and when it is taken.
 
-A step may be taken at any time, any number of times, in any process: it is only written if the campaign is still
-where the step began. So no generation is told twice, and after a crash the step is simply taken again. The state of a
-search is kept in memory between steps; after a restart it is restored from the checkpoint and the stored solutions,
-bit for bit.
+A step may be taken at any time, any number of times, in any process: it is only written if the campaign is still in
+the state in which the step began. So no generation is told twice, and after a crash the step is taken again. The
+state of a search is kept in memory between steps; after a restart it is restored from the checkpoint and the stored
+solutions, bit for bit.
 """
 
 import asyncio
@@ -172,12 +172,12 @@ class Stepper:
         try:
             live = self._state(campaign)
             if outcomes and seed_request(live.plan, live.state) is not None:
-                # Since this state was made, another coordinator has received the seeds and asked.
+                # Since this state was made, another coordinator has received the seeds and called `ask`.
                 live = self._restore(campaign)
             if seed_request(live.plan, live.state) is not None:
                 return self._seed(campaign, live)
             if not outcomes:
-                # Another coordinator may have done so between reading the outcomes and making the state.
+                # Another coordinator may have called `ask` after the outcomes were read, before the state was made.
                 with self._engines.reader.connect() as connection:
                     outcomes = job_store.generation_outcomes(connection, campaign_id, campaign.generation)
                 if _is_open(outcomes):
@@ -389,7 +389,7 @@ def _is_open(outcomes: Iterable[JobOutcome]) -> bool:
 
 
 def _checkpoint(plan: Plan, state: Any, generation: int) -> Checkpoint:
-    """Return the checkpoint of a state from before the next `ask`."""
+    """Return the checkpoint of a state on which `ask` has not been called since the last `tell`."""
     archive: Archive = state.archive
     return Checkpoint(
         generation=generation,
@@ -407,13 +407,13 @@ def _check_same(campaign: Campaign, candidates: Sequence[Candidate], stored: Map
     """Check that the algorithm asked again for the candidates that are being simulated.
 
     Raises:
-        InvalidInput: They are not.
+        InvalidInput: It asked for different candidates.
     """
     if {candidate.number: vector_bytes(candidate) for candidate in candidates} != stored:
         message = (
-            f"the algorithm asked for other candidates than before: {campaign.body.algorithm.id} or "
-            f"{campaign.body.problem.id} has changed since, or the stored replies with its seeds have; continue with "
-            "the version that started the campaign"
+            f"the algorithm asked for different candidates than before: {campaign.body.algorithm.id} or "
+            f"{campaign.body.problem.id} has changed since then, or the stored replies with its seeds have; continue "
+            "with the version that started the campaign"
         )
         raise InvalidInput.at("/algorithm/id", message)
 
@@ -448,7 +448,7 @@ def _evaluation(problem: SimulatedProblem, question: Question, result: str) -> E
 
 
 def _is_transient(error: Exception) -> bool:
-    """Return whether a step failed because the database is unavailable, locked or busy, and can be taken again."""
+    """Return whether a step failed because the database is unavailable, locked or busy: a retry may succeed."""
     cause = error.__cause__ if isinstance(error, Unavailable) else error
     if isinstance(cause, DBAPIError):
         return is_transient(cause)
@@ -489,7 +489,7 @@ def _too_many_failures(
 class Scheduler:
     """Decides when the campaigns of one coordinator process advance.
 
-    Steps run one at a time on a separate thread, off the event loop. A campaign is in line at most once.
+    Steps run one at a time on a separate thread, off the event loop. A campaign is queued at most once.
 
     Attributes:
         engines: The database.
@@ -507,7 +507,7 @@ class Scheduler:
     )
 
     def advance_soon(self, campaigns: Iterable[str]) -> None:
-        """Put campaigns in line to be advanced, unless they are in line already."""
+        """Queue campaigns to be advanced, unless they are queued already."""
         for campaign in campaigns:
             if campaign in self._due:
                 continue
@@ -545,5 +545,5 @@ class Scheduler:
         self.advance_soon(idle)
 
     def close(self) -> None:
-        """Finish the running step and start no other."""
+        """Finish the running step, and start no more."""
         self._steps.shutdown(wait=True, cancel_futures=True)

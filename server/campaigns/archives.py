@@ -21,9 +21,9 @@ from brink.server.errors import Conflict
 from brink.server.single_flight import SingleFlightCache
 
 CACHED = 8
-"""Archives, and monitors, in memory."""
+"""Maximum number of archives, and of monitors, in memory."""
 MOST_FITTED = 20_000
-"""Solutions that a monitor is fitted to, the latest ones: it bounds the time for the fit."""
+"""Maximum number of solutions that a monitor is fitted to, the latest ones; it bounds the time for the fit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +70,7 @@ class Archives:
         return plan, stored, restored_archive(plan, stored)
 
     async def distances(self, campaign: Campaign, archive: Archive, rows: Sequence[int]) -> FloatArray:
-        """Return the distances between some solutions, from the stored matrix or else computed.
+        """Return the distances between some solutions, from the stored matrix or, if they are not there, computed.
 
         Args:
             campaign: The campaign.
@@ -124,7 +124,7 @@ class Monitors:
         plan, _, archive = self.archives.stored(campaign)
         if len(archive) < 2:
             raise Conflict(
-                f"campaign {campaign.id}: a monitor needs two evaluated solutions, but there are {len(archive)}"
+                f"campaign {campaign.id}: a monitor needs at least two evaluated solutions, got {len(archive)}"
             )
         return Monitor.fitted(
             plan.problem.space, archive.vectors[-MOST_FITTED:], archive.unsafe[-MOST_FITTED:],

@@ -10,7 +10,7 @@ from brink.server.llm.settings import LlmSettings
 from brink.worker.wire import JsonValues
 
 DEFAULT_T_B = 0.10
-"""Default threshold: solutions with at most this fitness count as boundary solutions."""
+"""Default threshold: solutions with a fitness of at most this count as boundary solutions."""
 DEFAULT_D_TH = 0.20
 """Default threshold: boundary solutions at least this far apart count as distinct."""
 
@@ -31,14 +31,18 @@ class Budget(Body):
 class Execution(Body):
     """How a campaign's simulations are executed."""
 
-    cache: Annotated[bool, Field(description="Reuse results of equal simulations.")] = True
-    max_attempts: Annotated[int, Field(ge=1, le=20, description="Attempts before quarantine.")] = 3
+    cache: Annotated[bool, Field(description="Whether to reuse the results of identical simulations.")] = True
+    max_attempts: Annotated[int, Field(ge=1, le=20, description="Attempts before a job is quarantined.")] = 3
     max_failed_share: Annotated[
         float, Field(ge=0, le=1, description="Share of failed candidates above which the campaign pauses.")
     ] = 0.2
     keep_traces: Annotated[
         int,
-        Field(ge=0, le=1000, description="Distinct boundary solutions whose traces are kept as evidence."),
+        Field(
+            ge=0,
+            le=1000,
+            description="Number of distinct boundary solutions whose traces are kept as evidence.",
+        ),
     ] = 12
 
 
@@ -52,14 +56,16 @@ class CampaignBody(Body):
     algorithm: PluginChoice
     budget: Budget
     seed: Annotated[int, Field(ge=0, lt=2**53)] = 1
-    priority: Annotated[int, Field(ge=-100, le=100, description="Higher goes first.")] = 0
+    priority: Annotated[
+        int, Field(ge=-100, le=100, description="Campaigns with a higher priority are served first.")
+    ] = 0
     execution: Execution = Field(default_factory=Execution)
     repeats: Annotated[
         int,
         Field(
             ge=0,
             le=10_000,
-            description="Simulations with other seeds of each distinct boundary solution, after the search.",
+            description="Number of simulations of each distinct boundary solution with other seeds after the search.",
         ),
     ] = 0
     llm: Annotated[
@@ -67,7 +73,7 @@ class CampaignBody(Body):
     ] = None
 
     def document_hash(self) -> str:
-        """Return a hash that identifies equal submissions."""
+        """Return a hash that identifies identical submissions."""
         document = self.model_dump(mode="json")
         if self.llm is None:
             del document["llm"]  # the hashes of older submissions stay valid

@@ -1,4 +1,4 @@
-"""Turns a campaign's body into a search: makes problem and algorithm, checks them, asks for the first generation."""
+"""Turns a campaign's body into a search: makes and checks problem and algorithm, asks for the first generation."""
 
 import secrets
 from collections.abc import Sequence
@@ -152,14 +152,16 @@ def _check_seeder(plan: Plan) -> None:
     """Check that a language model is configured if and only if the algorithm requests seeds from one.
 
     Raises:
-        InvalidInput: One of the two is missing.
+        InvalidInput: There is only one of the two, or the problem cannot be described to a language model.
     """
     uses_model = getattr(plan.config, "seeder", None) == LLM_SEEDER
     if uses_model and plan.body.llm is None:
         message = "expected a language model, such as {endpoint: http://127.0.0.1:8000/v1, model: ...}"
         raise InvalidInput.at("/llm", message)
     if plan.body.llm is not None and not uses_model:
-        message = f"{plan.body.algorithm.id} does not use it; expected algorithm.params.seeder: llm"
+        message = (
+            f"{plan.body.algorithm.id} does not use a language model; expected algorithm.params.seeder: llm"
+        )
         raise InvalidInput.at("/llm", message)
     if uses_model and not isinstance(plan.problem, SupportsSeeds):
         message = f"{plan.body.problem.id} cannot be described to a language model"
@@ -169,7 +171,7 @@ def _check_seeder(plan: Plan) -> None:
 def _check_endpoint(llm: LlmSettings | None, allowed: str) -> None:
     """Check that campaigns may use a language model from this machine, with the API key that they name.
 
-    Otherwise anybody who may submit a campaign could send any environment variable of this machine anywhere.
+    Otherwise, anyone allowed to submit campaigns could send any environment variable of this machine to any address.
 
     Raises:
         InvalidInput: The endpoint is not allowed.
@@ -228,7 +230,7 @@ def store_campaign(connection: Connection, campaign: PreparedCampaign, key: str 
 
 
 def looks_for_boundary(algorithm_id: str) -> bool:
-    """Return whether an algorithm looks for the hazard boundary; others look for different violations."""
+    """Return whether an algorithm searches for the hazard boundary; others search for different violations."""
     try:
         algorithm = make_algorithm(algorithm_id)
     except InvalidInput:  # campaigns can be viewed without their plug-ins

@@ -3,8 +3,8 @@
 A campaign provides all that repeats need: workers, progress, resuming, no lost result. Its algorithm is
 `brink.search.algorithms.repeats`.
 
-The solutions are either the distinct boundary at two thresholds, or named by number. Named ones are stored with the
-thresholds `EVERY_T_B` and `EVERY_D_TH`, which exclude nothing. Two repeats are equal if they have the same numbers.
+The solutions are either the distinct boundary at two thresholds, or named by number. Named solutions are stored with
+the thresholds `EVERY_T_B` and `EVERY_D_TH`, which exclude none. Two repeats are equal if they have the same numbers.
 """
 
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ from brink.server.errors import Conflict, FieldError, InvalidInput
 from brink.server.states import CampaignStatus, SolutionVerdict
 
 MOST = 1_000
-"""Maximum number of repeated solutions, the best ones: they are part of a campaign's parameters."""
+"""Maximum number of repeated solutions, best first; limited because they are part of a campaign's parameters."""
 EVERY_T_B = 1.0
 EVERY_D_TH = 0.0
 """Thresholds that every solution meets."""
@@ -66,8 +66,8 @@ class StoredRepeats:
         d_th: Minimum distance between them.
         repeats: Simulations of each solution, at the end.
         numbers: Numbers of the solutions, best first.
-        evaluated: Numbers, in that campaign, of what was evaluated so far.
-        unsafe: The verdicts on these.
+        evaluated: Numbers of the candidates of that campaign that were evaluated so far.
+        unsafe: Whether each of these was unsafe.
     """
 
     campaign: Campaign
@@ -194,7 +194,7 @@ def _prepare(
 
 
 def store_repeats(connection: Connection, planned: PlannedRepeats) -> tuple[Campaign, bool]:
-    """Store repeats unless equal ones exist; return their campaign, and whether it is new."""
+    """Store repeats unless identical ones exist; return their campaign, and whether it is new."""
     candidates = connection.execute(
         select(RepeatsRow.numbers, CampaignRow.__table__)
         .join(CampaignRow, RepeatsRow.campaign_id == CampaignRow.id)
@@ -244,7 +244,7 @@ def check_no_open_repeats(connection: Connection, campaign_id: str) -> None:
     """Check that all repeats of a campaign, which are deleted with it, have ended.
 
     Raises:
-        Conflict: One of them has not.
+        Conflict: One of them has not ended.
     """
     query = select(CampaignRow.id, CampaignRow.status).join(
         RepeatsRow, RepeatsRow.campaign_id == CampaignRow.id

@@ -44,13 +44,13 @@ from brink.server.states import CampaignStatus, JobStatus
 log = logging.getLogger(__name__)
 
 SLOW_AT_ONCE = 2
-"""Submissions that are checked at the same time, and pictures that are drawn at the same time."""
+"""Maximum number of submissions checked, and of pictures drawn, at the same time."""
 _CHANGES = {
     CampaignStatus.PAUSED: "paused",
     CampaignStatus.RUNNING: "resumed",
     CampaignStatus.CANCELLED: "cancelled",
 }
-"""How the log describes a change to a status."""
+"""Words with which the log describes a change to a status."""
 
 
 class Document(Protocol):
@@ -107,7 +107,7 @@ class DocumentService(ABC, Generic[B, S]):
         """Delete a row with everything that belongs to it, unless repeats of its campaigns have not ended."""
 
     async def submit(self, body: B, key: str | None = None) -> tuple[S, bool]:
-        """Check and store a submission with all of its campaigns, or nothing.
+        """Check a submission and store it with all of its campaigns, all or nothing.
 
         Args:
             body: The submission.
@@ -212,7 +212,7 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
     llm_endpoints: str = ""
 
     def close(self) -> None:
-        """Finish the checks that are running and start no others."""
+        """Finish the running checks, and start no more."""
         self.checks.shutdown(wait=True, cancel_futures=True)
 
     def _prepare(self, body: CampaignBody) -> Sequence[PreparedCampaign]:
@@ -239,7 +239,7 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
 
         Args:
             campaigns: The campaigns.
-            idle: Those without open jobs: all of their simulations are known, or they need none.
+            idle: Those without open jobs: the results of their simulations are all known, or they need none.
         """
         for campaign in campaigns:
             about = {
@@ -311,7 +311,7 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
             plan: Its plan.
             archive: Its archive.
             repeats: Simulations of each solution.
-            t_b: Maximum fitness of the solutions, its distinct boundary.
+            t_b: Maximum fitness of the solutions of its distinct boundary.
             d_th: Minimum distance between two of them.
             numbers: Distinct numbers of solutions to repeat instead of the boundary.
 
@@ -337,7 +337,7 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
             raise Conflict(f"campaign {campaign.id} has no boundary solutions at t_b {t_b:g}, d_th {d_th:g}")
 
         def unit(connection: Connection) -> tuple[Campaign, bool, Sequence[str]]:
-            # Locked, so that equal repeats are not stored at the same time.
+            # Locked, so that identical repeats are not stored at the same time.
             self.table.get(connection, campaign.id, lock=True)
             found, new = store_repeats(connection, planned)
             return found, new, idle_campaigns(connection, [found.id])

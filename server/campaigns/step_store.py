@@ -313,7 +313,7 @@ def read_distances(connection: Connection, campaign_id: str, rows: Sequence[int]
         rows: Positions of n solutions in the archive.
 
     Returns:
-        Distances of shape ``(n, n)``; None if not all are stored, or if they are damaged or of another metric
+        Distances of shape ``(n, n)``; None if not all are stored, or if they are damaged or belong to another metric
         version.
     """
     wanted = np.asarray(rows, dtype=np.int64)

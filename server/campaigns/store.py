@@ -86,7 +86,7 @@ CAMPAIGNS = DocumentTable(
 def insert_campaign(
     connection: Connection, campaign_id: str, body: CampaignBody, document_hash: str, key: str | None
 ) -> None:
-    """Store a new campaign: running, without solutions.
+    """Store a new campaign, which is running and has no solutions yet.
 
     Args:
         connection: In a write transaction.
@@ -174,7 +174,7 @@ def set_status(
 
 
 def retry_job(connection: Connection, job_id: int) -> None:
-    """Return a quarantined job to the queue with all its attempts, each of which is leased alone.
+    """Return a quarantined job to the queue with a fresh set of attempts, each of which is leased alone.
 
     Raises:
         NotFound: There is no such job.

@@ -1,4 +1,4 @@
-"""Kept traces of solutions, the jobs that make them, and the pictures of their films."""
+"""The stored traces of solutions, the jobs that record them, and the pictures of their films."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ from brink.sim.trace import Trace
 
 FILMS_KEPT: Final = 4
 LARGEST_FILM_BYTES: Final = 32 * 1024**2
-"""Size of all pictures of a film; no worker of this project makes a larger one."""
+"""Maximum total size of the pictures of a film; this project's workers never exceed it."""
 JPEG_MAGIC: Final = b"\xff\xd8"
 
 Pictures: TypeAlias = Sequence[bytes]
@@ -31,8 +31,8 @@ class TraceStatus:
 
     Attributes:
         document: The trace, if it is kept.
-        needs: Capability that a worker needs to make it; None if the solution was not simulated.
-        job: Status of the job that makes it; None if the trace was not requested.
+        needs: Capability that a worker needs to record it; None if the solution was not simulated.
+        job: Status of the job that records it; None if the trace was not requested.
         last_error: Last error of that job.
     """
 
@@ -61,7 +61,7 @@ def trace_status(connection: Connection, campaign_id: str, number: int) -> Trace
 
 
 def request_trace(connection: Connection, campaign: Campaign, number: int) -> bool:
-    """Enqueue the job that makes the trace of a solution, unless it exists; return whether it exists now.
+    """Enqueue the job that records the trace of a solution, unless it exists; return whether it exists now.
 
     Args:
         connection: To the database.
@@ -84,7 +84,7 @@ def _kept(connection: Connection, column: InstrumentedAttribute[Any], campaign_i
 
 @dataclass(slots=True)
 class Films:
-    """Serves the pictures of films one by one; the latest few films stay unpacked while they are played.
+    """Serves single pictures of films, and keeps the most recently used films unpacked.
 
     Attributes:
         engines: Databases with the traces.
@@ -104,7 +104,7 @@ class Films:
         Raises:
             NotFound: No trace is kept, it has no film, or the film has no such picture.
         """
-        # Equal simulations share one trace.
+        # Identical simulations share one trace.
         key = await read(self.engines, lambda c: _kept(c, TraceRow.spec_hash, campaign.id, number))
         if key is None:
             raise NotFound(

@@ -49,7 +49,7 @@ class CampaignProgress:
         queued: Queued jobs.
         leased: Leased jobs.
         quarantined: Jobs in quarantine.
-        rate_per_s: Candidates per second over the last generations, or since the start; None without any.
+        rate_per_s: Candidates per second over the last generations, or since the start; None if there are none yet.
         remaining_s: Time for the rest of the budget at this rate.
         elapsed_s: Time since the submission, or between submission and end.
     """
@@ -94,11 +94,11 @@ def _rate(
 
 
 class CampaignVersion(NamedTuple):
-    """Changes whenever a campaign or its jobs change.
+    """A version that changes whenever a campaign or its jobs change.
 
     Attributes:
         ended: Whether the campaign has ended; its jobs then no longer change.
-        parts: What the version is made of.
+        parts: The values that make up the version.
     """
 
     ended: bool

@@ -1,4 +1,4 @@
-"""Figures of a campaign, computed in their own thread pool so that they wait for neither films nor scores."""
+"""Figures of a campaign, computed in their own thread pool, so that they wait for neither videos nor scores."""
 
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -16,7 +16,7 @@ from brink.server.single_flight import SingleFlightCache
 
 POINTS: Final = 24
 MAX_SOLUTIONS: Final = 10_000
-"""Largest archive for a convergence curve: each point recounts the neighbours of all solutions evaluated by then."""
+"""Largest archive with a convergence curve: each point recounts the neighbours of all solutions evaluated by then."""
 CACHED_CURVES: Final = 64
 DIGITS: Final = 3
 """Decimal places to which thresholds are rounded, so that similar requests share one computation."""
@@ -24,7 +24,7 @@ DIGITS: Final = 3
 
 @dataclass(slots=True)
 class ConvergenceCurves:
-    """A cache of convergence curves: distinct boundary solutions over simulations at chosen thresholds.
+    """A cache of convergence curves: distinct boundary solutions against simulations, at chosen thresholds.
 
     Attributes:
         threads: Where curves are computed.
@@ -39,13 +39,13 @@ class ConvergenceCurves:
         self._latest = SingleFlightCache(CACHED_CURVES, threads, most_waiting)
 
     async def get(self, campaign: str, read: ReadArchive, t_b: float, d_th: float) -> Sequence[BudgetPoint]:
-        """Return DBS at fractions of the simulations so far; nothing if the archive is empty or too large.
+        """Return DBS at fractions of the simulations so far; empty if the archive is empty or too large.
 
         Args:
             campaign: Id of the campaign.
             read: Its archive.
-            t_b: Largest fitness of a boundary solution.
-            d_th: Smallest distance between two boundary solutions.
+            t_b: Maximum fitness of a boundary solution.
+            d_th: Minimum distance between two boundary solutions.
         """
         if not 0 < len(read.archive) <= MAX_SOLUTIONS:
             return ()
@@ -62,7 +62,7 @@ def _curve(read: ReadArchive, t_b: float, d_th: float) -> Sequence[BudgetPoint]:
 
 CACHED_DEPENDENCES: Final = 32
 MAX_PENDING: Final = 64
-"""Pending computations of each kind; further requests are answered with 503."""
+"""Maximum number of pending computations of each kind; further requests get a 503 response."""
 
 
 @dataclass(slots=True)

@@ -1,4 +1,4 @@
-"""Summaries of all campaigns for the list on the dashboard's first page, which is polled every few seconds."""
+"""Summaries of all campaigns, for the list on the dashboard's first page, which polls them every few seconds."""
 
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ from brink.server.db.sql import newest_first
 from brink.server.states import CampaignStatus
 
 POINTS: Final = 24
-"""Points of a sparkline."""
+"""Maximum number of points of a sparkline."""
 CACHED: Final = 1_000
 
 

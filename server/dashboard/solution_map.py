@@ -21,7 +21,7 @@ from brink.server.campaigns.archives import ReadArchive
 from brink.server.single_flight import SingleFlightCache
 
 MAX_DRAWN: Final = 20_000
-"""Solutions on a map; up to a tenth more while a campaign runs."""
+"""Maximum number of solutions on a map; up to a tenth more while a campaign runs."""
 NEAREST: Final = 8_000
 """Number of solutions closest to the boundary that the thinned map of an ended campaign always shows."""
 MIN_FITTED: Final = 64
@@ -80,7 +80,7 @@ def drawn_rows(archive: Archive, made: int, *, ended: bool) -> Rows:
     count = len(archive)
     if count <= MAX_DRAWN:
         return np.arange(count)
-    if not ended:  # drawn solutions stay, however their fitness changes
+    if not ended:  # drawn solutions stay, even if their fitness changes
         return np.concatenate([evenly_spaced(made, MAX_DRAWN), np.arange(made, count)])
     nearest = np.argsort(archive.fitness, kind="stable")[:NEAREST]
     return np.union1d(nearest, evenly_spaced(count, MAX_DRAWN - NEAREST))

@@ -23,7 +23,7 @@ T = TypeVar("T")
 
 SQLITE_BUSY_S = 30.0
 MAX_OVERFLOW = 32
-"""Temporary connections on top of a pool's permanent ones; more than there are reading threads."""
+"""Maximum number of temporary connections beyond a pool's permanent ones; more than there are reading threads."""
 WRITER_CACHE_KIB = 32 * 1024
 READER_CACHE_KIB = 8 * 1024
 """Page cache of one SQLite connection. Pages that do not fit are in the operating system's file cache."""
@@ -61,7 +61,7 @@ def parse_url(database: str) -> URL:
     if url.drivername == "sqlite":
         if url.database in (None, "", ":memory:"):
             raise DatabaseError(
-                "database URL: an in-memory SQLite database would lose everything; name a file"
+                "database URL: an in-memory SQLite database would lose all data when it is closed; name a file"
             )
         return url
     if url.drivername in ("postgresql", "postgres", "postgresql+psycopg"):
@@ -117,7 +117,7 @@ def _sqlite(url: URL, begin: str, *, cache_kib: int) -> Engine:
 
     @event.listens_for(engine, "connect")
     def configure(connection: sqlite3.Connection, _: ConnectionPoolEntry) -> None:
-        connection.isolation_level = None  # the driver's implicit BEGIN is not immediate and leaves out DDL
+        connection.isolation_level = None  # the driver's implicit BEGIN is not immediate and skips DDL
         _enter_wal(connection)
         for pragma in ("synchronous=FULL", "foreign_keys=ON", f"cache_size=-{cache_kib}"):
             connection.execute(f"PRAGMA {pragma}").close()

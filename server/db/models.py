@@ -1,4 +1,4 @@
-"""The tables.
+"""The tables of the database.
 
 A campaign asks for generations of solutions. Each solution that needs a simulation has a job, and a job stores the
 outcome of its simulation, which jobs with the same specification hash share. Each table belongs to one package, whose
@@ -41,7 +41,7 @@ def _one_of(column: str, values: type[StrEnum]) -> CheckConstraint:
 
 
 class Base(DeclarativeBase):
-    """Base of all tables."""
+    """Base class of all tables."""
 
     metadata = MetaData(
         naming_convention={
@@ -332,7 +332,7 @@ class TraceRow(Base):
 
 _EVERY_CAMPAIGN = CampaignRow.__table__.alias("every_campaign")
 LAST_TURN = select(func.coalesce(func.max(_EVERY_CAMPAIGN.c.turn), 0) + 1).scalar_subquery()
-"""The turn of a campaign that moves to the back of the line."""
+"""The turn of a campaign that moves to the back of the queue."""
 
 NEXT_SEQUENCE = CampaignRow.sequence + 1
 """The new value of a campaign's change counter; a client that knows the previous value notices the change."""

@@ -1,6 +1,6 @@
 """SQL that several packages share: the database's clock, row locks, list parameters, bulk updates, lookup by id.
 
-SQLite and Postgres differ in most of these; nothing above this module has to know.
+SQLite and Postgres differ in most of these; this module hides the differences.
 """
 
 import json
@@ -111,7 +111,7 @@ class DocumentTable(Generic[V]):
     Attributes:
         kind: What a row is called in messages, such as "campaign".
         table: Table with columns ``id``, ``created_at``, ``document_hash`` and ``idempotency_key``.
-        build: Makes values of rows.
+        build: Converts a row to a value.
     """
 
     kind: str
@@ -119,7 +119,7 @@ class DocumentTable(Generic[V]):
     build: Callable[[Connection, Sequence[Row[*tuple[Any, ...]]]], list[V]]
 
     def find(self, connection: Connection, exact_id: str, *, lock: bool = False) -> V | None:
-        """Return the value with an id, or None; with `lock`, hold its row until the transaction ends."""
+        """Return the value with an id, or None; with `lock`, lock its row until the transaction ends."""
         return self._first(connection, self.table.c.id == exact_id, lock=lock)
 
     def find_by_key(self, connection: Connection, key: str) -> V | None:
@@ -132,7 +132,7 @@ class DocumentTable(Generic[V]):
         Args:
             connection: To read from.
             name: The id or the prefix.
-            lock: Whether to hold the row until the transaction ends.
+            lock: Whether to lock the row until the transaction ends.
 
         Raises:
             NotFound: No row matches, or several do.

@@ -55,8 +55,8 @@ def check_known(revision: str | None) -> None:
     known = {script.revision for script in ScriptDirectory.from_config(alembic_config()).walk_revisions()}
     if revision is not None and revision not in known:
         raise DatabaseError(
-            f"database schema {revision!r} is newer than this version of Brink knows (newest: "
-            f"{head_revision()!r}); update Brink, or use another database"
+            f"database schema {revision!r} is not known to this version of Brink, whose newest schema is "
+            f"{head_revision()!r}; update Brink, or use another database"
         )
 
 

@@ -1,4 +1,4 @@
-"""The writer: one thread for each process, which commits several waiting requests at once.
+"""The writer: one thread for each process, which commits several waiting units at once.
 
 Callers submit *units*, functions of a connection. The thread runs all waiting units in one transaction and resolves
 their futures after the commit. If a unit fails, the transaction is rolled back and each unit runs again in a
@@ -34,7 +34,7 @@ run again and sees what that process wrote."""
 FRESH_S = 1.0
 """A connection idle for longer is returned to the pool, which tests it before handing it out again."""
 TROUBLE_S = 30.0
-"""Failures further apart than this do not belong to the same trouble."""
+"""Failures further apart than this belong to separate periods."""
 
 log = logging.getLogger(__name__)
 
@@ -115,8 +115,8 @@ class Writer:
         """Queue a unit to be run and committed.
 
         Returns:
-            A future for the unit's result or error. The error is `Unavailable` if the database is away or the writer
-            is closed.
+            A future for the unit's result or error. The error is `Unavailable` if the database is unavailable
+            or the writer is closed.
         """
         answer: Future[T] = Future()
         with self._closing_lock:

@@ -76,7 +76,9 @@ class ExperimentBody(Body):
         ),
     ]  # fmt: skip
     budget: Budget
-    priority: Annotated[int, Field(ge=-100, le=100, description="Higher goes first.")] = 0
+    priority: Annotated[
+        int, Field(ge=-100, le=100, description="Campaigns with a higher priority are served first.")
+    ] = 0
     execution: Execution = Field(default_factory=Execution)
 
     @model_validator(mode="after")
@@ -100,7 +102,7 @@ class ExperimentBody(Body):
         return len(self.problems) * len(self.algorithms) * len(self.seeds)
 
     def document_hash(self) -> str:
-        """Return a hash that identifies equal submissions."""
+        """Return a hash that identifies identical submissions."""
         return hash_document(self.model_dump(mode="json"))
 
     def cells(self) -> list["Cell"]:

@@ -25,7 +25,7 @@ from brink.server.single_flight import SingleFlightCache
 from brink.server.states import CampaignStatus
 
 CACHED_SCORES = 2_000
-"""Campaigns whose scores are in memory, about 30 kB each."""
+"""Maximum number of campaigns whose scores are in memory, about 30 kB each."""
 
 log = logging.getLogger(__name__)
 
@@ -74,22 +74,22 @@ class ExperimentService(DocumentService[ExperimentBody, Experiment]):
         store.delete_experiment(connection, stored)
 
     async def pause(self, name: str) -> Experiment:
-        """Pause its running campaigns."""
+        """Pause the running campaigns of an experiment."""
         return await self._each(name, CampaignStatus.RUNNING, self.campaigns.pause)
 
     async def resume(self, name: str) -> Experiment:
-        """Resume its paused campaigns."""
+        """Resume the paused campaigns of an experiment."""
         return await self._each(name, CampaignStatus.PAUSED, self.campaigns.resume)
 
     async def cancel(self, name: str) -> Experiment:
-        """Cancel its campaigns that have not ended, keeping their results."""
+        """Cancel the campaigns of an experiment that have not ended, keeping their results."""
         await self._each(name, CampaignStatus.PAUSED, self.campaigns.cancel)
         return await self._each(name, CampaignStatus.RUNNING, self.campaigns.cancel)
 
     async def _each(
         self, name: str, status: CampaignStatus, change: Callable[[str], Awaitable[Campaign]]
     ) -> Experiment:
-        """Change the campaigns that have a status, and skip those whose status changes in the meantime."""
+        """Change the campaigns with the given status, and skip those whose status changes in the meantime."""
         experiment = await self.get(name)
         for member in experiment.members:
             if member.campaign.status is status:

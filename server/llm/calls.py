@@ -1,7 +1,7 @@
-"""The calls of a campaign as they are stored, and its budget: a resumed campaign neither asks nor pays twice.
+"""The stored language-model calls of a campaign, and its budget: a resumed campaign neither asks nor pays twice.
 
-The budget is checked before each request with the most that the request may use. Without both prices a cost is
-unknown, not 0. Usage that the endpoint does not report counts as the worst case and is marked as an estimate.
+The budget is checked before each request with the most that the request may use. Unless both prices are set, a cost
+is unknown, not 0. Usage that the endpoint does not report counts as the worst case and is marked as an estimate.
 """
 
 import math
@@ -14,7 +14,7 @@ from brink.server.llm.protocol import Messages, Mode, OverBudget, Usage, canonic
 from brink.server.llm.settings import LlmSettings
 
 CHARS_PER_TOKEN: Final = 3.5
-"""For JSON and English; a low value for the tokenizers in use, so that token counts are overestimated."""
+"""For JSON and English; low for the tokenizers in use, so that token counts are overestimated."""
 
 _MILLION: Final = 1_000_000
 
@@ -116,13 +116,13 @@ class Outcome(StrEnum):
     """The outcome of a call.
 
     Attributes:
-        SENT: In progress. After a restart this means that the answer was lost, although it may be billed.
+        SENT: In progress. After a restart, this means that the reply was lost, although it may be billed.
         OK: Some of the reply is usable.
         TRUNCATED: The reply reached the token limit; its complete solutions are used.
         INVALID: None of the reply is usable.
         DECLINED: The model or a content filter declined to answer.
-        REFUSED: The endpoint rejected the request for good, or there is no key.
-        UNAVAILABLE: No try was answered.
+        REFUSED: The endpoint rejected the request permanently, or there is no key.
+        UNAVAILABLE: No attempt got a reply.
         OVER_BUDGET: Not sent, or not sent again, because a budget does not allow it.
     """
 
@@ -162,7 +162,7 @@ class StoredCall:
         calls: Requests that the endpoint processed or may have processed; they count against ``max_calls``.
         usage: Tokens of these requests; None if there are none.
         cost: Cost of these requests; None if it is unknown.
-        latency_s: Time of the answered request; without an answer, time until the call was given up.
+        latency_s: Duration of the successful request; without a reply, time until the call was given up.
         error: What went wrong; None if nothing did.
     """
 

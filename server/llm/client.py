@@ -54,10 +54,10 @@ class Completion(Reply):
     """A reply, and how it was obtained.
 
     Attributes:
-        latency_s: Time from sending the successful request to the end of its answer.
+        latency_s: Time from sending the successful request to the end of its response.
         mode: How the form of the reply was specified.
         attempts: Requests sent, including those that were rejected or lost.
-        lost: Requests that the endpoint may have processed and billed without delivering an answer.
+        lost: Requests that the endpoint may have processed and billed without delivering a response.
         raw: The body, without the key.
     """
 
@@ -70,7 +70,7 @@ class Completion(Reply):
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """An HTTP answer of bounded size, without the key; an embedded error replaces its status."""
+    """An HTTP response of bounded size, without the key; the status of an embedded error replaces its own."""
 
     status: int
     headers: httpx.Headers
@@ -209,7 +209,7 @@ class LlmClient:
         """Return the models that the endpoint lists, or None if it has no list.
 
         Raises:
-            EndpointUnavailable: It does not answer.
+            EndpointUnavailable: It does not respond.
             LlmFinal: It rejects the request.
         """
         answer = await self._exchange("GET", "/models", None)
@@ -304,7 +304,7 @@ class LlmClient:
         return error_from(answer.status, answer.headers, answer.raw, self.settings, self._now())
 
     async def _exchange(self, method: str, path: str, body: JsonObject | None) -> _Answer:
-        """Send one request and read its answer, within the limits of time and size."""
+        """Send one request and read the response, within the limits of time and size."""
         settings = self.settings
         key = api_key(settings, self._environ)
         secret = key.get_secret_value() if key is not None else ""
@@ -339,10 +339,10 @@ class LlmClient:
 
 async def _bounded_body(response: httpx.Response) -> bytes:
     if response.headers.get("Content-Encoding", "identity") != "identity":
-        raise UnusableReply("expected an uncompressed answer, got a compressed one")
+        raise UnusableReply("expected an uncompressed response, got a compressed one")
     body = bytearray()
     async for chunk in response.aiter_raw():
         body += chunk
         if len(body) > MAX_REPLY_BYTES:
-            raise UnusableReply(f"expected an answer of at most {MAX_REPLY_BYTES} bytes, got a longer one")
+            raise UnusableReply(f"expected a response of at most {MAX_REPLY_BYTES} bytes, got a longer one")
     return bytes(body)

@@ -37,7 +37,7 @@ class ModeReport:
         usable: Whether the reply was a valid solution.
         usage_stated: Whether the endpoint reported tokens.
         finish_reason: Reported reason, or None.
-        latency_s: Time until the answer; None without one.
+        latency_s: Time until the response; None without one.
         trouble: What was wrong; None if nothing was.
     """
 
@@ -55,11 +55,11 @@ class EndpointReport:
     """The result of checking an endpoint.
 
     Attributes:
-        reachable: Whether it answers at all.
+        reachable: Whether it responds at all.
         models: The models it lists; None if it has no list.
         model_listed: Whether the configured model is listed; None if there is no list.
         modes: The results of all forms of reply.
-        trouble: Why nothing could be checked; None if something could.
+        trouble: Why nothing could be checked; None if anything was.
     """
 
     reachable: bool
@@ -132,7 +132,7 @@ def _is_listed(model: str, models: tuple[str, ...]) -> bool:
 
 
 _SHOWN: Final = 3
-"""Number of known solutions of each kind that a differential prompt is assumed to show."""
+"""Number of known solutions of each kind that a differential prompt is assumed to contain."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

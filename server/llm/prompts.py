@@ -1,6 +1,6 @@
-"""Prompts for seeds. Pure: equal requests give equal messages, so that stored calls are found by their prompt's hash.
+"""Prompts for seeds. Identical requests give identical messages, so that stored calls are found by their prompt hash.
 
-The structure is the paper's: a starting prompt, the understanding of the task with one worked example, rule 1 for
+The structure is the paper's: a starting prompt, an explanation of the task with one worked example, rule 1 for
 seeds that differ, rule 2 for those that did not differ enough. A repair prompt quotes our own errors and our
 rendering of the accepted solutions; text that a model wrote is never sent back. The wording must not change, or
 campaigns that were started before could not be resumed.

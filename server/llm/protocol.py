@@ -5,7 +5,7 @@ come in a separate field. Everything here accepts arbitrary input. Error message
 
 ServerError
 ├── LlmError                     no usable reply
-│   ├── EndpointUnavailable      retryable: no answer, timeout, broken connection, 408, 409, 425, 429, 5xx
+│   ├── EndpointUnavailable      retryable: no response, timeout, broken connection, 408, 409, 425, 429, 5xx
 │   └── LlmFinal                 repeating the call would fail again
 │       ├── KeyMissing           the environment variable with the API key is not set
 │       ├── OverBudget           a budget does not allow another request
@@ -81,7 +81,7 @@ class LlmError(ServerError):
 
 
 class EndpointUnavailable(LlmError):
-    """The endpoint did not answer, or asked the client to retry later.
+    """The endpoint did not respond, or asked the client to retry later.
 
     Attributes:
         retry_after_s: Requested pause, or None.
@@ -158,7 +158,7 @@ def decode_json(text: str) -> object:
     stripped = text.strip()
     value, end = decode_json_at(stripped, 0)
     if end != len(stripped):
-        raise BadJson(f"expected nothing after character {end}")
+        raise BadJson(f"expected the end of the text after character {end}")
     return value
 
 
@@ -311,7 +311,7 @@ def sanitize(body: bytes, secrets: Sequence[str] = ()) -> str:
 
 
 def read_reply(raw: str) -> Reply:
-    """Parse the body of a 2xx answer.
+    """Parse the body of a 2xx response.
 
     Raises:
         UnusableReply: It is not a chat completion.
@@ -430,7 +430,7 @@ def parse_retry_after(headers: Mapping[str, str], now: datetime) -> float | None
 
 
 def embedded_status(raw: str) -> int | None:
-    """Return the error status in the body of a 2xx answer, or None: some gateways report upstream errors that way."""
+    """Return the error status in the body of a 2xx response, or None: some gateways put upstream errors there."""
     if '"error"' not in raw:
         return None
     try:
@@ -446,7 +446,7 @@ def embedded_status(raw: str) -> int | None:
 def error_from(
     status: int, headers: Mapping[str, str], raw: str, settings: LlmSettings, now: datetime
 ) -> LlmError:
-    """Return the error for an answer that is not 2xx, with advice on what to do.
+    """Return the error for a response other than 2xx, with advice on what to do.
 
     Args:
         status: HTTP status.
@@ -456,7 +456,7 @@ def error_from(
         now: Current time, to which a Retry-After date is relative.
     """
     text = error_text(raw)
-    message = f"{settings.endpoint} answered {status}: {text}"
+    message = f"{settings.endpoint} returned {status}: {text}"
     if status == 402 or (status == 429 and _NO_CREDIT.search(raw)):
         return AccessRefused(f"{message}. There is no credit left")
     if status in _RETRYABLE or (status >= 500 and status != _NOT_IMPLEMENTED):
@@ -476,7 +476,7 @@ def error_from(
 
 
 def rejects_form(status: int, raw: str, *, proven: bool) -> bool:
-    """Return whether an answer rejects the requested form of the reply.
+    """Return whether a response rejects the requested form of the reply.
 
     Args:
         status: HTTP status.

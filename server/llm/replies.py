@@ -100,7 +100,7 @@ SCHEMA: Final[Mapping[str, Any]] = _object(
 
 
 class _Form(BaseModel):
-    """Base of the models of a reply. Unknown fields are ignored."""
+    """Base class of the models of a reply. Unknown fields are ignored."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -213,7 +213,7 @@ def _field_error(error: Any, pointer: str) -> FieldError:
 
 
 def _misfits(one: _ParticipantForm, pointer: str) -> list[FieldError]:
-    """Return the errors of a participant whose fields do not fit together."""
+    """Return the errors of a participant whose fields do not suit each other."""
     errors = []
     fastest = MAX_SPEEDS_MPS[one.kind]
     if one.speed_mps > fastest:
@@ -263,16 +263,16 @@ def _participant(one: _ParticipantForm) -> Participant:
 
 
 TOLERANCE_M: Final = 3.0
-"""Distance by which repair may move the start of a participant."""
+"""Maximum distance by which repair may move the start of a participant."""
 
 
 def apart_m(kind: Kind) -> float:
-    """Return the minimum distance between the centres of two participants of a kind on the same lane at the start."""
+    """Return the minimum initial distance between the centres of two participants of a kind on the same lane."""
     return SIZES_M[kind][0] + ALONG_M
 
 
 def kept_clear_m(kind: Kind, road: RoadLimits) -> tuple[float, float]:
-    """Return the stations on the ego's lane between which no centre of a participant of a kind may start."""
+    """Return the range of stations on the ego's lane where no participant of a kind may start with its centre."""
     return -road.clear_behind_m - 0.5 * apart_m(kind), road.clear_ahead_m + 0.5 * apart_m(kind)
 
 
@@ -291,7 +291,7 @@ class RoadChecker:
         self._component = participants_component("participants", max_participants, road)
 
     def problems(self, solution: Solution) -> list[str]:
-        """Return the violations of the search's constraints by a solution."""
+        """Describe how a solution violates the search's constraints; empty if it does not."""
         return list(self._component.problems(self._rule.encode(solution)))
 
     def place(self, solution: Solution, pointer: str) -> Solution | list[FieldError]:
@@ -392,7 +392,7 @@ class Parsed:
 
 
 class _Broken:
-    """Stands for an item that cannot be decoded."""
+    """Placeholder for an item that cannot be decoded."""
 
 
 _BROKEN: Final = _Broken()
@@ -460,7 +460,7 @@ def _place_item(item: object, road: RoadChecker, pointer: str) -> Solution | lis
 
 
 def _scan_text(text: str, limit: int) -> _Scan | None:
-    """Return the list with the most decodable items, the last one if several have as many; None if there is none."""
+    """Return the list with the most decodable items, the last of them in a tie; None if there is no list."""
     answer = text.rpartition(_THOUGHTS_END)[2]
     for part in (answer, text):
         lists = list(itertools.islice(_LIST.finditer(part), _MAX_LISTS)) or [

@@ -49,7 +49,7 @@ HOLD_S: Final = 60.0
 """How long the claim of a coordinator that died prevents others from asking."""
 
 LAST_ANSWERS_S: Final = 8.0
-"""How long a stopping coordinator waits for pending answers: less than the grace period of containers."""
+"""How long a stopping coordinator waits for pending replies: less than the grace period of containers."""
 
 _ERROR_CHARS: Final = 500
 _ERRORS_SHOWN: Final = 3
@@ -359,7 +359,7 @@ class LlmSeeds:
     def _ask(
         self, campaign_id: str, settings: LlmSettings, problem: SupportsSeeds, request: SeedRequest
     ) -> None:
-        """Ask, on a separate thread; if there is no answer, the sweeper repeats the request."""
+        """Ask for seeds, on a separate thread; if that yields no result, the sweeper repeats the request."""
         answer: Sequence[Proposal] | None = None
         about = {"campaign": campaign_id}
         try:
@@ -391,7 +391,7 @@ class LlmSeeds:
     async def _answer_while_claimed(
         self, campaign_id: str, settings: LlmSettings, problem: SupportsSeeds, request: SeedRequest
     ) -> Sequence[Proposal]:
-        """Answer while renewing the claim, even if the campaign is paused.
+        """Obtain the seeds while renewing the claim, even if the campaign is paused.
 
         Raises:
             _ClaimLost: Another coordinator holds the claim.

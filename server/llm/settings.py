@@ -59,7 +59,7 @@ def _endpoint(given: object) -> object:
 
 
 def _env_name(given: object) -> object:
-    """Validate the name of an environment variable without repeating it: it may be the key itself."""
+    """Validate the name of an environment variable without quoting it in errors, as it may be the key itself."""
     if isinstance(given, str) and not _ENV_NAME.fullmatch(given):
         raise _hiding(
             "expected the name of an environment variable in capitals, such as OPENAI_API_KEY, not the key itself"
@@ -94,20 +94,32 @@ class LlmSettings(BaseModel):
     )
     seed: Annotated[int | None, Field(ge=0, lt=2**31, description="Sampling seed; only sent if set.")] = None
     max_tokens: Annotated[
-        int, Field(ge=64, le=1_000_000, description="Maximum tokens of a reply; a solution takes about 200.")
+        int,
+        Field(
+            ge=64,
+            le=1_000_000,
+            description="Maximum number of tokens in a reply; a solution takes about 200.",
+        ),
     ] = 4096
     token_field: Annotated[
         Literal["max_tokens", "max_completion_tokens"],
-        Field(description="Request field with the maximum tokens of a reply."),
+        Field(description="Request field that limits the tokens of a reply."),
     ] = "max_tokens"
     timeout_s: Annotated[float, Field(gt=0, le=3600, description="Maximum time to wait for a reply.")] = 120.0
-    retries: Annotated[int, Field(ge=0, le=20, description="Retries of a call after the first try.")] = 4
+    retries: Annotated[
+        int, Field(ge=0, le=20, description="Number of retries of a call after the first attempt.")
+    ] = 4
     max_wait_s: Annotated[
-        float, Field(ge=0, le=3600, description="Maximum pause between tries, including Retry-After.")
+        float, Field(ge=0, le=3600, description="Maximum pause between attempts, including Retry-After.")
     ] = 120.0
-    max_calls: Annotated[int, Field(ge=1, le=1_000_000, description="Maximum calls of a campaign.")] = 50
+    max_calls: Annotated[
+        int, Field(ge=1, le=1_000_000, description="Maximum number of calls for a campaign.")
+    ] = 50
     max_total_tokens: Annotated[
-        int | None, Field(ge=1, le=10**12, description="Maximum tokens of a campaign, prompts and replies.")
+        int | None,
+        Field(
+            ge=1, le=10**12, description="Maximum number of tokens for a campaign, in prompts and replies."
+        ),
     ] = None
     max_cost: Annotated[
         float | None,
@@ -123,7 +135,7 @@ class LlmSettings(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _no_keys(cls, given: Any) -> Any:
-        """Refuse a key, without repeating it."""
+        """Reject a key without quoting it in the error."""
         if isinstance(given, Mapping):
             for name in given:
                 if name not in cls.model_fields and _SECRET_FIELD.search(str(name)):

@@ -18,7 +18,7 @@ from brink.server.llm.protocol import Mode, Usage
 
 RETRY_S: Final = 2.0
 GIVE_UP_S: Final = 600.0
-"""How long to keep trying to store a paid answer while the database is not writable."""
+"""How long to keep trying to store a reply that was paid for while the database is not writable."""
 
 log = logging.getLogger(__name__)
 

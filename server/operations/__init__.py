@@ -1,1 +1,1 @@
-"""Tools for operators: diagnosis, retention, export and import of campaigns."""
+"""Tools for operators: diagnosis, retention, and export and import of campaigns."""

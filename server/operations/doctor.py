@@ -30,7 +30,7 @@ from brink.server.states import CampaignStatus, JobStatus
 SKEW_S: Final = 2.0
 """Tolerated difference between the database's clock and this machine's."""
 OVERDUE_S: Final = 30.0
-"""A lease that expired, or a step that has been due, for longer than this has been overlooked."""
+"""A lease that expired longer ago than this, or a step that has been due for longer, was overlooked."""
 LEAST_FREE_BYTES: Final = 1 << 30
 SAMPLED_ROWS: Final = 64
 """Solutions of each campaign whose stored distances are verified."""
@@ -46,7 +46,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One finding.
+    """A finding of the diagnosis.
 
     Attributes:
         check: Name of the check.
@@ -62,7 +62,7 @@ class Finding:
 
 
 def examine(settings: Settings, engines: Engines, *, thorough: bool) -> Iterator[Finding]:
-    """Yield the findings of all checks, or of the first ones only if the database cannot be used.
+    """Yield the findings of all checks; only of the first ones if the database cannot be used.
 
     Args:
         settings: The coordinator's settings.
@@ -141,7 +141,7 @@ def _workers(connection: Connection, settings: Settings) -> Iterator[Finding]:
         yield Finding("workers", State.FINE, found)
     for needs, count in sorted(lacking.items()):
         advice = "start a worker on a machine that can run it: brink worker --server URL"
-        unrunnable = f"{count} queued jobs need {needs}, which none of them offers"
+        unrunnable = f"{count} queued jobs need {needs}, which no live worker offers"
         yield Finding("workers", State.WRONG, f"{found}; {unrunnable}", advice)
 
 
@@ -150,7 +150,7 @@ def _leases(connection: Connection) -> Iterator[Finding]:
     overdue, held = job_store.count_leases(connection, horizon)
     if overdue:
         advice = "is a coordinator running on this database? brink serve"
-        found = f"{overdue} of {held} expired over {OVERDUE_S:g} s ago and were not taken back"
+        found = f"{overdue} of {held} expired over {OVERDUE_S:g} s ago and were not reclaimed"
         yield Finding("leases", State.WRONG, found, advice)
     else:
         yield Finding("leases", State.FINE, f"{held} held")

@@ -34,9 +34,9 @@ def prune(
 
     Args:
         connection: In a write transaction.
-        ended: Delete campaigns that ended longer ago; None keeps all.
-        traces: Delete traces that were recorded longer ago; None keeps those of the remaining campaigns.
-        really: Delete; otherwise only find out what would be deleted.
+        ended: Delete campaigns that ended longer ago than this; None keeps all.
+        traces: Delete traces that were recorded longer ago than this; None keeps those of the remaining campaigns.
+        really: Whether to delete; otherwise only find out what would be deleted.
     """
     now = database_now(connection)
     found: list[tuple[str, str]] = []

@@ -126,7 +126,7 @@ def import_campaign(connection: Connection, file: Path) -> tuple[str, dict[str, 
         zipfile.BadZipFile, zlib.error, EOFError, OSError, KeyError, UnicodeDecodeError, NotImplementedError,
         RuntimeError,  # raised by zipfile for encrypted members
     ) as error:  # fmt: skip
-        raise BadFile(f"{file}: expected an undamaged file of brink export: {error}") from None
+        raise BadFile(f"{file}: expected an undamaged file written by brink export: {error}") from None
 
 
 class _Export:
@@ -220,7 +220,7 @@ class _Import:
         self._connection = connection
         self._archive = archive
         if sum(info.file_size for info in archive.infolist()) > LARGEST_BYTES:
-            raise BadFile(f"expected at most {LARGEST_BYTES // 1024**3} GiB in the file")
+            raise BadFile(f"expected a file of at most {LARGEST_BYTES // 1024**3} GiB, unpacked")
         self._manifest = self._read_manifest()
         self._id = str(self._manifest["campaign"])
 
@@ -250,17 +250,17 @@ class _Import:
         try:
             manifest = json.loads(self._archive.read(_MANIFEST))
         except (KeyError, ValueError):
-            raise BadFile("expected a file of brink export: it has no manifest") from None
+            raise BadFile("expected a file written by brink export: it has no manifest") from None
         right = isinstance(manifest, dict) and manifest.get("format") == FORMAT
         sums = manifest.get("sha256") if right else None
         if not right or not isinstance(sums, dict) or not isinstance(manifest.get("campaign"), str):
-            raise BadFile("expected a file of brink export: its manifest is from another program")
+            raise BadFile("expected a file written by brink export: its manifest is from another program")
         if manifest.get("version") != VERSION:
             raise BadFile(f"expected format version {VERSION}, got {manifest.get('version')!r}")
         members = {info.filename for info in self._archive.infolist()} - {_MANIFEST}
         if members != set(sums):
             raise BadFile(
-                f"expected the members that the manifest names; differing: {sorted(members ^ set(sums))[:3]}"
+                f"expected exactly the members that the manifest lists; differing: {sorted(members ^ set(sums))[:3]}"
             )
         if not 1 <= len(manifest["campaign"]) <= 16 or not manifest["campaign"].isalnum():
             raise BadFile(f"campaign: expected an id, got {manifest['campaign'][:40]!r}")
@@ -277,7 +277,7 @@ class _Import:
     def _campaign(self) -> dict[str, Any]:
         rows = list(self._rows("campaigns", CampaignRow.__table__))
         if len(rows) != 1 or rows[0]["id"] != self._id:
-            raise BadFile("campaigns.jsonl: expected the campaign that the manifest names")
+            raise BadFile("campaigns.jsonl: expected exactly one campaign, the one in the manifest")
         row = rows[0]
         try:
             body = CampaignBody.model_validate(row["document"])
@@ -337,7 +337,7 @@ class _Import:
         except (SimulatorError, ValueError, TypeError, KeyError) as error:
             raise BadFile(f"jobs.jsonl, line {place + 1}: spec: {error}") from None
         if digest != row["spec_hash"]:
-            raise BadFile(f"jobs.jsonl, line {place + 1}: expected the hash of its spec")
+            raise BadFile(f"jobs.jsonl, line {place + 1}: expected spec_hash to be the hash of spec")
         leased = row["status"] == JobStatus.LEASED
         return dict.fromkeys(_LEASE) | {
             "cache": False,
@@ -439,7 +439,7 @@ def _value(value: Any, column: Any, where: str) -> Any:
     if not isinstance(value, wanted) or (wanted is int and isinstance(value, bool)):
         raise BadFile(f"{where}: {column.name}: expected a {wanted.__name__}, got {value!r:.60}")
     if isinstance(value, int) and not -(2**63) <= value < 2**63:
-        raise BadFile(f"{where}: {column.name}: expected a 64-bit number")
+        raise BadFile(f"{where}: {column.name}: expected a 64-bit integer")
     if isinstance(value, str) and getattr(column.type, "length", None) and len(value) > column.type.length:
         raise BadFile(f"{where}: {column.name}: expected at most {column.type.length} characters")
     return value

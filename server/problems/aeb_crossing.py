@@ -45,12 +45,16 @@ class AebCrossingParams:
     """Parameters of the problem."""
 
     hazard: str = setting("any", help="Hazard that counts as unsafe.", choices=HAZARDS)
-    perturbations: int = setting(2, help="Number of perturbations in a candidate (m).", ge=1, le=4)
+    perturbations: int = setting(
+        2, help="Number of perturbations in a candidate (m in the paper).", ge=1, le=4
+    )
     techniques: str = setting(
         EVERY, help="Techniques to use, separated by commas (brink perturbations list), or all."
     )
     fields: str = setting(
-        "per_frame", help="How often their random fields are drawn.", choices=("per_frame", "per_episode")
+        "per_frame",
+        help="How often the random fields of perturbations are drawn.",
+        choices=("per_frame", "per_episode"),
     )
     detector: str = setting(
         "brink-det@1", help="Id of the detector, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE."
@@ -67,7 +71,7 @@ class AebCrossingParams:
         "simulator",
         help="Images to measure on: the simulator's, or a file with annotations in COCO format.",
     )
-    dataset_frames: int = setting(60, help="Number of images of the data set to use.", ge=10, le=5_000)
+    dataset_frames: int = setting(60, help="Number of images to use from the data set.", ge=10, le=5_000)
     timeout_s: float = setting(120.0, help="Wall-clock limit of an episode.", gt=0.0, le=3600.0, unit="s")
 
     def __post_init__(self) -> None:
@@ -81,7 +85,7 @@ class AebCrossingParams:
                 )
         if len(self.genes) < self.perturbations:
             raise ConfigError(
-                "techniques", f"expected at least {self.perturbations} of them, got {len(self.genes)}"
+                "techniques", f"expected at least {self.perturbations} techniques, got {len(self.genes)}"
             )
 
     @property
@@ -108,7 +112,7 @@ def scenario_component() -> Component:
 
 
 def perturbation_component(count: int, genes: tuple[str, ...] = tuple(CATALOGUE)) -> Component:
-    """Return the component of ordered perturbations: a gene each, and an intensity on one of the gene's levels."""
+    """Return the component of ordered perturbations: for each, a gene and an intensity that selects its level."""
     pairs = tuple((f"gene_{place}", f"intensity_{place}") for place in range(1, count + 1))
     return Component(
         "perturbation",

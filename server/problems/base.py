@@ -25,7 +25,7 @@ Vectors: TypeAlias = Sequence[NDArray[np.float64]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoParams:
-    """Parameters of a problem without any."""
+    """The parameters of a problem that has none."""
 
 
 class _Problem(Protocol):
@@ -104,7 +104,7 @@ class ChecksInputs(Protocol):
     """A problem with parameters that name files or plug-ins, which may be missing or broken."""
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
-        """Return errors as pairs of a parameter and a message."""
+        """Return errors as pairs of a parameter's name and a message."""
         ...
 
 
@@ -158,7 +158,7 @@ Problem: TypeAlias = SimulatedProblem | InProcessProblem
 
 
 def describe_candidate(problem: Problem, vectors: Vectors) -> str:
-    """Describe a candidate: in the words of the problem, or by its categories, or by all values if it has none."""
+    """Describe a candidate in the problem's own words or, without these, by its categories, or else by all values."""
     if isinstance(problem, DescribesCandidates):
         return problem.words(vectors)
     words = []
@@ -174,7 +174,7 @@ DETECTORS: Final = "brink.detectors"
 
 
 def wrong_detector(name: str) -> list[tuple[str, str]]:
-    """Return the errors of the parameter ``detector`` as pairs of its name and a message."""
+    """Return the errors in the parameter ``detector``, as pairs of a parameter's name and a message."""
     known = plugin_ids(DETECTORS)
     if ":" not in name and name not in known:
         expected = ", ".join([*known, *(f"{kind}:FILE" for kind in KINDS)])

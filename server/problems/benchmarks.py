@@ -16,7 +16,7 @@ from brink.server.problems.base import NoParams, Vectors
 
 
 class Mtq:
-    """Two unequal hills on the unit square; a point is unsafe below height 0."""
+    """Two hills of different height on the unit square; a point is unsafe where the height is below 0."""
 
     id: ClassVar[str] = "mtq@1"
     summary: ClassVar[str] = "Maximum of two quadratics on the unit square: a boundary that can be drawn."

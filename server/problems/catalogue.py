@@ -27,7 +27,7 @@ _MODELS: dict[type[Any], type[BaseModel]] = {}
 
 
 def params_model(params_type: type[Any]) -> type[BaseModel]:
-    """Return the pydantic model of a parameter dataclass; it is built once."""
+    """Return the pydantic model of a parameter dataclass, which is built on first use."""
     if params_type not in _MODELS:
         _MODELS[params_type] = _build_model(params_type)
     return _MODELS[params_type]
@@ -139,7 +139,9 @@ def make_problem(problem_id: str, params: Mapping[str, Any]) -> Problem:
     kind = problem_type(problem_id)
     problem = kind(read_problem_params(problem_id, params))
     if not isinstance(problem, SimulatedProblem | InProcessProblem):
-        raise TypeError(f"plug-in {problem_id}: expected the methods episode and evaluation, or evaluate")
+        raise TypeError(
+            f"plug-in {problem_id}: expected a class with the methods episode and evaluation, or with evaluate"
+        )
     return problem
 
 

@@ -48,7 +48,7 @@ class NpcActionsParams:
     )
     violation: str = setting(
         "any",
-        help="Requirement whose violation counts as unsafe, or any of the six.",
+        help="Requirement whose violation counts as unsafe; any stands for all six.",
         choices=("any", *ORACLES),
     )
     criticality: str = setting(
@@ -62,11 +62,11 @@ class NpcActionsParams:
     )
     detector: str = setting(
         "brink-det@1",
-        help="With sight: detector, its id, or a file: onnx:FILE, torchscript:FILE, ultralytics:FILE.",
+        help="Detector if sight is detector: its id, or onnx:FILE, torchscript:FILE, ultralytics:FILE.",
     )
     threshold: float = setting(0.8, help="Minimum score of detections that count.", gt=0.0, lt=1.0)
     road_curve: str = setting("crossroad", help="Shape of the road.", choices=_words("road_curve"))
-    road_id: int = setting(0, help="Number of the road among those of this shape.", ge=0, le=2)
+    road_id: int = setting(0, help="Index of the road among those of this shape.", ge=0, le=2)
     road_length: int = setting(0, help="0 short, 1 medium, 2 long.", ge=0, le=2)
     driving_task: str = setting("follow_road", help="Task of the ego.", choices=_words("driving_task"))
     time_of_day: str = setting("noon", help="Time of day.", choices=_words("time_of_day"))
@@ -77,7 +77,9 @@ class NpcActionsParams:
     def __post_init__(self) -> None:
         check_settings(self)
         if self.violation == "red-light@1" and self.road_curve != LIT:
-            raise ConfigError("violation", f"expected road_curve: {LIT} with it; no other road has lights")
+            raise ConfigError(
+                "violation", f"expected another requirement, or road_curve: {LIT}; no other road has lights"
+            )
 
 
 class NpcActions:

@@ -50,7 +50,7 @@ REQUIREMENTS = (
     "progress@1",
 )
 BOX_SIGMA_PX = 40.0
-"""Standard deviation of a box coordinate's mutation: a tenth of 400 px."""
+"""Standard deviation of the mutation of a box coordinate: a tenth of 400 px."""
 
 _INTEGER_SCENARIO = {"pedestrians": PEDESTRIAN_COUNTS, "road_id": ROAD_IDS, "road_length": ROAD_LENGTHS}
 

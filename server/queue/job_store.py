@@ -33,7 +33,7 @@ from brink.server.queue.wakeups import notify_coordinators
 from brink.server.states import CampaignStatus, JobKind, JobStatus, SolutionVerdict
 
 MAX_NAMED = 10_000
-"""Values in one ``IN (…)``: databases limit the number of parameters of a statement."""
+"""Maximum number of values in one ``IN (…)``: databases limit the number of parameters of a statement."""
 LISTED_BY_STATUS = frozenset({JobStatus.QUEUED, JobStatus.LEASED, JobStatus.QUARANTINED})
 """States with few jobs, which are found by an index on the status."""
 
@@ -73,7 +73,7 @@ class JobSettings:
     """Settings that all jobs of a campaign share.
 
     Attributes:
-        cache: Whether the jobs share results with equal simulations.
+        cache: Whether the jobs share results with identical simulations.
         max_attempts: Attempts before quarantine.
     """
 
@@ -283,7 +283,7 @@ def withdraw_results(connection: Connection, campaign_id: str, numbers: Sequence
 def _has_open_jobs(campaign: InstrumentedAttribute[str] | str) -> ColumnElement[bool]:
     """Return the condition that a campaign has queued or leased evaluations.
 
-    The two states are looked up separately: for both at once, Postgres may read all jobs of the campaign.
+    The two states are looked up separately; in one lookup, Postgres may read all jobs of the campaign.
     """
     queued, leased = (
         select(JobRow.id)
@@ -383,9 +383,9 @@ def find_job_of(connection: Connection, campaign_id: str, number: int, kind: Job
     return next(map(_job, connection.execute(select(*_JOB).where(*its_job))), None)
 
 
-# Statements about open jobs visit the campaigns one by one and use the index on campaign and status: all jobs that
-# ever ran would take longer and longer. SQLite joins the tables of a CROSS JOIN in the order given; Postgres does not
-# merge a subquery that has an OFFSET.
+# Statements about open jobs visit the campaigns one by one and use the index on campaign and status: reading all jobs
+# that ever ran would take longer and longer. SQLite joins the tables of a CROSS JOIN in the order given; Postgres
+# does not merge a subquery that has an OFFSET.
 _JOBS_WITH_STATUS = {
     "sqlite": "campaigns CROSS JOIN jobs WHERE jobs.campaign_id = campaigns.id AND jobs.status = '{status}'",
     "postgresql": """campaigns CROSS JOIN LATERAL (
@@ -531,7 +531,7 @@ def delete_traces(connection: Connection, before: datetime, *, dry_run: bool) ->
     old = TraceRow.created_at < before
     count = connection.execute(select(func.count()).select_from(TraceRow).where(old)).scalar_one()
     if not dry_run:
-        # Without its trace, a finished job would keep anybody from requesting the trace again.
+        # A finished job whose trace is gone would prevent the trace from being requested again.
         connection.execute(
             delete(JobRow).where(
                 JobRow.kind == JobKind.TRACE,

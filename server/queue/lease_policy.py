@@ -1,6 +1,6 @@
 """Decides which worker gets which jobs. Contains no SQL: it sees the queue through `QueueView` and changes nothing.
 
-- Traces come first, because someone is waiting for a picture. Evaluations are taken from the running campaigns by
+- Traces come first, because someone is waiting for a replay. Evaluations are taken from the running campaigns by
   priority, then in turns.
 - A turn is a number of jobs for each live worker. If campaigns took turns job by job, their generations would end
   together, and workers would wait for the last jobs of all of them.
@@ -9,9 +9,10 @@
   and gain nothing; a full share lets the slowest worker hold up the others.
 - A job that was tried before is granted alone, to a worker that holds nothing else: if it kills its worker, no other
   job is lost with it. It is not granted to the worker that failed it last while another one can run it.
-- A due retry goes before fresh jobs of the same and of lower priorities. Workers fetch ahead and would hardly ever be
-  idle, so a worker that could take the retry but holds jobs gets no fresh ones: soon one of them has empty hands.
-- Of equal simulations that share results, one runs at a time.
+- A due retry goes before fresh jobs (never attempted) of the same and of lower priorities. Workers fetch ahead and
+  would hardly ever be idle, so a worker that could take the retry but holds jobs gets no fresh ones: soon one of them
+  holds none.
+- Of identical simulations that share results, one runs at a time.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -23,7 +24,7 @@ from brink.server.states import JobKind
 TURN: Final = 4
 """Jobs for each live worker that a campaign hands out in one turn."""
 NEW_TURN: Final = 2**62
-"""Turns from here on are new, and later than all turns in the database."""
+"""Turns from this number on are new, and come after all turns in the database."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -231,7 +232,7 @@ def _without_twins(jobs: Iterable[QueuedJob]) -> list[QueuedJob]:
 
 @dataclass(slots=True)
 class _Line:
-    """A campaign's fresh jobs for certain capabilities, ascending by id, read as needed."""
+    """A campaign's fresh jobs for the given capabilities, in ascending order of id, loaded lazily."""
 
     campaign: str
     priority: int
@@ -250,7 +251,7 @@ class _Dealer:
 
     Args:
         view: The queue.
-        ahead: How many jobs the workers after the first may get in all.
+        ahead: How many jobs the workers after the first may get in total.
 
     Attributes:
         changed: The new turn and served jobs of each campaign that was served.
@@ -293,7 +294,7 @@ class _Dealer:
         return jobs
 
     def note_granted(self, jobs: Sequence[QueuedJob]) -> None:
-        """Withhold granted jobs, and equal simulations, from the other workers."""
+        """Withhold granted jobs, and jobs with an identical simulation, from the other workers."""
         self._granted |= {job.id for job in jobs}
         self._running |= {(job.spec_hash, job.kind) for job in jobs}
 
@@ -308,7 +309,7 @@ class _Dealer:
     def _first(
         self, line: _Line, count: int, capabilities: tuple[str, ...], *, ahead: int = 0
     ) -> list[QueuedJob]:
-        """Return the first available jobs of a line, without removing them."""
+        """Return the first available jobs of a campaign, without removing them."""
         line.jobs = [job for job in line.jobs if self._is_available(job)]
         while len(line.jobs) < count and not line.ended:
             limit = count - len(line.jobs) + ahead

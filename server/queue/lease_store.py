@@ -42,7 +42,7 @@ from brink.server.states import CampaignStatus, JobKind, JobStatus
 from brink.worker.wire import HeldLease, LeasedJob
 
 MOST_WOKEN = 10_000
-"""Due retries are counted up to this number; more workers than this hardly wait at one coordinator."""
+"""Due retries are counted up to this number; more workers than this rarely wait at one coordinator."""
 
 # Statuses and kinds are literals, as in `job_store`, and statements are built once: building one takes longer than
 # running it.
@@ -65,7 +65,7 @@ _ELIGIBLE = (
     _DUE,
     ~(_TWIN_RUNS & JobRow.cache),
 )
-"""A worker with these capabilities could run the job now, and nobody runs the same simulation already."""
+"""A worker with these capabilities could run the job now, and no worker is running the same simulation."""
 
 _GRANTED = (
     JobRow.id, JobRow.campaign_id, JobRow.kind, JobRow.spec, JobRow.spec_hash,
@@ -78,9 +78,9 @@ _HELD_ATTEMPTS_SQLITE = text(  # without statistics, SQLite would read all lease
     "SELECT lease_worker, attempt FROM jobs INDEXED BY ix_jobs_lease_worker "
     f"WHERE status = '{JobStatus.LEASED}' AND lease_worker IN (SELECT value FROM json_each(:workers))"
 )
-# Retries that nobody can run must not cost every worker a look at each of them. The order is that of the index of
-# retries, which Postgres then uses when only the first row is needed; otherwise, once most jobs have been tried, it
-# may read all jobs, or all queued jobs of each campaign.
+# Requests must not inspect every retry that no worker can run. The order is that of the index of retries, which
+# Postgres then uses when only the first row is needed; otherwise, once most jobs have been tried, it may read all
+# jobs, or all queued jobs of each campaign.
 _DUE_RETRY = (
     select(JobRow.id)
     .where(
@@ -176,8 +176,8 @@ _GRANT = BulkUpdate(
     not_before=None,
 )
 _NOT_LOCKED = CampaignRow.id.in_(
-    # A campaign that somebody else is writing keeps its turn: coordinators that waited for one another here, each
-    # with several campaigns in one commit, would deadlock. SQLite has no row locks and ignores the clause.
+    # A campaign that another coordinator is writing keeps its turn: coordinators that waited for each other here,
+    # each with several campaigns in one commit, would deadlock. SQLite has no row locks and ignores the clause.
     select(CampaignRow.id)
     .where(CampaignRow.id == bindparam("dealt"))
     .with_for_update(key_share=True, skip_locked=True)

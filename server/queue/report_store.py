@@ -25,7 +25,7 @@ JobRecord: TypeAlias = Row[*tuple[Any, ...]]
 MAX_ERROR_CHARACTERS = 4000
 MAX_BACKOFF_S = 300.0
 MAX_EXPIRED = 1000
-"""Leases that one sweep takes back: if all expire at once, other writes do not wait long."""
+"""Maximum number of leases that one sweep takes back, so that other writes do not wait long if all expire at once."""
 
 # Built once: building a statement takes longer than running it.
 _REPORTED = select(
@@ -35,7 +35,7 @@ _REPORTED = select(
 _REPORTED_IN_ORDER = _REPORTED.add_columns(func.clock_timestamp(type_=UtcDateTime).label("now")).order_by(
     JobRow.id
 )
-"""For Postgres: locking rows in the order of their ids prevents deadlocks. The database's time saves a round trip."""
+"""For Postgres: locking rows in the order of their ids prevents deadlocks. Selecting the time saves a round trip."""
 _FINISH = BulkUpdate(
     JobRow.id, [JobRow.result], status=JobStatus.DONE, finished_at=bindparam("now"), lease_expires_at=None
 )

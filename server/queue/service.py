@@ -41,13 +41,13 @@ from brink.worker.wire import (
 RECHECK_S = 10.0
 """Interval at which a waiting lease looks for jobs by itself, in case a wake-up was lost."""
 SHARED_RECHECK_S = 2.0
-"""The same with several coordinators: no wake-up announces jobs that one of them read ahead and did not grant."""
+"""The same with several coordinators: no wake-up announces jobs that another one read ahead and did not grant."""
 LIVE_WORKERS_S = 0.5
 """How long a list of the live workers is reused."""
 CONTACT_S = 5.0
 """Interval at which a worker's contact is recorded in the database."""
 FORGET_S = 24 * 3600.0
-"""A worker that has not made contact for so long is deleted."""
+"""A worker that has not made contact for this long is deleted."""
 
 log = logging.getLogger(__name__)
 
@@ -251,7 +251,7 @@ class QueueService:
         self._count(request, report)
         _log_report(request, report)
         _log_granted(request.worker.id, granted)
-        if released or report.quarantined:  # a quarantined job may have kept equal simulations waiting
+        if released or report.quarantined:  # a quarantined job may have kept identical simulations waiting
             self.wakeups.wake()  # all waiters: the first may be unable to run these jobs
         self.on_idle(report.campaigns)
         reply: LeaseReply | None = None

@@ -14,7 +14,7 @@ log = logging.getLogger(__name__)
 
 
 class Wakeups:
-    """A first-come, first-served line of waiting requests.
+    """A first-come, first-served queue of waiting requests.
 
     All methods are called on the event loop. A waiter whose client left after it was woken passes its wake-up on, so
     that no wake-up is lost.

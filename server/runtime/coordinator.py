@@ -1,4 +1,4 @@
-"""Running a coordinator in this process, and worker processes next to it."""
+"""Running a coordinator in this process, and worker processes alongside it."""
 
 import logging
 import os
@@ -187,7 +187,7 @@ _MAX_OPEN_FILES: Final = 65_536
 
 
 def allow_many_open_files() -> None:
-    """Raise the limit on open files of this process: each connection is one, and the default is often 1,024."""
+    """Raise the limit on open files of this process: each connection needs one, and the default is often 1,024."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = _MAX_OPEN_FILES if hard == resource.RLIM_INFINITY else min(hard, _MAX_OPEN_FILES)
     if soft != resource.RLIM_INFINITY and soft < wanted:

@@ -62,8 +62,9 @@ def check_database(settings: Settings) -> None:
 def release_leases_of_dead_workers(settings: Settings) -> int:
     """Requeue jobs leased by dead workers of this machine, without charging an attempt; return their number.
 
-    For a start after everything crashed, which is not the fault of the jobs. Only for SQLite, where coordinator and
-    database share a machine. If a live worker is mistaken for dead, its results are `stale`, and the jobs run again.
+    Meant for a restart after everything crashed, which was not the fault of the jobs. Only for SQLite, where
+    coordinator and database share a machine. If a live worker is mistaken for dead, its results are `stale`, and the
+    jobs run again.
     """
     if settings.sqlite_file is None:
         return 0
@@ -77,7 +78,7 @@ def release_leases_of_dead_workers(settings: Settings) -> int:
 
 
 def has_tokens(settings: Settings, *, valid_only: bool = True) -> bool:
-    """Return whether the database has valid tokens or, with ``valid_only`` off, any tokens."""
+    """Return whether the database has valid tokens or, if ``valid_only`` is false, any tokens."""
     file = settings.sqlite_file
     if file is not None and not file.exists():
         return False

@@ -191,7 +191,7 @@ WRONG: dict[str, tuple[dict[str, Callable[[bytes], bytes | None]], str]] = {
         {"solutions.jsonl": in_line(lambda row: row.update(campaign_id="other"))}, "expected campaign_id",
     ),
     "a spec with another hash": (
-        {"jobs.jsonl": in_line(lambda row: row.update(spec_hash="0" * 64))}, "expected the hash of its spec",
+        {"jobs.jsonl": in_line(lambda row: row.update(spec_hash="0" * 64))}, "expected spec_hash to be the hash of",
     ),
     "a spec that is none": ({"jobs.jsonl": in_line(lambda row: row.update(spec="{}"))}, "line 1: spec"),
     "vectors of another length": ({"arrays/vectors.npy": array(np.zeros((70, 3)))}, "expected 2 numbers in each row"),
@@ -250,7 +250,7 @@ def test_damage_is_noticed(exported: tuple[str, str, Path], tmp_path: Path) -> N
         run("import", str(changed), "--database", f"sqlite:///{tmp_path}/new.db")
     (tmp_path / "short.brink").write_bytes(exported[2].read_bytes()[:900])
     for other, words in (
-        ("short.brink", "expected an undamaged file of brink export"),
+        ("short.brink", "expected an undamaged file written by brink export"),
         ("none.brink", "no such file"),
     ):
         with pytest.raises(BadFile, match=words):

@@ -538,7 +538,7 @@ def test_doctor_names_stuck_work_and_missing_workers(
     checks = diagnose(database_url, engines)
     assert checks["workers"][0] is State.WRONG
     assert "2 queued jobs need rare@1" in checks["workers"][1]
-    assert checks["leases"] == (State.WRONG, "1 of 1 expired over 30 s ago and were not taken back")
+    assert checks["leases"] == (State.WRONG, "1 of 1 expired over 30 s ago and were not reclaimed")
     assert checks["campaigns"][0] is State.WRONG
     assert idle in checks["campaigns"][1]
 

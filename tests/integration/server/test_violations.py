@@ -113,7 +113,7 @@ def test_a_problem_without_violations_says_so(client: httpx.Client) -> None:
     }
     campaign = submit(client, body)
     detail = expect(client.get(f"/api/v1/campaigns/{campaign}/violations"), 404)["detail"]
-    assert "mtq@1 reports no violations" in detail
+    assert "mtq@1 does not support reporting violations" in detail
 
 
 def test_command_line_names_them(

@@ -366,7 +366,7 @@ def test_an_error_embedded_in_a_2xx_answer_is_retried(endpoint: Endpoint) -> Non
 
 def test_the_last_error_is_reported_after_all_retries(endpoint: Endpoint) -> None:
     error = failing(endpoint, EndpointUnavailable, *[refuses(503, "loading model", ErrorForm.WORD)] * 3)
-    assert str(error) == f"{endpoint.url} answered 503: loading model; gave up after 3 tries"
+    assert str(error) == f"{endpoint.url} returned 503: loading model; gave up after 3 tries"
     assert (error.effort.requests, error.effort.lost) == (3, 0)
 
 
@@ -442,8 +442,8 @@ def test_an_unreachable_endpoint_is_reported() -> None:
         (refuses(402, "pay first"), AccessRefused, "There is no credit left"),
         (refuses(429, "You exceeded your current quota"), AccessRefused, "There is no credit left"),
         (refuses(404, "model not found", ErrorForm.WORD), ModelUnknown, f"serves the model '{MODEL}'"),
-        (refuses(413, "too large", ErrorForm.HTML), RequestRefused, "answered 413: <html><body>too large"),
-        (refuses(501, "later"), RequestRefused, "answered 501: later"),
+        (refuses(413, "too large", ErrorForm.HTML), RequestRefused, "returned 413: <html><body>too large"),
+        (refuses(501, "later"), RequestRefused, "returned 501: later"),
         (refuses(307, "over there", Location="http://127.0.0.1:9/"), RequestRefused, "set endpoint to the new"),
     ],
 )  # fmt: skip

@@ -187,7 +187,7 @@ def test_an_endpoint_that_supports_only_plain_text(endpoint: Endpoint) -> None:
     report = checked(endpoint)
     assert (report.models, report.model_listed, report.mode) == (None, None, Mode.PLAIN)
     assert [one.accepted for one in report.modes] == [False, False, False, True]
-    assert "answered 400" in str(report.modes[0].trouble)
+    assert "returned 400" in str(report.modes[0].trouble)
     assert not report.modes[-1].usage_stated
     assert report.modes[-1].finish_reason is None
     assert len(endpoint.asked) == len(Mode)
@@ -223,7 +223,7 @@ def test_a_wrong_key_stops_the_check(endpoint: Endpoint) -> None:
     report = checked(endpoint)
     assert report.reachable
     assert not report.works
-    assert "answered 401" in str(report.trouble)
+    assert "returned 401" in str(report.trouble)
     assert endpoint.asked == []
 
 

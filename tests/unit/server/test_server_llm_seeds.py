@@ -196,7 +196,7 @@ CASES = {
         (gives({"choices": []}),), (), ("invalid",), "0 of 4 usable (expected a chat completion", 1, 1,
     ),
     "huge": Case(
-        (huge(8 * MAX_REPLY_BYTES),), (), ("invalid",), "0 of 4 usable (expected an answer of at most", 1, 1,
+        (huge(8 * MAX_REPLY_BYTES),), (), ("invalid",), "0 of 4 usable (expected a response of at most", 1, 1,
     ),
     "rate limit": Case((refuses(429, "slow", Retry_After="3"), GOOD), (LLM,) * 4, ("ok",), "4 of 4 usable", 2, 1),
     "rate limit by date": Case(
@@ -208,7 +208,7 @@ CASES = {
     ),
     "busy once": Case((refuses(503, "busy"), GOOD), (LLM,) * 4, ("ok",), "4 of 4 usable", 2, 1),
     "busy for long": Case(
-        (refuses(503, "busy"),) * 3, (), ("unavailable",), "answered 503: busy; gave up after 3 tries", 3, 0,
+        (refuses(503, "busy"),) * 3, (), ("unavailable",), "returned 503: busy; gave up after 3 tries", 3, 0,
     ),
     "cut off once": Case((cut("x"), GOOD), (LLM,) * 4, ("ok",), "4 of 4 usable", 2, 2),
     "cut off for good": Case((cut("x"),) * 3, (), ("unavailable",), "gave up after 3 tries", 3, 3),

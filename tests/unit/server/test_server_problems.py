@@ -134,7 +134,7 @@ def test_only_the_chosen_techniques_are_used() -> None:
     with pytest.raises(ConfigError, match=r"got 'smoek'") as caught:
         AebCrossingParams(techniques="smoek, dirty")
     assert caught.value.nearest == "smoke"
-    with pytest.raises(ConfigError, match="at least 2 of them, got 1"):
+    with pytest.raises(ConfigError, match="at least 2 techniques, got 1"):
         AebCrossingParams(techniques="smoke")
 
 

@@ -137,7 +137,7 @@ def test_a_refusal_is_final_and_gives_the_detail_on_one_line(status: int) -> Non
     with client(script) as c, pytest.raises(RequestRefused) as caught:
         c.lease(LEASE)
     assert caught.value.status == status
-    assert str(caught.value) == f"http://coordinator: lease answered {status} No: max_jobs: expected 1 to 256"
+    assert str(caught.value) == f"http://coordinator: lease returned {status} No: max_jobs: expected 1 to 256"
     assert len(script.requests) == 1
 
 

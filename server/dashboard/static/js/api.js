@@ -1,4 +1,4 @@
-/** The coordinator's API: requests, errors, conditional GET, the token and its rights, and the shapes of answers. */
+/** The coordinator's API: requests, errors, conditional GET, the token and its rights, and the shapes of responses. */
 
 const BASE = new URL("api/v1/", document.baseURI).pathname;
 

@@ -71,7 +71,7 @@ export class Context {
     }
   }
 
-  /** Show the error of a part of the view as a message, once. */
+  /** Show an error in a part of the view as a message, once. */
   complain = (error) => {
     if (error.status === 401) this.signIn();
     else if (!this.#complained.has(error.message)) toast(error.message, { bad: true });

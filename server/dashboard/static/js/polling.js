@@ -1,4 +1,4 @@
-/** Asking again: polling, loading on news at a bounded rate, and retrying until an answer is there. Hidden pages ask nothing. */
+/** Repeated requests: polling, loading new data at a bounded rate, and retrying until there is a response. Hidden pages send none. */
 
 import { ApiError, Conditional, read, request, UNCHANGED } from "./api.js";
 
@@ -75,7 +75,7 @@ export function poll(path, take, { signal, busy = () => false, refuse, away }) {
 }
 
 /**
- * Return a function that loads when there is news, as soon as the rate limit allows.
+ * Return a function that loads when there is new data, as soon as the rate limit allows.
  *
  * @param {() => Promise<void>} load Loads and draws.
  * @param {{signal: AbortSignal, refuse: (error: ApiError) => void, leastMs?: number, share?: number}} options At most ``share``

@@ -1,4 +1,4 @@
-/** The current place: the part of the address after the #. */
+/** Navigation: the current place is the part of the address after the #. */
 
 /**
  * @typedef {object} Place

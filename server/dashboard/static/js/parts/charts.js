@@ -1,4 +1,4 @@
-/** Drawings: a sharp canvas, line charts by uPlot, and means with intervals. They follow the theme and the room there is. */
+/** Charts: a canvas at screen resolution, line charts by uPlot, and means with intervals. They adapt to theme and available space. */
 
 import { attribute, h, keyed, replace, text } from "../dom.js";
 import { figure } from "../format.js";
@@ -7,7 +7,7 @@ import { colour, onTheme } from "../theme.js";
 const SHARPEST = 2;
 
 /**
- * Return an element with a canvas as sharp as the screen; ``redraw`` draws it, once it has a size.
+ * Return an element with a canvas at the resolution of the screen; ``redraw`` draws it, once it has a size.
  *
  * @param {object} given
  * @param {string} given.label Description for screen readers.

@@ -184,8 +184,8 @@ export function thresholds(query, changed) {
   const t_b = h("select", { onchange: () => choose({ t_b: Number(t_b.value) }) });
   const d_th = h("select", { onchange: () => choose({ d_th: Number(d_th.value) }) });
   const node = h("div.inline.thresholds", null, measure,
-    h("label", { title: "Largest fitness of a boundary solution" }, "t_b ", t_b),
-    h("label", { title: "Smallest distance between two boundary solutions" }, "d_th ", d_th));
+    h("label", { title: "Maximum fitness of a boundary solution" }, "t_b ", t_b),
+    h("label", { title: "Minimum distance between two boundary solutions" }, "d_th ", d_th));
   let known = { t_bs: [], d_ths: [] };
   node.chosen = chosen;
 

@@ -71,10 +71,10 @@ function pageOf(context, query, changed, chooseFitness) {
   const few = h("p.empty");
   const notes = h("div");
   const facts = matrix("Campaigns and their results", "Property", { right: false });
-  const dbs = convergenceChart("DBS over simulations", context, { scales: { x: { time: false }, y: { range: fromNought } } });
+  const dbs = convergenceChart("DBS against the number of simulations", context, { scales: { x: { time: false }, y: { range: fromNought } } });
   const dbsHeading = h("h2");
   const dbsHint = h("p.hint");
-  const fitness = convergenceChart("Fitness over simulations", context);
+  const fitness = convergenceChart("Fitness against the number of simulations", context);
   const which = segments("Fitness", chooseFitness, FITNESS, "best_fitness");
   const gridHeading = h("h2");
   const grid = matrix("DBS, and strict DBS in brackets, by t_b", "Campaign", { right: true });
@@ -102,7 +102,7 @@ function pageOf(context, query, changed, chooseFitness) {
     const columns = all.map((one) => ({ key: `${one.id} ${one.name}`, head: () => h("span", null, swatch(one.colour), h("a", { href: link("campaigns", one.id) }, one.name)) }));
     note(notes, all);
     facts.update(columns, factRows(all, chosen));
-    text(dbsHeading, chosen.measure === "strict" ? "Strict DBS over simulations" : "DBS over simulations");
+    text(dbsHeading, chosen.measure === "strict" ? "Strict DBS against the number of simulations" : "DBS against the number of simulations");
     const usual = all.find((one) => one.progress)?.progress;
     text(dbsHint, usual ? `After each generation, at t_b ${figure(usual.t_b)}, d_th ${figure(usual.d_th)}.` : "");
     const series = chosen.measure === "strict" ? "strict_dbs" : "dbs";
@@ -154,9 +154,9 @@ function note(place, all) {
   const budgets = new Set(all.map((one) => one.progress?.budget).filter(Boolean));
   const others = all.filter((one) => one.progress && !one.progress.looks_for_boundary);
   const words = [
-    problems.size > 1 && ["warn", "They search different problems, so their results are not comparable."],
-    problems.size === 1 && worlds.size > 1 && ["warn", "Their problems have different parameters, which may explain differences."],
-    problems.size === 1 && budgets.size > 1 && ["warn", "Their budgets differ, and more simulations find more. The charts compare them at equal numbers of simulations."],
+    problems.size > 1 && ["warn", "The campaigns search different problems, so their results are not comparable."],
+    problems.size === 1 && worlds.size > 1 && ["warn", "The problems of the campaigns have different parameters, which may explain differences."],
+    problems.size === 1 && budgets.size > 1 && ["warn", "The budgets of the campaigns differ, and more simulations find more. The charts compare equal numbers of simulations."],
     others.length > 0 && ["", `${others.map((one) => one.name).join(", ")} ${others.length === 1 ? "does" : "do"} not search for the hazard boundary, so DBS does not measure ${others.length === 1 ? "its" : "their"} success.`],
     ...all.filter((one) => one.trouble).map((one) => ["bad", `${one.name}: ${one.trouble}`]),
   ].filter(Boolean);
@@ -214,7 +214,7 @@ function fromNought(plot, least, most) {
 const DASHES = [[], [8, 4], [2, 3], [10, 4, 2, 4], [5, 5], [14, 4]];
 
 /**
- * Return a step chart over simulations, one line for each campaign; ``update(lines)`` draws ``{key, name, colour, points: [x, y][]}``.
+ * Return a step chart against the number of simulations, one line for each campaign; ``update(lines)`` draws ``{key, name, colour, points: [x, y][]}``.
  *
  * @param {string} label Description.
  * @param {object} context Of the view.

@@ -175,7 +175,7 @@ function memberRow(first) {
 }
 
 const METHOD = [
-  ["DBS", "counts solutions with fitness at most t_b, selected greedily, best first, each at least d_th from all selected before. Simulations beyond the budget, to complete the last generation, are not counted."],
+  ["DBS", "counts solutions with a fitness of at most t_b, selected greedily, best first, each at least d_th from all those already selected. Simulations beyond the budget, which complete the last generation, are not counted."],
   ["Strict DBS", "counts only solutions whose interval contains the threshold probability and whose neighbourhood has both verdicts. At large t_b, plain DBS also counts neighbourhoods without unsafe solutions."],
   ["A control", "keeps the simulated solutions and redraws each verdict with the unsafe probability of its scenario alone. What a method reaches beyond its control is due to behaviour. A control with few behaviours per scenario is too low: exceeding it proves nothing."],
   ["Tests", "are two-sided Mann-Whitney U tests with Holm's correction over all comparisons of this problem and measure, at all thresholds where values differ. Vargha and Delaney's A12 is the probability that the first exceeds the second: small from .56, medium from .64, large from .71, and symmetrically below one half."],
@@ -192,7 +192,7 @@ function resultsSection(context, query, defaults) {
   const heading = h("h2");
   const dots = intervals("Means with 95% intervals");
   const standings = standingsTable();
-  const curve = growth("DBS over the budget; values at its end are in the table of means", context);
+  const curve = growth("DBS against the fraction of the budget; the final values are in the table of means", context);
   const duels = duelsTable();
   const repeats = repeatsTable();
   const save = h("button", { type: "button", onclick: () => saveResults(results) }, "Results as JSON");
@@ -200,8 +200,8 @@ function resultsSection(context, query, defaults) {
     h("div.inline", null, choose, problemLabel, h("span.push", null, save)),
     h("div.card", null, heading, words),
     h("div.grid-2", null,
-      h("div.card", null, h("h2", null, "Means and 95% intervals"), dots, h("p.hint", null, "Filled: methods. Hollow: controls. Thin strokes: single repeats.")),
-      h("div.card", null, h("h2", null, "Convergence"), curve, h("p.hint", null, "Means over the repeats, each point from what was evaluated by then; bands from lowest to highest repeat."),
+      h("div.card", null, h("h2", null, "Means and 95% intervals"), dots, h("p.hint", null, "Filled: methods. Hollow: controls. Thin strokes: individual repeats.")),
+      h("div.card", null, h("h2", null, "Convergence"), curve, h("p.hint", null, "Means over the repeats; each point counts only solutions evaluated by then. Bands: lowest to highest repeat."),
         h("label.check", null, controls, "Show controls"))),
     h("div.card", null, h("h2", null, "Figures"), standings),
     h("div.card", null, h("h2", null, "Comparisons"), duels),
@@ -215,7 +215,7 @@ function resultsSection(context, query, defaults) {
     const compared = duelsAt(results, problem.value, chosen);
     text(heading, `Conclusions at t_b ${figure(chosen.t_b)}, d_th ${figure(chosen.d_th)}`);
     const said = sentences(compared, rows, chosen);
-    keyed(words, said.length ? said : [["", "There is only one method and no control: nothing to compare."]], ([key]) => key, sentence);
+    keyed(words, said.length ? said : [["", "There is nothing to compare: only one method, and no control."]], ([key]) => key, sentence);
     dots.update(rows, `Means of ${chosen.name} with 95% intervals: ${rows.map((row) => `${row.label} ${inWords(row)}`).join("; ")}`);
     standings.update(rows);
     curve.update(results.fractions, growthAt(results, problem.value, chosen),
@@ -322,7 +322,7 @@ function duelsTable() {
 }
 
 function repeatsTable() {
-  const node = tableOf("Each finished campaign at the whole budget", [["Campaign"], ["Method"], ["Seed", 1], ["Evaluated", 1], ["Unsafe", 1], ["Score", 1], ["Control", 1], ["Behaviours per scenario", 1]]);
+  const node = tableOf("Each finished campaign at the full budget", [["Campaign"], ["Method"], ["Seed", 1], ["Evaluated", 1], ["Unsafe", 1], ["Score", 1], ["Control", 1], ["Behaviours per scenario", 1]]);
   node.update = (repeats, chosen) => {
     const at = (source) => source[chosen.measure].at(-1)[chosen.i][chosen.j];
     const rows = repeats.map((one) => ({

@@ -177,7 +177,7 @@ function pageOf(context, choose, retry, retryAll) {
     const now = serverNow();
     keyed(body, jobs.map((job) => ({ ...job, name: counts.campaigns[job.campaign] ?? job.campaign, awaited: isAwaited(job, counts), now })), (job) => job.id,
       (job) => jobRow(job, context.may.steer, retry));
-    text(caption, `Jobs, ${chosen.status}, by id`);
+    text(caption, `Jobs with the status ${chosen.status}, by id`);
     table.hidden = jobs.length === 0;
     for (const [part, is] of [["leased", chosen.status === "leased"], ["erred", jobs.some((job) => job.last_error)], ["quarantined", chosen.status === "quarantined"]]) {
       table.classList.toggle(part, is);

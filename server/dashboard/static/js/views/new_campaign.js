@@ -39,7 +39,7 @@ export async function show(main, context, { query }) {
   const panes = {
     form: h("div", null, form.node),
     file: h("div.card", { hidden: true }, h("label", { for: "yaml" }, "Campaign file"), file,
-      h("p.hint", { id: "yaml-help" }, "YAML or JSON with the same fields as the form, and llm for a language model.")),
+      h("p.hint", { id: "yaml-help" }, "YAML or JSON with the same fields as the form, plus llm for a language model.")),
   };
   let mode = "form";
   let left = false; // whether the form could not represent the file, which must then not be overwritten
@@ -64,7 +64,7 @@ export async function show(main, context, { query }) {
     for (const [each, pane] of Object.entries(panes)) pane.hidden = each !== mode;
     for (const each of modes) each.setAttribute("aria-pressed", String(each.dataset.mode === mode));
     if (taken) replace(trouble);
-    else trouble.prepend(callout("warn", "The file could not be converted, so the form is unchanged. The file is kept."));
+    else trouble.prepend(callout("warn", "The file could not be converted, so the form is unchanged. Your text is kept."));
   }
 
   /** Convert the form to a file, unless the form is untouched: the example or earlier text is then more useful. */

@@ -243,7 +243,7 @@ export function findings(context, id, tells) {
   function outcome(one) {
     if (one.evaluated === 0) return "No verdict yet.";
     const share = `${count(one.unsafe)} of ${count(one.evaluated)} simulations were unsafe, ${percent(one.unsafe / one.evaluated)}.`;
-    return one.boundary ? `${count(one.holding)} of ${count(one.solutions.length)} have an interval that contains p_th ${percent(one.p_th)}; ${count(one.below)} are safer, ${count(one.above)} less safe. ${share}` : share;
+    return one.boundary ? `The intervals of ${count(one.holding)} of ${count(one.solutions.length)} contain p_th (${percent(one.p_th)}); ${count(one.below)} are safer, ${count(one.above)} less safe. ${share}` : share;
   }
 
   function solution(number) {
@@ -295,7 +295,7 @@ export function inWords(progress, generations, algorithm) {
   const told = [];
   const last = generations.list.at(-1);
   told.push(`${algorithm?.summary ?? "The search"} ${plural(progress.generation, "generation")} completed.`.replace(/\.\. /, ". "));
-  if (progress.status === "running" && progress.asking) told.push(`Asking a language model: ${progress.asking}.`);
+  if (progress.status === "running" && progress.asking) told.push(`Language model: ${progress.asking}.`);
   else if (progress.status === "running") {
     told.push(`Generation ${progress.generation + 1} is being simulated: ${plural(progress.leased, "job")} on workers, ${count(progress.queued)} in the queue.`);
   } else if (progress.status === "paused") told.push("Paused: workers get no jobs.");

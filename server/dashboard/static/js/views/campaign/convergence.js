@@ -1,4 +1,4 @@
-/** Convergence of a search: boundary solutions over simulations at chosen thresholds, unsafe share, fitness. */
+/** Convergence of a search: boundary solutions against simulations at chosen thresholds, unsafe share, fitness. */
 
 import { Conditional, UNCHANGED } from "../../api.js";
 import { h, text } from "../../dom.js";
@@ -31,21 +31,21 @@ export function convergenceCards(context, id, query, thresholds) {
   let unavailable = null; // why there is no curve at these thresholds
 
   const dbs = chart({
-    label: "Distinct boundary solutions over simulations", x: "simulations", signal: context.signal, height: 400,
+    label: "Distinct boundary solutions against the number of simulations", x: "simulations", signal: context.signal, height: 400,
     series: [{ label: "DBS", colour: "--series-1" }, { label: "strict DBS", colour: "--series-1", dash: [6, 4] }],
     options: { scales: { x: { time: false }, y: { range: (_, __, most) => [0, Math.max(5, (most ?? 0) * 1.06)] } } },
   });
   const shares = chart({
-    label: "Unsafe share over simulations", x: "simulations", signal: context.signal, height: 200,
+    label: "Unsafe share against the number of simulations", x: "simulations", signal: context.signal, height: 200,
     series: [{ label: "unsafe, %", colour: "--series-2" }],
   });
   const fitness = chart({
-    label: "Fitness over generations", x: "generation", signal: context.signal, height: 200,
+    label: "Fitness by generation", x: "generation", signal: context.signal, height: 200,
     series: [{ label: "best", colour: "--series-1" }, { label: "median", colour: "--series-6", dash: [6, 4] }],
   });
   const note = h("p.hint", { "aria-live": "polite" });
   const reset = h("button.quiet", { type: "button", onclick: () => set(defaults.t_b, defaults.d_th) }, "Defaults");
-  const dbsCard = h("section.card", { "aria-label": "Boundary solutions over simulations" },
+  const dbsCard = h("section.card", { "aria-label": "Boundary solutions against the number of simulations" },
     h("div.inline", null, h("h2", null, "Distinct boundary solutions"), t_b.label, d_th.label, reset), dbs, note);
   const shareCard = h("section.card", null, h("h2", null, "Unsafe share"), shares);
   const fitnessCard = h("section.card", null, h("h2", null, "Fitness by generation"), fitness,
@@ -79,7 +79,7 @@ export function convergenceCards(context, id, query, thresholds) {
   }
 
   function explain() {
-    text(note, unavailable ?? `DBS counts solutions with fitness at most t_b and distance at least d_th from each other. ${reading}`.trim());
+    text(note, unavailable ?? `DBS counts solutions with a fitness of at most t_b that are at least d_th apart. ${reading}`.trim());
   }
 
   function draw({ atOnce = false } = {}) {

@@ -1,4 +1,4 @@
-/** The camera's picture beside the map: the film if there is one, or a sketch made from the recorded boxes. */
+/** The camera's picture next to the map: the film if there is one, or a sketch made from the recorded boxes. */
 
 import { ApiError, request } from "../../api.js";
 import { h, text } from "../../dom.js";

@@ -1,4 +1,4 @@
-/** The cards of a solution besides its replay: verdicts, parameters, neighbourhood, repeats with other seeds. */
+/** The cards of a solution other than its replay: verdicts, parameters, neighbourhood, repeats with other seeds. */
 
 import { isOpen } from "../../api.js";
 import { h, replace, text } from "../../dom.js";
@@ -99,7 +99,7 @@ function getOr(mapping, key, make) {
   return mapping.get(key);
 }
 
-/** Return the cards of a solution's neighbourhood and of its nearest solutions; ``update`` takes the answer of the API. */
+/** Return the cards of a solution's neighbourhood and of its nearest solutions; ``update`` takes the response of the API. */
 export function neighbourhood(campaign) {
   const words = h("p", { id: "neighbourhood-words" });
   const bar = intervalBar();

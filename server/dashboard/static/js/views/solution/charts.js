@@ -135,7 +135,7 @@ export function boxes(player) {
     pen.setLineDash([]);
   }
 
-  /** Name a band at its start unless it is short or another name is in the way: people and long bands come first. */
+  /** Label a band at its start unless it is short or another label is in the way: people and long bands come first. */
   function name(pen, { label, samples, low, high }) {
     if (samples.length < Math.max(4, NAMED_SHARE * episode.last)) return;
     const word = episode.byLabel("labels", label);
@@ -176,7 +176,7 @@ export function boxes(player) {
 }
 
 /**
- * Return boxes of successive samples that overlap, joined to bands of picture columns over time.
+ * Return boxes of successive samples that overlap, joined to bands of horizontal position over time.
  *
  * @param {object} rows Rows of boxes of an episode.
  * @param {number} samples

@@ -1,13 +1,13 @@
 /** An episode as the API sends it, poses between its samples, and the player that every moving part of the page follows. */
 
 const TELEPORT_M = 20;
-/** No road user drives that far between two samples: such a jump is not interpolated. */
+/** No road user moves this far between two samples: a longer jump is not interpolated. */
 const LONGEST_FRAME_S = 0.1;
-/** A page that was hidden goes on where it was instead of jumping. */
+/** Longest step of the clock: a page that was hidden goes on where it was instead of jumping. */
 
 /** One episode. Samples are counted from 0; positions between two samples are interpolated. */
 export class Episode {
-  /** @param {object} data The answer of ``GET …/episode``. */
+  /** @param {object} data The response of ``GET …/episode``. */
   constructor(data) {
     this.data = data;
     this.times = data.time_s;

@@ -27,7 +27,7 @@ export function map(player) {
   let names = false;
 
   const sheet = canvas({
-    label: "The episode from above; the text beside it gives speed, plan and traffic light", ratio: episode.film ? 1.3 : 1.6, least: 240,
+    label: "The episode from above; the text next to it gives speed, plan and traffic light", ratio: episode.film ? 1.3 : 1.6, least: 240,
     most: 560, signal, recolour: colours.renew, draw,
   });
   const button = (sign, label, onclick) => h("button", { type: "button", "aria-label": label, onclick }, sign);

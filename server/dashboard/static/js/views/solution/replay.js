@@ -50,7 +50,7 @@ export function loading(context, path, take) {
       say(callout("warn", h("p", null, `The episode must be simulated again before it can be shown. ${sentence(error.message)}`),
         h("p", null, "Start a worker: ", workerCommand())), retry);
     } else {
-      say(callout("", `There is no replay. ${sentence(error.message)}`), error.status === 409 && retry);
+      say(callout("", `A replay is not available. ${sentence(error.message)}`), error.status === 409 && retry);
     }
   }
 
@@ -89,10 +89,10 @@ function drawn(context, path, file, words) {
  * Return the cards of an episode, and its player.
  *
  * @param {import("../../context.js").Context} context
- * @param {object} data The answer of ``GET …/episode``.
+ * @param {object} data The response of ``GET …/episode``.
  * @param {object} solution
  * @param {string} path Of the solution.
- * @param {Element} actions Buttons beside the heading.
+ * @param {Element} actions Buttons next to the heading.
  */
 export function replay(context, data, solution, path, actions) {
   const episode = new Episode(data);
