@@ -67,7 +67,7 @@ def tidied(*backends: str) -> pytest.MarkDecorator:
     return pytest.mark.parametrize(
         ("databases", "stale"),
         [case for backend in backends for case in cases[backend]],
-        ids=lambda value: value if isinstance(value, str) else " and ".join(value) or "untidied",
+        ids=lambda value: " and ".join(value) or "untidied" if isinstance(value, tuple) else str(value),
         indirect=True,
     )
 
