@@ -161,7 +161,7 @@ def test_the_boundary_is_saved_as_csv_as_the_api_tells_it(site: Served, page: Pa
 def test_new_thresholds_change_curve_and_table_and_are_kept_in_the_url(site: Served, visit: Visits) -> None:
     page = visit(site.url, f"#/campaigns/{site.urban}")
     curve = page.get_by_role("region", name="Boundary solutions against the number of simulations")
-    shown(curve.get_by_text("fitness at most t_b")).to_be_visible()
+    shown(curve.get_by_text("a fitness of at most t_b")).to_be_visible()
     curve.get_by_label("t_b").fill("1")
     curve.get_by_label("t_b").press("Enter")
     curve.get_by_label("d_th").fill("0")

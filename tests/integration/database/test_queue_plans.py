@@ -63,7 +63,9 @@ TIDYINGS = ((), ("VACUUM",), ("ANALYZE",), ("VACUUM", "ANALYZE"))
 
 def tidied(*backends: str) -> pytest.MarkDecorator:
     """Run a test on `stale` queues: one on SQLite, which never tidies up, and one per tidying on Postgres."""
-    cases = {"sqlite": [("sqlite", ())], "postgres": [("postgres", tidying) for tidying in TIDYINGS]}
+    cases: dict[str, list[tuple[str, tuple[str, ...]]]] = {
+        "sqlite": [("sqlite", ())], "postgres": [("postgres", tidying) for tidying in TIDYINGS],
+    }  # fmt: skip
     return pytest.mark.parametrize(
         ("databases", "stale"),
         [case for backend in backends for case in cases[backend]],

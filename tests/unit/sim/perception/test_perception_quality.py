@@ -94,7 +94,7 @@ def test_the_mean_is_over_the_classes_that_occur() -> None:
 
 
 def test_the_numbers_of_pictures_must_agree() -> None:
-    with pytest.raises(ValueError, match="equally many"):
+    with pytest.raises(ValueError, match="expected one set of detections per image"):
         curves([truth(A)], [])
 
 
