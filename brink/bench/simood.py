@@ -133,7 +133,7 @@ class Places:
 
 
 class _Criteria:
-    """Base of the measurements: runs episodes in reproducible places and writes tables.
+    """Base class of the measurements: runs episodes in the numbered streets of `Places` and writes tables.
 
     Args:
         records: Runs episodes and stores their outcomes.

@@ -685,7 +685,7 @@ def dashboard(
     ] = 8_640,
     as_json: AsJson = False,
 ) -> None:
-    """Measure the dashboard in headless Chromium: first view, polling, dragging the map, staying open for a day.
+    """Measure the dashboard in headless Chromium: first view, polling, dragging the map, memory over a simulated day.
 
     Needs pip install 'brink-boundary[dev]' and Chromium, for example from apt-get install chromium.
 

@@ -92,7 +92,7 @@ class ExperimentRun:
         self.body = body
 
     async def latest(self, api: Api, statuses: Sequence[CampaignStatus]) -> ExperimentProgress | None:
-        """Return the latest experiment of the file that has one of these statuses and all its campaigns."""
+        """Return the latest experiment from this file with one of these statuses and no deleted campaign, if any."""
         params = {"document_hash": self.body.document_hash(), "limit": 100}
         for one in (await api.read(ExperimentList, "/experiments", params)).experiments:
             if one.status in statuses and not one.deleted:

@@ -55,7 +55,10 @@ def fit(
     threshold: Annotated[
         float | None,
         typer.Option(
-            min=0.001, max=0.999, help="Probability above which the monitor answers unsafe (default: p_th)."
+            min=0.001,
+            max=0.999,
+            help="Threshold probability: unsafe if the whole interval lies above it, safe if none of it does, "
+            "otherwise unknown (default: p_th).",
         ),
     ] = None,
     database: Database = None,

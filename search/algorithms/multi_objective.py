@@ -398,7 +398,10 @@ def restored_state(ledger: Ledger, config: MultiObjectiveConfig, document: Docum
     ):
         raise DocumentError(f"population: expected a list of solution numbers, got {population!r}")
     if len(diversity) != len(population) or len(columns) != len(rows) or len(bounds) != 2:
-        raise DocumentError("expected the same number of entries in every array of the search")
+        raise DocumentError(
+            "expected as many entries in diversity as in population, as many rows in columns as in rows, and two in "
+            "bounds"
+        )
     origins = document.header.get("queue_origins")
     if not isinstance(origins, list) or not set(origins) <= set(Origin) or len(origins) != len(ledger.queue):
         raise DocumentError(f"queue_origins: expected one for each queued solution, got {origins!r}")

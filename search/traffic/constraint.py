@@ -69,7 +69,9 @@ class Start:
 
 
 def nearest_start(kind: Kind, start: Start, road: RoadLimits) -> Start:
-    """Return the nearest start that the road allows, regardless of others; an allowed start is returned as it is.
+    """Return the nearest start that the road allows, ignoring other participants.
+
+    An allowed start is returned unchanged.
 
     Args:
         kind: Kind of the participant.

@@ -218,7 +218,9 @@ def crossed_genes(
 def crossed_uniformly(
     first: Solution, second: Solution, rng: np.random.Generator
 ) -> tuple[Solution, Solution]:
-    """Return two solutions with participants swapped at random, and single actions of those not swapped.
+    """Return two solutions with participants swapped at random.
+
+    Where a pair of like kind is not swapped, individual actions are swapped at random instead.
 
     Args:
         first: A solution with one or more participants.

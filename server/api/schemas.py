@@ -186,7 +186,9 @@ class Boundary(View):
     note: str
     grid: Annotated[list[DbsCell], Field(description="DBS at the paper's thresholds.")]
     solutions: list[SolutionView]
-    strict: Annotated[list[int], Field(description="Numbers of the strict distinct boundary solutions.")]
+    strict: Annotated[
+        list[int], Field(description="The `number` of each solution that the strict DBS counts.")
+    ]
 
 
 class ViolationView(View):
@@ -370,7 +372,10 @@ class JobCounts(View):
     jobs: list[int]
     campaigns: Annotated[dict[str, str], Field(description="Campaign names by id.")]
     paused: Annotated[list[str], Field(description="Ids of paused campaigns with queued jobs.")]
-    ended: Annotated[list[str], Field(description="Ids of ended campaigns, whose jobs no longer matter.")]
+    ended: Annotated[
+        list[str],
+        Field(description="Ids of ended campaigns; of their jobs, only those of kind `trace` still matter."),
+    ]
     unrunnable: Annotated[
         dict[str, int],
         Field(

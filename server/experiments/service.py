@@ -89,7 +89,7 @@ class ExperimentService(DocumentService[ExperimentBody, Experiment]):
     async def _each(
         self, name: str, status: CampaignStatus, change: Callable[[str], Awaitable[Campaign]]
     ) -> Experiment:
-        """Change the campaigns with the given status, and skip those whose status changes in the meantime."""
+        """Apply `change` to each campaign that has the given status; skip those that no longer have it by then."""
         experiment = await self.get(name)
         for member in experiment.members:
             if member.campaign.status is status:

@@ -54,7 +54,7 @@ def _endpoint(given: object) -> object:
         raise ValueError("expected a base URL with http or https, such as http://127.0.0.1:8000/v1")
     if "\\" in text or {".", ".."} & set(unquote(parts.path).split("/")):
         # Operators allow URL prefixes; the rest of a URL must not lead out of the allowed prefix.
-        raise ValueError("expected a base URL without . and .. in its path, and without backslashes")
+        raise ValueError("expected a base URL whose path has no '.' or '..' segments, and no backslashes")
     return text.rstrip("/").removesuffix(_PATH)
 
 

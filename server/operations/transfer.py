@@ -220,7 +220,9 @@ class _Import:
         self._connection = connection
         self._archive = archive
         if sum(info.file_size for info in archive.infolist()) > LARGEST_BYTES:
-            raise BadFile(f"expected a file of at most {LARGEST_BYTES // 1024**3} GiB, unpacked")
+            raise BadFile(
+                f"expected a file whose contents are at most {LARGEST_BYTES // 1024**3} GiB when unpacked"
+            )
         self._manifest = self._read_manifest()
         self._id = str(self._manifest["campaign"])
 

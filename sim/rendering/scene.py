@@ -50,7 +50,7 @@ class Material(StrEnum):
 
 
 class BodyKind(StrEnum):
-    """Kind of a body; the last two never occur in ordinary traffic."""
+    """The kind of a body; the last two never occur in ordinary traffic."""
 
     VEHICLE = "vehicle"
     PERSON = "person"
