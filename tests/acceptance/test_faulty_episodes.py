@@ -76,6 +76,7 @@ def test_guilty_jobs_are_retried_quarantined_and_shown(databases: Databases, tmp
         assert sorted(seen[job_id] for seen in attempts) == [1, 2]
 
 
+@pytest.mark.long("starts processes again and again")
 def test_a_passing_fault_leaves_no_trace(databases: Databases, tmp_path: Path, small_problems: None) -> None:
     once = tmp_path / "once"
     once.mkdir()

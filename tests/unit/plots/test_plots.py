@@ -353,6 +353,7 @@ def test_every_figure_is_written_in_every_format(tmp_path: Path) -> None:
             assert ElementTree.parse(path).getroot().tag.endswith("svg")
 
 
+@pytest.mark.long("draws every figure twice")
 def test_equal_campaigns_give_equal_files_without_changing_global_state(tmp_path: Path) -> None:
     before = dict(mpl.rcParams)
     first = write_campaign_figures(mtq_campaign(120), tmp_path / "a")

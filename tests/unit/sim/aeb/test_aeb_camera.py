@@ -11,6 +11,7 @@ import pytest
 from aeb_episodes import spec
 from numpy.typing import NDArray
 from PIL import Image
+from support.marks import mostly_long
 
 from brink.sim import catalogue
 from brink.sim.aeb.dataset import DatasetEvaluator, Split, labelled_frames
@@ -74,9 +75,7 @@ def test_a_detector_that_finds_nothing_hits_the_pedestrian(known: Known) -> None
     assert known.shown[0].shape == (360, 640, 3)
 
 
-@pytest.mark.parametrize(
-    ("score", "stops"), [(0.9, 1), pytest.param(0.2, 0, marks=pytest.mark.long("drives with a camera"))]
-)
+@pytest.mark.parametrize(("score", "stops"), mostly_long([(0.9, 1), (0.2, 0)], [], "drives with a camera"))
 def test_a_confident_false_positive_causes_a_dangerous_stop(known: Known, score: float, stops: int) -> None:
     known.found = person(score)
     result = SIMULATOR.run(replace(seen_by(1), duration_s=3.0))
@@ -96,7 +95,7 @@ def test_the_detector_is_shown_the_perturbed_pictures(known: Known) -> None:
 
 
 def test_the_same_specification_gives_the_same_pictures_and_trace(known: Known) -> None:
-    short = replace(seen_by(3, perturbations=FLARE), duration_s=0.5)
+    short = replace(seen_by(3, perturbations=FLARE), duration_s=0.3)
     first = SIMULATOR.run(short, record=True)
     shown, known.shown = known.shown, []
     SIMULATOR.run(replace(seen_by(4), duration_s=0.2))
@@ -234,7 +233,7 @@ def trace() -> Trace:
         patch.setitem(catalogue._registered, DETECTORS, {"half@1": Half})
         behaviour: dict[str, Json] = {"mode": "detector", "detector": "half@1", "threshold": 0.4,
                      "perturbations": [{"gene": "snow", "level": 3}]}  # fmt: skip
-        result = BrinkAeb().run(replace(spec(3), behaviour=behaviour, duration_s=4.0), record=True)
+        result = BrinkAeb().run(replace(spec(3), behaviour=behaviour, duration_s=2.0), record=True)
     assert result.trace is not None
     kept = Trace.from_bytes(result.trace)
     assert kept.film is not None
