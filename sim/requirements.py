@@ -409,10 +409,7 @@ class Progress(Margin):
 
     def features(self) -> Mapping[str, Json]:
         """Return the longest standstill without a cause, anywhere and in conflict areas, in seconds."""
-        return {
-            "longest_idle_s": self._longest_idle_s,
-            "longest_dangerous_stop_s": self._longest_danger_s,
-        }
+        return {"longest_idle_s": self._longest_idle_s, "longest_dangerous_stop_s": self._longest_danger_s}
 
 
 class NoDangerousStop(Margin):

@@ -83,9 +83,7 @@ class Worker:
             exit_when_idle_s=settings.exit_when_idle_s,
         )
         self._process = EpisodeProcess(
-            memory_mib=settings.memory_mib,
-            plugins=settings.plugins,
-            start_timeout_s=settings.start_timeout_s,
+            memory_mib=settings.memory_mib, plugins=settings.plugins, start_timeout_s=settings.start_timeout_s
         )
         self._grace_end_s: float | None = None
         self._error: BaseException | None = None

@@ -32,13 +32,7 @@ from brink.bench.processes import (
     plugin_environment,
     running_workers,
 )
-from brink.bench.servers import (
-    DURABLE_POSTGRES,
-    NoRedis,
-    find_redis,
-    temporary_postgres,
-    temporary_redis,
-)
+from brink.bench.servers import DURABLE_POSTGRES, NoRedis, find_redis, temporary_postgres, temporary_redis
 from brink.server.db.engine import open_engines
 from brink.server.db.models import JobRow
 from brink.server.states import JobStatus

@@ -265,11 +265,7 @@ class Sizes:
 
 
 def measure_difficulty(
-    sizes: Sizes | None = None,
-    *,
-    seed: int = 0,
-    processes: int = 2,
-    progress: Progress | None = None,
+    sizes: Sizes | None = None, *, seed: int = 0, processes: int = 2, progress: Progress | None = None
 ) -> Iterator[Row]:
     """Measure the difficulty of the urban problem; yield each figure as soon as it is measured.
 

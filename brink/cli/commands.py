@@ -123,12 +123,10 @@ def _print_version(wanted: bool) -> None:
 def options(
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log to stderr.")] = False,
     plugin: Annotated[
-        list[str] | None,
-        typer.Option(help="Python module with plug-ins; may be repeated.", metavar="MODULE"),
+        list[str] | None, typer.Option(help="Python module with plug-ins; may be repeated.", metavar="MODULE")
     ] = None,
     show_version: Annotated[
-        bool,
-        typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True),
+        bool, typer.Option("--version", help="Print the version.", callback=_print_version, is_eager=True)
     ] = False,
 ) -> None:
     """Find where a driving system with a machine-learned component stops being safe."""

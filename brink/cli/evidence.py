@@ -28,14 +28,7 @@ from brink.cli.options import (
 from brink.report.component import DetectionCounts, count_detections, write_boxes
 from brink.search.analysis.rules import Rules, region_rules, rules_markdown
 from brink.search.errors import MissingExtra, install_command
-from brink.server.api.boundary_table import (
-    FORMATS,
-    MEANINGS,
-    Row,
-    boundary_rows,
-    has_parquet,
-    table_bytes,
-)
+from brink.server.api.boundary_table import FORMATS, MEANINGS, Row, boundary_rows, has_parquet, table_bytes
 from brink.server.api.schemas import Boundary
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.errors import InvalidInput

@@ -36,8 +36,7 @@ ExperimentFile = Annotated[
     Path, typer.Argument(metavar="FILE", help="Experiment file (YAML or JSON).", show_default=False)
 ]
 ExperimentId = Annotated[
-    str,
-    typer.Argument(metavar="ID", help="Experiment id or a unique prefix of it.", show_default=False),
+    str, typer.Argument(metavar="ID", help="Experiment id or a unique prefix of it.", show_default=False)
 ]
 experiment = typer.Typer(
     name="experiment",

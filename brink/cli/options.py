@@ -71,8 +71,7 @@ Resume = Annotated[
 New = Annotated[bool, typer.Option("--new", help="Start a new run even if an earlier one is unfinished.")]
 Port = Annotated[int, typer.Option(min=0, max=65535, help="Port of the coordinator; 0 picks a free port.")]
 FitnessThreshold = Annotated[
-    float,
-    typer.Option("--t-b", min=0.0, max=1.0, help="Maximum fitness of a boundary solution."),
+    float, typer.Option("--t-b", min=0.0, max=1.0, help="Maximum fitness of a boundary solution.")
 ]
 DistanceThreshold = Annotated[
     float,

@@ -273,13 +273,7 @@ def _print_summary(
 
 
 def _print_next(
-    screen: Console,
-    body: CampaignBody,
-    progress: Progress,
-    report: Report,
-    *,
-    repeated: bool,
-    database: str,
+    screen: Console, body: CampaignBody, progress: Progress, report: Report, *, repeated: bool, database: str
 ) -> None:
     """Print commands to continue with."""
     campaign, boundary = progress.id, report.boundary

@@ -236,8 +236,7 @@ class DependenceView(View):
     counts: list[int]
     unsafe: list[int]
     intervals: Annotated[
-        list[tuple[float, float]],
-        Field(description="95% Wilson intervals of the unsafe shares."),
+        list[tuple[float, float]], Field(description="95% Wilson intervals of the unsafe shares.")
     ]
     strength: Annotated[float, Field(description="Cramér's V between group and verdict.")]
     p_value: float
@@ -318,10 +317,7 @@ class ScoresView(View):
     ]
 
 
-@router.get(
-    "/scores",
-    responses=COMPUTING,
-)
+@router.get("/scores", responses=COMPUTING)
 async def get_scores(
     campaign_id: str,
     services: Services,
@@ -372,9 +368,7 @@ class Questions(Body):
     threshold: Annotated[
         float | None,
         Field(
-            gt=0,
-            lt=1,
-            description="Probability above which a solution is called unsafe; p_th by default.",
+            gt=0, lt=1, description="Probability above which a solution is called unsafe; p_th by default."
         ),
     ] = None
 
@@ -386,8 +380,7 @@ class RiskView(View):
     low: Annotated[float, Field(description="Lower limit of the interval.")]
     high: float
     neighbours: Annotated[
-        float,
-        Field(description="Effective number of nearby evaluations: their total weight."),
+        float, Field(description="Effective number of nearby evaluations: their total weight.")
     ]
     answer: Annotated[Answer, Field(description="`unknown` if the interval contains the threshold.")]
 

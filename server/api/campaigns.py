@@ -53,16 +53,9 @@ from brink.server.states import CampaignStatus
 router = APIRouter(prefix="/campaigns", tags=["campaigns"])
 
 
-@router.post(
-    "",
-    status_code=201,
-    responses=existing(CampaignView, "campaign"),
-)
+@router.post("", status_code=201, responses=existing(CampaignView, "campaign"))
 async def submit_campaign(
-    body: CampaignBody,
-    services: Services,
-    response: Response,
-    idempotency_key: IdempotencyKey = None,
+    body: CampaignBody, services: Services, response: Response, idempotency_key: IdempotencyKey = None
 ) -> CampaignView:
     """Submit a campaign. Repeating the request with the same `Idempotency-Key` returns that campaign, with 200."""
     campaign, new = await services.campaigns.submit(body, idempotency_key)
@@ -98,10 +91,7 @@ async def list_campaigns(
 ) -> CampaignList:
     """List campaigns, newest first."""
     campaigns = await services.campaigns.list(
-        limit=limit,
-        before=read_cursor(cursor),
-        statuses=tuple(status or ()),
-        document_hash=document_hash,
+        limit=limit, before=read_cursor(cursor), statuses=tuple(status or ()), document_hash=document_hash
     )
     return CampaignList(
         campaigns=[campaign_view(campaign) for campaign in campaigns], next=next_cursor(campaigns, limit)

@@ -62,9 +62,7 @@ T = TypeVar("T")
 
 
 @router.get(
-    "/trace",
-    response_class=Response,
-    responses={200: {"content": {"application/x-npz": {}}}, **NOT_YET},
+    "/trace", response_class=Response, responses={200: {"content": {"application/x-npz": {}}}, **NOT_YET}
 )
 async def get_trace(
     campaign_id: str, number: Number, request: Request, services: Services, wait_s: Wait = 20.0

@@ -111,16 +111,9 @@ class Results(View):
     repeats: list[RepeatView]
 
 
-@router.post(
-    "",
-    status_code=201,
-    responses=existing(ExperimentView, "experiment"),
-)
+@router.post("", status_code=201, responses=existing(ExperimentView, "experiment"))
 async def submit_experiment(
-    body: ExperimentBody,
-    services: Services,
-    response: Response,
-    idempotency_key: IdempotencyKey = None,
+    body: ExperimentBody, services: Services, response: Response, idempotency_key: IdempotencyKey = None
 ) -> ExperimentView:
     """Submit an experiment: every algorithm on every problem with every seed. If any cannot run, none does."""
     experiment, new = await services.experiments.submit(body, idempotency_key)
@@ -142,8 +135,7 @@ async def list_experiments(
         limit=limit, before=read_cursor(cursor), document_hash=document_hash
     )
     view = ExperimentList(
-        experiments=[summary_view(experiment) for experiment in found],
-        next=next_cursor(found, limit),
+        experiments=[summary_view(experiment) for experiment in found], next=next_cursor(found, limit)
     )
     set_etag(request, response, view)
     return view
@@ -195,10 +187,7 @@ async def delete_experiment(experiment_id: str, services: Services) -> None:
     await services.experiments.delete(experiment_id)
 
 
-@router.get(
-    "/{experiment_id}/results",
-    responses=COMPUTING,
-)
+@router.get("/{experiment_id}/results", responses=COMPUTING)
 async def get_results(
     experiment_id: str,
     services: Services,

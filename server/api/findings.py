@@ -107,10 +107,7 @@ async def _found(services: Context, campaign: Campaign) -> list[FoundViolation]:
         raise NotFound(
             f"campaign {campaign.id}: problem {campaign.body.problem.id} does not support reporting violations"
         )
-    return await read(
-        services.engines,
-        lambda connection: read_violations(connection, campaign.id, problem),
-    )
+    return await read(services.engines, lambda connection: read_violations(connection, campaign.id, problem))
 
 
 def _type_views(found: list[FoundViolation]) -> list[TypeView]:

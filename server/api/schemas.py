@@ -410,8 +410,7 @@ class ProblemView(View):
     space: Annotated[dict[str, Any], Field(description="Search space with default parameters.")]
     simulator: str | None
     finds: Annotated[
-        list[str],
-        Field(description="What a campaign finds besides a boundary: violations, combinations."),
+        list[str], Field(description="What a campaign finds besides a boundary: violations, combinations.")
     ]
     algorithm_defaults: Annotated[
         dict[str, Any],

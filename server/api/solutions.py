@@ -88,10 +88,7 @@ async def get_solution(campaign_id: str, number: Number, services: Services) -> 
     return solution_views(rows, found, full=True)[0]
 
 
-@router.get(
-    "/boundary",
-    responses={200: {"content": {media: {} for media in MEDIA.values()}}},
-)
+@router.get("/boundary", responses={200: {"content": {media: {} for media in MEDIA.values()}}})
 async def get_boundary(
     campaign_id: str,
     services: Services,

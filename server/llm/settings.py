@@ -9,14 +9,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, Self
 from urllib.parse import unquote, urlsplit
 
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    ValidationError,
-    model_validator,
-)
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 HIDDEN: Final = "[not shown]"
@@ -28,9 +21,7 @@ _SECRET_FIELD: Final = re.compile(r"key|token|secret|password|authorization", re
 def _hiding(message: str, *location: str) -> ValidationError:
     """Return a validation error that does not contain the input."""
     line = InitErrorDetails(
-        type=PydanticCustomError("value_error", "{message}", {"message": message}),
-        loc=location,
-        input=HIDDEN,
+        type=PydanticCustomError("value_error", "{message}", {"message": message}), loc=location, input=HIDDEN
     )
     return ValidationError.from_exception_data("LlmSettings", [line], hide_input=True)
 

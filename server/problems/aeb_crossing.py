@@ -68,8 +68,7 @@ class AebCrossingParams:
         640, help="Width of the camera image; its aspect ratio is 16:9.", ge=160, le=1280, unit="px"
     )
     dataset: str = setting(
-        "simulator",
-        help="Images to measure on: the simulator's, or a file with annotations in COCO format.",
+        "simulator", help="Images to measure on: the simulator's, or a file with annotations in COCO format."
     )
     dataset_frames: int = setting(60, help="Number of images to use from the data set.", ge=10, le=5_000)
     timeout_s: float = setting(120.0, help="Wall-clock limit of an episode.", gt=0.0, le=3600.0, unit="s")

@@ -30,14 +30,7 @@ from brink.server.db.models import LAST_TURN, CampaignRow, JobRow
 from brink.server.db.sql import BulkUpdate, database_now, in_list, lock_rows
 from brink.server.queue import lease_policy
 from brink.server.queue.job_store import IS_EVALUATION, IS_LEASED
-from brink.server.queue.lease_policy import (
-    NEW_TURN,
-    Backlog,
-    CampaignTurn,
-    LeaseDemand,
-    QueuedJob,
-    Retry,
-)
+from brink.server.queue.lease_policy import NEW_TURN, Backlog, CampaignTurn, LeaseDemand, QueuedJob, Retry
 from brink.server.states import CampaignStatus, JobKind, JobStatus
 from brink.worker.wire import HeldLease, LeasedJob
 
@@ -59,12 +52,7 @@ _TWIN_RUNS = exists(
     .offset(0)  # forces one lookup for each job: a join would first collect all running jobs
 )
 _DUE = or_(JobRow.not_before.is_(None), JobRow.not_before <= bindparam("now"))
-_ELIGIBLE = (
-    _IS_QUEUED,
-    in_list(JobRow.needs, "capabilities"),
-    _DUE,
-    ~(_TWIN_RUNS & JobRow.cache),
-)
+_ELIGIBLE = (_IS_QUEUED, in_list(JobRow.needs, "capabilities"), _DUE, ~(_TWIN_RUNS & JobRow.cache))
 """A worker with these capabilities could run the job now, and no worker is running the same simulation."""
 
 _GRANTED = (
@@ -155,12 +143,7 @@ _CAMPAIGNS_IN_TURN = (
         CampaignRow.status == CampaignStatus.RUNNING,
         exists(
             select(JobRow.id)
-            .where(
-                *_ELIGIBLE,
-                JobRow.campaign_id == CampaignRow.id,
-                IS_EVALUATION,
-                JobRow.attempt == 0,
-            )
+            .where(*_ELIGIBLE, JobRow.campaign_id == CampaignRow.id, IS_EVALUATION, JobRow.attempt == 0)
             .correlate(CampaignRow)
             .offset(0)  # keeps Postgres from joining, which would read every queued job
         ),

@@ -41,11 +41,7 @@ _FINISH = BulkUpdate(
 )
 _TWINS = (
     select(JobRow.id, JobRow.spec_hash, JobRow.kind, JobRow.campaign_id)
-    .where(
-        in_list(JobRow.spec_hash, "spec_hashes"),
-        JobRow.status == JobStatus.QUEUED,
-        JobRow.cache,
-    )
+    .where(in_list(JobRow.spec_hash, "spec_hashes"), JobRow.status == JobStatus.QUEUED, JobRow.cache)
     .order_by(JobRow.id)
 )
 _EXPIRED = (
@@ -234,10 +230,7 @@ def _share(
 
 
 def _fail(
-    connection: Connection,
-    failures: Sequence[tuple[JobRecord, Outcome]],
-    now: datetime,
-    backoff_s: float,
+    connection: Connection, failures: Sequence[tuple[JobRecord, Outcome]], now: datetime, backoff_s: float
 ) -> list[FailedAttempt]:
     """Return failed jobs to the queue after a backoff, or put them into quarantine."""
     if not failures:

@@ -123,9 +123,7 @@ def can_run(connection: Connection, needs: str, within_s: float) -> bool:
     now = database_now(connection)
     holds_a_lease = exists(
         select(JobRow.id).where(
-            IS_LEASED,
-            JobRow.lease_worker == WorkerRow.id,
-            JobRow.lease_expires_at >= now,
+            IS_LEASED, JobRow.lease_worker == WorkerRow.id, JobRow.lease_expires_at >= now
         )
     )
     query = select(WorkerRow.machine, WorkerRow.pid, WorkerRow.capabilities).where(

@@ -132,11 +132,7 @@ def make_street(scenario: AebScenario, seed: int) -> Street:
     parked = _parked(scenario, seed, line_x_m)
     return Street(
         scene=StreetScene(
-            ground=_ground(),
-            buildings=_buildings(seed),
-            trees=_trees(seed),
-            parked=parked,
-            lamps=_lamps(),
+            ground=_ground(), buildings=_buildings(seed), trees=_trees(seed), parked=parked, lamps=_lamps()
         ),
         actors=_actors(scenario, seed, line_x_m, first_id=len(parked) + 1),
     )

@@ -204,10 +204,7 @@ def _clipped(polygon: list[tuple[float, float]], near: float, half_tan: float) -
             if (inside >= 0) != (inside_before >= 0):
                 share = inside_before / (inside_before - inside)
                 kept.append(
-                    (
-                        before[0] + share * (corner[0] - before[0]),
-                        before[1] + share * (corner[1] - before[1]),
-                    )
+                    (before[0] + share * (corner[0] - before[0]), before[1] + share * (corner[1] - before[1]))
                 )
             if inside >= 0:
                 kept.append(corner)

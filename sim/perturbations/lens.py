@@ -246,10 +246,7 @@ def sun_flare(frame: Frame, value: float, rng: np.random.Generator) -> Frame:
     x, y = (round(c) for c in source.tolist())
     top, left = max(0, y - radius), max(0, x - radius)
     bottom, right = min(height, y + radius + 1), min(width, x + radius + 1)
-    reach = glare[
-        top - y + radius : bottom - y + radius,
-        left - x + radius : right - x + radius,
-    ]
+    reach = glare[top - y + radius : bottom - y + radius, left - x + radius : right - x + radius]
     flared = frame.copy()
     flared[top:bottom, left:right] = composite_white(flared[top:bottom, left:right], reach)
     strength = 0.5 + 0.5 * value / 900

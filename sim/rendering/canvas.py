@@ -11,17 +11,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from brink.sim.rendering.scene import (
-    BodyKind,
-    Coverage,
-    Frame,
-    IdMask,
-    Mark,
-    Outline,
-    Picture,
-    Stamp,
-    Stroke,
-)
+from brink.sim.rendering.scene import BodyKind, Coverage, Frame, IdMask, Mark, Outline, Picture, Stamp, Stroke
 from brink.sim.rendering.view import SHIFT
 
 

@@ -183,10 +183,7 @@ _SLACK_M = 0.03
 
 
 def paint_order(
-    corners_m: FloatArray,
-    heights_m: FloatArray,
-    columns_px: FloatArray,
-    eye_m: tuple[float, float, float],
+    corners_m: FloatArray, heights_m: FloatArray, columns_px: FloatArray, eye_m: tuple[float, float, float]
 ) -> list[int]:
     """Return the order in which objects are painted, first to last.
 

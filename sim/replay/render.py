@@ -63,11 +63,7 @@ def render(
 
 
 def render_bytes(
-    trace: Trace,
-    extension: str,
-    *,
-    requirement: str | None = None,
-    size: tuple[int, int] | None = None,
+    trace: Trace, extension: str, *, requirement: str | None = None, size: tuple[int, int] | None = None
 ) -> bytes:
     """Render an episode and return the content of the file.
 

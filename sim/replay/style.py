@@ -71,11 +71,7 @@ PLAN_MODES: Final[dict[str, Rgb]] = {
 }
 UNKNOWN_MODE: Final[Rgb] = (150, 150, 150)
 
-LIGHTS: Final[dict[str, Rgb]] = {
-    "red": (204, 32, 32),
-    "amber": (240, 170, 20),
-    "green": (0, 158, 105),
-}
+LIGHTS: Final[dict[str, Rgb]] = {"red": (204, 32, 32), "amber": (240, 170, 20), "green": (0, 158, 105)}
 LAMP_OFF: Final[Rgb] = (78, 84, 90)
 
 

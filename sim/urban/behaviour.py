@@ -88,11 +88,7 @@ class InjectedTrajectory:
 
     def to_json(self) -> JsonObject:
         """Return the trajectory as a JSON object."""
-        document: JsonObject = {
-            "label": self.label.value,
-            "t0_step": self.t0_step,
-            "t1_step": self.t1_step,
-        }
+        document: JsonObject = {"label": self.label.value, "t0_step": self.t0_step, "t1_step": self.t1_step}
         document.update(zip(BOX_FIELDS, (*self.first_px, *self.last_px), strict=True))
         return document
 

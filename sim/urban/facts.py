@@ -218,12 +218,7 @@ class Facts:
                     nearest.pedestrian_m = max(found.clearance_m, 0.0)
 
     def _query(
-        self,
-        mover: RoadUser,
-        body: BodyId,
-        kind: CollisionKind,
-        limit_m: float,
-        nearest: _Nearest,
+        self, mover: RoadUser, body: BodyId, kind: CollisionKind, limit_m: float, nearest: _Nearest
     ) -> Closest | None:
         """Return the position of a body relative to the ego, and update the nearest body."""
         found = self._engine.closest(self._ego_body, body, limit_m)

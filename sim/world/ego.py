@@ -112,20 +112,9 @@ class EgoCar:
     """
 
     __slots__ = (
-        "_drive_mps2",
-        "_friction",
-        "_grade_mps2",
-        "accel_mps2",
-        "length_m",
-        "model",
-        "speed_mps",
-        "steer_rad",
-        "width_m",
-        "x_m",
-        "y_m",
-        "yaw_rad",
-        "yaw_rate_radps",
-    )
+        "_drive_mps2", "_friction", "_grade_mps2", "accel_mps2", "length_m", "model", "speed_mps",
+        "steer_rad", "width_m", "x_m", "y_m", "yaw_rad", "yaw_rate_radps",
+    )  # fmt: skip
 
     def __init__(
         self,

@@ -62,29 +62,10 @@ class Walker:
     """
 
     __slots__ = (
-        "_go_ahead",
-        "_target_m",
-        "_vx",
-        "_vy",
-        "_waited_s",
-        "ahead",
-        "centre",
-        "crosses_at_m",
-        "kerb_m",
-        "length_m",
-        "name",
-        "offset_m",
-        "on_zebra",
-        "patience_s",
-        "phase",
-        "speed_mps",
-        "station_m",
-        "walking_mps",
-        "width_m",
-        "x_m",
-        "y_m",
-        "yaw_rad",
-    )
+        "_go_ahead", "_target_m", "_vx", "_vy", "_waited_s", "ahead", "centre", "crosses_at_m", "kerb_m",
+        "length_m", "name", "offset_m", "on_zebra", "patience_s", "phase", "speed_mps", "station_m",
+        "walking_mps", "width_m", "x_m", "y_m", "yaw_rad",
+    )  # fmt: skip
 
     def __init__(
         self,

@@ -68,13 +68,7 @@ def _at(
     x_m, y_m, yaw_rad = road.centre.pose_at(station_m, offset_m)
     length_m, width_m, height_m = size
     return Fixture(
-        kind=kind,
-        length_m=length_m,
-        width_m=width_m,
-        height_m=height_m,
-        x_m=x_m,
-        y_m=y_m,
-        yaw_rad=yaw_rad,
+        kind=kind, length_m=length_m, width_m=width_m, height_m=height_m, x_m=x_m, y_m=y_m, yaw_rad=yaw_rad
     )
 
 

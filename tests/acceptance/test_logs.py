@@ -106,11 +106,7 @@ def test_details_are_not_logged_unless_asked_for(database: str, tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    "environment",
-    [
-        pytest.param(JSON_LOGS, id="json"),
-        pytest.param(TEXT_LOGS, id="text"),
-    ],
+    "environment", [pytest.param(JSON_LOGS, id="json"), pytest.param(TEXT_LOGS, id="text")]
 )
 @pytest.mark.long("runs a campaign")
 def test_no_secret_is_logged_at_any_level(database: str, tmp_path: Path, environment: dict[str, str]) -> None:
