@@ -229,7 +229,7 @@ class TestNetworks:
         (tmp_path / "net.onnx.json").write_text(json.dumps({"names": ["pedestrian", "dog"]}))
         assert load_file_detector(name).detect(BRIGHT).labels.tolist() == [1]
         (tmp_path / "other.onnx.json").write_text(json.dumps({"names": ["cat", "dog"]}))
-        with pytest.raises(DetectorError, match="at least one of them"):
+        with pytest.raises(DetectorError, match="at least one of these names"):
             load_file_detector(exported(Yolo(2, 0), tmp_path / "other.onnx"))
 
     def test_torchvision_output_is_read(self, tmp_path: Path) -> None:
