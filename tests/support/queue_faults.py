@@ -5,6 +5,7 @@
 
 import inspect
 import json
+import re
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -34,7 +35,7 @@ class Fault:
 
     Attributes:
         module: The module.
-        right: A piece of its source that occurs once.
+        right: A piece of its source that occurs once, however it is laid out there.
         wrong: The piece that takes its place.
     """
 
@@ -50,28 +51,28 @@ FAULTS = {
         "_IS_QUEUED = JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED])",
     ),
     "jobs go to workers that cannot run them": Fault(
-        lease_store, '    in_list(JobRow.needs, "capabilities"),\n    _DUE,', "    _DUE,",
+        lease_store, 'in_list(JobRow.needs, "capabilities"), _DUE,', "_DUE,",
     ),
     "backoffs are not waited for": Fault(
         lease_store, 'or_(JobRow.not_before.is_(None), JobRow.not_before <= bindparam("now"))',
         "JobRow.id.is_not(None)",
     ),
-    "equal simulations run at once": Fault(lease_store, "    ~(_TWIN_RUNS & JobRow.cache),\n", ""),
+    "equal simulations run at once": Fault(lease_store, "~(_TWIN_RUNS & JobRow.cache),", ""),
     "equal simulations are granted together": Fault(
-        lease_policy, "        if job.cache and job.spec_hash in seen:\n            continue\n", "",
+        lease_policy, "if job.cache and job.spec_hash in seen: continue", "",
     ),
     "equal simulations without a cache wait for each other": Fault(
         lease_store, "~(_TWIN_RUNS & JobRow.cache)", "~_TWIN_RUNS",
     ),
     "paused campaigns hand out work": Fault(
         lease_store,
-        "        CampaignRow.status == CampaignStatus.RUNNING,\n        exists(\n            select(JobRow.id)",
-        "        exists(\n            select(JobRow.id)",
+        "CampaignRow.status == CampaignStatus.RUNNING, exists( select(JobRow.id)",
+        "exists( select(JobRow.id)",
     ),
     "paused campaigns hand out retries": Fault(
         lease_store,
-        "or_(_IS_TRACE, CampaignRow.status == CampaignStatus.RUNNING)\n",
-        "or_(_IS_TRACE, CampaignRow.id.is_not(None))\n",
+        "or_(_IS_TRACE, CampaignRow.status == CampaignStatus.RUNNING)",
+        "or_(_IS_TRACE, CampaignRow.id.is_not(None))",
     ),
     "priorities are ignored": Fault(
         lease_store,
@@ -84,25 +85,25 @@ FAULTS = {
     "campaigns do not take turns": Fault(
         lease_store, "statement = _END_TURN if turn > NEW_TURN else _SERVE", "statement = _SERVE",
     ),
-    "turns begin anew with each grant": Fault(lease_store, "    _write_turns(connection, assignment.turns)\n", ""),
+    "turns begin anew with each grant": Fault(lease_store, "_write_turns(connection, assignment.turns)", ""),
     "a turn has no end": Fault(lease_policy, "if served >= TURN * live_workers:", "if live_workers == 0:"),
     "a turn is a grant": Fault(lease_policy, "if served >= TURN * live_workers:", "if live_workers > 0:"),
     "the end of the queue goes to one worker": Fault(
         lease_policy, "return min(demand.max_jobs, max(1, share))", "return demand.max_jobs",
     ),
-    "attempts are not charged": Fault(lease_store, "    attempt=JobRow.attempt + 1,\n", ""),
+    "attempts are not charged": Fault(lease_store, "attempt=JobRow.attempt + 1,", ""),
     "retries are granted in company": Fault(
-        lease_store, "    .limit(1)\n)\n_CAMPAIGNS", "    .limit(3)\n)\n_CAMPAIGNS",
+        lease_store, "JobRow.not_before, JobRow.id).limit(1)", "JobRow.not_before, JobRow.id).limit(3)",
     ),
     "who holds a retry gets more": Fault(
-        lease_policy, "    if any(attempt > 1 for attempt in attempts):\n        return []\n", "",
+        lease_policy, "if any(attempt > 1 for attempt in attempts): return []", "",
     ),
     "a retry goes to a worker that holds jobs": Fault(
-        lease_policy, "            if attempts:\n                return []\n", "",
+        lease_policy, "if attempts: return []", "",
     ),
     "a retry goes back to the worker that failed it": Fault(
-        lease_store, '            JobRow.failed_worker != bindparam("worker"),\n',
-        "            JobRow.id.is_not(None),\n",
+        lease_store, 'JobRow.failed_worker != bindparam("worker"),',
+        "JobRow.id.is_not(None),",
     ),
     "a job is dealt out twice": Fault(lease_policy, "job.id not in self._granted and not (", "not ("),
     "equal simulations are dealt out to two": Fault(
@@ -127,19 +128,19 @@ FAULTS = {
     "anybody renews a lease": Fault(lease_store, "secrets.compare_digest(row.lease_token, wanted[row.id])", "True"),
     "anybody gives a lease back": Fault(
         lease_store,
-        "JobRow.lease_token == held.token)\n            .values(\n                status",
-        "JobRow.id.is_not(None))\n            .values(\n                status",
+        "JobRow.lease_token == held.token) .values( status",
+        "JobRow.id.is_not(None)) .values( status",
     ),
-    "a lease given back is charged": Fault(lease_store, "                attempt=JobRow.attempt - 1,\n", ""),
+    "a lease given back is charged": Fault(lease_store, "attempt=JobRow.attempt - 1,", ""),
     "anybody reports a job": Fault(
         report_store,
-        "    if not secrets.compare_digest(row.lease_token, outcome.token):\n        return \"stale\"\n", "",
+        "if not secrets.compare_digest(row.lease_token, outcome.token): return \"stale\"", "",
     ),
     "a report counts twice": Fault(
         report_store, "if row.status == JobStatus.LEASED and not reported_before:", "if not reported_before:",
     ),
     "a report that was stored is called stale": Fault(
-        report_store, '    return "duplicate"\n', '    return "stale"\n',
+        report_store, 'return "duplicate"', 'return "stale"',
     ),
     "a failed job is lost": Fault(
         report_store, "retry = not outcome.final and row.attempt < row.max_attempts", "retry = False",
@@ -163,26 +164,26 @@ FAULTS = {
         report_store, '.where(IS_LEASED, JobRow.lease_expires_at < bindparam("now"))', ".where(IS_LEASED)",
     ),
     "a late report is called stored": Fault(
-        report_store, '    connection.execute(_FORGET_TOKENS, {"jobs": [row.id for row in rows]})\n', "",
+        report_store, 'connection.execute(_FORGET_TOKENS, {"jobs": [row.id for row in rows]})', "",
     ),
     "a result is not shared": Fault(
         report_store,
-        "    _finish(connection, {twin.id: results[twin.spec_hash, twin.kind] for twin in twins}, now)\n", "",
+        "_finish(connection, {twin.id: results[twin.spec_hash, twin.kind] for twin in twins}, now)", "",
     ),
     "a result is shared without a cache": Fault(
         report_store,
-        "        JobRow.status == JobStatus.QUEUED,\n        JobRow.cache,\n    )\n    .order_by",
-        "        JobRow.status == JobStatus.QUEUED,\n    )\n    .order_by",
+        "JobRow.status == JobStatus.QUEUED, JobRow.cache,).order_by",
+        "JobRow.status == JobStatus.QUEUED).order_by",
     ),
     "cancelling leaves jobs with workers": Fault(
         job_store,
-        "JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]),\n        )\n        .values(",
-        "JobRow.status == JobStatus.QUEUED,\n        )\n        .values(",
+        "JobRow.status.in_([JobStatus.QUEUED, JobStatus.LEASED]), ) .values(",
+        "JobRow.status == JobStatus.QUEUED, ) .values(",
     ),
     "a cancelled job keeps its lease": Fault(
         job_store,
-        "            status=JobStatus.CANCELLED,\n            lease_token=None,\n",
-        "            status=JobStatus.CANCELLED,\n",
+        "status=JobStatus.CANCELLED, lease_token=None,",
+        "status=JobStatus.CANCELLED,",
     ),
     "a retry by hand has no attempts": Fault(
         job_store, "max_attempts=JobRow.attempt + more_attempts", "max_attempts=JobRow.attempt",
@@ -194,21 +195,24 @@ FAULTS = {
 @contextmanager
 def injected(fault: Fault) -> Iterator[None]:
     """Run a module with a fault in it until the end of the block."""
-    source = inspect.getsource(fault.module)
-    if source.count(fault.right) != 1:
+    source, times = _in_any_layout(fault.right).subn(lambda _: fault.wrong, inspect.getsource(fault.module))
+    if times != 1:
         raise AssertionError(
-            f"{fault.module.__name__}: expected this once, found it {source.count(fault.right)} times:\n{fault.right}"
+            f"{fault.module.__name__}: expected this once, found it {times} times:\n{fault.right}"
         )
     right = dict(vars(fault.module))
-    faulty = compile(
-        source.replace(fault.right, fault.wrong), f"{fault.module.__name__} with a fault", "exec"
-    )
-    exec(faulty, vars(fault.module))
+    exec(compile(source, f"{fault.module.__name__} with a fault", "exec"), vars(fault.module))
     try:
         yield
     finally:
         vars(fault.module).clear()
         vars(fault.module).update(right)
+
+
+def _in_any_layout(code: str) -> re.Pattern[str]:
+    """Return a pattern for a piece of code, whatever its line breaks and trailing commas."""
+    tokens = re.findall(r"\w+|[^\w\s]", code)
+    return re.compile(r"\s*".join(",?" if token == "," else re.escape(token) for token in tokens))
 
 
 def recorded() -> dict[str, list[Step]]:
