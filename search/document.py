@@ -61,7 +61,7 @@ class Document:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """Return the document stored as the given bytes.
+        """Return the document that the given bytes encode.
 
         Raises:
             DocumentError: The bytes are not a document, or are corrupt.

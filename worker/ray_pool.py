@@ -116,7 +116,7 @@ class _Member:
     @property
     def placed(self) -> bool:
         """Whether the actor got a CPU and has started."""
-        return bool(self.log_fields)
+        return math.isfinite(self.placed_s)
 
     @property
     def healthy(self) -> bool:

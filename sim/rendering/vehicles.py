@@ -113,7 +113,7 @@ class _VehicleBuilder:
         return self._face(corners, rgb, Group.LOWER, shown_px=shown_px)
 
     def _end(self, x: float, part: tuple[float, float, float, float]) -> list[Point]:
-        """Return an upright rectangle across the vehicle at x.
+        """Return the corners of an upright rectangle perpendicular to the vehicle's axis, at x.
 
         `part` gives its left and right edge in vehicle widths, then its lower and upper edge in vehicle heights.
         """

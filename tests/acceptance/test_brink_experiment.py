@@ -36,7 +36,6 @@ def found(output: str) -> list[dict[str, Any]]:
     return [{**repeat, "campaign": ""} for repeat in results["repeats"]]
 
 
-@on_sqlite
 @pytest.mark.long("runs an experiment twice")
 def test_killed_experiment_resumes(databases: Databases, tmp_path: Path, small_problems: None) -> None:
     file = written(tmp_path)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 from support.api import ball, undisturbed_digest
-from support.databases import Databases, on_sqlite
+from support.databases import Databases
 from support.processes import BRINK, TOY, Program, brink
 
 BALL = ball(
@@ -46,7 +46,6 @@ def test_a_campaign_file_becomes_results(databases: Databases, tmp_path: Path) -
     assert list(folder.glob("*.png"))
 
 
-@on_sqlite
 @pytest.mark.long("runs a campaign twice")
 def test_a_second_run_is_a_campaign_with_the_same_digest(databases: Databases, tmp_path: Path) -> None:
     file = written(tmp_path, KNOWN_BOUNDARY)

@@ -8,7 +8,7 @@ from typing import Any
 import httpx
 import pytest
 from support.api import ball, eventually, undisturbed_digest
-from support.databases import Databases, on_sqlite
+from support.databases import Databases
 from support.processes import TOY, Program, Site, brink, site
 
 QUICK = {**TOY, "BRINK_RETRY_BACKOFF_S": "0.05", "BRINK_SWEEP_S": "0.1"}
@@ -40,7 +40,6 @@ def failed_attempts(worker: Program) -> dict[int, int]:
     return {int(job): int(attempt) for job, attempt in told}
 
 
-@on_sqlite
 @pytest.mark.long("waits for jobs to be retried")
 def test_guilty_jobs_are_retried_quarantined_and_shown(databases: Databases, tmp_path: Path) -> None:
     with databases.database() as url, site(tmp_path, url, QUICK) as running:
@@ -82,7 +81,7 @@ def test_a_passing_fault_leaves_no_trace(databases: Databases, tmp_path: Path, s
     once.mkdir()
     body = campaign("segfault", once_in=str(once))
     with databases.database() as url, site(tmp_path, url, QUICK) as running:
-        running.start_workers(1)
+        running.start_workers(2)
         done = running.await_end(running.submit(body))
     assert list(once.iterdir())
     assert (done["status"], done["failed"], done["quarantined"]) == ("finished", 0, 0)

@@ -52,7 +52,7 @@ def test_generated_requests_are_answered(database_url: str, tmp_path: Path) -> N
         command = [
             str(FUZZER), "--config-file", str(HOOKS / "schemathesis.toml"), "run",
             f"{client.base_url}/openapi.json", "--checks", CHECKS, "--phases", "examples,coverage,fuzzing",
-            "--max-examples", "15", "--seed", "1", "--request-timeout", "30",
+            "--max-examples", "30", "--seed", "1", "--request-timeout", "30",
         ]  # fmt: skip
         fuzzer = subprocess.run(
             command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False

@@ -373,13 +373,13 @@ wire_replies = st.fixed_dictionaries(
 
 
 @given(json_values | wire_replies)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=80, deadline=None)
 def test_arbitrary_json_gives_only_valid_solutions(value: Any) -> None:
     parsed(json.dumps(value))
 
 
 @given(wire_replies, st.data())
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=40, deadline=None)
 def test_truncated_json_is_parsed(value: Any, data: st.DataObject) -> None:
     text = json.dumps(value)
     parsed(text[: data.draw(st.integers(0, len(text)))])

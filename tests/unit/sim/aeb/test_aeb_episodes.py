@@ -60,8 +60,9 @@ def test_without_braking_the_pedestrian_is_always_hit(off: dict[str, Any], seeds
 
 
 @pytest.mark.parametrize("obstacle", mostly_long(["novelty", "anomaly"], ["anomaly"], "drives many episodes"))
-def test_an_unusual_body_is_hit_if_it_is_not_seen(obstacle: str) -> None:
-    for seed in range(3):
+@pytest.mark.parametrize("seeds", mostly_long([range(3), range(3, 5)], [range(3)], "drives many episodes"))
+def test_an_unusual_body_is_hit_if_it_is_not_seen(obstacle: str, seeds: range) -> None:
+    for seed in seeds:
         assert (
             SIMULATOR.run(spec(seed, mode="blind", obstacle=obstacle)).features["collided_with"] == obstacle
         )

@@ -39,9 +39,10 @@ def test_the_ego_stops_for_detected_road_users() -> None:
     assert len(trace.seen_boxes.rows)
 
 
-def test_the_same_pictures_give_the_same_trace() -> None:
+@pytest.mark.parametrize("duration_s", mostly_long([1.0, 9.0], [1.0], "drives with a camera"))
+def test_the_same_pictures_give_the_same_trace(duration_s: float) -> None:
     simulator = BrinkEncounterCamera()
-    first, again = (simulator.run(seen(BRAKES, duration_s=1.0), record=True) for _ in range(2))
+    first, again = (simulator.run(seen(BRAKES, duration_s=duration_s), record=True) for _ in range(2))
     assert first.trace == again.trace
 
 
