@@ -27,6 +27,9 @@ def wilson_interval(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the Wilson score interval of each neighbourhood's unsafe probability.
 
+    The lower limit is exactly 0 without any unsafe solution, and the upper limit exactly 1 without any safe one, so
+    that the fitness of all-safe neighbourhoods of one size does not depend on rounding.
+
     Args:
         unsafe: Unsafe solutions in each neighbourhood, integers, shape ``(n,)``.
         evaluated: Evaluated solutions in each neighbourhood, integers >= 1, shape ``(n,)``.
@@ -48,7 +51,10 @@ def wilson_interval(
     g = z * z / n
     centre = (p + g / 2) / (1 + g)
     half = z / (1 + g) * np.sqrt(p * (1 - p) / n + g / (4 * n))
-    return np.clip(centre - half, 0.0, 1.0), np.clip(centre + half, 0.0, 1.0)
+    # With k = 0, centre and half width are equal, and with k = n they add up to 1, but for rounding.
+    lower = np.where(k == 0, 0.0, np.clip(centre - half, 0.0, 1.0))
+    upper = np.where(k == n, 1.0, np.clip(centre + half, 0.0, 1.0))
+    return lower, upper
 
 
 def boundary_fitness(unsafe: ArrayLike, evaluated: ArrayLike, p_th: float, z: float = Z_95) -> FloatArray:

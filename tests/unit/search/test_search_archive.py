@@ -171,6 +171,20 @@ def test_all_safe_neighbourhood_approaches_one_ninth() -> None:
     assert fitness[0] == pytest.approx(1 / 9, abs=1e-6)
 
 
+def test_limits_of_unanimous_neighbourhoods_are_exact() -> None:
+    sizes = np.arange(1, 5_000)
+    lower, _ = wilson_interval(np.zeros_like(sizes), sizes)
+    _, upper = wilson_interval(sizes, sizes)
+    assert np.all(lower == 0.0)
+    assert np.all(upper == 1.0)
+
+
+def test_large_all_safe_neighbourhoods_tie() -> None:
+    # From 35 all-safe solutions on, the interval ends below p_th, and its other end, 0, is the one further away.
+    sizes = np.arange(35, 5_000)
+    assert np.unique(boundary_fitness(np.zeros_like(sizes), sizes, 0.1)).tolist() == [0.1 / 0.9]
+
+
 @given(
     counts=st.lists(st.integers(1, 10_000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n)))),
     p_th=st.floats(0.01, 0.99),
