@@ -151,8 +151,8 @@ async def repeat_finished(session: Session, campaign: str, times: int) -> Repeat
 
 
 def _print_repeats(screen: Console, view: RepeatsView) -> None:
-    """Print how many boundary solutions were confirmed, and the solutions most likely to be unsafe."""
-    screen.print(repeats_sentence(view), soft_wrap=True)
+    """Print what the repeats show, and the solutions most likely to be unsafe."""
+    screen.print(view.words, soft_wrap=True)
     evaluated = [one for one in view.solutions if one.evaluated]
     if not evaluated:
         return
@@ -160,10 +160,9 @@ def _print_repeats(screen: Console, view: RepeatsView) -> None:
     table = plain_table(*columns, "", right=columns)
     for one in sorted(evaluated, key=_probability, reverse=True)[:SOLUTIONS_SHOWN]:
         around = "–" if one.around is None else f"{one.around_low:.2f} to {one.around_high:.2f}"
-        side = "" if one.holds else "above" if one.low > view.p_th else "below"
         table.add_row(
             str(one.number), str(one.evaluated), str(one.unsafe), f"{one.probability:.2f}",
-            f"{one.low:.2f} to {one.high:.2f}", around, side,
+            f"{one.low:.2f} to {one.high:.2f}", around, one.conclusion,
         )  # fmt: skip
     screen.print(table)
     if len(evaluated) > SOLUTIONS_SHOWN:
@@ -172,26 +171,6 @@ def _print_repeats(screen: Console, view: RepeatsView) -> None:
 
 def _probability(one: RepeatedSolution) -> float:
     return 0.0 if one.probability is None else one.probability
-
-
-def repeats_sentence(view: RepeatsView) -> str:
-    """Return a sentence on how many boundary solutions have an interval that contains p_th."""
-    solutions = len(view.solutions)
-    reason = f" ({view.status_reason})" if view.status_reason else ""
-    if not view.evaluated:
-        return f"none of {solutions} boundary solutions has been simulated again yet: {view.status}{reason}"
-    what = (
-        f"{solutions} distinct boundary solutions (fitness at most {view.t_b:g}, {view.d_th:g} apart), "
-        f"simulated again {_times(view)} times each"
-    )
-    share = f"in total {view.unsafe / view.evaluated:.1%} unsafe"
-    if view.status is not CampaignStatus.FINISHED:
-        return f"not yet {view.repeats} times: {what}, {share}; {view.status}{reason}"
-    evaluated = sum(one.evaluated > 0 for one in view.solutions)
-    return (
-        f"of {what}, {view.holding} ({view.holding / evaluated:.0%}) have an interval that contains p_th = "
-        f"{view.p_th:g}; {view.below} lie below it, {view.above} above; {share}"
-    )
 
 
 def _times(view: RepeatsView) -> str:
@@ -217,10 +196,10 @@ def _draw_repeats(view: RepeatsView, file: Path) -> None:
     points = [
         RepeatedPoint(
             number=one.number, probability=_probability(one), low=one.low, high=one.high,
-            around=_around(one),
+            around=_around(one), conclusion=one.conclusion,
         )
         for one in view.solutions
-        if one.evaluated
+        if one.conclusion is not None
     ]  # fmt: skip
     file.parent.mkdir(parents=True, exist_ok=True)
     title = f"Does the boundary hold up? {view.name}"

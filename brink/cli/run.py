@@ -32,7 +32,7 @@ from brink.cli.options import (
     print_json,
     program,
 )
-from brink.cli.repeats import repeat_finished, repeats_sentence, write_repeats
+from brink.cli.repeats import repeat_finished, write_repeats
 from brink.search.analysis.comparison import control_summaries
 from brink.server.api.repeats import RepeatsView
 from brink.server.api.schemas import Boundary, CampaignList, CampaignView, Progress
@@ -138,7 +138,7 @@ async def _finish(
         print_json(summary)
     else:
         if repeated is not None:
-            session.screen.print(repeats_sentence(repeated), soft_wrap=True)
+            session.screen.print(repeated.words, soft_wrap=True)
         _print_summary(session.screen, body, progress, report, summary, session.database)
     if session.stop.is_set():
         session.screen.print("[yellow]interrupted: some figures are missing[/yellow]")

@@ -15,6 +15,7 @@ from brink.plots.style import (
     HAIRLINE,
     INK,
     MUTED,
+    PAPER,
     SAFE,
     SMALL_PT,
     UNSAFE,
@@ -25,6 +26,7 @@ from brink.plots.style import (
     show_percent,
     style_axes,
 )
+from brink.search.algorithms.repeats import Conclusion
 from brink.search.analysis.boundary import Rescored
 from brink.search.analysis.monitor_evaluation import MAJORITY, MONITOR, MonitorEvaluation, Predictor
 from brink.search.analysis.statistics import mean_interval
@@ -45,6 +47,7 @@ class RepeatedPoint:
         low: Lower limit of its interval.
         high: Upper limit of its interval.
         around: Unsafe share of its neighbourhood in the archive, and the limits of its interval; None if unknown.
+        conclusion: What its simulations show.
     """
 
     number: int
@@ -52,10 +55,16 @@ class RepeatedPoint:
     low: float
     high: float
     around: tuple[float, float, float] | None
+    conclusion: Conclusion
 
-    def side(self, p_th: float) -> int:
-        """Return -1 if the interval lies below p_th, 1 if it lies above, 0 if it contains p_th."""
-        return -1 if self.high < p_th else 1 if self.low > p_th else 0
+
+_CONCLUSIONS: Final = {
+    Conclusion.NEAR: (INK, "near {p_th:g}"),
+    Conclusion.INCONCLUSIVE: (MUTED, "inconclusive: the interval contains {p_th:g}"),
+    Conclusion.BELOW: (SAFE, "below: safer than reported"),
+    Conclusion.ABOVE: (UNSAFE, "above"),
+}
+"""Colour and words of each conclusion."""
 
 
 def figure_repeats(points: Sequence[RepeatedPoint], *, p_th: float, times: str, title: str) -> Figure:
@@ -73,7 +82,7 @@ def figure_repeats(points: Sequence[RepeatedPoint], *, p_th: float, times: str, 
             ordered[place] for place in np.linspace(0, len(ordered) - 1, MAX_POINTS).round().astype(int)
         ]
     height = _REPEATS_TOP_PX + _REPEATS_BOTTOM_PX + _REPEATS_ROW_PX * max(len(ordered), 12)
-    sides = [point.side(p_th) for point in points]
+    found = [point.conclusion for point in points]
     left_out = f" ({len(ordered)} of them shown)" if len(points) > len(ordered) else ""
     figure = new_figure(
         height,
@@ -83,15 +92,17 @@ def figure_repeats(points: Sequence[RepeatedPoint], *, p_th: float, times: str, 
     )
     bottom, top = _REPEATS_BOTTOM_PX / height, _REPEATS_TOP_PX / height
     axes = figure.add_axes((96 / WIDTH_PX, bottom, 1 - (96 + 64) / WIDTH_PX, 1 - bottom - top))
-    hues = {-1: SAFE, 0: INK, 1: UNSAFE}
     for row, point in enumerate(ordered):
         if point.around is not None:
             share, low, high = point.around
             axes.plot([low, high], [row, row], color=HAIRLINE, linewidth=7, solid_capstyle="butt", zorder=1)
             axes.plot([share], [row], marker="|", markersize=8, color=MUTED, zorder=2)
-        hue = hues[point.side(p_th)]
+        hue, _ = _CONCLUSIONS[point.conclusion]
         axes.plot([point.low, point.high], [row, row], color=hue, linewidth=1.8, zorder=3)
-        axes.plot([point.probability], [row], marker="o", markersize=5, color=hue, zorder=4)
+        axes.plot(
+            [point.probability], [row], marker="o", markersize=5, color=hue, markerfacecolor=_face(point.conclusion),
+            zorder=4,
+        )  # fmt: skip
     axes.axvline(p_th, color=MUTED, linewidth=1.2, linestyle="--", zorder=0)
     axes.set_xlim(-0.01, 1.01)
     axes.set_ylim(-0.8, max(len(ordered), 12) - 0.2)
@@ -101,15 +112,19 @@ def figure_repeats(points: Sequence[RepeatedPoint], *, p_th: float, times: str, 
     axes.set_ylabel("solution")
     style_axes(axes, grid="x")
     axes.tick_params(axis="y", labelsize=SMALL_PT)
-    words = {0: f"contains {p_th:g}", -1: "lies below: safer than reported", 1: "lies above"}
     keys = [
-        Line2D([], [], color=hues[side], linewidth=1.8, marker="o", markersize=5,
-               label=f"{sides.count(side)}: interval {words[side]}")
-        for side in (0, -1, 1)
+        Line2D([], [], color=hue, linewidth=1.8, marker="o", markersize=5, markerfacecolor=_face(conclusion),
+               label=f"{found.count(conclusion)} {words.format(p_th=p_th)}")
+        for conclusion, (hue, words) in _CONCLUSIONS.items()
     ]  # fmt: skip
     neighbourhood = Line2D([], [], color=HAIRLINE, linewidth=7, label="its neighbourhood in the archive")
     add_legend(figure, [*keys, neighbourhood], 122, handlelength=2.2)
     return figure
+
+
+def _face(conclusion: Conclusion) -> str:
+    """Return the fill of a dot: hollow where nothing is known."""
+    return PAPER if conclusion is Conclusion.INCONCLUSIVE else _CONCLUSIONS[conclusion][0]
 
 
 SENSITIVITY_HEIGHT_PX: Final = 640

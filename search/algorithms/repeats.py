@@ -8,8 +8,10 @@ equally many episodes of each solution, to within one.
 The archive holds every solution many times, so its neighbourhoods and boundary are meaningless; use `tallied`.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 import numpy as np
 
@@ -17,7 +19,7 @@ from brink.search.algorithm import Evaluation
 from brink.search.algorithms.ledger import BoundaryConfig, Ledger, LedgerAlgorithm, LedgerState
 from brink.search.document import Document
 from brink.search.errors import ConfigError, SpaceError
-from brink.search.fitness import Z_95, wilson_interval
+from brink.search.fitness import Z_95, fitness_of_interval, wilson_interval
 from brink.search.settings import setting
 from brink.search.space import BoolArray, FloatArray, SearchSpace
 
@@ -85,6 +87,25 @@ def _planned(config: RepeatsConfig, ledger: Ledger) -> RepeatsState:
     return RepeatsState(config=config, ledger=ledger.plan(rows))
 
 
+class Conclusion(StrEnum):
+    """What the repeats of one solution show about its unsafe probability."""
+
+    BELOW = "below"
+    """Its interval lies below p_th: safer than the boundary."""
+    ABOVE = "above"
+    """Its interval lies above p_th: less safe than the boundary."""
+    NEAR = "near"
+    """It meets the criterion of the boundary itself: both verdicts, and an interval close to p_th."""
+    INCONCLUSIVE = "inconclusive"
+    """Its interval contains p_th, but shows no more than that, for example after few simulations."""
+
+
+def simulations_to_clear(p_th: float, z: float = Z_95) -> int:
+    """Return how many simulations, all of them safe, put the interval of a solution below `p_th`."""
+    # With k = 0, the upper limit is z^2 / (n + z^2).
+    return math.floor(z * z * (1 - p_th) / p_th) + 1
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tallies:
     """Estimated unsafe probability of each of n solutions, from its own simulations.
@@ -107,6 +128,28 @@ class Tallies:
         """Return which intervals contain `p_th`, shape ``(n,)``."""
         inside: BoolArray = (self.low <= p_th) & (p_th <= self.high)
         return inside
+
+    def conclusions(self, p_th: float, t_b: float) -> list[Conclusion | None]:
+        """Return what is known of each solution; None without a verdict.
+
+        An interval that contains `p_th` is no evidence for a boundary by itself: with few simulations, every interval
+        does. A solution is near the boundary only if its own simulations meet the criterion of the strict boundary.
+
+        Args:
+            p_th: Unsafe probability that defines the boundary.
+            t_b: Maximum fitness of the interval of a solution near the boundary.
+        """
+        inside = self.contains(p_th)
+        mixed = (self.unsafe > 0) & (self.unsafe < self.evaluated)
+        near = inside & mixed & (fitness_of_interval(self.low, self.high, p_th) <= t_b)
+        return [
+            None if not self.evaluated[place]
+            else Conclusion.NEAR if near[place]
+            else Conclusion.INCONCLUSIVE if inside[place]
+            else Conclusion.BELOW if self.high[place] < p_th
+            else Conclusion.ABOVE
+            for place in range(len(self.evaluated))
+        ]  # fmt: skip
 
 
 def tallied(numbers: Sequence[int], unsafe: Sequence[bool], solutions: int, z: float = Z_95) -> Tallies:

@@ -6,6 +6,8 @@ from typing import Annotated, Self
 from fastapi import APIRouter, Response
 from pydantic import Field, model_validator
 
+from brink.search.algorithms.repeats import Conclusion, simulations_to_clear
+from brink.search.fitness import wilson_interval
 from brink.server.api.context import Services
 from brink.server.api.responses import set_created
 from brink.server.api.schemas import MAX_NUMBER, View
@@ -67,7 +69,17 @@ class RepeatedSolution(View):
     probability: Annotated[float | None, Field(description="Unsafe share of these simulations.")]
     low: Annotated[float, Field(description="Lower limit of its Wilson interval.")]
     high: float
-    holds: Annotated[bool | None, Field(description="Whether the interval contains p_th.")]
+    holds: Annotated[
+        bool | None,
+        Field(description="Whether the interval contains p_th; with few simulations, every interval does."),
+    ]
+    conclusion: Annotated[
+        Conclusion | None,
+        Field(
+            description="What its simulations show: below or above p_th, near it (both verdicts, and an interval "
+            "with a fitness of at most t_b), or inconclusive; null without a verdict."
+        ),
+    ]
     around: Annotated[
         float | None, Field(description="Unsafe share of its neighbourhood in the archive, including itself.")
     ]
@@ -101,8 +113,18 @@ class RepeatsView(View):
         int, Field(description="Number of solutions whose interval lies below p_th: safer than reported.")
     ]
     above: Annotated[int, Field(description="Number of solutions whose interval lies above p_th.")]
+    near: Annotated[int, Field(description="Number of solutions that are near p_th themselves.")]
+    inconclusive: Annotated[
+        int,
+        Field(description="Number of solutions whose simulations are too few, or too one-sided, to tell."),
+    ]
     evaluated: Annotated[int, Field(description="Number of verdicts so far, over all solutions.")]
     unsafe: int
+    pooled: Annotated[
+        tuple[float, float] | None,
+        Field(description="Wilson interval of the unsafe share over all solutions; null without a verdict."),
+    ]
+    words: Annotated[str, Field(description="What the repeats show, in sentences.")]
     solutions: Annotated[list[RepeatedSolution], Field(description="Best fitness first.")]
 
 
@@ -145,6 +167,7 @@ def _view(of: str, name: str, stored: StoredRepeats, read_archive: ReadArchive) 
     near = read_archive.plan.neighbourhood
     tallies = stored.tallies(near.z)
     known, holds = tallies.evaluated > 0, tallies.contains(near.p_th)
+    conclusions = tallies.conclusions(near.p_th, stored.t_b if stored.boundary else DEFAULT_T_B)
     solutions = []
     for place, number in enumerate(stored.numbers):
         index = read_archive.places.get(number)
@@ -158,20 +181,65 @@ def _view(of: str, name: str, stored: StoredRepeats, read_archive: ReadArchive) 
                 low=float(tallies.low[place]),
                 high=float(tallies.high[place]),
                 holds=bool(holds[place]) if known[place] else None,
+                conclusion=conclusions[place],
                 around=around[0] if around else None,
                 around_low=around[1] if around else None,
                 around_high=around[2] if around else None,
             )
         )
-    return RepeatsView(
+    evaluated, unsafe = int(tallies.evaluated.sum()), int(tallies.unsafe.sum())
+    counts = Counter(conclusions)
+    view = RepeatsView(
         campaign=stored.campaign.id, of=of, name=name, status=stored.campaign.status,
         status_reason=stored.campaign.status_reason, repeats=stored.repeats, boundary=stored.boundary,
         t_b=stored.t_b, d_th=stored.d_th,
         p_th=near.p_th, simulations=stored.campaign.completed, budget=stored.campaign.body.budget.simulations,
-        holding=int((holds & known).sum()), below=int((tallies.high < near.p_th).sum()),
-        above=int((tallies.low > near.p_th).sum()), evaluated=int(tallies.evaluated.sum()),
-        unsafe=int(tallies.unsafe.sum()), solutions=solutions,
+        holding=int((holds & known).sum()), below=counts[Conclusion.BELOW], above=counts[Conclusion.ABOVE],
+        near=counts[Conclusion.NEAR], inconclusive=counts[Conclusion.INCONCLUSIVE],
+        evaluated=evaluated, unsafe=unsafe, pooled=_pooled(unsafe, evaluated, near.z), words="", solutions=solutions,
     )  # fmt: skip
+    return view.model_copy(update={"words": _in_words(view, simulations_to_clear(near.p_th, near.z))})
+
+
+def _pooled(unsafe: int, evaluated: int, z: float) -> tuple[float, float] | None:
+    if not evaluated:
+        return None
+    low, high = wilson_interval(unsafe, evaluated, z)
+    return float(low), float(high)
+
+
+def _in_words(view: RepeatsView, to_clear: int) -> str:
+    """Return what repeats show: the share of all simulations with its interval, and what is known of each solution.
+
+    Args:
+        view: The repeats.
+        to_clear: Simulations, all safe, that put the interval of a solution below p_th.
+    """
+    count, reason = len(view.solutions), f" ({view.status_reason})" if view.status_reason else ""
+    what = f"{count} boundary solutions" if view.boundary else f"{count} selected solutions"
+    what = what.removesuffix("s") if count == 1 else what
+    if view.pooled is None:
+        return f"{what}, none simulated again yet: {view.status}{reason}"
+    if view.boundary:
+        what += f" (fitness at most {view.t_b:g}, {view.d_th:g} apart)"
+    each = sorted({one.evaluated for one in view.solutions})
+    drives = f"{each[0]} to {each[-1]}" if len(each) > 1 else f"{each[0]}"
+    low, high = view.pooled
+    share = (
+        f"{view.unsafe:,} of {view.evaluated:,} simulations were unsafe, {view.unsafe / view.evaluated:.1%} "
+        f"(interval {low:.1%} to {high:.1%})"
+    )
+    if view.status is not CampaignStatus.FINISHED:
+        return f"{what}, not yet simulated again {view.repeats} times: {share} so far; {view.status}{reason}"
+    known = [
+        (view.near, "near p_th"), (view.below, "below it"), (view.above, "above it"),
+        (view.inconclusive, f"inconclusive with {drives} simulations each"),
+    ]  # fmt: skip
+    told = ", ".join(f"{number} {words}" for number, words in known)
+    rest = f", with other seeds, {drives} times each: {share}. By solution, p_th = {view.p_th:g}: {told}."
+    if each[0] < to_clear and view.inconclusive:
+        rest += f" Even a solution that is never unsafe takes {to_clear} to fall below p_th."
+    return what + rest
 
 
 def _around(read_archive: ReadArchive, index: int) -> tuple[float, float, float]:

@@ -33,6 +33,11 @@ def by_chance(job: LeasedJob) -> Completed | JobFailed:
     return Completed(verdicts={REQUIREMENT: WireVerdict(robustness=robustness, unit="m", violated_at_s=None)})
 
 
+def never(job: LeasedJob) -> Completed | JobFailed:
+    """Return an outcome that is safe with every seed."""
+    return Completed(verdicts={REQUIREMENT: WireVerdict(robustness=1.0, unit="m", violated_at_s=None)})
+
+
 def body(simulations: int = 60, *, generation_size: int = 60, **changes: Any) -> dict[str, Any]:
     """Return the body of a campaign whose solutions all lie on its boundary, since p_th is a third."""
     params = {"generation_size": generation_size, "p_th": 0.35, "radius": 1.0}
@@ -81,9 +86,28 @@ def test_boundary_solutions_are_simulated_again_with_seeds_of_their_own(client: 
         assert (one["low"], one["high"]) == pytest.approx((float(low), float(high)))
         assert one["holds"] == (one["low"] <= 0.35 <= one["high"])
         assert one["around_low"] <= one["around"] <= one["around_high"]
-    sides = [view["holding"], view["below"], view["above"]]
+    sides = [view["near"], view["inconclusive"], view["below"], view["above"]]
     assert sum(sides) == len(numbers)
     assert view["holding"] == sum(one["holds"] for one in view["solutions"])
+    assert view["holding"] == view["near"] + view["inconclusive"]
+    low, high = wilson_interval(view["unsafe"], view["evaluated"], 1.96)
+    assert view["pooled"] == pytest.approx([float(low), float(high)])
+
+
+@on_sqlite
+def test_repeats_that_are_never_unsafe_do_not_confirm_the_boundary(client: httpx.Client) -> None:
+    campaign = submit(client, body())
+    assert FakeWorker(client, judge=by_chance).work(campaign)["status"] == "finished"
+    view = expect(client.post(f"{API}/{campaign}/repeats", json={"repeats": 3, **WIDE}), 201)
+    FakeWorker(client, judge=never).work(view["campaign"])
+    [view] = expect(client.get(f"{API}/{campaign}/repeats"))
+    count, simulations = len(view["solutions"]), view["evaluated"]
+    assert (view["unsafe"], view["holding"], simulations) == (0, count, 3 * count)
+    assert (view["near"], view["inconclusive"]) == (0, count)
+    assert {one["conclusion"] for one in view["solutions"]} == {"inconclusive"}
+    assert f"0 of {simulations} simulations were unsafe, 0.0% (interval 0.0% to " in view["words"]
+    assert f"{count} inconclusive with 3 simulations each" in view["words"]
+    assert "Even a solution that is never unsafe takes 8 to fall below p_th." in view["words"]
 
 
 def test_the_same_repeats_are_not_run_twice_and_others_are(client: httpx.Client, engines: Engines) -> None:
@@ -271,8 +295,9 @@ def test_the_command_asks_then_shows_what_came(listening_client: httpx.Client, t
     assert shown.exit_code == 0, shown.output
     [view] = expect(listening_client.get(f"{API}/{campaign}/repeats"))
     count = len(view["solutions"])
-    assert f"of {count} distinct boundary solutions" in shown.output
-    assert f"{view['holding']} ({view['holding'] / count:.0%}) have an interval" in shown.output
+    assert view["words"] in shown.output
+    assert f"{count} boundary solutions" in view["words"]
+    assert f"{view['inconclusive']} inconclusive with 12 simulations each" in view["words"]
     with Image.open(picture) as drawn:
         assert drawn.width == 1600
 
@@ -292,9 +317,10 @@ def test_unfinished_repeats_are_not_shown_as_a_verdict_nor_resumed(listening_cli
     expect(listening_client.post(f"{API}/{view['campaign']}/pause"))
     shown = CliRunner().invoke(app, command)
     assert shown.exit_code == 0, shown.output
-    assert f"not yet 12 times: {count} distinct boundary solutions" in shown.output
+    assert f"{count} boundary solutions" in shown.output
+    assert "not yet simulated again 12 times" in shown.output
     assert "paused" in shown.output
-    assert "contains p_th" not in shown.output
+    assert "By solution" not in shown.output
     assert progress(listening_client, view["campaign"])["status"] == "paused", "whoever looks does not resume"
 
 

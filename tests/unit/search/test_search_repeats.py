@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from brink.search.algorithm import Candidate
-from brink.search.algorithms.repeats import Repeats, RepeatsConfig, tallied
+from brink.search.algorithms.repeats import Conclusion, Repeats, RepeatsConfig, simulations_to_clear, tallied
 from brink.search.document import Document
 from brink.search.errors import ConfigError
 from brink.search.fitness import wilson_interval
@@ -80,3 +80,25 @@ def test_intervals_of_fifty_trials_contain_a_tenth_for_one_to_nine_unsafe() -> N
     for unsafe, holds in ((0, False), (1, True), (9, True), (10, False)):
         verdicts = [place < unsafe for place in range(50)]
         assert tallied(range(50), verdicts, 1).contains(0.1).tolist() == [holds]
+
+
+@pytest.mark.parametrize(
+    ("unsafe", "times", "expected"),
+    [
+        (0, 10, Conclusion.INCONCLUSIVE), (1, 10, Conclusion.INCONCLUSIVE), (0, 34, Conclusion.INCONCLUSIVE),
+        (0, 35, Conclusion.BELOW), (3, 50, Conclusion.NEAR), (100, 1000, Conclusion.NEAR),
+        (10, 10, Conclusion.ABOVE), (60, 1000, Conclusion.BELOW), (0, 0, None),
+    ],
+)  # fmt: skip
+def test_an_interval_that_contains_p_th_is_no_evidence_by_itself(
+    unsafe: int, times: int, expected: Conclusion | None
+) -> None:
+    verdicts = [place < unsafe for place in range(times)]
+    assert tallied(range(times), verdicts, 1).conclusions(0.1, 0.1) == [expected]
+
+
+@pytest.mark.parametrize("p_th", [0.02, 0.1, 0.35, 0.5])
+def test_a_solution_that_is_never_unsafe_falls_below_p_th_at_the_stated_number(p_th: float) -> None:
+    fewest = simulations_to_clear(p_th)
+    for times, expected in ((fewest - 1, Conclusion.INCONCLUSIVE), (fewest, Conclusion.BELOW)):
+        assert tallied(range(times), [False] * times, 1).conclusions(p_th, 0.1) == [expected]

@@ -232,18 +232,12 @@ export function findings(context, id, tells) {
   function showRepeats(read) {
     repeats.hidden = read.length === 0;
     replace(repeats, h("h2", null, "Repeats with other seeds"), read.map((one) => h("div.repeat", null,
-      h("p", null, h("a", { href: link("campaigns", one.campaign) }, which(one)), " ", badge(one.status)), h("p", null, outcome(one)))));
+      h("p", null, h("a", { href: link("campaigns", one.campaign) }, which(one)), " ", badge(one.status)), h("p", null, one.words))));
   }
 
   function which(one) {
     const what = one.boundary ? plural(one.solutions.length, "boundary solution") : one.solutions.length === 1 ? `solution ${one.solutions[0].number}` : plural(one.solutions.length, "selected solution");
     return `${what}, ${one.solutions.length === 1 ? "" : "each "}${count(one.repeats)} times`;
-  }
-
-  function outcome(one) {
-    if (one.evaluated === 0) return "No verdict yet.";
-    const share = `${count(one.unsafe)} of ${count(one.evaluated)} simulations were unsafe, ${percent(one.unsafe / one.evaluated)}.`;
-    return one.boundary ? `The intervals of ${count(one.holding)} of ${count(one.solutions.length)} contain p_th (${percent(one.p_th)}); ${count(one.below)} are safer, ${count(one.above)} less safe. ${share}` : share;
   }
 
   function solution(number) {

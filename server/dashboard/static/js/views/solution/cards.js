@@ -217,5 +217,12 @@ function repeatsWords({ result, repeats: wanted, p_th, status }) {
   const soFar = result.evaluated < wanted ? " so far" : "";
   const counts = `${count(result.unsafe)} of ${plural(result.evaluated, "simulation")} with other seeds ${result.unsafe === 1 ? "was" : "were"} unsafe${soFar}`;
   const share = `${percent(result.probability)}, interval ${percent(result.low)} to ${percent(result.high)}`;
-  return `${counts}: ${share}. ${boundaryWords(result.low, result.high, p_th)}`;
+  return `${counts}: ${share}. ${CONCLUSIONS[result.conclusion](percent(p_th), result.evaluated)}`;
 }
+
+const CONCLUSIONS = {
+  below: (p_th) => `The interval lies below p_th, ${p_th}.`,
+  above: (p_th) => `The interval lies above p_th, ${p_th}.`,
+  near: (p_th) => `This solution itself is near p_th, ${p_th}.`,
+  inconclusive: (p_th, times) => `Inconclusive with ${plural(times, "simulation")}: the interval contains p_th, ${p_th}, and much else.`,
+};
