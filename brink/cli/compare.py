@@ -102,6 +102,5 @@ def print_rows(screen: Console, rows: Sequence[Row]) -> None:
             f"[dim]Controls: verdicts redrawn independently of behaviour; means of {DRAWS} draws.[/dim]"
         )
     screen.print(
-        "[dim]At t_b >= 1/9, DBS counts all-safe neighbourhoods as boundary; strict DBS does not. "
-        "Both are greedy counts, so either may be slightly larger.[/dim]"
+        "[dim]At t_b >= 1/9, DBS also counts all-safe neighbourhoods; strict DBS, a part of it, does not.[/dim]"
     )

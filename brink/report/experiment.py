@@ -221,7 +221,7 @@ def _method(repeats: Sequence[Repeat]) -> str:
     items = [
         "**DBS**: solutions whose fitness is at most t_b, selected greedily, best first, each at least d_th from all "
         "those selected before. Extra simulations to complete the last generation are not counted.",
-        "**Strict DBS** counts only solutions whose interval contains p_th and whose neighbours have both verdicts. "
+        "**Strict DBS** counts only those whose interval contains p_th and whose neighbours have both verdicts. "
         "From t_b = 1/9 (at p_th = .1), plain DBS also counts neighbourhoods without any unsafe solution.",
         "**Controls** keep the simulated solutions and redraw each verdict with the unsafe probability of its "
         f"scenario alone: means of {DRAWS} draws per campaign. The rest of a "

@@ -251,7 +251,9 @@ def _note(read: ReadArchive, t_b: float) -> str:
             f"At t_b {t_b:g}, DBS also counts neighbourhoods without a single unsafe solution (their fitness falls "
             f"to {all_safe:.3f}); strict DBS does not."
         )
-    return "Strict DBS counts only solutions whose interval contains p_th and whose neighbourhood has both verdicts."
+    return (
+        "Strict DBS counts only those whose interval contains p_th and whose neighbourhood has both verdicts."
+    )
 
 
 NeighbourLimit = Annotated[int, Query(ge=0, le=1000, description="Maximum number of neighbours to return.")]

@@ -1,6 +1,7 @@
 """The boundary of an archive: DBS, its dependence on the settings, and behaviour-blind controls."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,15 @@ def random_archive(count: int = 400, missing: tuple[int, ...] = ()) -> Archive:
     numbers = np.setdiff1d(np.arange(count), missing)
     near = Neighbourhood(radius=0.3, p_th=0.1)
     return Archive.empty(SPACE, near).grown(numbers, rows[numbers], unsafe[numbers], np.zeros(numbers.size))
+
+
+def noisy_archive(radius: float = 0.3, p_th: float = 0.1) -> Archive:
+    rng = np.random.default_rng(4)
+    rows = np.array([SPACE.join(SPACE.sample(rng)) for _ in range(300)])
+    unsafe = rng.random(300) < np.where(rows[:, -1] > np.median(rows[:, -1]), 0.3, 0.02)
+    return Archive.empty(SPACE, Neighbourhood(radius=radius, p_th=p_th, z=1.96)).grown(
+        np.arange(300), rows, unsafe, np.where(unsafe, -1.0, 1.0)
+    )
 
 
 def naive_boundary(archive: Archive, t_b: float, d_th: float) -> list[int]:
@@ -96,6 +106,30 @@ def test_safe_neighbourhoods_count_for_dbs_but_not_for_strict_dbs() -> None:
     assert strict_dbs(mixed, 0.15, 0.1) == 1
 
 
+def test_strict_boundary_is_a_part_of_the_boundary() -> None:
+    # Three places on a line. The one in the middle lies within d_th of the two others and has the best fitness, but
+    # no evidence; among the solutions with evidence alone, two would be distinct.
+    metric, near = Metric([1.0], [False]), Neighbourhood(radius=0.0, p_th=0.1)
+    places, counts = [0.35, 0.5, 0.65], [(7, 50), (0, 40), (7, 50)]
+    rows = np.concatenate([np.full((n, 1), x) for x, (_, n) in zip(places, counts, strict=True)])
+    unsafe = np.concatenate([np.arange(n) < k for k, n in counts])
+    archive = Archive.empty(metric, near).grown(np.arange(len(rows)), rows, unsafe, np.zeros(len(rows)))
+    assert archive.fitness[50] < archive.fitness[0] < 0.2
+    assert has_evidence(archive)[[0, 50, 90]].tolist() == [True, False, True]
+    assert (dbs(archive, 0.2, 0.2), strict_dbs(archive, 0.2, 0.2)) == (1, 0)
+
+
+@pytest.mark.parametrize("make", [random_archive, noisy_archive])
+def test_strict_dbs_never_exceeds_dbs(make: Callable[[], Archive]) -> None:
+    archive = make()
+    grid = dbs_grid(archive, np.linspace(0.02, 1, 25).tolist(), np.linspace(0, 0.6, 13).tolist())
+    assert (grid.strict <= grid.dbs).all()
+    for t_b, d_th in ((0.2, 0.3), (0.5, 0.2), (1.0, 0.05)):
+        boundary = distinct_boundary(archive, t_b, d_th).tolist()
+        strict = distinct_boundary(archive, t_b, d_th, strict=True).tolist()
+        assert strict == [place for place in boundary if has_evidence(archive)[place]]
+
+
 def test_figures_over_the_budget_use_only_earlier_solutions() -> None:
     archive = random_archive(300, missing=(0, 17, 29, 30, 299))
     points = list(dbs_by_budget(archive, 300))
@@ -132,15 +166,6 @@ def test_empty_archive_has_no_boundary() -> None:
     empty = Archive.empty(SPACE, Neighbourhood(radius=0.3, p_th=0.1))
     assert distinct_boundary(empty, 1.0, 0.1).size == 0
     assert dbs_grid(empty).dbs.sum() == 0
-
-
-def noisy_archive(radius: float = 0.3, p_th: float = 0.1) -> Archive:
-    rng = np.random.default_rng(4)
-    rows = np.array([SPACE.join(SPACE.sample(rng)) for _ in range(300)])
-    unsafe = rng.random(300) < np.where(rows[:, -1] > np.median(rows[:, -1]), 0.3, 0.02)
-    return Archive.empty(SPACE, Neighbourhood(radius=radius, p_th=p_th, z=1.96)).grown(
-        np.arange(300), rows, unsafe, np.where(unsafe, -1.0, 1.0)
-    )
 
 
 @pytest.mark.parametrize(("radius", "p_th"), [(0.3, 0.25), (0.45, 0.1), (0.2, 0.3), (0.3, 0.1)])

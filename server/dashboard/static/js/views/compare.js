@@ -10,7 +10,7 @@ import { callout, matrix, NAMES, segments, thresholds } from "../parts/elements.
 
 const HUES = ["--series-1", "--series-2", "--series-3", "--series-4", "--series-5", "--series-6"];
 const FITNESS = [["best_fitness", "Best"], ["median_fitness", "Median"]];
-const GREEDY = "At large t_b, DBS also counts neighbourhoods without unsafe solutions; strict DBS does not. Both are greedy counts, so either can be slightly larger.";
+const ALL_SAFE = "At large t_b, DBS also counts neighbourhoods without unsafe solutions; strict DBS, a part of DBS, does not.";
 
 export async function show(main, context, { query }) {
   context.title("Compare campaigns");
@@ -111,7 +111,7 @@ function pageOf(context, query, changed, chooseFitness) {
     fitness.update(all.filter(begun).map((one) => lineOf(one, fitnessName)));
     text(gridHeading, `DBS at d_th ${figure(chosen.d_th)}, strict DBS in brackets`);
     const draws = all.find((one) => one.scores?.control)?.scores.draws;
-    text(gridHint, `${draws ? `Controls: verdicts redrawn independently of behaviour; means of ${draws} draws. ` : ""}${GREEDY}`);
+    text(gridHint, `${draws ? `Controls: verdicts redrawn independently of behaviour; means of ${draws} draws. ` : ""}${ALL_SAFE}`);
     grid.update([{ key: "unsafe", head: "unsafe within the budget" }, ...(limits?.t_bs ?? []).map((t_b) => ({ key: t_b, head: `t_b ${figure(t_b)}` }))], gridRows(all, limits?.t_bs ?? [], chosen.j));
     keyed(says, all.filter((one) => one.scores?.says.length), (one) => one.id, (first) => {
       const node = h("li");

@@ -176,7 +176,7 @@ function memberRow(first) {
 
 const METHOD = [
   ["DBS", "counts solutions with a fitness of at most t_b, selected greedily, best first, each at least d_th from all those already selected. Simulations beyond the budget, which complete the last generation, are not counted."],
-  ["Strict DBS", "counts only solutions whose interval contains the threshold probability and whose neighbourhood has both verdicts. At large t_b, plain DBS also counts neighbourhoods without unsafe solutions."],
+  ["Strict DBS", "counts only those distinct boundary solutions whose interval contains the threshold probability and whose neighbourhood has both verdicts. At large t_b, plain DBS also counts neighbourhoods without unsafe solutions."],
   ["A control", "keeps the simulated solutions and redraws each verdict with the unsafe probability of its scenario alone. What a method reaches beyond its control is due to behaviour. A control with few behaviours per scenario is too low: exceeding it proves nothing."],
   ["Tests", "are two-sided Mann-Whitney U tests with Holm's correction over all comparisons of this problem and measure, at all thresholds where values differ. Vargha and Delaney's A12 is the probability that the first exceeds the second: small from .56, medium from .64, large from .71, and symmetrically below one half."],
 ];
