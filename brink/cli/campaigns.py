@@ -240,12 +240,22 @@ def results(
         elif out is None:
             boundary = Boundary.model_validate(document)
             screen = console()
-            screen.print(f"{boundary.dbs} distinct boundary solutions, {boundary.strict_dbs} strict")
+            screen.print(
+                f"{boundary.dbs} distinct boundary solutions, {boundary.strict_dbs} strict{within_budget(boundary)}"
+            )
             screen.print(solution_table(boundary, shown=50))
             screen.print(grid_table(boundary.grid))
             screen.print(f"[dim]{boundary.note}[/dim]")
 
     with_api(server, database, work)
+
+
+def within_budget(boundary: Boundary) -> str:
+    """Return what comparisons count instead, if the campaign exceeded its budget; otherwise an empty string."""
+    within = boundary.within_budget
+    if within is None:
+        return ""
+    return f"; {within.dbs} and {within.strict_dbs} within the budget of {within.simulations:,} simulations"
 
 
 def grid_table(grid: list[DbsCell]) -> Table:

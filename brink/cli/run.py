@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from brink.api.client import Api
-from brink.cli.campaigns import grid_table, solution_table
+from brink.cli.campaigns import grid_table, solution_table, within_budget
 from brink.cli.compare import compared_archives
 from brink.cli.draw import Drawing, draw_figures, fetch_archive, write_replays, write_results
 from brink.cli.findings import Findings, fetch_findings
@@ -200,7 +200,7 @@ def _summary(
     progress: Progress, report: Report, repeated: RepeatsView | None, folder: Path
 ) -> dict[str, Any]:
     """Return what ``brink run --json`` prints."""
-    boundary = report.boundary.model_dump(mode="json", include={"dbs", "strict_dbs", "grid"})
+    boundary = report.boundary.model_dump(mode="json", include={"dbs", "strict_dbs", "grid", "within_budget"})
     return {
         "campaign": progress.id,
         "digest": progress.digest,
@@ -214,6 +214,7 @@ def _summary(
         "dbs": boundary["dbs"],
         "strict_dbs": boundary["strict_dbs"],
         "grid": boundary["grid"],
+        "within_budget": boundary["within_budget"],
         "control": report.control,
         "looks_for_boundary": progress.looks_for_boundary,
         "origins": progress.origins,
@@ -256,7 +257,7 @@ def _print_summary(
     if _about_the_boundary(progress, boundary):
         screen.print(
             f"[bold]{boundary.dbs} distinct boundary solutions[/bold] (fitness at most {DEFAULT_T_B:g}, at "
-            f"least {DEFAULT_D_TH:g} apart), {boundary.strict_dbs} of them strict"
+            f"least {DEFAULT_D_TH:g} apart), {boundary.strict_dbs} of them strict{within_budget(boundary)}"
         )
         if boundary.solutions:
             screen.print(solution_table(boundary))

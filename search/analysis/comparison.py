@@ -69,6 +69,7 @@ class Row:
         strict: Strict DBS, same shape.
         strict_spread: Standard deviation of strict DBS over the draws of a control, same shape; 0 for a campaign.
         repeats: Mean number of evaluated behaviours per scenario for a control; None for a campaign.
+        beyond: Solutions of the campaign beyond its budget, which are not counted here.
     """
 
     label: str
@@ -78,6 +79,7 @@ class Row:
     strict: FloatArray
     strict_spread: FloatArray
     repeats: float | None
+    beyond: int = 0
 
     @property
     def reads_low(self) -> bool:
@@ -86,7 +88,7 @@ class Row:
 
 
 def compare(campaigns: Sequence[ComparedCampaign], *, control: bool = True) -> list[Row]:
-    """Return a row for each campaign, followed by one for its control if its space has a scenario."""
+    """Return a row for each campaign within its budget, then one for its control if its space has a scenario."""
     rows = []
     for campaign in campaigns:
         scores = scored(
@@ -109,14 +111,14 @@ def rows_of(scores: Scores, *, campaign: str, label: str) -> list[Row]:
     own = Row(
         label=label, campaign=campaign, unsafe_share=scores.unsafe / scores.evaluated if scores.evaluated else 0.0,
         dbs=figures.dbs[-1], strict=figures.strict[-1], strict_spread=np.zeros_like(figures.strict[-1]),
-        repeats=None,
+        repeats=None, beyond=scores.beyond,
     )  # fmt: skip
     if (blind := scores.control) is None:
         return [own]
     control = Row(
         label=f"{label}, control", campaign=campaign, unsafe_share=blind.unsafe_share,
         dbs=blind.figures.dbs[-1], strict=blind.figures.strict[-1], strict_spread=blind.spread,
-        repeats=blind.repeats,
+        repeats=blind.repeats, beyond=scores.beyond,
     )  # fmt: skip
     return [own, control]
 
@@ -146,7 +148,11 @@ def control_summary(row: Row, control: Row, place: tuple[int, int]) -> str:
         place: Positions of t_b in `PAPER_T_BS` and of d_th in `PAPER_D_THS`.
     """
     found, blind = float(row.strict[place]), float(control.strict[place])
-    facts = f"strict DBS {found:g} within the budget, {blind:.3g} for verdicts that ignore the component's behaviour"
+    without = f", without the {row.beyond:,} solutions beyond it" if row.beyond else ""
+    facts = (
+        f"strict DBS {found:g} within the budget{without}; {blind:.3g} for verdicts that ignore the component's "
+        "behaviour"
+    )
     if control.reads_low:
         return f"{facts}; with {control.repeats:.1f} behaviours per scenario the control reads low and proves nothing"
     if not found:

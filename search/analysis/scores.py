@@ -191,12 +191,14 @@ class Scores:
         unsafe: Unsafe solutions among them.
         figures: The campaign's figures.
         control: Those of its control; None if no component is a scenario.
+        beyond: Solutions with a verdict beyond the budget, which complete the last generation and do not count.
     """
 
     evaluated: int
     unsafe: int
     figures: Figures
     control: Control | None
+    beyond: int = 0
 
 
 def scored(
@@ -236,6 +238,7 @@ def scored(
         )
     return Scores(
         evaluated=len(within), unsafe=int(np.count_nonzero(within.unsafe)),
+        beyond=len(archive) - len(within),
         figures=_figures(within, simulations, fractions), control=blind,
     )  # fmt: skip
 

@@ -176,6 +176,17 @@ class DbsCell(View):
     strict_dbs: int
 
 
+class BudgetBoundary(View):
+    """The boundary of a campaign without the simulations beyond its budget."""
+
+    simulations: Annotated[int, Field(description="The budget.")]
+    beyond: Annotated[
+        int, Field(description="Evaluated solutions beyond it, which complete the last generation.")
+    ]
+    dbs: int
+    strict_dbs: int
+
+
 class Boundary(View):
     """The distinct boundary solutions of a campaign."""
 
@@ -189,6 +200,10 @@ class Boundary(View):
     strict: Annotated[
         list[int], Field(description="The `number` of each solution that the strict DBS counts.")
     ]
+    within_budget: Annotated[
+        BudgetBoundary | None,
+        Field(description="What comparisons count; null if the campaign did not exceed its budget."),
+    ] = None
 
 
 class ViolationView(View):

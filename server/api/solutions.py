@@ -14,7 +14,7 @@ from pydantic import Field
 from sqlalchemy import Connection, Row
 from starlette.responses import Response as PlainResponse
 
-from brink.search.analysis.boundary import distinct_boundary
+from brink.search.analysis.boundary import distinct_boundary, has_evidence
 from brink.search.analysis.similarity import Nearest, nearest_solutions
 from brink.search.archive import Archive
 from brink.search.parameters import Categorical
@@ -24,6 +24,7 @@ from brink.server.api.context import Services
 from brink.server.api.schemas import (
     MAX_NUMBER,
     Boundary,
+    BudgetBoundary,
     DbsCell,
     DistanceBlock,
     SolutionPage,
@@ -221,6 +222,7 @@ def boundary_view(
         d_th: Minimum distance between two boundary solutions.
     """
     archive = read.archive
+    within = _within_budget(archive, campaign.body.budget.simulations, t_b, d_th)
     chosen = distinct_boundary(archive, t_b, d_th)
     strict = distinct_boundary(archive, t_b, d_th, strict=True)
     grid = read.grid
@@ -231,7 +233,7 @@ def boundary_view(
         d_th=d_th,
         dbs=len(chosen),
         strict_dbs=len(strict),
-        note=_note(read, t_b),
+        note=_note(read, t_b, within),
         grid=[
             DbsCell(t_b=t, d_th=d, dbs=int(grid.dbs[row, column]), strict_dbs=int(grid.strict[row, column]))
             for row, t in enumerate(grid.t_bs)
@@ -239,21 +241,41 @@ def boundary_view(
         ],
         solutions=solution_views([rows[number] for number in numbers], read, full=True),
         strict=[int(number) for number in archive.numbers[strict]],
+        within_budget=within,
     )
 
 
-def _note(read: ReadArchive, t_b: float) -> str:
+def _within_budget(archive: Archive, budget: int, t_b: float, d_th: float) -> BudgetBoundary | None:
+    """Return the boundary without the simulations beyond the budget; None if there are none."""
+    count = int(np.searchsorted(archive.numbers, budget))
+    if count == len(archive):
+        return None
+    within = archive.first(count)
+    chosen = distinct_boundary(within, t_b, d_th)
+    return BudgetBoundary(
+        simulations=budget, beyond=len(archive) - count, dbs=len(chosen),
+        strict_dbs=int(np.count_nonzero(has_evidence(within)[chosen])),
+    )  # fmt: skip
+
+
+def _note(read: ReadArchive, t_b: float, within: BudgetBoundary | None) -> str:
     """Explain how to read DBS at this threshold."""
     p_th = read.plan.neighbourhood.p_th
     all_safe = p_th / max(p_th, 1 - p_th)
+    note = (
+        "Strict DBS counts only those whose interval contains p_th and whose neighbourhood has both verdicts."
+    )
     if t_b >= all_safe:
-        return (
+        note = (
             f"At t_b {t_b:g}, DBS also counts neighbourhoods without a single unsafe solution (their fitness falls "
             f"to {all_safe:.3f}); strict DBS does not."
         )
-    return (
-        "Strict DBS counts only those whose interval contains p_th and whose neighbourhood has both verdicts."
-    )
+    if within is not None:
+        note += (
+            f" Without the {within.beyond:,} solutions beyond the budget of {within.simulations:,} simulations, as "
+            f"in comparisons: {within.dbs} distinct, {within.strict_dbs} strict."
+        )
+    return note
 
 
 NeighbourLimit = Annotated[int, Query(ge=0, le=1000, description="Maximum number of neighbours to return.")]

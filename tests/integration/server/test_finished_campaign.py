@@ -168,6 +168,19 @@ def test_boundary_solutions_are_at_least_d_th_apart(finished: Finished) -> None:
     assert np.all(distances[~np.eye(len(numbers), dtype=bool)] >= 0.1)
 
 
+def test_boundary_names_the_figure_that_comparisons_use(finished: Finished) -> None:
+    t_bs, d_ths = PAPER_T_BS, PAPER_D_THS
+    i, j = len(t_bs) - 1, 0
+    done = progress(finished.client, finished.id)
+    boundary = finished.get("/boundary", t_b=t_bs[i], d_th=d_ths[j])
+    within, scores = boundary["within_budget"], finished.get("/scores")
+    assert (within["simulations"], within["beyond"]) == (200, done["evaluated"] - 200)
+    assert within["beyond"] > 0
+    assert within["dbs"] == scores["dbs"][-1][i][j]
+    assert within["strict_dbs"] == scores["strict"][-1][i][j]
+    assert f"comparisons: {within['dbs']} distinct, {within['strict_dbs']} strict." in boundary["note"]
+
+
 @pytest.mark.parametrize(("numbers", "status"), [("1,x", 422), ("0,99999", 404), ("", 422)])
 def test_distances_of_unknown_solutions_are_rejected(finished: Finished, numbers: str, status: int) -> None:
     path = f"/api/v1/campaigns/{finished.id}/distances"

@@ -151,6 +151,18 @@ def test_figures_over_the_budget_use_only_earlier_solutions() -> None:
     assert differing > 0
 
 
+@pytest.mark.parametrize("count", [0, 1, 149, 150, 290, 300, 400])
+def test_first_solutions_have_the_figures_they_had_then(count: int) -> None:
+    archive = random_archive(300)
+    known = archive.numbers < count
+    then = Archive.empty(SPACE, archive.neighbourhood).grown(
+        archive.numbers[known], archive.vectors[known], archive.unsafe[known], archive.robustness[known]
+    )
+    first = archive.first(count)
+    for name in ("numbers", "vectors", "unsafe", "robustness", "neighbours", "unsafe_neighbours", "fitness"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(then, name))
+
+
 def test_solutions_beyond_the_budget_are_not_counted() -> None:
     points = list(dbs_by_budget(random_archive(300, missing=(3,)), 200, (0.5, 1.0)))
     assert [(point.simulations, point.evaluated) for point in points] == [(100, 99), (200, 199)]

@@ -10,11 +10,11 @@ from brink.search.analysis.statistics import Comparison
 SHAPE = (len(PAPER_T_BS), len(PAPER_D_THS))
 
 
-def row(strict: float, *, spread: float = 0.0, repeats: float | None = None) -> Row:
+def row(strict: float, *, spread: float = 0.0, repeats: float | None = None, beyond: int = 0) -> Row:
     figures = np.full(SHAPE, strict)
     return Row(
         label="night", campaign="3f2a", unsafe_share=0.2, dbs=figures, strict=figures,
-        strict_spread=np.full(SHAPE, spread), repeats=repeats,
+        strict_spread=np.full(SHAPE, spread), repeats=repeats, beyond=beyond,
     )  # fmt: skip
 
 
@@ -35,6 +35,13 @@ def test_effect_of_behaviour_is_stated_only_beyond_the_control(
     (sentence,) = control_summaries([row(found), row(blind, spread=spread, repeats=repeats)], 0.1, 0.2)
     assert sentence.startswith("night: ")
     assert expected in sentence
+
+
+def test_solutions_that_are_left_out_are_named() -> None:
+    (sentence,) = control_summaries([row(7, beyond=12), row(2, repeats=6.0, beyond=12)], 0.1, 0.2)
+    assert "strict DBS 7 within the budget, without the 12 solutions beyond it;" in sentence
+    (sentence,) = control_summaries([row(7), row(2, repeats=6.0)], 0.1, 0.2)
+    assert "beyond" not in sentence
 
 
 def test_campaigns_without_a_control_are_skipped() -> None:

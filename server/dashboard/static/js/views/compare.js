@@ -109,7 +109,7 @@ function pageOf(context, query, changed, chooseFitness) {
     dbs.update(all.filter(begun).map((one) => lineOf(one, series)));
     which.update(FITNESS, fitnessName);
     fitness.update(all.filter(begun).map((one) => lineOf(one, fitnessName)));
-    text(gridHeading, `DBS at d_th ${figure(chosen.d_th)}, strict DBS in brackets`);
+    text(gridHeading, `DBS within the budget at d_th ${figure(chosen.d_th)}, strict DBS in brackets`);
     const draws = all.find((one) => one.scores?.control)?.scores.draws;
     text(gridHint, `${draws ? `Controls: verdicts redrawn independently of behaviour; means of ${draws} draws. ` : ""}${ALL_SAFE}`);
     grid.update([{ key: "unsafe", head: "unsafe within the budget" }, ...(limits?.t_bs ?? []).map((t_b) => ({ key: t_b, head: `t_b ${figure(t_b)}` }))], gridRows(all, limits?.t_bs ?? [], chosen.j));
@@ -178,8 +178,8 @@ function factRows(all, { measure, t_b, d_th, i, j }) {
     row("Status", (one) => one.progress?.status),
     row("Simulations", (one) => one.progress && `${count(one.progress.simulations)} of ${count(one.progress.budget)}`),
     row("Unsafe share", (one) => one.progress && percent(one.progress.evaluated ? one.progress.unsafe / one.progress.evaluated : null)),
-    row("DBS", scored((scores) => figure(scores.dbs.at(-1)[i][j]), latest("dbs"))),
-    row("Strict DBS", scored((scores) => figure(scores.strict.at(-1)[i][j]), latest("strict_dbs"))),
+    row("DBS within the budget", scored((scores) => figure(scores.dbs.at(-1)[i][j]), latest("dbs"))),
+    row("Strict DBS within the budget", scored((scores) => figure(scores.strict.at(-1)[i][j]), latest("strict_dbs"))),
     row(`${NAMES[measure]} of the control`, control((blind) => figure(blind[measure].at(-1)[i][j]))),
     row("Behaviours per scenario", control((blind) => `${blind.behaviours_a_scenario.toFixed(1)}${blind.reads_low ? ", control too low" : ""}`)),
   ];
