@@ -19,6 +19,7 @@ from brink.server.api import (
     experiments,
     findings,
     jobs,
+    outcomes,
     repeats,
     service,
     solutions,
@@ -30,6 +31,7 @@ from brink.server.api.schemas import ProblemDetail
 from brink.server.api.service import add_docs
 from brink.server.campaigns.advance import Scheduler, Stepper
 from brink.server.campaigns.archives import Archives, Monitors
+from brink.server.campaigns.outcomes import Outcomes
 from brink.server.campaigns.service import SLOW_AT_ONCE, CampaignService
 from brink.server.campaigns.traces import Films
 from brink.server.dashboard.figures import Figures
@@ -129,6 +131,7 @@ def _routes() -> list[BaseRoute]:
     # Routes are tried in order, so the busiest come first.
     for router in (
         jobs.wire, jobs.router, campaigns.router, findings.combinations_router, solutions.router, episodes.router,
+        outcomes.router,
         findings.violations_router, campaigns.llm_router, analysis.monitors_router, repeats.router,
         experiments.router, service.router, campaigns.overview_router, analysis.router,
     ):  # fmt: skip
@@ -185,6 +188,7 @@ def _context(
         scorebook=ScoreCache(archives=archives, threads=drawing),
         monitors=Monitors(archives=archives, threads=drawing),
         archives=archives,
+        outcomes=Outcomes(engines=engines),
         films=Films(engines=engines),
         seeds=seeds,
         metrics=metrics,

@@ -24,6 +24,7 @@ from brink.server.api.solutions import Threshold
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.outcomes import CampaignOutcomes, OutcomeKind
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.dashboard import figures
 from brink.server.dashboard.solution_map import SolutionMap
@@ -73,6 +74,15 @@ class MapView(View):
     number: list[int]
     told_in: Annotated[list[int], Field(description="Generation of each solution.")]
     unsafe: Annotated[list[int], Field(description="1 or 0.")]
+    outcome: Annotated[list[int], Field(description="Index of each solution's outcome in `outcomes`.")]
+    outcomes: Annotated[
+        list[str],
+        Field(description="The different outcomes in words, such as `front gap held; hit a pedestrian`."),
+    ]
+    outcome_kinds: Annotated[list[OutcomeKind], Field(description="The kind of each of these.")]
+    kinds: Annotated[
+        dict[OutcomeKind, str], Field(description="What the solutions of each kind have in common.")
+    ]
     robustness: list[float]
     x: list[float]
     y: list[float]
@@ -106,13 +116,14 @@ async def get_map(
     if parameter:
         column = await asyncio.get_running_loop().run_in_executor(None, _column, found, parameter)
     drawn = await services.figures.maps.get(campaign.id, found, ended=campaign.status in ENDED)
+    outcomes = await services.outcomes.get(campaign.id, found)
     first = min(after, len(drawn.rows)) if version == drawn.version else 0
 
     series = await read(services.engines, lambda c: view_store.list_generations(c, campaign.id, 0))
     ends = np.array([generation.evaluated for generation in series], np.int64)
 
     def write() -> str:
-        return _map_view(found, drawn, ends, first, column).model_dump_json()
+        return _map_view(found, drawn, outcomes, ends, first, column).model_dump_json()
 
     text = await asyncio.get_running_loop().run_in_executor(None, write)
     return Response(text, media_type="application/json", headers={"ETag": etag})
@@ -137,6 +148,7 @@ def _column(found: ReadArchive, parameter: str) -> ParameterColumn:
 def _map_view(
     found: ReadArchive,
     drawn: SolutionMap,
+    outcomes: CampaignOutcomes,
     ends: NDArray[np.int64],
     first: int,
     column: ParameterColumn | None,
@@ -147,7 +159,9 @@ def _map_view(
         version=drawn.version, generation=found.generation, evaluated=len(archive), drawn=len(rows),
         explained=drawn.projection.explained, across=drawn.axes[0], up=drawn.axes[1], first=first,
         number=archive.numbers[new].tolist(), told_in=np.searchsorted(ends, new, side="right").tolist(),
-        unsafe=archive.unsafe[new].astype(np.int64).tolist(), robustness=_rounded(archive.robustness[new]),
+        unsafe=archive.unsafe[new].astype(np.int64).tolist(), outcome=outcomes.which[new].tolist(),
+        outcomes=[group.words for group in outcomes.groups], outcome_kinds=[group.kind for group in outcomes.groups],
+        kinds={kind: outcomes.kind_words(kind) for kind in OutcomeKind}, robustness=_rounded(archive.robustness[new]),
         x=_rounded(points[:, 0]), y=_rounded(points[:, 1]), fitness=_rounded(archive.fitness[rows]),
         by=_colour_by(column, rows) if column is not None else None,
     )  # fmt: skip

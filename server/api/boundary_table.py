@@ -18,7 +18,8 @@ Row: TypeAlias = dict[str, Cell]
 FORMATS: Final = ("csv", "jsonl", "parquet")
 MEANINGS: Final = {
     "number": "number of the solution in its campaign",
-    "verdict": "safe or unsafe, from its simulation during the search",
+    "verdict": "safe or unsafe by the requirements of the campaign, from its simulation during the search",
+    "outcome": "what that simulation showed about all recorded requirements, with the moments of violations",
     "robustness": "robustness of the campaign's requirement: distance to violation, negative if violated",
     "fitness": "distance of its neighbourhood from the boundary; 0 on the boundary",
     "neighbours": "evaluated solutions within the radius, including itself",
@@ -33,7 +34,8 @@ MEANINGS: Final = {
     "algorithm": "algorithm that the campaign used",
     "campaign_seed": "seed of the search",
     "generation": "generation of the solution",
-    "robustness.*": "robustness of each requirement, in its unit",
+    "robustness.*": "robustness of each requirement, in its unit; negative if violated",
+    "violated_at_s.*": "simulated time at which each requirement was first violated; empty if it held",
     "feature.*": "other measurements of the episode",
     "version.*": "version of each part of the software that ran the simulation",
     "*.*": "parameter of a component of the solution, decoded",
@@ -56,7 +58,8 @@ def boundary_rows(boundary: Boundary, campaign: str, body: CampaignBody) -> list
     for solution in boundary.solutions:
         low, high = solution.interval or (None, None)
         row: Row = {
-            "number": solution.number, "verdict": str(solution.verdict), "robustness": solution.robustness,
+            "number": solution.number, "verdict": str(solution.verdict), "outcome": solution.outcome,
+            "robustness": solution.robustness,
             "fitness": solution.fitness, "neighbours": solution.neighbours,
             "unsafe_neighbours": solution.unsafe_neighbours, "interval_low": low, "interval_high": high,
             "strict": solution.number in strict, "seed": solution.seed, "words": solution.words,
@@ -69,6 +72,7 @@ def boundary_rows(boundary: Boundary, campaign: str, body: CampaignBody) -> list
         })  # fmt: skip
         for name, verdict in (solution.verdicts or {}).items():
             row[f"robustness.{name}"] = verdict["robustness"]
+            row[f"violated_at_s.{name}"] = verdict.get("violated_at_s")
         row.update({f"feature.{name}": _cell(value) for name, value in (solution.features or {}).items()})
         provenance = solution.provenance or {}
         row.update({f"version.{name}": _cell(v) for name, v in provenance.items() if name not in _TIMINGS})

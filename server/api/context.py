@@ -12,6 +12,7 @@ from fastapi import Depends, Request
 from brink.server.access.authentication import Caller
 from brink.server.campaigns.advance import Scheduler
 from brink.server.campaigns.archives import Archives, Monitors
+from brink.server.campaigns.outcomes import Outcomes
 from brink.server.campaigns.service import CampaignService
 from brink.server.campaigns.traces import Films
 from brink.server.dashboard.figures import Figures
@@ -39,6 +40,7 @@ class Context:
     queue: QueueService
     scheduler: Scheduler
     archives: Archives
+    outcomes: Outcomes
     films: Films
     seeds: LlmSeeds
     metrics: Metrics

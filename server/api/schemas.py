@@ -6,6 +6,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from brink.server.campaigns.body import CampaignBody
+from brink.server.campaigns.outcomes import OutcomeKind
 from brink.server.experiments.body import ExperimentBody
 from brink.server.states import CampaignStatus, JobStatus, SolutionVerdict
 
@@ -128,12 +129,44 @@ class Progress(View):
     generations: list[GenerationView]
 
 
+class ViolatedView(View):
+    """A requirement that an episode violated."""
+
+    requirement: str
+    time_s: Annotated[float | None, Field(description="Simulated time of the first violation, if recorded.")]
+    words: Annotated[str, Field(description="What the ego did, such as `hit a pedestrian`.")]
+    decides: Annotated[bool, Field(description="Whether the campaign's verdict depends on it.")]
+
+
 class SolutionView(View):
     """A complete solution with its decoded parameters."""
 
     number: int
     generation: int
-    verdict: SolutionVerdict
+    verdict: Annotated[
+        SolutionVerdict,
+        Field(description="Safe or unsafe by the campaign's requirements; see `outcome` for the others."),
+    ]
+    outcome: Annotated[
+        str | None,
+        Field(
+            description="What its simulation showed about all recorded requirements, such as `front gap held; hit a "
+            "pedestrian at 12.8 s`; null without a verdict."
+        ),
+    ] = None
+    kind: Annotated[
+        OutcomeKind | None,
+        Field(
+            description="Whether it violated no recorded requirement (held), only others than those that decide "
+            "(other), or one that decides (violated); null without a verdict."
+        ),
+    ] = None
+    requirements: Annotated[
+        list[str], Field(description="Requirements that decide the verdict; empty if unknown.")
+    ] = []
+    violated: Annotated[
+        list[ViolatedView], Field(description="Violated requirements: those that decide first, then by time.")
+    ] = []
     robustness: float | None
     objectives: dict[str, float] | None
     failure: str | None

@@ -30,15 +30,18 @@ from brink.server.api.schemas import (
     SolutionPage,
     SolutionView,
     View,
+    ViolatedView,
 )
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
+from brink.server.campaigns.outcomes import CampaignOutcomes, OutcomeKind, outcome_of
 from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import read
 from brink.server.errors import InvalidInput, NotFound
 from brink.server.problems.base import Problem, describe_candidate
+from brink.server.states import SolutionVerdict
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
 
@@ -192,11 +195,12 @@ def solution_views(
 def _solution(
     row: Row[*tuple[Any, ...]], problem: Problem, archive: Archive, index: int | None, *, full: bool
 ) -> SolutionView:
-    result: Mapping[str, Any] = json.loads(row.result) if full and row.result else {}
+    stored: Mapping[str, Any] = json.loads(row.result) if row.result else {}
+    result = stored if full else {}
     vectors = problem.space.split(np.frombuffer(row.vector, dtype="<f8"))
     return SolutionView(
         number=row.number, generation=row.generation, verdict=row.verdict, robustness=row.robustness,
-        objectives=row.objectives, failure=row.failure, origin=row.origin,
+        objectives=row.objectives, failure=row.failure, origin=row.origin, **_outcome(row, problem, stored),
         fitness=None if index is None else float(archive.fitness[index]),
         neighbours=None if index is None else int(archive.neighbours[index]),
         unsafe_neighbours=None if index is None else int(archive.unsafe_neighbours[index]),
@@ -207,6 +211,21 @@ def _solution(
         provenance=result.get("provenance"),
         spec=json.loads(row.spec) if full and row.spec else None,
     )  # fmt: skip
+
+
+def _outcome(row: Row[*tuple[Any, ...]], problem: Problem, stored: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the fields of a solution about all of its requirements."""
+    if row.verdict not in (SolutionVerdict.SAFE, SolutionVerdict.UNSAFE):
+        return {}
+    outcome = outcome_of(problem, stored, safe=row.verdict == SolutionVerdict.SAFE, robustness=row.robustness)
+    fields: dict[str, Any] = {"outcome": outcome.words(), "kind": outcome.kind}
+    if outcome.episode is not None:
+        fields["requirements"] = list(outcome.episode.deciding)
+        fields["violated"] = [
+            ViolatedView(requirement=one.requirement, time_s=one.time_s, words=one.words, decides=one.decides)
+            for one in outcome.episode.violated
+        ]
+    return fields
 
 
 def boundary_view(
@@ -290,6 +309,10 @@ class Neighbour(View):
         bool, Field(description="Whether it counts as a neighbour, that is, lies within the radius.")
     ]
     unsafe: bool
+    outcome: Annotated[
+        str, Field(description="What its simulation showed about all requirements, without moments.")
+    ]
+    kind: OutcomeKind
     robustness: float
     fitness: float
 
@@ -323,19 +346,20 @@ async def get_neighbours(
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
     boundary = looks_for_boundary(campaign.body.algorithm.id)
+    outcomes = await services.outcomes.get(campaign.id, found)
 
     def look() -> Neighbours:
         place = found.places.get(number)
         if place is None:
             raise NotFound(f"campaign {campaign.id} has no evaluated solution {number}")
         near = nearest_solutions(found.archive, place, most)
-        return _neighbours_view(found, number, place, near, boundary=boundary)
+        return _neighbours_view(found, outcomes, number, place, near, boundary=boundary)
 
     return await asyncio.get_running_loop().run_in_executor(None, look)
 
 
 def _neighbours_view(
-    found: ReadArchive, number: int, place: int, near: Nearest, *, boundary: bool
+    found: ReadArchive, outcomes: CampaignOutcomes, number: int, place: int, near: Nearest, *, boundary: bool
 ) -> Neighbours:
     archive, settings = found.archive, found.plan.neighbourhood
     low, high = archive.interval[place].tolist()
@@ -347,7 +371,8 @@ def _neighbours_view(
         nearest=[
             Neighbour(
                 number=int(archive.numbers[other]), distance=distance, within=distance <= settings.radius,
-                unsafe=bool(archive.unsafe[other]), robustness=float(archive.robustness[other]),
+                unsafe=bool(archive.unsafe[other]), outcome=outcomes.groups[outcomes.which[other]].words,
+                kind=outcomes.groups[outcomes.which[other]].kind, robustness=float(archive.robustness[other]),
                 fitness=float(archive.fitness[other]),
             )
             for other, distance in zip(near.positions.tolist(), near.distances.tolist(), strict=True)

@@ -37,14 +37,15 @@ EVALUATOR = "brink-dataset@1"
 ACCIDENT = "no-collision@1"
 DANGEROUS_STOP = "no-dangerous-stop@1"
 EVERY = "all"
-HAZARDS = ("any", "accident", "dangerous-stop")
+HAZARDS = {"any": (ACCIDENT, DANGEROUS_STOP), "accident": (ACCIDENT,), "dangerous-stop": (DANGEROUS_STOP,)}
+"""Requirements whose violation is the hazard, by the name of the hazard."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AebCrossingParams:
     """Parameters of the problem."""
 
-    hazard: str = setting("any", help="Hazard that counts as unsafe.", choices=HAZARDS)
+    hazard: str = setting("any", help="Hazard that counts as unsafe.", choices=tuple(HAZARDS))
     perturbations: int = setting(
         2, help="Number of perturbations in a candidate (m in the paper).", ge=1, le=4
     )
@@ -139,6 +140,7 @@ class AebCrossing:
             (scenario_component(), perturbation_component(params.perturbations, params.genes))
         )
         self.algorithm_defaults: Mapping[str, Any] = {}
+        self.requirements = HAZARDS[params.hazard]
         self.needs = SIMULATOR
         self.timeout_s = params.timeout_s
         self.dataset_needs = EVALUATOR
@@ -201,11 +203,7 @@ class AebCrossing:
 
     def evaluation(self, outcome: Completed) -> Evaluation:
         """Return the verdict: clearance in m, speed above standstill in m/s, or the smaller value for any hazard."""
-        accident = outcome.verdicts[ACCIDENT].robustness
-        stop = outcome.verdicts[DANGEROUS_STOP].robustness
-        robustness = {"any": min(accident, stop), "accident": accident, "dangerous-stop": stop}[
-            self.params.hazard
-        ]
+        robustness = min(outcome.verdicts[name].robustness for name in self.requirements)
         return Scored(unsafe=robustness < 0, robustness=robustness, objectives=outcome.objectives)
 
     def dataset_evaluation(self, vectors: Vectors) -> EpisodeSpec:

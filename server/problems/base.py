@@ -131,6 +131,17 @@ class DescribesCandidates(Protocol):
 
 
 @runtime_checkable
+class NamesRequirements(Protocol):
+    """A simulated problem whose verdict depends on requirements of the episode.
+
+    Attributes:
+        requirements: Ids of the requirements; a solution is unsafe if it violates any of them.
+    """
+
+    requirements: tuple[str, ...]
+
+
+@runtime_checkable
 class ReportsViolations(Protocol):
     """A simulated problem whose simulator reports the circumstances of violations."""
 

@@ -106,7 +106,7 @@ class NpcActions:
         self.algorithm_defaults: Mapping[str, Any] = {}
         self.needs = SIMULATORS[params.sight]
         self.timeout_s = params.timeout_s
-        self._requirements = ORACLES if params.violation == "any" else (params.violation,)
+        self.requirements = ORACLES if params.violation == "any" else (params.violation,)
         self.extra = "vision"
         self.modules: tuple[str, ...] = () if params.sight == "oracle" else ("cv2", "onnxruntime")
 
@@ -170,12 +170,12 @@ class NpcActions:
         return [
             dict(one)
             for one in (reported if isinstance(reported, list) else [])
-            if isinstance(one, dict) and one.get("requirement") in self._requirements
+            if isinstance(one, dict) and one.get("requirement") in self.requirements
         ]
 
     def evaluation(self, outcome: Completed) -> Evaluation:
         """Return the verdict, in the unit of its requirement, and all objectives."""
-        robustness = min(outcome.verdicts[name].robustness for name in self._requirements)
+        robustness = min(outcome.verdicts[name].robustness for name in self.requirements)
         objectives = dict(outcome.objectives)
         if self.params.criticality == "robustness":
             objectives["criticality_m"] = robustness

@@ -51,6 +51,8 @@ REQUIREMENTS = (
 )
 BOX_SIGMA_PX = 40.0
 """Standard deviation of the mutation of a box coordinate: a tenth of 400 px."""
+ANY = "any"
+"""Value of the parameter `requirement` that stands for all built-in requirements."""
 
 _INTEGER_SCENARIO = {"pedestrians": PEDESTRIAN_COUNTS, "road_id": ROAD_IDS, "road_length": ROAD_LENGTHS}
 
@@ -59,9 +61,10 @@ _INTEGER_SCENARIO = {"pedestrians": PEDESTRIAN_COUNTS, "road_id": ROAD_IDS, "roa
 class UrbanInjectedParams:
     """Parameters of the problem."""
 
-    requirement: str = setting(
+    requirement: str | list[str] = setting(  # noqa: RUF009  (returns a field)
         "front-gap@1",
-        help="Id of the requirement that gives the verdict; all built-in requirements are recorded.",
+        help="Id of the requirement that gives the verdict, a list of several, or any for all built-in ones. All "
+        "built-in requirements are recorded in any case.",
     )
     duration_s: float = setting(
         b.DEFAULT_DURATION_S, ge=5.0, le=120.0, unit="s", help="Length of an episode."
@@ -71,13 +74,24 @@ class UrbanInjectedParams:
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if isinstance(self.requirement, list) and not self.requirement:
+            raise ConfigError("requirement", "expected at least one requirement, got an empty list")
+        if len(set(self.requirements)) < len(self.requirements):
+            raise ConfigError("requirement", f"expected each requirement once, got {self.requirement!r}")
         known = plugin_ids(REQUIREMENT_PLUGINS)
-        if self.requirement not in known:
-            raise ConfigError(
-                "requirement",
-                f"expected one of {', '.join(known)}; got {self.requirement!r}",
-                nearest=nearest(self.requirement, known),
-            )
+        for name in self.requirements:
+            if name not in known:
+                raise ConfigError(
+                    "requirement", f"expected {ANY}, or some of {', '.join(known)}; got {name!r}",
+                    nearest=nearest(name, (ANY, *known)),
+                )  # fmt: skip
+
+    @property
+    def requirements(self) -> tuple[str, ...]:
+        """Ids of the requirements that give the verdict."""
+        if self.requirement == ANY:
+            return REQUIREMENTS
+        return (self.requirement,) if isinstance(self.requirement, str) else tuple(self.requirement)
 
 
 def scenario_component() -> Component:
@@ -143,6 +157,7 @@ class UrbanInjected:
         self.params = params
         self.space = SearchSpace((scenario_component(), behaviour_component(params.duration_s)))
         self.algorithm_defaults: Mapping[str, Any] = {}
+        self.requirements = params.requirements
         self.needs = SIMULATOR
         self.timeout_s = params.timeout_s
 
@@ -153,7 +168,7 @@ class UrbanInjected:
             simulator=SIMULATOR,
             scenario=_scenario(decoded["scenario"]),
             behaviour=_behaviour(decoded["behaviour"]),
-            requirements=tuple(dict.fromkeys((*REQUIREMENTS, self.params.requirement))),
+            requirements=tuple(dict.fromkeys((*REQUIREMENTS, *self.requirements))),
             seed=seed,
             duration_s=self.params.duration_s,
             options={"fidelity": self.params.fidelity},
@@ -166,11 +181,9 @@ class UrbanInjected:
         return f"{words_of_scenario(_scenario(decoded['scenario']))}; {b.words_of_behaviour(trajectories)}"
 
     def evaluation(self, outcome: Completed) -> Evaluation:
-        """Return the chosen requirement's verdict and all objectives."""
-        verdict = outcome.verdicts[self.params.requirement]
-        return Scored(
-            unsafe=verdict.robustness < 0, robustness=verdict.robustness, objectives=outcome.objectives
-        )
+        """Return the verdict, with the smallest robustness of the chosen requirements, and all objectives."""
+        robustness = min(outcome.verdicts[name].robustness for name in self.requirements)
+        return Scored(unsafe=robustness < 0, robustness=robustness, objectives=outcome.objectives)
 
 
 def _scenario(values: Mapping[str, Any]) -> dict[str, Json]:

@@ -1,0 +1,72 @@
+"""Routes of outcomes: what the simulations of a campaign showed about all recorded requirements."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+from pydantic import Field
+
+from brink.server.api.context import Services
+from brink.server.api.schemas import View
+from brink.server.campaigns.outcomes import CampaignOutcomes, OutcomeKind
+
+router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
+
+
+class OutcomeGroupView(View):
+    """Solutions whose simulations showed the same."""
+
+    words: Annotated[
+        str, Field(description="Such as `front gap held; hit a pedestrian`, without the moment.")
+    ]
+    kind: OutcomeKind
+    solutions: Annotated[int, Field(description="Number of solutions.")]
+
+
+class OutcomesView(View):
+    """What the simulations of a campaign showed about its own and all other recorded requirements."""
+
+    requirements: Annotated[
+        list[str], Field(description="Requirements that decide the verdict; empty if unknown.")
+    ]
+    evaluated: Annotated[int, Field(description="Solutions with a verdict.")]
+    recorded: Annotated[int, Field(description="Those whose result has the requirements.")]
+    words: Annotated[
+        str, Field(description="How many drives held the requirements, and what they violated nevertheless.")
+    ]
+    kinds: Annotated[
+        dict[OutcomeKind, str],
+        Field(description="What the solutions of each kind have in common, such as `front gap held`."),
+    ]
+    counts: Annotated[dict[OutcomeKind, int], Field(description="Number of solutions of each kind.")]
+    groups: Annotated[list[OutcomeGroupView], Field(description="In order of first appearance.")]
+    number: Annotated[
+        list[int] | None, Field(description="Number of each solution, if requested with `solutions`.")
+    ]
+    group: Annotated[list[int] | None, Field(description="Index of each of these solutions in `groups`.")]
+
+
+@router.get("/outcomes")
+async def get_outcomes(
+    campaign_id: str,
+    services: Services,
+    solutions: Annotated[bool, Query(description="Whether to add the outcome of each solution.")] = False,
+) -> OutcomesView:
+    """Return how many solutions held or violated which requirements."""
+    campaign = await services.campaigns.get(campaign_id)
+    found = await services.archives.get(campaign)
+    return _view(await services.outcomes.get(campaign.id, found), solutions=solutions)
+
+
+def _view(outcomes: CampaignOutcomes, *, solutions: bool) -> OutcomesView:
+    return OutcomesView(
+        requirements=list(outcomes.requirements), evaluated=len(outcomes.numbers), recorded=outcomes.recorded,
+        words=outcomes.sentence(),
+        kinds={kind: outcomes.kind_words(kind) for kind in OutcomeKind},
+        counts={kind: outcomes.count(kind) for kind in OutcomeKind},
+        groups=[
+            OutcomeGroupView(words=group.words, kind=group.kind, solutions=count)
+            for group, count in zip(outcomes.groups, outcomes.counts.tolist(), strict=True)
+        ],
+        number=outcomes.numbers.tolist() if solutions else None,
+        group=outcomes.which.tolist() if solutions else None,
+    )  # fmt: skip

@@ -1,0 +1,64 @@
+"""Verdicts in words: they name the requirement, and every other one that was violated."""
+
+import pytest
+
+from brink.sim.episode import Verdict
+from brink.sim.requirements import CollisionKind
+from brink.sim.verdict import EpisodeVerdict, drives_held, held_words, unsafe_words, violated_words
+
+SIX = ("front-gap@1", "no-collision@1", "lane-keeping@1", "red-light@1", "speed-limit@1", "progress@1")
+
+
+def verdicts(**violated_at_s: float | None) -> dict[str, Verdict]:
+    """Return verdicts on six requirements; those named are violated at the given time."""
+    given = {name.replace("_", "-"): time_s for name, time_s in violated_at_s.items()}
+    return {
+        f"{name}@1": Verdict(robustness=-1.0, unit="m", violated_at_s=given[name])
+        if name in given
+        else Verdict(robustness=1.0, unit="m", violated_at_s=None)
+        for name in (one.partition("@")[0] for one in SIX)
+    }
+
+
+def test_a_drive_that_holds_its_requirement_names_every_other_violation() -> None:
+    features = {"no-collision@1:collision_kind": "pedestrian"}
+    found = EpisodeVerdict.of(verdicts(no_collision=12.84, lane_keeping=3.0), features, ("front-gap@1",))
+    assert not found.unsafe
+    assert found.words() == "front gap held; left the lane at 3.0 s; hit a pedestrian at 12.8 s"
+    assert found.words(times=False) == "front gap held; left the lane; hit a pedestrian"
+    assert [one.requirement for one in found.others] == ["lane-keeping@1", "no-collision@1"]
+
+
+def test_the_requirements_that_decide_come_first() -> None:
+    found = EpisodeVerdict.of(verdicts(no_collision=5.0, lane_keeping=3.0), {}, ("no-collision@1",))
+    assert found.unsafe
+    assert found.words() == "had a collision at 5.0 s; left the lane at 3.0 s"
+    assert [one.decides for one in found.violated] == [True, False]
+
+
+def test_several_requirements_decide_together() -> None:
+    deciding = ("front-gap@1", "no-collision@1")
+    assert EpisodeVerdict.of(verdicts(), {}, deciding).words() == "front gap held, no collision"
+    found = EpisodeVerdict.of(verdicts(no_collision=7.0), {}, deciding)
+    assert (found.unsafe, found.words()) == (True, "had a collision at 7.0 s")
+    assert EpisodeVerdict.of(verdicts(), {}, SIX).words() == "all 6 requirements held"
+    assert EpisodeVerdict.of(verdicts(progress=None), {}, SIX).words() == "stood still too long"
+
+
+def test_without_a_deciding_requirement_only_violations_are_named() -> None:
+    assert EpisodeVerdict.of(verdicts(), {}, ()).words() == ""
+    assert EpisodeVerdict.of(verdicts(red_light=1.0), {}, ()).words() == "ran a red light at 1.0 s"
+
+
+@pytest.mark.parametrize("kind", CollisionKind)
+def test_a_collision_says_with_what(kind: CollisionKind) -> None:
+    assert kind.value in violated_words("no-collision@1", kind)
+
+
+def test_requirements_of_plug_ins_are_named_by_their_id() -> None:
+    assert held_words(["keep-left@2"]) == "keep left held"
+    assert violated_words("keep-left@2") == unsafe_words(["keep-left@2"]) == "violated keep left"
+    assert drives_held(["front-gap@1", "keep-left@2"]) == "held the front gap and held keep left"
+    assert (drives_held(SIX), unsafe_words(SIX)) == (
+        "held all 6 requirements", "violated one of 6 requirements",
+    )  # fmt: skip
