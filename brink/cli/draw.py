@@ -29,6 +29,7 @@ from brink.cli.options import (
 from brink.search.archive import ARRAYS, Archive
 from brink.server.api.schemas import Boundary, CampaignView, SolutionView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody
+from brink.server.campaigns.outcomes import deciding_requirements
 from brink.server.campaigns.plan import Plan, make_plan
 from brink.server.errors import InvalidInput, ServerError
 from brink.sim.replay import render
@@ -93,7 +94,7 @@ def replay(
         raise InvalidInput.at("--out", f"{out.parent}: no such folder")
 
     async def work(api: Api) -> None:
-        requirement = await fetch_requirement(api, campaign)
+        requirement = await fetch_requirements(api, campaign)
         if server is None:
             trace = await run_episode(api, campaign, number)
         else:
@@ -293,7 +294,7 @@ async def run_episode(api: Api, campaign: str, number: int) -> Trace:
 async def write_replays(drawing: Drawing, numbers: Sequence[int]) -> list[Path]:
     """Draw replays of solutions as PNG files, skipping solutions without a trace; return the files."""
     files = []
-    requirement = await fetch_requirement(drawing.api, drawing.campaign)
+    requirement = await fetch_requirements(drawing.api, drawing.campaign)
     for number in numbers:
         if drawing.stop.is_set():
             break
@@ -306,7 +307,7 @@ async def write_replays(drawing: Drawing, numbers: Sequence[int]) -> list[Path]:
     return files
 
 
-async def fetch_requirement(api: Api, campaign: str) -> str | None:
-    """Return the requirement that determines the verdicts of a campaign; None if several do."""
-    params = (await api.read(CampaignView, f"/campaigns/{campaign}")).body.problem.params
-    return str(params["requirement"]) if "requirement" in params else None
+async def fetch_requirements(api: Api, campaign: str) -> tuple[str, ...] | None:
+    """Return the requirements that decide the verdicts of a campaign; None if they are unknown."""
+    body = (await api.read(CampaignView, f"/campaigns/{campaign}")).body
+    return deciding_requirements(body) or None

@@ -12,7 +12,14 @@ from rich.progress import Progress
 
 from brink import __version__
 from brink.api.client import Api, CoordinatorError
-from brink.cli.draw import FetchedArchive, NoTrace, fetch_archive, fetch_requirement, fetch_trace, run_episode
+from brink.cli.draw import (
+    FetchedArchive,
+    NoTrace,
+    fetch_archive,
+    fetch_requirements,
+    fetch_trace,
+    run_episode,
+)
 from brink.cli.options import (
     AsJson,
     CampaignId,
@@ -156,7 +163,7 @@ async def _replays(
         return 0, []
     folder = options.folder / "episodes"
     folder.mkdir(exist_ok=True)
-    requirement = await fetch_requirement(api, fetched.id)
+    requirement = await fetch_requirements(api, fetched.id)
     names = DetectionCounts(truth=0, detected=0, matched=0).to_columns()
     for row in rows:
         row.update({f"component.{name}": None for name in names} | {"replay": None})
@@ -182,7 +189,9 @@ async def _trace(api: Api, campaign: str, number: int, options: _Options) -> Tra
     return await fetch_trace(api, campaign, number, TRACE_TIMEOUT_S)
 
 
-def _draw(trace: Trace, folder: Path, number: int, film: str | None, requirement: str | None) -> None:
+def _draw(
+    trace: Trace, folder: Path, number: int, film: str | None, requirement: tuple[str, ...] | None
+) -> None:
     (folder / f"{number}.npz").write_bytes(trace.to_bytes())
     write_boxes(trace, folder / f"{number}-boxes.csv")
     render(trace, folder / f"{number}.png", requirement=requirement)

@@ -202,14 +202,27 @@ class EventView(View):
     marked: Annotated[bool, Field(description="Whether the event is marked on a time axis.")]
 
 
+class ViolatedHereView(View):
+    """The first violation of a requirement."""
+
+    requirement: str
+    sample: int
+    words: Annotated[str, Field(description="Such as `hit a pedestrian at 12.8 s`.")]
+
+
 class StoryView(View):
-    """The requirement that the episode is about, and its decisive sample."""
+    """The requirement that the episode is about, its decisive sample, and all violations."""
 
     requirement: str
     violated: bool
     decisive: Annotated[
         int, Field(description="Sample of the first violation or, without one, of the lowest robustness.")
     ]
+    violations: Annotated[
+        list[ViolatedHereView],
+        Field(description="First violations of all requirements: of this one, then by time."),
+    ]
+    words: Annotated[str, Field(description="Such as `front gap held; hit a pedestrian at 12.8 s`.")]
 
 
 class EpisodeWords(View):
@@ -264,12 +277,12 @@ class EpisodeView(View):
     film: FilmView | None
 
 
-def episode_view(trace: Trace, requirement: str | None) -> EpisodeView:
+def episode_view(trace: Trace, judged: Sequence[str]) -> EpisodeView:
     """Convert a trace to the column-oriented form that the API returns.
 
     Args:
         trace: The episode.
-        requirement: The requirement that the campaign judges; by default the one that a replay is about.
+        judged: The requirements that the campaign judges; if empty, the one that a replay is about by default.
 
     Raises:
         InvalidEpisode: The trace is inconsistent, or too long to be drawn.
@@ -315,7 +328,7 @@ def episode_view(trace: Trace, requirement: str | None) -> EpisodeView:
             )
             for event in trace.events
         ],
-        story=_story(trace, requirement),
+        story=_story(trace, judged),
         words=EpisodeWords.model_construct(
             scenario=_or_empty(scenario_words, trace),
             perturbations=_or_empty(perturbation_words, trace),
@@ -448,21 +461,22 @@ def _rows(ragged: Ragged, **derived: Column) -> RowsView:
     return RowsView.model_construct(first=ragged.first.tolist(), columns={**columns, **derived})
 
 
-def _story(trace: Trace, requirement: str | None) -> StoryView | None:
-    """Return what the episode is about: the requirement that the campaign judges, or the first that is violated."""
+def _story(trace: Trace, judged: Sequence[str]) -> StoryView | None:
+    """Return what the episode is about: a requirement that the campaign judges, or the first that is violated."""
     try:
-        story = story_of(trace, requirement)
-        if requirement is None and not story.violated:
-            below = {name: np.flatnonzero(series < 0) for name, series in trace.robustness.items()}
-            violated = {name: int(samples[0]) for name, samples in below.items() if samples.size}
-            story = story_of(trace, min(violated, key=violated.__getitem__)) if violated else story
+        story = story_of(trace, judged or None)
+        if not judged and not story.violated and story.violations:
+            story = story_of(trace, story.violations[0].requirement)
     except ReplayError:
-        if requirement is not None:  # the trace does not record the requirement that the campaign judges
-            return _story(trace, None)
-        return None
+        # The trace does not record the requirements that the campaign judges.
+        return _story(trace, ()) if judged else None
     return StoryView.model_construct(
-        requirement=story.requirement, violated=story.violated, decisive=story.decisive
-    )
+        requirement=story.requirement, violated=story.violated, decisive=story.decisive, words=story.words,
+        violations=[
+            ViolatedHereView.model_construct(requirement=one.requirement, sample=one.sample, words=one.words)
+            for one in story.violations
+        ],
+    )  # fmt: skip
 
 
 def _or_empty(describe: Callable[[Trace], str], trace: Trace) -> str:

@@ -17,6 +17,7 @@ from sqlalchemy import Connection
 from brink.server.api.context import Context, Services, client_gone
 from brink.server.api.episode_views import EpisodeView, episode_view
 from brink.server.api.schemas import MAX_NUMBER, BeingMade, ProblemDetail
+from brink.server.campaigns.outcomes import deciding_requirements
 from brink.server.campaigns.store import Campaign
 from brink.server.campaigns.traces import TraceStatus, trace_status
 from brink.server.db.engine import read
@@ -91,10 +92,10 @@ async def get_replay(
     document = await _trace_of(services, campaign, number, request, wait_s)
     if document is None:
         return _being_made()
-    requirement = campaign.body.problem.params.get("requirement")
+    judged = deciding_requirements(campaign.body)
 
     def draw() -> bytes:
-        return render_bytes(Trace.from_bytes(document), f".{extension}", requirement=requirement)
+        return render_bytes(Trace.from_bytes(document), f".{extension}", requirement=judged or None)
 
     return Response(await _drawn(services.drawing, number, draw), media_type=REPLAY_MEDIA[extension])
 
@@ -108,10 +109,10 @@ async def get_episode(
     document = await _trace_of(services, campaign, number, request, wait_s)
     if document is None:
         return _being_made()
-    requirement = campaign.body.problem.params.get("requirement")
+    judged = deciding_requirements(campaign.body)
 
     def draw() -> str:
-        view = episode_view(Trace.from_bytes(document), str(requirement) if requirement else None)
+        view = episode_view(Trace.from_bytes(document), judged)
         return view.model_dump_json()
 
     return Response(await _drawn(None, number, draw), media_type="application/json")

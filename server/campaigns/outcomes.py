@@ -18,9 +18,12 @@ from sqlalchemy import Connection, select
 from brink.search.archive import Archive
 from brink.search.space import IntArray
 from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.body import CampaignBody
 from brink.server.db.engine import Engines
 from brink.server.db.models import SolutionRow
+from brink.server.errors import InvalidInput
 from brink.server.problems.base import NamesRequirements, Problem
+from brink.server.problems.catalogue import make_problem
 from brink.server.queue.job_store import EVALUATIONS
 from brink.server.single_flight import SingleFlightCache
 from brink.server.states import SolutionVerdict
@@ -68,6 +71,15 @@ class SolutionOutcome:
         if self.episode is not None and self.episode.deciding:
             return told
         return "; ".join(filter(None, (self.verdict, told)))
+
+
+def deciding_requirements(body: CampaignBody) -> tuple[str, ...]:
+    """Return the requirements that decide the verdicts of a campaign; none if unknown, or if its plug-in is gone."""
+    try:
+        problem = make_problem(body.problem.id, body.problem.params)
+    except InvalidInput:
+        return ()
+    return problem.requirements if isinstance(problem, NamesRequirements) else ()
 
 
 def outcome_of(

@@ -11,6 +11,7 @@ from brink.sim.replay.camera_view import camera_view, draw_film_legend
 from brink.sim.replay.map_view import MapView
 from brink.sim.replay.scene import PERSON, EpisodeScene, ReplayError
 from brink.sim.replay.story import (
+    Judged,
     Story,
     perturbation_words,
     report_word,
@@ -45,6 +46,7 @@ from brink.sim.replay.style import (
     typeface,
 )
 from brink.sim.trace import Trace
+from brink.sim.verdict import held_words
 
 Size: TypeAlias = tuple[int, int]
 Rectangle: TypeAlias = tuple[int, int, int, int]
@@ -123,14 +125,14 @@ class FramePainter:
 
     Args:
         trace: The episode.
-        requirement: Id of the requirement to judge; for the default see `story_of`.
+        requirement: Ids of the requirements to judge; for the default see `story_of`.
         size: Width and height of the frames in pixels.
 
     Raises:
         ReplayError: The trace is empty, lacks the requirement, or the size is out of bounds.
     """
 
-    def __init__(self, trace: Trace, *, requirement: str | None = None, size: Size = DEFAULT_SIZE) -> None:
+    def __init__(self, trace: Trace, *, requirement: Judged = None, size: Size = DEFAULT_SIZE) -> None:
         self.trace = trace
         self.story: Story = story_of(trace, requirement)
         self.layout = Layout.of(size, filmed=self.filmed)
@@ -186,21 +188,25 @@ class FramePainter:
         return self._with_verdict(image, sample) if self.filmed else image
 
     def verdict(self) -> str:
-        """Return the verdict on the episode in words."""
+        """Return what happened in words: the requirement of the replay, and every other one that was violated."""
         name, time_s = self.story.title, float(self.trace.time_s[self.story.decisive])
         if self.story.violated:
-            return f"{name} violated at {time_s:.1f} s"
+            return self.story.words
+        held = held_words([name])
         if not np.isfinite(self.story.least):
-            return f"{name} never applied"
-        return f"{name} held: {with_unit(self.story.least, name)} to spare at {time_s:.1f} s"
+            return self.story.words.replace(held, f"{name.replace('-', ' ')} never applied", 1)
+        spare = f"{held} ({with_unit(self.story.least, name)} to spare at {time_s:.1f} s)"
+        return self.story.words.replace(held, spare, 1)
 
     def _with_verdict(self, image: Image.Image, sample: int) -> Image.Image:
-        if self.story.violated and sample >= self.story.decisive:
+        """Frame an image in red from the first violation of any requirement on, and name those so far."""
+        so_far = [one.words for one in self.story.violations if sample >= one.sample]
+        if so_far:
             unit = self.layout.unit
             draw = ImageDraw.Draw(image)
             width = max(3, round(4 * unit))
             draw.rectangle((0, 0, image.width - 1, image.height - 1), outline=VIOLATION, width=width)
-            draw_banner(draw, (image.width / 2, 22 * unit), self.verdict(), unit)
+            draw_banner(draw, (image.width / 2, 22 * unit), "; ".join(so_far), unit, room=image.width)
         return image
 
     def _paint_grounds(self) -> None:
@@ -396,7 +402,7 @@ class _TimeBar:
         for count, first, last in runs(self._reported().tolist()):
             if count:
                 self._draw_run(draw, first, last, rows[1], GHOST)
-        below = np.asarray(self._trace.robustness[self._story.requirement]) < 0
+        below = np.any([np.asarray(series) < 0 for series in self._trace.robustness.values()], axis=0)
         for violated, first, last in runs(below.tolist()):
             if violated:
                 self._draw_run(draw, first, last, rows[2], VIOLATION)

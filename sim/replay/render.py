@@ -1,7 +1,7 @@
 """Writes the replay of an episode as a still image or a video, depending on the file extension."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
@@ -17,7 +17,7 @@ def render(
     trace: Trace,
     path: str | os.PathLike[str],
     *,
-    requirement: str | None = None,
+    requirement: str | Sequence[str] | None = None,
     size: tuple[int, int] | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> Path:
@@ -28,7 +28,7 @@ def render(
     Args:
         trace: The episode.
         path: The file; its extension decides the kind of replay.
-        requirement: Id of the requirement to judge; for the default see `story_of`.
+        requirement: Ids of the requirements to judge; for the default see `story_of`.
         size: Width and height of a frame; the default depends on the extension.
         on_progress: Called after each frame with the number of frames drawn and the total.
 
@@ -63,7 +63,11 @@ def render(
 
 
 def render_bytes(
-    trace: Trace, extension: str, *, requirement: str | None = None, size: tuple[int, int] | None = None
+    trace: Trace,
+    extension: str,
+    *,
+    requirement: str | Sequence[str] | None = None,
+    size: tuple[int, int] | None = None,
 ) -> bytes:
     """Render an episode and return the content of the file.
 

@@ -11,7 +11,7 @@ from brink.sim.replay.camera_view import FilmView, camera_view, draw_film_legend
 from brink.sim.replay.frame import FramePainter, Size
 from brink.sim.replay.map_view import MapView
 from brink.sim.replay.scene import ReplayError
-from brink.sim.replay.story import Moment, Story, story_of
+from brink.sim.replay.story import Judged, Moment, Story, story_of
 from brink.sim.replay.style import HAIRLINE, INK, MUTED, PAPER, SEEN, VIOLATION, draw_banner, typeface
 from brink.sim.replay.timeline import timeline_image
 from brink.sim.trace import Trace
@@ -30,25 +30,25 @@ HEADER_PX: Final = 56
 FOOTER_PX: Final = 40
 
 
-def still(trace: Trace, *, requirement: str | None = None, size: Size = (1280, 720)) -> Image.Image:
-    """Return the still image of an episode: its decisive moment, a strip of earlier moments, and plots over time.
+def still(trace: Trace, *, requirement: Judged = None, size: Size = (1280, 720)) -> Image.Image:
+    """Return the still image of an episode: its decisive moment, a strip of moments, and plots over time.
 
     Args:
         trace: The episode.
-        requirement: Id of the requirement to judge; for the default see `story_of`.
+        requirement: Ids of the requirements to judge; for the default see `story_of`.
         size: Width and height of the frame at the top; the image is as wide and nearly twice as high.
 
     Raises:
         ReplayError: The trace is empty, lacks the requirement, or the size is out of bounds.
     """
     painter = FramePainter(trace, requirement=requirement, size=size)
-    frame = painter.frame(painter.story.decisive)
-    if not painter.story.violated:
-        unit = painter.layout.unit
-        left, top, right, _ = painter.layout.camera if painter.filmed else painter.layout.map
-        draw_banner(
-            ImageDraw.Draw(frame), ((left + right) / 2, top + 22 * unit), painter.verdict(), unit, INK
-        )
+    frame = painter.frame(painter.story.shown)
+    unit = painter.layout.unit
+    left, top, right, _ = painter.layout.camera if painter.filmed else painter.layout.map
+    draw_banner(
+        ImageDraw.Draw(frame), ((left + right) / 2, top + 22 * unit), painter.verdict(), unit,
+        VIOLATION if painter.story.violations else INK, room=right - left,
+    )  # fmt: skip
     plots_size = (size[0], round(size[0] * 0.38))
     plots = timeline_image(trace, requirement=painter.story.requirement, size=plots_size)
     parts = [frame, _strip(painter), plots]
@@ -96,8 +96,8 @@ def _frame_moment(
     left, top, wide, high = place
     unit = painter.layout.unit
     draw = ImageDraw.Draw(strip)
-    decisive = moment.sample == painter.story.decisive
-    bad = decisive and painter.story.violated
+    decisive = moment.sample == painter.story.shown
+    bad = moment.sample in {one.sample for one in painter.story.violations}
     edge = VIOLATION if bad else (INK if decisive else HAIRLINE)
     line = round((3 if decisive else 1) * unit)
     draw.rectangle((left, top, left + wide, top + high), outline=edge, width=max(1, line))
@@ -177,7 +177,7 @@ def _draw_row(sheet: Image.Image, draw: ImageDraw.ImageDraw, row: Row, top: int,
             continue
         sample = int(np.abs(np.asarray(trace.time_s) - at_s).argmin())
         sheet.paste(view.draw(sample), (left, top))
-        bad = story.violated and sample >= story.decisive
+        bad = any(sample >= one.sample for one in story.violations)
         draw.rectangle(frame, outline=VIOLATION if bad else HAIRLINE, width=4 if bad else 1)
         draw.text(
             (left + TILE_PX[0] - 8, top + TILE_PX[1] - 8),
@@ -192,8 +192,7 @@ def _draw_row(sheet: Image.Image, draw: ImageDraw.ImageDraw, row: Row, top: int,
 
 def _draw_words(draw: ImageDraw.ImageDraw, words: str, story: Story, top: int) -> None:
     y = top + 4.0
-    verdict = f"hazard: {story.title} violated" if story.violated else "safe"
-    for text, colour in ((words, INK), (verdict, VIOLATION if story.violated else SEEN)):
+    for text, colour in ((words, INK), (story.words, VIOLATION if story.violations else SEEN)):
         for line in _wrapped(draw, text, WORDS_PX - MARGIN):
             draw.text((MARGIN, y), line, fill=colour, font=typeface(15, bold=True))
             y += 20

@@ -2,13 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, TypeVar
+from typing import Final, TypeAlias, TypeVar
 
 import numpy as np
 
 from brink.sim.aeb.specification import describe_perturbations, describe_street
 from brink.sim.replay.scene import LABELS, PERSON, ReplayError, plain_name, spec_part
+from brink.sim.requirements import CollisionKind
 from brink.sim.trace import ACTION, Event, Trace
+from brink.sim.verdict import held_words, violated_words
 from brink.sim.world.scenario import words_of_scenario
 
 PREFERRED: Final = ("front-gap", "no-collision")
@@ -30,6 +32,8 @@ _LEAD_UP_S: Final = (1.0, 2.5, 5.0)
 """How long before the decisive moment to look for other moments."""
 
 T = TypeVar("T")
+Judged: TypeAlias = str | Sequence[str] | None
+"""Ids of the requirements that a replay is about, with or without version."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +42,21 @@ class Moment:
 
     sample: int
     reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ViolatedHere:
+    """The first violation of a requirement in an episode.
+
+    Attributes:
+        requirement: Id of the requirement, as the trace records it.
+        sample: Sample of the first violation.
+        words: What the ego did and when, such as ``hit a pedestrian at 12.8 s``.
+    """
+
+    requirement: str
+    sample: int
+    words: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,6 +70,10 @@ class Story:
         decisive: Sample of the first violation, or of the lowest robustness.
         least: Lowest robustness of the episode, +inf if the requirement never applied.
         moments: At most six, in order of time; the decisive one is among them.
+        violations: First violations of all recorded requirements: of the one that the story is about, then by time.
+        words: What happened, such as ``front gap held; hit a pedestrian at 12.8 s``.
+        shown: Sample that a still image shows: the decisive one, or the first violation of another requirement if the
+            one that the story is about held.
     """
 
     requirement: str
@@ -59,15 +82,22 @@ class Story:
     decisive: int
     least: float
     moments: tuple[Moment, ...]
+    violations: tuple[ViolatedHere, ...]
+    words: str
+
+    @property
+    def shown(self) -> int:  # noqa: D102  (see above)
+        return self.violations[0].sample if self.violations else self.decisive
 
 
-def story_of(trace: Trace, requirement: str | None = None) -> Story:
+def story_of(trace: Trace, requirement: Judged = None) -> Story:
     """Return the story of an episode.
 
     Args:
         trace: The episode.
-        requirement: Id of the requirement to judge, with or without version. By default the front gap or, if the
-            trace does not record it, its first requirement.
+        requirement: Id of the requirement to judge, with or without version. Of several, the story is about the one
+            that was violated first. By default the front gap or, if the trace does not record it, its first
+            requirement.
 
     Raises:
         ReplayError: The trace is empty, or does not record the requirement.
@@ -79,24 +109,67 @@ def story_of(trace: Trace, requirement: str | None = None) -> Story:
     series = np.where(np.isnan(series), np.inf, series)
     below = np.flatnonzero(series < 0)
     decisive = int(below[0]) if below.size else int(series.argmin())
+    violations = _violations(trace, chosen)
+    words = [one.words for one in violations]
+    if not below.size:
+        words.insert(0, held_words([chosen]))
+    others = [one for one in violations if one.requirement != chosen]
     return Story(
         requirement=chosen,
         title=plain_name(chosen),
         violated=bool(below.size),
         decisive=decisive,
         least=float(series.min()),
-        moments=_moments(trace, decisive, violated=bool(below.size)),
+        moments=_moments(trace, decisive, others, violated=bool(below.size)),
+        violations=violations,
+        words="; ".join(words),
     )
 
 
-def _choose(trace: Trace, requirement: str | None) -> str:
+def _violations(trace: Trace, chosen: str) -> tuple[ViolatedHere, ...]:
+    """Return the first violations of all requirements: of the chosen one, then by time."""
+    found = []
+    for name, series in trace.robustness.items():
+        below = np.flatnonzero(np.asarray(series) < 0)
+        if below.size:
+            sample = int(below[0])
+            hit = _collision(trace) if plain_name(name) == "no-collision" else None
+            what = violated_words(name, None if hit is None else _kind_of(trace, hit))
+            # A sample keeps the lowest robustness until the next one; the event has the exact time.
+            time_s = float(trace.time_s[sample]) if hit is None else hit.time_s
+            words = f"{what} at {time_s:.1f} s"
+            found.append(ViolatedHere(requirement=name, sample=sample, words=words))
+    return tuple(sorted(found, key=lambda one: (one.requirement != chosen, one.sample)))
+
+
+def _collision(trace: Trace) -> Event | None:
+    return next((event for event in trace.events if event.kind == "collision"), None)
+
+
+def _kind_of(trace: Trace, hit: Event) -> CollisionKind | None:
+    """Return what the ego hit in a collision."""
+    kinds = {actor.name: actor.kind for actor in trace.actors}
+    kind = next((kinds[word] for word in hit.text.split() if word in kinds), CollisionKind.OBJECT)
+    return next((one for one in CollisionKind if one == kind), None)
+
+
+def _choose(trace: Trace, requirement: Judged) -> str:
+    if requirement is not None and not isinstance(requirement, str):
+        matching = [name for name in trace.robustness if {name, plain_name(name)} & set(requirement)]
+        if not matching:
+            known = ", ".join(trace.robustness) or "none"
+            raise ReplayError(
+                f"requirement: expected some that the trace records ({known}), got {', '.join(requirement)}"
+            )
+        first = {name: np.flatnonzero(np.asarray(trace.robustness[name]) < 0) for name in matching}
+        violated = [name for name in matching if first[name].size]
+        if violated:
+            return min(violated, key=lambda name: int(first[name][0]))
+        return min(matching, key=_preference)
     if requirement is None:
         if not trace.robustness:
             raise ReplayError("the trace records no requirement: there is nothing to judge")
-        preferred = min(
-            trace.robustness,
-            key=lambda name: PREFERRED.index(plain_name(name)) if plain_name(name) in PREFERRED else 9,
-        )
+        preferred = min(trace.robustness, key=_preference)
         # An episode with camera images may be about any hazard: show one that occurred if the preferred one did not.
         violated = [
             name for name, series in trace.robustness.items() if trace.film is not None and np.any(series < 0)
@@ -109,11 +182,19 @@ def _choose(trace: Trace, requirement: str | None) -> str:
     return requirement if requirement in matching else matching[0]
 
 
-def _moments(trace: Trace, decisive: int, *, violated: bool) -> tuple[Moment, ...]:
+def _preference(requirement: str) -> int:
+    name = plain_name(requirement)
+    return PREFERRED.index(name) if name in PREFERRED else len(PREFERRED)
+
+
+def _moments(
+    trace: Trace, decisive: int, others: Sequence[ViolatedHere], *, violated: bool
+) -> tuple[Moment, ...]:
     """Pick the most important moments that are at least a twentieth of the episode apart."""
     last = len(trace.time_s) - 1
     candidates = [Moment(sample=decisive, reason="violation" if violated else "closest")]
-    candidates += _lead_up(trace, decisive)
+    candidates += [Moment(sample=one.sample, reason=one.words.partition(" at ")[0]) for one in others]
+    candidates += _lead_up(trace, others[0].sample if others and not violated else decisive)
     candidates += [Moment(sample=0, reason="start"), Moment(sample=last, reason="end")]
     apart = max(1, min(8, last // 20))
     chosen: list[Moment] = []

@@ -4,6 +4,7 @@ The hues are Okabe and Ito's, which people with colour vision deficiencies can t
 differ in their lines. Blue is the ego, vermilion what was reported to the driving system, crimson a violation.
 """
 
+import math
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -134,7 +135,13 @@ def draw_dashed(
 
 
 def draw_banner(
-    draw: ImageDraw.ImageDraw, centre: tuple[float, float], text: str, unit: float, colour: Rgb = VIOLATION
+    draw: ImageDraw.ImageDraw,
+    centre: tuple[float, float],
+    text: str,
+    unit: float,
+    colour: Rgb = VIOLATION,
+    *,
+    room: float = math.inf,
 ) -> None:
     """Draw white text on a filled rectangle with rounded corners.
 
@@ -144,8 +151,12 @@ def draw_banner(
         text: The text.
         unit: Scale of text and lines, 1 in a frame of 540 px height.
         colour: Colour of the rectangle.
+        room: Width in pixels that the rectangle may take; a longer text is written smaller.
     """
-    font = typeface(round(14 * unit), bold=True)
+    size = round(14 * unit)
+    while size > round(8 * unit) and draw.textlength(text, typeface(size, bold=True)) + 28 * unit > room:
+        size -= 1
+    font = typeface(size, bold=True)
     half = draw.textlength(text, font=font) / 2 + 12 * unit
     x, y = centre
     draw.rounded_rectangle((x - half, y - 13 * unit, x + half, y + 13 * unit), radius=5 * unit, fill=colour)

@@ -9,7 +9,16 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from brink.sim.replay.scene import LABELS, PERSON
-from brink.sim.replay.story import Story, notable_events, report_word, reported, runs, story_of, unit_of
+from brink.sim.replay.story import (
+    Judged,
+    Story,
+    notable_events,
+    report_word,
+    reported,
+    runs,
+    story_of,
+    unit_of,
+)
 from brink.sim.replay.style import (
     EGO,
     GHOST,
@@ -35,13 +44,13 @@ QUIET: Final = ("keep",)
 
 
 def timeline_figure(
-    trace: Trace, *, requirement: str | None = None, size: tuple[int, int] = (1200, 620)
+    trace: Trace, *, requirement: Judged = None, size: tuple[int, int] = (1200, 620)
 ) -> Figure:
     """Return a figure with plots of an episode over time.
 
     Args:
         trace: The episode.
-        requirement: Id of the requirement to show; for the default see `story_of`.
+        requirement: Ids of the requirements to judge; for the default see `story_of`.
         size: Width and height in pixels.
 
     Raises:
@@ -70,7 +79,7 @@ def timeline_figure(
 
 
 def timeline_image(
-    trace: Trace, *, requirement: str | None = None, size: tuple[int, int] = (1200, 620)
+    trace: Trace, *, requirement: Judged = None, size: tuple[int, int] = (1200, 620)
 ) -> Image.Image:
     """Return `timeline_figure` as an RGB image.
 
@@ -189,16 +198,18 @@ def _band(axes: Axes, trace: Trace, row: int, first: int, last: int, colour: Rgb
         )  # fmt: skip
 
 
-def _mark_events(top: Axes, others: tuple[Axes, ...], trace: Trace, story: Story) -> None:
+def _mark_events(top: Axes, below: tuple[Axes, ...], trace: Trace, story: Story) -> None:
     """Draw a thin line through all panels for each event, labelled above if there is room."""
     span_s = max(1e-6, float(trace.time_s[-1] - trace.time_s[0]))
     marks = [(float(trace.time_s[story.decisive]), "violation" if story.violated else "closest", VIOLATION)]
     if not story.violated:
         marks = [(marks[0][0], marks[0][1], INK)]
+    others = [one for one in story.violations if one.requirement != story.requirement]
+    marks += [(float(trace.time_s[one.sample]), one.words.partition(" at ")[0], VIOLATION) for one in others]
     marks += [(event.time_s, event.kind, MUTED) for event in notable_events(trace)]
     written: list[tuple[float, float]] = []
     for time_s, word, colour in marks:
-        for axes in (top, *others):
+        for axes in (top, *below):
             axes.axvline(time_s, color=hexadecimal(colour), linewidth=0.9, alpha=0.8, linestyle=(0, (2, 2)))
         half = 0.0042 * span_s * len(word)
         if all(abs(time_s - other) > half + width for other, width in written):

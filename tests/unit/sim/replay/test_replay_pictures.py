@@ -75,7 +75,7 @@ def test_violation_is_marked_from_its_first_sample_on(painter: FramePainter) -> 
     decisive = painter.story.decisive
     assert count(painter.map(decisive - 1), VIOLATION) == 0
     assert count(painter.map(decisive), VIOLATION) > 2000
-    assert "front-gap violated at 17.5 s" in painter.verdict()
+    assert painter.verdict() == "violated the front gap at 17.5 s"
 
 
 def test_plan_mode_is_shown_in_its_colour(painter: FramePainter, trace: Trace) -> None:

@@ -21,7 +21,7 @@ from brink.sim.replay.scene import (
 )
 from brink.sim.replay.sheets import still
 from brink.sim.replay.story import event_caption, scenario_words, story_of, with_unit
-from brink.sim.replay.style import EDGES, FILLS, dashes
+from brink.sim.replay.style import EDGES, FILLS, VIOLATION, dashes
 from brink.sim.trace import ACTION, PERCEIVED_COLUMNS, Event, Trace
 
 metres = st.floats(-50, 50)
@@ -165,6 +165,40 @@ def test_every_injected_detection_has_a_moment_while_it_is_reported(violated: bo
         assert ("vehicle", "person").index(moment.reason.removeprefix("injected ")) in labels
 
 
+def hits_a_pedestrian(trace: Trace, at_s: float) -> Trace:
+    """Return the trace with a collision with its first pedestrian from a time on."""
+    walker = next(actor.name for actor in trace.actors if actor.kind == "pedestrian")
+    clearance = np.where(trace.time_s >= at_s - 1e-4, -0.5, 3.0).astype(np.float32)
+    hit = Event(time_s=at_s, kind="collision", text=f"the ego hits {walker} at 5.0 m/s")
+    robustness = {**trace.robustness, "no-collision@1": clearance}
+    return replace(trace, robustness=robustness, events=(*trace.events, hit))
+
+
+def test_violations_of_other_requirements_are_part_of_the_story() -> None:
+    trace = hits_a_pedestrian(make_trace(violated=False), 12.8)
+    story = story_of(trace, "front-gap@1")
+    assert (story.violated, story.words) == (False, "front gap held; hit a pedestrian at 12.8 s")
+    [other] = story.violations
+    assert trace.time_s[other.sample] == pytest.approx(12.8)
+    assert {m.reason: m.sample for m in story.moments}["hit a pedestrian"] == other.sample
+    painter = FramePainter(trace, requirement="front-gap@1")
+    assert painter.verdict().startswith("front gap held (")
+    assert painter.verdict().endswith(" s); hit a pedestrian at 12.8 s")
+    assert (np.asarray(painter.map(other.sample)) == VIOLATION).all(axis=2).sum() > 2000
+    assert not (np.asarray(painter.map(other.sample - 1)) == VIOLATION).all(axis=2).any()
+
+
+def test_of_several_requirements_the_first_violated_one_is_the_story() -> None:
+    trace = hits_a_pedestrian(make_trace(), 12.8)
+    both = story_of(trace, ("front-gap@1", "no-collision@1"))
+    assert both.requirement == "no-collision@1"
+    assert both.words == "hit a pedestrian at 12.8 s; violated the front gap at 17.5 s"
+    calm = story_of(make_trace(violated=False), ("progress@1", "front-gap@1"))
+    assert (calm.requirement, calm.words) == ("front-gap@1", "front gap held")
+    with pytest.raises(ReplayError, match=r"expected some that the trace records .* got red-light@1"):
+        story_of(make_trace(), ("red-light@1",))
+
+
 @pytest.mark.parametrize("name", ["progress", "progress@1"])
 def test_requirement_is_found_with_or_without_version(name: str) -> None:
     assert story_of(make_trace(), name).requirement == "progress@1"
@@ -188,7 +222,7 @@ def test_requirement_that_never_applies_is_not_violated() -> None:
     never = replace(trace, robustness={"front-gap@1": np.full(200, np.inf, np.float32)})
     assert not story_of(never).violated
     assert np.isinf(story_of(never).least)
-    assert FramePainter(never).verdict() == "front-gap never applied"
+    assert FramePainter(never).verdict() == "front gap never applied"
     assert still(never).width == 1280
 
 
