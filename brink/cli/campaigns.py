@@ -273,13 +273,13 @@ def grid_table(grid: list[DbsCell]) -> Table:
 def solution_table(boundary: Boundary, shown: int = SOLUTIONS_SHOWN) -> Table:
     """Return a table of the best boundary solutions."""
     table = plain_table(
-        "number", "verdict", "robustness", "fitness", "unsafe neighbours", "description",
+        "number", "outcome", "robustness", "fitness", "unsafe neighbours", "description",
         right=("number", "robustness", "fitness", "unsafe neighbours"),
     )  # fmt: skip
     for solution in boundary.solutions[:shown]:
         table.add_row(
-            str(solution.number), solution.verdict, f"{solution.robustness:.2f}", f"{solution.fitness:.3f}",
-            f"{solution.unsafe_neighbours} of {solution.neighbours}", solution.words,
+            str(solution.number), solution.outcome or solution.verdict, f"{solution.robustness:.2f}",
+            f"{solution.fitness:.3f}", f"{solution.unsafe_neighbours} of {solution.neighbours}", solution.words,
         )  # fmt: skip
     if len(boundary.solutions) > shown:
         table.add_row("…", "", "", "", "", f"and {len(boundary.solutions) - shown} more in boundary.csv")

@@ -6,7 +6,7 @@ import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
@@ -27,15 +27,19 @@ from brink.cli.options import (
     write_json,
 )
 from brink.search.archive import ARRAYS, Archive
+from brink.server.api.outcomes import OutcomesView
 from brink.server.api.schemas import Boundary, CampaignView, SolutionView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody
-from brink.server.campaigns.outcomes import deciding_requirements
+from brink.server.campaigns.outcomes import OutcomeKind, deciding_requirements
 from brink.server.campaigns.plan import Plan, make_plan
 from brink.server.errors import InvalidInput, ServerError
 from brink.sim.replay import render
 from brink.sim.trace import Trace
 from brink.worker.process import EpisodeProcess, episode_result
 from brink.worker.wire import JobFailed
+
+if TYPE_CHECKING:
+    from brink.plots.inputs import VerdictWords
 
 POLL_S = 0.5
 EPISODE_TIMEOUT_S = 120.0
@@ -123,6 +127,7 @@ class FetchedArchive:
         plan: Problem and algorithm of the campaign.
         archive: All evaluated solutions.
         generations: Size of the archive after each generation.
+        outcomes: What the simulations showed about all requirements, for each solution of the archive.
     """
 
     id: str
@@ -130,6 +135,7 @@ class FetchedArchive:
     plan: Plan
     archive: Archive
     generations: tuple[int, ...]
+    outcomes: OutcomesView
 
 
 async def fetch_archive(api: Api, campaign: str) -> FetchedArchive:
@@ -142,6 +148,7 @@ async def fetch_archive(api: Api, campaign: str) -> FetchedArchive:
     response = await api.request("GET", f"/campaigns/{campaign}/archive.npz")
     with np.load(io.BytesIO(response.content), allow_pickle=False) as npz:
         arrays = {name: npz[name] for name in npz.files}
+    outcomes = await api.read(OutcomesView, f"/campaigns/{campaign}/outcomes", {"solutions": True})
     plan = make_plan(view.body)
     archive = Archive.restore(
         plan.problem.space, plan.neighbourhood, **{name: arrays[name] for name in ARRAYS}
@@ -149,8 +156,9 @@ async def fetch_archive(api: Api, campaign: str) -> FetchedArchive:
     generations = arrays["generations"]
     ends = np.searchsorted(generations, np.unique(generations), side="right")
     return FetchedArchive(
-        id=view.id, body=view.body, plan=plan, archive=archive, generations=tuple(int(end) for end in ends)
-    )
+        id=view.id, body=view.body, plan=plan, archive=archive, generations=tuple(int(end) for end in ends),
+        outcomes=outcomes,
+    )  # fmt: skip
 
 
 async def write_results(api: Api, campaign: str, folder: Path, *, t_b: float, d_th: float) -> Boundary:
@@ -202,8 +210,25 @@ def draw_figures(
         generation_ends=fetched.generations,
         t_b=t_b,
         d_th=d_th,
+        words=_verdict_words(fetched),
     )
     return write_campaign_figures(figures, folder, formats=formats)
+
+
+def _verdict_words(fetched: FetchedArchive) -> "VerdictWords":
+    from brink.plots.inputs import VerdictWords
+
+    view = fetched.outcomes
+    kinds = {
+        number: view.groups[group].kind
+        for number, group in zip(view.number or (), view.group or (), strict=True)
+    }
+    numbers = fetched.archive.numbers.tolist()
+    return VerdictWords(
+        held=view.kinds[OutcomeKind.HELD], other=view.kinds[OutcomeKind.OTHER],
+        violated=view.kinds[OutcomeKind.VIOLATED],
+        others=np.array([kinds.get(number) is OutcomeKind.OTHER for number in numbers], np.bool_),
+    )  # fmt: skip
 
 
 class NoTrace(ServerError):

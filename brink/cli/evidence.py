@@ -212,7 +212,7 @@ def _readme(
         f"# Boundary of {body.name}",
         f"Campaign {fetched.id}: {body.algorithm.id} on {body.problem.id}, seed {body.seed}, "
         f"{len(fetched.archive):,} evaluated solutions, {int(fetched.archive.unsafe.sum()):,} of them unsafe. "
-        f"Brink {__version__}.",
+        f"{fetched.outcomes.words} Brink {__version__}.".lstrip(),
         f"{boundary.dbs} distinct boundary solutions, {boundary.strict_dbs} of them strict: fitness at most "
         f"{options.t_b:g}, at least {options.d_th:g} apart, around the region that is unsafe with probability "
         f"{near.p_th:g}; neighbours within {near.radius:g}, intervals with z = {near.z:g}. {boundary.note}",

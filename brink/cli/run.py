@@ -34,6 +34,7 @@ from brink.cli.options import (
 )
 from brink.cli.repeats import repeat_finished, write_repeats
 from brink.search.analysis.comparison import control_summaries
+from brink.server.api.outcomes import OutcomesView
 from brink.server.api.repeats import RepeatsView
 from brink.server.api.schemas import Boundary, CampaignList, CampaignView, Progress
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, read_campaign_file
@@ -156,12 +157,14 @@ class Report:
         files: All files written so far.
         control: One sentence for each comparison with a control.
         findings: Findings other than the boundary.
+        outcomes: What the simulations showed about all requirements.
     """
 
     boundary: Boundary
     files: list[Path]
     control: list[str]
     findings: Sequence[Findings]
+    outcomes: OutcomesView
 
 
 async def _write_all(
@@ -177,7 +180,9 @@ async def _write_all(
         for findings in found:
             files += findings.write(folder)
         control = control_summaries(compared_archives([fetched], control=True), DEFAULT_T_B, DEFAULT_D_TH)
-        report = Report(boundary=boundary, files=files, control=control, findings=found)
+        report = Report(
+            boundary=boundary, files=files, control=control, findings=found, outcomes=fetched.outcomes
+        )
         if not pictures or session.stop.is_set():
             return report
         began = time.monotonic()
@@ -208,6 +213,7 @@ def _summary(
         "evaluated": progress.evaluated,
         "unsafe": progress.unsafe,
         "failed": progress.failed,
+        "outcomes": report.outcomes.model_dump(mode="json", exclude={"number", "group"}),
         "elapsed_s": progress.elapsed_s,
         "t_b": DEFAULT_T_B,
         "d_th": DEFAULT_D_TH,
@@ -242,6 +248,8 @@ def _print_summary(
         f"[bold]{body.name}[/bold]: {progress.simulations} simulations{beyond} in {progress.elapsed_s:.0f} s, "
         f"{share:.0%} unsafe, {progress.failed} failed"
     )
+    if report.outcomes.words:
+        screen.print(report.outcomes.words, soft_wrap=True)
     if progress.origins:
         origins = ", ".join(f"{count} {origin}" for origin, count in progress.origins.items())
         screen.print(f"origins of the solutions: {origins}")

@@ -8,6 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
 
 from brink.plots.inputs import CampaignFigures
 from brink.plots.style import (
@@ -15,6 +17,7 @@ from brink.plots.style import (
     INK,
     LABEL_PT,
     MUTED,
+    OTHER,
     PAPER,
     SAFE,
     SMALL_PT,
@@ -27,7 +30,7 @@ from brink.plots.style import (
 )
 from brink.search.analysis.boundary import IndexArray, distinct_boundary
 from brink.search.analysis.dependence import AxisMeaning, axis_meanings
-from brink.search.analysis.similarity import embedded
+from brink.search.analysis.similarity import Plane, embedded, own_plane
 from brink.search.space import FloatArray
 
 HEIGHT_PX: Final = 1060
@@ -40,6 +43,8 @@ SMOOTHING: Final = 0.02
 MAX_NUMBERED: Final = 40
 MAX_LISTED: Final = 14
 
+UNKNOWN: Final = "#f1f3f4"
+UNKNOWN_LINES: Final = "#d9dde0"
 _BACKGROUND = LinearSegmentedColormap.from_list(
     "safe-to-unsafe", ["#9cc8e6", "#cfe3f1", "#ffffff", "#fbe3d0", "#f3b98d"], N=256
 )
@@ -47,7 +52,7 @@ _BACKGROUND = LinearSegmentedColormap.from_list(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Map:
-    """Positions of the solutions, the boundary solutions among them, and the meanings of the axes."""
+    """Positions of the solutions, the boundary solutions among them, and the axes: meanings, or own coordinates."""
 
     points: FloatArray
     explained: float
@@ -55,6 +60,7 @@ class _Map:
     near: IndexArray
     distinct: IndexArray
     strict: int
+    plane: Plane | None
 
 
 def figure_embedding(inputs: CampaignFigures) -> Figure:
@@ -63,7 +69,7 @@ def figure_embedding(inputs: CampaignFigures) -> Figure:
         HEIGHT_PX,
         f"{inputs.title}: map of the search",
         f"Each dot is one complete solution ({' + '.join(part.name for part in inputs.space.components)}), evaluated "
-        "once. Similar solutions lie close together.\n"
+        f"once. {_placement(inputs)}\n"
         "The rings are the result: distinct solutions on the hazard boundary, between safe and unsafe.",
     )
     axes = figure.add_axes(
@@ -82,7 +88,7 @@ def figure_embedding(inputs: CampaignFigures) -> Figure:
         show_message(axes, "no solutions evaluated yet")
         return figure
     drawn = _embed(inputs)
-    _limit(axes, drawn.points)
+    _limit(axes, drawn)
     _draw_background(axes, inputs, drawn)
     _draw_dots(axes, inputs, drawn)
     _draw_rings(axes, drawn)
@@ -91,26 +97,40 @@ def figure_embedding(inputs: CampaignFigures) -> Figure:
     return figure
 
 
+def _placement(inputs: CampaignFigures) -> str:
+    if own_plane(inputs.space) is None:
+        return "Similar solutions lie close together."
+    return "The axes are the two parameters of the problem."
+
+
 def _embed(inputs: CampaignFigures) -> _Map:
-    embedding = embedded(inputs.archive)
-    points = np.asarray(embedding.points)
-    extent = np.ptp(points, axis=0)
-    if extent[1] > extent[0]:
-        # The canvas is wider than it is high. A quarter turn preserves all distances.
-        points = np.column_stack([points[:, 1], -points[:, 0]])
+    archive, plane = inputs.archive, own_plane(inputs.space)
+    if plane is not None:
+        points, explained, meanings = plane.placed(archive.vectors), 1.0, (None, None)
+    else:
+        embedding = embedded(archive)
+        points, explained = np.asarray(embedding.points), embedding.explained
+        extent = np.ptp(points, axis=0)
+        if extent[1] > extent[0]:
+            # The canvas is wider than it is high. A quarter turn preserves all distances.
+            points = np.column_stack([points[:, 1], -points[:, 0]])
+        meanings = axis_meanings(inputs.space, archive.vectors, points)
     return _Map(
         points=points,
-        explained=embedding.explained,
-        meanings=axis_meanings(inputs.space, inputs.archive.vectors, points),
-        near=np.flatnonzero(inputs.archive.fitness <= inputs.t_b),
-        distinct=distinct_boundary(inputs.archive, inputs.t_b, inputs.d_th),
-        strict=int(distinct_boundary(inputs.archive, inputs.t_b, inputs.d_th, strict=True).size),
+        explained=explained,
+        meanings=meanings,
+        near=np.flatnonzero(archive.fitness <= inputs.t_b),
+        distinct=distinct_boundary(archive, inputs.t_b, inputs.d_th),
+        strict=int(distinct_boundary(archive, inputs.t_b, inputs.d_th, strict=True).size),
+        plane=plane,
     )
 
 
-def _limit(axes: Axes, points: FloatArray) -> None:
-    """Set limits that contain the points, with equal scales, and fill the canvas."""
-    low, high = points.min(axis=0), points.max(axis=0)
+def _limit(axes: Axes, drawn: _Map) -> None:
+    """Set limits that contain the points or the whole plane, with equal scales, and fill the canvas."""
+    low, high = drawn.points.min(axis=0), drawn.points.max(axis=0)
+    if drawn.plane is not None:
+        low, high = np.zeros(2), drawn.plane.extent
     width = (MAP_RIGHT_PX - MAP_LEFT_PX) / (HEIGHT_PX - MAP_TOP_PX - MAP_BOTTOM_PX)
     extent = np.maximum(high - low, 1e-3) * 1.1
     side = max(extent[0] / width, extent[1])
@@ -120,7 +140,7 @@ def _limit(axes: Axes, points: FloatArray) -> None:
 
 
 def _draw_background(axes: Axes, inputs: CampaignFigures, drawn: _Map) -> None:
-    """Colour the background by the unsafe share of nearby neighbourhoods, fading where there are no solutions."""
+    """Colour the background by the unsafe share of nearby neighbourhoods; hatched where there are no solutions."""
     archive = inputs.archive
     share = archive.unsafe_neighbours / archive.neighbours
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
@@ -136,9 +156,25 @@ def _draw_background(axes: Axes, inputs: CampaignFigures, drawn: _Map) -> None:
     colours = _BACKGROUND(norm(smooth))
     # A single solution gives its own place a clear colour, which has mostly faded two kernel widths away.
     colours[..., 3] = np.clip(weight / 1.2, 0, 1)
-    axes.imshow(
+    image = axes.imshow(
         colours, extent=(left, right, bottom, top), origin="lower", aspect="auto", interpolation="bilinear", zorder=0
     )  # fmt: skip
+    if drawn.plane is None:
+        _hatch(axes, left, bottom, right - left, top - bottom)
+        return
+    width, height = drawn.plane.extent.tolist()
+    _hatch(axes, 0, 0, width, height)
+    image.set_clip_path(
+        Rectangle((0, 0), width, height, transform=axes.transData)
+    )  # the search space ends here
+
+
+def _hatch(axes: Axes, left: float, bottom: float, width: float, height: float) -> None:
+    """Hatch an area in which nothing is known."""
+    area = Rectangle(
+        (left, bottom), width, height, facecolor=UNKNOWN, edgecolor=UNKNOWN_LINES, hatch="//", linewidth=0, zorder=-1,
+    )  # fmt: skip
+    axes.add_patch(area)
 
 
 def _draw_dots(axes: Axes, inputs: CampaignFigures, drawn: _Map) -> None:
@@ -146,7 +182,7 @@ def _draw_dots(axes: Axes, inputs: CampaignFigures, drawn: _Map) -> None:
     size = float(np.clip(26_000 / len(archive), 14, 60))
     # In the order of evaluation, so that neither colour always covers the other.
     axes.scatter(
-        drawn.points[:, 0], drawn.points[:, 1], s=size, c=np.where(archive.unsafe, UNSAFE, SAFE), alpha=0.72,
+        drawn.points[:, 0], drawn.points[:, 1], s=size, c=_colours(inputs), alpha=0.72,
         linewidths=0.4, edgecolors=PAPER, zorder=2, gid="solutions",
     )  # fmt: skip
     if drawn.near.size:
@@ -155,6 +191,12 @@ def _draw_dots(axes: Axes, inputs: CampaignFigures, drawn: _Map) -> None:
             near[:, 0], near[:, 1], s=size * 1.25, facecolors="none", edgecolors=INK, linewidths=0.8, zorder=3,
             gid="near-boundary",
         )  # fmt: skip
+
+
+def _colours(inputs: CampaignFigures) -> NDArray[np.str_]:
+    """Return the colour of each solution, by what its verdict is about, shape ``(n,)``."""
+    colours = np.where(inputs.archive.unsafe, UNSAFE, SAFE)
+    return colours if inputs.words is None else np.where(inputs.words.others, OTHER, colours)
 
 
 def _draw_rings(axes: Axes, drawn: _Map) -> None:
@@ -182,6 +224,9 @@ def _draw_rings(axes: Axes, drawn: _Map) -> None:
 
 
 def _name_axes(axes: Axes, drawn: _Map) -> None:
+    if drawn.plane is not None:
+        _show_values(axes, drawn.plane)
+        return
     across, up = drawn.meanings
     if across is not None:
         axes.set_xlabel(f"across: {across.text}", fontsize=TICK_PT, color=MUTED, labelpad=8)
@@ -189,34 +234,55 @@ def _name_axes(axes: Axes, drawn: _Map) -> None:
         axes.set_ylabel(f"up: {up.text}", fontsize=TICK_PT, color=MUTED, labelpad=8)
 
 
+def _show_values(axes: Axes, plane: Plane) -> None:
+    for index, (axis, name) in enumerate(zip((axes.xaxis, axes.yaxis), plane.names, strict=True)):
+        ticks = np.linspace(0, plane.extent[index], 5)
+        axis.set_ticks(ticks, [f"{plane.value(index, tick):g}" for tick in ticks.tolist()])
+        axis.set_tick_params(labelsize=SMALL_PT, labelcolor=MUTED, color=HAIRLINE)
+        axis.set_label_text(name, fontsize=TICK_PT, color=MUTED)
+
+
 def _write_key(figure: Figure, inputs: CampaignFigures, drawn: _Map) -> None:
-    archive = inputs.archive
-    unsafe = int(archive.unsafe.sum())
     dot = {"linestyle": "", "marker": "o", "markersize": 9, "markeredgewidth": 0}
     hollow = {"linestyle": "", "marker": "o", "markerfacecolor": "none", "markeredgecolor": INK}
-    unsafe_text = f"unsafe: {unsafe:,} ({share_text(unsafe / len(archive))})"
     near = f"near the boundary (fitness ≤ {inputs.t_b:g}): {drawn.near.size:,}"
     handles = [
-        Line2D([], [], color=SAFE, label=f"safe: {len(archive) - unsafe:,}", **dot),  # type: ignore[arg-type]
-        Line2D([], [], color=UNSAFE, label=unsafe_text, **dot),  # type: ignore[arg-type]
+        *(Line2D([], [], color=hue, label=text, **dot) for hue, text in _verdict_keys(inputs)),  # type: ignore[arg-type]
         Line2D([], [], markersize=9, markeredgewidth=1.0, label=near, **hollow),  # type: ignore[arg-type]
         Line2D([], [], markersize=14, markeredgewidth=2.0, label=_ring_text(inputs, drawn), **hollow),  # type: ignore[arg-type]
     ]
+    extra_px = 30 * (len(handles) - 4) + 18 * sum("\n" in text for _, text in _verdict_keys(inputs))
     top = 1 - MAP_TOP_PX / HEIGHT_PX
     figure.legend(
         handles=handles, loc="upper left", bbox_to_anchor=(TEXT_LEFT_PX / WIDTH_PX - 0.008, top + 0.008),
         frameon=False, fontsize=LABEL_PT, labelcolor=INK, labelspacing=0.9, handletextpad=0.7, borderaxespad=0,
         borderpad=0.3,
     )  # fmt: skip
-    _draw_tint_key(figure, inputs, 1 - (MAP_TOP_PX + 218) / HEIGHT_PX)
-    _list_rings(figure, inputs, drawn, 1 - (MAP_TOP_PX + 300) / HEIGHT_PX)
+    _draw_tint_key(figure, inputs, 1 - (MAP_TOP_PX + 218 + extra_px) / HEIGHT_PX)
+    _list_rings(figure, inputs, drawn, 1 - (MAP_TOP_PX + 330 + extra_px) / HEIGHT_PX)
     figure.text(
         TEXT_LEFT_PX / WIDTH_PX,
         MAP_BOTTOM_PX / HEIGHT_PX,
-        "Distances on the map follow the distances between\n"
-        f"solutions. Its two dimensions explain {drawn.explained:.0%} of the variance.",
+        "The map shows the problem's own coordinates." if drawn.plane is not None
+        else "Distances on the map follow those between solutions.\n"
+        f"Its two dimensions explain {drawn.explained:.0%} of the variance.",
         fontsize=SMALL_PT, color=MUTED, va="bottom", linespacing=1.5,
     )  # fmt: skip
+
+
+def _verdict_keys(inputs: CampaignFigures) -> list[tuple[str, str]]:
+    """Return colour and words of each kind of solution, with its number."""
+    archive, words = inputs.archive, inputs.words
+    unsafe = int(archive.unsafe.sum())
+    share = share_text(unsafe / len(archive))
+    if words is None:
+        return [(SAFE, f"safe: {len(archive) - unsafe:,}"), (UNSAFE, f"unsafe: {unsafe:,} ({share})")]
+    others = int(words.others.sum())
+    keys = [(SAFE, f"{words.held}: {len(archive) - unsafe - others:,}")]
+    if others:
+        broken = words.other.replace(", another", ",\nanother")
+        keys.append((OTHER, f"{broken}: {others:,}"))
+    return [*keys, (UNSAFE, f"{words.violated}: {unsafe:,} ({share})")]
 
 
 def _ring_text(inputs: CampaignFigures, drawn: _Map) -> str:
@@ -233,7 +299,7 @@ def _draw_tint_key(figure: Figure, inputs: CampaignFigures, top: float) -> None:
     width, height = 300 / WIDTH_PX, 14 / HEIGHT_PX
     left = TEXT_LEFT_PX / WIDTH_PX
     figure.text(
-        left, top, "background: unsafe share of the neighbourhood", fontsize=LABEL_PT, color=INK, va="bottom"
+        left, top, "background: unsafe share of neighbours", fontsize=LABEL_PT, color=INK, va="bottom"
     )
     axes = figure.add_axes((left, top - 26 / HEIGHT_PX, width, height))
     norm = TwoSlopeNorm(p_th, 0.0, 1.0)
@@ -245,11 +311,21 @@ def _draw_tint_key(figure: Figure, inputs: CampaignFigures, top: float) -> None:
     axes.tick_params(length=0, pad=5)
     for spine in axes.spines.values():
         spine.set_color(HAIRLINE)
+    unknown = figure.add_axes((left, top - 66 / HEIGHT_PX, 28 / WIDTH_PX, height))
+    unknown.set_xticks([])
+    unknown.set_yticks([])
+    for spine in unknown.spines.values():
+        spine.set_color(HAIRLINE)
+    _hatch(unknown, 0, 0, 1, 1)
+    figure.text(
+        left + 38 / WIDTH_PX, top - 59 / HEIGHT_PX, "nothing simulated nearby", fontsize=SMALL_PT, color=MUTED,
+        va="center",
+    )  # fmt: skip
 
 
 def _list_rings(figure: Figure, inputs: CampaignFigures, drawn: _Map, top: float) -> None:
     """List the best ringed solutions: rank, number, unsafe neighbours, fitness."""
-    archive = inputs.archive
+    archive, hues = inputs.archive, _colours(inputs)
     if drawn.distinct.size == 0:
         return
     columns = [(0, "ring"), (58, "solution"), (150, "unsafe neighbours"), (330, "fitness")]
@@ -264,7 +340,7 @@ def _list_rings(figure: Figure, inputs: CampaignFigures, drawn: _Map, top: float
             f"{unsafe} of {all_of_them} ({share_text(unsafe / all_of_them)})",
             f"{archive.fitness[position]:.3f}",
         ]
-        colour = UNSAFE if archive.unsafe[position] else SAFE
+        colour = str(hues[position])
         for index, ((x, _), cell) in enumerate(zip(columns, cells, strict=True)):
             figure.text(
                 (TEXT_LEFT_PX + x) / WIDTH_PX, top - row * line - 4 / HEIGHT_PX, cell, fontsize=TICK_PT, va="top",

@@ -5,7 +5,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from brink.search.archive import Archive
-from brink.search.space import SearchSpace
+from brink.search.space import BoolArray, SearchSpace
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class VerdictWords:
+    """What the verdicts of a campaign are about.
+
+    Attributes:
+        held: What safe solutions have in common, such as ``front gap held``.
+        other: The same for those that violated another requirement.
+        violated: What unsafe solutions have in common.
+        others: Solutions that are safe but violated another requirement, in the order of the archive, shape ``(n,)``.
+    """
+
+    held: str
+    other: str
+    violated: str
+    others: BoolArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,6 +36,7 @@ class CampaignFigures:
         generation_ends: Size of the archive after each generation, ascending.
         t_b: Maximum fitness of a boundary solution.
         d_th: Minimum distance between distinct boundary solutions.
+        words: What the verdicts are about; None if that is unknown.
     """
 
     archive: Archive
@@ -27,12 +45,17 @@ class CampaignFigures:
     generation_ends: tuple[int, ...]
     t_b: float
     d_th: float
+    words: VerdictWords | None = None
 
     def __post_init__(self) -> None:
         ends = np.asarray(self.generation_ends, dtype=np.int64)
         if ends.size and (ends[0] < 0 or ends[-1] > len(self.archive) or (np.diff(ends) < 0).any()):
             raise ValueError(
                 f"generation_ends: expected ascending counts up to {len(self.archive)}, got {ends.tolist()}"
+            )
+        if self.words is not None and self.words.others.shape != self.archive.unsafe.shape:
+            raise ValueError(
+                f"words: expected {len(self.archive)} entries in others, got {self.words.others.size}"
             )
         if self.archive.metric.dimension != self.space.dimension:
             raise ValueError(

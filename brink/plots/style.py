@@ -18,6 +18,8 @@ from matplotlib.ticker import PercentFormatter
 
 SAFE: Final = "#0072b2"
 UNSAFE: Final = "#d55e00"
+OTHER: Final = "#b0468c"
+"""Of solutions that hold the campaign's requirements and violate another one."""
 INK: Final = "#1f252b"
 MUTED: Final = "#68727b"
 HAIRLINE: Final = "#d0d5d9"

@@ -4,6 +4,8 @@ The map is a classical (Torgerson) scaling of the distances. For more than `EXAC
 landmarks, spread evenly over the archive, and all solutions are placed by their distances to these. A fitted map can
 therefore also place later solutions, without moving the earlier ones.
 
+A problem with two numerical parameters needs no scaling: `own_plane` draws it in its own coordinates.
+
 Source: Torgerson 1952; de Silva and Tenenbaum 2004, landmark multidimensional scaling.
 """
 
@@ -15,7 +17,8 @@ from numpy.typing import NDArray
 
 from brink.search.archive import Archive
 from brink.search.metric import Metric
-from brink.search.space import FloatArray
+from brink.search.parameters import Number
+from brink.search.space import FloatArray, SearchSpace
 
 EXACT_POINTS = 2_000
 LANDMARKS = 1_000
@@ -92,6 +95,50 @@ class Projection:
             squared = self.metric.between(vectors[rows], self.landmarks) ** 2
             points[rows] = -0.5 * (squared - self.centre) @ self.scale
         return points + 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Plane:
+    """The two numerical parameters of a problem as the axes of a map, drawn with equal scales.
+
+    Attributes:
+        names: Names of the parameters with their units, across and up.
+        low: Values at the drawn coordinate 0, shape ``(2,)``.
+        scale: Difference in value per drawn unit, shape ``(2,)``. Equal if the parameters are comparable, so that a
+            circle looks like one; otherwise the range of each parameter, so that the map is a square.
+        extent: Drawn size of the whole search space, shape ``(2,)``.
+    """
+
+    names: tuple[str, str]
+    low: FloatArray
+    scale: FloatArray
+    extent: FloatArray
+
+    def placed(self, vectors: FloatArray) -> FloatArray:
+        """Return the positions of solutions on the map, shape ``(n, 2)`` to ``(n, 2)``."""
+        return np.asarray((vectors - self.low) / self.scale)
+
+    def value(self, axis: int, drawn: float) -> float:
+        """Return the parameter's value at a drawn coordinate of an axis, 0 or 1."""
+        return float(self.low[axis] + drawn * self.scale[axis])
+
+
+COMPARABLE = 10.0
+"""Two parameters of one unit are drawn to the same scale if their ranges differ by at most this factor."""
+
+
+def own_plane(space: SearchSpace) -> Plane | None:
+    """Return the plane of a problem with exactly two parameters, both numbers; None for any other problem."""
+    parameters = [parameter for component in space.components for parameter in component.parameters]
+    numbers = [parameter for parameter in parameters if isinstance(parameter, Number)]
+    if len(parameters) != 2 or len(numbers) != 2:
+        return None
+    low = np.array([number.low for number in numbers], np.float64)
+    ranges = np.array([number.high - number.low for number in numbers], np.float64)
+    same = numbers[0].unit == numbers[1].unit and ranges.max() <= COMPARABLE * ranges.min()
+    scale = np.full(2, ranges.max()) if same else ranges
+    across, up = (f"{one.name} ({one.unit})" if one.unit else one.name for one in numbers)
+    return Plane(names=(across, up), low=low, scale=scale, extent=ranges / scale)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

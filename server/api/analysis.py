@@ -70,6 +70,9 @@ class MapView(View):
     explained: Annotated[float, Field(description="Share of the squared distances that the map preserves.")]
     across: Annotated[str | None, Field(description="Meaning of the horizontal axis, in words.")]
     up: Annotated[str | None, Field(description="Meaning of the vertical axis, in words.")]
+    own_axes: Annotated[
+        bool, Field(description="Whether the axes are the problem's two parameters, drawn with equal scales.")
+    ]
     first: Annotated[int, Field(description="Solutions left out because the client already has them.")]
     number: list[int]
     told_in: Annotated[list[int], Field(description="Generation of each solution.")]
@@ -82,6 +85,9 @@ class MapView(View):
     outcome_kinds: Annotated[list[OutcomeKind], Field(description="The kind of each of these.")]
     kinds: Annotated[
         dict[OutcomeKind, str], Field(description="What the solutions of each kind have in common.")
+    ]
+    outcomes_in_words: Annotated[
+        str, Field(description="How many drives held the requirements, and what they violated nevertheless.")
     ]
     robustness: list[float]
     x: list[float]
@@ -157,11 +163,12 @@ def _map_view(
     new, points = rows[first:], drawn.points[first:]
     return MapView.model_construct(
         version=drawn.version, generation=found.generation, evaluated=len(archive), drawn=len(rows),
-        explained=drawn.projection.explained, across=drawn.axes[0], up=drawn.axes[1], first=first,
+        explained=drawn.explained, own_axes=drawn.own_axes, across=drawn.axes[0], up=drawn.axes[1], first=first,
         number=archive.numbers[new].tolist(), told_in=np.searchsorted(ends, new, side="right").tolist(),
         unsafe=archive.unsafe[new].astype(np.int64).tolist(), outcome=outcomes.which[new].tolist(),
         outcomes=[group.words for group in outcomes.groups], outcome_kinds=[group.kind for group in outcomes.groups],
-        kinds={kind: outcomes.kind_words(kind) for kind in OutcomeKind}, robustness=_rounded(archive.robustness[new]),
+        kinds={kind: outcomes.kind_words(kind) for kind in OutcomeKind}, outcomes_in_words=outcomes.sentence(),
+        robustness=_rounded(archive.robustness[new]),
         x=_rounded(points[:, 0]), y=_rounded(points[:, 1]), fitness=_rounded(archive.fitness[rows]),
         by=_colour_by(column, rows) if column is not None else None,
     )  # fmt: skip

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from brink.search.analysis.dependence import axis_meanings
-from brink.search.analysis.similarity import Projection
+from brink.search.analysis.similarity import Plane, Projection, own_plane
 from brink.search.archive import Archive
 from brink.search.space import FloatArray, SearchSpace
 from brink.server.campaigns.archives import ReadArchive
@@ -38,19 +38,29 @@ class SolutionMap:
 
     Attributes:
         version: Version of the layout; points of one version do not move.
-        projection: Projection from solutions to the plane.
-        axes: What each axis correlates with, in words, or None.
+        projection: Projection from solutions to the map: for two numerical parameters, these themselves.
+        axes: What each axis is or correlates with, in words, or None.
         rows: Archive indices of the drawn solutions, shape ``(n,)``; later versions append to it.
         points: Coordinates, shape ``(n, 2)``.
         evaluated: Number of solutions in the archive.
     """
 
     version: str
-    projection: Projection
+    projection: Projection | Plane
     axes: tuple[str | None, str | None]
     rows: Rows
     points: FloatArray
     evaluated: int
+
+    @property
+    def explained(self) -> float:
+        """Share of the squared distances that the map preserves."""
+        return 1.0 if isinstance(self.projection, Plane) else self.projection.explained
+
+    @property
+    def own_axes(self) -> bool:
+        """Whether the axes are the two parameters of the problem."""
+        return isinstance(self.projection, Plane)
 
 
 def fitted_count(count: int) -> int:
@@ -106,12 +116,13 @@ def make_map(
             version=version, projection=before.projection, axes=before.axes, rows=rows,
             points=np.concatenate([before.points, later]), evaluated=len(archive),
         )  # fmt: skip
-    projection = Projection.fitted(archive.metric, archive.vectors[:made])
+    plane = own_plane(space)
+    projection = plane or Projection.fitted(archive.metric, archive.vectors[:made])
     points = projection.placed(archive.vectors[rows])
+    axes = plane.names if plane is not None else _axes(space, archive.vectors[rows], points)
     return SolutionMap(
-        version=version, projection=projection, axes=_axes(space, archive.vectors[rows], points), rows=rows,
-        points=points, evaluated=len(archive),
-    )  # fmt: skip
+        version=version, projection=projection, axes=axes, rows=rows, points=points, evaluated=len(archive)
+    )
 
 
 def _axes(space: SearchSpace, vectors: FloatArray, points: FloatArray) -> tuple[str | None, str | None]:

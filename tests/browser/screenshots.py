@@ -122,7 +122,7 @@ def save(page: Page, name: str) -> Path:
 def _compose(page: Page, name: str) -> None:
     """Have a view show what is worth a picture."""
     if name == "solution":
-        page.get_by_role("button", name="Go to the violation at").click()
+        page.get_by_role("button", name="Go to").click()
         below = page.locator("header").bounding_box() or {"height": 0}
         page.get_by_role("region", name="Replay").evaluate(
             "(node, below) => scrollBy(0, node.getBoundingClientRect().top - below - 16)", below["height"]

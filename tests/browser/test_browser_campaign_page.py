@@ -127,10 +127,10 @@ def test_the_table_of_boundary_solutions_is_filtered_and_sorted(site: Served, pa
 
     unsafe = [one for one in solutions if one["verdict"] == "unsafe"]
     assert 0 < len(unsafe) <= 12, "one page of the table"
-    region.get_by_label("Verdict").select_option("unsafe")
+    region.get_by_label("Outcome").select_option("violated")
     shown(rows).to_have_count(len(unsafe))
     shown(region.get_by_text(f"{len(unsafe)} of {len(solutions)} match.")).to_be_visible()
-    region.get_by_label("Verdict").select_option("")
+    region.get_by_label("Outcome").select_option("")
 
     number = solutions[-1]["number"]
     region.get_by_label("Find").fill(str(number))

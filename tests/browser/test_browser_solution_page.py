@@ -31,7 +31,7 @@ def solution(site: Served, visit: Visits) -> Page:
     number = unsafe_one(site)["number"]
     page = visit(site.url, loose(site.urban))
     table = page.get_by_role("region", name="Boundary solutions", exact=True)
-    table.get_by_label("Verdict").select_option("unsafe")
+    table.get_by_label("Outcome").select_option("violated")
     table.get_by_role("link", name=str(number), exact=True).click()
     shown(page.get_by_role("heading", name=f"Solution {number}", exact=True)).to_be_visible()
     shown(page.get_by_role("button", name="Play", exact=True)).to_be_visible(timeout=60_000)
@@ -85,15 +85,16 @@ def test_space_toggles_playback_and_a_button_jumps_to_the_violation(solution: Pa
     shown(solution.get_by_role("button", name="Pause", exact=True)).to_be_visible()
     solution.keyboard.press("Space")
     shown(solution.get_by_role("button", name="Play", exact=True)).to_be_visible()
-    jump = solution.get_by_role("button", name="Go to the violation at")
-    seconds = float(jump.inner_text().rpartition("at ")[2].removesuffix(" s"))
+    jump = solution.get_by_role("button", name="Go to")
+    seconds = float(jump.inner_text().removeprefix("Go to ").partition(" s")[0])
     jump.click()
     assert clock(solution) == pytest.approx(seconds, abs=0.11)
 
 
 def test_page_shows_what_the_api_returns(site: Served, solution: Page) -> None:
     one = unsafe_one(site)
-    shown(solution.locator(".head .badge")).to_have_text("unsafe")
+    shown(solution.locator(".head .badge")).to_have_text(one["outcome"])
+    assert one["kind"] == "violated"
     shown(solution.get_by_role("region", name="Description")).to_contain_text(one["words"])
     with solution.expect_download() as download:
         solution.get_by_role("button", name="Specification, JSON").click()

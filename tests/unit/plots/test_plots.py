@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -24,6 +25,8 @@ from brink.plots import (
     write_campaign_figures,
 )
 from brink.plots.campaign import figure_fronts, recorded_diversities
+from brink.plots.embedding import MAP_BOTTOM_PX, MAP_LEFT_PX
+from brink.plots.inputs import VerdictWords
 from brink.plots.style import WIDTH_PX
 from brink.search.algorithm import Scored
 from brink.search.algorithms.multi_objective import CRITICALITY
@@ -31,7 +34,7 @@ from brink.search.algorithms.nsga2 import Nsga2, Nsga2Config
 from brink.search.analysis.boundary import dbs, dbs_grid, distinct_boundary, strict_dbs
 from brink.search.analysis.dependence import dependences
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
-from brink.search.analysis.similarity import embedded
+from brink.search.analysis.similarity import embedded, own_plane
 from brink.search.archive import Archive, Neighbourhood
 from brink.search.fitness import wilson_interval
 from brink.search.problems import MTQ_RADIUS, MTQ_SPACE, mtq_robustness
@@ -153,7 +156,7 @@ def test_dbs_at_half_the_budget_uses_only_the_first_half() -> None:
 
 
 def test_map_has_a_dot_for_every_solution_at_its_embedded_position() -> None:
-    inputs = mtq_campaign()
+    inputs = mixed_campaign(400)
     dots = scattered(figure_embedding(inputs).axes[0], "solutions")
     places = np.asarray(dots.get_offsets())
     expected = embedded(inputs.archive).points
@@ -167,6 +170,68 @@ def test_map_has_a_dot_for_every_solution_at_its_embedded_position() -> None:
     assert len(np.unique(colours[safe], axis=0)) == 1
     assert len(np.unique(colours[unsafe], axis=0)) == 1
     assert not np.allclose(colours[safe][0], colours[unsafe][0])
+
+
+def test_two_parameters_are_drawn_in_their_own_coordinates() -> None:
+    inputs = mtq_campaign()
+    axes = figure_embedding(inputs).axes[0]
+    places = np.asarray(scattered(axes, "solutions").get_offsets())
+    np.testing.assert_allclose(places, inputs.archive.vectors)
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x", "y")
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["0", "0.25", "0.5", "0.75", "1"]
+    # Equal scales: the disc of MTQ is as wide as it is high, in pixels.
+    corners = axes.transData.transform([(0.6, 0.6), (0.9, 0.9)])
+    assert np.ptp(corners[:, 0]) == pytest.approx(np.ptp(corners[:, 1]))
+    left, right = axes.get_xlim()
+    assert (left <= 0, right >= 1) == (True, True)
+
+
+def test_own_coordinates_of_different_units_fill_a_square() -> None:
+    def space(*numbers: Real) -> SearchSpace:
+        return SearchSpace((Component("all", numbers),))
+
+    apart = own_plane(space(Real("speed", 0.0, 20.0, "m/s"), Real("gap", 5.0, 55.0, "m")))
+    assert apart is not None
+    assert apart.names == ("speed (m/s)", "gap (m)")
+    assert apart.placed(np.array([[5.0, 30.0]])).tolist() == [[0.25, 0.5]]
+    assert (apart.value(0, 0.25), apart.value(1, 0.5)) == (5.0, 30.0)
+    same = own_plane(space(Real("a", 0.0, 20.0, "m"), Real("b", 0.0, 40.0, "m")))
+    assert same is not None
+    assert same.placed(np.array([[20.0, 20.0]])).tolist() == [[0.5, 0.5]]
+    assert own_plane(space(Real("a", 0.0, 1.0))) is None
+    assert own_plane(MIXED) is None
+
+
+def test_map_says_what_verdicts_are_about() -> None:
+    plain = mixed_campaign()
+    others = np.zeros(len(plain.archive), np.bool_)
+    others[np.flatnonzero(~plain.archive.unsafe)[:29]] = True
+    about = VerdictWords(
+        held="front gap held", other="front gap held, another requirement violated",
+        violated="violated the front gap", others=others,
+    )  # fmt: skip
+    figure = figure_embedding(replace(plain, words=about))
+    text, safe = words(figure), int((~plain.archive.unsafe).sum())
+    assert f"front gap held: {safe - 29}" in text
+    assert "front gap held,\nanother requirement violated: 29" in text
+    assert "violated the front gap: " in text
+    assert "safe:" not in text
+    colours = np.asarray(scattered(figure.axes[0], "solutions").get_facecolor())
+    assert len(np.unique(colours, axis=0)) == 3
+    assert len(np.unique(colours[others], axis=0)) == 1
+    with pytest.raises(ValueError, match="entries in others"):
+        replace(plain, words=replace(about, others=others[:3]))
+
+
+def test_map_tells_unknown_ground_from_ground_at_p_th() -> None:
+    inputs = mixed_campaign()
+    figure = figure_embedding(inputs)
+    assert "nothing simulated nearby" in words(figure)
+    hatched = [patch for axes in figure.axes for patch in axes.patches if patch.get_hatch()]
+    assert len(hatched) == 2, "the ground of the map, and its key"
+    image = pixels(figure)
+    corner = image[-MAP_BOTTOM_PX - 40 : -MAP_BOTTOM_PX - 4, MAP_LEFT_PX + 4 : MAP_LEFT_PX + 40]
+    assert (corner < 250).all(axis=2).mean() > 0.9, "not white"
 
 
 def test_map_rings_the_distinct_boundary_solutions_best_first() -> None:

@@ -15,6 +15,24 @@ export function badge(state, words = state) {
   return node;
 }
 
+const OUTCOMES = { held: "safe", other: "other", violated: "unsafe" };
+
+/** Return a badge of a solution: what its verdict is about and what else it violated, with the colour of the verdict. */
+export function outcomeBadge(one) {
+  const node = badge(...outcomeWords(one));
+  node.classList.add("long");
+  const { update } = node;
+  node.update = (next) => {
+    update(...outcomeWords(next));
+    node.classList.add("long");
+  };
+  return node;
+}
+
+function outcomeWords(one) {
+  return one.outcome ? [OUTCOMES[one.kind], one.outcome] : [one.verdict];
+}
+
 /** Return a highlighted message; ``kind`` is ``warn``, ``bad`` or empty. */
 export function callout(kind, ...words) {
   return h("div", { class: `callout ${kind}`.trim() }, words);

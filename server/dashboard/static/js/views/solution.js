@@ -4,7 +4,7 @@ import { isOpen } from "../api.js";
 import { h, replace } from "../dom.js";
 import { count, figure, plainId, spaced } from "../format.js";
 import { link } from "../router.js";
-import { badge, facts } from "../parts/elements.js";
+import { facts, outcomeBadge } from "../parts/elements.js";
 import { judgedBy, neighbourhood, parameters, repeats, verdicts, withUnit } from "./solution/cards.js";
 import { downloads, loading, replay } from "./solution/replay.js";
 
@@ -16,10 +16,10 @@ export async function show(main, context, { parts }) {
   const [solution, following] = await Promise.all([
     context.get(path), context.get(`campaigns/${campaign.id}/solutions?after=${number}&limit=1`),
   ]);
-  const judged = judgedBy(solution, campaign);
+  const judged = judgedBy(solution);
   const evaluated = isEvaluated(solution);
 
-  const verdict = badge(solution.verdict);
+  const verdict = outcomeBadge(solution);
   const figures = facts();
   figures.classList.add("wide");
   const around = neighbourhood(campaign);
@@ -53,7 +53,7 @@ export async function show(main, context, { parts }) {
       dispatchEvent(new Event("hashchange")); // an evaluated solution has more cards: show the view anew
       return;
     }
-    verdict.update(read.verdict);
+    verdict.update(read);
     figures.update({
       Fitness: figure(read.fitness), Generation: count(read.generation), Origin: read.origin ? spaced(read.origin) : "–",
       Seed: String(read.seed), Attempts: count(read.attempts),

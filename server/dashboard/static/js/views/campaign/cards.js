@@ -5,11 +5,11 @@ import { attribute, h, keyed, replace, text } from "../../dom.js";
 import { count, figure, percent, plural, spaced } from "../../format.js";
 import { loadOnNews } from "../../polling.js";
 import { link } from "../../router.js";
-import { badge } from "../../parts/elements.js";
+import { badge, outcomeBadge } from "../../parts/elements.js";
 
 const COLUMNS = [
   ["number", "Solution", (one) => one.number],
-  ["verdict", "Verdict", (one) => one.verdict],
+  ["verdict", "Outcome", (one) => one.outcome],
   ["fitness", "Fitness", (one) => one.fitness],
   ["robustness", "Robustness", (one) => one.robustness],
   ["unsafe", "Unsafe neighbours", (one) => one.unsafe_neighbours / one.neighbours],
@@ -26,7 +26,7 @@ export function boundaryCard(context, id, found) {
 
   const filter = h("input", { id: "boundary-find", type: "search", placeholder: "rain, pedestrian, 61 …", oninput: draw });
   const verdict = h("select", { id: "boundary-verdict", onchange: draw },
-    [["", "any verdict"], ["safe", "safe"], ["unsafe", "unsafe"]].map(([value, words]) => h("option", { value }, words)));
+    [["", "any outcome"], ["held", "no violation"], ["other", "only another requirement violated"], ["violated", "unsafe"]].map(([value, words]) => h("option", { value }, words)));
   const strict = h("input", { type: "checkbox", id: "boundary-strict", onchange: draw });
   const body = h("tbody");
   const heads = COLUMNS.map(([name, words, by]) => h("th", { scope: "col" },
@@ -42,7 +42,7 @@ export function boundaryCard(context, id, found) {
     h("div.scroll", { tabindex: 0, role: "region", "aria-label": "Table of boundary solutions" },
       h("table.boundary", null, h("caption", null, ""), h("thead", null, h("tr", null, heads)), body)),
     said, more);
-  attribute(verdict, "aria-label", "Verdict");
+  attribute(verdict, "aria-label", "Outcome");
   const caption = card.querySelector("caption");
 
   const load = loadOnNews(async () => {
@@ -61,9 +61,9 @@ export function boundaryCard(context, id, found) {
     if (!read) return;
     const strictOnes = new Set(read.strict);
     const wanted = filter.value.trim().toLowerCase();
-    const rows = read.solutions.filter((one) => (!verdict.value || one.verdict === verdict.value)
+    const rows = read.solutions.filter((one) => (!verdict.value || one.kind === verdict.value)
       && (!strict.checked || strictOnes.has(one.number))
-      && (!wanted || String(one.number) === wanted || one.words.toLowerCase().includes(wanted)));
+      && (!wanted || String(one.number) === wanted || `${one.words} ${one.outcome}`.toLowerCase().includes(wanted)));
     const [, , by] = COLUMNS.find(([name]) => name === sorting.name);
     rows.sort((a, b) => (by(a) < by(b) ? -1 : by(a) > by(b) ? 1 : a.number - b.number) * (sorting.falling ? -1 : 1));
     heads.forEach((head, place) => attribute(head, "aria-sort",
@@ -78,7 +78,7 @@ export function boundaryCard(context, id, found) {
     const [low, high] = one.interval;
     return h("tr", null,
       h("td", null, h("a.row", { href: link("campaigns", id, "solutions", one.number) }, String(one.number)), isStrict && h("span.small.muted", null, " strict")),
-      h("td", null, badge(one.verdict)), h("td", null, figure(one.fitness)), h("td", null, figure(one.robustness)),
+      h("td.outcome", null, outcomeBadge(one)), h("td", null, figure(one.fitness)), h("td", null, figure(one.robustness)),
       h("td", null, `${one.unsafe_neighbours} of ${one.neighbours}`, h("div.small.muted", null, `${percent(low)} to ${percent(high)}`)),
       h("td.words.small", null, one.words));
   }

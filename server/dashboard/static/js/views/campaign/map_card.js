@@ -6,7 +6,7 @@ import { count, figure, percent, plural, spaced } from "../../format.js";
 import { loadOnNews } from "../../polling.js";
 import { link, rewrite } from "../../router.js";
 import { colour, onTheme } from "../../theme.js";
-import { badge } from "../../parts/elements.js";
+import { outcomeBadge } from "../../parts/elements.js";
 import { solutionMap } from "./map.js";
 
 const OWN = [["verdict", "verdict"], ["fitness", "fitness"], ["robustness", "robustness"], ["generation", "generation"]];
@@ -94,10 +94,11 @@ export function mapCard(context, id, query) {
       dot.style.background = one.colour;
       return h("li", null, dot, one.label);
     }), boundary.length > 0 && h("li", null, h("i.ringed"), `${plural(placed(boundary).length, "distinct boundary solution")}, ringed`));
-    const { drawn, evaluated, explained, across, up } = data.about;
+    const { said, drawn, evaluated, explained, across, up, own_axes } = data.about;
     text(about, [
+      said,
       drawn < evaluated ? `${count(drawn)} of ${count(evaluated)} solutions are shown.` : `${plural(drawn, "solution")}.`,
-      `Similar solutions lie close together; the map preserves ${percent(explained)} of the squared distances.`,
+      own_axes ? "The axes are the problem's two parameters." : `Similar solutions lie close together; the map preserves ${percent(explained)} of the squared distances.`,
       across && `Horizontal axis: ${across}.`, up && `Vertical axis: ${up}.`,
     ].filter(Boolean).join(" "));
     mark();
@@ -116,7 +117,7 @@ export function mapCard(context, id, query) {
     tip.hidden = i === null;
     canvas.classList.toggle("over", i !== null);
     if (i === null) return;
-    text(tip, `solution ${data.number[i]}: ${data.unsafe[i] ? "unsafe" : "safe"}, robustness ${figure(data.robustness[i])}, fitness ${figure(data.fitness[i])}`);
+    text(tip, `solution ${data.number[i]}: ${data.words(i)}; robustness ${figure(data.robustness[i])}, fitness ${figure(data.fitness[i])}`);
     const right = x > canvas.clientWidth / 2;
     tip.style.left = right ? "auto" : `${x + 14}px`;
     tip.style.right = right ? `${canvas.clientWidth - x + 14}px` : "auto";
@@ -144,7 +145,7 @@ export function mapCard(context, id, query) {
     mark();
     const read = await context.tell(() => context.get(`campaigns/${id}/solutions/${number}`));
     if (!read || opened !== number) return;
-    replace(panel, h("h3", null, `Solution ${number} `, badge(read.verdict)),
+    replace(panel, h("h3", null, `Solution ${number} `, outcomeBadge(read)),
       h("p", null, read.words),
       h("p.small.muted", null, [
         read.robustness !== null && `robustness ${figure(read.robustness)}`,
@@ -163,7 +164,7 @@ export function mapCard(context, id, query) {
       h("p.small.muted", null, `${percent(unsafe / rows.length)} unsafe. Closest to the boundary first.`),
       h("ul.chosen", null, sorted.map((i) => h("li", null,
         h("a", { href: link("campaigns", id, "solutions", data.number[i]) }, `solution ${data.number[i]}`),
-        h("span.small.muted", null, ` ${data.unsafe[i] ? "unsafe" : "safe"}, fitness ${figure(data.fitness[i])}`)))),
+        h("span.small.muted", null, ` ${data.words(i)}; fitness ${figure(data.fitness[i])}`)))),
       rows.length > MOST_LISTED && h("p.hint", null, `and ${count(rows.length - MOST_LISTED)} more`),
       h("p", null, h("button", { type: "button", onclick: () => choose([]) }, "Clear selection")));
   }
@@ -209,12 +210,19 @@ const CATEGORIES = ["#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3
  * @property {{label: string, colour: string}[]} legend
  */
 
-/** Colour by verdict. */
+const KINDS = ["held", "other", "violated"];
+
+/** Colour by verdict: what the campaign is about, and solutions that violate another requirement. */
 function byVerdict(data) {
-  const colours = [colour("--safe"), colour("--unsafe")];
+  const colours = [colour("--safe"), colour("--other"), colour("--unsafe")];
+  const of = data.about.kinds.map((kind) => KINDS.indexOf(kind));
+  const counts = [0, 0, 0];
+  const index = Uint8Array.from(data.outcome, (outcome) => of[outcome]);
+  for (const kind of index) counts[kind] += 1;
   return {
-    index: data.unsafe, colours,
-    legend: [{ label: "safe", colour: colours[0] }, { label: "unsafe", colour: colours[1] }],
+    index, colours,
+    legend: KINDS.map((kind, place) => ({ label: `${data.about.kindWords[kind]}: ${count(counts[place])}`, colour: colours[place], shown: place !== 1 || counts[1] > 0 }))
+      .filter((one) => one.shown),
   };
 }
 
@@ -263,7 +271,7 @@ function ramp(share) {
   return `rgb(${mixed.join(",")})`;
 }
 
-const COLUMNS = ["number", "told_in", "unsafe", "robustness", "x", "y"];
+const COLUMNS = ["number", "told_in", "unsafe", "outcome", "robustness", "x", "y"];
 
 /** The points of a campaign in columns; only new ones are loaded. */
 class MapData {
@@ -273,6 +281,7 @@ class MapData {
   number = new Int32Array(0);
   told_in = new Int32Array(0);
   unsafe = new Uint8Array(0);
+  outcome = new Uint16Array(0);
   robustness = new Float32Array(0);
   x = new Float32Array(0);
   y = new Float32Array(0);
@@ -300,8 +309,13 @@ class MapData {
     this.version = read.version;
     this.fitness = Float32Array.from(read.fitness);
     this.by = read.by && { ...read.by, values: Float32Array.from(read.by.values, (value) => value ?? NaN) };
-    const { generation, evaluated, drawn, explained, across, up } = read;
-    this.about = { generation, evaluated, drawn, explained, across, up };
+    const { generation, evaluated, drawn, explained, across, up, own_axes, outcomes } = read;
+    this.about = { said: read.outcomes_in_words, generation, evaluated, drawn, explained, across, up, own_axes, outcomes, kinds: read.outcome_kinds, kindWords: read.kinds };
+  }
+
+  /** Return the outcome of a point in words. */
+  words(i) {
+    return this.about.outcomes[this.outcome[i]];
   }
 }
 

@@ -4,19 +4,17 @@ import { isOpen } from "../../api.js";
 import { h, replace, text } from "../../dom.js";
 import { capital, count, figure, percent, plainId, plural, spaced, value } from "../../format.js";
 import { link } from "../../router.js";
-import { badge } from "../../parts/elements.js";
+import { badge, outcomeBadge } from "../../parts/elements.js";
 import { seconds } from "./episode.js";
 
 const USUAL_REPEATS = 20;
 const MOST_REPEATS = 10_000;
 const NO_GENERATION = 1_000_000_000;
 
-/** Return the requirement that decides a solution: the one the campaign names, or else the one with the solution's robustness. */
-export function judgedBy(solution, campaign) {
-  const verdicts = Object.entries(solution.verdicts ?? {});
-  const wanted = campaign.body.problem.params.requirement;
-  const found = verdicts.find(([name]) => name === wanted) ?? verdicts.find(([, one]) => one.robustness === solution.robustness);
-  return found?.[0] ?? null;
+/** Return the requirement whose robustness is the solution's, of those that decide; null if unknown. */
+export function judgedBy(solution) {
+  const deciding = solution.requirements.filter((name) => name in (solution.verdicts ?? {}));
+  return deciding.find((name) => solution.verdicts[name].robustness === solution.robustness) ?? deciding[0] ?? null;
 }
 
 /** Return a robustness with its unit: ``−0.5 m``. */
@@ -28,7 +26,7 @@ export function withUnit(robustness, unit) {
  * Return the card of a solution's verdicts; null if it has none.
  *
  * @param {object} solution
- * @param {string|null} judged The requirement that decides.
+ * @param {string|null} judged The requirement that is shown first.
  * @param {(time_s: number) => void} goTo Jumps to a time of the episode.
  */
 export function verdicts(solution, judged, goTo) {
@@ -42,9 +40,9 @@ export function verdicts(solution, judged, goTo) {
     h("tbody", null, found.map(([name, verdict]) => {
       const at = verdict.violated_at_s;
       const violated = verdict.robustness < 0;
-      return h("tr", { class: name === judged ? "chosen" : null },
-        h("th", { scope: "row" }, spaced(plainId(name)), name === judged && h("span.small.muted", null, ", decisive")),
-        h("td", null, badge(violated ? "unsafe" : "safe", violated ? "violated" : "holds")),
+      return h("tr", { class: solution.requirements.includes(name) ? "chosen" : null },
+        h("th", { scope: "row" }, spaced(plainId(name)), solution.requirements.includes(name) && h("span.small.muted", null, ", decisive")),
+        h("td", null, badge(violated ? (solution.requirements.includes(name) ? "unsafe" : "other") : "safe", violated ? "violated" : "holds")),
         h("td.right", null, withUnit(verdict.robustness, verdict.unit)),
         h("td.right", null, at === null ? "–" : h("button.quiet.figure", { type: "button", onclick: () => goTo(at) }, `at ${seconds(at)}`)));
     })))));
@@ -118,7 +116,7 @@ export function neighbourhood(campaign) {
     text(caption, `The ${plural(read.nearest.length, "nearest", "nearest")} of ${count(read.evaluated)} evaluated solutions; those within a distance of ${figure(read.radius)} are neighbours.`);
     replace(rows, read.nearest.map((one) => h("tr", null,
       h("th", { scope: "row" }, h("a.row", { href: link("campaigns", campaign.id, "solutions", one.number) }, String(one.number))),
-      h("td", null, badge(one.unsafe ? "unsafe" : "safe")),
+      h("td", null, outcomeBadge(one)),
       h("td.right", null, figure(one.distance), h("span.read-out", null, one.within ? ", a neighbour" : ""), !one.within && h("span.small.muted", null, " beyond")),
       h("td.right", null, figure(one.robustness)), h("td.right", null, figure(one.fitness)))));
   }

@@ -101,6 +101,7 @@ export function replay(context, data, solution, path, actions) {
   const { scenario, perturbations } = episode.words;
   const stage = h("section.card.replay", { "aria-label": "Replay" },
     h("div.inline", null, h("h2", null, "Replay"), actions),
+    solution.outcome && h("p", null, h("strong", null, sentence(solution.outcome))),
     scenario && h("p.hint", null, [scenario, perturbations].filter(Boolean).join("; camera pictures: ")));
   stage.append(h(episode.film ? "div.replay-stage.film" : "div.replay-stage", null,
     h("div", null, node, h("div.replay-under", null, legend, switches)),
@@ -113,12 +114,12 @@ export function replay(context, data, solution, path, actions) {
 function marks(episode, solution) {
   const found = episode.data.events.filter(({ marked }) => marked)
     .map(({ time_s, caption, kind }) => ({ time_s, words: caption, bad: kind === "violation" }));
-  const violated = (time_s, requirement) => found.push({ time_s, words: `${spaced(plainId(requirement))} violated`, bad: true });
-  for (const [name, verdict] of Object.entries(solution.verdicts ?? {})) {
-    if (verdict.violated_at_s !== null) violated(verdict.violated_at_s, name);
+  for (const { time_s, words } of solution.violated) {
+    if (time_s !== null) found.push({ time_s, words, bad: true });
   }
-  const { story } = episode;
-  if (story?.violated && !found.some((mark) => mark.bad)) violated(episode.times[story.decisive], story.requirement);
+  if (!found.some((mark) => mark.bad)) {
+    for (const { sample, words } of episode.story?.violations ?? []) found.push({ time_s: episode.times[sample], words, bad: true });
+  }
   return found.sort((a, b) => a.time_s - b.time_s);
 }
 
@@ -144,7 +145,7 @@ function controls(player, marks, stage) {
   const clock = h("output.clock.figure");
   const speeds = segments("Speed", (speed) => player.setSpeed(Number(speed)), SPEEDS, "1");
   const violation = marks.find((mark) => mark.bad);
-  const jump = violation && h("button", { type: "button", onclick: () => player.hold(violation.time_s) }, `Go to the violation at ${seconds(violation.time_s)}`);
+  const jump = violation && h("button", { type: "button", onclick: () => player.hold(violation.time_s) }, `Go to ${seconds(violation.time_s)}: ${violation.words.replace(/ at [\d.]+ s$/, "")}`);
 
   player.listen((_, changed) => {
     if (changed.time) text(clock, `${player.time_s.toFixed(1)} / ${seconds(episode.end_s)}`);
