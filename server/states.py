@@ -55,3 +55,14 @@ class Scope(StrEnum):
     USER = "user"
     WORKER = "worker"
     ADMIN = "admin"
+
+
+class OutcomeKind(StrEnum):
+    """Which requirements a simulation violated."""
+
+    HELD = "held"
+    """None that was recorded."""
+    OTHER = "other"
+    """None of those that decide the verdict, but another one."""
+    VIOLATED = "violated"
+    """One of those that decide the verdict."""

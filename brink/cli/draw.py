@@ -30,9 +30,10 @@ from brink.search.archive import ARRAYS, Archive
 from brink.server.api.outcomes import OutcomesView
 from brink.server.api.schemas import Boundary, CampaignView, SolutionView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody
-from brink.server.campaigns.outcomes import OutcomeKind, deciding_requirements
+from brink.server.campaigns.outcomes import deciding_requirements
 from brink.server.campaigns.plan import Plan, make_plan
 from brink.server.errors import InvalidInput, ServerError
+from brink.server.states import OutcomeKind
 from brink.sim.replay import render
 from brink.sim.trace import Trace
 from brink.worker.process import EpisodeProcess, episode_result

@@ -105,8 +105,9 @@ def _placement(inputs: CampaignFigures) -> str:
 
 def _embed(inputs: CampaignFigures) -> _Map:
     archive, plane = inputs.archive, own_plane(inputs.space)
+    meanings: tuple[AxisMeaning | None, AxisMeaning | None] = None, None
     if plane is not None:
-        points, explained, meanings = plane.placed(archive.vectors), 1.0, (None, None)
+        points, explained = plane.placed(archive.vectors), 1.0
     else:
         embedding = embedded(archive)
         points, explained = np.asarray(embedding.points), embedding.explained

@@ -24,14 +24,14 @@ from brink.server.api.solutions import Threshold
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.campaigns.outcomes import CampaignOutcomes, OutcomeKind
+from brink.server.campaigns.outcomes import CampaignOutcomes
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.dashboard import figures
 from brink.server.dashboard.solution_map import SolutionMap
 from brink.server.db.engine import read
 from brink.server.documents import Body
 from brink.server.errors import Conflict, FieldError, InvalidInput, nearest
-from brink.server.states import CampaignStatus
+from brink.server.states import CampaignStatus, OutcomeKind
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["figures"])
 

@@ -7,7 +7,8 @@ from pydantic import Field
 
 from brink.server.api.context import Services
 from brink.server.api.schemas import View
-from brink.server.campaigns.outcomes import CampaignOutcomes, OutcomeKind
+from brink.server.campaigns.outcomes import CampaignOutcomes
+from brink.server.states import OutcomeKind
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
 

@@ -6,9 +6,8 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from brink.server.campaigns.body import CampaignBody
-from brink.server.campaigns.outcomes import OutcomeKind
 from brink.server.experiments.body import ExperimentBody
-from brink.server.states import CampaignStatus, JobStatus, SolutionVerdict
+from brink.server.states import CampaignStatus, JobStatus, OutcomeKind, SolutionVerdict
 
 MAX_NUMBER = 2**53
 """Largest job or solution number that is looked up; every JSON parser reads it exactly."""

@@ -35,13 +35,13 @@ from brink.server.api.schemas import (
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
-from brink.server.campaigns.outcomes import CampaignOutcomes, OutcomeKind, outcome_of
+from brink.server.campaigns.outcomes import CampaignOutcomes, outcome_of
 from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import read
 from brink.server.errors import InvalidInput, NotFound
 from brink.server.problems.base import Problem, describe_candidate
-from brink.server.states import SolutionVerdict
+from brink.server.states import OutcomeKind, SolutionVerdict
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
 

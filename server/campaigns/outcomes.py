@@ -9,7 +9,6 @@ import json
 from collections import Counter, OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
 from typing import Any, Final, Self
 
 import numpy as np
@@ -26,23 +25,12 @@ from brink.server.problems.base import NamesRequirements, Problem
 from brink.server.problems.catalogue import make_problem
 from brink.server.queue.job_store import EVALUATIONS
 from brink.server.single_flight import SingleFlightCache
-from brink.server.states import SolutionVerdict
+from brink.server.states import OutcomeKind, SolutionVerdict
 from brink.sim.episode import Verdict
 from brink.sim.verdict import EpisodeVerdict, drives_held, held_words, unsafe_words
 
 CACHED: Final = 8
 _ROWS_AT_ONCE: Final = 1_000
-
-
-class OutcomeKind(StrEnum):
-    """Which requirements a simulation violated."""
-
-    HELD = "held"
-    """None that was recorded."""
-    OTHER = "other"
-    """None of those that decide the verdict, but another one."""
-    VIOLATED = "violated"
-    """One of those that decide the verdict."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
