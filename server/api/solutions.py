@@ -243,7 +243,7 @@ def boundary_view(
     archive = read.archive
     within = _within_budget(archive, campaign.body.budget.simulations, t_b, d_th)
     chosen = distinct_boundary(archive, t_b, d_th)
-    strict = distinct_boundary(archive, t_b, d_th, strict=True)
+    strict = chosen[has_evidence(archive)[chosen]]
     grid = read.grid
     numbers = [int(number) for number in archive.numbers[chosen]]
     rows = {row.number: row for row in view_store.read_solutions(connection, campaign.id, numbers)}

@@ -341,7 +341,11 @@ def test_episode_has_the_trace_in_columns(client: httpx.Client) -> None:
     assert [event["kind"] for event in found["events"]] == ["nudge", "violation"]
     assert found["film"] is None
     decisive = int(np.flatnonzero(trace.robustness["front-gap@1"] < 0)[0])
-    assert found["story"] == {"requirement": "front-gap@1", "violated": True, "decisive": decisive}
+    words = "violated the front gap at 17.5 s"
+    assert found["story"] == {
+        "requirement": "front-gap@1", "violated": True, "decisive": decisive, "words": words,
+        "violations": [{"requirement": "front-gap@1", "sample": decisive, "words": words}],
+    }  # fmt: skip
     assert "sunset" in found["words"]["scenario"]
     assert found["words"]["report"] == "injected"
 
