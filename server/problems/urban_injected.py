@@ -129,7 +129,15 @@ def behaviour_component(duration_s: float) -> Component:
                 members=tuple(prefix + name for name in b.TRAJECTORY_FIELDS if name != "label"),
             )
         )
-    return Component(name="behaviour", parameters=tuple(parameters), constraints=tuple(constraints))
+    return Component(
+        name="behaviour",
+        parameters=tuple(parameters),
+        constraints=tuple(constraints),
+        interchangeable=tuple(
+            tuple(f"trajectory_{index}.{name}" for name in b.TRAJECTORY_FIELDS)
+            for index in range(1, b.TRAJECTORY_COUNT + 1)
+        ),
+    )
 
 
 class UrbanInjected:
