@@ -24,6 +24,7 @@ from brink.search.space import (
     Extent,
     FloatArray,
     IntArray,
+    Parameter,
     SearchSpace,
     frozen_array,
 )
@@ -86,6 +87,10 @@ def _component_orders(component: Component, start: int) -> Iterator[IntArray]:
         yield swapped
 
 
+def _parameters(space: SearchSpace) -> list[Parameter]:
+    return [parameter for component in space.components for parameter in component.parameters]
+
+
 def _columns(component: Component, start: int) -> dict[str, int]:
     return {parameter.name: start + place for place, parameter in enumerate(component.parameters)}
 
@@ -103,6 +108,9 @@ class Features:
     space: SearchSpace
     ties: tuple[tuple[int, int], ...]
     orders: IntArray
+    _numeric: IntArray
+    _categories: IntArray
+    _codes: IntArray
 
     @classmethod
     def of_space(cls, space: SearchSpace) -> Self:
@@ -127,7 +135,7 @@ class Features:
             pairs.append((columns[0], columns[1]))
         array = np.array(orders)
         straight = np.arange(space.dimension)
-        parameters = [p.describe() | {"name": ""} for c in space.components for p in c.parameters]
+        parameters = [parameter.describe() | {"name": ""} for parameter in _parameters(space)]
         if (
             array.shape != (len(orders), space.dimension)
             or not np.issubdtype(array.dtype, np.integer)
@@ -139,7 +147,18 @@ class Features:
                 f"expected orders of {space.dimension} columns, the given order first, that swap parameters of the "
                 f"same kind only, got {str(orders)[:200]}"
             )
-        return cls(space=space, ties=tuple(pairs), orders=frozen_array(array, np.int64))
+        choices = [
+            (column, code)
+            for column, parameter in enumerate(_parameters(space))
+            if isinstance(parameter, Categorical)
+            for code in range(len(parameter.choices))
+        ]
+        return cls(
+            space=space, ties=tuple(pairs), orders=frozen_array(array, np.int64),
+            _numeric=frozen_array(np.flatnonzero(~space.categorical), np.int64),
+            _categories=frozen_array([column for column, _ in choices], np.int64),
+            _codes=frozen_array([code for _, code in choices], np.int64),
+        )  # fmt: skip
 
     @property
     def is_symmetric(self) -> bool:
@@ -148,16 +167,12 @@ class Features:
 
     def names(self) -> tuple[str, ...]:
         """Return a name for each feature."""
-        columns = self.space.column_names()
-        parameters = [p for component in self.space.components for p in component.parameters]
-        found = [columns[c] for c in np.flatnonzero(~self.space.categorical)]
-        for column, parameter in zip(columns, parameters, strict=True):
-            if isinstance(parameter, Categorical):
-                found += [f"{column}={choice}" for choice in parameter.choices]
-        for low, high in self.ties:
-            pair = f"{columns[low]}..{columns[high]}"
-            found += [f"middle of {pair}", f"length of {pair}"]
-        return tuple(found)
+        columns, parameters = self.space.column_names(), _parameters(self.space)
+        found = [columns[c] for c in self._numeric]
+        for column, code in zip(self._categories.tolist(), self._codes.tolist(), strict=True):
+            found.append(f"{columns[column]}={parameters[column].decode(code)}")
+        pairs = [f"{columns[low]}..{columns[high]}" for low, high in self.ties]
+        return (*found, *(f"middle of {pair}" for pair in pairs), *(f"length of {pair}" for pair in pairs))
 
     def of_rows(self, rows: FloatArray, order: int = 0) -> FeatureArray:
         """Return the features of complete solutions, shape ``(n, features)``.
@@ -175,15 +190,13 @@ class Features:
         if order:
             rows = rows[:, self.orders[order]]
         numbers = rows / self.space.ranges
-        columns = [numbers[:, ~self.space.categorical]]
-        parameters = [p for component in self.space.components for p in component.parameters]
-        for place, parameter in enumerate(parameters):
-            if isinstance(parameter, Categorical):
-                columns.append(rows[:, [place]] == np.arange(len(parameter.choices)))
-        for low, high in self.ties:
-            columns.append(0.5 * (numbers[:, [low]] + numbers[:, [high]]))
-            columns.append(numbers[:, [high]] - numbers[:, [low]])
-        return np.concatenate(columns, axis=1, dtype=np.float32)
+        low, high = (numbers[:, [tie[side] for tie in self.ties]] for side in (0, 1))
+        return np.concatenate(
+            [
+                numbers[:, self._numeric], rows[:, self._categories] == self._codes, 0.5 * (low + high), high - low
+            ],
+            axis=1, dtype=np.float32,
+        )  # fmt: skip
 
     def in_every_order(self, rows: FloatArray) -> FeatureArray:
         """Return the features in all equivalent orders, shape ``(orders, n, features)``."""

@@ -1,7 +1,8 @@
 """Routes of analyses: map, convergence curve, parameter dependence, scores, safety monitor."""
 
 import asyncio
-from typing import Annotated, Any
+from dataclasses import asdict
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
@@ -10,7 +11,7 @@ from pydantic import Field
 
 from brink.search.analysis.comparison import control_summary, rows_of
 from brink.search.analysis.dependence import Dependence, ParameterColumn, parameter_columns
-from brink.search.analysis.monitor import Answer
+from brink.search.analysis.monitor import Answer, Model
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.analysis.scores import DRAWS, Scores
 from brink.search.errors import SpaceError
@@ -371,6 +372,10 @@ class Questions(Body):
             gt=0, lt=1, description="Probability above which a solution is called unsafe; p_th by default."
         ),
     ] = None
+    model: Annotated[
+        Literal["trees", "neighbours"] | None,
+        Field(description="Model to fit; by default trees if they can be fitted, otherwise neighbours."),
+    ] = None
 
 
 class RiskView(View):
@@ -380,9 +385,20 @@ class RiskView(View):
     low: Annotated[float, Field(description="Lower limit of the interval.")]
     high: float
     neighbours: Annotated[
-        float, Field(description="Effective number of nearby evaluations: their total weight.")
+        float | None,
+        Field(description="Effective number of nearby evaluations: their total weight; null for trees."),
     ]
-    answer: Annotated[Answer, Field(description="`unknown` if the interval contains the threshold.")]
+    nearest: Annotated[float, Field(description="Distance to the nearest evaluated solution.")]
+    unlike: Annotated[
+        str, Field(description="In what the solution is unlike anything evaluated; empty if it is not.")
+    ]
+    answer: Annotated[
+        Answer,
+        Field(
+            description="`unknown` if the interval contains the threshold, or if the solution is unlike "
+            "anything evaluated."
+        ),
+    ]
 
 
 class Scored(View):
@@ -391,6 +407,7 @@ class Scored(View):
     campaign: str
     learned_from: Annotated[int, Field(description="Number of solutions that the monitor was fitted to.")]
     threshold: float
+    model: Annotated[Model, Field(description="The fitted model.")]
     risks: Annotated[
         list[RiskView], Field(description="One estimate for each solution, in the order of the request.")
     ]
@@ -400,7 +417,9 @@ class Scored(View):
 async def score_solutions(campaign_id: str, questions: Questions, services: Services) -> Scored:
     """Estimate the probability that solutions are unsafe; intervals are wide where few solutions were evaluated."""
     campaign = await services.campaigns.get(campaign_id)
-    monitor = await services.monitors.get(campaign)
+    monitor = await services.monitors.get(
+        campaign, None if questions.model is None else Model(questions.model)
+    )
     rows = []
     for place, values in enumerate(questions.solutions):
         try:
@@ -409,15 +428,10 @@ async def score_solutions(campaign_id: str, questions: Questions, services: Serv
             raise InvalidInput.at(f"/solutions/{place}", str(error)) from None
     risks = await asyncio.get_running_loop().run_in_executor(None, monitor.score, np.array(rows))
     threshold = questions.threshold if questions.threshold is not None else monitor.threshold
-    columns = (risks.probability, risks.low, risks.high, risks.neighbours)
     return Scored(
         campaign=campaign.id,
         learned_from=len(monitor),
         threshold=threshold,
-        risks=[
-            RiskView(probability=p, low=low, high=high, neighbours=n, answer=answer)
-            for p, low, high, n, answer in zip(
-                *(column.tolist() for column in columns), risks.answers(threshold), strict=True
-            )
-        ],
+        model=monitor.model,
+        risks=[RiskView(**asdict(risk)) for risk in risks.each(threshold)],
     )

@@ -7,9 +7,10 @@ from dataclasses import InitVar, dataclass, field
 from functools import cached_property
 
 from brink.search.analysis.boundary import DbsGrid, dbs_grid
-from brink.search.analysis.monitor import Monitor
+from brink.search.analysis.monitor import Model, Monitor, default_model
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
 from brink.search.archive import Archive, archive_digest
+from brink.search.errors import MissingExtra
 from brink.search.space import FloatArray
 from brink.server.campaigns import step_store
 from brink.server.campaigns.advance import Stepper
@@ -112,21 +113,30 @@ class Monitors:
     def __post_init__(self, threads: Executor) -> None:
         self._cache = SingleFlightCache(CACHED, threads)
 
-    async def get(self, campaign: Campaign) -> Monitor:
+    async def get(self, campaign: Campaign, model: Model | None = None) -> Monitor:
         """Return the monitor fitted to a campaign's solutions so far.
 
-        Raises:
-            Conflict: The campaign has fewer than two evaluated solutions.
-        """
-        return await self._cache.get(campaign.id, campaign.generation, lambda: self._fit(campaign))
+        Args:
+            campaign: The campaign.
+            model: The model to fit; None for the more accurate one that can be fitted.
 
-    def _fit(self, campaign: Campaign) -> Monitor:
+        Raises:
+            Conflict: The campaign has too few evaluated solutions, or scikit-learn is not installed.
+        """
+        key = f"{campaign.id} {model or ''}"
+        return await self._cache.get(key, campaign.generation, lambda: self._fit(campaign, model))
+
+    def _fit(self, campaign: Campaign, model: Model | None) -> Monitor:
         plan, _, archive = self.archives.stored(campaign)
         if len(archive) < 2:
             raise Conflict(
                 f"campaign {campaign.id}: a monitor needs at least two evaluated solutions, got {len(archive)}"
             )
-        return Monitor.fitted(
-            plan.problem.space, archive.vectors[-MOST_FITTED:], archive.unsafe[-MOST_FITTED:],
-            threshold=plan.neighbourhood.p_th, z=plan.neighbourhood.z, seed=campaign.body.seed,
-        )  # fmt: skip
+        vectors, unsafe = archive.vectors[-MOST_FITTED:], archive.unsafe[-MOST_FITTED:]
+        try:
+            return Monitor.fitted(
+                plan.problem.space, vectors, unsafe, threshold=plan.neighbourhood.p_th, z=plan.neighbourhood.z,
+                seed=campaign.body.seed, model=model or default_model(unsafe),
+            )  # fmt: skip
+        except (MissingExtra, ValueError) as error:
+            raise Conflict(f"campaign {campaign.id}: {error}") from None
