@@ -8,10 +8,11 @@ import pytest
 import brink.search.analysis.neighbours
 from brink.search.analysis.monitor import Answer, Model, Monitor
 from brink.search.analysis.monitor_evaluation import evaluate_monitor, evaluate_pairs
+from brink.search.analysis.neighbours import Neighbours
 from brink.search.analysis.statistics import a12
 from brink.search.errors import DocumentError, SpaceError
 from brink.search.fitness import wilson_interval
-from brink.search.space import Component, Real, SearchSpace
+from brink.search.space import Component, FloatArray, Real, SearchSpace
 from brink.search.testing import example_spaces
 
 MIXED = example_spaces()["mixed"]
@@ -25,12 +26,17 @@ def plane(count: int, seed: int = 1) -> tuple[np.typing.NDArray[np.float64], np.
     return rows, rng.random(count) < rows[:, 0]
 
 
+def weights_of(monitor: Monitor) -> FloatArray:
+    assert isinstance(monitor.estimator, Neighbours)
+    return monitor.estimator.weights
+
+
 def naive(monitor: Monitor, row: np.typing.NDArray[np.float64]) -> tuple[float, float, float]:
     n = k = 0.0
     space = monitor.space
     for other, unsafe in zip(monitor.vectors, monitor.unsafe, strict=True):
         exponent = 0.0
-        for column, weight in enumerate(monitor.estimator.weights):
+        for column, weight in enumerate(weights_of(monitor)):
             apart = abs(row[column] - other[column]) / space.ranges[column]
             exponent += weight * (apart > 0 if space.categorical[column] else apart)
         n += math.exp(-exponent)
@@ -49,6 +55,7 @@ def test_scores_follow_the_definition(kind: str) -> None:
     }[kind]  # fmt: skip
     monitor = Monitor.of(MIXED, weights * used, rows[:70], rng.random(70) < 0.3, threshold=0.1)
     risks = monitor.score(rows[60:])
+    assert risks.neighbours is not None
     for place, row in enumerate(rows[60:]):
         n, k, probability = naive(monitor, row)
         assert (risks.neighbours[place], risks.probability[place]) == pytest.approx((n, probability))
@@ -81,6 +88,7 @@ def test_answer_far_from_all_simulations_is_unknown() -> None:
     assert (near, far, nowhere) == (Answer.UNSAFE, Answer.UNKNOWN, Answer.UNKNOWN)
     risk = monitor.ask({"scenario": {"x": 1.0}, "behaviour": {"y": 1.0}})
     assert (risk.low, risk.high, risk.answer) == (0.0, 1.0, Answer.UNKNOWN)
+    assert risk.neighbours is not None
     assert risk.neighbours < 1e-9
     assert risk.probability == pytest.approx(1.0), "without neighbours the estimate is the overall share"
 
@@ -88,7 +96,7 @@ def test_answer_far_from_all_simulations_is_unknown() -> None:
 def test_uninformative_parameter_gets_a_small_weight() -> None:
     rows, unsafe = plane(500)
     monitor = Monitor.fitted(PLANE, rows, unsafe, threshold=0.5)
-    of_scenario, of_behaviour = monitor.estimator.weights
+    of_scenario, of_behaviour = weights_of(monitor)
     assert of_scenario >= 4
     assert of_behaviour <= 0.5
     assert next(iter(monitor.informative_weights)) == "scenario.x"
@@ -108,7 +116,7 @@ def test_monitor_survives_storage(tmp_path: Path) -> None:
     again = Monitor.load(path)
     assert json.loads(path.read_text())["about"] == {"campaign": "3f2a"}
     assert again.threshold == monitor.threshold
-    assert (again.estimator.weights == monitor.estimator.weights).all()
+    assert (weights_of(again) == weights_of(monitor)).all()
     assert (again.score(rows).probability == monitor.score(rows).probability).all()
     decoded = MIXED.decode(MIXED.split(rows[3]))
     assert again.ask(decoded) == monitor.ask(decoded)
@@ -119,7 +127,7 @@ def test_fitting_on_a_random_subset_is_reproducible(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(brink.search.analysis.neighbours, "MAX_LEARNED", 150)
     monkeypatch.setattr(brink.search.analysis.neighbours, "MAX_PREDICTED", 100)
     first, again = (Monitor.fitted(PLANE, rows, unsafe, threshold=0.5, seed=3) for _ in range(2))
-    assert (first.estimator.weights == again.estimator.weights).all()
+    assert (weights_of(first) == weights_of(again)).all()
     assert len(first) == 400, "a fitted monitor uses all solutions"
 
 
