@@ -23,7 +23,7 @@ from brink.search.archive import archive_digest
 from brink.server.campaigns import advance, step_store, store
 from brink.server.campaigns.advance import Stepper
 from brink.server.campaigns.body import parse_body
-from brink.server.campaigns.plan import first_generation, make_plan, restored_archive
+from brink.server.campaigns.plan import first_generations, make_plan, restored_archive
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import Engines
 from brink.server.db.models import CheckpointRow, GenerationRow, SolutionRow
@@ -107,13 +107,13 @@ class Coordinators:
             for writer, seeds in zip(self.writers, self.seeds, strict=True)
         ]
         self.body = parse_body(body)
-        live, solutions = first_generation(self.body)
+        live, asked = first_generations(self.body)
 
         def unit(connection: Connection) -> None:
             store.insert_campaign(connection, "c0ffee", self.body, self.body.document_hash(), None)
             found = store.CAMPAIGNS.find(connection, "c0ffee")
             assert found is not None
-            step_store.insert_solutions(connection, found, 0, solutions)
+            step_store.insert_generations(connection, found, asked)
 
         self.queue.run(unit)
         self.steppers[0].adopt("c0ffee", live)
