@@ -23,7 +23,7 @@ class RandomSearchConfig(BoundaryConfig):
 
     generation_size: int = setting(60, help="Candidates per generation.", ge=1, le=10_000)
     in_flight: int = setting(
-        4, help="Generations in flight at a time; they do not depend on each other.", ge=1, le=1000
+        8, help="Generations in flight at a time; they do not depend on each other.", ge=1, le=1000
     )
 
 
