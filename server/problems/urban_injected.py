@@ -40,7 +40,7 @@ from brink.sim.world.scenario import (
 )
 from brink.worker.wire import Completed
 
-SIMULATOR = "brink-drive@1"
+SIMULATOR = "brink-drive@2"
 REQUIREMENTS = (
     "front-gap@1",
     "no-collision@1",

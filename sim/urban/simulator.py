@@ -1,4 +1,4 @@
-"""The simulator `brink-drive@1`: runs a specification and returns the result.
+"""The simulator `brink-drive@2`: runs a specification and returns the result.
 
 The same specification gives the same verdicts and the same trace, bit for bit, in any process and after any other
 episodes on the same class of processor: random draws come from streams addressed by position, all objects are created
@@ -29,7 +29,7 @@ from brink.sim.world.ego import EgoCar, MakeEgo
 from brink.sim.world.scenario import UrbanScenario
 from brink.sim.world.world import make_world
 
-SIMULATOR_ID = "brink-drive@1"
+SIMULATOR_ID = "brink-drive@2"
 MAX_DURATION_S = 600.0
 BICYCLE, WHEELS = "bicycle", "wheels"
 FIDELITIES = (BICYCLE, WHEELS)
