@@ -327,8 +327,9 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
             why = "its boundary is not known yet" if numbers is None else "wait until it has ended"
             raise Conflict(f"campaign {campaign.id} is {campaign.status}: {why}")
         check_repeatable(plan)
-        if (why := await read(self.engines, lambda c: other_simulator(c, campaign))) is not None:
-            raise Conflict(f"campaign {campaign.id} cannot be repeated: {why}")
+        other = await read(self.engines, lambda c: other_simulator(c, campaign))
+        if other is not None:
+            raise Conflict(f"campaign {campaign.id} cannot be repeated: {other}")
 
         def look() -> PlannedRepeats | None:
             if numbers is not None:
