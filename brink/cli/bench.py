@@ -562,9 +562,9 @@ def scale(
     ] = 0.2,
     as_json: AsJson = False,
 ) -> None:
-    """Measure the utilisation of 1 to 64 simulated workers, with one campaign and with several at once.
+    """Measure the utilisation of 1 to 64 simulated workers, by one campaign and by two at once.
 
-    Between two generations of a campaign, workers wait for its longest episodes; other campaigns fill the gap.
+    With one generation in flight, workers wait for its longest episodes, unless another campaign fills the gap.
 
     Example: brink bench scale --workers 1000 --scale 1
     """
@@ -573,16 +573,17 @@ def scale(
     with _progress() as progress:
         found = measure_utilisation(progress, workers=workers, seconds=seconds, scale=shrunk)
     table = _table(
-        ("workers", "campaigns", "generation", "jobs", "seconds", "used", "target", "", "coordinator CPU",
-         "its writer", "step s"),
+        ("workers", "campaigns", "generation", "in flight", "jobs", "seconds", "used", "target", "",
+         "coordinator CPU", "its writer", "step s"),
         (
-            (one.workers, one.campaigns, one.generation, f"{one.jobs:,}", f"{one.seconds:.0f}", f"{one.share:.1%}",
+            (one.setup.workers, one.setup.campaigns, one.setup.generation, one.setup.in_flight,
+             f"{one.jobs:,}", f"{one.seconds:.0f}", f"{one.share:.1%}",
              "" if one.met is None else f"at least {TARGET:.0%}", _met(one.met),
              f"{one.coordinator_s / one.seconds:.0%}", f"{one.writing_s / one.seconds:.0%}", f"{one.step_s:.3f}")
             for one in found
         ),
     )  # fmt: skip
-    document = [{**fields(one), "share": one.share, "met": one.met} for one in found]
+    document = [{**fields(one), **fields(one.setup), "share": one.share, "met": one.met} for one in found]
     _conclude(document, table, as_json=as_json, missed=any(one.met is False for one in found))
 
 
