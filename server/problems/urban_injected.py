@@ -145,6 +145,7 @@ class UrbanInjected:
         self.space = SearchSpace((scenario_component(), behaviour_component(params.duration_s)))
         self.algorithm_defaults: Mapping[str, Any] = {}
         self.needs = SIMULATOR
+        self._trajectories = _trajectories(self.space)
         self.timeout_s = params.timeout_s
 
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
@@ -173,12 +174,12 @@ class UrbanInjected:
         that it had then.
         """
         delivered = b.delivered_from_json(features.get(b.DELIVERED))
-        injected = [t for t in _trajectories(self.space) if vectors[1][t.label] != t.null_choice]
+        injected = [t for t in self._trajectories if vectors[1][t.label] != t.null_choice]
         if delivered is None or len(delivered) != len(injected):
             return None
         active = np.ones(len(vectors[1]), dtype=np.bool_)
         effective = np.array(vectors[1], dtype=np.float64)
-        for trajectory in _trajectories(self.space):
+        for trajectory in self._trajectories:
             active[list(trajectory.numbers)] = trajectory in injected
         for trajectory, steps in zip(injected, delivered, strict=True):
             if steps is None:
