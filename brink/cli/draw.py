@@ -27,6 +27,7 @@ from brink.cli.options import (
     write_json,
 )
 from brink.search.archive import ARRAYS, Archive
+from brink.search.space import BoolArray
 from brink.server.api.schemas import Boundary, CampaignView, SolutionView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody
 from brink.server.campaigns.plan import Plan, make_plan
@@ -121,6 +122,7 @@ class FetchedArchive:
         body: The campaign file.
         plan: Problem and algorithm of the campaign.
         archive: All evaluated solutions.
+        active: Which parameters had a part in each episode, shape ``(n, d)``; None from an older coordinator.
         generations: Size of the archive after each generation.
     """
 
@@ -128,6 +130,7 @@ class FetchedArchive:
     body: CampaignBody
     plan: Plan
     archive: Archive
+    active: BoolArray | None
     generations: tuple[int, ...]
 
 
@@ -148,8 +151,9 @@ async def fetch_archive(api: Api, campaign: str) -> FetchedArchive:
     generations = arrays["generations"]
     ends = np.searchsorted(generations, np.unique(generations), side="right")
     return FetchedArchive(
-        id=view.id, body=view.body, plan=plan, archive=archive, generations=tuple(int(end) for end in ends)
-    )
+        id=view.id, body=view.body, plan=plan, archive=archive, active=arrays.get("active"),
+        generations=tuple(int(end) for end in ends),
+    )  # fmt: skip
 
 
 async def write_results(api: Api, campaign: str, folder: Path, *, t_b: float, d_th: float) -> Boundary:
@@ -196,6 +200,7 @@ def draw_figures(
 
     figures = CampaignFigures(
         archive=fetched.archive,
+        active=fetched.active,
         space=fetched.plan.problem.space,
         title=fetched.body.name,
         generation_ends=fetched.generations,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from brink.search.archive import Archive
-from brink.search.space import SearchSpace
+from brink.search.space import BoolArray, SearchSpace
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -19,6 +19,7 @@ class CampaignFigures:
         generation_ends: Size of the archive after each generation, ascending.
         t_b: Maximum fitness of a boundary solution.
         d_th: Minimum distance between distinct boundary solutions.
+        active: Which parameters had a part in each episode, shape ``(n, d)``; None if that was not recorded.
     """
 
     archive: Archive
@@ -27,6 +28,7 @@ class CampaignFigures:
     generation_ends: tuple[int, ...]
     t_b: float
     d_th: float
+    active: BoolArray | None = None
 
     def __post_init__(self) -> None:
         ends = np.asarray(self.generation_ends, dtype=np.int64)
@@ -34,6 +36,8 @@ class CampaignFigures:
             raise ValueError(
                 f"generation_ends: expected ascending counts up to {len(self.archive)}, got {ends.tolist()}"
             )
+        if self.active is not None and self.active.shape != self.archive.vectors.shape:
+            raise ValueError(f"active: expected shape {self.archive.vectors.shape}, got {self.active.shape}")
         if self.archive.metric.dimension != self.space.dimension:
             raise ValueError(
                 f"space: expected {self.archive.metric.dimension} parameters as in the archive, "

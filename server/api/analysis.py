@@ -23,7 +23,7 @@ from brink.server.api.responses import COMPUTING, NOT_MODIFIED, computing, etag_
 from brink.server.api.schemas import MAX_NUMBER, ControlView, View
 from brink.server.api.solutions import Threshold
 from brink.server.campaigns import view_store
-from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.archives import ArchiveActivity, ReadArchive
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.dashboard import figures
@@ -105,7 +105,8 @@ async def get_map(
         return not_modified(etag)  # type: ignore[no-any-return]
     column = None
     if parameter:
-        column = await asyncio.get_running_loop().run_in_executor(None, _column, found, parameter)
+        activity = await services.archives.activity(campaign, found)
+        column = await asyncio.get_running_loop().run_in_executor(None, _column, found, activity, parameter)
     drawn = await services.figures.maps.get(campaign.id, found, ended=campaign.status in ENDED)
     first = min(after, len(drawn.rows)) if version == drawn.version else 0
 
@@ -123,8 +124,8 @@ def _etag(campaign: Campaign, *parts: object) -> str:
     return etag_of(campaign.id, campaign.sequence, campaign.status in ENDED, *parts)
 
 
-def _column(found: ReadArchive, parameter: str) -> ParameterColumn:
-    columns = parameter_columns(found.plan.problem.space, found.archive.vectors)
+def _column(found: ReadArchive, activity: ArchiveActivity, parameter: str) -> ParameterColumn:
+    columns = parameter_columns(found.plan.problem.space, found.archive.vectors, activity.active)
     for column in columns:
         if column.name == parameter:
             return column
@@ -266,7 +267,8 @@ async def get_dependence(
     etag = _etag(campaign, found.generation)
     if matches(request, etag):
         return not_modified(etag)  # type: ignore[no-any-return]
-    known = await services.figures.dependences(campaign.id, found)
+    activity = await services.archives.activity(campaign, found)
+    known = await services.figures.dependences(campaign.id, found, activity)
     response.headers["ETag"] = etag
     return Dependences(
         generation=found.generation, evaluated=len(found.archive), unsafe=int(np.count_nonzero(found.archive.unsafe)),

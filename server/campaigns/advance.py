@@ -48,6 +48,7 @@ from brink.server.campaigns.plan import (
     vector_bytes,
 )
 from brink.server.campaigns.repeats import PlannedRepeats, plan_boundary_repeats, store_repeats
+from brink.server.campaigns.simulators import other_simulator
 from brink.server.campaigns.step_store import (
     Asked,
     Checkpoint,
@@ -124,6 +125,7 @@ class Stepper:
         self._seeds = seeds
         self._max_stored_distances = max_stored_distances
         self._live: dict[str, LiveSearch] = {}
+        self._same_simulator: set[str] = set()
         self._lock = threading.Lock()
 
     def adopt(self, campaign_id: str, live: LiveSearch) -> None:
@@ -166,7 +168,7 @@ class Stepper:
                 self._live.pop(campaign_id, None)
                 return False
             outcomes = job_store.generation_outcomes(connection, campaign_id, campaign.generation)
-        if _is_open(outcomes):
+        if self._has_other_simulator(campaign) or _is_open(outcomes):
             return False
         try:
             live = self._state(campaign)
@@ -199,6 +201,18 @@ class Stepper:
             else:  # nothing is lost, and the cause may be fixed
                 self._end(campaign, CampaignStatus.PAUSED, f"{reason}. Resume when this is fixed.")
             raise
+
+    def _has_other_simulator(self, campaign: Campaign) -> bool:
+        """Return whether a campaign was simulated with another simulator than its problem uses here, and pause it."""
+        if campaign.id in self._same_simulator or campaign.id in self._live:
+            return False
+        with self._engines.reader.connect() as connection:
+            why = other_simulator(connection, campaign)
+        if why is not None:
+            self._end(campaign, CampaignStatus.PAUSED, why)
+            return True
+        self._same_simulator.add(campaign.id)
+        return False
 
     def _seed(self, campaign: Campaign, live: LiveSearch) -> bool:
         """Pass on the seeds that the algorithm waits for; return whether they have arrived.
@@ -521,6 +535,7 @@ class Scheduler:
     engines: Engines
     stepper: Stepper
     wakeups: Wakeups
+    _swept: bool = False
     _due: set[str] = field(default_factory=set)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
     _steps: ThreadPoolExecutor = field(
@@ -554,11 +569,17 @@ class Scheduler:
             self.wakeups.wake()
 
     async def sweep(self) -> None:
-        """Advance campaigns whose step is due, and drop searches that ended or were paused elsewhere."""
+        """Advance campaigns whose step is due, and drop searches that ended or were paused elsewhere.
+
+        The first sweep looks at all running campaigns.
+        """
         live = self.stepper.live_campaigns
+        first, self._swept = not self._swept, True
 
         def look(connection: Connection) -> tuple[Sequence[str], frozenset[str]]:
-            return job_store.idle_campaigns(connection), store.running_among(connection, live)
+            # Another version of Brink may have started any of them; see `other_simulator`.
+            due = store.running(connection) if first else job_store.idle_campaigns(connection)
+            return due, store.running_among(connection, live)
 
         idle, running = await read(self.engines, look)
         for campaign in set(live) - running:

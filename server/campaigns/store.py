@@ -110,6 +110,14 @@ def insert_campaign(
     )  # fmt: skip
 
 
+def running(connection: Connection) -> tuple[str, ...]:
+    """Return all running campaigns."""
+    query = (
+        select(CampaignRow.id).where(CampaignRow.status == CampaignStatus.RUNNING).order_by(CampaignRow.id)
+    )
+    return tuple(connection.execute(query).scalars())
+
+
 def running_among(connection: Connection, campaigns: Sequence[str]) -> frozenset[str]:
     """Return which of the given campaigns are running."""
     if not campaigns:

@@ -162,6 +162,12 @@ def read_solutions(
     return found
 
 
+def read_results(connection: Connection, campaign_id: str) -> dict[int, str | None]:
+    """Return the stored result of each simulated solution of a campaign, as JSON, by number."""
+    query = select(EVALUATIONS.c.number, EVALUATIONS.c.result).where(EVALUATIONS.c.campaign_id == campaign_id)
+    return {row.number: row.result for row in connection.execute(query)}
+
+
 def page_solutions(
     connection: Connection, campaign_id: str, *, after: int, limit: int, unsafe: bool | None
 ) -> list[Row[*tuple[Any, ...]]]:
