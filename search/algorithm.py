@@ -5,6 +5,10 @@ nothing is global, and every random draw comes from a generator addressed by pos
 calls give equal states, bit for bit. Between `tell` and the next `ask` the coordinator stores the state as a
 `Document`, and evaluated complete solutions separately, as an `Archive`.
 
+Several generations may be *in flight*, asked for but not yet told (`Overlapping`), so that no worker waits for the
+slowest simulation of one. They are told in the order of asking, and each `tell` is preceded by every `ask` that the
+algorithm allows. What is asked for therefore never depends on which simulation was fast.
+
 An algorithm may also request seeds from outside, for example from a language model (`Seeded`). The coordinator then
 calls `Seeded.wanted` before every `ask`; as long as that returns a request, no generation can be asked for, and
 `Seeded.seeded` passes in the proposals, possibly none. Proposals are never trusted: the constraints of the space
@@ -106,7 +110,7 @@ class State(Protocol):
 
     @property
     def pending(self) -> tuple[Candidate, ...]:
-        """Candidates asked for but not yet told, ascending by number."""
+        """The oldest generation that was asked for but not yet told, ascending by number; empty if there is none."""
         ...
 
 
@@ -149,27 +153,28 @@ class Algorithm(Protocol):
         ...
 
     def ask(self, state: Any) -> tuple[Any, tuple[Candidate, ...]]:
-        """Return the state with a pending generation, and that generation.
+        """Return the state with one more generation in flight, and that generation.
 
         Raises:
-            OrderError: The last generation has not been told yet, or the search is finished.
+            OrderError: No further generation may be in flight, or none is left to ask for.
         """
         ...
 
     def tell(self, state: Any, evaluations: Mapping[int, Evaluation]) -> Any:
-        """Return the state after the pending generation was evaluated.
+        """Return the state after the oldest generation in flight was evaluated.
 
         Args:
-            state: The state that `ask` returned.
+            state: The state that the last `ask` returned.
             evaluations: One for each pending candidate, by number, in any order.
 
         Raises:
-            OrderError: Nothing is pending, or the numbers are not those of the pending candidates.
+            OrderError: Nothing is pending, a generation has to be asked for first, or the numbers are not those of
+                the pending candidates.
         """
         ...
 
     def finished(self, state: Any) -> bool:
-        """Return whether the search is over: the budget is spent, or nothing new is left to evaluate."""
+        """Return whether the search is over: nothing is in flight, and the budget is spent or nothing new is left."""
         ...
 
     def dump(self, state: Any) -> Document:
@@ -189,6 +194,38 @@ class Algorithm(Protocol):
             DocumentError: The document is corrupt, of another algorithm, or of an unknown version.
         """
         ...
+
+
+@runtime_checkable
+class Overlapping(Protocol):
+    """An algorithm that may have several generations in flight; any other has one."""
+
+    def can_ask(self, state: Any) -> bool:
+        """Return whether a further generation is to be asked for before the pending one is told."""
+        ...
+
+
+def ask_all(algorithm: Algorithm, state: Any) -> tuple[Any, list[tuple[Candidate, ...]]]:
+    """Ask for every generation that may be in flight now.
+
+    Args:
+        algorithm: The algorithm; it must not be waiting for seeds.
+        state: Its state.
+
+    Returns:
+        The state, and the generations in the order of asking; possibly none.
+    """
+    generations = []
+    while _can_ask(algorithm, state):
+        state, candidates = algorithm.ask(state)
+        generations.append(candidates)
+    return state, generations
+
+
+def _can_ask(algorithm: Algorithm, state: Any) -> bool:
+    if isinstance(algorithm, Overlapping):
+        return algorithm.can_ask(state)
+    return not state.pending and not algorithm.finished(state)
 
 
 class Origin(StrEnum):

@@ -9,7 +9,7 @@ leaves a valid vector unchanged.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -72,12 +72,15 @@ class Component:
         parameters: In the order of the vector, with unique names.
         constraints: In the order in which repair applies them, except that `Dormant` always comes first: the
             constraints of dormant numbers do not apply, and those of reactivated numbers repair the fresh draws.
+        interchangeable: Parts that can be swapped without changing what a vector means, such as two injected
+            trajectories: for each, the names of its parameters, in the same order. Empty, or at least two parts.
         by_name: The parameters by name.
     """
 
     name: str
     parameters: tuple[Parameter, ...]
     constraints: tuple[Constraint | Dormant, ...] = ()
+    interchangeable: tuple[tuple[str, ...], ...] = ()
     by_name: Mapping[str, Parameter] = field(init=False, repr=False, compare=False)
     _blocks: tuple[Dormant, ...] = field(init=False, repr=False, compare=False)
     _rules: tuple[Constraint, ...] = field(init=False, repr=False, compare=False)
@@ -87,6 +90,7 @@ class Component:
         check_name("component", self.name)
         object.__setattr__(self, "parameters", tuple(self.parameters))
         object.__setattr__(self, "constraints", tuple(self.constraints))
+        object.__setattr__(self, "interchangeable", tuple(tuple(part) for part in self.interchangeable))
         names = [parameter.name for parameter in self.parameters]
         if not names:
             raise SpaceError(f"component {self.name}: expected at least one parameter")
@@ -98,6 +102,7 @@ class Component:
         rules = tuple(c for c in self.constraints if not isinstance(c, Dormant))
         object.__setattr__(self, "by_name", {p.name: p for p in self.parameters})
         self._check_constraints(blocks, rules)
+        self._check_interchangeable()
         owned = {name for rule in rules for name in rule.names}
         free = tuple(p for p in self.parameters if isinstance(p, Number) and p.name not in owned)
         object.__setattr__(self, "_blocks", blocks)
@@ -118,6 +123,26 @@ class Component:
             twice = sorted({name for name in owners if owners.count(name) > 1})
             if twice:
                 raise SpaceError(f"component {self.name}: {twice[0]} belongs to more than one {what}")
+
+    def _check_interchangeable(self) -> None:
+        parts = self.interchangeable
+        if not parts:
+            return
+        where = f"component {self.name}: interchangeable"
+        if len(parts) < 2 or len({len(part) for part in parts}) > 1 or not parts[0]:
+            raise SpaceError(f"{where}: expected two or more parts of the same length, got {parts!r}")
+        names = [name for part in parts for name in part]
+        for name in names:
+            if name not in self.by_name:
+                raise SpaceError(f"{where}: unknown parameter {name!r}{did_you_mean(name, self.by_name)}")
+        if len(set(names)) < len(names):
+            raise SpaceError(f"{where}: expected each parameter once, got {', '.join(names)}")
+        for same in zip(*parts, strict=True):
+            first, *others = (replace(self.by_name[name], name="same") for name in same)
+            if any(other != first for other in others):
+                raise SpaceError(
+                    f"{where}: expected {', '.join(same)} to have the same type, range and choices"
+                )
 
     @property
     def dimension(self) -> int:

@@ -10,7 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from brink.search.algorithm import Algorithm, Candidate, Evaluation, Failed, Measured, Question, Scored
+from brink.search.algorithm import (
+    Algorithm,
+    Candidate,
+    Evaluation,
+    Failed,
+    Measured,
+    Overlapping,
+    Question,
+    Scored,
+    ask_all,
+)
 from brink.search.archive import ARRAYS, Archive, archive_digest
 from brink.search.document import Document
 from brink.search.errors import OrderError, SearchError
@@ -216,14 +226,18 @@ def play(
     documents: list[bytes] = []
     while not algorithm.finished(state):
         _expect(len(generations) < _MAX_GENERATIONS, "finished: expected the search to end")
-        state, candidates = algorithm.ask(state)
-        _expect(bool(candidates), "ask: expected candidates, as the search was not finished")
-        _expect(state.pending == candidates, "ask: expected the asked candidates to be pending")
+        state, asked = ask_all(algorithm, state)
+        _expect(all(asked), "ask: expected candidates, as the search was not finished")
+        generations += asked
+        _expect(len(documents) < len(generations), "ask: expected candidates, as the search was not finished")
+        candidates = generations[len(documents)]
+        _expect(state.pending == candidates, "ask: expected the oldest generation in flight to be pending")
         state = algorithm.tell(state, _evaluations(candidates, evaluate, order))
-        generations.append(candidates)
         documents.append(algorithm.dump(state).to_bytes())
-        _expect(state.generation == len(generations), "tell: expected the generation to increase by one")
-        _expect(not state.pending, "tell: expected nothing pending")
+        _expect(state.generation == len(documents), "tell: expected the generation to increase by one")
+        flying = generations[len(documents)] if len(documents) < len(generations) else ()
+        _expect(state.pending == flying, "tell: expected the next generation in flight to be pending, if any")
+    _expect(len(documents) == len(generations), "finished: expected False while evaluations are pending")
     return Run(generations=tuple(generations), archive=state.archive, documents=tuple(documents))
 
 
@@ -281,8 +295,14 @@ def _check_order_errors(
 ) -> None:
     state = algorithm.start(space, config, seed=seed, budget=budget)
     _expect(_refuses(lambda: algorithm.tell(state, {})), "tell before ask: expected OrderError")
-    asked, candidates = algorithm.ask(state)
+    once, candidates = algorithm.ask(state)
     evaluations = dict(_evaluations(candidates, evaluate))
+    if isinstance(algorithm, Overlapping) and algorithm.can_ask(once):
+        _expect(
+            _refuses(lambda: algorithm.tell(once, evaluations)),
+            "tell before every generation was asked for: expected OrderError",
+        )
+    asked, _ = ask_all(algorithm, once)
     _expect(_refuses(lambda: algorithm.ask(asked)), "ask before tell: expected OrderError")
     _expect(not algorithm.finished(asked), "finished: expected False while evaluations are pending")
     incomplete = dict(list(evaluations.items())[1:])
@@ -315,38 +335,44 @@ def _check_reload(
 ) -> None:
     """Check that a search resumed from the stored state of any generation continues with the same next generation."""
     archive = run.archive
-    asked, candidates = algorithm.ask(algorithm.start(space, config, seed=seed, budget=budget))
+    asked, _ = ask_all(algorithm, algorithm.start(space, config, seed=seed, budget=budget))
     waiting = algorithm.load(
         space, config, Document.from_bytes(algorithm.dump(asked).to_bytes()), asked.archive
     )
     _expect(
-        _same_candidates(waiting.pending, candidates),
+        _same_candidates(waiting.pending, run.generations[0]),
         "load: expected the pending candidates of a stored state",
     )
     told = 0
-    for position, stored in enumerate(run.documents):
-        told += sum(isinstance(evaluate(c), Scored) for c in run.generations[position])
+    for position, stored in enumerate(run.documents, start=1):
+        told += sum(isinstance(evaluate(c), Scored) for c in run.generations[position - 1])
         state = algorithm.load(
             space, config, Document.from_bytes(stored), stored_and_restored(archive.first(told))
         )
         same = algorithm.dump(state).to_bytes() == stored
-        _expect(same, f"load: expected the same state as stored after generation {position + 1}")
-        if position + 1 == len(run.documents):
+        _expect(same, f"load: expected the same state as stored after generation {position}")
+        if position == len(run.documents):
             _expect(algorithm.finished(state), "load: expected a finished search to stay finished")
             continue
-        state, candidates = algorithm.ask(state)
-        same = _same_candidates(candidates, run.generations[position + 1])
+        state, _ = ask_all(algorithm, state)
+        candidates = run.generations[position]
+        same = _same_candidates(state.pending, candidates)
         _expect(
-            same, f"load: expected the same candidates in generation {position + 2} as without the restart"
+            same, f"load: expected the same candidates in generation {position + 1} as without the restart"
         )
         state = algorithm.tell(state, _evaluations(candidates, evaluate))
-        same = algorithm.dump(state).to_bytes() == run.documents[position + 1]
-        _expect(same, f"load: expected the same state after generation {position + 2} as without the restart")
+        same = algorithm.dump(state).to_bytes() == run.documents[position]
+        _expect(same, f"load: expected the same state after generation {position + 1} as without the restart")
 
 
 def _same_candidates(first: Sequence[Candidate], second: Sequence[Candidate]) -> bool:
-    def content(candidate: Candidate) -> tuple[int, Question, list[bytes]]:
-        return candidate.number, candidate.question, [vector.tobytes() for vector in candidate.vectors]
+    def content(candidate: Candidate) -> tuple[int, Question, int | None, list[bytes]]:
+        return (
+            candidate.number,
+            candidate.question,
+            candidate.seed_number,
+            [vector.tobytes() for vector in candidate.vectors],
+        )
 
     return [content(candidate) for candidate in first] == [content(candidate) for candidate in second]
 

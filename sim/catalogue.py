@@ -45,7 +45,7 @@ def register(group: str, plugin_id: str, factory: Callable[..., object]) -> None
 
     Args:
         group: Entry-point group, such as ``brink.simulators``.
-        plugin_id: Versioned id, such as ``brink-drive@1``.
+        plugin_id: Versioned id, such as ``brink-drive@2``.
         factory: What an entry point would load: a class, or a function that returns an instance.
     """
     _registered.setdefault(group, {})[plugin_id] = factory

@@ -26,7 +26,7 @@ class EpisodeSpec:
     """Everything that determines an episode.
 
     Attributes:
-        simulator: Versioned plug-in id, such as ``brink-drive@1``.
+        simulator: Versioned plug-in id, such as ``brink-drive@2``.
         scenario: The world, in terms that the simulator defines.
         behaviour: What the machine-learned component does, in terms that the simulator defines.
         requirements: Ids of the requirements to evaluate, in order.

@@ -13,7 +13,7 @@ import numpy as np
 from brink.bench.measurement import Progress
 from brink.bench.trials import process_pool, single_threaded
 from brink.bench.urban import FRONT_GAP, draw_candidate
-from brink.search.algorithm import Evaluation
+from brink.search.algorithm import Evaluation, ask_all
 from brink.search.analysis.boundary import dbs_grid
 from brink.search.analysis.paper import PAPER_T_BS
 from brink.search.analysis.scores import ScenarioRisk, blind_archive
@@ -115,7 +115,8 @@ def _search(
     done = 0
     with single_threaded(), process_pool(processes) as pool:
         while not algorithm.finished(state):
-            state, candidates = algorithm.ask(state)
+            state, _ = ask_all(algorithm, state)
+            candidates = state.pending
             specs = [
                 replace(problem.episode(c.vectors, episode_seed(seed, c.number)), behaviour=behaviour)
                 for c in candidates

@@ -22,14 +22,32 @@ from brink.bench.measurement import Progress, counted, cpu_seconds
 from brink.bench.processes import CoordinatorProcess, running_coordinator
 from brink.server.runtime.coordinator import allow_many_open_files
 
-WORKERS = (1, 4, 16, 64)
 MEAN_S = 5.0
 TARGET = 0.95
 TARGET_WORKERS = 64
-TARGET_CAMPAIGNS = 2
 TARGET_GENERATION = 256
 """Jobs per generation. With 100, no scheduling order lets two campaigns fill 64 workers."""
 GENERATIONS = (100, TARGET_GENERATION)
+IN_FLIGHT = 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setup:
+    """What is measured.
+
+    Attributes:
+        workers: Number of workers.
+        campaigns: Number of concurrent campaigns.
+        generation: Jobs per generation of each campaign.
+        in_flight: Generations of each campaign that are in flight at a time.
+        target: Whether the target applies.
+    """
+
+    workers: int
+    campaigns: int
+    generation: int
+    in_flight: int
+    target: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,20 +55,17 @@ class Utilisation:
     """Measured utilisation of the workers.
 
     Attributes:
-        workers: Number of workers.
-        campaigns: Number of concurrent campaigns.
-        generation: Jobs per generation of each campaign.
+        setup: What was measured.
         jobs: Jobs that ran in the measured time.
-        seconds: Measured time: from when all workers have work for the first time until the first campaign ends.
+        seconds: Measured time: from when all workers have work for the first time until the first campaign ends; with
+            one campaign, until its last job is granted.
         busy_s: Total time in which workers ran episodes.
         coordinator_s: CPU time of the coordinator.
         writing_s: Time in which its writer was in a transaction.
         step_s: Mean time of a generation step, including its transaction.
     """
 
-    workers: int
-    campaigns: int
-    generation: int
+    setup: Setup
     jobs: int
     seconds: float
     busy_s: float
@@ -61,69 +76,74 @@ class Utilisation:
     @property
     def share(self) -> float:
         """Fraction of their time that the workers spent running episodes."""
-        return self.busy_s / (self.workers * self.seconds)
+        return self.busy_s / (self.setup.workers * self.seconds)
 
     @property
     def met(self) -> bool | None:
         """Whether the target is met; None without a target."""
-        has_target = (self.workers, self.campaigns, self.generation) == (
-            TARGET_WORKERS, TARGET_CAMPAIGNS, TARGET_GENERATION,
-        )  # fmt: skip
-        return self.share >= TARGET if has_target else None
+        return self.share >= TARGET if self.setup.target else None
 
 
 def measure_utilisation(
     progress: Progress, *, workers: int | None = None, seconds: float = 30.0, scale: float = 0.2
 ) -> list[Utilisation]:
-    """Measure utilisation by one, two and four campaigns with 1 to 64 workers, or by one and two with a given number.
+    """Measure the utilisation of 1 to 64 workers, or of a given number, by one campaign and by two.
 
     Args:
         progress: Progress callback.
-        workers: Number of workers in place of 1 to 64, with four jobs per worker in each generation.
+        workers: Number of workers in place of 1 to 64, for generations of one or four jobs per worker.
         seconds: Approximate duration of each measurement.
         scale: Fraction of its full time that an episode takes.
 
     Raises:
         MeasurementFailed: The coordinator did not start.
     """
-    plans = [
-        (count, campaigns, generation)
-        for count in WORKERS
-        for generation in GENERATIONS
-        for campaigns in (1, 2, 4)
-        if count == TARGET_WORKERS or (campaigns == 1 and generation == GENERATIONS[0])
-    ]
-    if workers is not None:
+    if workers is None:
+        setups = [
+            *(Setup(workers=n, campaigns=1, generation=100, in_flight=1) for n in (1, 4, 16, 64)),
+            Setup(workers=64, campaigns=1, generation=100, in_flight=IN_FLIGHT, target=True),
+            Setup(workers=64, campaigns=1, generation=256, in_flight=1),
+            Setup(workers=64, campaigns=2, generation=100, in_flight=1),
+            Setup(workers=64, campaigns=2, generation=256, in_flight=1, target=True),
+        ]
+    else:
         allow_many_open_files()
-        plans = [(workers, campaigns, 4 * workers) for campaigns in (1, 2)]
+        setups = [
+            Setup(workers=workers, campaigns=1, generation=workers, in_flight=IN_FLIGHT, target=True),
+            Setup(workers=workers, campaigns=1, generation=4 * workers, in_flight=1),
+            Setup(workers=workers, campaigns=2, generation=4 * workers, in_flight=1),
+        ]
     found = []
-    for place in counted(progress, "measurements", len(plans)):
-        count, campaigns, generation = plans[place]
-        jobs = count * seconds / (MEAN_S * scale * campaigns)
-        budget = generation * max(3, round(jobs / generation))
+    for place in counted(progress, "measurements", len(setups)):
+        setup = setups[place]
+        jobs = setup.workers * seconds / (MEAN_S * scale * setup.campaigns)
+        budget = setup.generation * max(3, round(jobs / setup.generation))
         bodies = [
-            load_campaign(budget, generation=generation, seed=seed, mean_s=MEAN_S)
-            for seed in range(campaigns)
+            load_campaign(
+                budget, generation=setup.generation, seed=seed, mean_s=MEAN_S, in_flight=setup.in_flight
+            )
+            for seed in range(setup.campaigns)
         ]
         with (
             tempfile.TemporaryDirectory(prefix="brink-scale-") as name,
             running_coordinator(Path(name), MODULE) as coordinator,
         ):
-            found.append(asyncio.run(_SimulatedWorkers(coordinator, count, scale).work(bodies, generation)))
+            found.append(asyncio.run(_SimulatedWorkers(coordinator, setup, scale).work(bodies)))
     return found
 
 
 class _SimulatedWorkers:
-    def __init__(self, coordinator: CoordinatorProcess, workers: int, scale: float) -> None:
+    def __init__(self, coordinator: CoordinatorProcess, setup: Setup, scale: float) -> None:
         self._coordinator = coordinator
-        self._workers = workers
+        self._setup = setup
+        self._granted = 0
         self._scale = scale
         self._spans: list[tuple[float, float]] = []
         self._busy: set[str] = set()
         self._all_busy = asyncio.Event()
 
-    async def work(self, bodies: list[dict[str, Any]], generation: int) -> Utilisation:
-        """Run campaigns until the first one ends."""
+    async def work(self, bodies: list[dict[str, Any]]) -> Utilisation:
+        """Run campaigns until the first one ends, or all jobs are granted."""
         url = self._coordinator.url
         async with (
             httpx.AsyncClient(base_url=f"{url}/api/v1", timeout=60.0) as api,
@@ -131,7 +151,7 @@ class _SimulatedWorkers:
         ):
             clients = [
                 await stack.enter_async_context(LoadClient(url, f"worker-{number}"))
-                for number in range(self._workers)
+                for number in range(self._setup.workers)
             ]
             tasks = [
                 asyncio.create_task(self._run(f"{number}", client)) for number, client in enumerate(clients)
@@ -144,7 +164,8 @@ class _SimulatedWorkers:
                 task.result()  # raises the task's exception
             before = await asyncio.to_thread(self._coordinator.metrics)
             start, cpu_s = time.perf_counter(), cpu_seconds(self._coordinator.pid or 0)
-            while not await self._any_ended(api, ids):
+            jobs = sum(body["budget"]["simulations"] for body in bodies)
+            while self._granted < jobs and not await self._any_ended(api, ids):
                 for task in tasks:
                     if task.done():
                         task.result()  # raises the task's exception
@@ -162,8 +183,8 @@ class _SimulatedWorkers:
         ]
         grown = {name: after[name] - before.get(name, 0.0) for name in after}
         return Utilisation(
-            workers=self._workers, campaigns=len(bodies), generation=generation, coordinator_s=cpu_s,
-            jobs=len(within), seconds=end - start, busy_s=sum(ended - began for began, ended in within),
+            setup=self._setup, coordinator_s=cpu_s, jobs=len(within), seconds=end - start,
+            busy_s=sum(ended - began for began, ended in within),
             writing_s=grown["brink_commit_seconds_sum"],
             step_s=grown["brink_step_seconds_sum"] / grown["brink_step_seconds_count"],
         )  # fmt: skip
@@ -172,9 +193,10 @@ class _SimulatedWorkers:
         jobs: list[dict[str, Any]] = []
         while True:
             jobs = await client.report(jobs) if jobs else await client.lease()
+            self._granted += len(jobs)
             for job in jobs:
                 self._busy.add(name)
-                if len(self._busy) == self._workers:
+                if len(self._busy) == self._setup.workers:
                     self._all_busy.set()
                 start = time.perf_counter()
                 place = len(self._spans)

@@ -57,7 +57,7 @@ from brink.sim.world.scenario import (
 from brink.sim.world.world import make_world
 
 Value: TypeAlias = "str | int | float"
-SIMULATOR_ID = "brink-drive@1"
+SIMULATOR_ID = "brink-drive@2"
 LAST_STEP = float(last_perception_step(DEFAULT_DURATION_S))
 CATEGORICAL = (*SCENARIO_CHOICES, *(f"{ghost}.label" for ghost in range(TRAJECTORY_COUNT)))
 NUMERIC = tuple(f"{ghost}.{field}" for ghost in range(TRAJECTORY_COUNT) for field in TRAJECTORY_FIELDS[1:])

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,8 +19,9 @@ from brink.api.client import TIMEOUT, Api
 from brink.bench.measurement import Progress, Row
 from brink.cli.campaigns import follow
 from brink.cli.compare import compared, print_rows, rows_json
-from brink.cli.options import RESULTS, AsJson, console, fields, plain_table, print_json
+from brink.cli.options import RESULTS, AsJson, check_picture, console, fields, plain_table, print_json
 from brink.search.analysis.comparison import Row as ComparisonRow
+from brink.search.analysis.monitor import Answer
 from brink.server.api.schemas import CampaignView
 from brink.server.api.schemas import Progress as CampaignProgress
 from brink.server.campaigns.body import CampaignBody, read_campaign_file
@@ -277,6 +279,64 @@ def monitor(as_json: AsJson = False) -> None:
     }  # fmt: skip
     names = ("solutions", "min_ms", "median_ms", "target_ms")
     _conclude_times(measure_monitor(), columns, *names, as_json=as_json)
+
+
+@bench.command(name="monitor-accuracy")
+def monitor_accuracy(
+    drives: Annotated[
+        int, typer.Option(min=100, help="Random drives that each monitor is fitted to.")
+    ] = 1300,
+    fresh: Annotated[int, typer.Option(min=100, help="Fresh random drives.")] = 2000,
+    seeds: Annotated[int, typer.Option(min=1, help="Number of training sets.")] = 4,
+    processes: Processes = 2,
+    out: Annotated[Path, typer.Option(help="Folder for verdicts, which are not simulated again.")] = RESULTS
+    / "bench-monitor",
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="PNG or SVG file for a plot of trees fitted to the first training set."),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare the models of safety monitors on fresh random drives of the urban problem (front gap).
+
+    Example: brink bench monitor-accuracy --seeds 4
+    """
+    from brink.bench.monitor_accuracy import MonitorAccuracy, mean_rows
+
+    check_picture(picture)
+
+    out.mkdir(parents=True, exist_ok=True)
+    with _progress() as progress:
+        found, evaluation = MonitorAccuracy(
+            out, drives=drives, fresh=fresh, seeds=range(1, seeds + 1), processes=processes, progress=progress
+        ).measure()  # fmt: skip
+    if picture is not None:
+        from brink.plots.evidence import figure_monitor
+
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        figure_monitor(evaluation).savefig(picture)
+    rows = mean_rows(found)
+    each = _table(
+        ("model", "seed", "AUROC", "Brier", "calibration error", "bins within",
+         *(f"{answer} (were)" for answer in Answer), "unlike", "agreement", "fit s", "query ms"),
+        (
+            (one.model, one.seed, f"{one.metrics.auroc:.3f}", f"{one.metrics.brier:.3f}",
+             f"{one.metrics.calibration_error:.3f}", sum(bin_.within for bin_ in one.metrics.bins),
+             *(f"{count:,}" + (f" ({unsafe / count:.1%})" if count else "")
+               for count, unsafe in one.answers.values()),
+             one.unlike, "" if one.agreement is None else f"{one.agreement:.0%}",
+             f"{one.fit_s:.1f}", f"{one.query_ms:.2f}")
+            for one in found
+        ),
+    )  # fmt: skip
+    means = _table(
+        ("what", "value", "target", "", "of"),
+        ((row.what, f"{row.value:.3f}", row.target, _met(row.met), row.note) for row in rows),
+    )
+    _conclude(
+        {"each": [asdict(one) for one in found], "means": [fields(row) for row in rows]}, each, means,
+        as_json=as_json, missed=any(row.met is False for row in rows),
+    )  # fmt: skip
 
 
 @bench.command()
@@ -562,9 +622,9 @@ def scale(
     ] = 0.2,
     as_json: AsJson = False,
 ) -> None:
-    """Measure the utilisation of 1 to 64 simulated workers, with one campaign and with several at once.
+    """Measure the utilisation of 1 to 64 simulated workers, by one campaign and by two at once.
 
-    Between two generations of a campaign, workers wait for its longest episodes; other campaigns fill the gap.
+    With one generation in flight, workers wait for its longest episodes, unless another campaign fills the gap.
 
     Example: brink bench scale --workers 1000 --scale 1
     """
@@ -573,16 +633,17 @@ def scale(
     with _progress() as progress:
         found = measure_utilisation(progress, workers=workers, seconds=seconds, scale=shrunk)
     table = _table(
-        ("workers", "campaigns", "generation", "jobs", "seconds", "used", "target", "", "coordinator CPU",
-         "its writer", "step s"),
+        ("workers", "campaigns", "generation", "in flight", "jobs", "seconds", "used", "target", "",
+         "coordinator CPU", "its writer", "step s"),
         (
-            (one.workers, one.campaigns, one.generation, f"{one.jobs:,}", f"{one.seconds:.0f}", f"{one.share:.1%}",
+            (one.setup.workers, one.setup.campaigns, one.setup.generation, one.setup.in_flight,
+             f"{one.jobs:,}", f"{one.seconds:.0f}", f"{one.share:.1%}",
              "" if one.met is None else f"at least {TARGET:.0%}", _met(one.met),
              f"{one.coordinator_s / one.seconds:.0%}", f"{one.writing_s / one.seconds:.0%}", f"{one.step_s:.3f}")
             for one in found
         ),
     )  # fmt: skip
-    document = [{**fields(one), "share": one.share, "met": one.met} for one in found]
+    document = [{**fields(one), **fields(one.setup), "share": one.share, "met": one.met} for one in found]
     _conclude(document, table, as_json=as_json, missed=any(one.met is False for one in found))
 
 

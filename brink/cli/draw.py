@@ -27,6 +27,7 @@ from brink.cli.options import (
     write_json,
 )
 from brink.search.archive import ARRAYS, Archive
+from brink.search.space import BoolArray
 from brink.server.api.outcomes import OutcomesView
 from brink.server.api.schemas import Boundary, CampaignView, SolutionView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody
@@ -127,6 +128,7 @@ class FetchedArchive:
         body: The campaign file.
         plan: Problem and algorithm of the campaign.
         archive: All evaluated solutions.
+        active: Which parameters had a part in each episode, shape ``(n, d)``; None from an older coordinator.
         generations: Size of the archive after each generation.
         outcomes: What the simulations showed about all requirements, for each solution of the archive.
     """
@@ -135,6 +137,7 @@ class FetchedArchive:
     body: CampaignBody
     plan: Plan
     archive: Archive
+    active: BoolArray | None
     generations: tuple[int, ...]
     outcomes: OutcomesView
 
@@ -157,8 +160,8 @@ async def fetch_archive(api: Api, campaign: str) -> FetchedArchive:
     generations = arrays["generations"]
     ends = np.searchsorted(generations, np.unique(generations), side="right")
     return FetchedArchive(
-        id=view.id, body=view.body, plan=plan, archive=archive, generations=tuple(int(end) for end in ends),
-        outcomes=outcomes,
+        id=view.id, body=view.body, plan=plan, archive=archive, active=arrays.get("active"),
+        generations=tuple(int(end) for end in ends), outcomes=outcomes,
     )  # fmt: skip
 
 
@@ -206,6 +209,7 @@ def draw_figures(
 
     figures = CampaignFigures(
         archive=fetched.archive,
+        active=fetched.active,
         space=fetched.plan.problem.space,
         title=fetched.body.name,
         generation_ends=fetched.generations,

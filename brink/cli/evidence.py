@@ -139,7 +139,7 @@ def _rules(fetched: FetchedArchive, t_b: float) -> list[Rules]:
         "the unsafe region": archive.unsafe,
     }
     return [
-        region_rules(archive, space, inside, name, seed=seed)
+        region_rules(archive, space, inside, name, seed=seed, recorded=fetched.active)
         for name, inside in regions.items()
         if inside.any() and not inside.all()
     ]

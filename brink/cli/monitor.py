@@ -1,7 +1,8 @@
 """`brink monitor fit | score | judge`: a safety monitor fitted to the results of campaigns."""
 
+import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,10 +22,17 @@ from brink.cli.options import (
     print_json,
     with_api,
 )
-from brink.search.analysis.monitor import Answer, Monitor
-from brink.search.analysis.monitor_evaluation import MonitorEvaluation, evaluate_monitor, fewest_false_alarms
+from brink.search.analysis.boosted_trees import LEAST_OF_A_VERDICT
+from brink.search.analysis.monitor import Answer, Model, Monitor, default_model
+from brink.search.analysis.monitor_evaluation import (
+    MonitorEvaluation,
+    evaluate_monitor,
+    evaluate_pairs,
+    fewest_false_alarms,
+)
 from brink.search.archive import Archive
 from brink.search.errors import DocumentError, SpaceError
+from brink.search.space import FloatArray, SearchSpace
 from brink.server.documents import read_yaml
 from brink.server.errors import Conflict, InvalidInput
 
@@ -61,6 +69,14 @@ def fit(
             "otherwise unknown (default: p_th).",
         ),
     ] = None,
+    model: Annotated[
+        Model | None,
+        typer.Option(
+            help="Trees are more accurate; fitting them needs the extra `analysis`. Default: trees where that extra "
+            f"is installed and at least {LEAST_OF_A_VERDICT} solutions have each verdict.",
+            show_default=False,
+        ),
+    ] = None,
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
@@ -75,14 +91,18 @@ def fit(
         raise Conflict(f"a monitor needs at least two evaluated solutions, got {len(vectors)}")
     plan = fetched[0].plan
     level = threshold if threshold is not None else plan.neighbourhood.p_th
-    fitted = Monitor.fitted(
-        plan.problem.space,
-        vectors,
-        unsafe,
-        threshold=level,
-        z=plan.neighbourhood.z,
-        seed=fetched[0].body.seed,
-    )
+    try:
+        fitted = Monitor.fitted(
+            plan.problem.space,
+            vectors,
+            unsafe,
+            threshold=level,
+            z=plan.neighbourhood.z,
+            seed=fetched[0].body.seed,
+            model=default_model(unsafe) if model is None else model,
+        )
+    except ValueError as error:
+        raise Conflict(str(error)) from None
     weights = fitted.informative_weights
     about = {
         "campaigns": [one.id for one in fetched],
@@ -92,14 +112,22 @@ def fit(
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(fitted.to_json(about) + "\n", encoding="utf-8")
     if as_json:
-        print_json({"file": str(out), "solutions": len(fitted), "threshold": level, "weights": weights})
+        print_json(
+            {
+                "file": str(out), "solutions": len(fitted), "threshold": level, "model": str(fitted.model),
+                "weights": weights,
+            }
+        )  # fmt: skip
         return
-    parameters = ", ".join(f"{name} {weight:g}" for name, weight in weights.items()) or "none"
-    console().print(
-        f"{out}: {len(fitted):,} solutions, {fitted.unsafe_share:.0%} unsafe; unsafe above {level:g}\n"
-        f"parameters by weight: {parameters}",
+    screen = console()
+    screen.print(
+        f"{out}: {fitted.model}, fitted to {len(fitted):,} solutions, {fitted.unsafe_share:.0%} unsafe; "
+        f"unsafe above {level:g}",
         soft_wrap=True, markup=False,
     )  # fmt: skip
+    if fitted.model is Model.NEIGHBOURS:
+        parameters = ", ".join(f"{name} {weight:g}" for name, weight in weights.items()) or "none"
+        screen.print(f"parameters by weight: {parameters}", soft_wrap=True, markup=False)
 
 
 @monitor.command()
@@ -133,14 +161,20 @@ def score(
     if as_json:
         print_json([asdict(risk) for risk in risks])
         return
-    columns = ("", "unsafe", "interval", "neighbours")
+    columns = ("", "unsafe", "interval", "neighbours", "nearest")
     table = plain_table(*columns, "answer", right=columns)
     for place, risk in enumerate(risks):
         table.add_row(
             str(place), f"{risk.probability:.2f}", f"{risk.low:.2f} to {risk.high:.2f}",
-            f"{risk.neighbours:.1f}", str(risk.answer),
+            "" if risk.neighbours is None else f"{risk.neighbours:.1f}", f"{risk.nearest:.3f}", str(risk.answer),
         )  # fmt: skip
-    console().print(table)
+    screen = console()
+    screen.print(table)
+    for place, risk in enumerate(risks):
+        if risk.unlike:
+            screen.print(
+                f"{place} is unlike anything simulated: {risk.unlike}", soft_wrap=True, markup=False, style="yellow"
+            )  # fmt: skip
 
 
 @monitor.command()
@@ -149,6 +183,14 @@ def judge(
     campaigns: Campaigns,
     picture: Annotated[
         Path | None, typer.Option("--picture", help="PNG or SVG file for a plot of calibration and alarms.")
+    ] = None,
+    pairs: Annotated[
+        Path | None,
+        typer.Option(
+            "--pairs",
+            help="JSON Lines file of pairs across the boundary, on which the monitor is evaluated too: "
+            '{"safe": {"parameters": {...}}, "unsafe": {"parameters": {...}}}.',
+        ),
     ] = None,
     database: Database = None,
     server: Server = None,
@@ -160,6 +202,7 @@ def judge(
     """
     check_picture(picture)
     fitted = _read(file)
+    sides = None if pairs is None else _pairs(pairs, fitted.space)
     fetched = with_api(server, database, lambda api: _fetched(api, campaigns))
     vectors, unsafe = _evaluated(fetched)
     if fetched[0].plan.problem.space.column_names() != fitted.space.column_names():
@@ -168,12 +211,14 @@ def judge(
         evaluation = evaluate_monitor(fitted, vectors, unsafe)
     except ValueError as error:
         raise Conflict(str(error)) from None
+    if sides is not None:
+        evaluation = replace(evaluation, pairs=evaluate_pairs(fitted, *sides))
     if picture is not None:
         # matplotlib takes half a second to load: only commands that draw wait for it.
         from brink.plots.evidence import figure_monitor
 
         picture.parent.mkdir(parents=True, exist_ok=True)
-        figure_monitor(evaluation, f"Monitor of {evaluation.learned:,} simulations").savefig(picture)
+        figure_monitor(evaluation).savefig(picture)
     if as_json:
         print_json(evaluation.to_json())
         return
@@ -187,6 +232,33 @@ def _read(file: Path) -> Monitor:
         return Monitor.load(file)
     except DocumentError as error:
         raise InvalidInput.at("", f"{file}: {error}") from None
+
+
+def _pairs(file: Path, space: SearchSpace) -> tuple[FloatArray, FloatArray]:
+    """Return the safe and the unsafe sides of the pairs in a JSON Lines file, each of shape ``(n, d)``."""
+    sides: dict[str, list[FloatArray]] = {"safe": [], "unsafe": []}
+    try:
+        lines = file.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInput.at("", f"{file}: expected JSON Lines: {error}") from None
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        try:
+            document = json.loads(line)
+            for side, rows in sides.items():
+                rows.append(space.join(space.encode(document[side]["parameters"])))
+        except (SpaceError, AttributeError) as error:
+            raise InvalidInput.at("", f"{file}, line {number}: {error}") from None
+        except (ValueError, KeyError, TypeError):
+            raise InvalidInput.at(
+                "",
+                f'{file}, line {number}: expected {{"safe": {{"parameters": {{...}}}}, '
+                f'"unsafe": {{"parameters": {{...}}}}}}, got {line[:100]}',
+            ) from None
+    if not sides["safe"]:
+        raise InvalidInput.at("", f"{file}: expected at least one pair, got none")
+    return np.array(sides["safe"]), np.array(sides["unsafe"])
 
 
 def _wrong(place: int, message: str) -> InvalidInput:
@@ -215,11 +287,22 @@ def _evaluated(fetched: Sequence[FetchedArchive]) -> tuple[Any, Any]:
 def _print(evaluation: MonitorEvaluation) -> None:
     screen = console()
     screen.print(f"fitted to {evaluation.learned:,} simulations, evaluated on {evaluation.fresh:,} others")
-    columns = ("AUROC", "Brier", *(f"false alarms at {missed:.0%} missed" for missed in MISSED))
+    columns = (
+        "AUROC",
+        "Brier",
+        "calibration error",
+        *(f"false alarms at {missed:.0%} missed" for missed in MISSED),
+    )
     table = plain_table("", *columns, right=columns)
     for one in evaluation.predictors:
         costs = [f"{fewest_false_alarms(one.operating_points, missed).false:.0%}" for missed in MISSED]
-        table.add_row(one.name, f"{one.metrics.auroc:.3f}", f"{one.metrics.brier:.3f}", *costs)
+        table.add_row(
+            one.name,
+            f"{one.metrics.auroc:.3f}",
+            f"{one.metrics.brier:.3f}",
+            f"{one.metrics.calibration_error:.3f}",
+            *costs,
+        )
     screen.print(table, "")
     bins = evaluation.predictors[0].metrics.bins
     columns = ("solutions", "predicted", "interval", "unsafe share", "within")
@@ -233,7 +316,19 @@ def _print(evaluation: MonitorEvaluation) -> None:
     for verdicts in evaluation.answers:
         share = f", {verdicts.unsafe / verdicts.solutions:.0%} of them unsafe" if verdicts.solutions else ""
         unknown = verdicts.answer is Answer.UNKNOWN
-        reason = ": too few simulations around them, or too mixed" if unknown else ""
+        reason = (
+            ": their intervals contain the threshold, or they are unlike anything simulated"
+            if unknown
+            else ""
+        )
         screen.print(f"  {verdicts.answer}: {verdicts.solutions:,}{share}{reason}")
+    screen.print(f"  unlike anything simulated: {evaluation.unlike:,} of {evaluation.fresh:,}")
+    if (pairs := evaluation.pairs) is not None:
+        screen.print(
+            f"pairs across the boundary: {pairs.pairs:,}; both sides right {pairs.both_right:,} "
+            f"({pairs.both_right / pairs.pairs:.0%}), unsafe side given the higher probability {pairs.ranked:,} "
+            f"({pairs.ranked / pairs.pairs:.0%}), mean difference {pairs.difference:+.3f}",
+            soft_wrap=True,
+        )  # fmt: skip
     for name, reason in evaluation.left_out.items():
         screen.print(f"[yellow]left out: {name}, {reason}[/yellow]")

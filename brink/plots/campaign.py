@@ -226,7 +226,7 @@ def figure_parameters(inputs: CampaignFigures) -> Figure:
     Values of inactive parameters are left out. A search does not sample at random, so the figure shows where unsafe
     solutions were found, not why.
     """
-    found = dependences(inputs.space, inputs.archive)
+    found = dependences(inputs.space, inputs.archive, inputs.active)
     rows = -(-len(found) // PARAMETER_COLUMNS)
     height_px = _TOP_PX + _BOTTOM_PX + rows * PARAMETER_PX
     archive = inputs.archive
@@ -235,7 +235,7 @@ def figure_parameters(inputs: CampaignFigures) -> Figure:
         height_px,
         f"{inputs.title}: unsafe share by parameter",
         "Share of unsafe solutions by value, with its 95% interval; numbers in bins of equal size, without "
-        f"those of inactive trajectories. Line: overall share, {share_text(overall)}.\n"
+        f"those that had no part in their drive. Line: overall share, {share_text(overall)}.\n"
         "Strongest dependence first (Cramér's V). Grey: not significant. A search does not sample evenly: this "
         "shows where unsafe solutions were found.",
     )

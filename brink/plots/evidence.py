@@ -234,11 +234,11 @@ MONITOR_HEIGHT_PX: Final = 760
 _PREDICTOR_COLOURS: Final = {MONITOR: SAFE, MAJORITY: MUTED}
 
 
-def figure_monitor(evaluation: MonitorEvaluation, title: str) -> Figure:
+def figure_monitor(evaluation: MonitorEvaluation) -> Figure:
     """Plot the calibration of a monitor, and missed hazards against false alarms, next to other predictors."""
     figure = new_figure(
         MONITOR_HEIGHT_PX,
-        title,
+        f"Monitor of {evaluation.learned:,} simulations ({evaluation.model})",
         f"Trained on {evaluation.learned:,} simulations, evaluated on {evaluation.fresh:,} independent ones.\n"
         "Left: the unsafe share of solutions with similar predictions, with its 95% interval; shaded, the monitor's "
         "own interval. Right: each point is an alarm threshold.",

@@ -37,6 +37,7 @@ class CampaignFigures:
         t_b: Maximum fitness of a boundary solution.
         d_th: Minimum distance between distinct boundary solutions.
         words: What the verdicts are about; None if that is unknown.
+        active: Which parameters had a part in each episode, shape ``(n, d)``; None if that was not recorded.
     """
 
     archive: Archive
@@ -46,6 +47,7 @@ class CampaignFigures:
     t_b: float
     d_th: float
     words: VerdictWords | None = None
+    active: BoolArray | None = None
 
     def __post_init__(self) -> None:
         ends = np.asarray(self.generation_ends, dtype=np.int64)
@@ -57,6 +59,8 @@ class CampaignFigures:
             raise ValueError(
                 f"words: expected {len(self.archive)} entries in others, got {self.words.others.size}"
             )
+        if self.active is not None and self.active.shape != self.archive.vectors.shape:
+            raise ValueError(f"active: expected shape {self.archive.vectors.shape}, got {self.active.shape}")
         if self.archive.metric.dimension != self.space.dimension:
             raise ValueError(
                 f"space: expected {self.archive.metric.dimension} parameters as in the archive, "

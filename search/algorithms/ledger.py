@@ -1,9 +1,9 @@
 """Common base of the built-in algorithms: the ledger of all candidates, shared settings, and most of the contract.
 
-The ledger records every solution ever asked for: the archive, failed and measured solutions, and the queue. The
-queue is the next or the pending generation. Numbers count from 0 in the order of asking and are not stored: every
-archived, failed or queued solution has used up one. The next generation is planned as soon as the last one is told;
-an empty queue means that the search is over.
+The ledger records every solution ever asked for: the archive, failed and measured solutions, the generations in
+flight, and the queue, which is the next generation. Numbers count from 0 in the order of planning and are not stored:
+every archived, failed, pending or queued solution has used up one. The next generation is planned as soon as there is
+room for it in flight; an empty queue then means that nothing is left to ask for.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -57,8 +57,8 @@ class Ledger:
         archive: Evaluated solutions.
         failed: Solutions without a verdict, as rows, shape ``(f, d)``.
         measured: Solutions measured on a data set, as rows, shape ``(m, d)``; they may still be simulated.
-        queue: The planned generation, ascending by number; empty when the search is over.
-        asked: Whether the queue was asked but not told yet.
+        flight: The generations that were asked for but not told yet, oldest first.
+        queue: The planned generation, ascending by number.
     """
 
     space: SearchSpace
@@ -68,8 +68,8 @@ class Ledger:
     archive: Archive
     failed: FloatArray
     measured: FloatArray
+    flight: tuple[tuple[Candidate, ...], ...]
     queue: tuple[Candidate, ...]
-    asked: bool
 
     @classmethod
     def start(cls, space: SearchSpace, config: BoundaryConfig, *, seed: int, budget: int) -> Self:
@@ -89,8 +89,8 @@ class Ledger:
             archive=Archive.empty(space, Neighbourhood.of(config)),
             failed=frozen_array(np.empty((0, space.dimension))),
             measured=frozen_array(np.empty((0, space.dimension))),
+            flight=(),
             queue=(),
-            asked=False,
         )
 
     @property
@@ -99,18 +99,29 @@ class Ledger:
         return len(self.archive) + len(self.failed) + len(self.measured)
 
     @property
+    def in_flight(self) -> int:
+        """Number of candidates asked for but not yet told."""
+        return sum(map(len, self.flight))
+
+    @property
     def left(self) -> float:
-        """Number of further solutions that budget and space allow; zero or less when the search is over."""
-        return min(self.budget, self.space.size) - self.spent
+        """Number of solutions that budget and space allow to plan; zero or less if there is none."""
+        return min(self.budget, self.space.size) - self.spent - self.in_flight
 
     @property
     def pending(self) -> tuple[Candidate, ...]:
-        """Candidates asked for but not yet told."""
-        return self.queue if self.asked else ()
+        """The oldest generation in flight."""
+        return self.flight[0] if self.flight else ()
+
+    @property
+    def planned_generation(self) -> int:
+        """Number of the generation in the queue."""
+        return self.generation + len(self.flight)
 
     def unseen(self, rows: Iterable[FloatArray]) -> tuple[FloatArray, ...]:
         """Return the rows that were never asked for, without duplicates, in their order."""
         seen = {*row_keys(self.archive.vectors), *row_keys(self.failed)}
+        seen.update(self.space.join(c.vectors).tobytes() for generation in self.flight for c in generation)
         fresh = []
         for row in rows:
             key = row.tobytes()
@@ -136,32 +147,33 @@ class Ledger:
         seeds: Sequence[int | None] = [None] * len(rows) if seed_numbers is None else seed_numbers
         queue = tuple(
             Candidate(number=number, vectors=self.space.split(row), question=question, seed_number=seed)
-            for number, (row, seed) in enumerate(zip(rows, seeds, strict=True), start=self.spent)
+            for number, (row, seed) in enumerate(zip(rows, seeds, strict=True), self.spent + self.in_flight)
         )
         return replace(self, queue=queue)
 
     def ask(self) -> Self:
-        """Return the ledger with its queue pending.
+        """Return the ledger with its queue in flight, and an empty queue.
 
         Raises:
-            OrderError: The queue is already pending, or empty.
+            OrderError: The queue is empty.
         """
-        if self.asked:
-            raise OrderError(f"ask: tell the {len(self.queue)} pending evaluations first")
-        if not self.queue:
-            raise OrderError("ask: the search is finished; check `finished` before asking")
-        return replace(self, asked=True)
+        if self.queue:
+            return replace(self, flight=(*self.flight, self.queue), queue=())
+        if self.flight:
+            raise OrderError(f"ask: tell the {len(self.pending)} pending evaluations first")
+        raise OrderError("ask: the search is finished; check `finished` before asking")
 
     def tell(self, evaluations: Mapping[int, Evaluation]) -> Self:
-        """Return the ledger with the pending generation evaluated and an empty queue.
+        """Return the ledger with the oldest generation in flight evaluated.
 
         Raises:
-            OrderError: Nothing is pending, or the numbers are not those of the pending candidates.
+            OrderError: Nothing is pending, the queue has not been asked for yet, or the numbers are not those of the
+                pending candidates.
         """
         self._check_pending(evaluations)
         scored: list[tuple[Candidate, Scored]] = []
         failed, measured = [self.failed], [self.measured]
-        for candidate in self.queue:
+        for candidate in self.pending:
             match evaluations[candidate.number]:
                 case Scored() as evaluation:
                     scored.append((candidate, evaluation))
@@ -182,14 +194,13 @@ class Ledger:
             archive=archive,
             failed=frozen_array(np.concatenate(failed)),
             measured=frozen_array(np.concatenate(measured)),
-            queue=(),
-            asked=False,
+            flight=self.flight[1:],
         )
 
     def _check_pending(self, evaluations: Mapping[int, Evaluation]) -> None:
-        if not self.asked:
-            raise OrderError("tell: nothing is pending; ask first")
-        expected, got = {candidate.number for candidate in self.queue}, set(evaluations)
+        if not self.flight or self.queue:
+            raise OrderError("tell: ask for the planned generation first")
+        expected, got = {candidate.number for candidate in self.pending}, set(evaluations)
         if expected != got:
             raise OrderError(
                 f"tell: expected evaluations of the {len(expected)} pending candidates; "
@@ -223,8 +234,10 @@ class Ledger:
             header: Further entries of the header.
             arrays: Further arrays.
         """
-        rows = [self.space.join(candidate.vectors) for candidate in self.queue]
-        seeds = [candidate.seed_number for candidate in self.queue]
+        generations = [*self.flight, self.queue]
+        candidates = [candidate for generation in generations for candidate in generation]
+        rows = [self.space.join(candidate.vectors) for candidate in candidates]
+        seeds = [candidate.seed_number for candidate in candidates]
         return Document(
             kind=kind,
             version=version,
@@ -232,10 +245,10 @@ class Ledger:
                 "seed": self.seed,
                 "budget": self.budget,
                 "generation": self.generation,
-                "asked": self.asked,
+                "flight": [len(generation) for generation in self.flight],
                 "archived": len(self.archive),
-                "question": self.queue[0].question.value if self.queue else Question.EPISODE.value,
-                "seed_numbers": None if None in seeds else seeds,
+                "question": (candidates[0].question if candidates else Question.EPISODE).value,
+                "seed_numbers": seeds if any(seed is not None for seed in seeds) else None,
                 **header,
             },
             arrays={
@@ -260,8 +273,8 @@ class Ledger:
             DocumentError: The document is corrupt, or does not match the space, settings or archive.
         """
         header = document.header
-        queue = stored_rows(document, "queue", space.dimension)
-        _check_header(header, len(queue))
+        rows = stored_rows(document, "queue", space.dimension)
+        flight = _checked_flight(header, len(rows))
         if len(archive) != header["archived"]:
             raise DocumentError(f"expected the archive of {header['archived']} solutions, got {len(archive)}")
         if archive.neighbourhood != Neighbourhood.of(config):
@@ -281,27 +294,40 @@ class Ledger:
             archive=archive,
             failed=stored_rows(document, "failed", space.dimension),
             measured=measured,
+            flight=(),
             queue=(),
-            asked=header["asked"],
         )
         question = Question(header.get("question", Question.EPISODE.value))
-        return ledger.plan(queue, question, header.get("seed_numbers"))
+        seeds = header.get("seed_numbers") or [None] * len(rows)
+        for size in flight:
+            ledger = ledger.plan(rows[:size], question, seeds[:size]).ask()
+            rows, seeds = rows[size:], seeds[size:]
+        return ledger.plan(rows, question, seeds)
 
 
-def _check_header(header: Mapping[str, Any], queued: int) -> None:
+def _checked_flight(header: Mapping[str, Any], rows: int) -> list[int]:
+    """Check the header of a ledger with `rows` candidates; return the sizes of the generations in flight.
+
+    Raises:
+        DocumentError: The header is corrupt.
+    """
     for name in ("seed", "budget", "generation", "archived"):
         if not isinstance(header.get(name), int):
             raise DocumentError(f"{name}: expected a whole number, got {header.get(name)!r}")
-    if not isinstance(header.get("asked"), bool):
-        raise DocumentError(f"asked: expected true or false, got {header.get('asked')!r}")
+    flight = header.get("flight", [])  # missing if written when there was one generation in flight at most
+    if not (isinstance(flight, list) and all(isinstance(size, int) and size > 0 for size in flight)):
+        raise DocumentError(f"flight: expected the sizes of the generations in flight, got {flight!r}")
+    if sum(flight) > rows:
+        raise DocumentError(f"flight: expected at most {rows} candidates, got {sum(flight)}")
     seeds = header.get("seed_numbers")
     if seeds is not None and not (
-        isinstance(seeds, list) and len(seeds) == queued and all(isinstance(s, int) for s in seeds)
+        isinstance(seeds, list) and len(seeds) == rows and all(s is None or isinstance(s, int) for s in seeds)
     ):
         raise DocumentError(f"seed_numbers: expected one for each candidate, got {seeds!r}")
     question = header.get("question", Question.EPISODE.value)
     if question not in set(Question):
         raise DocumentError(f"question: expected one of {', '.join(Question)}, got {question!r}")
+    return flight
 
 
 def stored_rows(document: Document, name: str, width: int) -> FloatArray:
@@ -349,7 +375,7 @@ class LedgerState:
 
     @property
     def pending(self) -> tuple[Candidate, ...]:
-        """Candidates asked for but not yet told, ascending by number."""
+        """The oldest generation that was asked for but not yet told, ascending by number."""
         return self.ledger.pending
 
 
@@ -379,6 +405,10 @@ class LedgerAlgorithm(Generic[C, S]):
     def _first_state(self, ledger: Ledger, config: C) -> S:
         """Return the initial state, with its first generation planned in an empty ledger."""
         raise NotImplementedError
+
+    def _refilled(self, state: S) -> S:
+        """Return a state that has just asked for its queue, with one more generation planned if that may overlap."""
+        return state
 
     def _content(self, state: S) -> tuple[dict[str, Any], dict[str, Any]]:
         """Return the header entries and arrays that store a state, without its ledger."""
@@ -423,17 +453,21 @@ class LedgerAlgorithm(Generic[C, S]):
         return self._first_state(Ledger.start(space, config, seed=seed, budget=budget), config)
 
     def ask(self, state: S) -> tuple[S, tuple[Candidate, ...]]:
-        """Return the state with a pending generation, and that generation.
+        """Return the state with one more generation in flight, and that generation.
 
         Raises:
-            OrderError: The last generation has not been told yet, or the search is finished.
+            OrderError: No further generation may be in flight, or none is left to ask for.
         """
         ledger = state.ledger.ask()
-        return replace(state, ledger=ledger), ledger.pending
+        return self._refilled(replace(state, ledger=ledger)), ledger.flight[-1]
+
+    def can_ask(self, state: S) -> bool:
+        """Return whether a further generation is to be asked for before the pending one is told."""
+        return bool(state.ledger.queue)
 
     def finished(self, state: S) -> bool:
-        """Return whether no further generation is planned."""
-        return not state.ledger.queue
+        """Return whether nothing is in flight and nothing is planned."""
+        return not state.ledger.flight and not state.ledger.queue
 
     def dump(self, state: S) -> Document:
         """Return the state, without its archive, as a versioned document."""

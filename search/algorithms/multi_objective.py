@@ -403,7 +403,11 @@ def restored_state(ledger: Ledger, config: MultiObjectiveConfig, document: Docum
             "bounds"
         )
     origins = document.header.get("queue_origins")
-    if not isinstance(origins, list) or not set(origins) <= set(Origin) or len(origins) != len(ledger.queue):
+    if (
+        not isinstance(origins, list)
+        or not set(origins) <= set(Origin)
+        or len(origins) != len(ledger.pending or ledger.queue)
+    ):
         raise DocumentError(f"queue_origins: expected one for each queued solution, got {origins!r}")
     return MultiObjectiveState(
         config=config,

@@ -22,6 +22,9 @@ class RandomSearchConfig(BoundaryConfig):
     """Settings of random search."""
 
     generation_size: int = setting(60, help="Candidates per generation.", ge=1, le=10_000)
+    in_flight: int = setting(
+        8, help="Generations in flight at a time; they do not depend on each other.", ge=1, le=1000
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -48,14 +51,18 @@ class RandomSearch(LedgerAlgorithm[RandomSearchConfig, RandomSearchState]):
         """Return the state after the pending generation was evaluated."""
         return _planned(state.config, state.ledger.tell(evaluations))
 
+    def _refilled(self, state: RandomSearchState) -> RandomSearchState:
+        return _planned(state.config, state.ledger)
+
     def _restored(self, ledger: Ledger, config: RandomSearchConfig, document: Document) -> RandomSearchState:
         return RandomSearchState(config=config, ledger=ledger)
 
 
 def _planned(config: RandomSearchConfig, ledger: Ledger) -> RandomSearchState:
-    """Return the state with the next generation queued, limited to what budget and space allow."""
-    wanted = int(min(config.generation_size, ledger.left))
-    rng = generator(ledger.seed, Stream.START, ledger.generation)
+    """Return the state with the next generation queued if there is room in flight, as budget and space allow."""
+    room = len(ledger.flight) < config.in_flight
+    wanted = int(min(config.generation_size, ledger.left)) if room else 0
+    rng = generator(ledger.seed, Stream.START, ledger.planned_generation)
     rows: tuple[FloatArray, ...] = ()
     draws_left = _DRAWS_PER_CANDIDATE * wanted
     while len(rows) < wanted and draws_left > 0:

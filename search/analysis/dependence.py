@@ -43,7 +43,7 @@ class ParameterColumn:
         component: Name of its component.
         parameter: The parameter.
         values: Stored values, numbers or indices of choices, shape ``(n,)``.
-        active: Where the value is meaningful, shape ``(n,)``; numbers of a dormant block are stored as 0.
+        active: Where the value had a part in the episode, shape ``(n,)``; numbers of a dormant block are stored as 0.
     """
 
     component: str
@@ -57,17 +57,25 @@ class ParameterColumn:
         return f"{self.component}.{self.parameter.name}"
 
 
-def parameter_columns(space: SearchSpace, vectors: FloatArray) -> list[ParameterColumn]:
+def parameter_columns(
+    space: SearchSpace, vectors: FloatArray, recorded: BoolArray | None = None
+) -> list[ParameterColumn]:
     """Return the columns of all parameters, in the order of the genome.
+
+    Values are those that were chosen, not those that a drive cut off: how long a drive lasts is part of its outcome.
 
     Args:
         space: The search space.
         vectors: Complete solutions as rows, shape ``(n, d)``.
+        recorded: Which entries had a part in their episodes, shape ``(n, d)``; without it, all but those of dormant
+            blocks.
     """
     columns: list[ParameterColumn] = []
     for component, part in zip(space.components, space.slices, strict=True):
         rows = vectors[:, part]
         active = _active(component, rows)
+        if recorded is not None:
+            active &= recorded[:, part]
         columns += [
             ParameterColumn(
                 component=component.name, parameter=parameter, values=rows[:, index], active=active[:, index]
@@ -119,9 +127,16 @@ class Dependence:
         return self.p_value < DETECTABLE / parameters
 
 
-def dependences(space: SearchSpace, archive: Archive) -> list[Dependence]:
-    """Return the dependence of the verdict on each parameter, strongest first."""
-    found = [_dependence(column, archive.unsafe) for column in parameter_columns(space, archive.vectors)]
+def dependences(space: SearchSpace, archive: Archive, recorded: BoolArray | None = None) -> list[Dependence]:
+    """Return the dependence of the verdict on each parameter where it is active, strongest first.
+
+    Args:
+        space: The search space.
+        archive: The evaluated solutions.
+        recorded: Which parameters had a part in each episode, as in `parameter_columns`.
+    """
+    columns = parameter_columns(space, archive.vectors, recorded)
+    found = [_dependence(column, archive.unsafe) for column in columns]
     return sorted(found, key=lambda dependence: -dependence.strength)
 
 

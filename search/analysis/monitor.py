@@ -1,32 +1,34 @@
-"""A safety monitor: the probability that a complete solution is unsafe, estimated from simulated ones around it.
+"""A safety monitor: the probability that a complete solution is unsafe, estimated from simulated ones.
 
-Every evaluated solution has a weight that falls with its distance, exp(-sum of w_j d_j) over the parameters j. d_j is
-the difference of two numbers as a share of their range, or 1 for different categories; w_j >= 0 is the weight of the
-parameter. The weights are chosen to minimise the mean log loss when each solution is predicted from all others; most
-become 0. With n the sum of weights and k that of the unsafe solutions, the unsafe probability is
-(k + m) / (n + 1); the overall unsafe share m has the weight of one evaluation. The interval is Wilson's for k of n.
+A monitor holds simulated solutions with their verdicts, and a model fitted to them: gradient-boosted trees
+(`brink.search.analysis.boosted_trees`), which are more accurate, or kernel regression on the neighbours
+(`brink.search.analysis.neighbours`), which needs no extra package and can be followed by hand.
 
-Where few solutions were simulated, n is small, the interval wide and the answer "unknown": a solution is called
-unsafe only if the whole interval is above the threshold, and safe only if none of it is.
+Each probability has an interval. A solution is called unsafe only if the whole interval is above the threshold, and
+safe only if none of it is; otherwise the answer is "unknown". It is also "unknown" if the solution is unlike anything
+simulated (`brink.search.analysis.coverage`).
 
-A monitor needs only numpy and scipy, and no server: ``Monitor.load("monitor.json").ask({...})``.
+To be asked, a monitor needs only numpy and scipy, and no server: ``Monitor.load("monitor.json").ask({...})``.
 
-Source: the safety monitors of Sharifi et al. 2023, section 5.1, which the boundary is meant for; Wilson 1927; kernel
-regression (Nadaraya 1964, Watson 1964).
+Source: the safety monitors of Sharifi et al. 2023, section 5.1, which the boundary is meant for.
 """
 
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from brink.search.analysis.boosted_trees import LEAST_OF_A_VERDICT, BoostedTrees, is_installed
+from brink.search.analysis.coverage import Coverage
+from brink.search.analysis.neighbours import Neighbours
 from brink.search.errors import DocumentError, SpaceError
+from brink.search.features import Features
 from brink.search.fitness import Z_95
 from brink.search.space import (
     BoolArray,
@@ -42,17 +44,9 @@ from brink.search.space import (
 from brink.search.streams import Stream, generator
 
 FORMAT: Final = "brink-monitor"
-VERSION: Final = 2
-LEVELS: Final = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
-"""Weights tried for each parameter."""
-_START: Final = LEVELS.index(1.0)
-MAX_PREDICTED: Final = 1_000
-"""Maximum number of solutions, drawn at random, whose predictions determine the weights."""
-MAX_LEARNED: Final = 3_000
-"""Maximum number of solutions, drawn at random, that predict those; a fitted monitor uses all solutions."""
-MAX_SWEEPS: Final = 4
-BLOCK_PAIRS: Final = 1 << 20
-"""Maximum number of pairs of solutions compared at a time."""
+VERSION: Final = 3
+VERSION_WITHOUT_TREES: Final = 2
+"""Version of files that always hold the model `neighbours`."""
 
 
 class Answer(StrEnum):
@@ -63,6 +57,25 @@ class Answer(StrEnum):
     UNKNOWN = "unknown"
 
 
+class Model(StrEnum):
+    """A kind of model."""
+
+    TREES = "trees"
+    NEIGHBOURS = "neighbours"
+
+
+def default_model(unsafe: BoolArray) -> Model:
+    """Return the more accurate model that can be fitted.
+
+    These are the trees where scikit-learn is installed and both verdicts occur often enough, else the neighbours.
+
+    Args:
+        unsafe: Verdicts of the simulated solutions, shape ``(n,)``.
+    """
+    enough = min(np.count_nonzero(unsafe), np.count_nonzero(~unsafe)) >= LEAST_OF_A_VERDICT
+    return Model.TREES if is_installed() and enough else Model.NEIGHBOURS
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Risks:
     """Risk estimates for m solutions.
@@ -71,20 +84,39 @@ class Risks:
         probability: Unsafe probability, shape ``(m,)``.
         low: Lower limit of its interval, shape ``(m,)``.
         high: Upper limit of its interval, shape ``(m,)``.
-        neighbours: Total weight of the evaluated solutions around each, in evaluations, shape ``(m,)``.
+        neighbours: Total weight of the evaluated solutions around each, in evaluations, shape ``(m,)``; None for
+            trees, which have no such number.
+        nearest: Distance to the nearest simulated solution, shape ``(m,)``.
+        unlike: In what each solution is unlike anything simulated, in words; empty if it is not.
     """
 
     probability: FloatArray
     low: FloatArray
     high: FloatArray
-    neighbours: FloatArray
+    neighbours: FloatArray | None
+    nearest: FloatArray
+    unlike: tuple[str, ...]
 
     def answers(self, threshold: float) -> list[Answer]:
         """Return the answers for a threshold probability, each decided by the interval."""
         return [
-            Answer.UNSAFE if low > threshold else Answer.SAFE if high <= threshold else Answer.UNKNOWN
-            for low, high in zip(self.low.tolist(), self.high.tolist(), strict=True)
-        ]
+            Answer.UNKNOWN if unlike else
+            Answer.UNSAFE if low > threshold else
+            Answer.SAFE if high <= threshold else Answer.UNKNOWN
+            for low, high, unlike in zip(self.low.tolist(), self.high.tolist(), self.unlike, strict=True)
+        ]  # fmt: skip
+
+    def each(self, threshold: float) -> "list[Risk]":
+        """Return the estimate for each solution, with the answer for a threshold probability."""
+        count = len(self.probability)
+        return [
+            Risk(probability=p, low=low, high=high, neighbours=n, nearest=nearest, unlike=unlike, answer=answer)
+            for p, low, high, n, nearest, unlike, answer in zip(
+                self.probability.tolist(), self.low.tolist(), self.high.tolist(),
+                [None] * count if self.neighbours is None else self.neighbours.tolist(),
+                self.nearest.tolist(), self.unlike, self.answers(threshold), strict=True,
+            )
+        ]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,38 +127,44 @@ class Risk:
         probability: Unsafe probability.
         low: Lower limit of its interval.
         high: Upper limit of its interval.
-        neighbours: Total weight of the evaluated solutions around it, in evaluations.
+        neighbours: Total weight of the evaluated solutions around it, in evaluations; None for trees.
+        nearest: Distance to the nearest simulated solution.
+        unlike: In what the solution is unlike anything simulated, in words; empty if it is not.
         answer: The answer for the monitor's threshold.
     """
 
     probability: float
     low: float
     high: float
-    neighbours: float
+    neighbours: float | None
+    nearest: float
+    unlike: str
     answer: Answer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Monitor:
-    """Simulated solutions and parameter weights, from which the risk of any solution is estimated.
+    """Simulated solutions and a model fitted to them, from which the risk of any solution is estimated.
 
     Attributes:
-        space: Space of the complete solutions, without constraints.
-        weights: Weight of each parameter, >= 0, shape ``(d,)``.
+        space: Space of the complete solutions; constraints are not needed.
         vectors: Simulated solutions, shape ``(n, d)``.
         unsafe: Their verdicts, shape ``(n,)``.
         threshold: Probability above which a solution is called unsafe, in (0, 1).
         z: Quantile of the standard normal for the interval, > 0.
+        features: Features of solutions: which numbers are tied together, which parts are interchangeable.
+        estimator: The fitted model.
+        coverage: What counts as like the simulated solutions.
     """
 
     space: SearchSpace
-    weights: FloatArray
     vectors: FloatArray
     unsafe: BoolArray
     threshold: float
     z: float
-    _scales: FloatArray
-    _numbers: FloatArray
+    features: Features
+    estimator: Neighbours | BoostedTrees
+    coverage: Coverage
 
     @classmethod
     def of(
@@ -139,7 +177,7 @@ class Monitor:
         threshold: float,
         z: float = Z_95,
     ) -> Self:
-        """Return a monitor with the given weights.
+        """Return a monitor of the neighbours with the given weights.
 
         Args:
             space: Space of the complete solutions.
@@ -152,25 +190,12 @@ class Monitor:
         Raises:
             ValueError: A shape or a value is wrong.
         """
-        rows, verdicts = frozen_array(vectors), frozen_array(unsafe, np.bool_)
-        if rows.ndim != 2 or rows.shape[1] != space.dimension or verdicts.shape != rows.shape[:1]:
-            raise ValueError(
-                f"expected rows of {space.dimension} numbers and a verdict for each, "
-                f"got shapes {rows.shape} and {verdicts.shape}"
-            )
-        if not len(rows):
-            raise ValueError("expected at least one evaluated solution")
-        given = frozen_array(weights)
-        if given.shape != (space.dimension,) or not (np.isfinite(given).all() and (given >= 0).all()):
-            raise ValueError(f"expected {space.dimension} weights >= 0, got {given.tolist()}")
-        if not 0 < threshold < 1:
-            raise ValueError(f"threshold: expected a probability in (0, 1), got {threshold!r}")
-        if not (math.isfinite(z) and z > 0):
-            raise ValueError(f"z: expected a number > 0, got {z!r}")
-        scales = np.where(space.categorical, 0.0, given / space.ranges)
+        rows, verdicts = _checked(space, vectors, unsafe, threshold, z)
+        features = Features.of_space(space)
         return cls(
-            space=space, weights=given, vectors=rows, unsafe=verdicts, threshold=threshold, z=z,
-            _scales=frozen_array(scales), _numbers=frozen_array(_scaled(rows, scales)),
+            space=space, vectors=rows, unsafe=verdicts, threshold=threshold, z=z, features=features,
+            estimator=Neighbours.of(space, weights, rows, verdicts),
+            coverage=Coverage.of(space, rows, features.orders),
         )  # fmt: skip
 
     @classmethod
@@ -183,8 +208,9 @@ class Monitor:
         threshold: float,
         z: float = Z_95,
         seed: int = 1,
+        model: Model = Model.NEIGHBOURS,
     ) -> Self:
-        """Return the monitor with the weights that predict the simulated solutions best.
+        """Return a monitor with a model fitted to the simulated solutions.
 
         Args:
             space: The search space.
@@ -192,19 +218,41 @@ class Monitor:
             unsafe: Their verdicts, shape ``(n,)``.
             threshold: Probability above which a solution is called unsafe, in (0, 1).
             z: Quantile of the standard normal for the interval, > 0.
-            seed: Determines which solutions the weights are chosen with, if there are many.
+            seed: Determines the folds of the trees, and the solutions that weights are chosen with if there are many.
+            model: The model to fit.
 
         Raises:
-            ValueError: A shape or a value is wrong.
+            MissingExtra: Trees were asked for, and scikit-learn is not installed.
+            ValueError: A shape or a value is wrong, or there are too few solutions.
         """
-        if len(vectors) < 2:
-            raise ValueError(f"expected at least two evaluated solutions, got {len(vectors)}")
-        start = cls.of(space, np.ones(space.dimension), vectors, unsafe, threshold=threshold, z=z)
-        weights = _best_weights(space, start.vectors, start.unsafe, generator(seed, Stream.MONITOR))
-        return cls.of(space, weights, vectors, unsafe, threshold=threshold, z=z)
+        rows, verdicts = _checked(space, vectors, unsafe, threshold, z)
+        features = Features.of_space(space)
+        return cls(
+            space=space, vectors=rows, unsafe=verdicts, threshold=threshold, z=z, features=features,
+            estimator=_fitted(features, rows, verdicts, model, seed),
+            coverage=Coverage.of(space, rows, features.orders),
+        )  # fmt: skip
+
+    def refitted(self, model: Model, *, seed: int = 1) -> Self:
+        """Return a monitor with another model fitted to the same simulated solutions.
+
+        Args:
+            model: The model to fit.
+            seed: As for `fitted`.
+
+        Raises:
+            MissingExtra: Trees were asked for, and scikit-learn is not installed.
+            ValueError: There are too few solutions.
+        """
+        return replace(self, estimator=_fitted(self.features, self.vectors, self.unsafe, model, seed))
 
     def __len__(self) -> int:
         return len(self.vectors)
+
+    @property
+    def model(self) -> Model:
+        """The kind of model."""
+        return Model.TREES if isinstance(self.estimator, BoostedTrees) else Model.NEIGHBOURS
 
     @property
     def unsafe_share(self) -> float:
@@ -213,8 +261,10 @@ class Monitor:
 
     @property
     def informative_weights(self) -> dict[str, float]:
-        """The positive weights by ``component.parameter``, largest first."""
-        known = zip(self.space.column_names(), self.weights.tolist(), strict=True)
+        """The positive weights of the neighbours by ``component.parameter``, largest first; empty for trees."""
+        if not isinstance(self.estimator, Neighbours):
+            return {}
+        known = zip(self.space.column_names(), self.estimator.weights.tolist(), strict=True)
         return dict(sorted(((name, weight) for name, weight in known if weight > 0), key=lambda one: -one[1]))
 
     def score(self, vectors: FloatArray) -> Risks:
@@ -226,14 +276,16 @@ class Monitor:
         rows = np.asarray(vectors, np.float64)
         if rows.ndim != 2 or rows.shape[1] != self.space.dimension:
             raise SpaceError(f"expected rows of {self.space.dimension} numbers, got shape {rows.shape}")
-        n, k = np.zeros(len(rows)), np.zeros(len(rows))
-        step = max(1, BLOCK_PAIRS // len(self))
-        for first in range(0, len(rows), step):
-            part = slice(first, first + step)
-            kernel = self._kernel(rows[part])
-            n[part] = kernel.sum(axis=1)
-            k[part] = kernel @ self.unsafe
-        return self._risks(n, k)
+        neighbours: FloatArray | None = None
+        if isinstance(self.estimator, Neighbours):
+            probability, low, high, neighbours = self.estimator.estimate(rows, self.z)
+        else:
+            probability, low, high = self.estimator.estimate(rows, self.z)
+        nearest = self.coverage.nearest(rows)
+        return Risks(
+            probability=probability, low=low, high=high, neighbours=neighbours, nearest=nearest,
+            unlike=self.coverage.reasons(rows, nearest),
+        )  # fmt: skip
 
     def ask(self, values: Mapping[str, Mapping[str, object]]) -> Risk:
         """Estimate the risk of one complete solution.
@@ -245,36 +297,7 @@ class Monitor:
             SpaceError: A value is missing, unknown or out of range; names the parameter.
         """
         risks = self.score(self.space.join(self.space.encode(values))[None])
-        return Risk(
-            probability=float(risks.probability[0]), low=float(risks.low[0]), high=float(risks.high[0]),
-            neighbours=float(risks.neighbours[0]), answer=risks.answers(self.threshold)[0],
-        )  # fmt: skip
-
-    def _kernel(self, rows: FloatArray) -> FloatArray:
-        """Return the weight of each evaluated solution for each row, shape ``(m, n)``."""
-        from scipy.spatial.distance import cdist  # slow to import
-
-        exponent = cdist(_scaled(rows, self._scales), self._numbers, "cityblock")
-        for column in np.flatnonzero(self.space.categorical & (self.weights > 0)):
-            exponent += self.weights[column] * (rows[:, column, None] != self.vectors[None, :, column])
-        kernel: FloatArray = np.exp(-exponent)
-        return kernel
-
-    def _risks(self, n: FloatArray, k: FloatArray) -> Risks:
-        probability = (k + self.unsafe_share) / (n + 1.0)
-        # Wilson's interval for fractional counts; without any evaluation it is [0, 1].
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.where(n > 0, k / n, 0.5)
-            g = self.z**2 / n
-            centre = np.where(n > 0, (share + g / 2) / (1 + g), 0.5)
-            half = np.where(n > 0, self.z / (1 + g) * np.sqrt(share * (1 - share) / n + g / (4 * n)), 0.5)
-        # Tiny counts overflow g; their interval is [0, 1] as well.
-        finite = np.isfinite(centre) & np.isfinite(half)
-        return Risks(
-            probability=probability, neighbours=n,
-            low=np.where(finite, np.clip(centre - half, 0.0, 1.0), 0.0),
-            high=np.where(finite, np.clip(centre + half, 0.0, 1.0), 1.0),
-        )  # fmt: skip
+        return risks.each(self.threshold)[0]
 
     def to_json(self, about: Mapping[str, Any] | None = None) -> str:
         """Return the monitor as a JSON document.
@@ -282,19 +305,27 @@ class Monitor:
         Args:
             about: Provenance to store in the document.
         """
+        estimator = self.estimator
+        fitted = (
+            estimator.to_document()
+            if isinstance(estimator, BoostedTrees)
+            else {"weights": estimator.weights.tolist()}
+        )
         document = {
             "format": FORMAT,
             "version": VERSION,
             "about": dict(about or {}),
             "threshold": self.threshold,
             "z": self.z,
-            "weights": self.weights.tolist(),
             "components": [
                 {"name": component.name, "parameters": [p.describe() for p in component.parameters]}
                 for component in self.space.components
             ],
             "unsafe": [int(one) for one in self.unsafe],
             "vectors": self.vectors.tolist(),
+            "ties": self.features.ties,
+            "orders": self.features.orders.tolist(),
+            "model": {"name": str(self.model), **fitted},
         }
         return json.dumps(document, allow_nan=False)
 
@@ -311,24 +342,42 @@ class Monitor:
             raise DocumentError(f"expected a monitor: {error}") from None
         if not isinstance(document, dict) or document.get("format") != FORMAT:
             raise DocumentError(f"expected a document with format {FORMAT!r}")
-        if document.get("version") != VERSION:
+        if document.get("version") not in (VERSION, VERSION_WITHOUT_TREES):
             raise DocumentError(
-                f"expected version {VERSION}, got {document.get('version')!r}: fit the monitor again"
+                f"expected version {VERSION_WITHOUT_TREES} or {VERSION}, got {document.get('version')!r}: "
+                "fit the monitor again"
             )
         try:
-            space = SearchSpace(
-                tuple(
-                    Component(part["name"], tuple(_parameter(one) for one in part["parameters"]))
-                    for part in document["components"]
-                )
-            )
-            return cls.of(
-                space, document["weights"], np.array(document["vectors"], np.float64),
-                np.array(document["unsafe"], np.bool_),
-                threshold=float(document["threshold"]), z=float(document["z"]),
-            )  # fmt: skip
-        except (KeyError, TypeError, ValueError) as error:
+            return cls._read(document)
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
             raise DocumentError(f"expected a monitor: {type(error).__name__}: {error}") from None
+
+    @classmethod
+    def _read(cls, document: Mapping[str, Any]) -> Self:
+        space = SearchSpace(
+            tuple(
+                Component(part["name"], tuple(_parameter(one) for one in part["parameters"]))
+                for part in document["components"]
+            )
+        )
+        threshold, z = float(document["threshold"]), float(document["z"])
+        given = np.array(document["vectors"], np.float64), np.array(document["unsafe"], np.bool_)
+        rows, verdicts = _checked(space, *given, threshold, z)
+        if document["version"] == VERSION_WITHOUT_TREES:
+            features = Features.of(space, [], [range(space.dimension)])
+            stored = {"name": Model.NEIGHBOURS, "weights": document["weights"]}
+        else:
+            features = Features.of(space, document["ties"], document["orders"])
+            stored = document["model"]
+        estimator: Neighbours | BoostedTrees
+        if Model(stored["name"]) is Model.TREES:
+            estimator = BoostedTrees.of(features, stored)
+        else:
+            estimator = Neighbours.of(space, stored["weights"], rows, verdicts)
+        return cls(
+            space=space, vectors=rows, unsafe=verdicts, threshold=threshold, z=z, features=features,
+            estimator=estimator, coverage=Coverage.of(space, rows, features.orders),
+        )  # fmt: skip
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -345,6 +394,40 @@ class Monitor:
         return cls.from_json(text)
 
 
+def _fitted(
+    features: Features, vectors: FloatArray, unsafe: BoolArray, model: Model, seed: int
+) -> Neighbours | BoostedTrees:
+    if len(vectors) < 2:
+        raise ValueError(f"expected at least two evaluated solutions, got {len(vectors)}")
+    rng = generator(seed, Stream.MONITOR)
+    if model is Model.TREES:
+        return BoostedTrees.fitted(features, vectors, unsafe, rng)
+    return Neighbours.fitted(features.space, vectors, unsafe, rng)
+
+
+def _checked(
+    space: SearchSpace, vectors: FloatArray, unsafe: BoolArray, threshold: float, z: float
+) -> tuple[FloatArray, BoolArray]:
+    """Return solutions and verdicts, read-only.
+
+    Raises:
+        ValueError: A shape or a value is wrong.
+    """
+    rows, verdicts = frozen_array(vectors), frozen_array(unsafe, np.bool_)
+    if rows.ndim != 2 or rows.shape[1] != space.dimension or verdicts.shape != rows.shape[:1]:
+        raise ValueError(
+            f"expected rows of {space.dimension} numbers and a verdict for each, "
+            f"got shapes {rows.shape} and {verdicts.shape}"
+        )
+    if not len(rows):
+        raise ValueError("expected at least one evaluated solution")
+    if not 0 < threshold < 1:
+        raise ValueError(f"threshold: expected a probability in (0, 1), got {threshold!r}")
+    if not (math.isfinite(z) and z > 0):
+        raise ValueError(f"z: expected a number > 0, got {z!r}")
+    return rows, verdicts
+
+
 def _parameter(described: Mapping[str, Any]) -> Parameter:
     name, kind = str(described["name"]), described["type"]
     if kind == "categorical":
@@ -354,54 +437,3 @@ def _parameter(described: Mapping[str, Any]) -> Parameter:
     if kind == "real":
         return Real(name, described["low"], described["high"], described.get("unit", ""))
     raise DocumentError(f"{name}: expected a real, integer or categorical parameter, got {kind!r}")
-
-
-def _scaled(rows: FloatArray, scales: FloatArray) -> FloatArray:
-    """Return the numbers with a positive weight, scaled so that their differences sum to the exponent."""
-    used = scales > 0
-    return np.ascontiguousarray(rows[:, used] * scales[used]) if used.any() else np.zeros((len(rows), 1))
-
-
-def _best_weights(
-    space: SearchSpace, vectors: FloatArray, unsafe: BoolArray, rng: np.random.Generator
-) -> FloatArray:
-    """Return the weights with the smallest mean log loss when each solution is predicted from all others.
-
-    Coordinate descent: one parameter after the other until nothing changes. On ties the smallest weight wins, so
-    that parameters without an effect are left out.
-    """
-    learned = np.sort(rng.permutation(len(vectors))[:MAX_LEARNED])
-    rows, truth = vectors[learned], unsafe[learned]
-    predicted = np.sort(rng.permutation(len(rows))[:MAX_PREDICTED])
-    itself = (np.arange(predicted.size), predicted)
-    counts, share = truth.astype(np.float32), float(unsafe.mean())
-
-    def difference(column: int) -> NDArray[np.float32]:
-        apart = np.abs(rows[predicted, column, None] - rows[None, :, column])
-        apart = apart != 0 if space.categorical[column] else apart / space.ranges[column]
-        shares: NDArray[np.float32] = apart.astype(np.float32)
-        return shares
-
-    def loss(exponent: NDArray[np.float32]) -> float:
-        kernel = np.exp(-exponent)
-        kernel[itself] = 0.0
-        risk = (kernel @ counts + share) / (kernel.sum(axis=1) + 1.0)
-        risk = np.clip(risk.astype(np.float64), 1e-6, 1 - 1e-6)
-        return -float(np.mean(np.where(truth[predicted], np.log(risk), np.log1p(-risk))))
-
-    levels = np.full(space.dimension, _START)
-    exponent = np.zeros((predicted.size, len(rows)), np.float32)
-    for column in range(space.dimension):
-        exponent += np.float32(LEVELS[_START]) * difference(column)
-    for _ in range(MAX_SWEEPS):
-        before = levels.copy()
-        for column in range(space.dimension):
-            apart = difference(column)
-            others = exponent - np.float32(LEVELS[levels[column]]) * apart
-            losses = [loss(others + np.float32(level) * apart) for level in LEVELS]
-            levels[column] = int(np.argmin(losses))
-            exponent = others + np.float32(LEVELS[levels[column]]) * apart
-        if (levels == before).all():
-            break
-    weights: FloatArray = np.array(LEVELS)[levels]
-    return weights

@@ -1,27 +1,31 @@
 """Evaluation of a safety monitor on fresh simulations, with classification metrics, compared with two baselines.
 
 The metrics cover discrimination, accuracy, calibration and the cost of alarms. The baselines are the majority, which
-predicts the overall unsafe share everywhere, and gradient-boosted trees on the same parameters (scikit-learn's, with
-its defaults; extra `analysis`), which do not use distances.
+predicts the overall unsafe share everywhere, and the other model, fitted to the same simulations: neighbours if the
+monitor holds trees, and the reverse.
+
+A monitor is also evaluated on pairs across the boundary: two nearly equal solutions, one safe and one unsafe.
 
 Source: Brier 1950; Hanley and McNeil 1982 (the area under the ROC curve is the A12 of the two groups' probabilities).
 """
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from importlib.util import find_spec
 from typing import Any, Final
 
 import numpy as np
 
-from brink.search.analysis.monitor import Answer, Monitor
+from brink.search.analysis.monitor import Answer, Model, Monitor
 from brink.search.analysis.statistics import a12
-from brink.search.errors import install_command
+from brink.search.errors import MissingExtra
 from brink.search.fitness import wilson_interval
 from brink.search.space import BoolArray, FloatArray
 
 BINS: Final = 10
-MONITOR, MAJORITY, TREES = "monitor", "majority", "gradient-boosted trees"
+MONITOR, MAJORITY = "monitor", "majority"
+OTHER: Final = {Model.TREES: "gradient-boosted trees", Model.NEIGHBOURS: "neighbours"}
+"""Names of the models as baselines."""
+MORE_LIKELY_THAN_NOT: Final = 0.5
 ALARM_THRESHOLDS: Final = tuple(np.round(np.arange(0.0, 1.0001, 0.01), 2).tolist())
 
 
@@ -78,6 +82,8 @@ class ClassificationMetrics:
         auroc: Probability that an unsafe solution was given a higher probability than a safe one; 0.5 is guessing.
         brier: Mean squared error of the probabilities; smaller is better.
         bins: Calibration, ascending by probability, with about equally many solutions in each bin.
+        calibration_error: Mean difference between predicted probability and unsafe share over the bins, each weighted
+            by its number of solutions.
     """
 
     solutions: int
@@ -85,6 +91,7 @@ class ClassificationMetrics:
     auroc: float
     brier: float
     bins: tuple[CalibrationBin, ...]
+    calibration_error: float
 
 
 def classification_metrics(
@@ -110,15 +117,18 @@ def classification_metrics(
     low = probability if low is None else low
     high = probability if high is None else high
     order = np.argsort(probability, kind="stable")
+    bins = tuple(
+        _bin(probability[part], unsafe[part], low[part], high[part])
+        for part in np.array_split(order, min(BINS, unsafe.size))
+    )
     return ClassificationMetrics(
         solutions=int(unsafe.size),
         unsafe=int(unsafe.sum()),
         auroc=a12(probability[unsafe].tolist(), probability[~unsafe].tolist()),
         brier=float(np.mean((probability - unsafe) ** 2)),
-        bins=tuple(
-            _bin(probability[part], unsafe[part], low[part], high[part])
-            for part in np.array_split(order, min(BINS, unsafe.size))
-        ),
+        bins=bins,
+        calibration_error=sum(one.solutions * abs(one.predicted - one.observed) for one in bins)
+        / unsafe.size,
     )
 
 
@@ -196,28 +206,76 @@ class AnswerCount:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class PairAccuracy:
+    """How well a monitor tells the two sides of pairs apart.
+
+    Attributes:
+        pairs: Number of pairs.
+        both_right: Pairs with a probability of at most one half for the safe side and above it for the unsafe side.
+        ranked: Pairs whose unsafe side was given the higher probability.
+        difference: Mean difference between the probabilities of the unsafe and the safe side.
+    """
+
+    pairs: int
+    both_right: int
+    ranked: int
+    difference: float
+
+
+def evaluate_pairs(monitor: Monitor, safe: FloatArray, unsafe: FloatArray) -> PairAccuracy:
+    """Evaluate a monitor on pairs across the boundary.
+
+    Args:
+        monitor: The monitor.
+        safe: Safe sides, shape ``(n, d)``, n >= 1.
+        unsafe: Unsafe sides, in the same order, shape ``(n, d)``.
+
+    Raises:
+        SpaceError: A shape is wrong.
+        ValueError: There are no pairs, or one side lacks some.
+    """
+    if len(safe) != len(unsafe) or not len(safe):
+        raise ValueError(
+            f"expected pairs of a safe and an unsafe solution, got {len(safe)} safe and {len(unsafe)} unsafe ones"
+        )
+    of_safe, of_unsafe = monitor.score(safe).probability, monitor.score(unsafe).probability
+    right = (of_safe <= MORE_LIKELY_THAN_NOT) & (of_unsafe > MORE_LIKELY_THAN_NOT)
+    return PairAccuracy(
+        pairs=len(safe), both_right=int(right.sum()), ranked=int((of_unsafe > of_safe).sum()),
+        difference=float(np.mean(of_unsafe - of_safe)),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MonitorEvaluation:
     """A monitor and its baselines on the same fresh simulations.
 
     Attributes:
+        model: The monitor's model.
         learned: Number of solutions that they learned from.
         fresh: Number of solutions that they predicted.
         threshold: Threshold of the monitor's answers.
         predictors: The monitor, then its baselines.
         answers: How often the monitor gave each answer.
+        unlike: Number of predicted solutions that are unlike anything simulated.
         left_out: Reasons why baselines are missing, by name.
+        pairs: Accuracy on pairs across the boundary; None if none were given.
     """
 
+    model: Model
     learned: int
     fresh: int
     threshold: float
     predictors: tuple[Predictor, ...]
     answers: tuple[AnswerCount, ...]
+    unlike: int
     left_out: dict[str, str]
+    pairs: PairAccuracy | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the evaluation as the JSON object of ``brink monitor judge --json``."""
         return {
+            "model": str(self.model),
             "learned": self.learned,
             "fresh": self.fresh,
             "threshold": self.threshold,
@@ -231,7 +289,9 @@ class MonitorEvaluation:
                 for one in self.predictors
             ],
             "answers": [asdict(count) | {"answer": str(count.answer)} for count in self.answers],
+            "unlike": self.unlike,
             "left_out": self.left_out,
+            "pairs": None if self.pairs is None else asdict(self.pairs),
         }
 
 
@@ -243,13 +303,13 @@ def _bin_json(part: CalibrationBin) -> dict[str, Any]:
 def evaluate_monitor(
     monitor: Monitor, vectors: FloatArray, unsafe: BoolArray, *, seed: int = 1
 ) -> MonitorEvaluation:
-    """Evaluate a monitor and its baselines (the majority, gradient-boosted trees) on fresh simulations.
+    """Evaluate a monitor and its baselines (the majority, the other model) on fresh simulations.
 
     Args:
         monitor: The monitor; the baselines learn from the same solutions.
         vectors: Fresh solutions, shape ``(n, d)``; those that the monitor has learned from are ignored.
         unsafe: Their verdicts, shape ``(n,)``.
-        seed: Seed of the trees.
+        seed: Seed of the other model.
 
     Raises:
         ValueError: The fresh solutions do not have both verdicts.
@@ -269,13 +329,14 @@ def evaluate_monitor(
         _predictor(MAJORITY, np.full(len(rows), monitor.unsafe_share), truth),
     ]
     left_out = {}
-    if find_spec("sklearn") is None:
-        left_out[TREES] = f"scikit-learn is not installed: {install_command('analysis')}"
-    elif monitor.unsafe.all() or not monitor.unsafe.any():
-        left_out[TREES] = "the monitor learned from solutions with a single verdict"
-    else:
-        predictors.append(_predictor(TREES, _by_trees(monitor, rows, seed), truth))
+    other = Model.NEIGHBOURS if monitor.model is Model.TREES else Model.TREES
+    try:
+        baseline = monitor.refitted(other, seed=seed).score(rows)
+        predictors.append(_predictor(OTHER[other], baseline.probability, truth, baseline.low, baseline.high))
+    except (MissingExtra, ValueError) as error:
+        left_out[OTHER[other]] = str(error)
     return MonitorEvaluation(
+        model=monitor.model,
         learned=len(monitor),
         fresh=len(rows),
         threshold=monitor.threshold,
@@ -287,6 +348,7 @@ def evaluate_monitor(
             )
             for answer in Answer
         ),
+        unlike=sum(map(bool, risks.unlike)),
         left_out=left_out,
     )  # fmt: skip
 
@@ -305,14 +367,3 @@ def _predictor(
         metrics=classification_metrics(probability, unsafe, low, high),
         operating_points=tuple(operating_points(probability, unsafe, thresholds)),
     )
-
-
-def _by_trees(monitor: Monitor, rows: FloatArray, seed: int) -> FloatArray:
-    from sklearn.ensemble import HistGradientBoostingClassifier  # optional, and slow to import
-
-    trees = HistGradientBoostingClassifier(
-        categorical_features=monitor.space.categorical.tolist(), random_state=seed
-    )
-    trees.fit(monitor.vectors, monitor.unsafe)
-    probability: FloatArray = trees.predict_proba(rows)[:, 1]
-    return probability

@@ -2,20 +2,22 @@
 
 The region is, for example, the unsafe solutions or those on the boundary. The accuracy is cross-validated by scenario
 (the first component): solutions with the same scenario are never in both training and test set, so that a tree gains
-nothing by memorising scenarios. Compare the share of a rule with the share of the whole region, and an accuracy with
+nothing by memorising scenarios. A parameter that had no part in an episode is inactive there, whatever its value.
+Compare the share of a rule with the share of the whole region, and an accuracy with
 that of always predicting the majority.
 
 Source: Breiman et al. 1984 (CART), with scikit-learn's implementation (extra `analysis`).
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any, Final
 
 import numpy as np
 
+from brink.search.analysis.dependence import ParameterColumn, parameter_columns
 from brink.search.archive import Archive
 from brink.search.errors import MissingExtra, install_command
 from brink.search.fitness import wilson_interval
@@ -83,21 +85,41 @@ class Rules:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Feature:
-    """A column that a tree may split on: a number, or whether a category has a certain choice."""
+    """A column that a tree may split on: a number, or whether a category has a certain choice.
+
+    Attributes:
+        name: Name of the parameter, ``component.parameter``.
+        parameter: The parameter.
+        choice: The choice; None for a number.
+        sleeps: Whether the parameter is inactive in some solutions. These have none of its choices, or a number far
+            below its range.
+    """
 
     name: str
     parameter: Parameter
     choice: str | None
+    sleeps: bool
 
-    def values(self, column: FloatArray) -> FloatArray:
-        if self.choice is None:
-            return column
-        assert isinstance(self.parameter, Categorical)
-        chosen: FloatArray = (column == self.parameter.choices.index(self.choice)).astype(np.float64)
-        return chosen
+    def values(self, column: ParameterColumn) -> FloatArray:
+        if isinstance(self.parameter, Categorical):
+            assert self.choice is not None
+            index = self.parameter.choices.index(self.choice)
+            chosen: FloatArray = (column.active & (column.values == index)).astype(np.float64)
+            return chosen
+        low, high = self.parameter.low, self.parameter.high
+        numbers: FloatArray = np.where(column.active, column.values, low - (high - low) - 1.0)
+        return numbers
 
 
-def region_rules(archive: Archive, space: SearchSpace, inside: BoolArray, region: str, *, seed: int) -> Rules:
+def region_rules(
+    archive: Archive,
+    space: SearchSpace,
+    inside: BoolArray,
+    region: str,
+    *,
+    seed: int,
+    recorded: BoolArray | None = None,
+) -> Rules:
     """Return the rules of a region of the evaluated solutions.
 
     Args:
@@ -106,6 +128,7 @@ def region_rules(archive: Archive, space: SearchSpace, inside: BoolArray, region
         inside: Which solutions are in the region, shape ``(n,)``; neither all nor none.
         region: The region in words.
         seed: Seed of the tree and of the folds.
+        recorded: Which parameters had a part in each episode, as in `parameter_columns`.
 
     Raises:
         MissingExtra: scikit-learn is not installed.
@@ -117,8 +140,8 @@ def region_rules(archive: Archive, space: SearchSpace, inside: BoolArray, region
         raise ValueError(f"{region}: expected some solutions inside and some outside the region")
     from sklearn.tree import DecisionTreeClassifier  # optional, and slow to import
 
-    features = _features(space)
-    columns = dict(zip(space.column_names(), archive.vectors.T, strict=True))
+    columns = {column.name: column for column in parameter_columns(space, archive.vectors, recorded)}
+    features = _features(columns.values())
     table = np.column_stack([feature.values(columns[feature.name]) for feature in features])
 
     def tree() -> Any:
@@ -142,15 +165,18 @@ def region_rules(archive: Archive, space: SearchSpace, inside: BoolArray, region
     )
 
 
-def _features(space: SearchSpace) -> list[_Feature]:
+def _features(columns: Iterable[ParameterColumn]) -> list[_Feature]:
     features = []
-    parameters = [parameter for component in space.components for parameter in component.parameters]
-    for name, parameter in zip(space.column_names(), parameters, strict=True):
+    for column in columns:
+        parameter, sleeps = column.parameter, not column.active.all()
+        choices: tuple[str | None, ...] = (None,)
         if isinstance(parameter, Categorical):
-            shown = parameter.choices[1:] if len(parameter.choices) == 2 else parameter.choices
-            features += [_Feature(name=name, parameter=parameter, choice=choice) for choice in shown]
-        else:
-            features.append(_Feature(name=name, parameter=parameter, choice=None))
+            two = len(parameter.choices) == 2 and not sleeps
+            choices = parameter.choices[1:] if two else parameter.choices
+        features += [
+            _Feature(name=column.name, parameter=parameter, choice=choice, sleeps=sleeps)
+            for choice in choices
+        ]
     return features
 
 
@@ -219,9 +245,11 @@ def _conditions(bounds: Mapping[int, tuple[float, float]], features: Sequence[_F
             excluded.setdefault(feature.name, []).append(feature.choice)
     for name, choices in excluded.items():
         if name not in conditions:
-            parameter = next(feature.parameter for feature in features if feature.name == name)
+            feature = next(feature for feature in features if feature.name == name)
+            parameter = feature.parameter
             assert isinstance(parameter, Categorical)
             left = [str(choice) for choice in parameter.choices if choice not in choices]
+            left += ["inactive"] if feature.sleeps else []
             conditions[name] = (
                 f"{name} is {' or '.join(left)}"
                 if len(left) <= 3
@@ -239,6 +267,14 @@ def _first_columns(bounds: Mapping[int, tuple[float, float]], features: Sequence
 
 
 def _range_condition(feature: _Feature, low: float, high: float) -> str:
+    assert not isinstance(feature.parameter, Categorical)
+    if feature.sleeps and high < feature.parameter.low:
+        return f"{feature.name} is inactive"
+    if feature.sleeps and low < feature.parameter.low:
+        if np.isfinite(low) and not np.isfinite(high):
+            return f"{feature.name} is active"
+        if np.isfinite(low):
+            low = feature.parameter.low
     unit = getattr(feature.parameter, "unit", "")
     after = f" {unit}" if unit else ""
     if isinstance(feature.parameter, Integer):
@@ -252,7 +288,7 @@ def _range_condition(feature: _Feature, low: float, high: float) -> str:
         return f"{feature.name} from {texts[0]} to {texts[1]}{after}"
     if np.isfinite(low):
         return f"{feature.name} at least {texts[0]}{after}"
-    return f"{feature.name} at most {texts[1]}{after}"
+    return f"{feature.name} at most {texts[1]}{after}{' or inactive' if feature.sleeps else ''}"
 
 
 def rules_markdown(found: Sequence[Rules]) -> str:

@@ -1,7 +1,8 @@
 """Routes of analyses: map, convergence curve, parameter dependence, scores, safety monitor."""
 
 import asyncio
-from typing import Annotated, Any
+from dataclasses import asdict
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
@@ -10,7 +11,7 @@ from pydantic import Field
 
 from brink.search.analysis.comparison import control_summary, rows_of
 from brink.search.analysis.dependence import Dependence, ParameterColumn, parameter_columns
-from brink.search.analysis.monitor import Answer
+from brink.search.analysis.monitor import Answer, Model
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS
 from brink.search.analysis.scores import DRAWS, Scores
 from brink.search.errors import SpaceError
@@ -22,7 +23,7 @@ from brink.server.api.responses import COMPUTING, NOT_MODIFIED, computing, etag_
 from brink.server.api.schemas import MAX_NUMBER, ControlView, View
 from brink.server.api.solutions import Threshold
 from brink.server.campaigns import view_store
-from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.archives import ArchiveActivity, ReadArchive
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.outcomes import CampaignOutcomes
 from brink.server.campaigns.store import ENDED, Campaign
@@ -120,7 +121,8 @@ async def get_map(
         return not_modified(etag)  # type: ignore[no-any-return]
     column = None
     if parameter:
-        column = await asyncio.get_running_loop().run_in_executor(None, _column, found, parameter)
+        activity = await services.archives.activity(campaign, found)
+        column = await asyncio.get_running_loop().run_in_executor(None, _column, found, activity, parameter)
     drawn = await services.figures.maps.get(campaign.id, found, ended=campaign.status in ENDED)
     outcomes = await services.outcomes.get(campaign.id, found)
     first = min(after, len(drawn.rows)) if version == drawn.version else 0
@@ -139,8 +141,8 @@ def _etag(campaign: Campaign, *parts: object) -> str:
     return etag_of(campaign.id, campaign.sequence, campaign.status in ENDED, *parts)
 
 
-def _column(found: ReadArchive, parameter: str) -> ParameterColumn:
-    columns = parameter_columns(found.plan.problem.space, found.archive.vectors)
+def _column(found: ReadArchive, activity: ArchiveActivity, parameter: str) -> ParameterColumn:
+    columns = parameter_columns(found.plan.problem.space, found.archive.vectors, activity.active)
     for column in columns:
         if column.name == parameter:
             return column
@@ -286,7 +288,8 @@ async def get_dependence(
     etag = _etag(campaign, found.generation)
     if matches(request, etag):
         return not_modified(etag)  # type: ignore[no-any-return]
-    known = await services.figures.dependences(campaign.id, found)
+    activity = await services.archives.activity(campaign, found)
+    known = await services.figures.dependences(campaign.id, found, activity)
     response.headers["ETag"] = etag
     return Dependences(
         generation=found.generation, evaluated=len(found.archive), unsafe=int(np.count_nonzero(found.archive.unsafe)),
@@ -392,6 +395,10 @@ class Questions(Body):
             gt=0, lt=1, description="Probability above which a solution is called unsafe; p_th by default."
         ),
     ] = None
+    model: Annotated[
+        Literal["trees", "neighbours"] | None,
+        Field(description="Model to fit; by default trees if they can be fitted, otherwise neighbours."),
+    ] = None
 
 
 class RiskView(View):
@@ -401,9 +408,20 @@ class RiskView(View):
     low: Annotated[float, Field(description="Lower limit of the interval.")]
     high: float
     neighbours: Annotated[
-        float, Field(description="Effective number of nearby evaluations: their total weight.")
+        float | None,
+        Field(description="Effective number of nearby evaluations: their total weight; null for trees."),
     ]
-    answer: Annotated[Answer, Field(description="`unknown` if the interval contains the threshold.")]
+    nearest: Annotated[float, Field(description="Distance to the nearest evaluated solution.")]
+    unlike: Annotated[
+        str, Field(description="In what the solution is unlike anything evaluated; empty if it is not.")
+    ]
+    answer: Annotated[
+        Answer,
+        Field(
+            description="`unknown` if the interval contains the threshold, or if the solution is unlike "
+            "anything evaluated."
+        ),
+    ]
 
 
 class Scored(View):
@@ -412,6 +430,7 @@ class Scored(View):
     campaign: str
     learned_from: Annotated[int, Field(description="Number of solutions that the monitor was fitted to.")]
     threshold: float
+    model: Annotated[Model, Field(description="The fitted model.")]
     risks: Annotated[
         list[RiskView], Field(description="One estimate for each solution, in the order of the request.")
     ]
@@ -421,7 +440,9 @@ class Scored(View):
 async def score_solutions(campaign_id: str, questions: Questions, services: Services) -> Scored:
     """Estimate the probability that solutions are unsafe; intervals are wide where few solutions were evaluated."""
     campaign = await services.campaigns.get(campaign_id)
-    monitor = await services.monitors.get(campaign)
+    monitor = await services.monitors.get(
+        campaign, None if questions.model is None else Model(questions.model)
+    )
     rows = []
     for place, values in enumerate(questions.solutions):
         try:
@@ -430,15 +451,10 @@ async def score_solutions(campaign_id: str, questions: Questions, services: Serv
             raise InvalidInput.at(f"/solutions/{place}", str(error)) from None
     risks = await asyncio.get_running_loop().run_in_executor(None, monitor.score, np.array(rows))
     threshold = questions.threshold if questions.threshold is not None else monitor.threshold
-    columns = (risks.probability, risks.low, risks.high, risks.neighbours)
     return Scored(
         campaign=campaign.id,
         learned_from=len(monitor),
         threshold=threshold,
-        risks=[
-            RiskView(probability=p, low=low, high=high, neighbours=n, answer=answer)
-            for p, low, high, n, answer in zip(
-                *(column.tolist() for column in columns), risks.answers(threshold), strict=True
-            )
-        ],
+        model=monitor.model,
+        risks=[RiskView(**asdict(risk)) for risk in risks.each(threshold)],
     )

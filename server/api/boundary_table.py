@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from typing import Any, Final, TypeAlias
 
 from brink.search.errors import install_command
-from brink.server.api.schemas import Boundary
+from brink.server.api.schemas import Boundary, SolutionView
 from brink.server.campaigns.body import CampaignBody
 from brink.server.errors import InvalidInput
 
@@ -38,7 +38,8 @@ MEANINGS: Final = {
     "violated_at_s.*": "simulated time at which each requirement was first violated; empty if it held",
     "feature.*": "other measurements of the episode",
     "version.*": "version of each part of the software that ran the simulation",
-    "*.*": "parameter of a component of the solution, decoded",
+    "idle": "components that had no part in its episode; empty if none, or if it was not recorded",
+    "*.*": "parameter of a component, decoded, as its episode had it; empty if it had no part in the episode",
     "component.*": "number of ground-truth boxes (seen), of detections (said), or of false positives (invented)",
 }
 """Meaning of the columns; an asterisk stands for any name."""
@@ -64,8 +65,7 @@ def boundary_rows(boundary: Boundary, campaign: str, body: CampaignBody) -> list
             "unsafe_neighbours": solution.unsafe_neighbours, "interval_low": low, "interval_high": high,
             "strict": solution.number in strict, "seed": solution.seed, "words": solution.words,
         }  # fmt: skip
-        for component, values in solution.parameters.items():
-            row.update({f"{component}.{name}": _cell(value) for name, value in values.items()})
+        row.update(_parameters(solution))
         row.update({
             "campaign": campaign, "problem": body.problem.id, "algorithm": body.algorithm.id,
             "campaign_seed": body.seed, "generation": solution.generation,
@@ -78,6 +78,18 @@ def boundary_rows(boundary: Boundary, campaign: str, body: CampaignBody) -> list
         row.update({f"version.{name}": _cell(v) for name, v in provenance.items() if name not in _TIMINGS})
         rows.append(row)
     return _with_all_columns(rows)
+
+
+def _parameters(solution: SolutionView) -> Row:
+    """Return the parameters that had a part in the episode, or all if that was not recorded."""
+    activity = solution.activity
+    shown = solution.parameters if activity is None else activity.effective
+    inactive = frozenset(() if activity is None else activity.inactive)
+    row: Row = {"idle": "" if activity is None else ", ".join(activity.idle)}
+    for component, values in shown.items():
+        names = {f"{component}.{name}": value for name, value in values.items()}
+        row.update({name: None if name in inactive else _cell(value) for name, value in names.items()})
+    return row
 
 
 def _cell(value: Any) -> Cell:

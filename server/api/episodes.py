@@ -18,6 +18,7 @@ from brink.server.api.context import Context, Services, client_gone
 from brink.server.api.episode_views import EpisodeView, episode_view
 from brink.server.api.schemas import MAX_NUMBER, BeingMade, ProblemDetail
 from brink.server.campaigns.outcomes import deciding_requirements
+from brink.server.campaigns.simulators import other_simulator
 from brink.server.campaigns.store import Campaign
 from brink.server.campaigns.traces import TraceStatus, trace_status
 from brink.server.db.engine import read
@@ -180,9 +181,10 @@ async def _trace_of(
             if found.needs is None:
                 raise NotFound(f"campaign {campaign.id} has no simulated solution {number}")
             if stuck:
+                other = await read(services.engines, lambda c: other_simulator(c, campaign))
                 raise NoWorker(
-                    f"solution {number}: no live worker can run {found.needs} to make the trace; start one "
-                    "and try again",
+                    f"solution {number}: no live worker can run {found.needs} to make the trace; "
+                    f"{other or 'start one and try again'}",
                     retry_after_s=NO_WORKER_RETRY_S,
                 )
             if found.job is None:

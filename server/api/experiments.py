@@ -266,7 +266,7 @@ def read_progress(
     running = [member.campaign.id for member in experiment.members if member.campaign.status not in ENDED]
     open_jobs = count_unfinished(connection, *ids)
     queued, leased = open_jobs.get(JobStatus.QUEUED, 0), open_jobs.get(JobStatus.LEASED, 0)
-    in_generations = max(0, store.count_current_generations(connection, running) - queued - leased)
+    in_flight = max(0, store.count_in_flight(connection, running) - queued - leased)
     ended = experiment.status in ENDED
     ends = [m.campaign.finished_at for m in experiment.members if m.campaign.finished_at is not None]
     now = max(ends) if ended and ends else datetime.now(UTC)
@@ -274,8 +274,8 @@ def read_progress(
     span_s = elapsed_s if ended else min(RATE_S, elapsed_s)
     before = store.completed_by(connection, ids, now - timedelta(seconds=span_s))
     told = experiment.simulations
-    done = told + in_generations
-    if before:  # the progress of the current generations at that time is unknown
+    done = told + in_flight
+    if before:  # the progress of the generations in flight at that time is unknown
         rate = (told - before) / span_s if span_s > 0 and told > before else None
     else:
         rate = done / elapsed_s if elapsed_s > 0 and done else None
@@ -284,7 +284,7 @@ def read_progress(
         for member in experiment.members
         if member.campaign.status not in ENDED
     )
-    remaining = max(0, remaining - in_generations)
+    remaining = max(0, remaining - in_flight)
     return ExperimentProgress(
         **{**_summary(experiment), "simulations": done},
         rate_per_s=rate,

@@ -137,6 +137,23 @@ class ViolatedView(View):
     decides: Annotated[bool, Field(description="Whether the campaign's verdict depends on it.")]
 
 
+class ActivityView(View):
+    """Which parameters had a part in the episode of a solution, and the values that they had there."""
+
+    inactive: Annotated[
+        list[str],
+        Field(
+            description="Parameters whose value cannot have influenced the episode, as component.parameter: for "
+            "example, those of a trajectory that begins after the episode ended."
+        ),
+    ]
+    effective: Annotated[
+        dict[str, dict[str, Any]],
+        Field(description="Values as the episode had them: a time window that its end cut off ends there."),
+    ]
+    idle: Annotated[list[str], Field(description="Components that had no part in the episode.")]
+
+
 class SolutionView(View):
     """A complete solution with its decoded parameters."""
 
@@ -183,7 +200,14 @@ class SolutionView(View):
     seed: int
     attempts: int | None
     words: Annotated[str, Field(description="Description in words.")]
-    parameters: Annotated[dict[str, dict[str, Any]], Field(description="Values by component, then by name.")]
+    parameters: Annotated[
+        dict[str, dict[str, Any]],
+        Field(description="Values by component, then by name, as they were chosen."),
+    ]
+    activity: Annotated[
+        ActivityView | None,
+        Field(description="Which of them had a part in the episode; null if that was not recorded."),
+    ] = None
     verdicts: Annotated[dict[str, Any] | None, Field(description="Verdicts of all requirements.")] = None
     features: dict[str, Any] | None = None
     provenance: dict[str, Any] | None = None

@@ -23,6 +23,7 @@ from brink.server.api.boundary_table import boundary_rows, table_bytes
 from brink.server.api.context import Services
 from brink.server.api.schemas import (
     MAX_NUMBER,
+    ActivityView,
     Boundary,
     BudgetBoundary,
     DbsCell,
@@ -33,14 +34,14 @@ from brink.server.api.schemas import (
     ViolatedView,
 )
 from brink.server.campaigns import view_store
-from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.archives import ReadArchive, read_activity
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.outcomes import CampaignOutcomes, outcome_of
 from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import read
 from brink.server.errors import InvalidInput, NotFound
-from brink.server.problems.base import Problem, describe_candidate
+from brink.server.problems.base import Activity, Problem, activity_of, describe_candidate
 from brink.server.states import OutcomeKind, SolutionVerdict
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["solutions"])
@@ -143,6 +144,8 @@ async def get_distances(
 async def get_archive(campaign_id: str, services: Services) -> Response:
     """Return all evaluated solutions as numpy arrays: numbers, vectors, verdicts, neighbour counts, fitness.
 
+    `active` says which entries of `vectors` had a part in their episodes, and `effective` has the values that they
+    had there. Where `recorded` is false, this was not recorded, and everything counts as active as stored.
     `columns` names the columns of `vectors`. `choices` has one entry for each column: a JSON list of the choices of a
     categorical parameter, in the order of their indices; an empty string for any other parameter.
     """
@@ -150,6 +153,7 @@ async def get_archive(campaign_id: str, services: Services) -> Response:
     plan, stored, archive = await asyncio.get_running_loop().run_in_executor(
         None, services.archives.stored, campaign
     )
+    activity = await read(services.engines, lambda c: read_activity(c, campaign.id, plan.problem, archive))
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer,
@@ -164,6 +168,9 @@ async def get_archive(campaign_id: str, services: Services) -> Response:
         neighbours=stored.neighbours,
         unsafe_neighbours=stored.unsafe_neighbours,
         fitness=archive.fitness,
+        recorded=activity.recorded,
+        active=activity.active,
+        effective=activity.effective,
     )
     return Response(buffer.getvalue(), media_type="application/x-npz")
 
@@ -195,20 +202,21 @@ def solution_views(
 def _solution(
     row: Row[*tuple[Any, ...]], problem: Problem, archive: Archive, index: int | None, *, full: bool
 ) -> SolutionView:
-    stored: Mapping[str, Any] = json.loads(row.result) if row.result else {}
-    result = stored if full else {}
+    result: Mapping[str, Any] = json.loads(row.result) if row.result else {}
     vectors = problem.space.split(np.frombuffer(row.vector, dtype="<f8"))
+    activity = activity_of(problem, vectors, result)
     return SolutionView(
         number=row.number, generation=row.generation, verdict=row.verdict, robustness=row.robustness,
-        objectives=row.objectives, failure=row.failure, origin=row.origin, **_outcome(row, problem, stored),
+        objectives=row.objectives, failure=row.failure, origin=row.origin, **_outcome(row, problem, result),
         fitness=None if index is None else float(archive.fitness[index]),
         neighbours=None if index is None else int(archive.neighbours[index]),
         unsafe_neighbours=None if index is None else int(archive.unsafe_neighbours[index]),
         interval=None if index is None else (float(archive.interval[index, 0]), float(archive.interval[index, 1])),
         seed=row.seed, attempts=row.attempt,
-        words=describe_candidate(problem, vectors), parameters=problem.space.decode(vectors),
-        verdicts=result.get("verdicts"), features=result.get("features"),
-        provenance=result.get("provenance"),
+        words=describe_candidate(problem, vectors, activity), parameters=problem.space.decode(vectors),
+        activity=None if activity is None else _activity(problem.space, activity),
+        verdicts=result.get("verdicts") if full else None, features=result.get("features") if full else None,
+        provenance=result.get("provenance") if full else None,
         spec=json.loads(row.spec) if full and row.spec else None,
     )  # fmt: skip
 
@@ -226,6 +234,15 @@ def _outcome(row: Row[*tuple[Any, ...]], problem: Problem, stored: Mapping[str, 
             for one in outcome.episode.violated
         ]
     return fields
+
+
+def _activity(space: SearchSpace, activity: Activity) -> ActivityView:
+    names = space.column_names()
+    return ActivityView(
+        inactive=[name for name, active in zip(names, activity.active, strict=True) if not active],
+        effective=space.decode(space.split(activity.effective)),
+        idle=list(activity.idle),
+    )
 
 
 def boundary_view(

@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -41,19 +41,19 @@ from brink.server.campaigns.plan import (
     LiveSearch,
     Plan,
     ask_next,
-    first_generation,
+    first_generations,
     make_plan,
-    new_solutions,
     restored_archive,
     seed_request,
     vector_bytes,
 )
 from brink.server.campaigns.repeats import PlannedRepeats, plan_boundary_repeats, store_repeats
+from brink.server.campaigns.simulators import other_simulator
 from brink.server.campaigns.step_store import (
+    Asked,
     Checkpoint,
     DistanceBlock,
     GenerationSummary,
-    NewSolution,
     SolutionResult,
     Step,
 )
@@ -125,6 +125,7 @@ class Stepper:
         self._seeds = seeds
         self._max_stored_distances = max_stored_distances
         self._live: dict[str, LiveSearch] = {}
+        self._same_simulator: set[str] = set()
         self._lock = threading.Lock()
 
     def adopt(self, campaign_id: str, live: LiveSearch) -> None:
@@ -167,7 +168,7 @@ class Stepper:
                 self._live.pop(campaign_id, None)
                 return False
             outcomes = job_store.generation_outcomes(connection, campaign_id, campaign.generation)
-        if _is_open(outcomes):
+        if self._has_other_simulator(campaign) or _is_open(outcomes):
             return False
         try:
             live = self._state(campaign)
@@ -201,6 +202,18 @@ class Stepper:
                 self._end(campaign, CampaignStatus.PAUSED, f"{reason}. Resume when this is fixed.")
             raise
 
+    def _has_other_simulator(self, campaign: Campaign) -> bool:
+        """Return whether a campaign was simulated with another simulator than its problem uses here, and pause it."""
+        if campaign.id in self._same_simulator or campaign.id in self._live:
+            return False
+        with self._engines.reader.connect() as connection:
+            why = other_simulator(connection, campaign)
+        if why is not None:
+            self._end(campaign, CampaignStatus.PAUSED, why)
+            return True
+        self._same_simulator.add(campaign.id)
+        return False
+
     def _seed(self, campaign: Campaign, live: LiveSearch) -> bool:
         """Pass on the seeds that the algorithm waits for; return whether they have arrived.
 
@@ -215,15 +228,14 @@ class Stepper:
             return False
         seeded = algorithm.seeded(live.state, proposals)
         checkpoint = _checkpoint(plan, seeded, campaign.generation)
-        state, candidates = ask_next(plan, seeded)
-        solutions = new_solutions(plan.problem, candidates, state, campaign.body.seed)
+        state, asked = ask_next(plan, seeded, live.asked)
         written = self._writer.submit(
-            lambda connection: step_store.write_seeded(connection, campaign, checkpoint, solutions)
+            lambda connection: step_store.write_seeded(connection, campaign, checkpoint, asked)
         ).result()
         if not written:
             self._live.pop(campaign.id, None)
             return False
-        self._live[campaign.id] = LiveSearch(plan=plan, generation=campaign.generation, state=state)
+        self._live[campaign.id] = _continued(live, campaign.generation, state, asked)
         log.info("generation seeded", extra=_about(campaign))
         return True
 
@@ -238,9 +250,8 @@ class Stepper:
         algorithm = live.plan.algorithm
         told = algorithm.tell(live.state, evaluations)
         finished = algorithm.finished(told)
-        next_state, candidates = ask_next(live.plan, told)
-        solutions = new_solutions(live.plan.problem, candidates, next_state, campaign.body.seed)
-        step = self._make_step(campaign, live.plan, evaluations, told, solutions, finished, began)
+        next_state, asked = ask_next(live.plan, told, live.asked)
+        step = self._make_step(campaign, live.plan, evaluations, told, asked, finished, began)
         repeats = self._repeats(campaign, live.plan, told.archive) if finished else None
 
         def unit(connection: Connection) -> bool:
@@ -256,9 +267,7 @@ class Stepper:
         if finished:
             self._live.pop(campaign.id, None)
         else:
-            self._live[campaign.id] = LiveSearch(
-                plan=live.plan, generation=campaign.generation + 1, state=next_state
-            )
+            self._live[campaign.id] = _continued(live, campaign.generation + 1, next_state, asked)
         counts = {"evaluated": step.summary.evaluated, "unsafe": step.summary.unsafe, "failed": failed}
         step_ms = round(1000 * step.summary.step_s, 1)
         log.info("generation told", extra={**_about(campaign), **counts, "step_ms": step_ms})
@@ -272,7 +281,7 @@ class Stepper:
         plan: Plan,
         evaluations: Mapping[int, Evaluation],
         told: Any,
-        solutions: Sequence[NewSolution],
+        asked: Asked,
         finished: bool,
         began: float,
     ) -> Step:
@@ -300,7 +309,7 @@ class Stepper:
             ),
             block=self._distance_block(archive),
             checkpoint=_checkpoint(plan, told, campaign.generation + 1),
-            solutions=solutions,
+            asked=asked,
             traces=self._evidence(campaign, plan, archive, boundary) if finished else (),
             status=CampaignStatus.FINISHED if finished else CampaignStatus.RUNNING,
         )
@@ -343,17 +352,17 @@ class Stepper:
         return self._restore(campaign)
 
     def _restore(self, campaign: Campaign) -> LiveSearch:
-        """Restore a search from the database, and ask for its pending generation again."""
+        """Restore a search from the database, and ask again for the generations that its checkpoint lacks."""
         plan = make_plan(campaign.body)
         with self._engines.reader.connect() as connection:
             now = CAMPAIGNS.find(connection, campaign.id)
             checkpoint = step_store.find_checkpoint(connection, campaign.id)
             stored = step_store.read_archive(connection, campaign.id, plan.problem.space.dimension)
-            stored_vectors = step_store.read_vectors(connection, campaign.id, campaign.generation)
+            in_flight = step_store.read_vectors(connection, campaign.id, campaign.generation)
         if now is None or now.generation != campaign.generation:
             raise _MovedOn
         if checkpoint is None and campaign.generation == 0:
-            live, _ = first_generation(campaign.body)
+            live, asked = first_generations(campaign.body)
         elif checkpoint is None or checkpoint.generation != campaign.generation:
             raise Damaged(f"campaign {campaign.id}: no checkpoint of generation {campaign.generation}")
         else:
@@ -363,8 +372,10 @@ class Stepper:
                 Document.from_bytes(checkpoint.document),
                 restored_archive(plan, stored),
             )
-            live = LiveSearch(plan=plan, generation=campaign.generation, state=ask_next(plan, state)[0])
-        _check_same(campaign, live.state.pending, stored_vectors)
+            now_asked = campaign.generation + len(in_flight)
+            state, asked = ask_next(plan, state, now_asked)
+            live = LiveSearch(plan=plan, generation=campaign.generation, asked=now_asked, state=state)
+        _check_same(campaign, live.state.pending, asked, in_flight)
         log.info("campaign restored", extra=_about(campaign))
         return live
 
@@ -378,6 +389,18 @@ class Stepper:
             )
         ).result()
         log.warning("campaign %s", status, extra={**_about(campaign), "reason": reason})
+
+
+def _continued(live: LiveSearch, generation: int, state: Any, asked: Asked) -> LiveSearch:
+    """Return a search after a step.
+
+    Args:
+        live: The search before it.
+        generation: Number of generations told.
+        state: The algorithm's state.
+        asked: The generations that the algorithm asked for in the step.
+    """
+    return replace(live, generation=generation, asked=live.asked + len(asked.generations), state=state)
 
 
 def _about(campaign: Campaign) -> dict[str, object]:
@@ -403,13 +426,25 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _check_same(campaign: Campaign, candidates: Sequence[Candidate], stored: Mapping[int, bytes]) -> None:
+def _check_same(
+    campaign: Campaign, pending: Sequence[Candidate], asked: Asked, in_flight: Sequence[Mapping[int, bytes]]
+) -> None:
     """Check that the algorithm asked again for the candidates that are being simulated.
+
+    Args:
+        campaign: The campaign.
+        pending: The oldest generation in flight.
+        asked: The generations that the algorithm has just asked for.
+        in_flight: The stored vectors of each generation in flight, by number.
 
     Raises:
         InvalidInput: It asked for different candidates.
     """
-    if {candidate.number: vector_bytes(candidate) for candidate in candidates} != stored:
+    oldest = {candidate.number: vector_bytes(candidate) for candidate in pending}
+    again = [
+        {solution.number: solution.vector for solution in generation} for generation in asked.generations
+    ]
+    if oldest != (in_flight[0] if in_flight else {}) or again != in_flight[len(in_flight) - len(again) :]:
         message = (
             f"the algorithm asked for different candidates than before: {campaign.body.algorithm.id} or "
             f"{campaign.body.problem.id} has changed since then, or the stored replies with its seeds have; continue "
@@ -500,6 +535,7 @@ class Scheduler:
     engines: Engines
     stepper: Stepper
     wakeups: Wakeups
+    _swept: bool = False
     _due: set[str] = field(default_factory=set)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
     _steps: ThreadPoolExecutor = field(
@@ -533,11 +569,17 @@ class Scheduler:
             self.wakeups.wake()
 
     async def sweep(self) -> None:
-        """Advance campaigns whose step is due, and drop searches that ended or were paused elsewhere."""
+        """Advance campaigns whose step is due, and drop searches that ended or were paused elsewhere.
+
+        The first sweep looks at all running campaigns.
+        """
         live = self.stepper.live_campaigns
+        first, self._swept = not self._swept, True
 
         def look(connection: Connection) -> tuple[Sequence[str], frozenset[str]]:
-            return job_store.idle_campaigns(connection), store.running_among(connection, live)
+            # Another version of Brink may have started any of them; see `other_simulator`.
+            due = store.running(connection) if first else job_store.idle_campaigns(connection)
+            return due, store.running_among(connection, live)
 
         idle, running = await read(self.engines, look)
         for campaign in set(live) - running:

@@ -1,23 +1,30 @@
 """Caches of archives and of the monitors fitted to them: concurrent requests share one computation."""
 
 import asyncio
+import json
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import InitVar, dataclass, field
 from functools import cached_property
 
+import numpy as np
+from numpy.typing import NDArray
+from sqlalchemy import Connection
+
 from brink.search.analysis.boundary import DbsGrid, dbs_grid
-from brink.search.analysis.monitor import Monitor
+from brink.search.analysis.monitor import Model, Monitor, default_model
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
 from brink.search.archive import Archive, archive_digest
+from brink.search.errors import MissingExtra
 from brink.search.space import FloatArray
-from brink.server.campaigns import step_store
+from brink.server.campaigns import step_store, view_store
 from brink.server.campaigns.advance import Stepper
 from brink.server.campaigns.plan import Plan, make_plan, restored_archive
 from brink.server.campaigns.step_store import StoredArchive
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import Engines
 from brink.server.errors import Conflict
+from brink.server.problems.base import Problem, RecordsActivity, activity_of
 from brink.server.single_flight import SingleFlightCache
 
 CACHED = 8
@@ -50,6 +57,47 @@ class ReadArchive:
         return dbs_grid(self.archive, PAPER_T_BS, PAPER_D_THS)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ArchiveActivity:
+    """Which parameters had a part in the episodes of an archive's n solutions; see `Activity`.
+
+    Attributes:
+        recorded: Solutions whose activity was recorded, shape ``(n,)``.
+        active: Whether each parameter had a part, shape ``(n, d)``; true where it was not recorded.
+        effective: The solutions as their episodes had them, shape ``(n, d)``; as stored where it was not recorded.
+    """
+
+    recorded: NDArray[np.bool_]
+    active: NDArray[np.bool_]
+    effective: FloatArray
+
+
+def read_activity(
+    connection: Connection, campaign_id: str, problem: Problem, archive: Archive
+) -> ArchiveActivity:
+    """Return which parameters had a part in the episodes of a campaign's evaluated solutions.
+
+    Args:
+        connection: Read connection.
+        campaign_id: The campaign.
+        problem: Its problem.
+        archive: Its archive.
+    """
+    recorded = np.zeros(len(archive), dtype=np.bool_)
+    active = np.ones(archive.vectors.shape, dtype=np.bool_)
+    effective = archive.vectors.copy()
+    if isinstance(problem, RecordsActivity):
+        results = view_store.read_results(connection, campaign_id)
+        for place, number in enumerate(archive.numbers.tolist()):
+            text = results.get(number)
+            result = json.loads(text) if text else None
+            found = activity_of(problem, problem.space.split(archive.vectors[place]), result)
+            if found is not None:
+                recorded[place] = True
+                active[place], effective[place] = found.active, found.effective
+    return ArchiveActivity(recorded=recorded, active=active, effective=effective)
+
+
 @dataclass(slots=True)
 class Archives:
     """The archives of campaigns: from the live search if it is in memory, otherwise restored from the database."""
@@ -57,10 +105,20 @@ class Archives:
     engines: Engines
     stepper: Stepper
     _cache: SingleFlightCache[ReadArchive] = field(default_factory=lambda: SingleFlightCache(CACHED))
+    _activities: SingleFlightCache[ArchiveActivity] = field(default_factory=lambda: SingleFlightCache(CACHED))
 
     async def get(self, campaign: Campaign) -> ReadArchive:
         """Return the archive of a campaign."""
         return await self._cache.get(campaign.id, campaign.generation, lambda: self._load(campaign))
+
+    async def activity(self, campaign: Campaign, found: ReadArchive) -> ArchiveActivity:
+        """Return which parameters had a part in the episodes of a campaign's archive."""
+
+        def look() -> ArchiveActivity:
+            with self.engines.reader.connect() as connection:
+                return read_activity(connection, campaign.id, found.plan.problem, found.archive)
+
+        return await self._activities.get(campaign.id, found.generation, look)
 
     def stored(self, campaign: Campaign) -> tuple[Plan, StoredArchive, Archive]:
         """Return a campaign's plan, the stored rows of its archive, and the archive restored from them."""
@@ -112,21 +170,30 @@ class Monitors:
     def __post_init__(self, threads: Executor) -> None:
         self._cache = SingleFlightCache(CACHED, threads)
 
-    async def get(self, campaign: Campaign) -> Monitor:
+    async def get(self, campaign: Campaign, model: Model | None = None) -> Monitor:
         """Return the monitor fitted to a campaign's solutions so far.
 
-        Raises:
-            Conflict: The campaign has fewer than two evaluated solutions.
-        """
-        return await self._cache.get(campaign.id, campaign.generation, lambda: self._fit(campaign))
+        Args:
+            campaign: The campaign.
+            model: The model to fit; None for the more accurate one that can be fitted.
 
-    def _fit(self, campaign: Campaign) -> Monitor:
+        Raises:
+            Conflict: The campaign has too few evaluated solutions, or scikit-learn is not installed.
+        """
+        key = f"{campaign.id} {model or ''}"
+        return await self._cache.get(key, campaign.generation, lambda: self._fit(campaign, model))
+
+    def _fit(self, campaign: Campaign, model: Model | None) -> Monitor:
         plan, _, archive = self.archives.stored(campaign)
         if len(archive) < 2:
             raise Conflict(
                 f"campaign {campaign.id}: a monitor needs at least two evaluated solutions, got {len(archive)}"
             )
-        return Monitor.fitted(
-            plan.problem.space, archive.vectors[-MOST_FITTED:], archive.unsafe[-MOST_FITTED:],
-            threshold=plan.neighbourhood.p_th, z=plan.neighbourhood.z, seed=campaign.body.seed,
-        )  # fmt: skip
+        vectors, unsafe = archive.vectors[-MOST_FITTED:], archive.unsafe[-MOST_FITTED:]
+        try:
+            return Monitor.fitted(
+                plan.problem.space, vectors, unsafe, threshold=plan.neighbourhood.p_th, z=plan.neighbourhood.z,
+                seed=campaign.body.seed, model=model or default_model(unsafe),
+            )  # fmt: skip
+        except (MissingExtra, ValueError) as error:
+            raise Conflict(f"campaign {campaign.id}: {error}") from None

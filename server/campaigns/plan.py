@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection
 
-from brink.search.algorithm import Algorithm, Candidate, Question, Seeded, SeedRequest
+from brink.search.algorithm import Algorithm, Candidate, Question, Seeded, SeedRequest, ask_all
 from brink.search.algorithms.multi_objective import MultiObjectiveConfig
 from brink.search.algorithms.repeats import RepeatsConfig
 from brink.search.archive import ARRAYS, Archive, Neighbourhood
@@ -16,7 +16,7 @@ from brink.search.errors import ConfigError, UnsupportedSpace
 from brink.search.streams import episode_seed
 from brink.server.campaigns import step_store, store
 from brink.server.campaigns.body import CampaignBody, PluginChoice
-from brink.server.campaigns.step_store import NewSolution, StoredArchive
+from brink.server.campaigns.step_store import Asked, NewSolution, StoredArchive
 from brink.server.campaigns.store import CAMPAIGNS, Campaign
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.llm.settings import LlmSettings
@@ -61,10 +61,17 @@ class Plan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveSearch:
-    """A campaign's search in memory, whose state has already asked for the pending generation."""
+    """A campaign's search in memory, whose state has already asked for all generations in flight.
+
+    Attributes:
+        generation: Number of generations told.
+        asked: Number of generations asked for.
+        state: The algorithm's state.
+    """
 
     plan: Plan
     generation: int
+    asked: int
     state: Any
 
 
@@ -75,13 +82,13 @@ class PreparedCampaign:
     Attributes:
         body: The body as it was submitted.
         live: The state of its search.
-        solutions: Its first generation.
+        asked: The generations that it asked for.
     """
 
     id: str
     body: CampaignBody
     live: LiveSearch
-    solutions: Sequence[NewSolution]
+    asked: Asked
 
 
 def make_plan(body: CampaignBody) -> Plan:
@@ -189,18 +196,18 @@ def _check_endpoint(llm: LlmSettings | None, allowed: str) -> None:
         raise InvalidInput.at("/llm/endpoint", message)
 
 
-def check_submission(body: CampaignBody) -> tuple[LiveSearch, list[NewSolution]]:
-    """Check that a campaign can run, and return its search with the first generation.
+def check_submission(body: CampaignBody) -> tuple[LiveSearch, Asked]:
+    """Check that a campaign can run, and return its search with the first generations.
 
     Raises:
         InvalidInput: With a pointer to each invalid field.
     """
     make_checked_plan(body)
-    return first_generation(body)
+    return first_generations(body)
 
 
 def prepare_campaign(body: CampaignBody, llm_endpoints: str) -> PreparedCampaign:
-    """Check a campaign and ask for its first generation.
+    """Check a campaign and ask for its first generations.
 
     Args:
         body: The campaign's body.
@@ -210,12 +217,12 @@ def prepare_campaign(body: CampaignBody, llm_endpoints: str) -> PreparedCampaign
         InvalidInput: With a pointer to each invalid field.
     """
     _check_endpoint(body.llm, llm_endpoints)
-    live, solutions = check_submission(body)
-    return PreparedCampaign(id=secrets.token_hex(4), body=body, live=live, solutions=solutions)
+    live, asked = check_submission(body)
+    return PreparedCampaign(id=secrets.token_hex(4), body=body, live=live, asked=asked)
 
 
 def store_campaign(connection: Connection, campaign: PreparedCampaign, key: str | None = None) -> Campaign:
-    """Store a campaign with its first generation.
+    """Store a campaign with its first generations.
 
     Args:
         connection: In a write transaction.
@@ -225,7 +232,7 @@ def store_campaign(connection: Connection, campaign: PreparedCampaign, key: str 
     resolved = campaign.live.plan.body
     store.insert_campaign(connection, campaign.id, resolved, campaign.body.document_hash(), key)
     stored = CAMPAIGNS.get(connection, campaign.id)
-    step_store.insert_solutions(connection, stored, 0, campaign.solutions)
+    step_store.insert_generations(connection, stored, campaign.asked)
     return stored
 
 
@@ -238,22 +245,39 @@ def looks_for_boundary(algorithm_id: str) -> bool:
     return not issubclass(algorithm.config_type, MultiObjectiveConfig | RepeatsConfig)
 
 
-def first_generation(body: CampaignBody) -> tuple[LiveSearch, list[NewSolution]]:
-    """Start a campaign's search; return it with the solutions of its first generation."""
+def first_generations(body: CampaignBody) -> tuple[LiveSearch, Asked]:
+    """Start a campaign's search; return it with the generations that it asks for."""
     plan = make_plan(body)
     state = plan.algorithm.start(
         plan.problem.space, plan.config, seed=body.seed, budget=body.budget.simulations
     )
-    state, candidates = ask_next(plan, state)
-    solutions = new_solutions(plan.problem, candidates, state, body.seed)
-    return LiveSearch(plan=plan, generation=0, state=state), solutions
+    state, asked = ask_next(plan, state, 0)
+    return LiveSearch(plan=plan, generation=0, asked=len(asked.generations), state=state), asked
 
 
-def ask_next(plan: Plan, state: Any) -> tuple[Any, tuple[Candidate, ...]]:
-    """Ask for the next generation; it is empty if the search is over or waits for seeds."""
-    if seed_request(plan, state) is not None or plan.algorithm.finished(state):
-        return state, ()
-    return plan.algorithm.ask(state)
+def ask_next(plan: Plan, state: Any, first: int) -> tuple[Any, Asked]:
+    """Ask for every generation that may be in flight; there is none if the search is over or waits for seeds.
+
+    Args:
+        plan: The campaign's plan.
+        state: The algorithm's state.
+        first: Number of generations asked for so far.
+
+    Returns:
+        The state, and the generations with their simulations.
+
+    Raises:
+        InvalidInput: The algorithm needs a data set, which the problem does not have.
+    """
+    generations: list[tuple[Candidate, ...]] = []
+    if seed_request(plan, state) is None:
+        state, generations = ask_all(plan.algorithm, state)
+    seed = plan.body.seed
+    return state, Asked(
+        first=first,
+        generations=[new_solutions(plan.problem, candidates, state, seed) for candidates in generations],
+        end=state.pending[-1].number + 1 if state.pending else None,
+    )
 
 
 def seed_request(plan: Plan, state: Any) -> SeedRequest | None:

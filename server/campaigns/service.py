@@ -32,6 +32,7 @@ from brink.server.campaigns.repeats import (
     plan_named_repeats,
     store_repeats,
 )
+from brink.server.campaigns.simulators import other_simulator
 from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
 from brink.server.db.engine import Engines, read
 from brink.server.db.sql import DocumentTable
@@ -320,12 +321,15 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
 
         Raises:
             InvalidInput: Its problem is deterministic, or a number is not one of its evaluated solutions.
-            Conflict: It has not ended, or has no boundary solutions.
+            Conflict: It has not ended, has no boundary solutions, or was simulated with another simulator.
         """
         if campaign.status not in ENDED:
             why = "its boundary is not known yet" if numbers is None else "wait until it has ended"
             raise Conflict(f"campaign {campaign.id} is {campaign.status}: {why}")
         check_repeatable(plan)
+        other = await read(self.engines, lambda c: other_simulator(c, campaign))
+        if other is not None:
+            raise Conflict(f"campaign {campaign.id} cannot be repeated: {other}")
 
         def look() -> PlannedRepeats | None:
             if numbers is not None:

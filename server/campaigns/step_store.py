@@ -1,6 +1,7 @@
 """The SQL of the generation step: the solutions asked for, their verdicts, checkpoints and distances."""
 
 import hashlib
+import itertools
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -47,6 +48,21 @@ class NewSolution:
     job: NewJob | None
     kind: JobKind = JobKind.EPISODE
     origin: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Asked:
+    """Generations that the algorithm has just asked for.
+
+    Attributes:
+        first: Number of the first of them.
+        generations: The solutions of each; empty if there is nothing to ask for now.
+        end: First number that does not belong to the oldest generation in flight; None if nothing is in flight.
+    """
+
+    first: int
+    generations: Sequence[Sequence[NewSolution]]
+    end: int | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,7 +134,7 @@ class Step:
         summary: The campaign's counts and scores after it.
         block: Its distances, or None if they are not stored.
         checkpoint: The state after it.
-        solutions: The next generation; empty if the search is over.
+        asked: The generations that the algorithm then asked for.
         traces: Numbers of solutions whose traces are recorded as evidence, at the end of the search.
         status: The campaign's status after the step.
     """
@@ -129,7 +145,7 @@ class Step:
     summary: GenerationSummary
     block: DistanceBlock | None
     checkpoint: Checkpoint
-    solutions: Sequence[NewSolution]
+    asked: Asked
     traces: Sequence[int]
     status: CampaignStatus
 
@@ -148,19 +164,24 @@ class StoredArchive:
     unsafe_neighbours: NDArray[np.int64]
 
 
-def insert_solutions(
-    connection: Connection, campaign: Campaign, generation: int, solutions: Sequence[NewSolution]
-) -> None:
-    """Store a new generation and enqueue its jobs.
+def insert_generations(connection: Connection, campaign: Campaign, asked: Asked) -> None:
+    """Store new generations and enqueue their jobs.
 
     Args:
         connection: In a write transaction.
         campaign: The campaign.
-        generation: Number of the generation.
-        solutions: Its solutions.
+        asked: The generations.
     """
-    if not solutions:
-        return
+    for generation, solutions in enumerate(asked.generations, asked.first):
+        _insert_solutions(connection, campaign, generation, solutions)
+    connection.execute(
+        update(CampaignRow).where(CampaignRow.id == campaign.id).values(generation_end=asked.end)
+    )
+
+
+def _insert_solutions(
+    connection: Connection, campaign: Campaign, generation: int, solutions: Sequence[NewSolution]
+) -> None:
     connection.execute(
         insert(SolutionRow),
         [
@@ -177,16 +198,14 @@ def insert_solutions(
         job_store.enqueue(connection, campaign.id, kind, jobs, campaign.job_settings)
 
 
-def write_seeded(
-    connection: Connection, campaign: Campaign, checkpoint: Checkpoint, solutions: Sequence[NewSolution]
-) -> bool:
+def write_seeded(connection: Connection, campaign: Campaign, checkpoint: Checkpoint, asked: Asked) -> bool:
     """Store the state of a campaign that has received seeds, and the generation that it then asked for.
 
     Args:
         connection: In a write transaction.
         campaign: The campaign, which waits for seeds.
         checkpoint: The state with the seeds.
-        solutions: The generation; empty if the campaign needs more seeds.
+        asked: The generation; none if the campaign needs more seeds.
 
     Returns:
         False, with nothing stored, if the campaign has moved on, or was paused, cancelled or deleted.
@@ -197,7 +216,7 @@ def write_seeded(
     if read_vectors(connection, campaign.id, campaign.generation):
         return False
     _save_checkpoint(connection, campaign.id, checkpoint)
-    insert_solutions(connection, campaign, campaign.generation, solutions)
+    insert_generations(connection, campaign, asked)
     note_change(connection, campaign.id)
     return True
 
@@ -214,12 +233,12 @@ def write_step(connection: Connection, step: Step) -> bool:
         campaign is None
         or campaign.status is not CampaignStatus.RUNNING
         or campaign.generation != step.generation
-        or job_store.has_open_jobs(connection, step.campaign)
+        or job_store.has_open_jobs(connection, step.campaign, campaign.generation_end)
     ):
         return False
     _write_results(connection, step)
     _write_archive(connection, step)
-    insert_solutions(connection, campaign, step.generation + 1, step.solutions)
+    insert_generations(connection, campaign, step.asked)
     job_store.enqueue_traces(connection, campaign.id, step.traces, campaign.job_settings)
     connection.execute(
         update(CampaignRow)
@@ -342,12 +361,18 @@ def read_distances(connection: Connection, campaign_id: str, rows: Sequence[int]
     return None if np.isnan(whole).any() else whole
 
 
-def read_vectors(connection: Connection, campaign_id: str, generation: int) -> dict[int, bytes]:
-    """Return the vectors of a generation's solutions, by number."""
-    query = select(SolutionRow.number, SolutionRow.vector).where(
-        SolutionRow.campaign_id == campaign_id, SolutionRow.generation == generation
+def read_vectors(connection: Connection, campaign_id: str, generation: int) -> list[dict[int, bytes]]:
+    """Return the vectors of the solutions in flight, by number, for each generation from `generation` on."""
+    query = (
+        select(SolutionRow.generation, SolutionRow.number, SolutionRow.vector)
+        .where(SolutionRow.campaign_id == campaign_id, SolutionRow.generation >= generation)
+        .order_by(SolutionRow.generation)
     )
-    return {row.number: row.vector for row in connection.execute(query)}
+    rows = connection.execute(query)
+    return [
+        {row.number: row.vector for row in group}
+        for _, group in itertools.groupby(rows, key=lambda row: row.generation)
+    ]
 
 
 def read_archive(connection: Connection, campaign_id: str, dimension: int) -> StoredArchive:

@@ -31,6 +31,8 @@ class Campaign:
         body: What was submitted, with every parameter spelled out.
         document_hash: Hash of the body as it was submitted.
         generation: Number of completed generations.
+        generation_end: First number that belongs to a later generation than the current one; None in a campaign that
+            was submitted when there was one generation at a time.
         failures_accepted: Failed candidates that do not pause the campaign.
         sequence: Increases with every change, except when jobs are leased and reported within a generation.
     """
@@ -41,6 +43,7 @@ class Campaign:
     status: CampaignStatus
     status_reason: str
     generation: int
+    generation_end: int | None
     evaluated: int
     unsafe: int
     failed: int
@@ -72,7 +75,8 @@ def campaign_of(row: Row[*tuple[Any, ...]]) -> Campaign:
     return Campaign(
         id=row.id, body=CampaignBody.model_validate(row.document), document_hash=row.document_hash,
         status=CampaignStatus(row.status),
-        status_reason=row.status_reason, generation=row.generation, evaluated=row.evaluated,
+        status_reason=row.status_reason, generation=row.generation, generation_end=row.generation_end,
+        evaluated=row.evaluated,
         unsafe=row.unsafe, failed=row.failed, measured=row.measured, failures_accepted=row.failures_accepted,
         sequence=row.sequence, created_at=row.created_at, finished_at=row.finished_at,
     )  # fmt: skip
@@ -104,6 +108,14 @@ def insert_campaign(
             created_at=database_now(connection), finished_at=None,
         )
     )  # fmt: skip
+
+
+def running(connection: Connection) -> tuple[str, ...]:
+    """Return all running campaigns."""
+    query = (
+        select(CampaignRow.id).where(CampaignRow.status == CampaignStatus.RUNNING).order_by(CampaignRow.id)
+    )
+    return tuple(connection.execute(query).scalars())
 
 
 def running_among(connection: Connection, campaigns: Sequence[str]) -> frozenset[str]:

@@ -68,7 +68,7 @@ def read_campaign_progress(connection: Connection, campaign: CampaignSummary) ->
     jobs = count_unfinished(connection, campaign.id)
     queued, leased = jobs.get(JobStatus.QUEUED, 0), jobs.get(JobStatus.LEASED, 0)
     ended = campaign.finished_at is not None
-    pending = 0 if ended else count_generation(connection, campaign.id, campaign.generation)
+    pending = 0 if ended else count_in_flight(connection, campaign.id, campaign.generation)
     done = campaign.completed + max(0, pending - queued - leased)
     latest = list_generations(connection, campaign.id, max(0, campaign.generation - RATE_WINDOW - 1))
     end = campaign.finished_at or datetime.now(UTC)
@@ -130,11 +130,11 @@ def list_generations(connection: Connection, campaign_id: str, since: int) -> li
     return [GenerationSummary(**row) for row in connection.execute(query).mappings()]
 
 
-def count_generation(connection: Connection, campaign_id: str, generation: int) -> int:
-    """Return the number of solutions in a generation."""
+def count_in_flight(connection: Connection, campaign_id: str, generation: int) -> int:
+    """Return the number of solutions in flight: those of a generation and of later ones."""
     return connection.execute(
         select(func.count()).where(
-            SolutionRow.campaign_id == campaign_id, SolutionRow.generation == generation
+            SolutionRow.campaign_id == campaign_id, SolutionRow.generation >= generation
         )
     ).scalar_one()
 
@@ -160,6 +160,12 @@ def read_solutions(
         some = wanted[start : start + MAX_NAMED]
         found += connection.execute(_solutions(campaign_id).where(SolutionRow.number.in_(some))).all()
     return found
+
+
+def read_results(connection: Connection, campaign_id: str) -> dict[int, str | None]:
+    """Return the stored result of each simulated solution of a campaign, as JSON, by number."""
+    query = select(EVALUATIONS.c.number, EVALUATIONS.c.result).where(EVALUATIONS.c.campaign_id == campaign_id)
+    return {row.number: row.result for row in connection.execute(query)}
 
 
 def page_solutions(

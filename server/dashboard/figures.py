@@ -9,7 +9,7 @@ import numpy as np
 
 from brink.search.analysis.boundary import BudgetPoint, dbs_by_budget
 from brink.search.analysis.dependence import Dependence, dependences
-from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.archives import ArchiveActivity, ReadArchive
 from brink.server.dashboard.overview import Sparklines
 from brink.server.dashboard.solution_map import SolutionMaps
 from brink.server.single_flight import SingleFlightCache
@@ -89,10 +89,14 @@ class Figures:
         self.convergence = ConvergenceCurves(threads=self._threads, most_waiting=MAX_PENDING)
         self._dependences = SingleFlightCache(CACHED_DEPENDENCES, self._threads, MAX_PENDING)
 
-    async def dependences(self, campaign: str, found: ReadArchive) -> list[Dependence]:
-        """Return how the verdict depends on each parameter, strongest dependence first."""
+    async def dependences(
+        self, campaign: str, found: ReadArchive, activity: ArchiveActivity
+    ) -> list[Dependence]:
+        """Return how the verdict depends on each parameter where it is active, strongest dependence first."""
         space, archive = found.plan.problem.space, found.archive
-        return await self._dependences.get(campaign, found.generation, lambda: dependences(space, archive))
+        return await self._dependences.get(
+            campaign, found.generation, lambda: dependences(space, archive, activity.active)
+        )
 
     def close(self) -> None:
         """Finish the running computations and cancel the pending ones."""

@@ -85,6 +85,8 @@ class CampaignRow(Base):
     priority: Mapped[int] = mapped_column(Integer)
     budget: Mapped[int] = mapped_column(BigInteger)
     generation: Mapped[int] = mapped_column(Integer, default=0)
+    generation_end: Mapped[int | None] = mapped_column(BigInteger)
+    """First number that belongs to a later generation; None if no later generation is in flight."""
     evaluated: Mapped[int] = mapped_column(BigInteger, default=0)
     unsafe: Mapped[int] = mapped_column(BigInteger, default=0)
     failed: Mapped[int] = mapped_column(BigInteger, default=0)

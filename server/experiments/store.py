@@ -141,14 +141,14 @@ def insert_experiment(
     )  # fmt: skip
 
 
-def count_current_generations(connection: Connection, campaigns: Sequence[str]) -> int:
-    """Return the number of solutions in the current generations of the given campaigns."""
+def count_in_flight(connection: Connection, campaigns: Sequence[str]) -> int:
+    """Return the number of solutions in flight in the given campaigns."""
     query = (
         select(func.count())
         .select_from(SolutionRow)
         .join(
             CampaignRow,
-            (CampaignRow.id == SolutionRow.campaign_id) & (CampaignRow.generation == SolutionRow.generation),
+            (CampaignRow.id == SolutionRow.campaign_id) & (CampaignRow.generation <= SolutionRow.generation),
         )
         .where(CampaignRow.id.in_(list(campaigns)))
     )

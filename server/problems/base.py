@@ -130,6 +130,42 @@ class DescribesCandidates(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Activity:
+    """Which parameters of a solution had a part in its episode, and the values that they had there.
+
+    A parameter is inactive if its value cannot have influenced the episode: for example, the box of an injected
+    trajectory that begins after the episode ended. Arrays have one entry for each parameter, in the order of
+    `SearchSpace.column_names`. Distances, and DBS with them, ignore all of this and compare solutions as stored.
+
+    Attributes:
+        active: Whether the parameter had a part in the episode, shape ``(d,)``.
+        effective: The solution as the episode had it, shape ``(d,)``. Where it differs from the stored solution, its
+            episode with the same seed would be the same: a time window that the episode's end cut off ends there, and
+            a trajectory that was never delivered has the label for none. A window may be shorter than the space
+            allows, so these values are for people and for comparisons, not for simulation.
+        idle: Components that had no part in the episode, such as ``behaviour``.
+    """
+
+    active: NDArray[np.bool_]
+    effective: NDArray[np.float64]
+    idle: tuple[str, ...] = ()
+
+
+@runtime_checkable
+class RecordsActivity(Protocol):
+    """A simulated problem whose episodes tell which parameters had a part in them."""
+
+    def activity(self, vectors: Vectors, features: Mapping[str, Any]) -> Activity | None:
+        """Return which parameters of a candidate had a part in its episode; None if that was not recorded.
+
+        Args:
+            vectors: The candidate.
+            features: Features of the episode's result, which any worker may have sent.
+        """
+        ...
+
+
 @runtime_checkable
 class NamesRequirements(Protocol):
     """A simulated problem whose verdict depends on requirements of the episode.
@@ -168,16 +204,63 @@ class SupportsSeeds(Protocol):
 Problem: TypeAlias = SimulatedProblem | InProcessProblem
 
 
-def describe_candidate(problem: Problem, vectors: Vectors) -> str:
-    """Describe a candidate in the problem's own words or, without these, by its categories, or else by all values."""
+def activity_of(problem: Problem, vectors: Vectors, result: Mapping[str, Any] | None) -> Activity | None:
+    """Return which parameters of a solution had a part in its episode, and the values that they had there.
+
+    This is the only place that decides so. Words, tables, plots, rules and the differences between two drives use
+    it; compare two drives by their `Activity.effective` values where either is active.
+
+    Args:
+        problem: The solution's problem.
+        vectors: The solution.
+        result: The stored result of its episode (`brink.worker.wire.Completed` as JSON); None if there is none.
+
+    Returns:
+        None if it was not recorded: the result is missing or older than the record, or the problem, such as a
+        plug-in, does not implement `RecordsActivity`. Then every parameter may have had a part.
+    """
+    features = (result or {}).get("features")
+    if not isinstance(problem, RecordsActivity) or not isinstance(features, Mapping):
+        return None
+    return problem.activity(vectors, features)
+
+
+BEHAVIOUR: Final = "behaviour"
+"""Name of the component that stands for the machine-learned component, in problems that have one."""
+NO_PART: Final = "the injected behaviour had no part in this drive"
+"""Not "the component": one that reports nothing may well be the reason why a drive is unsafe."""
+
+
+def describe_candidate(problem: Problem, vectors: Vectors, activity: Activity | None = None) -> str:
+    """Describe a candidate in the problem's own words or, without these, by its categories, or else by all values.
+
+    Args:
+        problem: The problem.
+        vectors: The candidate.
+        activity: What had a part in its episode, if that is known: only this is described.
+    """
+    if activity is not None:
+        vectors = problem.space.split(activity.effective)
+    words = _words_of(problem, vectors, activity)
+    return f"{words}; {NO_PART}" if activity is not None and BEHAVIOUR in activity.idle else words
+
+
+def _words_of(problem: Problem, vectors: Vectors, activity: Activity | None) -> str:
     if isinstance(problem, DescribesCandidates):
         return problem.words(vectors)
+    names = problem.space.column_names()
+    inactive = (
+        set()
+        if activity is None
+        else {name for name, on in zip(names, activity.active, strict=True) if not on}
+    )
     words = []
-    for values in problem.space.decode(tuple(vectors)).values():
-        chosen = {name: value for name, value in values.items() if isinstance(value, str)}
+    for component, values in problem.space.decode(tuple(vectors)).items():
+        shown = {name: value for name, value in values.items() if f"{component}.{name}" not in inactive}
+        chosen = {name: value for name, value in shown.items() if isinstance(value, str)}
         words += [f"{name} {value}" for name, value in chosen.items()]
         if not chosen:
-            words += [f"{name} {value:.3g}" for name, value in values.items()]
+            words += [f"{name} {value:.3g}" for name, value in shown.items()]
     return ", ".join(words)
 
 

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Final
 
+import numpy as np
+
 from brink.search.algorithm import Evaluation, Scored
 from brink.search.analysis.violations import kinds_of
 from brink.search.errors import ConfigError
@@ -15,8 +17,8 @@ from brink.search.settings import check_settings, setting
 from brink.search.space import SearchSpace
 from brink.search.traffic.constraint import participants_component, participants_of
 from brink.search.traffic.motion import roll_out, waypoints
-from brink.search.traffic.participants import MAX_PARTICIPANTS, Participant, RoadLimits
-from brink.server.problems.base import Vectors, wrong_detector
+from brink.search.traffic.participants import MAX_PARTICIPANTS, ParameterNames, Participant, RoadLimits
+from brink.server.problems.base import Activity, Vectors, wrong_detector
 from brink.sim.encounter.specification import PLACE_FIELDS, describe_script, get_lane_layout, stretch_to_json
 from brink.sim.episode import EpisodeSpec, Json, JsonObject
 from brink.sim.perception.user_files import weights_digest
@@ -163,6 +165,27 @@ class NpcActions:
         return "; ".join(
             describe_script(script) for script in self.scripts(vectors) if isinstance(script, dict)
         )
+
+    def activity(self, vectors: Vectors, features: Mapping[str, Any]) -> Activity | None:
+        """Return which road users and actions had a part in an episode: actions that began before it ended.
+
+        A vehicle that has to wait for others is later than its script, so an action counts as active if it might have
+        begun.
+        """
+        ended_at_s = features.get("ended_at_s")
+        if isinstance(ended_at_s, bool) or not isinstance(ended_at_s, int | float):
+            return None
+        component = self.space.components[0]
+        place = {parameter.name: index for index, parameter in enumerate(component.parameters)}
+        active = np.zeros(component.dimension, dtype=np.bool_)
+        for number, one in enumerate(self.participants(vectors), start=1):
+            names = ParameterNames.of(number)
+            active[[place[name] for name in (names.kind, *names.start)]] = True
+            begins_s = 0.0
+            for gene, of_gene in zip(one.genes, names.genes, strict=False):
+                active[[place[name] for name in of_gene]] = begins_s < ended_at_s
+                begins_s += gene.duration_s
+        return Activity(active=active, effective=np.where(active, vectors[0], 0.0))
 
     def violations(self, outcome: Completed) -> list[dict[str, Any]]:
         """Return the circumstances of the violations that count as unsafe."""

@@ -20,13 +20,14 @@ from brink.search.space import (
     Dormant,
     Duration,
     Extent,
+    FloatArray,
     Integer,
     Parameter,
     Real,
     SearchSpace,
 )
 from brink.server.errors import nearest
-from brink.server.problems.base import Vectors
+from brink.server.problems.base import Activity, Vectors
 from brink.sim.catalogue import REQUIREMENTS as REQUIREMENT_PLUGINS
 from brink.sim.catalogue import plugin_ids
 from brink.sim.episode import EpisodeSpec, Json
@@ -40,7 +41,7 @@ from brink.sim.world.scenario import (
 )
 from brink.worker.wire import Completed
 
-SIMULATOR = "brink-drive@1"
+SIMULATOR = "brink-drive@2"
 REQUIREMENTS = (
     "front-gap@1",
     "no-collision@1",
@@ -143,7 +144,15 @@ def behaviour_component(duration_s: float) -> Component:
                 members=tuple(prefix + name for name in b.TRAJECTORY_FIELDS if name != "label"),
             )
         )
-    return Component(name="behaviour", parameters=tuple(parameters), constraints=tuple(constraints))
+    return Component(
+        name="behaviour",
+        parameters=tuple(parameters),
+        constraints=tuple(constraints),
+        interchangeable=tuple(
+            tuple(f"trajectory_{index}.{name}" for name in b.TRAJECTORY_FIELDS)
+            for index in range(1, b.TRAJECTORY_COUNT + 1)
+        ),
+    )
 
 
 class UrbanInjected:
@@ -159,6 +168,7 @@ class UrbanInjected:
         self.algorithm_defaults: Mapping[str, Any] = {}
         self.requirements = params.requirements
         self.needs = SIMULATOR
+        self._trajectories = _trajectories(self.space)
         self.timeout_s = params.timeout_s
 
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
@@ -180,6 +190,33 @@ class UrbanInjected:
         trajectories = _behaviour(decoded["behaviour"])["trajectories"]
         return f"{words_of_scenario(_scenario(decoded['scenario']))}; {b.words_of_behaviour(trajectories)}"
 
+    def activity(self, vectors: Vectors, features: Mapping[str, Any]) -> Activity | None:
+        """Return which parameters had a part in an episode, from when each trajectory was delivered.
+
+        A trajectory that was delivered until the end is described as it was seen: until its last step, with the box
+        that it had then.
+        """
+        delivered = b.delivered_from_json(features.get(b.DELIVERED))
+        injected = [t for t in self._trajectories if vectors[1][t.label] != t.null_choice]
+        if delivered is None or len(delivered) != len(injected):
+            return None
+        active = np.ones(len(vectors[1]), dtype=np.bool_)
+        effective = np.array(vectors[1], dtype=np.float64)
+        for trajectory in self._trajectories:
+            active[list(trajectory.numbers)] = trajectory in injected
+        for trajectory, steps in zip(injected, delivered, strict=True):
+            if steps is None:
+                active[[trajectory.label, *trajectory.numbers]] = False
+                effective[trajectory.label] = trajectory.null_choice
+                effective[list(trajectory.numbers)] = 0.0
+            else:
+                trajectory.cut_off(effective, last_step=steps[1])
+        return Activity(
+            active=np.concatenate([np.ones(len(vectors[0]), dtype=np.bool_), active]),
+            effective=np.concatenate([vectors[0], effective]),
+            idle=() if any(delivered) else ("behaviour",),
+        )
+
     def evaluation(self, outcome: Completed) -> Evaluation:
         """Return the verdict, with the smallest robustness of the chosen requirements, and all objectives."""
         robustness = min(outcome.verdicts[name].robustness for name in self.requirements)
@@ -188,6 +225,59 @@ class UrbanInjected:
 
 def _scenario(values: Mapping[str, Any]) -> dict[str, Json]:
     return {name: int(value) if name in _INTEGER_SCENARIO else value for name, value in values.items()}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Trajectory:
+    """Positions of the parameters of a trajectory in the vector of a behaviour.
+
+    Attributes:
+        label: Of the label.
+        null_choice: Index of the label for no trajectory.
+        start: Of the first step.
+        end: Of the last step.
+        first_px: Of the sides of the box at the first step.
+        last_px: Of the sides of the box at the last step.
+    """
+
+    label: int
+    null_choice: int
+    start: int
+    end: int
+    first_px: tuple[int, ...]
+    last_px: tuple[int, ...]
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Positions of all parameters but the label."""
+        return (self.start, self.end, *self.first_px, *self.last_px)
+
+    def cut_off(self, values: FloatArray, *, last_step: int) -> None:
+        """End the trajectory of a behaviour after a step, with the box that it has then."""
+        start, end = values[self.start], values[self.end]
+        if last_step >= np.floor(end):
+            return
+        share = (last_step - start) / (end - start)
+        first, last = list(self.first_px), list(self.last_px)
+        values[last] = values[first] + share * (values[last] - values[first])
+        values[self.end] = last_step
+
+
+def _trajectories(space: SearchSpace) -> list[_Trajectory]:
+    behaviour = space.components[1]
+    place = {parameter.name: index for index, parameter in enumerate(behaviour.parameters)}
+    prefixes = [f"trajectory_{number}." for number in range(1, b.TRAJECTORY_COUNT + 1)]
+    return [
+        _Trajectory(
+            label=place[prefix + "label"],
+            null_choice=b.TRAJECTORY_LABELS.index(b.NULL_LABEL),
+            start=place[prefix + "t0_step"],
+            end=place[prefix + "t1_step"],
+            first_px=tuple(place[f"{prefix}{side}_0_px"] for side in b.BOX_SIDES),
+            last_px=tuple(place[f"{prefix}{side}_1_px"] for side in b.BOX_SIDES),
+        )
+        for prefix in prefixes
+    ]
 
 
 def _behaviour(values: Mapping[str, Any]) -> dict[str, Json]:

@@ -22,6 +22,7 @@ from sqlalchemy import (
     or_,
     select,
     text,
+    true,
     update,
 )
 from sqlalchemy.orm import InstrumentedAttribute
@@ -280,33 +281,53 @@ def withdraw_results(connection: Connection, campaign_id: str, numbers: Sequence
         )
 
 
-def _has_open_jobs(campaign: InstrumentedAttribute[str] | str) -> ColumnElement[bool]:
-    """Return the condition that a campaign has queued or leased evaluations.
+def _has_open_jobs(
+    campaign: InstrumentedAttribute[str] | str, in_generation: ColumnElement[bool]
+) -> ColumnElement[bool]:
+    """Return the condition that a campaign has queued or leased evaluations in its current generation.
 
     The two states are looked up separately; in one lookup, Postgres may read all jobs of the campaign.
+
+    Args:
+        campaign: Id of the campaign, or the column that holds it.
+        in_generation: Condition on jobs of the campaign.
     """
     queued, leased = (
         select(JobRow.id)
-        .where(JobRow.campaign_id == campaign, JobRow.status == status, IS_EVALUATION)
+        .where(JobRow.campaign_id == campaign, JobRow.status == status, IS_EVALUATION, in_generation)
         .offset(0)  # keeps Postgres from turning the subquery into a join
         for status in (JobStatus.QUEUED, JobStatus.LEASED)
     )
     return or_(queued.exists(), leased.exists())
 
 
+# The sum keeps Postgres from reading all jobs of the campaign by their number.
+_IN_GENERATION = or_(CampaignRow.generation_end.is_(None), JobRow.number + 0 < CampaignRow.generation_end)
 _IDLE = select(CampaignRow.id).where(
-    CampaignRow.status == CampaignStatus.RUNNING, ~_has_open_jobs(CampaignRow.id)
+    CampaignRow.status == CampaignStatus.RUNNING, ~_has_open_jobs(CampaignRow.id, _IN_GENERATION)
 )
 _IDLE_AMONG = _IDLE.where(in_list(CampaignRow.id, "campaigns"))
 
 
-def has_open_jobs(connection: Connection, campaign_id: str) -> bool:
-    """Return whether a campaign has queued or leased evaluations."""
-    return bool(connection.execute(select(_has_open_jobs(campaign_id))).scalar_one())
+def has_open_jobs(connection: Connection, campaign_id: str, end: int | None) -> bool:
+    """Return whether a campaign has queued or leased evaluations in its current generation.
+
+    Args:
+        connection: In a transaction.
+        campaign_id: The campaign.
+        end: First number that belongs to a later generation; None if there is none.
+    """
+    in_generation = true() if end is None else JobRow.number + 0 < end
+    return bool(connection.execute(select(_has_open_jobs(campaign_id, in_generation))).scalar_one())
 
 
 def idle_campaigns(connection: Connection, campaigns: Iterable[str] | None = None) -> tuple[str, ...]:
-    """Return the running campaigns without open evaluations: all of them, or those among `campaigns`."""
+    """Return the running campaigns whose current generation has no open evaluations.
+
+    Args:
+        connection: Sees one snapshot.
+        campaigns: The campaigns to look at; None for all of them.
+    """
     if campaigns is None:
         return tuple(connection.execute(_IDLE).scalars())
     names = list(campaigns)

@@ -3,7 +3,7 @@
 This module has no heavy imports, so that code that builds a search space can read the parameters from here.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Self
@@ -105,11 +105,6 @@ class DetectorBehaviour:
     mode: BehaviourMode
     trajectories: tuple[InjectedTrajectory, ...] = ()
 
-    def boxes_at(self, step: int) -> tuple[Box, ...]:
-        """Return the injected boxes at a perception step."""
-        boxes = [trajectory.box_at(step) for trajectory in self.trajectories]
-        return tuple(box for box in boxes if box is not None)
-
     def to_json(self) -> JsonObject:
         """Return the behaviour as a JSON object, without null trajectories."""
         if self.mode is BehaviourMode.ORACLE:
@@ -146,6 +141,35 @@ class DetectorBehaviour:
             )
         read = [_trajectory(f"behaviour.trajectories[{i}]", item, duration_s) for i, item in enumerate(items)]
         return cls(mode=BehaviourMode.INJECTED, trajectories=tuple(t for t in read if t is not None))
+
+
+DELIVERED = "delivered_steps"
+"""Name of the feature that says when each trajectory was delivered; see `delivered_to_json`."""
+
+
+def delivered_to_json(delivered: Sequence[tuple[int, int] | None]) -> Json:
+    """Return when trajectories were delivered as JSON: a pair of steps or null for each that is not null itself."""
+    return [None if steps is None else [*steps] for steps in delivered]
+
+
+def delivered_from_json(document: Json) -> tuple[tuple[int, int] | None, ...] | None:
+    """Return when trajectories were delivered; None if it was not recorded.
+
+    Args:
+        document: The feature `DELIVERED` of a result; any worker may have sent it.
+    """
+    if not isinstance(document, list):
+        return None
+    found: list[tuple[int, int] | None] = []
+    for steps in document:
+        match steps:
+            case None:
+                found.append(None)
+            case [int(first), int(last)] if 0 <= first <= last:
+                found.append((first, last))
+            case _:
+                return None
+    return tuple(found)
 
 
 def words_of_behaviour(trajectories: Json) -> str:

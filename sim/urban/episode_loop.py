@@ -55,6 +55,10 @@ class Sensing:
         perception_steps: Number of perception steps.
         step_s: Time between perception steps.
         detects: The obstacle detector, if it is used in place of `behaviour`.
+
+    Attributes:
+        delivered: First and last perception step at which each injected trajectory was in the output so far, or None
+            if it never was; in the order of `behaviour.trajectories`.
     """
 
     def __init__(
@@ -72,6 +76,7 @@ class Sensing:
         self._step_s = step_s
         self._detects = detects
         self._behaviour = behaviour
+        self.delivered: list[tuple[int, int] | None] = [None] * len(behaviour.trajectories)
         self._camera = camera
         self._station_m = 0.0
         weather = world.weather
@@ -141,7 +146,14 @@ class Sensing:
             return self._detects(perception_step * self._step_s)
         if self._behaviour.mode is BehaviourMode.ORACLE:
             return self.truth()
-        return self._behaviour.boxes_at(perception_step)
+        boxes = []
+        for index, trajectory in enumerate(self._behaviour.trajectories):
+            box = trajectory.box_at(perception_step)
+            if box is not None:
+                boxes.append(box)
+                since = self.delivered[index]
+                self.delivered[index] = (since[0] if since else perception_step, perception_step)
+        return tuple(boxes)
 
     def truth(self) -> tuple[Box, ...]:
         """Return the boxes of all bodies visible to the camera."""
@@ -200,6 +212,8 @@ class Outcome:
         way_m: Distance that the ego covered along its route.
         least_front_gap_m: Smallest front gap, or None if there never was one.
         stood_s: How long the ego stood still.
+        delivered: First and last perception step at which each injected trajectory was reported to the driving
+            system, or None if it never was.
     """
 
     ended: str
@@ -207,6 +221,7 @@ class Outcome:
     way_m: float
     least_front_gap_m: float | None
     stood_s: float
+    delivered: tuple[tuple[int, int] | None, ...]
 
 
 def run_loop(
@@ -345,4 +360,5 @@ class _Loop:
             way_m=sample.station_m,
             least_front_gap_m=self.least_front_m,
             stood_s=self.standing * STEP_S,
+            delivered=tuple(self.sensing.delivered),
         )

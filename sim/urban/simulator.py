@@ -1,4 +1,4 @@
-"""The simulator `brink-drive@1`: runs a specification and returns the result.
+"""The simulator `brink-drive@2`: runs a specification and returns the result.
 
 The same specification gives the same verdicts and the same trace, bit for bit, in any process and after any other
 episodes on the same class of processor: random draws come from streams addressed by position, all objects are created
@@ -22,14 +22,14 @@ from brink.sim.driving.system import ModularDriving
 from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject, nearest
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
 from brink.sim.requirements import Requirement, features_of, verdicts_of
-from brink.sim.urban.behaviour import DetectorBehaviour
+from brink.sim.urban.behaviour import DELIVERED, BehaviourMode, DetectorBehaviour, delivered_to_json
 from brink.sim.urban.episode_loop import Outcome, run_loop
 from brink.sim.urban.recorder import Recorder
 from brink.sim.world.ego import EgoCar, MakeEgo
 from brink.sim.world.scenario import UrbanScenario
 from brink.sim.world.world import make_world
 
-SIMULATOR_ID = "brink-drive@1"
+SIMULATOR_ID = "brink-drive@2"
 MAX_DURATION_S = 600.0
 BICYCLE, WHEELS = "bicycle", "wheels"
 FIDELITIES = (BICYCLE, WHEELS)
@@ -90,7 +90,11 @@ class BrinkDrive:
         return EpisodeResult(
             verdicts=verdicts,
             objectives={f"{name}:robustness": verdict.robustness for name, verdict in verdicts.items()},
-            features={**outcome_features(outcome), **features_of(requirements)},
+            features={
+                **outcome_features(outcome),
+                **_injection_features(behaviour, outcome),
+                **features_of(requirements),
+            },
             provenance=provenance(SIMULATOR_ID, cpu_s, simulated_s=outcome.last.time_s),
             trace=None if recorder is None else recorder.trace(trace_header(spec)).to_bytes(),
         )
@@ -133,6 +137,13 @@ def outcome_features(outcome: Outcome) -> dict[str, Json]:
         "collision": None if hit is None else hit.kind.value,
         "collided_with": None if hit is None else hit.counterpart,
     }
+
+
+def _injection_features(behaviour: DetectorBehaviour, outcome: Outcome) -> dict[str, Json]:
+    """Return when each injected trajectory was delivered; nothing if the detector reports the ground truth."""
+    if behaviour.mode is BehaviourMode.ORACLE:
+        return {}
+    return {DELIVERED: delivered_to_json(outcome.delivered)}
 
 
 def trace_header(spec: EpisodeSpec) -> JsonObject:

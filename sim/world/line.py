@@ -88,6 +88,27 @@ class ReferenceLine:
         """Return the signed curvature in 1/m."""
         return self._rows[bisect_right(self._inner_starts, station_m)][5]
 
+    def station_after(self, station_m: float, offset_m: float, distance_m: float) -> float:
+        """Return the station reached from another one by a way beside the line, which is longer outside a bend.
+
+        Args:
+            station_m: Station at the start.
+            offset_m: Distance from the line, less than the radius on the inside of a bend.
+            distance_m: Length of the way, negative against the direction of travel.
+        """
+        index = bisect_right(self._inner_starts, station_m)
+        ahead = distance_m > 0.0
+        while True:
+            start_m, length_m, *_ = row = self._rows[index]
+            stretch = 1.0 - row[5] * offset_m
+            to_end_m = start_m + (length_m if ahead else 0.0) - station_m
+            last = index + 1 == len(self._rows) if ahead else index == 0
+            if last or abs(distance_m) <= abs(to_end_m) * stretch:
+                return station_m + distance_m / stretch
+            distance_m -= to_end_m * stretch
+            station_m += to_end_m
+            index += 1 if ahead else -1
+
     def project(self, x_m: float, y_m: float, near_station_m: float) -> tuple[float, float]:
         """Return (station, offset) of the closest point on the line near a known station.
 

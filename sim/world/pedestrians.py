@@ -1,8 +1,8 @@
 """Pedestrians: how they walk, and which of them use the pavement, the crossing, or cross elsewhere.
 
-A walker follows the pavement (a station and an offset on the road's centre line). To cross, it stops at the kerb,
-turns to the road, waits for a gap, and walks straight across. Walkers look around five times per second and move ten
-times per second.
+A walker follows the pavement (a station and an offset on the road's centre line). To cross, it turns to the road,
+walks up to the kerb, waits there for a gap, and walks straight across. Walkers look around five times per second and
+move ten times per second.
 """
 
 import math
@@ -36,8 +36,9 @@ class Phase(IntEnum):
     """The current activity of a walker."""
 
     ALONG = 0
-    WAITING = 1
-    CROSSING = 2
+    TO_KERB = 1
+    WAITING = 2
+    CROSSING = 3
 
 
 GoAhead: TypeAlias = Callable[[float], bool]
@@ -62,8 +63,8 @@ class Walker:
     """
 
     __slots__ = (
-        "_go_ahead", "_target_m", "_vx", "_vy", "_waited_s", "ahead", "centre", "crosses_at_m", "kerb_m",
-        "length_m", "name", "offset_m", "on_zebra", "patience_s", "phase", "speed_mps", "station_m",
+        "_cos_yaw", "_go_ahead", "_sin_yaw", "_target_m", "_waited_s", "ahead", "centre", "crosses_at_m",
+        "kerb_m", "length_m", "name", "offset_m", "on_zebra", "patience_s", "phase", "speed_mps", "station_m",
         "walking_mps", "width_m", "x_m", "y_m", "yaw_rad",
     )  # fmt: skip
 
@@ -113,9 +114,8 @@ class Walker:
         else:
             yaw = along + (0.5 * math.pi if self._target_m > 0 else -0.5 * math.pi)
         self.yaw_rad = yaw
-        speed = self.speed_mps
-        self._vx = speed * math.cos(yaw)
-        self._vy = speed * math.sin(yaw)
+        self._cos_yaw = math.cos(yaw)
+        self._sin_yaw = math.sin(yaw)
 
     def look(self, time_s: float, movers: Sequence[Mover]) -> None:
         """Look around and decide what to do next.
@@ -127,15 +127,13 @@ class Walker:
         if self.phase is Phase.ALONG:
             at_m = self.crosses_at_m
             if at_m is not None and (self.station_m >= at_m if self.ahead else self.station_m <= at_m):
-                self.phase = Phase.WAITING
-                self.speed_mps = 0.0
-                self.offset_m = math.copysign(self.kerb_m + KERB_SETBACK_M, self.offset_m)
+                self.phase = Phase.TO_KERB
         elif self.phase is Phase.WAITING:
             self._waited_s += 2.0 * WALKER_STEP_S
             if self._may_go(time_s, movers):
                 self.phase = Phase.CROSSING
                 self.speed_mps = self.walking_mps * 1.1
-        elif abs(self.offset_m - self._target_m) < 0.3:
+        elif self.phase is Phase.CROSSING and abs(self.offset_m - self._target_m) < 0.3:
             self.phase = Phase.ALONG
             self.crosses_at_m = None
             self.speed_mps = self.walking_mps
@@ -164,14 +162,21 @@ class Walker:
     def move(self) -> None:
         """Advance by `WALKER_STEP_S`."""
         step_m = self.speed_mps * WALKER_STEP_S
+        if self.phase is Phase.TO_KERB:
+            to_go_m = abs(self.offset_m) - self.kerb_m - KERB_SETBACK_M
+            if to_go_m <= step_m:
+                step_m = max(to_go_m, 0.0)
+                self.phase = Phase.WAITING
+                self.speed_mps = 0.0
         if step_m == 0.0:
             return
         if self.phase is Phase.ALONG:
-            self.station_m += step_m if self.ahead else -step_m
+            way_m = step_m if self.ahead else -step_m
+            self.station_m = self.centre.station_after(self.station_m, self.offset_m, way_m)
         else:
             self.offset_m += step_m if self._target_m > 0 else -step_m
-        self.x_m += self._vx * WALKER_STEP_S
-        self.y_m += self._vy * WALKER_STEP_S
+        self.x_m += self._cos_yaw * step_m
+        self.y_m += self._sin_yaw * step_m
 
 
 def make_people(

@@ -99,6 +99,15 @@ class PullOut:
     from_m: float
     over_m: float
 
+    def share_at(self, station_m: float) -> float:
+        """Return the completed share of the move, in [0, 1]."""
+        return min(max((station_m - self.from_m) / self.over_m, 0.0), 1.0)
+
+    def turn_at(self, station_m: float) -> float:
+        """Return the heading relative to the lane."""
+        share = self.share_at(station_m)
+        return math.atan2(-self.offset_m * 6.0 * share * (1.0 - share), self.over_m)
+
 
 class Vehicle:
     """Another vehicle. Mutable: create a new one for each episode.
@@ -108,7 +117,7 @@ class Vehicle:
         size: Dimensions of its body.
         path: Centre line of its lane.
         station_m: Station of its centre on the path.
-        speed_mps: Initial speed.
+        speed_mps: Initial speed on a straight path; it starts more slowly in a bend or too close before one.
         style: How it is driven.
         stops: Where it may have to wait, in any order.
         pull_out: Its move into the lane, if it starts at the roadside.
@@ -143,13 +152,13 @@ class Vehicle:
         self.path = path
         self.station_m = station_m
         self.offset_m = pull_out.offset_m if pull_out else 0.0
-        self.speed_mps = speed_mps
         self.accel_mps2 = 0.0
         self.style = style
         self.stops = tuple(sorted(stops, key=lambda stop: stop.station_m))
         self.pull_out = pull_out
         self.starts_s = starts_s
         self._arcs = _arc_speeds(path)
+        self.speed_mps = self._wanted_before_bends(speed_mps)
         self._phase = phase % LOOK_EVERY_STEPS
         self._gap_m = math.inf
         self._gap_speed_mps = 0.0
@@ -205,6 +214,18 @@ class Vehicle:
                 gap_m, gap_speed = between_m, other.speed_mps * cos_turn
         return gap_m, gap_speed
 
+    def _wanted_before_bends(self, wanted_mps: float) -> float:
+        """Return the desired speed, reduced where the path bends or is about to bend."""
+        station_m = self.station_m
+        for begin_m, end_m, arc_mps in self._arcs:
+            if station_m < end_m and arc_mps < wanted_mps:
+                before_m = begin_m - station_m
+                if before_m <= 0.0:
+                    wanted_mps = arc_mps
+                elif before_m < LOOK_AHEAD_M:
+                    wanted_mps = min(wanted_mps, math.sqrt(arc_mps * arc_mps + 2.0 * COMFORT_MPS2 * before_m))
+        return wanted_mps
+
     def move(self, time_s: float, dt_s: float) -> None:
         """Advance by one time step."""
         if time_s < self.starts_s:
@@ -217,13 +238,7 @@ class Vehicle:
             if from_s <= time_s < to_s:
                 wanted *= share
         station_m = self.station_m
-        for begin_m, end_m, arc_mps in self._arcs:
-            if station_m < end_m and arc_mps < wanted:
-                before_m = begin_m - station_m
-                if before_m <= 0.0:
-                    wanted = arc_mps
-                elif before_m < LOOK_AHEAD_M:
-                    wanted = min(wanted, math.sqrt(arc_mps * arc_mps + 2.0 * COMFORT_MPS2 * before_m))
+        wanted = self._wanted_before_bends(wanted)
         squared = (speed / wanted) * (speed / wanted) if wanted > 0.1 else math.inf
         accel = ACCEL_MPS2 * (1.0 - squared * squared)
         if accel < -style.braking_mps2:
@@ -245,13 +260,18 @@ class Vehicle:
         self.speed_mps = faster
         if faster == 0.0 and speed == 0.0:
             return
-        self.station_m = station_m = station_m + 0.5 * (speed + faster) * dt_s
+        along_m = 0.5 * (speed + faster) * dt_s
         turn = 0.0
         pull = self.pull_out
-        if pull is not None:
-            share = min(max((station_m - pull.from_m) / pull.over_m, 0.0), 1.0)
+        if pull is None:
+            station_m += along_m
+        else:
+            along_m *= math.cos(pull.turn_at(station_m))
+            station_m = self.path.station_after(station_m, self.offset_m, along_m)
+            share = pull.share_at(station_m)
             self.offset_m = pull.offset_m * (1.0 - share * share * (3.0 - 2.0 * share))
-            turn = math.atan2(-pull.offset_m * 6.0 * share * (1.0 - share), pull.over_m)
+            turn = pull.turn_at(station_m)
+        self.station_m = station_m
         self.x_m, self.y_m, yaw_rad = self.path.pose_at(station_m, self.offset_m)
         self.yaw_rad = yaw_rad + turn
 

@@ -83,6 +83,6 @@ def test_the_workers_page_says_who_is_there_and_what_it_can_run(site: Served, vi
     row = page.locator("table.workers tbody tr")
     shown(row).to_have_count(1)
     shown(row).to_contain_text(told["id"])
-    shown(row).to_contain_text("brink-drive@1")
+    shown(row).to_contain_text("brink-drive@2")
     shown(row.locator(".badge")).to_have_text("live")
     shown(page.get_by_role("region", name="All workers")).to_contain_text("Live workers")

@@ -100,7 +100,7 @@ class Repeating(RandomSearch):
     def ask(self, state: RandomSearchState) -> tuple[RandomSearchState, tuple[Candidate, ...]]:
         state, candidates = super().ask(state)
         doubled = (*candidates[:-1], replace(candidates[-1], vectors=candidates[0].vectors))
-        ledger = replace(state.ledger, queue=doubled)
+        ledger = replace(state.ledger, flight=(*state.ledger.flight[:-1], doubled))
         return replace(state, ledger=ledger), doubled
 
 
@@ -138,7 +138,8 @@ class Writable(RandomSearch):
     def ask(self, state: RandomSearchState) -> tuple[RandomSearchState, tuple[Candidate, ...]]:
         state, candidates = super().ask(state)
         loose = tuple(replace(c, vectors=tuple(np.array(v) for v in c.vectors)) for c in candidates)
-        return replace(state, ledger=replace(state.ledger, queue=loose)), loose
+        ledger = replace(state.ledger, flight=(*state.ledger.flight[:-1], loose))
+        return replace(state, ledger=ledger), loose
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import httpx
 from anyio.from_thread import BlockingPortal, start_blocking_portal
 from sqlalchemy import func, select
 
+from brink.search.algorithm import ask_all
 from brink.search.archive import archive_digest
 from brink.server.app import create_app
 from brink.server.campaigns.body import parse_body
@@ -120,7 +121,8 @@ def undisturbed_digest(document: dict[str, Any]) -> str:
     algorithm = plan.algorithm
     state = algorithm.start(plan.problem.space, plan.config, seed=body.seed, budget=body.budget.simulations)
     while not algorithm.finished(state):
-        state, candidates = algorithm.ask(state)
+        state, _ = ask_all(algorithm, state)
+        candidates = state.pending
         solutions = new_solutions(plan.problem, candidates, state, body.seed)
         evaluations = {}
         for candidate, solution in zip(candidates, solutions, strict=True):

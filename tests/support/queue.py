@@ -12,7 +12,7 @@ from sqlalchemy import Connection, Row, select, update
 
 from brink.server.campaigns import step_store, store
 from brink.server.campaigns.body import Budget, CampaignBody, Execution, PluginChoice
-from brink.server.campaigns.step_store import NewSolution
+from brink.server.campaigns.step_store import Asked, NewSolution
 from brink.server.db.engine import Engines
 from brink.server.db.models import JobRow
 from brink.server.db.sql import database_now
@@ -96,7 +96,8 @@ class Queue:
             store.insert_campaign(connection, name, body, body.document_hash(), None)
             found = store.CAMPAIGNS.find(connection, name)
             assert found is not None
-            step_store.insert_solutions(connection, found, 0, solutions)
+            asked = Asked(first=0, generations=[solutions] if solutions else [], end=None)
+            step_store.insert_generations(connection, found, asked)
 
         self.run(unit)
         return name

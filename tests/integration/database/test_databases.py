@@ -1,5 +1,6 @@
 """What every database must do: migrate to this version's tables, once, whole or not at all."""
 
+import json
 import shutil
 import subprocess
 import sys
@@ -64,9 +65,12 @@ def test_an_upgrade_keeps_what_is_stored(empty: Engines) -> None:
             text(
                 "INSERT INTO campaigns (id, name, document, document_hash, status, status_reason, seed, priority,"
                 " budget, generation, evaluated, unsafe, failed, failures_accepted, turn, created_at)"
-                " VALUES ('a', 'old', '{}', 'h', 'running', '', 1, 0, 9, 1, 3, 1, 0, 0, 0, :moment)"
+                " VALUES ('a', 'old', :document, 'h', 'running', '', 1, 0, 9, 1, 3, 1, 0, 0, 0, :moment)"
             ),
-            {"moment": moment.isoformat(" ") if empty.writer.dialect.name == "sqlite" else moment},
+            {
+                "document": json.dumps({"algorithm": {"id": "random@1", "params": {"generation_size": 60}}}),
+                "moment": moment.isoformat(" ") if empty.writer.dialect.name == "sqlite" else moment,
+            },
         )
         connection.execute(
             text(
@@ -85,7 +89,10 @@ def test_an_upgrade_keeps_what_is_stored(empty: Engines) -> None:
         )
     assert upgrade(empty) == ("0001", head_revision())
     with empty.reader.connect() as connection:
-        assert connection.execute(select(CampaignRow.name, CampaignRow.measured)).one() == ("old", 0)
+        campaign = connection.execute(select(CampaignRow)).one()
+        assert (campaign.name, campaign.measured, campaign.generation_end) == ("old", 0, None)
+        params = campaign.document["algorithm"]["params"]
+        assert params == {"generation_size": 60, "in_flight": 1}, "it goes on with one generation in flight"
         kept = select(SolutionRow.number, SolutionRow.vector, SolutionRow.verdict, SolutionRow.robustness)
         assert connection.execute(kept).one() == (7, b"1234", "unsafe", -1.5)
         job = select(JobRow.number, JobRow.kind, JobRow.status, JobRow.failed_worker)

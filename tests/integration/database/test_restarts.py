@@ -1,8 +1,9 @@
 """Restarts and races: whatever happens in between, a campaign finds the same, bit for bit."""
 
 import json
+import random
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -23,7 +24,7 @@ from brink.search.archive import archive_digest
 from brink.server.campaigns import advance, step_store, store
 from brink.server.campaigns.advance import Stepper
 from brink.server.campaigns.body import parse_body
-from brink.server.campaigns.plan import first_generation, make_plan, restored_archive
+from brink.server.campaigns.plan import first_generations, make_plan, restored_archive
 from brink.server.campaigns.store import Campaign
 from brink.server.db.engine import Engines
 from brink.server.db.models import CheckpointRow, GenerationRow, SolutionRow
@@ -107,13 +108,13 @@ class Coordinators:
             for writer, seeds in zip(self.writers, self.seeds, strict=True)
         ]
         self.body = parse_body(body)
-        live, solutions = first_generation(self.body)
+        live, asked = first_generations(self.body)
 
         def unit(connection: Connection) -> None:
             store.insert_campaign(connection, "c0ffee", self.body, self.body.document_hash(), None)
             found = store.CAMPAIGNS.find(connection, "c0ffee")
             assert found is not None
-            step_store.insert_solutions(connection, found, 0, solutions)
+            step_store.insert_generations(connection, found, asked)
 
         self.queue.run(unit)
         self.steppers[0].adopt("c0ffee", live)
@@ -130,14 +131,22 @@ class Coordinators:
 
     def simulate(self) -> None:
         """Simulate all that is queued."""
-        while jobs := self.queue.lease(capabilities=(SIMULATOR, "brink-encounter@1")):
-            specs = {job.job: json.loads(self.queue.job(job.job).spec) for job in jobs}
-            self.queue.report(
-                *(
-                    Outcome(job=j.job, token=j.token, result=self.simulated(specs[j.job]).model_dump_json())
-                    for j in jobs
-                )
+        while jobs := self.lease():
+            self.report(jobs)
+
+    def lease(self) -> Sequence[LeasedJob]:
+        """Lease the jobs that are queued, at most as many as one request may lease."""
+        return self.queue.lease(capabilities=(SIMULATOR, "brink-encounter@1"))
+
+    def report(self, jobs: Iterable[LeasedJob]) -> None:
+        """Simulate and report the jobs."""
+        specs = {job.job: json.loads(self.queue.job(job.job).spec) for job in jobs}
+        self.queue.report(
+            *(
+                Outcome(job=j.job, token=j.token, result=self.simulated(specs[j.job]).model_dump_json())
+                for j in jobs
             )
+        )
 
     def digest(self) -> str:
         plan = make_plan(self.body)
@@ -183,6 +192,45 @@ def test_coordinators_that_take_turns_find_the_same(two: Coordinators) -> None:
         turn += 1
         two.steppers[turn % 2].advance("c0ffee")
     assert two.digest() == undisturbed_digest(ball())
+
+
+@pytest.fixture
+def overlapping(engines: Engines) -> Iterator[Coordinators]:
+    """Two coordinators of a campaign with four generations in flight, of 30, 30, 30 and 10 candidates."""
+    made = Coordinators(engines, CAMPAIGNS["random"])
+    yield made
+    made.close()
+
+
+def test_generations_in_flight_are_told_in_the_order_of_asking(overlapping: Coordinators) -> None:
+    jobs: list[LeasedJob] = []
+    while leased := overlapping.lease():
+        jobs += leased
+    numbers = [overlapping.queue.job(job.job).number for job in jobs]
+    assert numbers == list(range(100)), "all are queued at once, and older generations are simulated first"
+    stepper = overlapping.steppers[0]
+    overlapping.report(jobs[1:])
+    assert not stepper.advance("c0ffee"), "one simulation of the first generation is still open"
+    assert overlapping.campaign.evaluated == 0
+    overlapping.report(jobs[:1])
+    assert stepper.advance("c0ffee")
+    assert (overlapping.campaign.generation, overlapping.campaign.status) == (4, CampaignStatus.FINISHED)
+    assert overlapping.digest() == undisturbed_digest(CAMPAIGNS["random"])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_coordinators_that_take_turns_with_generations_in_flight_find_the_same(
+    overlapping: Coordinators, seed: int
+) -> None:
+    rng, turn = random.Random(seed), 0
+    while overlapping.campaign.status is CampaignStatus.RUNNING:
+        jobs = [*overlapping.lease(), *overlapping.lease()]
+        rng.shuffle(jobs)
+        for begin in range(0, len(jobs), 7):
+            overlapping.report(jobs[begin : begin + 7])
+            turn += 1
+            overlapping.steppers[turn % 2].advance("c0ffee")
+    assert overlapping.digest() == undisturbed_digest(CAMPAIGNS["random"])
 
 
 def test_a_stale_step_is_not_written(two: Coordinators) -> None:

@@ -51,7 +51,7 @@ def test_progress_counts_what_is_done_of_the_generations_under_way(client: httpx
     worker = FakeWorker(client)
     worker.report(worker.lease(max_jobs=8))
     progress = expect(client.get(path))
-    assert (progress["simulations"], progress["queued"]) == (8, 6 * 20 - 8)
+    assert (progress["simulations"], progress["queued"]) == (8, 6 * 2 * 20 - 8)
     assert progress["rate_per_s"] > 0
     assert progress["remaining_s"] > 0
     work_through(client, found["id"])

@@ -1,10 +1,12 @@
 """Monitors over the API and at the command line: fitting, scoring, and evaluation on fresh solutions."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 from support.api import ball, expect, finish, submit
 from support.databases import on_sqlite
@@ -12,6 +14,8 @@ from typer.testing import CliRunner
 
 from brink.cli.commands import app
 from brink.search.analysis.monitor import Monitor
+from brink.search.space import Component, Real, SearchSpace
+from brink.server.errors import InvalidInput
 
 RANDOM = {"id": "random@1", "params": {"generation_size": 100, "radius": 0.2}}
 
@@ -28,6 +32,12 @@ def test_campaign_scores_solutions(client: httpx.Client) -> None:
     inside, outside = scored["risks"]
     assert inside["probability"] > 0.8 > 0.2 > outside["probability"]
     assert (inside["answer"], outside["answer"]) == ("unsafe", "safe")
+    assert (scored["model"], inside["neighbours"], inside["unlike"]) == ("trees", None, "")
+    neighbours = expect(
+        client.post(path, json={"solutions": [at(0, 0)], "threshold": 0.5, "model": "neighbours"})
+    )
+    assert neighbours["model"] == "neighbours"
+    assert neighbours["risks"][0]["neighbours"] > 10
     assert expect(client.post(path, json={"solutions": [at(0, 0)]}))["threshold"] == 0.1, "p_th"
 
 
@@ -39,6 +49,7 @@ def test_campaign_scores_solutions(client: httpx.Client) -> None:
         ({"solutions": [at(0, 0), at(9, 0)]}, "/solutions/1"),
         ({"solutions": [{"where": {"x": 0}}]}, "/solutions/0"),
         ({"solutions": [at(0, 0)], "threshold": 1.0}, "/threshold"),
+        ({"solutions": [at(0, 0)], "model": "oracle"}, "/model"),
         ({"solutions": [{"where": {"x": "NaN"}, "what": {"y": 0}}]}, "/solutions/0"),
     ],
 )
@@ -64,7 +75,7 @@ def test_monitor_file_scores_and_is_evaluated_offline(listening_client: httpx.Cl
 
     made = run(app, ["monitor", "fit", learned, "--out", str(file), "--threshold", "0.5", *server])
     assert made.exit_code == 0, made.output
-    assert "400 solutions" in made.output
+    assert "trees, fitted to 400 solutions" in made.output
     monitor = Monitor.load(file)
     assert json.loads(file.read_text())["about"]["campaigns"] == [learned]
     assert monitor.ask(at(0, 0)).answer == "unsafe"
@@ -77,7 +88,8 @@ def test_monitor_file_scores_and_is_evaluated_offline(listening_client: httpx.Cl
     body = {"solutions": [at(0, 0), at(1.9, 1.9)], "threshold": 0.5}
     from_api = expect(listening_client.post(path, json=body))["risks"]
     for here, there in zip(json.loads(asked.stdout), from_api, strict=True):
-        assert here.pop("answer") == there.pop("answer")
+        for exact in ("answer", "unlike", "neighbours"):
+            assert here.pop(exact) == there.pop(exact)
         assert here == pytest.approx(there)
 
     picture = tmp_path / "monitor.png"
@@ -85,15 +97,56 @@ def test_monitor_file_scores_and_is_evaluated_offline(listening_client: httpx.Cl
     assert judged.exit_code == 0, judged.output
     trial = json.loads(judged.stdout)
     witnesses = {one["name"]: one["judgement"] for one in trial["witnesses"]}
-    assert set(witnesses) == {"monitor", "majority", "gradient-boosted trees"}
-    assert (trial["learned"], trial["fresh"], trial["left_out"]) == (400, 400, {})
+    assert set(witnesses) == {"monitor", "majority", "neighbours"}
+    assert (trial["model"], trial["learned"], trial["fresh"]) == ("trees", 400, 400)
+    assert (trial["left_out"], trial["pairs"]) == ({}, None)
     assert witnesses["majority"]["auroc"] == 0.5
     assert witnesses["monitor"]["auroc"] > 0.95
     assert witnesses["monitor"]["brier"] < witnesses["majority"]["brier"] / 2
     assert picture.stat().st_size > 10_000
-    said = run(app, ["monitor", "judge", str(file), fresh, *server])
+    pairs = tmp_path / "pairs.jsonl"
+    sides = [
+        {"safe": {"parameters": at(1.9, 1.9)}, "unsafe": {"parameters": at(0, 0), "number": 7}, "distance": 1}
+    ]
+    pairs.write_text("".join(json.dumps(pair) + "\n" for pair in sides) + "\n")
+    said = run(app, ["monitor", "judge", str(file), fresh, "--pairs", str(pairs), *server])
     assert "evaluated on 400 others" in said.output
+    assert "pairs across the boundary: 1; both sides right 1 (100%)" in said.output
 
     known = run(app, ["monitor", "judge", str(file), learned, *server])
     assert known.exit_code == 1
     assert "safe and unsafe" in str(known.exception), "a monitor is not evaluated on its own training data"
+
+
+@on_sqlite
+def test_model_is_chosen_at_the_command_line(listening_client: httpx.Client, tmp_path: Path) -> None:
+    campaign = finish(listening_client, ball(simulations=40, algorithm=RANDOM))
+    file, server = tmp_path / "monitor.json", ["--server", str(listening_client.base_url)]
+    made = CliRunner().invoke(
+        app, ["monitor", "fit", campaign, "--out", str(file), "--model", "neighbours", "--json", *server]
+    )
+    assert made.exit_code == 0, made.output
+    assert json.loads(made.stdout)["model"] == "neighbours"
+    assert Monitor.load(file).model == "neighbours"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "expected at least one pair, got none"),
+        ("[]", r"line 1: expected \{\"safe\""),
+        ('{"safe": {"parameters": {}}}', "line 1: where: missing component"),
+        ('\n{"safe": 3}', r"line 2: expected \{\"safe\""),
+        ('{"safe": {"parameters": {"where": {"x": 9}, "what": {"y": 0}}}}', r"where.x: expected a number in"),
+    ],
+)
+def test_invalid_pairs_are_located(tmp_path: Path, text: str, said: str) -> None:
+    space = SearchSpace((Component("where", (Real("x", -2, 2),)), Component("what", (Real("y", -2, 2),))))
+    rows = np.zeros((3, 2))
+    file, pairs = tmp_path / "monitor.json", tmp_path / "pairs.jsonl"
+    file.write_text(Monitor.of(space, (1, 1), rows, np.arange(3) == 1, threshold=0.1).to_json())
+    pairs.write_text(text)
+    judged = CliRunner().invoke(app, ["monitor", "judge", str(file), "3f2a", "--pairs", str(pairs)])
+    assert judged.exit_code != 0
+    assert isinstance(judged.exception, InvalidInput)
+    assert re.search(said, str(judged.exception))

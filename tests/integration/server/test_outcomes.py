@@ -13,6 +13,7 @@ from support.databases import Databases, on_sqlite
 from support.problems import small_problems
 
 from brink.server.db.engine import Engines
+from brink.server.problems.urban_injected import SIMULATOR as DRIVES
 from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
 
 API = "/api/v1/campaigns"
@@ -44,7 +45,7 @@ def drive(job: LeasedJob) -> Completed | JobFailed:
 def driven(module_databases: Databases) -> Iterator[tuple[httpx.Client, str]]:
     with small_problems(), module_databases.database() as url, coordinator(url) as client:
         campaign = submit(client, URBAN)
-        worker = FakeWorker(client, judge=drive, capabilities=("brink-drive@1",))
+        worker = FakeWorker(client, judge=drive, capabilities=(DRIVES,))
         assert worker.work(campaign)["status"] == "finished"
         yield client, campaign
 
@@ -132,7 +133,7 @@ def test_a_campaign_may_be_about_several_requirements(
 ) -> None:
     body = {**URBAN, "problem": {"id": "urban-injected@1", "params": {"requirement": requirement}}}
     campaign = submit(client, body)
-    worker = FakeWorker(client, judge=drive, capabilities=("brink-drive@1",))
+    worker = FakeWorker(client, judge=drive, capabilities=(DRIVES,))
     assert worker.work(campaign)["status"] == "finished"
     for one in solutions(client, campaign):
         assert (one["verdict"] == "unsafe") == (one["seed"] % 3 in unsafe)
@@ -157,7 +158,7 @@ def test_a_computed_problem_has_no_requirements_to_name(client: httpx.Client) ->
 @on_sqlite
 def test_results_without_requirements_are_not_called_clean(client: httpx.Client, engines: Engines) -> None:
     campaign = submit(client, URBAN)
-    FakeWorker(client, judge=drive, capabilities=("brink-drive@1",)).work(campaign)
+    FakeWorker(client, judge=drive, capabilities=(DRIVES,)).work(campaign)
     with engines.writer.begin() as connection:
         connection.exec_driver_sql("UPDATE jobs SET result = NULL WHERE number % 2 = 0")
     for one in solutions(client, campaign):

@@ -508,7 +508,9 @@ def test_story_is_the_violated_requirement_if_the_campaign_judges_none(client: h
     found = episode(
         client, replace(make_trace(samples=40), robustness={"front-gap@1": far, "speed-limit@1": fast})
     )
-    assert found["story"] == {"requirement": "speed-limit@1", "violated": True, "decisive": 25}
+    story = found["story"]
+    assert (story["requirement"], story["violated"], story["decisive"]) == ("speed-limit@1", True, 25)
+    assert story["words"] == "exceeded the speed limit at 2.5 s"
 
 
 @on_sqlite

@@ -11,7 +11,7 @@ from brink.search.algorithms.ga import GeneticAlgorithm, GeneticAlgorithmConfig
 from brink.search.algorithms.mlcshe import Mlcshe
 from brink.search.algorithms.random_search import RandomSearch, RandomSearchConfig
 from brink.search.analysis.boundary import dbs_grid, distinct_boundary
-from brink.search.archive import Archive
+from brink.search.archive import Archive, archive_digest
 from brink.search.errors import ConfigError
 from brink.search.problems import (
     MTQ_RADIUS,
@@ -34,6 +34,16 @@ TINY = SearchSpace((Component("a", (Categorical("x", ("0", "1", "2")), Categoric
 def test_random_search_spends_its_budget_exactly() -> None:
     run = play(RandomSearch(), SPACE, RandomSearchConfig(), synthetic_verdicts(SPACE), seed=1, budget=130)
     assert [len(generation) for generation in run.generations] == [60, 60, 10]
+
+
+@pytest.mark.parametrize("space", [SPACE, TINY])
+def test_random_search_finds_the_same_with_any_number_of_generations_in_flight(space: SearchSpace) -> None:
+    digests = {
+        archive_digest(play(RandomSearch(), space, config, verdicts, seed=1, budget=130).archive)
+        for config in (RandomSearchConfig(generation_size=7, in_flight=n) for n in (1, 2, 8, 100))
+        for verdicts in [synthetic_verdicts(space, failing=0.3)]
+    }
+    assert len(digests) == 1
 
 
 def test_random_search_draws_from_the_distribution_of_the_space() -> None:

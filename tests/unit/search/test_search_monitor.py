@@ -5,13 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import brink.search.analysis.monitor
-from brink.search.analysis.monitor import Answer, Monitor
-from brink.search.analysis.monitor_evaluation import evaluate_monitor
+import brink.search.analysis.neighbours
+from brink.search.analysis.monitor import Answer, Model, Monitor
+from brink.search.analysis.monitor_evaluation import evaluate_monitor, evaluate_pairs
+from brink.search.analysis.neighbours import Neighbours
 from brink.search.analysis.statistics import a12
 from brink.search.errors import DocumentError, SpaceError
 from brink.search.fitness import wilson_interval
-from brink.search.space import Component, Real, SearchSpace
+from brink.search.space import Component, FloatArray, Real, SearchSpace
 from brink.search.testing import example_spaces
 
 MIXED = example_spaces()["mixed"]
@@ -25,12 +26,17 @@ def plane(count: int, seed: int = 1) -> tuple[np.typing.NDArray[np.float64], np.
     return rows, rng.random(count) < rows[:, 0]
 
 
+def weights_of(monitor: Monitor) -> FloatArray:
+    assert isinstance(monitor.estimator, Neighbours)
+    return monitor.estimator.weights
+
+
 def naive(monitor: Monitor, row: np.typing.NDArray[np.float64]) -> tuple[float, float, float]:
     n = k = 0.0
     space = monitor.space
     for other, unsafe in zip(monitor.vectors, monitor.unsafe, strict=True):
         exponent = 0.0
-        for column, weight in enumerate(monitor.weights):
+        for column, weight in enumerate(weights_of(monitor)):
             apart = abs(row[column] - other[column]) / space.ranges[column]
             exponent += weight * (apart > 0 if space.categorical[column] else apart)
         n += math.exp(-exponent)
@@ -49,6 +55,7 @@ def test_scores_follow_the_definition(kind: str) -> None:
     }[kind]  # fmt: skip
     monitor = Monitor.of(MIXED, weights * used, rows[:70], rng.random(70) < 0.3, threshold=0.1)
     risks = monitor.score(rows[60:])
+    assert risks.neighbours is not None
     for place, row in enumerate(rows[60:]):
         n, k, probability = naive(monitor, row)
         assert (risks.neighbours[place], risks.probability[place]) == pytest.approx((n, probability))
@@ -60,7 +67,7 @@ def test_blocks_do_not_change_the_scores(monkeypatch: pytest.MonkeyPatch) -> Non
     monitor = Monitor.of(PLANE, (8, 2), rows, unsafe, threshold=0.5)
     asked, _ = plane(70, seed=9)
     at_once = monitor.score(asked)
-    monkeypatch.setattr(brink.search.analysis.monitor, "BLOCK_PAIRS", 700)
+    monkeypatch.setattr(brink.search.analysis.neighbours, "BLOCK_PAIRS", 700)
     in_blocks = monitor.score(asked)
     assert in_blocks.probability == pytest.approx(at_once.probability)
     assert in_blocks.neighbours == pytest.approx(at_once.neighbours)
@@ -81,6 +88,7 @@ def test_answer_far_from_all_simulations_is_unknown() -> None:
     assert (near, far, nowhere) == (Answer.UNSAFE, Answer.UNKNOWN, Answer.UNKNOWN)
     risk = monitor.ask({"scenario": {"x": 1.0}, "behaviour": {"y": 1.0}})
     assert (risk.low, risk.high, risk.answer) == (0.0, 1.0, Answer.UNKNOWN)
+    assert risk.neighbours is not None
     assert risk.neighbours < 1e-9
     assert risk.probability == pytest.approx(1.0), "without neighbours the estimate is the overall share"
 
@@ -88,7 +96,7 @@ def test_answer_far_from_all_simulations_is_unknown() -> None:
 def test_uninformative_parameter_gets_a_small_weight() -> None:
     rows, unsafe = plane(500)
     monitor = Monitor.fitted(PLANE, rows, unsafe, threshold=0.5)
-    of_scenario, of_behaviour = monitor.weights
+    of_scenario, of_behaviour = weights_of(monitor)
     assert of_scenario >= 4
     assert of_behaviour <= 0.5
     assert next(iter(monitor.informative_weights)) == "scenario.x"
@@ -108,7 +116,7 @@ def test_monitor_survives_storage(tmp_path: Path) -> None:
     again = Monitor.load(path)
     assert json.loads(path.read_text())["about"] == {"campaign": "3f2a"}
     assert again.threshold == monitor.threshold
-    assert (again.weights == monitor.weights).all()
+    assert (weights_of(again) == weights_of(monitor)).all()
     assert (again.score(rows).probability == monitor.score(rows).probability).all()
     decoded = MIXED.decode(MIXED.split(rows[3]))
     assert again.ask(decoded) == monitor.ask(decoded)
@@ -116,10 +124,10 @@ def test_monitor_survives_storage(tmp_path: Path) -> None:
 
 def test_fitting_on_a_random_subset_is_reproducible(monkeypatch: pytest.MonkeyPatch) -> None:
     rows, unsafe = plane(400)
-    monkeypatch.setattr(brink.search.analysis.monitor, "MAX_LEARNED", 150)
-    monkeypatch.setattr(brink.search.analysis.monitor, "MAX_PREDICTED", 100)
+    monkeypatch.setattr(brink.search.analysis.neighbours, "MAX_LEARNED", 150)
+    monkeypatch.setattr(brink.search.analysis.neighbours, "MAX_PREDICTED", 100)
     first, again = (Monitor.fitted(PLANE, rows, unsafe, threshold=0.5, seed=3) for _ in range(2))
-    assert (first.weights == again.weights).all()
+    assert (weights_of(first) == weights_of(again)).all()
     assert len(first) == 400, "a fitted monitor uses all solutions"
 
 
@@ -128,13 +136,44 @@ def test_fitting_on_a_random_subset_is_reproducible(monkeypatch: pytest.MonkeyPa
     [
         ("{", "expected a monitor"),
         ("[]", "format 'brink-monitor'"),
-        ('{"format": "brink-monitor", "version": 1}', "expected version 2, got 1: fit the monitor again"),
+        (
+            '{"format": "brink-monitor", "version": 1}',
+            "expected version 2 or 3, got 1: fit the monitor again",
+        ),
         ('{"format": "brink-monitor", "version": 2}', "expected a monitor: KeyError"),
     ],
 )
 def test_invalid_monitors_are_rejected(text: str, said: str) -> None:
     with pytest.raises(DocumentError, match=said):
         Monitor.from_json(text)
+
+
+def test_files_of_earlier_versions_keep_their_probabilities() -> None:
+    rows, unsafe = plane(60)
+    monitor = Monitor.of(PLANE, (8, 2), rows, unsafe, threshold=0.3)
+    document = json.loads(monitor.to_json())
+    for added in ("model", "ties", "orders"):
+        del document[added]
+    earlier = Monitor.from_json(json.dumps(document | {"version": 2, "weights": [8.0, 2.0]}))
+    asked, _ = plane(50, seed=3)
+    assert (earlier.score(asked).probability == monitor.score(asked).probability).all()
+    assert earlier.score(asked).unlike == monitor.score(asked).unlike
+    assert (earlier.model, earlier.threshold) == (Model.NEIGHBOURS, 0.3)
+
+
+def test_pairs_count_as_right_if_both_sides_are() -> None:
+    rows = np.array([[0.1, 0.5], [0.9, 0.5]])
+    monitor = Monitor.of(PLANE, (50, 0), np.repeat(rows, 40, axis=0), np.arange(80) >= 40, threshold=0.1)
+    safe, unsafe = (
+        np.array([[0.1, 0.0], [0.12, 0.0], [0.9, 0.0]]),
+        np.array([[0.9, 0.0], [0.14, 0.0], [0.1, 0.0]]),
+    )
+    found = evaluate_pairs(monitor, safe, unsafe)
+    assert (found.pairs, found.both_right, found.ranked) == (3, 1, 2)
+    expected = monitor.score(unsafe).probability - monitor.score(safe).probability
+    assert found.difference == pytest.approx(expected.mean())
+    with pytest.raises(ValueError, match="got 3 safe and 0 unsafe"):
+        evaluate_pairs(monitor, safe, unsafe[:0])
 
 
 def test_invalid_questions_are_rejected() -> None:
@@ -158,10 +197,14 @@ def test_json_of_an_evaluation_keeps_the_published_field_names() -> None:
     rows, unsafe = plane(200)
     fresh, truth = plane(300, seed=2)
     found = evaluate_monitor(Monitor.of(PLANE, (8, 0), rows, unsafe, threshold=0.5), fresh, truth).to_json()
-    assert list(found) == ["learned", "fresh", "threshold", "witnesses", "answers", "left_out"]
+    assert list(found) == [
+        "model", "learned", "fresh", "threshold", "witnesses", "answers", "unlike", "left_out", "pairs",
+    ]  # fmt: skip
     witness = json.loads(json.dumps(found))["witnesses"][0]
     assert list(witness) == ["name", "judgement", "alarms"]
-    assert list(witness["judgement"]) == ["solutions", "unsafe", "auroc", "brier", "bins"]
+    assert list(witness["judgement"]) == [
+        "solutions", "unsafe", "auroc", "brier", "bins", "calibration_error",
+    ]  # fmt: skip
     assert list(witness["judgement"]["bins"][0]) == [
         "solutions", "foretold", "low", "high", "observed", "observed_low", "observed_high",
     ]  # fmt: skip

@@ -54,6 +54,26 @@ def test_region_of_two_conditions_is_found_and_described() -> None:
     assert f"{inside.sum()} of 600 evaluated solutions" in text
 
 
+def test_an_inactive_parameter_counts_as_inactive_whatever_its_value() -> None:
+    rows = drawn(600)
+    recorded = np.ones(rows.shape, np.bool_)
+    recorded[::3, 1] = False
+    recorded[1::3, 2] = False
+
+    def conditions(inside: np.ndarray) -> set[str]:
+        rules = region_rules(archive(rows), SPACE, inside, "the region", seed=1, recorded=recorded)
+        assert [rule.share for rule in rules.rules] == [1.0] + [0.0] * (len(rules.rules) - 1)
+        return {condition for rule in rules.rules for condition in rule.conditions}
+
+    night, late = recorded[:, 1] & (rows[:, 1] == 1), recorded[:, 2] & (rows[:, 2] <= 6.0)
+    assert conditions(recorded[:, 2]) == {"behaviour.late_s is active", "behaviour.late_s is inactive"}
+    assert conditions(night) == {"scenario.night is yes", "scenario.night is no or inactive"}
+    found = conditions(late)
+    assert any(one.startswith("behaviour.late_s from 0 to ") for one in found), found
+    assert any(one.endswith(" or inactive") or one.endswith(" is inactive") for one in found), found
+    assert any(one.endswith(" s or inactive") for one in conditions(~recorded[:, 2] | (rows[:, 2] <= 6.0)))
+
+
 def test_best_rule_covers_exactly_the_region() -> None:
     rows = drawn(300)
     inside = (rows[:, 3] <= 4) & (rows[:, 1] == 1)

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from brink.server.api.boundary_table import boundary_rows, table_bytes
-from brink.server.api.schemas import Boundary, SolutionView
+from brink.server.api.schemas import ActivityView, Boundary, SolutionView
 from brink.server.campaigns.body import parse_body
 from brink.server.states import SolutionVerdict
 
@@ -56,6 +56,17 @@ def test_a_row_contains_everything_known_about_a_solution() -> None:
     assert {name: first[name] for name in wanted} == wanted
     assert "version.cpu_s" not in first
     assert (second["strict"], second["interval_low"], second["robustness.front-gap@1"]) == (False, None, None)
+
+
+def test_parameters_are_as_the_episode_had_them() -> None:
+    activity = ActivityView(
+        inactive=["scenario.lanes"], idle=["behaviour"],
+        effective={"scenario": {"weather": "fog", "lanes": 0}, "behaviour": {"late_s": 2.0}},
+    )  # fmt: skip
+    unknown, known = boundary_rows(boundary(solution(7), solution(8, activity=activity)), "c0ffee", BODY)
+    names = ("scenario.weather", "scenario.lanes", "behaviour.late_s", "idle")
+    assert [unknown[name] for name in names] == ["fog", 2, 3.25, ""]
+    assert [known[name] for name in names] == ["fog", None, 2.0, "behaviour"]
 
 
 def test_all_formats_have_the_same_content() -> None:

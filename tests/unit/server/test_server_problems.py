@@ -100,7 +100,8 @@ def refused(**params: Any) -> dict[str, str]:
 
 
 def test_the_first_generation_is_measured_on_data() -> None:
-    _, solutions = check_submission(parse_body(AEB_BODY))
+    _, asked = check_submission(parse_body(AEB_BODY))
+    (solutions,) = asked.generations
     assert len(solutions) == 20
     specs = [solution.job.spec for solution in solutions if solution.job is not None]
     assert len(set(specs)) == 20

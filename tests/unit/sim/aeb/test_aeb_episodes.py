@@ -155,7 +155,7 @@ def test_a_trace_can_be_drawn() -> None:
         ({"options": {"braking": 1}}, "options.braking: expected true or false"),
         ({"options": {"width_px": 8}}, r"options.width_px: expected a number in \[64, 4096\]"),
         ({"options": {"heigth_px": 360}}, "did you mean 'height_px'"),
-        ({"simulator": "brink-drive@1"}, "simulator: expected brink-aeb@1, got"),
+        ({"simulator": "brink-drive@2"}, "simulator: expected brink-aeb@1, got"),
         ({"duration_s": 600.0}, "duration_s: expected at most 60"),
     ],
 )

@@ -217,7 +217,7 @@ KEEPS = stretch("keep", 0.0, 5.0)
         ({"behaviour": {"mode": "oracle", "threshold": 0.5}}, "unknown field 'threshold'"),
         ({"options": {"fidelity": "wheels"}}, "options: expected none"),
         ({"duration_s": 500.0}, "at most 120"),
-        ({"simulator": "brink-drive@1"}, "simulator: expected brink-encounter@1, got"),
+        ({"simulator": "brink-drive@2"}, "simulator: expected brink-encounter@1, got"),
     ],
 )
 def test_an_invalid_specification_is_refused(

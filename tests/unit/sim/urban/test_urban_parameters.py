@@ -69,9 +69,16 @@ def test_errors_name_missing_and_unknown_fields() -> None:
 
 
 def test_a_box_moves_linearly_and_only_appears_between_its_steps() -> None:
-    read = DetectorBehaviour.from_json(behaviour(trajectory()))
-    assert [len(read.boxes_at(step)) for step in (9, 10, 60, 110, 111)] == [0, 1, 1, 1, 0]
-    (box,) = read.boxes_at(60)
+    (read,) = DetectorBehaviour.from_json(behaviour(trajectory())).trajectories
+    assert [read.box_at(step) is not None for step in (9, 10, 60, 110, 111)] == [
+        False,
+        True,
+        True,
+        True,
+        False,
+    ]
+    box = read.box_at(60)
+    assert box is not None
     assert box.label is ObstacleLabel.VEHICLE
     assert (box.x_min_px, box.x_max_px, box.y_min_px, box.y_max_px) == (200.0, 350.0, 225.0, 450.0)
 

@@ -21,7 +21,7 @@ SCENARIO: JsonObject = {
     "road_length": 1, "driving_task": "second_exit",
 }  # fmt: skip
 ORACLE = EpisodeSpec(
-    simulator="brink-drive@1",
+    simulator="brink-drive@2",
     scenario=SCENARIO,
     behaviour={"mode": "oracle"},
     requirements=requirement_ids(),
@@ -45,7 +45,7 @@ def fingerprint(result: EpisodeResult) -> str:
 
 
 def test_the_catalogue_makes_the_simulator() -> None:
-    assert isinstance(make_simulator("brink-drive@1"), BrinkDrive)
+    assert isinstance(make_simulator("brink-drive@2"), BrinkDrive)
 
 
 def test_every_requirement_has_a_finite_verdict(simulator: BrinkDrive) -> None:
@@ -54,7 +54,7 @@ def test_every_requirement_has_a_finite_verdict(simulator: BrinkDrive) -> None:
     assert all(np.isfinite(verdict.robustness) for verdict in result.verdicts.values())
     assert set(result.objectives) == {f"{name}:robustness" for name in ORACLE.requirements}
     assert result.trace is None
-    assert result.provenance["simulator"] == "brink-drive@1"
+    assert result.provenance["simulator"] == "brink-drive@2"
     assert result.provenance["instruction_set"]
 
 
@@ -189,7 +189,7 @@ def test_an_ego_without_detections_drives_into_slow_traffic(simulator: BrinkDriv
         ({"requirements": ("front-gap",)}, "did you mean 'front-gap@1'"),
         ({"requirements": ("front-gap@1", "front-gap@1")}, "twice"),
         ({"duration_s": 1e6}, "expected at most"),
-        ({"simulator": "other@1"}, "simulator: expected brink-drive@1, got"),
+        ({"simulator": "other@1"}, "simulator: expected brink-drive@2, got"),
         ({"scenario": {}}, "scenario.time_of_day: missing"),
         ({"behaviour": {"mode": "injected"}}, "behaviour.trajectories: missing"),
     ],

@@ -93,7 +93,7 @@ def test_friction_circle_holds(
 
 FIDELITIES = ("bicycle", "wheels")
 SPEC = EpisodeSpec(
-    simulator="brink-drive@1",
+    simulator="brink-drive@2",
     scenario={
         "time_of_day": "noon", "weather": "wet", "pedestrians": 0, "road_curve": "left", "road_id": 1,
         "road_length": 0, "driving_task": "follow_road",

@@ -8,10 +8,10 @@ import pytest
 
 from brink.sim.driving.interface import LightState
 from brink.sim.world.line import Piece, ReferenceLine
-from brink.sim.world.pedestrians import Phase, Walker
+from brink.sim.world.pedestrians import KERB_SETBACK_M, WALKER_STEP_S, Phase, Walker
 from brink.sim.world.scenario import DrivingTask, RoadCurve, TimeOfDay, UrbanScenario, Weather
 from brink.sim.world.traffic import lane_is_free
-from brink.sim.world.vehicle import CAR, DrivingStyle, Mover, StopPoint, Vehicle
+from brink.sim.world.vehicle import CAR, CORNERING_MPS2, DrivingStyle, Mover, StopPoint, Vehicle
 from brink.sim.world.world import STEP_S, UrbanWorld, make_world
 
 ROAD = ReferenceLine(0.0, 0.0, 0.0, [Piece(300.0)])
@@ -82,6 +82,46 @@ def test_a_vehicle_slows_down_before_a_bend() -> None:
             speeds.append(turning.speed_mps)
     assert speeds
     assert max(speeds) < 5.0
+
+
+def test_a_vehicle_starts_slowly_in_a_bend_and_close_before_one() -> None:
+    bend = ReferenceLine(0.0, 0.0, 0.0, [Piece(60.0), Piece(10.0, 1 / 7), Piece(60.0)])
+    speeds = [
+        Vehicle(name="t", size=CAR, path=bend, station_m=at_m, speed_mps=8.0, style=STYLE).speed_mps
+        for at_m in (20.0, 55.0, 62.0, 75.0)
+    ]
+    in_bend_mps = math.sqrt(CORNERING_MPS2 * 7.0)
+    assert speeds == [8.0, pytest.approx(math.hypot(in_bend_mps, 4.0)), pytest.approx(in_bend_mps), 8.0]
+
+
+def test_a_walker_walks_to_the_kerb_before_it_waits() -> None:
+    on_foot = walker(40.5, patience_s=99.0)
+    standing = vehicle(41.0, speed_mps=5.0)
+    offsets = [on_foot.offset_m]
+    for _ in range(40):
+        on_foot.look(0.0, [standing])
+        on_foot.move()
+        offsets.append(on_foot.offset_m)
+    steps = [before_m - after_m for before_m, after_m in itertools.pairwise(offsets)]
+    assert max(steps) == pytest.approx(1.3 * WALKER_STEP_S)
+    assert min(steps) == 0.0
+    assert (on_foot.phase, on_foot.speed_mps) == (Phase.WAITING, 0.0)
+    assert on_foot.offset_m == pytest.approx(on_foot.kerb_m + KERB_SETBACK_M)
+    assert on_foot.station_m - 40.5 == pytest.approx(0.0, abs=1.3 * WALKER_STEP_S)
+
+
+def test_a_walker_keeps_its_speed_on_the_pavement_of_a_bend() -> None:
+    bend = ReferenceLine(0.0, 0.0, 0.0, [Piece(10.0), Piece(20.0, -1 / 22), Piece(60.0)])
+    outside = Walker(
+        name="walker", centre=bend, station_m=5.0, offset_m=6.5, speed_mps=1.3, ahead=True, crosses_at_m=None,
+        kerb_m=5.0, patience_s=1.0,
+    )  # fmt: skip
+    for _ in range(280):
+        before = outside.x_m, outside.y_m
+        outside.look(0.0, [])
+        outside.move()
+        assert math.dist(before, (outside.x_m, outside.y_m)) == pytest.approx(1.3 * WALKER_STEP_S, abs=1e-3)
+    assert outside.station_m == pytest.approx(30.0 + 280 * 0.13 - 5.0 - 20.0 * (1.0 + 6.5 / 22))
 
 
 def test_a_walker_lets_a_car_pass_and_then_crosses() -> None:

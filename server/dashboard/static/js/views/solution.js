@@ -45,7 +45,7 @@ export async function show(main, context, { parts }) {
           evaluated && around.card),
         table ?? h("div")),
       place,
-      h("div.grid-2.uneven", null, h("div.stack", null, again, parameters(solution.parameters)), evaluated && around.table)));
+      h("div.grid-2.uneven", null, h("div.stack", null, again, parameters(solution)), evaluated && around.table)));
   update(solution);
 
   function update(read) {

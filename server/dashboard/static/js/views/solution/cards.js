@@ -48,12 +48,25 @@ export function verdicts(solution, judged, goTo) {
     })))));
 }
 
-/** Return the cards of a solution's parameters, one per component; names with a common prefix become columns. */
-export function parameters(given) {
-  return Object.entries(given).map(([component, values]) => h("section.card", { "aria-label": `Parameters: ${spaced(component)}` },
-    h("h2", null, capital(spaced(component))),
-    h("div.scroll.tall", { tabindex: 0, role: "region", "aria-label": `Table of ${spaced(component)}` },
-      grouped(values).map((group) => (group.prefixes ? crossTable(group) : plainTable(group, component))))));
+/** Return the cards of a solution's parameters, one per component; names with a common prefix become columns. If known, values are those that the drive had, and the others are left out. */
+export function parameters({ parameters: given, activity }) {
+  const inactive = new Set(activity?.inactive);
+  return Object.entries(activity?.effective ?? given).map(([component, values]) => {
+    const shown = Object.fromEntries(Object.entries(values).map(([name, one]) => [name, inactive.has(`${component}.${name}`) ? null : one]));
+    const partial = Object.values(shown).includes(null);
+    const idle = activity?.idle.includes(component);
+    return h("section.card", { "aria-label": `Parameters: ${spaced(component)}` },
+      h("h2", null, capital(spaced(component))),
+      idle ? h("p", null, `The ${component === "behaviour" ? "injected behaviour" : spaced(component)} had no part in this drive.`)
+        : h("div.scroll.tall", { tabindex: 0, role: "region", "aria-label": `Table of ${spaced(component)}` },
+          grouped(shown).map((group) => (group.prefixes ? crossTable(group) : plainTable(group, component)))),
+      !idle && partial && h("p.hint", null, "–: had no part in this drive."),
+      !idle && !same(values, given[component], inactive, component) && h("p.hint", null, "The drive ended before a time window did; the table shows the window up to there."));
+  });
+}
+
+function same(values, given, inactive, component) {
+  return Object.entries(values).every(([name, one]) => one === given[name] || inactive.has(`${component}.${name}`));
 }
 
 function plainTable({ entries }, component) {

@@ -1,0 +1,120 @@
+"""No road user moves faster than it can: over whole episodes of random candidates."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from support.marks import mostly_long
+
+from brink.server.problems.catalogue import make_problem
+from brink.server.problems.urban_injected import UrbanInjected
+from brink.sim.bullet.engine import process_engine
+from brink.sim.driving.camera import Camera
+from brink.sim.driving.interface import DrivingSystem
+from brink.sim.driving.system import ModularDriving
+from brink.sim.episode import JsonObject
+from brink.sim.requirements import WorldSample
+from brink.sim.urban.behaviour import DetectorBehaviour
+from brink.sim.urban.episode_loop import run_loop
+from brink.sim.urban.facts import Facts
+from brink.sim.world.ego import GRAVITY_MPS2
+from brink.sim.world.pedestrians import WALKER_STEP_S
+from brink.sim.world.scenario import UrbanScenario
+from brink.sim.world.world import STEP_S, RoadUser, UrbanWorld, make_world
+
+FASTER_TO_CROSS = 1.1
+"""People cross the road a tenth faster than they walk."""
+ROUNDING_M = 1e-3
+SCENARIO: JsonObject = {
+    "time_of_day": "noon", "weather": "clear", "pedestrians": 18, "road_curve": "straight", "road_id": 0,
+    "road_length": 2, "driving_task": "follow_road",
+}  # fmt: skip
+
+
+@dataclass
+class Motion:
+    """Compares each step of every road user with what it can do."""
+
+    world: UrbanWorld
+    poses: dict[str, tuple[float, float, float, float]] = field(default_factory=dict)
+    jumps: list[tuple[str, float, float]] = field(default_factory=list)
+    skids: list[tuple[str, float, float]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._remember()
+
+    def _remember(self) -> None:
+        users: tuple[RoadUser, ...] = (*self.world.vehicles, *self.world.walkers)
+        for user in users:
+            self.poses[user.name] = (user.x_m, user.y_m, user.yaw_rad, user.speed_mps)
+
+    def see(self, sample: WorldSample, driving: DrivingSystem) -> None:
+        """Compare the last step."""
+        for walker in self.world.walkers:
+            moved_m = self._moved(walker)
+            limit_m = walker.walking_mps * FASTER_TO_CROSS * WALKER_STEP_S
+            if moved_m > limit_m + ROUNDING_M:
+                self.jumps.append((walker.name, sample.time_s, moved_m - limit_m))
+        for vehicle in self.world.vehicles:
+            _, _, yaw_rad, before_mps = self.poses[vehicle.name]
+            moved_m = self._moved(vehicle)
+            limit_m = max(before_mps, vehicle.speed_mps) * STEP_S
+            if moved_m > limit_m + ROUNDING_M:
+                self.jumps.append((vehicle.name, sample.time_s, moved_m - limit_m))
+            turned_rad = abs(math.remainder(vehicle.yaw_rad - yaw_rad, math.tau))
+            lateral_mps2 = turned_rad / STEP_S * moved_m / STEP_S
+            if lateral_mps2 > self.world.weather.friction * GRAVITY_MPS2:
+                self.skids.append((vehicle.name, sample.time_s, lateral_mps2))
+        self._remember()
+
+    def _moved(self, user: RoadUser) -> float:
+        x_m, y_m, _, _ = self.poses[user.name]
+        return math.hypot(user.x_m - x_m, user.y_m - y_m)
+
+    def violated(self, requirement: str) -> None:
+        """Ignore violations."""
+
+
+def watch(number: int) -> Motion:
+    """Watch the episode of a random candidate."""
+    problem = make_problem("urban-injected@1", {})
+    assert isinstance(problem, UrbanInjected)
+    spec = problem.episode(problem.space.sample(np.random.default_rng([20, number])), number)
+    engine = process_engine()
+    engine.reset()
+    world = make_world(UrbanScenario.from_json(spec.scenario), number)
+    motion = Motion(world)
+    camera = Camera()
+    run_loop(
+        world, ModularDriving(world.route, camera=camera), DetectorBehaviour.from_json(spec.behaviour), {},
+        engine=engine, camera=camera, seed=number, duration_s=spec.duration_s, recorder=None, witness=motion,
+        to_the_end=True,
+    )  # fmt: skip
+    return motion
+
+
+# Before brink-drive@2, people jumped to the kerb in most of these episodes, and the lead vehicle skidded in 0, 72
+# and 154.
+@pytest.mark.parametrize("number", mostly_long(range(200), [0, 2, 9, 72, 154], "further random candidates"))
+def test_road_users_move_as_fast_as_they_can_at_most(number: int) -> None:
+    motion = watch(number)
+    assert motion.jumps == []
+    assert motion.skids == []
+
+
+def test_a_jump_and_a_skid_are_noticed() -> None:
+    motion = Motion(make_world(UrbanScenario.from_json(SCENARIO), 1))
+    driving = ModularDriving(motion.world.route, camera=Camera())
+    engine = process_engine()
+    engine.reset()
+    sample = Facts(motion.world, engine).measure(0.0)
+    motion.see(sample, driving)
+    assert (motion.jumps, motion.skids) == ([], [])
+    lead, walker = motion.world.vehicles[0], motion.world.walkers[0]
+    walker.x_m += 0.3
+    lead.x_m += 0.95 * lead.speed_mps * STEP_S
+    lead.yaw_rad += 0.1
+    motion.see(sample, driving)
+    assert [name for name, _, _ in motion.jumps] == [walker.name]
+    assert [name for name, _, _ in motion.skids] == ["lead"]
