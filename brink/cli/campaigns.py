@@ -251,9 +251,9 @@ def results(
 
 
 def within_budget(boundary: Boundary) -> str:
-    """Return what comparisons count instead, if the campaign exceeded its budget; otherwise an empty string."""
+    """Return what comparisons count instead, if that differs; otherwise an empty string."""
     within = boundary.within_budget
-    if within is None:
+    if within is None or (within.dbs, within.strict_dbs) == (boundary.dbs, boundary.strict_dbs):
         return ""
     return f"; {within.dbs} and {within.strict_dbs} within the budget of {within.simulations:,} simulations"
 

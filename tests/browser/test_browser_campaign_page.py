@@ -49,7 +49,7 @@ def test_the_map_is_coloured_by_a_parameter_and_remembers_it(page: Page, chart: 
     shown(colour).to_have_value("scenario.weather")
     shown(page.get_by_role("list", name="Colours")).to_contain_text("rain")
     colour.select_option("verdict")
-    shown(page.get_by_role("list", name="Colours")).to_contain_text("unsafe")
+    shown(page.get_by_role("list", name="Colours")).to_contain_text("violated the front gap")
     colour.select_option("scenario.weather")
     shown(page.get_by_role("list", name="Colours")).to_contain_text("rain")
 
