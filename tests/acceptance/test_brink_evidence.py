@@ -44,7 +44,7 @@ def test_a_boundary_is_repeated_and_handed_on(databases: Databases, tmp_path: Pa
         assert view["status"] == "finished"
         assert {one["evaluated"] for one in view["solutions"]} == {3}
         shown = brink("repeats", campaign, *options, *wide, "--repeats", "3", cwd=tmp_path)
-        assert f"of {len(view['solutions'])} distinct boundary solutions" in shown.stdout
+        assert view["words"] in " ".join(shown.stdout.split())
 
         out = tmp_path / "evidence"
         written = brink(
