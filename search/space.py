@@ -209,6 +209,11 @@ class Component:
             )
         return {p.name: value for p, value in zip(self.parameters, array.tolist(), strict=True)}
 
+    def dormant(self, vector: FloatArray) -> BoolArray:
+        """Return which numbers of a valid vector are dormant, shape ``(dimension,)``."""
+        names = self._dormant(self._values(vector))
+        return np.array([parameter.name in names for parameter in self.parameters], np.bool_)
+
     def _dormant(self, values: Values) -> set[str]:
         return {
             name for block in self._blocks if block.is_dormant(values, self.by_name) for name in block.members
@@ -379,6 +384,24 @@ class SearchSpace:
     def sample(self, rng: np.random.Generator) -> tuple[FloatArray, ...]:
         """Draw a random valid complete solution."""
         return tuple(component.sample(rng) for component in self.components)
+
+    def draw_unrepaired(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Draw rows of uniform values, shape ``(count, dimension)``; constraints are ignored.
+
+        Args:
+            count: Number of rows.
+            rng: Source of the draws.
+        """
+        parameters = [p for component in self.components for p in component.parameters]
+        low = np.array([0.0 if isinstance(p, Categorical) else p.low for p in parameters])
+        choices = np.array([len(p.choices) if isinstance(p, Categorical) else 1 for p in parameters])
+        drawn = rng.random((count, self.dimension))
+        return np.where(self.categorical, np.floor(drawn * choices), low + drawn * self.ranges)
+
+    def dormant(self, row: FloatArray) -> BoolArray:
+        """Return which numbers of a valid row are dormant, shape ``(dimension,)``."""
+        vectors = self.split(row)
+        return np.concatenate([c.dormant(v) for c, v in zip(self.components, vectors, strict=True)])
 
     def sample_component(self, index: int, rng: np.random.Generator) -> FloatArray:
         """Draw a random valid vector of one component."""

@@ -23,6 +23,7 @@ class Stream(IntEnum):
     SEEDS = 8
     MONITOR = 9
     REPEATS = 10
+    EDGE = 11
 
 
 def _sequence(seed: int, stream: int, index: tuple[int, ...]) -> np.random.SeedSequence:

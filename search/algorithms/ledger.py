@@ -134,7 +134,7 @@ class Ledger:
         self,
         rows: Iterable[FloatArray],
         question: Question = Question.EPISODE,
-        seed_numbers: Sequence[int] | None = None,
+        seed_numbers: Sequence[int | None] | None = None,
     ) -> Self:
         """Return the ledger with the next generation queued.
 

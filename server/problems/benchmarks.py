@@ -24,7 +24,9 @@ class Mtq:
 
     def __init__(self, params: NoParams) -> None:
         self.space = MTQ_SPACE
-        self.algorithm_defaults: Mapping[str, Any] = {"radius": MTQ_RADIUS}
+        self.algorithm_defaults: Mapping[str, Any] = {
+            "radius": MTQ_RADIUS, "eps": 0.002, "d_th": 0.05, "margin": 0.0, "checks": 0,
+        }  # fmt: skip
 
     def evaluate(self, vectors: Vectors) -> Evaluation:
         """Return the verdict of the formula."""
@@ -40,7 +42,7 @@ class Onemax:
 
     def __init__(self, params: NoParams) -> None:
         self.space = ONEMAX_SPACE
-        self.algorithm_defaults: Mapping[str, Any] = {"radius": ONEMAX_RADIUS}
+        self.algorithm_defaults: Mapping[str, Any] = {"radius": ONEMAX_RADIUS, "margin": 0.0, "checks": 0}
 
     def evaluate(self, vectors: Vectors) -> Evaluation:
         """Return the verdict of the formula."""

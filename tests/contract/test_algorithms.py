@@ -21,6 +21,7 @@ from brink.sim.catalogue import load_plugin, plugin_ids
 GROUP = "brink.algorithms"
 SIMOOD = "simood-ga@1"
 REPEAT = "repeat@1"
+EDGE = "edge@1"
 NEEDS: dict[str, tuple[type[Any], str]] = {
     SIMOOD: (Slots, "slots"),
     "nsga2@1": (Participants, "participants"),
@@ -38,7 +39,7 @@ def algorithm(plugin_id: str) -> Algorithm:
 
 
 def test_the_projects_own_algorithms_are_registered() -> None:
-    known = {"mlcshe@1", "ga@1", "random@1", "simood-ga@1", "nsga2@1", "mosat@1", "mumoea@1"}
+    known = {"mlcshe@1", "ga@1", "random@1", "simood-ga@1", "nsga2@1", "mosat@1", "mumoea@1", EDGE}
     assert known <= set(plugin_ids(GROUP))
 
 
@@ -56,8 +57,8 @@ def supports(plugin_id: str, space: SearchSpace) -> bool:
     return needed is None or any(isinstance(rule, needed[0]) for rule in rules)
 
 
-LONG = [("mumoea@1", "traffic"), ("mosat@1", "traffic")]
-"""Pairs that take seconds; NSGA-II, on which both build, runs every time."""
+LONG = [("mumoea@1", "traffic"), ("mosat@1", "traffic"), (EDGE, "traffic"), (EDGE, "mixed")]
+"""Combinations that take seconds; NSGA-II, on which two of them build, and edge@1 on other spaces run every time."""
 
 
 @pytest.mark.parametrize(
@@ -77,7 +78,7 @@ def test_algorithm_keeps_its_contract(plugin_id: str, name: str) -> None:
         return
     run = check_algorithm(
         checked, space, budget=170, config=config_for(checked, space), ends_itself=plugin_id == SIMOOD,
-        repeats=plugin_id == REPEAT,
+        repeats=plugin_id in {REPEAT, EDGE},
     )  # fmt: skip
     assert len(run.generations) >= 2
 

@@ -187,7 +187,13 @@ def test_stored_state_is_rejected_with_another_archive_or_settings() -> None:
         MLCSHE.load(SPACE, MlcsheConfig(radius=0.1), document, state.archive)
     with pytest.raises(DocumentError, match="rows of 14"):
         MLCSHE.load(example_spaces()["categorical"], CONFIG, document, state.archive)
-    for broken in ({"seed": "1"}, {"asked": 1}, {"population_archives": [1]}, {"archived": None}):
+    for broken in (
+        {"seed": "1"},
+        {"flight": 1},
+        {"flight": [10_000]},
+        {"population_archives": [1]},
+        {"archived": None},
+    ):
         with pytest.raises(DocumentError, match=next(iter(broken))):
             MLCSHE.load(
                 SPACE,

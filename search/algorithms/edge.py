@@ -1,0 +1,654 @@
+"""`edge@1`: pairs of solutions across the boundary, one safe, one unsafe, narrowed until little is left between them.
+
+The search explores at random, then looks for *partners*: the numbers of a simulated solution, its *anchor*, are drawn
+again, and the draw that a surrogate holds most likely to change the verdict is simulated under the anchor's episode
+seed. If the verdict changes, the two are a *bracket*. A *probe* between them, under the same seed, replaces the end
+whose verdict it shares, until the bracket is a tight pair. *Checks* then simulate both sides again, each under a seed
+of its own; a pair that does not keep its verdicts is a chancy place.
+
+The sides of a bracket share an episode seed: otherwise chance would decide where the verdict changes. When the budget
+only just suffices to finish the open brackets, no more are opened, and generations become smaller.
+
+Source: ours; see docs/explanation/pairs.md.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+from typing import Any, Final
+
+import numpy as np
+
+from brink.search.algorithm import Candidate, Evaluation, Scored
+from brink.search.algorithms.ledger import (
+    BoundaryConfig,
+    Ledger,
+    LedgerAlgorithm,
+    LedgerState,
+    row_keys,
+    stored_rows,
+)
+from brink.search.archive import Archive
+from brink.search.document import Document
+from brink.search.errors import ConfigError, DocumentError, SpaceError
+from brink.search.features import units_of
+from brink.search.metric import Metric
+from brink.search.pairs import Steps, midpoints
+from brink.search.settings import setting
+from brink.search.space import BoolArray, FloatArray, IntArray, SearchSpace
+from brink.search.streams import Stream, generator
+from brink.search.surrogate import EXTRA, Surrogate, is_available
+
+MAX_TRIES: Final = 3
+"""Partners tried for an anchor."""
+REDRAWS: Final = 20
+"""Draws anywhere, and as many on the way there, from which the surrogate chooses the partner of each anchor."""
+MORE_REDRAWS: Final = 30
+"""Further draws of each kind for the most promising anchors of a generation."""
+MAX_FAILURES: Final = 3
+"""Probes or checks of a bracket that may fail before it is given up."""
+_FEW: Final = 20
+"""Solutions of each verdict below which nothing is too close to call."""
+_EXPECTED_HITS: Final = 0.6
+"""Share of the partners in flight that are expected to open a bracket."""
+_PROMISING: Final = 3
+"""Anchors that get further draws, as a multiple of the partners wanted."""
+_LIKELY: Final = 0.75
+"""Probability of the opposite verdict from which on a nearer partner is better than a likelier one."""
+_GENERATION, _SURROGATE, _PARTNER, _MORE = range(4)  # what is drawn, as the first index of the stream
+
+
+class Purpose(IntEnum):
+    """Why a candidate is simulated. The numbers are stored."""
+
+    EXPLORE = 0
+    PARTNER = 1
+    PROBE = 2
+    CHECK = 3
+
+
+class Status(IntEnum):
+    """How far a bracket is. The numbers are stored."""
+
+    OPEN = 0
+    """Not tight yet."""
+    TIGHT = 1
+    """Tight, and to be checked."""
+    KEPT = 2
+    """Tight, and both sides kept their verdicts under other seeds."""
+    CHANCY = 3
+    """Tight, but a side changed its verdict under another seed."""
+    GIVEN_UP = 4
+    """Too many simulations failed."""
+    NEAR = 5
+    """Not tight yet, and wherever it ends, it is too close to a tight pair to be distinct."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EdgeConfig(BoundaryConfig):
+    """Settings of the search for pairs."""
+
+    eps: float = setting(0.02, help="Largest distance of a tight pair.", ge=1e-6, le=1)
+    d_th: float = setting(0.2, help="Smallest distance between two distinct pairs.", ge=0, le=1)
+    explore: float = setting(0.4, help="Share of the budget for random draws at the start.", ge=0.01, le=1)
+    margin: float = setting(
+        0.2,
+        help="Share of each verdict's solutions, those nearest to the other verdict, that neither anchor nor open "
+        "brackets: where chance matters, they are too close to call.",
+        ge=0,
+        lt=1,
+    )
+    checks: int = setting(
+        1,
+        help="Fresh seeds under which each side of a tight pair is simulated again; 0 where chance has no part.",
+        ge=0,
+        le=100,
+    )
+    vary: str = setting(
+        "all", help="What the two sides of a pair may differ in: the name of a component, or all of them."
+    )
+    generation_size: int = setting(20, help="Candidates per generation.", ge=1, le=10_000)
+    in_flight: int = setting(
+        3,
+        help="Generations in flight at a time. More keep more workers busy; fewer let every choice know more.",
+        ge=1,
+        le=1000,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bracket:
+    """A safe and an unsafe solution, by their numbers.
+
+    Attributes:
+        safe: Number of the safe side.
+        unsafe: Number of the unsafe side.
+        seed: Number of the candidate whose episode seed both share.
+        status: How far it is.
+        failures: Simulations for it that failed.
+        safe_checks: Checks in which the safe side was safe.
+        unsafe_checks: Checks in which the unsafe side was unsafe.
+    """
+
+    safe: int
+    unsafe: int
+    seed: int
+    status: Status = Status.OPEN
+    failures: int = 0
+    safe_checks: int = 0
+    unsafe_checks: int = 0
+
+
+Job = tuple[Purpose, int, int]
+"""Purpose, anchor or bracket, and side of a check: 0 for the safe one, 1 for the unsafe one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EdgeState(LedgerState):
+    """State of the search.
+
+    Attributes:
+        config: Settings.
+        brackets: All brackets, in the order in which they were opened.
+        jobs: The purpose of each candidate in flight or queued, in the order of asking.
+        seeds: Number of the candidate whose episode seed a solution shares, for those that have none of their own.
+        tries: How often a partner of a solution was simulated, by its number.
+    """
+
+    config: EdgeConfig
+    brackets: tuple[Bracket, ...] = ()
+    jobs: tuple[Job, ...] = ()
+    seeds: Mapping[int, int]
+    tries: Mapping[int, int]
+    surrogate: Surrogate | None = None
+    partners: Mapping[int, "_Partner"] = field(default_factory=dict)
+
+
+class Edge(LedgerAlgorithm[EdgeConfig, EdgeState]):
+    """The search for pairs across the boundary."""
+
+    id = "edge@1"
+    summary = (
+        "Pairs across the boundary: one safe, one unsafe solution, and the smallest change between them."
+    )
+    config_type = EdgeConfig
+
+    def _min_budget(self, space: SearchSpace, config: EdgeConfig) -> int:
+        if not is_available():
+            raise ConfigError("id", f"edge@1 needs scikit-learn: pip install 'brink-boundary[{EXTRA}]'")
+        try:
+            _varied(space, config)
+        except SpaceError as error:
+            raise ConfigError("vary", f"expected all or the name of a component; {error}") from None
+        return 1
+
+    def _first_state(self, ledger: Ledger, config: EdgeConfig) -> EdgeState:
+        return _planned(EdgeState(config=config, ledger=ledger, seeds={}, tries={}))
+
+    def _refilled(self, state: EdgeState) -> EdgeState:
+        return _planned(state)
+
+    def tell(self, state: EdgeState, evaluations: Mapping[int, Evaluation]) -> EdgeState:
+        """Return the state after the pending generation was evaluated."""
+        pending = state.ledger.pending
+        told = replace(state, ledger=state.ledger.tell(evaluations), jobs=state.jobs[len(pending) :])
+        return _planned(_learnt(told, pending, state.jobs[: len(pending)], evaluations))
+
+    def _content(self, state: EdgeState) -> tuple[dict[str, Any], dict[str, Any]]:
+        brackets = [
+            (b.safe, b.unsafe, b.seed, b.status, b.failures, b.safe_checks, b.unsafe_checks)
+            for b in state.brackets
+        ]
+        arrays = {
+            "brackets": np.reshape(brackets, (-1, 7)).astype(np.float64),
+            "jobs": np.reshape(state.jobs, (-1, 3)).astype(np.float64),
+            "seeds": np.reshape(sorted(state.seeds.items()), (-1, 2)).astype(np.float64),
+            "tries": np.reshape(sorted(state.tries.items()), (-1, 2)).astype(np.float64),
+        }
+        return {}, arrays
+
+    def _restored(self, ledger: Ledger, config: EdgeConfig, document: Document) -> EdgeState:
+        def table(name: str, width: int) -> list[tuple[int, ...]]:
+            return [tuple(row) for row in stored_rows(document, name, width).astype(np.int64).tolist()]
+
+        try:
+            brackets = tuple(
+                Bracket(
+                    safe=a, unsafe=b, seed=c, status=Status(d), failures=e, safe_checks=f, unsafe_checks=g
+                )
+                for a, b, c, d, e, f, g in table("brackets", 7)
+            )
+            jobs = tuple((Purpose(a), b, c) for a, b, c in table("jobs", 3))
+        except ValueError as error:
+            raise DocumentError(f"brackets, jobs: {error}") from None
+        if len(jobs) != ledger.in_flight + len(ledger.queue):
+            raise DocumentError(
+                f"jobs: expected one for each of {ledger.in_flight + len(ledger.queue)} candidates, got {len(jobs)}"
+            )
+        seeds, tries = ({a: b for a, b in table(name, 2)} for name in ("seeds", "tries"))  # noqa: C416
+        return EdgeState(
+            config=config, ledger=ledger, brackets=brackets, jobs=jobs, seeds=seeds, tries=tries
+        )  # fmt: skip
+
+
+def _varied(space: SearchSpace, config: EdgeConfig) -> BoolArray:
+    """Return which columns the two sides of a bracket may differ in, shape ``(d,)``.
+
+    Numbers alone if the varied components have any: two solutions in the same categories are easier to compare.
+
+    Raises:
+        SpaceError: There is no such component.
+    """
+    varied = np.ones(space.dimension, np.bool_)
+    if config.vary != "all":
+        varied[:] = False
+        varied[space.slices[space.index(config.vary)]] = True
+    numbers = varied & ~space.categorical
+    return numbers if numbers.any() else varied
+
+
+class _Known:
+    """What is known of the simulated solutions, by their numbers."""
+
+    def __init__(self, archive: Archive) -> None:
+        self._archive = archive
+
+    def place(self, number: int) -> int:
+        """Return the position of a solution in the archive."""
+        return int(np.searchsorted(self._archive.numbers, number))
+
+    def row(self, number: int) -> FloatArray:
+        """Return a solution."""
+        row: FloatArray = self._archive.vectors[self.place(number)]
+        return row
+
+
+def _clear(archive: Archive, margin: float) -> BoolArray:
+    """Return which solutions are not too close to call, shape ``(n,)``."""
+    size = np.abs(archive.robustness)
+    clear = np.ones(len(archive), np.bool_)
+    for verdict in (False, True):
+        mine = archive.unsafe == verdict
+        if mine.sum() >= _FEW:
+            clear[mine] = size[mine] >= np.quantile(size[mine], margin)
+    return clear
+
+
+def _learnt(
+    state: EdgeState, told: Sequence[Candidate], jobs: Sequence[Job], evaluations: Mapping[int, Evaluation]
+) -> EdgeState:
+    """Return the state with brackets opened, narrowed and checked by a generation's evaluations."""
+    archive, known = state.ledger.archive, _Known(state.ledger.archive)
+    steps = Steps(state.ledger.space)
+    clear = _clear(archive, state.config.margin)
+    brackets, seeds = list(state.brackets), dict(state.seeds)
+    for candidate, (purpose, of, side) in zip(told, jobs, strict=True):
+        evaluation = evaluations[candidate.number]
+        if candidate.seed_number is not None:
+            seeds[candidate.number] = candidate.seed_number
+        scored = evaluation if isinstance(evaluation, Scored) else None
+        if purpose is Purpose.PARTNER and scored is not None:
+            anchor = known.place(of)
+            flipped = scored.unsafe != archive.unsafe[anchor]
+            if flipped and clear[known.place(candidate.number)]:
+                ends = (of, candidate.number) if scored.unsafe else (candidate.number, of)
+                opened = Bracket(safe=ends[0], unsafe=ends[1], seed=seeds.get(of, of))
+                brackets.append(_narrowed(opened, steps, known, state.config))
+        elif purpose is Purpose.PROBE and brackets[of].status is Status.OPEN:
+            bracket = brackets[of]
+            if scored is None:
+                brackets[of] = _failed(bracket)
+            else:
+                safe, unsafe = (
+                    (bracket.safe, candidate.number) if scored.unsafe else (candidate.number, bracket.unsafe)
+                )
+                narrower = replace(bracket, safe=safe, unsafe=unsafe)
+                brackets[of] = _narrowed(narrower, steps, known, state.config)
+        elif purpose is Purpose.CHECK:
+            bracket = brackets[of]
+            if scored is None:
+                brackets[of] = _failed(bracket)
+            else:
+                brackets[of] = _checked(bracket, side, scored.unsafe, state.config.checks)
+    _drop_near(brackets, known, steps, state.config.d_th)
+    return replace(state, brackets=tuple(brackets), seeds=seeds)
+
+
+def _drop_near(brackets: list[Bracket], known: _Known, steps: Steps, d_th: float) -> None:
+    """Give up the open brackets of which both ends are closer to a tight pair than distinct pairs may be."""
+    tight = [b for b in brackets if b.status in (Status.TIGHT, Status.KEPT)]
+    places = [place for place, b in enumerate(brackets) if b.status is Status.OPEN]
+    if not tight or not places:
+        return
+    middles = midpoints(*_ends(tight, known), steps.space)
+    safe, unsafe = _ends([brackets[place] for place in places], known)
+    lengths = np.array([steps.distance(a, b) for a, b in zip(safe, unsafe, strict=True)])
+    towards = steps.metric.between(midpoints(safe, unsafe, steps.space), middles)
+    near = np.asarray(towards + 0.25 * lengths[:, None] < d_th)
+    for at in np.flatnonzero(near.any(axis=1)).tolist():
+        brackets[places[at]] = replace(brackets[places[at]], status=Status.NEAR)
+
+
+def _ends(brackets: Sequence[Bracket], known: _Known) -> tuple[FloatArray, FloatArray]:
+    """Return the safe and the unsafe sides of brackets, both shape ``(n, d)``."""
+    return (
+        np.array([known.row(b.safe) for b in brackets]),
+        np.array([known.row(b.unsafe) for b in brackets]),
+    )
+
+
+def _failed(bracket: Bracket) -> Bracket:
+    failures = bracket.failures + 1
+    status = Status.GIVEN_UP if failures >= MAX_FAILURES else bracket.status
+    return replace(bracket, failures=failures, status=status)
+
+
+def _narrowed(bracket: Bracket, steps: Steps, known: _Known, config: EdgeConfig) -> Bracket:
+    if not steps.is_tight(known.row(bracket.safe), known.row(bracket.unsafe), config.eps):
+        return replace(bracket, status=Status.OPEN)
+    return replace(bracket, status=Status.TIGHT if config.checks else Status.KEPT)
+
+
+def _checked(bracket: Bracket, side: int, unsafe: bool, checks: int) -> Bracket:
+    if unsafe != bool(side):
+        return replace(bracket, status=Status.CHANCY)
+    if side:
+        bracket = replace(bracket, unsafe_checks=bracket.unsafe_checks + 1)
+    else:
+        bracket = replace(bracket, safe_checks=bracket.safe_checks + 1)
+    done = min(bracket.safe_checks, bracket.unsafe_checks) >= checks
+    return replace(bracket, status=Status.KEPT) if done else bracket
+
+
+@dataclass(slots=True)
+class _Plan:
+    """The generation that is being planned."""
+
+    wanted: int
+    rows: list[FloatArray]
+    seeds: list[int | None]
+    jobs: list[Job]
+
+    @property
+    def room(self) -> int:
+        """How many more candidates fit."""
+        return self.wanted - len(self.rows)
+
+    def add(self, row: FloatArray, seed: int | None, job: Job) -> None:
+        """Add a candidate."""
+        self.rows.append(row)
+        self.seeds.append(seed)
+        self.jobs.append(job)
+
+
+def _planned(state: EdgeState) -> EdgeState:
+    """Return the state with the next generation queued if there is room in flight, as budget and space allow."""
+    ledger, config = state.ledger, state.config
+    if len(ledger.flight) >= config.in_flight or ledger.left <= 0:
+        return state
+    plan = _Plan(int(min(config.generation_size, ledger.left)), [], [], [])
+    rng = generator(ledger.seed, Stream.EDGE, _GENERATION, ledger.planned_generation)
+    to_explore = round(config.explore * ledger.budget) - ledger.spent - ledger.in_flight
+    if to_explore < plan.wanted:
+        _probes(state, plan, rng)
+        _checks(state, plan)
+        allowance = ledger.left - len(plan.rows) - _reserve(state)
+        state = _partners(state, plan, plan.room - max(0, to_explore), allowance)
+        if allowance < 1 + _cost(config.eps, config) and (plan.rows or ledger.flight):
+            plan.wanted = len(plan.rows)  # the rest of the budget is needed to finish what is open
+    for row in _random_rows(ledger, plan.room, rng):
+        plan.add(row, None, (Purpose.EXPLORE, 0, 0))
+    return replace(
+        state, ledger=ledger.plan(plan.rows, seed_numbers=plan.seeds), jobs=(*state.jobs, *plan.jobs)
+    )
+
+
+def _cost(length: float, config: EdgeConfig) -> float:
+    """Return how many simulations a bracket of the given length is expected to take until it is checked."""
+    return math.ceil(math.log2(max(length / config.eps, 1.0))) + 2.0 * config.checks
+
+
+def _reserve(state: EdgeState) -> float:
+    """Return the number of simulations that the open brackets are expected to take until they are checked."""
+    known, steps, config = _Known(state.ledger.archive), Steps(state.ledger.space), state.config
+    total = 0.0
+    for bracket in state.brackets:
+        if bracket.status is Status.OPEN:
+            total += _cost(steps.distance(known.row(bracket.safe), known.row(bracket.unsafe)), config)
+        elif bracket.status is Status.TIGHT:
+            total += 2 * config.checks - bracket.safe_checks - bracket.unsafe_checks
+    in_flight = [candidate for generation in state.ledger.flight for candidate in generation]
+    for candidate, (purpose, of, _) in zip(in_flight, state.jobs, strict=True):
+        if purpose is Purpose.PARTNER:
+            length = steps.distance(known.row(of), state.ledger.space.join(candidate.vectors))
+            total += _EXPECTED_HITS * _cost(length, config)
+        elif purpose is not Purpose.EXPLORE:
+            total -= 1
+    return total
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Partner:
+    """The best partner drawn for an anchor.
+
+    Attributes:
+        row: The partner before repair, shape ``(d,)``.
+        attempt: How many partners of the anchor were simulated before.
+        flips: Probability that it has the opposite verdict, as the surrogate judges.
+        length: Its distance from the anchor.
+    """
+
+    row: FloatArray
+    attempt: int
+    flips: float
+    length: float
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """Smaller for a better partner: likely to have the opposite verdict and, among likely ones, near."""
+        return -min(self.flips, _LIKELY), self.length
+
+
+def _with_surrogate(state: EdgeState) -> EdgeState:
+    """Return the state with a surrogate that has learnt from nearly all solutions; it learns anew with 10% more."""
+    archive = state.ledger.archive
+    size = _learning_size(len(archive))
+    rows, unsafe = archive.vectors[:size], archive.unsafe[:size]
+    if (state.surrogate is not None and state.surrogate.size == size) or unsafe.all() or not unsafe.any():
+        return state
+    rng = generator(state.ledger.seed, Stream.EDGE, _SURROGATE, size)
+    surrogate = Surrogate(state.ledger.space, rows, unsafe, seed=int(rng.integers(2**32, dtype=np.uint64)))
+    return replace(state, surrogate=surrogate, partners={})
+
+
+def _learning_size(solutions: int) -> int:
+    size = 1
+    while (larger := size + max(1, size // 10)) <= solutions:
+        size = larger
+    return size
+
+
+def _random_rows(ledger: Ledger, count: int, rng: np.random.Generator) -> list[FloatArray]:
+    rows: tuple[FloatArray, ...] = ()
+    for _ in range(200):
+        if len(rows) >= count:
+            break
+        drawn = [ledger.space.join(ledger.space.sample(rng)) for _ in range(count - len(rows))]
+        rows = ledger.unseen([*rows, *drawn])
+    return list(rows[:count])
+
+
+def _busy(state: EdgeState, *purposes: Purpose) -> set[tuple[int, int]]:
+    """Return what the candidates in flight with one of the purposes are for, with the side."""
+    return {(of, side) for purpose, of, side in state.jobs if purpose in purposes}
+
+
+def _probes(state: EdgeState, plan: _Plan, rng: np.random.Generator) -> None:
+    known, steps = _Known(state.ledger.archive), Steps(state.ledger.space)
+    busy = _busy(state, Purpose.PROBE)
+    for index, bracket in enumerate(state.brackets):
+        if bracket.status is Status.OPEN and (index, 0) not in busy and plan.room:
+            safe, unsafe = known.row(bracket.safe), known.row(bracket.unsafe)
+            row = steps.between(safe, unsafe, rng, eps=state.config.eps)
+            if row is not None:
+                plan.add(row, bracket.seed, (Purpose.PROBE, index, 0))
+
+
+def _checks(state: EdgeState, plan: _Plan) -> None:
+    """Plan the checks of tight pairs: the unsafe side first, because it fails more often; then the safe side."""
+    known = _Known(state.ledger.archive)
+    busy = _busy(state, Purpose.CHECK)
+    for index, bracket in enumerate(state.brackets):
+        if bracket.status is Status.TIGHT and not {(index, 0), (index, 1)} & busy and plan.room:
+            side = int(bracket.unsafe_checks <= bracket.safe_checks)
+            plan.add(known.row((bracket.safe, bracket.unsafe)[side]), None, (Purpose.CHECK, index, side))
+
+
+def _partners(state: EdgeState, plan: _Plan, count: int, allowance: float) -> EdgeState:
+    """Plan the partners most likely to have the opposite verdict; return the state with the tries counted.
+
+    Args:
+        state: The state.
+        plan: The generation that is being planned.
+        count: Most partners.
+        allowance: Simulations that they may take, with those of the brackets that they are expected to open.
+    """
+    if count <= 0:
+        return state
+    state = _with_surrogate(state)
+    places = _anchors(state)
+    if state.surrogate is None or not places.size:
+        return state
+    archive, space = state.ledger.archive, state.ledger.space
+    numbers = archive.numbers[places].tolist()
+    partners = _drawn_partners(state, state.surrogate, dict(zip(numbers, places.tolist(), strict=True)))
+    tries = dict(state.tries)
+    seen = set(row_keys(archive.vectors))
+    chosen: list[int] = []
+    order = sorted(range(len(numbers)), key=lambda at: partners[numbers[at]].rank)
+    best = {numbers[at]: int(places[at]) for at in order[: _PROMISING * count]}
+    more = _best_of_draws(state, state.surrogate, best, MORE_REDRAWS, _MORE, state.ledger.planned_generation)
+    kept = partners
+    partners = partners | {n: p for n, p in more.items() if p.rank < partners[n].rank}
+    for at in sorted(range(len(numbers)), key=lambda at: (partners[numbers[at]].rank, numbers[at])):
+        partner = partners[numbers[at]]
+        expected = 1 + partner.flips * _cost(partner.length, state.config)
+        if len(chosen) == count or allowance < expected:
+            break
+        if chosen and (archive.distances([places[at]], chosen) < state.config.d_th).any():
+            continue
+        number = numbers[at]
+        row = _repaired(space, partner.row)
+        tries[number] = tries.get(number, 0) + 1
+        if row.tobytes() in seen:
+            continue
+        chosen.append(int(places[at]))
+        allowance -= expected
+        plan.add(row, state.seeds.get(number, number), (Purpose.PARTNER, number, 0))
+    return replace(state, tries=tries, partners=kept)
+
+
+def _drawn_partners(
+    state: EdgeState, surrogate: Surrogate, anchors: Mapping[int, int]
+) -> dict[int, _Partner]:
+    """Return the best partner drawn for each anchor.
+
+    Partners are kept until their anchor has been tried or the surrogate has learnt anew.
+
+    Args:
+        state: The state.
+        surrogate: Judges the draws.
+        anchors: Positions in the archive by number.
+    """
+    attempts = {number: state.tries.get(number, 0) for number in anchors}
+    partners = {n: p for n, p in state.partners.items() if attempts.get(n) == p.attempt}
+    missing = {number: place for number, place in anchors.items() if number not in partners}
+    return partners | _best_of_draws(state, surrogate, missing, REDRAWS, _PARTNER)
+
+
+def _best_of_draws(
+    state: EdgeState, surrogate: Surrogate, anchors: Mapping[int, int], draws: int, *index: int
+) -> dict[int, _Partner]:
+    """Return the best of several partners drawn for each anchor.
+
+    Args:
+        state: The state.
+        surrogate: Judges the draws.
+        anchors: Positions in the archive by number.
+        draws: Half the number of draws for each anchor.
+        index: Position of the draws in the stream, before the anchor's number and its attempts.
+    """
+    if not anchors:
+        return {}
+    archive, space = state.ledger.archive, state.ledger.space
+    varied, metric = _varied(space, state.config), Metric.of_space(space)
+    places = list(anchors.values())
+    attempts = [state.tries.get(number, 0) for number in anchors]
+    rows = archive.vectors[places]
+    drawn = np.array(
+        [
+            _redrawn(
+                space, row, varied, draws, generator(state.ledger.seed, Stream.EDGE, *index, number, attempt)
+            )
+            for number, row, attempt in zip(anchors, rows, attempts, strict=True)
+        ]
+    )
+    risk = surrogate.unsafe(drawn.reshape(-1, space.dimension)).reshape(len(places), -1)
+    flips = np.where(archive.unsafe[places][:, None], 1 - risk, risk)
+    partners = {}
+    for number, attempt, row, others, chances in zip(anchors, attempts, rows, drawn, flips, strict=True):
+        lengths = metric.between(row[None], others)[0]
+        best = int(np.lexsort((lengths, -np.minimum(chances, _LIKELY)))[0])
+        partners[number] = _Partner(
+            row=others[best], attempt=attempt, flips=float(chances[best]), length=float(lengths[best])
+        )
+    return partners
+
+
+def _anchors(state: EdgeState) -> IntArray:
+    """Return the positions of possible anchors: clear, not tried too often, far from all brackets."""
+    archive, config = state.ledger.archive, state.config
+    tried = np.array([state.tries.get(number, 0) for number in archive.numbers.tolist()])
+    eligible = (tried < MAX_TRIES) & _clear(archive, config.margin)
+    in_flight = {of for purpose, of, _ in state.jobs if purpose is Purpose.PARTNER}
+    eligible &= ~np.isin(archive.numbers, list(in_flight))
+    places = np.flatnonzero(eligible)
+    known = _Known(archive)
+    kept = [b for b in state.brackets if b.status not in (Status.GIVEN_UP, Status.NEAR)]
+    ends = [known.place(number) for b in kept for number in (b.safe, b.unsafe)]
+    if ends and places.size:
+        places = places[(archive.distances(places, ends) >= config.d_th).all(axis=1)]
+    return places
+
+
+def _redrawn(
+    space: SearchSpace, row: FloatArray, varied: BoolArray, draws: int, rng: np.random.Generator
+) -> FloatArray:
+    """Return rows with the varied columns drawn again: anywhere in one half, on the way there in the other half.
+
+    Args:
+        space: The space.
+        row: A valid solution, shape ``(d,)``.
+        varied: Which columns may change, shape ``(d,)``; dormant numbers do not.
+        draws: Half the number of rows.
+        rng: Source of the draws.
+
+    Returns:
+        The rows before repair, shape ``(2 * draws, d)``.
+    """
+    free = varied & ~space.dormant(row)
+    anywhere = np.where(free, space.draw_unrepaired(draws, rng), row)
+    on_the_way = row + rng.random((draws, 1)) * (anywhere - row)
+    taken = rng.random(anywhere.shape) < 0.5
+    on_the_way = np.where(space.categorical, np.where(taken, anywhere, row), on_the_way)
+    rows = np.concatenate([anywhere, on_the_way])
+    for unit in units_of(space):
+        if len(unit) == 2 and free[list(unit)].all():
+            rows[:, unit] = np.sort(rows[:, unit], axis=1)
+    return rows
+
+
+def _repaired(space: SearchSpace, row: FloatArray) -> FloatArray:
+    """Return the nearest valid solution; no number of `row` is missing, so nothing is drawn."""
+    return space.join(space.repair(space.split(row), np.random.Generator(np.random.PCG64(0))))

@@ -1,0 +1,145 @@
+"""Steps between the sides of a pair, and the pairs of an archive."""
+
+import numpy as np
+import pytest
+
+from brink.search.analysis.pairs import find_pairs
+from brink.search.archive import Archive, Neighbourhood
+from brink.search.pairs import Steps
+from brink.search.space import Categorical, Component, Extent, FloatArray, Integer, Real, SearchSpace
+from brink.search.testing import example_spaces
+
+SPACE = SearchSpace(
+    (
+        Component(
+            "scenario", (Real("gap", 0.0, 100.0, "m"), Integer("cars", 0, 4), Categorical("road", ("a", "b")))
+        ),
+        Component(
+            "behaviour",
+            (Real("left", 0.0, 10.0), Real("right", 0.0, 10.0)),
+            (Extent(low="left", high="right", minimum=1.0, size=10.0),),
+        ),
+    )
+)
+BASE = (50.0, 2.0, 0.0, 3.0, 6.0)
+
+
+def archive_of(*solutions: tuple[tuple[float, ...], bool]) -> Archive:
+    """Return an archive of rows with their verdicts, numbered from 10."""
+    rows = np.array([row for row, _ in solutions])
+    unsafe = np.array([verdict for _, verdict in solutions])
+    empty = Archive.empty(SPACE, Neighbourhood(radius=0.3, p_th=0.1, z=1.96))
+    return empty.grown(np.arange(10, 10 + len(rows)), rows, unsafe, np.where(unsafe, -1.0, 1.0))
+
+
+def changed(**values: float) -> tuple[float, ...]:
+    names = ("gap", "cars", "road", "left", "right")
+    return tuple(values.get(name, value) for name, value in zip(names, BASE, strict=True))
+
+
+def numbers(archive: Archive, *, eps: float = 0.02, d_th: float = 0.0) -> list[tuple[int, int]]:
+    return [(p.safe.number, p.unsafe.number) for p in find_pairs(archive, SPACE, eps=eps, d_th=d_th).pairs]
+
+
+@pytest.mark.parametrize(
+    ("unsafe", "is_pair"),
+    [
+        (changed(gap=54.0), True),  # 4 m of 100 m, one of four numbers, half the distance: .005
+        (changed(gap=90.0), False),
+        (changed(road=1.0), True),
+        (changed(road=1.0, gap=51.0), False),
+        (changed(cars=3.0), True),
+        (changed(cars=4.0), False),
+        (changed(cars=3.0, gap=51.0), False),
+        (changed(left=3.1, right=6.1), True),
+        (BASE, False),
+    ],
+)
+def test_a_pair_is_near_or_one_step_apart(unsafe: tuple[float, ...], is_pair: bool) -> None:
+    archive = archive_of((BASE, False), (unsafe, True))
+    assert numbers(archive) == ([(10, 11)] if is_pair else [])
+
+
+def test_the_sides_of_a_box_are_one_unit() -> None:
+    archive = archive_of((BASE, False), (changed(left=3.1, right=6.1), True))
+    (pair,) = find_pairs(archive, SPACE, eps=0.02, d_th=0.0).pairs
+    assert pair.units == ((3, 4),)
+    assert pair.distance == pytest.approx(0.5 * 0.02 / 4)
+
+
+def test_checked_pairs_come_first_and_then_the_tightest() -> None:
+    other = changed(road=1.0)
+    archive = archive_of(
+        (BASE, False), (changed(gap=52.0), True), (changed(gap=51.0), True),
+        (other, False), (changed(road=1.0, gap=53.0), True), (other, False), (changed(road=1.0, gap=53.0), True),
+    )  # fmt: skip
+    assert numbers(archive)[:3] == [(13, 14), (10, 12), (10, 11)]
+    found = find_pairs(archive, SPACE, eps=0.02, d_th=0.1)
+    assert [(p.safe.number, p.checked) for p in found.pairs] == [(13, True), (10, False)]
+    assert (found.tight, found.checked, found.safe, found.unsafe) == (3, 1, 2, 3)
+
+
+def test_a_solution_with_both_verdicts_is_on_neither_side() -> None:
+    archive = archive_of((BASE, False), (BASE, True), (changed(gap=51.0), True), (changed(gap=49.0), False))
+    found = find_pairs(archive, SPACE, eps=0.02, d_th=0.0)
+    assert (found.chancy, [(p.safe.number, p.unsafe.number) for p in found.pairs]) == (1, [(13, 12)])
+
+
+def test_pairs_in_one_verdict_alone_do_not_exist() -> None:
+    assert numbers(archive_of((BASE, False), (changed(gap=51.0), False))) == []
+
+
+def test_the_pairs_are_those_of_a_plain_search() -> None:
+    rng, steps = np.random.default_rng(3), Steps(SPACE)
+    rows: list[FloatArray] = [SPACE.join(SPACE.sample(rng)) for _ in range(40)]
+    rows += [
+        SPACE.join(SPACE.repair(SPACE.split(row + rng.normal(0, 0.3, 5)), rng))
+        for row in rows
+        for _ in range(3)
+    ]
+    archive = archive_of(*((tuple(row), bool(rng.random() < 0.5)) for row in rows))
+    expected = {
+        (10 + a, 10 + b)
+        for a in np.flatnonzero(~archive.unsafe).tolist()
+        for b in np.flatnonzero(archive.unsafe).tolist()
+        if steps.is_tight(archive.vectors[a], archive.vectors[b], 0.02)
+    }
+    assert expected
+    assert set(numbers(archive)) == expected
+
+
+@pytest.mark.parametrize("name", ["mixed", "numeric", "categorical", "slots", "traffic"])
+def test_a_pair_is_narrowed_in_valid_steps_until_it_is_tight(name: str) -> None:
+    space, rng = example_spaces()[name], np.random.default_rng(5)
+    steps = Steps(space)
+    for _ in range(5):
+        safe = space.join(space.sample(rng))
+        drawn = space.join(space.sample(rng))
+        unsafe = np.where(space.categorical, safe, drawn) if not space.categorical.all() else drawn
+        unsafe = space.join(space.repair(space.split(unsafe), rng))
+        for _ in range(200):
+            middle = steps.between(safe, unsafe, rng)
+            if middle is None or steps.is_tight(safe, unsafe, 0.01):
+                break
+            space.check(space.split(middle))
+            assert not np.array_equal(middle, safe)
+            assert not np.array_equal(middle, unsafe)
+            safe, unsafe = (middle, unsafe) if rng.random() < 0.5 else (safe, middle)
+        else:
+            pytest.fail("not narrowed in 200 steps")
+
+
+def test_few_parameters_differ_in_the_end() -> None:
+    space, rng = example_spaces()["mixed"], np.random.default_rng(1)
+    steps, left = Steps(space), []
+    for _ in range(20):
+        safe = space.join(space.sample(rng))
+        drawn = space.join(space.sample(rng))
+        unsafe = space.join(space.repair(space.split(np.where(space.categorical, safe, drawn)), rng))
+        while not steps.is_tight(safe, unsafe, 0.02):
+            middle = steps.between(safe, unsafe, rng)
+            if middle is None:
+                break
+            safe, unsafe = (middle, unsafe) if rng.random() < 0.5 else (safe, middle)
+        left.append(len(steps.differing(safe, unsafe)))
+    assert np.mean(left) <= 2
