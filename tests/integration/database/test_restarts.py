@@ -61,10 +61,14 @@ CAMPAIGNS = {
         algorithm={"id": "mlcshe@1", "params": {"population_size": 5, "archive_size": 2}},
     ),
     "random": ball(simulations=100, algorithm={"id": "random@1", "params": {"generation_size": 30}}),
+    "edge": ball(
+        simulations=100,
+        algorithm={"id": "edge@1", "params": {"generation_size": 7, "in_flight": 4, "d_th": 0.05, "explore": 0.2}},
+    ),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", mostly_long(CAMPAIGNS, ["mlcshe"], "runs a campaign twice"))
+@pytest.mark.parametrize("name", mostly_long(CAMPAIGNS, ["mlcshe", "edge"], "runs a campaign twice"))
 def test_a_coordinator_that_is_started_again_finds_the_same(database_url: str, name: str) -> None:
     campaign, held = "", list[LeasedJob]()
     for wanted in (10, 27, 55, 1000):
@@ -218,10 +222,12 @@ def test_generations_in_flight_are_told_in_the_order_of_asking(overlapping: Coor
     assert overlapping.digest() == undisturbed_digest(CAMPAIGNS["random"])
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", ["random", "edge"])
+@pytest.mark.parametrize("seed", range(2))
 def test_coordinators_that_take_turns_with_generations_in_flight_find_the_same(
-    overlapping: Coordinators, seed: int
+    engines: Engines, name: str, seed: int
 ) -> None:
+    overlapping = Coordinators(engines, CAMPAIGNS[name])
     rng, turn = random.Random(seed), 0
     while overlapping.campaign.status is CampaignStatus.RUNNING:
         jobs = [*overlapping.lease(), *overlapping.lease()]
@@ -230,7 +236,8 @@ def test_coordinators_that_take_turns_with_generations_in_flight_find_the_same(
             overlapping.report(jobs[begin : begin + 7])
             turn += 1
             overlapping.steppers[turn % 2].advance("c0ffee")
-    assert overlapping.digest() == undisturbed_digest(CAMPAIGNS["random"])
+    overlapping.close()
+    assert overlapping.digest() == undisturbed_digest(CAMPAIGNS[name])
 
 
 def test_a_stale_step_is_not_written(two: Coordinators) -> None:
