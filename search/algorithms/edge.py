@@ -56,7 +56,9 @@ _PROMISING: Final = 3
 """Anchors that get further draws, as a multiple of the partners wanted."""
 _LIKELY: Final = 0.75
 """Probability of the opposite verdict from which on a nearer partner is better than a likelier one."""
-_GENERATION, _SURROGATE, _PARTNER, _MORE = range(4)  # what is drawn, as the first index of the stream
+_GENERATION, _SURROGATE, _PARTNER, _MORE, _CHANCE = range(
+    5
+)  # what is drawn, as the first index of the stream
 
 
 class Purpose(IntEnum):
@@ -154,6 +156,10 @@ class EdgeState(LedgerState):
         jobs: The purpose of each candidate in flight or queued, in the order of asking.
         seeds: Number of the candidate whose episode seed a solution shares, for those that have none of their own.
         tries: How often a partner of a solution was simulated, by its number.
+        resolved: Positions of the brackets that were kept or found chancy, in the order in which that was known.
+        surrogate: Estimates how likely a solution is unsafe; None until it is needed.
+        chance: Estimates how likely a pair is a chancy place; None until enough is known.
+        partners: The best partner drawn for each anchor, by its number.
     """
 
     config: EdgeConfig
@@ -161,7 +167,9 @@ class EdgeState(LedgerState):
     jobs: tuple[Job, ...] = ()
     seeds: Mapping[int, int]
     tries: Mapping[int, int]
+    resolved: tuple[int, ...] = ()
     surrogate: Surrogate | None = None
+    chance: Surrogate | None = None
     partners: Mapping[int, "_Partner"] = field(default_factory=dict)
 
 
@@ -205,6 +213,7 @@ class Edge(LedgerAlgorithm[EdgeConfig, EdgeState]):
             "jobs": np.reshape(state.jobs, (-1, 3)).astype(np.float64),
             "seeds": np.reshape(sorted(state.seeds.items()), (-1, 2)).astype(np.float64),
             "tries": np.reshape(sorted(state.tries.items()), (-1, 2)).astype(np.float64),
+            "resolved": np.reshape(state.resolved, (-1, 1)).astype(np.float64),
         }
         return {}, arrays
 
@@ -227,8 +236,10 @@ class Edge(LedgerAlgorithm[EdgeConfig, EdgeState]):
                 f"jobs: expected one for each of {ledger.in_flight + len(ledger.queue)} candidates, got {len(jobs)}"
             )
         seeds, tries = ({a: b for a, b in table(name, 2)} for name in ("seeds", "tries"))  # noqa: C416
+        resolved = tuple(place for (place,) in table("resolved", 1))
         return EdgeState(
-            config=config, ledger=ledger, brackets=brackets, jobs=jobs, seeds=seeds, tries=tries
+            config=config, ledger=ledger, brackets=brackets, jobs=jobs, seeds=seeds, tries=tries,
+            resolved=resolved,
         )  # fmt: skip
 
 
@@ -282,7 +293,7 @@ def _learnt(
     archive, known = state.ledger.archive, _Known(state.ledger.archive)
     steps = Steps(state.ledger.space)
     clear = _clear(archive, state.config.margin)
-    brackets, seeds = list(state.brackets), dict(state.seeds)
+    brackets, seeds, resolved = list(state.brackets), dict(state.seeds), list(state.resolved)
     for candidate, (purpose, of, side) in zip(told, jobs, strict=True):
         evaluation = evaluations[candidate.number]
         if candidate.seed_number is not None:
@@ -311,8 +322,10 @@ def _learnt(
                 brackets[of] = _failed(bracket)
             else:
                 brackets[of] = _checked(bracket, side, scored.unsafe, state.config.checks)
+                if brackets[of].status in (Status.KEPT, Status.CHANCY):
+                    resolved.append(of)
     _drop_near(brackets, known, steps, state.config.d_th)
-    return replace(state, brackets=tuple(brackets), seeds=seeds)
+    return replace(state, brackets=tuple(brackets), seeds=seeds, resolved=tuple(resolved))
 
 
 def _drop_near(brackets: list[Bracket], known: _Known, steps: Steps, d_th: float) -> None:
@@ -444,10 +457,13 @@ class _Partner:
     flips: float
     length: float
 
-    @property
-    def rank(self) -> tuple[float, float]:
-        """Smaller for a better partner: likely to have the opposite verdict and, among likely ones, near."""
-        return -min(self.flips, _LIKELY), self.length
+    def rank(self, chancy: float) -> tuple[float, float]:
+        """Return a key that is smaller for a better partner: likely to open a pair that holds, and then near.
+
+        Args:
+            chancy: Probability that the pair is a chancy place.
+        """
+        return -min(self.flips, _LIKELY) * (1.0 - chancy), self.length
 
 
 def _with_surrogate(state: EdgeState) -> EdgeState:
@@ -460,6 +476,21 @@ def _with_surrogate(state: EdgeState) -> EdgeState:
     rng = generator(state.ledger.seed, Stream.EDGE, _SURROGATE, size)
     surrogate = Surrogate(state.ledger.space, rows, unsafe, seed=int(rng.integers(2**32, dtype=np.uint64)))
     return replace(state, surrogate=surrogate, partners={})
+
+
+def _with_chance(state: EdgeState) -> EdgeState:
+    """Return the state with an estimate of where pairs are chancy, from those that were checked."""
+    size = _learning_size(len(state.resolved))
+    if size < _FEW or (state.chance is not None and state.chance.size == size):
+        return state
+    brackets = [state.brackets[place] for place in state.resolved[:size]]
+    chancy = np.array([bracket.status is Status.CHANCY for bracket in brackets])
+    if chancy.all() or not chancy.any():
+        return state
+    _, rows = _ends(brackets, _Known(state.ledger.archive))
+    rng = generator(state.ledger.seed, Stream.EDGE, _CHANCE, size)
+    chance = Surrogate(state.ledger.space, rows, chancy, seed=int(rng.integers(2**32, dtype=np.uint64)))
+    return replace(state, chance=chance)
 
 
 def _learning_size(solutions: int) -> int:
@@ -516,34 +547,39 @@ def _partners(state: EdgeState, plan: _Plan, count: int, allowance: float) -> Ed
     """
     if count <= 0:
         return state
-    state = _with_surrogate(state)
+    state = _with_chance(_with_surrogate(state))
     places = _anchors(state)
     if state.surrogate is None or not places.size:
         return state
     archive, space = state.ledger.archive, state.ledger.space
     numbers = archive.numbers[places].tolist()
-    partners = _drawn_partners(state, state.surrogate, dict(zip(numbers, places.tolist(), strict=True)))
+    archive_place = dict(zip(numbers, places.tolist(), strict=True))
+    partners = _drawn_partners(state, state.surrogate, archive_place)
     tries = dict(state.tries)
     seen = set(row_keys(archive.vectors))
     chosen: list[int] = []
-    order = sorted(range(len(numbers)), key=lambda at: partners[numbers[at]].rank)
-    best = {numbers[at]: int(places[at]) for at in order[: _PROMISING * count]}
-    more = _best_of_draws(state, state.surrogate, best, MORE_REDRAWS, _MORE, state.ledger.planned_generation)
+    chancy = np.zeros(len(places)) if state.chance is None else state.chance.unsafe(archive.vectors[places])
+    risk = dict(zip(numbers, chancy.tolist(), strict=True))
+    best = sorted(numbers, key=lambda number: (partners[number].rank(risk[number]), number))
+    promising = {number: int(archive_place[number]) for number in best[: _PROMISING * count]}
+    more = _best_of_draws(
+        state, state.surrogate, promising, MORE_REDRAWS, _MORE, state.ledger.planned_generation
+    )
     kept = partners
-    partners = partners | {n: p for n, p in more.items() if p.rank < partners[n].rank}
-    for at in sorted(range(len(numbers)), key=lambda at: (partners[numbers[at]].rank, numbers[at])):
-        partner = partners[numbers[at]]
+    partners = partners | {n: p for n, p in more.items() if p.rank(0.0) < partners[n].rank(0.0)}
+    for number in sorted(numbers, key=lambda number: (partners[number].rank(risk[number]), number)):
+        place = archive_place[number]
+        partner = partners[number]
         expected = 1 + partner.flips * _cost(partner.length, state.config)
         if len(chosen) == count or allowance < expected:
             break
-        if chosen and (archive.distances([places[at]], chosen) < state.config.d_th).any():
+        if chosen and (archive.distances([place], chosen) < state.config.d_th).any():
             continue
-        number = numbers[at]
         row = _repaired(space, partner.row)
         tries[number] = tries.get(number, 0) + 1
         if row.tobytes() in seen:
             continue
-        chosen.append(int(places[at]))
+        chosen.append(place)
         allowance -= expected
         plan.add(row, state.seeds.get(number, number), (Purpose.PARTNER, number, 0))
     return replace(state, tries=tries, partners=kept)

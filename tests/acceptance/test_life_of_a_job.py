@@ -13,7 +13,7 @@ from brink.worker.wire import WIRE_VERSION
 CAMPAIGN = {
     "name": "life of a job",
     "problem": {"id": "urban-injected@1", "params": {"duration_s": 5.0}},
-    "algorithm": {"id": "random@1", "params": {"generation_size": 6}},
+    "algorithm": {"id": "random@1", "params": {"generation_size": 6, "in_flight": 1}},
     "budget": {"simulations": 12},
     "seed": 5,
     "execution": {"keep_traces": 0},
