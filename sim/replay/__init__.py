@@ -1,6 +1,7 @@
 """Replays of episodes: still images, videos, and plots over time."""
 
-from brink.sim.replay.render import render, render_bytes
+from brink.sim.replay.pair import DrivePair, Side
+from brink.sim.replay.render import render, render_bytes, render_pair
 from brink.sim.replay.scene import ReplayError
 
-__all__ = ["ReplayError", "render", "render_bytes"]
+__all__ = ["DrivePair", "ReplayError", "Side", "render", "render_bytes", "render_pair"]

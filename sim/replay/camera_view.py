@@ -6,6 +6,7 @@ regions in which a detection triggers the brake.
 """
 
 import io
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -50,6 +51,20 @@ FAR_PX: Final = 4000.0
 """Points are drawn at most this far outside the image."""
 
 
+class Reported(NamedTuple):
+    """Boxes reported to the driving system at one moment, and how they are drawn.
+
+    Attributes:
+        rows: The boxes, columns `brink.sim.trace.BOX_COLUMNS`.
+        colour: Colour of the lines.
+        source: Whose boxes they are, written before the label; empty if there is only one source.
+    """
+
+    rows: FloatArray
+    colour: Rgb
+    source: str
+
+
 class _Area(NamedTuple):
     style: SurfaceStyle
     first: int
@@ -77,8 +92,15 @@ class SketchView:
         self._scale = np.array(size_px) / (self._camera.width_px, self._camera.height_px)
         self._font = typeface(max(8, round(size_px[1] / 18)), bold=True)
 
-    def draw(self, sample: int) -> Image.Image:
-        """Return the camera view at a sample as an RGB image of the view's size."""
+    def draw(self, sample: int, reports: Sequence[Reported] | None = None) -> Image.Image:
+        """Return the camera view at a sample as an RGB image of the view's size.
+
+        Args:
+            sample: The sample.
+            reports: Reported boxes to draw, by default those of the episode.
+        """
+        if reports is None:
+            reports = [Reported(self._trace.given_boxes.at(sample), GHOST, "")]
         width, height = (side * SUPERSAMPLING for side in self._size)
         image = Image.new("RGB", (width, height), SKY)
         draw = ImageDraw.Draw(image)
@@ -86,7 +108,10 @@ class SketchView:
         self._draw_areas(draw, sample)
         self._draw_ground_truth(draw, sample)
         image = image.reduce(SUPERSAMPLING)
-        self._draw_reported(ImageDraw.Draw(image), sample)
+        draw = ImageDraw.Draw(image)
+        written: list[tuple[float, float]] = []
+        for report in reports:
+            self._draw_reported(draw, report, written)
         return image
 
     def _draw_areas(self, draw: ImageDraw.ImageDraw, sample: int) -> None:
@@ -146,15 +171,23 @@ class SketchView:
             colour = BLURRED_VEHICLE if row[0] == 0 else BLURRED_PEDESTRIAN
             draw.rectangle(box.ravel().tolist(), fill=colour, outline=SEEN, width=2 * SUPERSAMPLING)
 
-    def _draw_reported(self, draw: ImageDraw.ImageDraw, sample: int) -> None:
-        for row in self._trace.given_boxes.at(sample):
+    def _draw_reported(
+        self, draw: ImageDraw.ImageDraw, report: Reported, written: list[tuple[float, float]]
+    ) -> None:
+        line = self._font.size + 3
+        for row in report.rows:
             (left, top), (right, bottom) = self._corners(row).tolist()
             corners = np.array([(left, top), (right, top), (right, bottom), (left, bottom)])
-            draw_dashed(draw, corners, GHOST, dash=7.0, gap=4.0, width=2)
-            word = LABELS[label_index(row[0])]
+            draw_dashed(draw, corners, report.colour, dash=7.0, gap=4.0, width=2)
+            word = f"{report.source} {LABELS[label_index(row[0])]}".strip()
             wide = draw.textlength(word, font=self._font)
-            at = (min(left + 3, self._size[0] - wide - 3), max(2.0, top - self._font.size - 3))
-            draw.text(at, word, fill=GHOST, font=self._font, stroke_width=2, stroke_fill=PAPER)
+            x, y = min(left + 3, self._size[0] - wide - 3), max(2.0, top - line)
+            if any(abs(x - at_x) < wide and abs(y - at_y) < line for at_x, at_y in written):
+                y = min(bottom + 2, self._size[1] - line)  # below the box: above it is another label
+            while any(abs(x - at_x) < wide and abs(y - at_y) < line for at_x, at_y in written):
+                y -= line
+            written.append((x, y))
+            draw.text((x, y), word, fill=report.colour, font=self._font, stroke_width=2, stroke_fill=PAPER)
 
     def _corners(self, row: FloatArray) -> Points:
         """Return the top-left and bottom-right corner of an image box in pixels of the view, clipped to it."""

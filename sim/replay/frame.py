@@ -45,7 +45,7 @@ from brink.sim.replay.style import (
     readable_on,
     typeface,
 )
-from brink.sim.trace import Trace
+from brink.sim.trace import FloatArray, Trace
 from brink.sim.verdict import held_words
 
 Size: TypeAlias = tuple[int, int]
@@ -157,6 +157,21 @@ class FramePainter:
 
     def __len__(self) -> int:
         return len(self.trace.time_s)
+
+    @property
+    def size(self) -> Size:
+        """Width and height of the frames in pixels."""
+        return self.layout.size
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Times of the samples, shape ``(n,)``."""
+        return self.trace.time_s
+
+    @property
+    def key_samples(self) -> list[int]:
+        """Samples of the moments of the story, which have all colours of a film."""
+        return [moment.sample for moment in self.story.moments]
 
     @property
     def filmed(self) -> bool:

@@ -49,6 +49,8 @@ from brink.sim.trace import FloatArray, Surface, Trace
 
 ROUTE_WIDTH_M: Final = 0.3
 LEAST_PERSON_PX: Final = 3.0
+DOTS_M: Final = 1.0
+"""Distance between the dots of the path ahead."""
 
 _RINGS: Final = (SHAPES.car_body, *SHAPES.car_windows, *SHAPES.car_brake_lights)
 _CAR_CORNERS: Final = np.array([corner for ring in _RINGS for corner in ring])
@@ -82,7 +84,13 @@ class Viewport:
 
     @classmethod
     def along(
-        cls, route: FloatArray, ego: FloatArray, *, px_per_m: float, margin_m: tuple[float, float]
+        cls,
+        route: FloatArray,
+        ego: FloatArray,
+        *,
+        px_per_m: float,
+        margin_m: tuple[float, float],
+        turn_rad: float | None = None,
     ) -> Self:
         """Return a viewport around the whole drive, rotated so that the drive starts out to the right.
 
@@ -91,15 +99,11 @@ class Viewport:
             ego: The ego's poses, shape ``(n, 5)``.
             px_per_m: Scale.
             margin_m: How far the canvas extends beyond the ego's positions, horizontally and vertically.
+            turn_rad: Rotation of the world instead.
         """
-        turn_rad = -float(ego[0, 2])
         places = np.asarray(ego[:, :2], dtype=np.float64)
-        if len(route) > 1:
-            # Take the heading of the road: a swerve in the first sample must not rotate the map.
-            nearest = int(np.hypot(*(route - ego[0, :2]).T).argmin())
-            start = min(nearest, len(route) - 2)
-            step = route[start + 1] - route[start]
-            turn_rad = -float(np.arctan2(step[1], step[0]))
+        if turn_rad is None:
+            turn_rad = -road_heading(route, ego, 0)
         turned = _turned(places, turn_rad)
         low = turned.min(axis=0) - margin_m
         high = turned.max(axis=0) + margin_m
@@ -118,10 +122,38 @@ class Viewport:
         return (turned - (self.left_m, self.top_m)) * (self.px_per_m, -self.px_per_m)
 
 
+def road_heading(route: FloatArray, ego: FloatArray, sample: int) -> float:
+    """Return the heading of the road where the ego is at a sample, in radians.
+
+    It does not change with a swerve of the ego, whose own heading is returned if there is no route.
+    """
+    if len(route) < 2:
+        return float(ego[sample, 2])
+    nearest = int(np.hypot(*(route - ego[sample, :2]).T).argmin())
+    start = min(nearest, len(route) - 2)
+    step = route[start + 1] - route[start]
+    return float(np.arctan2(step[1], step[0]))
+
+
 def _turned(points: Points, turn_rad: float) -> Points:
     cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
     turned: Points = points @ np.array([[cosine, sine], [-sine, cosine]])
     return turned
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Twin:
+    """What a map shows of a second drive from the same start: where its ego is.
+
+    Attributes:
+        ego: Outline of the ego in world coordinates, shape ``(4, 2)``.
+        caption: Label of the outline.
+        colour: Colour of the outline and its label.
+    """
+
+    ego: Points
+    caption: str
+    colour: Rgb
 
 
 class MapView:
@@ -133,6 +165,7 @@ class MapView:
         px_per_m: Scale of the map.
         look_ahead_m: How far ahead of the ego the middle of the map lies.
         font_px: Size of the labels.
+        turn_rad: Rotation of the map; by default so that the drive starts out to the right.
     """
 
     def __init__(
@@ -143,6 +176,7 @@ class MapView:
         px_per_m: float,
         look_ahead_m: float,
         font_px: int,
+        turn_rad: float | None = None,
     ) -> None:
         trace = scene.trace
         self._scene = scene
@@ -150,8 +184,9 @@ class MapView:
         self._size = size_px
         margin_m = tuple(side / 2 / px_per_m + look_ahead_m + 2.0 for side in size_px)
         self._viewport = Viewport.along(
-            trace.route, trace.ego, px_per_m=px_per_m * SUPERSAMPLING, margin_m=(margin_m[0], margin_m[1])
-        )
+            trace.route, trace.ego, px_per_m=px_per_m * SUPERSAMPLING, margin_m=(margin_m[0], margin_m[1]),
+            turn_rad=turn_rad,
+        )  # fmt: skip
         self._canvas = _paint_canvas(scene, self._viewport)
         self._centres = self._viewport.to_px(map_centres(trace, look_ahead_m))
         self._trail = self._viewport.to_px(trace.ego[:, :2])
@@ -168,21 +203,34 @@ class MapView:
         ]
         self._font = typeface(font_px, bold=True)
 
-    def draw(self, sample: int) -> Image.Image:
-        """Return the map at a sample as an RGB image of the view's size."""
+    def draw(
+        self, sample: int, *, centre_m: Points | None = None, twin: Twin | None = None, ahead: int = 0
+    ) -> Image.Image:
+        """Return the map at a sample as an RGB image of the view's size.
+
+        Args:
+            sample: The sample.
+            centre_m: World coordinates of the middle of the map, shape ``(2,)``; by default ahead of the ego.
+            twin: A second drive to show.
+            ahead: Samples of the ego's path after this one to show as dots.
+        """
         wide, high = (side * SUPERSAMPLING for side in self._size)
-        corner = np.round(self._centres[sample] - (wide / 2, high / 2))
+        centre = self._centres[sample] if centre_m is None else self._viewport.to_px(centre_m[None])[0]
+        corner = np.round(centre - (wide / 2, high / 2))
         left, top = (int(value) for value in corner)
         image = self._canvas.crop((left, top, left + wide, top + high)).convert("RGB")
         draw = ImageDraw.Draw(image)
         labels: list[Label] = []
         gap = front_gap(self._trace, sample)
         self._draw_trail(draw, sample, corner)
+        self._draw_ahead(draw, sample, ahead, corner)
         self._draw_actors(draw, sample, corner, gap)
         self._draw_obstacles(draw, sample, corner, labels)
         self._draw_car(draw, self._ego[sample] - corner, EGO, brakes=bool(self._scene.ego_brakes[sample]))
         if gap is not None:
             self._draw_gap(draw, gap, corner, labels)
+        if twin is not None:
+            self._draw_twin(draw, twin, corner, labels)
         image = image.reduce(SUPERSAMPLING)
         self._write(ImageDraw.Draw(image), labels)
         return image
@@ -191,6 +239,28 @@ class MapView:
         if sample > 0:
             line = (self._trail[: sample + 1] - corner).ravel().tolist()
             draw.line(line, fill=EGO_TRAIL, width=max(2, round(0.25 * self._viewport.px_per_m)))
+
+    def _draw_ahead(self, draw: ImageDraw.ImageDraw, sample: int, count: int, corner: Points) -> None:
+        """Draw where the ego goes next as dots of equal spacing."""
+        path = self._trail[sample : sample + count + 1] - corner
+        if len(path) < 2:
+            return
+        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
+        radius = max(SUPERSAMPLING, 0.16 * self._viewport.px_per_m)
+        for at in np.arange(0.0, along[-1], DOTS_M * self._viewport.px_per_m):
+            x, y = (float(np.interp(at, along, path[:, axis])) for axis in (0, 1))
+            draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=EGO)
+
+    def _draw_twin(self, draw: ImageDraw.ImageDraw, twin: Twin, corner: Points, labels: list[Label]) -> None:
+        corners = self._viewport.to_px(twin.ego) - corner
+        limit = np.array(self._size) * SUPERSAMPLING
+        if (corners.max(axis=0) < 0).any() or (corners.min(axis=0) > limit).any():
+            return
+        closed = np.vstack([corners, corners[:2]]).ravel().tolist()
+        draw.line(closed, fill=PAPER, width=4 * SUPERSAMPLING, joint="curve")
+        draw.line(closed, fill=twin.colour, width=2 * SUPERSAMPLING, joint="curve")
+        below = float(corners[:, 0].mean()), float(corners[:, 1].max())
+        labels.append((_reduced(below, 0.85), twin.caption, twin.colour))
 
     def _draw_actors(
         self, draw: ImageDraw.ImageDraw, sample: int, corner: Points, gap: FrontGap | None

@@ -4,13 +4,21 @@ import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
+from brink.sim.replay.pair import DrivePair
 from brink.sim.replay.scene import ReplayError
 from brink.sim.trace import Trace
 
+if TYPE_CHECKING:
+    from PIL import Image
+
+    from brink.sim.replay.video import Painter
+
 DEFAULT_SIZES: Final = {".png": (1280, 720), ".gif": (800, 450), ".mp4": (960, 540)}
 """Width and height of a frame, by extension; a PNG shows more below its frame."""
+PAIR_SIZES: Final = {".png": (1600, 900), ".gif": (960, 540), ".mp4": (1280, 720)}
+"""The same for pairs; the size of a PNG depends on the pair."""
 
 
 def render(
@@ -42,20 +50,59 @@ def render(
     # These modules take a second to import, so they are imported only when an episode is rendered.
     from brink.sim.replay.frame import FramePainter
     from brink.sim.replay.sheets import still
-    from brink.sim.replay.video import write_gif, write_mp4
 
     target = Path(path)
+    wanted = size or DEFAULT_SIZES[_known_extension(target.suffix)]
+    return _write(
+        target,
+        lambda: still(trace, requirement=requirement, size=wanted),
+        lambda: FramePainter(trace, requirement=requirement, size=wanted),
+        on_progress,
+    )
+
+
+def render_pair(
+    pair: DrivePair, path: str | os.PathLike[str], *, on_progress: Callable[[int, int], None] | None = None
+) -> Path:
+    """Render a pair of drives to a file: a still image (.png) or a film of both side by side (.gif, .mp4).
+
+    Args:
+        pair: The pair.
+        path: The file, written as by `render`.
+        on_progress: Called after each frame with the number of frames drawn and the total.
+
+    Returns:
+        The path.
+
+    Raises:
+        ReplayError: The extension is unknown, a trace is empty or lacks the requirement.
+        OSError: The file cannot be written.
+    """
+    from brink.sim.replay.pair_view import PairPainter, pair_still
+
+    target = Path(path)
+    size = PAIR_SIZES[_known_extension(target.suffix)]
+    return _write(target, lambda: pair_still(pair), lambda: PairPainter(pair, size=size), on_progress)
+
+
+def _write(
+    target: Path,
+    still: "Callable[[], Image.Image]",
+    painter: "Callable[[], Painter]",
+    on_progress: Callable[[int, int], None] | None,
+) -> Path:
+    """Write a still image or a video, depending on the extension, under a temporary name, then rename it."""
+    from brink.sim.replay.video import write_gif, write_mp4
+
     extension = _known_extension(target.suffix)
-    wanted = size or DEFAULT_SIZES[extension]
     partial = target.with_name(f".{target.name}.part")
     try:
         if extension == ".png":
-            still(trace, requirement=requirement, size=wanted).save(partial, format="PNG")
+            still().save(partial, format="PNG")
             if on_progress is not None:
                 on_progress(1, 1)
         else:
-            painter = FramePainter(trace, requirement=requirement, size=wanted)
-            (write_gif if extension == ".gif" else write_mp4)(painter, partial, on_progress)
+            (write_gif if extension == ".gif" else write_mp4)(painter(), partial, on_progress)
         partial.replace(target)
     finally:
         partial.unlink(missing_ok=True)

@@ -12,7 +12,17 @@ from brink.sim.replay.frame import FramePainter, Size
 from brink.sim.replay.map_view import MapView
 from brink.sim.replay.scene import ReplayError
 from brink.sim.replay.story import Judged, Moment, Story, story_of
-from brink.sim.replay.style import HAIRLINE, INK, MUTED, PAPER, SEEN, VIOLATION, draw_banner, typeface
+from brink.sim.replay.style import (
+    HAIRLINE,
+    INK,
+    MUTED,
+    PAPER,
+    SEEN,
+    VIOLATION,
+    draw_banner,
+    typeface,
+    wrapped,
+)
 from brink.sim.replay.timeline import timeline_image
 from brink.sim.trace import Trace
 
@@ -193,19 +203,7 @@ def _draw_row(sheet: Image.Image, draw: ImageDraw.ImageDraw, row: Row, top: int,
 def _draw_words(draw: ImageDraw.ImageDraw, words: str, story: Story, top: int) -> None:
     y = top + 4.0
     for text, colour in ((words, INK), (story.words, VIOLATION if story.violations else SEEN)):
-        for line in _wrapped(draw, text, WORDS_PX - MARGIN):
+        for line in wrapped(draw, text, typeface(15, bold=True), WORDS_PX - MARGIN):
             draw.text((MARGIN, y), line, fill=colour, font=typeface(15, bold=True))
             y += 20
         y += 4
-
-
-def _wrapped(draw: ImageDraw.ImageDraw, words: str, width_px: float) -> list[str]:
-    font = typeface(15, bold=True)
-    lines = [""]
-    for word in words.split():
-        longer = f"{lines[-1]} {word}".strip()
-        if lines[-1] and draw.textlength(longer, font=font) > width_px:
-            lines.append(word)
-        else:
-            lines[-1] = longer
-    return lines

@@ -32,6 +32,8 @@ ROUTE: Final[Rgb] = (141, 190, 222)
 GHOST: Final[Rgb] = (213, 94, 0)
 SEEN: Final[Rgb] = (0, 145, 105)
 VIOLATION: Final[Rgb] = (176, 0, 45)
+SAFE_DRIVE: Final[Rgb] = (0, 114, 178)
+UNSAFE_DRIVE: Final[Rgb] = (213, 94, 0)
 VEHICLE: Final[Rgb] = (84, 94, 103)
 PEDESTRIAN: Final[Rgb] = (120, 62, 145)
 BLURRED_VEHICLE: Final[Rgb] = (146, 154, 162)
@@ -94,6 +96,20 @@ def typeface(size_px: int, bold: bool = False) -> ImageFont.FreeTypeFont:
 
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
     return ImageFont.truetype(str(Path(mpl.get_data_path()) / "fonts" / "ttf" / name), max(6, size_px))
+
+
+def wrapped(
+    draw: ImageDraw.ImageDraw, words: str, font: ImageFont.FreeTypeFont, width_px: float
+) -> list[str]:
+    """Split words into lines that are at most so wide; a single word may be wider."""
+    lines = [""]
+    for word in words.split():
+        longer = f"{lines[-1]} {word}".strip()
+        if lines[-1] and draw.textlength(longer, font=font) > width_px:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return lines
 
 
 def dashes(points: Points, dash: float, gap: float, *, closed: bool = False) -> list[Points]:

@@ -111,7 +111,7 @@ def _plot_speed(axes: Axes, trace: Trace) -> None:
     highest = max(1.0, float(trace.ego[:, 3].max()), float(trace.target_speed_mps.max()))
     axes.set_ylim(min(0.0, float(trace.ego[:, 3].min())), highest * 1.12)
     axes.set_ylabel("m/s")
-    _style_axes(axes)
+    style_axes(axes)
     _label_ends(
         axes,
         [(float(trace.ego[-1, 3]), "speed", EGO), (float(trace.target_speed_mps[-1]), "target speed", MUTED)],
@@ -132,7 +132,7 @@ def _plot_robustness(axes: Axes, trace: Trace, story: Story) -> None:
     )
     axes.set_ylim(least - 0.22 * (most - least), most * 1.08)
     axes.set_ylabel(unit_of(story.requirement) or "robustness")
-    _style_axes(axes)
+    style_axes(axes)
     axes.text(
         1.008, 0.97, f"{story.title}\nto spare", transform=axes.transAxes, va="top", fontsize=9,
         color=hexadecimal(INK), linespacing=1.25,
@@ -144,7 +144,7 @@ def _plot_robustness(axes: Axes, trace: Trace, story: Story) -> None:
 
 
 def _plot_bands(axes: Axes, trace: Trace) -> None:
-    scripts = _scripts(trace)
+    scripts = scripts_of(trace)
     reports = {} if scripts else {f"{report_word(trace)} {LABELS[i]}": i for i in range(PERSON + 1)}
     names = ["plan", *(["light"] if any(trace.lights) else []), *reports, *scripts]
     for row, name in enumerate(names):
@@ -166,13 +166,13 @@ def _plot_bands(axes: Axes, trace: Trace) -> None:
                     _band(axes, trace, row, first, last, GHOST, f"{count}" if count != 1 else "")
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_yticks(range(len(names)), names)
-    _style_axes(axes)
+    style_axes(axes)
     axes.grid(visible=False)
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
 
 
-def _scripts(trace: Trace) -> dict[str, list[str]]:
+def scripts_of(trace: Trace) -> dict[str, list[str]]:
     """Return the action of each scripted road user at each sample, by name; empty if there are no scripts."""
     scripts: dict[str, list[str]] = {}
     for event in trace.events:
@@ -237,7 +237,8 @@ def _label_ends(axes: Axes, ends: list[tuple[float, str, Rgb]]) -> None:
         )  # fmt: skip
 
 
-def _style_axes(axes: Axes) -> None:
+def style_axes(axes: Axes) -> None:
+    """Style axes: two thin spines, small muted ticks, a faint grid along y."""
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     for side in ("left", "bottom"):

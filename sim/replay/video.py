@@ -4,13 +4,12 @@ import os
 from collections.abc import Callable, Iterator
 from fractions import Fraction
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import Any, Final, Protocol, TypeAlias
 
 import av
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
-
-from brink.sim.replay.frame import FramePainter
 
 ProgressCallback: TypeAlias = Callable[[int, int], None]
 """Called with the number of frames drawn and the total."""
@@ -24,9 +23,32 @@ MP4_QUALITY: Final = "23"
 MOST_FRAMES: Final = 3000
 
 
-def film_samples(painter: FramePainter) -> list[int]:
+class Painter(Protocol):
+    """Draws the frames of a film."""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the frames in pixels."""
+        ...
+
+    @property
+    def time_s(self) -> NDArray[np.floating[Any]]:
+        """Times of the samples, ascending, shape ``(n,)``."""
+        ...
+
+    @property
+    def key_samples(self) -> list[int]:
+        """Samples that together have all colours of the film."""
+        ...
+
+    def frame(self, sample: int) -> Image.Image:
+        """Return the frame at a sample as an RGB image."""
+        ...
+
+
+def film_samples(painter: Painter) -> list[int]:
     """Return the sample that each frame shows: one every tenth of a second, the last one held for a second."""
-    time_s = np.asarray(painter.trace.time_s, dtype=np.float64)
+    time_s = np.asarray(painter.time_s, dtype=np.float64)
     count = min(MOST_FRAMES, round((time_s[-1] - time_s[0]) * FRAMES_PER_S) + 1)
     wanted = time_s[0] + np.arange(count) / FRAMES_PER_S
     # Float32 times lie slightly off the grid: take the nearest sample, not the next.
@@ -38,7 +60,7 @@ def film_samples(painter: FramePainter) -> list[int]:
     return samples + samples[-1:] * round(HOLD_S * FRAMES_PER_S)
 
 
-def write_mp4(painter: FramePainter, path: Path, on_progress: ProgressCallback | None = None) -> None:
+def write_mp4(painter: Painter, path: Path, on_progress: ProgressCallback | None = None) -> None:
     """Write the video of an episode as MP4: H.264, yuv420p, index first, so that browsers can play it at once.
 
     Args:
@@ -46,7 +68,7 @@ def write_mp4(painter: FramePainter, path: Path, on_progress: ProgressCallback |
         path: The file.
         on_progress: Called after each frame.
     """
-    width, height = painter.layout.size
+    width, height = painter.size
     with av.open(os.fspath(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
         stream = container.add_stream("libx264", rate=FRAMES_PER_S)
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
@@ -59,7 +81,7 @@ def write_mp4(painter: FramePainter, path: Path, on_progress: ProgressCallback |
         container.mux(stream.encode(None))
 
 
-def write_gif(painter: FramePainter, path: Path, on_progress: ProgressCallback | None = None) -> None:
+def write_gif(painter: Painter, path: Path, on_progress: ProgressCallback | None = None) -> None:
     """Write the video of an episode as a looping GIF with one palette for all frames.
 
     Args:
@@ -83,17 +105,17 @@ def write_gif(painter: FramePainter, path: Path, on_progress: ProgressCallback |
     )
 
 
-def _film_palette(painter: FramePainter) -> Image.Image:
-    """Return one palette, made from all moments of the story, so that colours do not flicker."""
-    pictures = [painter.frame(moment.sample) for moment in painter.story.moments]
-    width, height = painter.layout.size
+def _film_palette(painter: Painter) -> Image.Image:
+    """Return one palette, made from the key samples, so that colours do not flicker."""
+    pictures = [painter.frame(sample) for sample in painter.key_samples]
+    width, height = painter.size
     sheet = Image.new("RGB", (width, height * len(pictures)))
     for index, picture in enumerate(pictures):
         sheet.paste(picture, (0, index * height))
     return sheet.quantize(colors=GIF_COLOURS, method=Image.Quantize.MEDIANCUT)
 
 
-def _frames(painter: FramePainter, on_progress: ProgressCallback | None) -> Iterator[Image.Image]:
+def _frames(painter: Painter, on_progress: ProgressCallback | None) -> Iterator[Image.Image]:
     samples = film_samples(painter)
     last: tuple[int, Image.Image] | None = None
     for done, sample in enumerate(samples, start=1):

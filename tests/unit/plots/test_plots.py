@@ -18,9 +18,11 @@ from PIL import Image
 from brink.plots import (
     FIGURES,
     CampaignFigures,
+    PairFigure,
     figure_dbs,
     figure_embedding,
     figure_fitness,
+    figure_pair,
     figure_parameters,
     write_campaign_figures,
 )
@@ -33,6 +35,7 @@ from brink.search.algorithms.multi_objective import CRITICALITY
 from brink.search.algorithms.nsga2 import Nsga2, Nsga2Config
 from brink.search.analysis.boundary import dbs, dbs_grid, distinct_boundary, strict_dbs
 from brink.search.analysis.dependence import dependences
+from brink.search.analysis.pairs import find_pairs
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS
 from brink.search.analysis.similarity import embedded, own_plane
 from brink.search.archive import Archive, Neighbourhood
@@ -447,3 +450,43 @@ def test_an_unknown_format_is_rejected_before_drawing(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"formats: expected some of png, svg; got 'pdf'"):
         write_campaign_figures(mtq_campaign(60), tmp_path / "out", formats=("pdf",))
     assert not (tmp_path / "out").exists()
+
+
+def test_a_pair_of_two_numbers_is_drawn_to_scale_in_its_own_plane() -> None:
+    inputs = mtq_campaign()
+    pair = find_pairs(inputs.archive, inputs.space, eps=0.02, d_th=0.05).pairs[0]
+    figure = figure_pair(
+        inputs,
+        PairFigure(
+            safe=pair.safe.number, unsafe=pair.unsafe.number, change="x 0.73 -> 0.74", facts=("checked",)
+        ),
+    )
+    whole, close = figure.axes
+    assert whole.get_aspect() == close.get_aspect() == 1.0
+    assert whole.get_xlim() == whole.get_ylim() == (0, 1)
+    rows = {
+        int(number): row for number, row in zip(inputs.archive.numbers, inputs.archive.vectors, strict=True)
+    }
+    safe, unsafe = rows[pair.safe.number], rows[pair.unsafe.number]
+    middle = (safe + unsafe) / 2
+    assert np.mean(close.get_xlim()) == pytest.approx(middle[0])
+    drawn = [point for one in close.collections for point in np.asarray(one.get_offsets()).tolist()]
+    assert safe.tolist() in drawn
+    assert unsafe.tolist() in drawn
+
+
+def test_a_pair_of_a_mixed_problem_has_a_row_for_each_difference() -> None:
+    vectors = np.array([[0, 2, 1, 400.25, 100], [2, 2, 1, 410.5, 100.0]])
+    inputs = campaign(
+        MIXED, vectors, np.array([False, True]), np.array([1.0, -1.0]), radius=0.2, t_b=0.2, d_th=0.1
+    )
+    figure = figure_pair(inputs, PairFigure(safe=0, unsafe=1, change="hard rain instead of clear"))
+    words = [text.get_text() for text in figure.axes[0].texts]
+    assert [word for word in words if word.startswith(("scenario", "behaviour"))] == [
+        "scenario: weather", "behaviour: x px",
+    ]  # fmt: skip
+    assert {"clear", "hard rain", "400.25 px", "410.5 px", "The other 3 parameters are the same."} <= set(
+        words
+    )
+    with pytest.raises(ValueError, match="expected an evaluated solution of Test, got 7"):
+        figure_pair(inputs, PairFigure(safe=7, unsafe=1, change=""))

@@ -1,0 +1,228 @@
+"""A pair of drives, one safe and one unsafe: what differs between them, and the moment at which that matters.
+
+Both drives run on the same clock. The *moment* of a pair is the unsafe drive's first violation; the safe drive is
+shown at the same time. Reports *differ* while the driving systems of the two drives receive different boxes.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from brink.sim.replay.scene import Points, ReplayError, map_centres, spec_part
+from brink.sim.replay.story import Judged, Story, story_of, with_unit
+from brink.sim.trace import Trace
+
+SAFE, UNSAFE = "safe", "unsafe"
+
+_SAME_PX: Final = 0.5
+"""Boxes whose sides are this close are the same."""
+_SAME_PLACE_M: Final = 0.05
+_LEAD_UP_S: Final = 3.0
+_FOLLOW_UP_S: Final = 5.0
+_LEAST_WINDOW_S: Final = 12.0
+_LOOK_AHEAD_M: Final = 7.0
+"""How far ahead of its car the middle of a map lies."""
+_MOST_SHIFT_M: Final = np.array([11.0, 4.0])
+"""How far a map is shifted along and across its longer side to show the same place as the other one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Side:
+    """One drive of a pair.
+
+    Attributes:
+        number: Number of the solution.
+        trace: The drive.
+        outcome: What happened, in words; by default what the trace tells.
+        again: What simulating it again with other seeds showed, in words; empty if that was not tried.
+    """
+
+    number: int
+    trace: Trace
+    outcome: str = ""
+    again: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DrivePair:
+    """Two drives that are almost the same, and the words that go with them.
+
+    Attributes:
+        safe: The safe drive.
+        unsafe: The unsafe one.
+        change: What differs between them, in words.
+        facts: Further facts about the pair, such as its distance.
+        requirement: Ids of the requirements that tell them apart; for the default see `story_of`.
+    """
+
+    safe: Side
+    unsafe: Side
+    change: str
+    facts: tuple[str, ...] = ()
+    requirement: Judged = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Interval:
+    """A span of time; `end_s` is the end of its last sample."""
+
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairStory:
+    """What the pictures of a pair tell.
+
+    Attributes:
+        pair: The pair.
+        safe: Story of the safe drive.
+        unsafe: Story of the unsafe drive.
+        moment_s: Time of the unsafe drive's first violation, or of its lowest robustness if the trace has none.
+        differing: When the reports of the drives differ; up to the end of the shorter drive.
+        same_seed: Whether both drives have the same episode seed; None if a trace does not record it.
+        same_road: Whether both drives use the same road, so that one map can show both.
+        centres: Where the map of each drive is centred at each of its samples, shape ``(n, 2)`` each.
+    """
+
+    pair: DrivePair
+    safe: Story
+    unsafe: Story
+    moment_s: float
+    differing: tuple[Interval, ...]
+    same_seed: bool | None
+    same_road: bool
+    centres: tuple[Points, Points]
+
+    @property
+    def end_s(self) -> float:
+        """Time at which the longer drive ends."""
+        return max(float(side.trace.time_s[-1]) for side in (self.pair.safe, self.pair.unsafe))
+
+    @property
+    def parts(self) -> "tuple[tuple[str, Side, Story], tuple[str, Side, Story]]":
+        """The two drives in the order in which they are shown: name, side, story."""
+        return (SAFE, self.pair.safe, self.safe), (UNSAFE, self.pair.unsafe, self.unsafe)
+
+    def window(self) -> Interval:
+        """Return the span of time that matters: from before the reports first differ until after the moment."""
+        first_s = self.differing[0].start_s if self.differing else self.moment_s
+        end_s = min(self.end_s, self.moment_s + _FOLLOW_UP_S)
+        start_s = min(first_s - _LEAD_UP_S, self.moment_s - _LEAD_UP_S, end_s - _LEAST_WINDOW_S)
+        start_s = max(0.0, start_s)
+        return Interval(start_s=start_s, end_s=max(end_s, min(self.end_s, start_s + _LEAST_WINDOW_S)))
+
+    def report_moment_s(self) -> float | None:
+        """Return a time at which the reports differ, the earliest one; None if they never do before the moment."""
+        return next((one.start_s for one in self.differing if one.start_s <= self.moment_s), None)
+
+
+def pair_story(pair: DrivePair) -> PairStory:
+    """Return the story of a pair.
+
+    Raises:
+        ReplayError: A trace is empty, or does not record the requirement.
+    """
+    unsafe = story_of(pair.unsafe.trace, pair.requirement)
+    safe = story_of(pair.safe.trace, unsafe.requirement)
+    safe_seed, unsafe_seed = (_seed(side.trace) for side in (pair.safe, pair.unsafe))
+    return PairStory(
+        pair=pair,
+        safe=safe,
+        unsafe=unsafe,
+        moment_s=float(pair.unsafe.trace.time_s[unsafe.decisive]),
+        differing=_differing(pair.safe.trace, pair.unsafe.trace),
+        same_seed=None if safe_seed is None or unsafe_seed is None else safe_seed == unsafe_seed,
+        same_road=_same_road(pair.safe.trace, pair.unsafe.trace),
+        centres=(map_centres(pair.safe.trace, _LOOK_AHEAD_M), map_centres(pair.unsafe.trace, _LOOK_AHEAD_M)),
+    )
+
+
+def sample_at(trace: Trace, time_s: float) -> int:
+    """Return the sample nearest to a time."""
+    return int(np.abs(np.asarray(trace.time_s, dtype=np.float64) - time_s).argmin())
+
+
+def has_ended(trace: Trace, time_s: float) -> bool:
+    """Return whether a drive has ended by a time."""
+    return time_s > float(trace.time_s[-1]) + 0.06
+
+
+def outcome_words(side: Side, story: Story) -> str:
+    """Return what happened in a drive: its requirement first, then every other one that was violated."""
+    return side.outcome or story.words
+
+
+def state_words(side: Side, story: Story, time_s: float) -> str:
+    """Return what a drive does at a time: speed, plan, and the robustness of the requirement."""
+    trace = side.trace
+    if has_ended(trace, time_s):
+        return f"ended at {float(trace.time_s[-1]):.1f} s"
+    sample = sample_at(trace, time_s)
+    words = [f"{float(trace.ego[sample, 3]):.1f} m/s".replace("-", "−"), f"plan: {trace.plan_mode[sample]}"]
+    value = float(trace.robustness[story.requirement][sample])
+    if np.isfinite(value):
+        margin = with_unit(abs(value), story.title).lstrip("+")
+        words.append(f"{story.title.replace('-', ' ')}: {margin} {'too little' if value < 0 else 'to spare'}")
+    return ", ".join(words)
+
+
+def middles(story: PairStory, time_s: float, turn_rad: float) -> list[Points]:
+    """Return the middles of the two maps at a time, shape ``(2,)`` each, the safe drive's first.
+
+    As long as the cars are close together, both maps show the same place, half-way between them; from then on, each
+    map stays with its own car.
+
+    Args:
+        story: The pair.
+        time_s: The time.
+        turn_rad: Rotation of the maps, which are wider than high.
+    """
+    places = [
+        centres[sample_at(side.trace, time_s)]
+        for centres, (_, side, _) in zip(story.centres, story.parts, strict=True)
+    ]
+    if not story.same_road:
+        return places
+    half = (places[1] - places[0]) / 2
+    cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
+    turn = np.array([[cosine, sine], [-sine, cosine]])
+    shift = np.clip(half @ turn, -_MOST_SHIFT_M, _MOST_SHIFT_M) @ turn.T
+    return [places[0] + shift, places[1] - shift]
+
+
+def _seed(trace: Trace) -> int | None:
+    spec = trace.about.get("spec")
+    seed = spec.get("seed") if isinstance(spec, dict) else None
+    return seed if isinstance(seed, int) else None
+
+
+def _same_road(one: Trace, other: Trace) -> bool:
+    if one.route.shape != other.route.shape or spec_part(one, "scenario").get("road_id") != spec_part(
+        other, "scenario"
+    ).get("road_id"):
+        return False
+    return bool(np.allclose(one.route, other.route, atol=_SAME_PLACE_M))
+
+
+def _differing(safe: Trace, unsafe: Trace) -> tuple[Interval, ...]:
+    """Return the spans in which the two driving systems receive different boxes."""
+    shorter = min((safe, unsafe), key=lambda trace: len(trace.time_s))
+    time_s = np.asarray(shorter.time_s, dtype=np.float64)
+    if len(time_s) == 0:
+        raise ReplayError("the trace has no samples: there is nothing to draw")
+    differs = np.array([_reports_differ(safe, unsafe, float(at_s)) for at_s in time_s])
+    edges = np.flatnonzero(np.diff(differs.astype(int), prepend=0, append=0)).reshape(-1, 2)
+    return tuple(
+        Interval(start_s=float(time_s[first]), end_s=float(time_s[min(last, len(time_s) - 1)]))
+        for first, last in edges.tolist()
+    )
+
+
+def _reports_differ(safe: Trace, unsafe: Trace, time_s: float) -> bool:
+    one, other = (trace.given_boxes.at(sample_at(trace, time_s)) for trace in (safe, unsafe))
+    if one.shape != other.shape:
+        return True
+    one, other = (rows[np.lexsort(rows.T[::-1])] for rows in (one, other))
+    return bool((np.abs(one - other) > _SAME_PX).any())

@@ -1,0 +1,318 @@
+"""The chart of a pair over time: what was reported in each drive, plans, speeds, and the margin of the requirement.
+
+Blue is the safe drive, vermilion the unsafe one. Each row of bands has two lanes, the safe drive's above.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final, TypeAlias
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
+
+from brink.sim.replay.pair import SAFE, Interval, PairStory
+from brink.sim.replay.scene import LABELS, PERSON
+from brink.sim.replay.story import report_word, reported, runs, unit_of
+from brink.sim.replay.style import (
+    GHOST,
+    INK,
+    MUTED,
+    PLAN_MODES,
+    SAFE_DRIVE,
+    UNKNOWN_MODE,
+    UNSAFE_DRIVE,
+    VEHICLE,
+    VIOLATION,
+    Rgb,
+    hexadecimal,
+    readable_on,
+)
+from brink.sim.replay.timeline import DPI, GREATEST_ROBUSTNESS, QUIET, scripts_of, style_axes
+from brink.sim.trace import Trace
+
+_LANE: Final = 0.4
+_LANE_PX: Final = 17
+_GAP_PX: Final = 7
+_MOST_SCRIPTS: Final = 3
+_LEFT_PX, _RIGHT_PX, _TOP_PX, _BOTTOM_PX = 136, 96, 26, 44
+_DIFFERENCE: Final = "#f3c677"
+
+Run: TypeAlias = tuple[str, int, int]
+"""Word, first and last sample."""
+Paint: TypeAlias = Callable[[str], Rgb]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Row:
+    """Two lanes of bands, the safe drive's and the unsafe drive's; without a colour by word, lanes have their own."""
+
+    name: str
+    lanes: tuple[list[Run], list[Run]]
+    colour: Paint | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairChart:
+    """A drawn chart, and where its time axis is.
+
+    Attributes:
+        image: The chart.
+        window: The span of time that it shows.
+        left_px: Where the span begins.
+        right_px: Where it ends.
+        top_px: Top of the lanes.
+        bottom_px: Bottom of the lowest panel.
+    """
+
+    image: Image.Image
+    window: Interval
+    left_px: float
+    right_px: float
+    top_px: float
+    bottom_px: float
+
+    def x_px(self, time_s: float) -> float:
+        """Return where a time is."""
+        span_s = max(1e-6, self.window.end_s - self.window.start_s)
+        return self.left_px + (time_s - self.window.start_s) / span_s * (self.right_px - self.left_px)
+
+
+def draw_pair_chart(
+    story: PairStory, *, size: tuple[int, int], window: Interval, speeds: bool = True, scale: float = 1.0
+) -> PairChart:
+    """Draw the chart of a pair.
+
+    Args:
+        story: The pair.
+        size: Width and height in pixels.
+        window: The span of time to show.
+        speeds: Whether to show the speeds.
+        scale: Size of text and lanes.
+    """
+    width, height = size
+    figure = Figure(figsize=(width / DPI / scale, height / DPI / scale), dpi=DPI * scale, facecolor="white")
+    canvas = FigureCanvasAgg(figure)
+    wide, high = width / scale, height / scale
+    rows = [row for row in _rows(story) if row.colour is not None or _is_in(row, story, window)]
+    lanes_px = len(rows) * (2 * _LANE_PX + _GAP_PX)
+    left, span = _LEFT_PX / wide, (wide - _LEFT_PX - _RIGHT_PX) / wide
+    bands = figure.add_axes((left, 1 - (_TOP_PX + lanes_px) / high, span, lanes_px / high))
+    rest_px = high - _TOP_PX - lanes_px - _BOTTOM_PX - _GAP_PX * 2
+    shares = (0.4, 0.6) if speeds else (1.0,)
+    panels, top_px = [], _TOP_PX + lanes_px + _GAP_PX * 2
+    for share in shares:
+        panel_px = rest_px * share - (_GAP_PX if len(shares) > 1 else 0)
+        panels.append(figure.add_axes((left, 1 - (top_px + panel_px) / high, span, panel_px / high)))
+        top_px += panel_px + _GAP_PX * 2
+    _plot_bands(bands, story, rows, window)
+    if speeds:
+        _plot_speeds(panels[0], story)
+    _plot_robustness(panels[-1], story, window)
+    for axes in (bands, *panels):
+        axes.set_xlim(window.start_s, window.end_s)
+        _mark(axes, story, window)
+        axes.tick_params(labelbottom=axes is panels[-1])
+    _name_marks(bands, story, window)
+    panels[-1].set_xlabel("simulated time (s)", color=hexadecimal(MUTED), fontsize=9)
+    canvas.draw()  # type: ignore[no-untyped-call]
+    pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+    return PairChart(
+        image=Image.fromarray(pixels).convert("RGB").resize(size), window=window, left_px=_LEFT_PX * scale,
+        right_px=width - _RIGHT_PX * scale, top_px=_TOP_PX * scale, bottom_px=height - _BOTTOM_PX * scale,
+    )  # fmt: skip
+
+
+def _rows(story: PairStory) -> list[_Row]:
+    traces = [side.trace for _, side, _ in story.parts]
+    word = report_word(story.pair.unsafe.trace)
+    rows = []
+    scripts = [scripts_of(trace) for trace in traces]
+    if not any(scripts):
+        for label in range(PERSON + 1):
+            lanes = [_counts(trace, label) for trace in traces]
+            if any(lanes):
+                rows.append(_Row(name=f"{word}\n{LABELS[label]}", lanes=(lanes[0], lanes[1]), colour=None))
+    for name in list(dict.fromkeys(name for actions in scripts for name in actions))[:_MOST_SCRIPTS]:
+        lanes = [_words(actions.get(name, [])) for actions in scripts]
+        rows.append(_Row(name=name, lanes=(lanes[0], lanes[1]), colour=_action_colour))
+    plans = [_words(trace.plan_mode) for trace in traces]
+    rows.append(_Row(name="plan", lanes=(plans[0], plans[1]), colour=_plan_colour))
+    return rows
+
+
+def _is_in(row: _Row, story: PairStory, window: Interval) -> bool:
+    """Return whether a lane of a row has a band in a span of time."""
+    return any(
+        side.trace.time_s[first] <= window.end_s and side.trace.time_s[last] >= window.start_s
+        for (_, side, _), lane in zip(story.parts, row.lanes, strict=True)
+        for _, first, last in lane
+    )
+
+
+def _plan_colour(mode: str) -> Rgb:
+    return PLAN_MODES.get(mode, UNKNOWN_MODE)
+
+
+def _action_colour(action: str) -> Rgb:
+    return VEHICLE if action in QUIET else GHOST
+
+
+def _counts(trace: Trace, label: int) -> list[Run]:
+    """Return when boxes of a label were reported, with their number if there were several."""
+    return [
+        ("" if count == 1 else str(count), first, last)
+        for count, first, last in runs(reported(trace, label).tolist())
+        if count
+    ]
+
+
+def _words(values: Sequence[str]) -> list[Run]:
+    return [(word, first, last) for word, first, last in runs(values) if word]
+
+
+def _plot_bands(axes: Axes, story: PairStory, rows: list[_Row], window: Interval) -> None:
+    style_axes(axes)
+    axes.grid(visible=False)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    step = 2 * _LANE + _LANE * _GAP_PX / _LANE_PX
+    ticks, names = [], []
+    for index, row in enumerate(rows):
+        for lane, (name, side, _) in enumerate(story.parts):
+            y = index * step + lane * _LANE
+            trace = side.trace
+            end_s = float(trace.time_s[-1])
+            axes.broken_barh([(0.0, end_s)], (y, _LANE * 0.94), facecolor="#eef0f2", linewidth=0)
+            own = SAFE_DRIVE if name == SAFE else UNSAFE_DRIVE
+            for run in row.lanes[lane]:
+                colour = own if row.colour is None else row.colour(run[0])
+                _band(axes, trace, y, run, colour, window)
+            if end_s < story.end_s - 0.5 and end_s < window.end_s - 0.5 and index == len(rows) - 1:
+                axes.text(
+                    end_s, y + _LANE / 2, " drive ends", va="center", fontsize=8, color=hexadecimal(MUTED)
+                )
+            ticks.append(y + _LANE / 2)
+            names.append(name)
+        middle = index * step + _LANE
+        axes.annotate(
+            row.name, (0, middle), xycoords=("axes fraction", "data"), xytext=(-44, 0), textcoords="offset points",
+            ha="right", va="center", fontsize=9.5, fontweight="bold", color=hexadecimal(INK), linespacing=1.1,
+        )  # fmt: skip
+    axes.set_ylim(len(rows) * step, 0)
+    axes.set_yticks(ticks, names)
+    axes.tick_params(axis="y", length=0, labelsize=8.5, pad=3)
+    axes.tick_params(axis="x", length=0)
+    for label, name in zip(axes.get_yticklabels(), names, strict=True):
+        label.set_color(hexadecimal(SAFE_DRIVE if name == SAFE else UNSAFE_DRIVE))
+
+
+def _band(axes: Axes, trace: Trace, y: float, run: Run, colour: Rgb, window: Interval) -> None:
+    word, first, last = run[0].replace("_", " "), *run[1:]
+    start_s = float(trace.time_s[first])
+    end_s = float(trace.time_s[min(last + 1, len(trace.time_s) - 1)])
+    if end_s <= window.start_s or start_s >= window.end_s:
+        return
+    start_s, end_s = max(start_s, window.start_s), min(max(end_s, start_s + 0.05), window.end_s)
+    axes.broken_barh(
+        [(start_s, end_s - start_s)], (y, _LANE * 0.94), facecolor=hexadecimal(colour), linewidth=0
+    )
+    if word and end_s - start_s > 0.012 * (window.end_s - window.start_s) * len(word):
+        axes.text(
+            (start_s + end_s) / 2, y + _LANE * 0.49, word, ha="center", va="center", fontsize=8,
+            color=hexadecimal(readable_on(colour)),
+        )  # fmt: skip
+
+
+def _plot_speeds(axes: Axes, story: PairStory) -> None:
+    style_axes(axes)
+    highest = 1.0
+    for _, trace, colour in _drives(story):
+        speed_mps = np.asarray(trace.ego[:, 3], dtype=np.float64)
+        axes.plot(trace.time_s, speed_mps, color=hexadecimal(colour), linewidth=1.8)
+        highest = max(highest, float(np.nanmax(speed_mps)))
+    axes.set_ylim(-0.04 * highest, highest * 1.12)
+    axes.set_ylabel("m/s", fontsize=9)
+    _name_panel(axes, "speed")
+
+
+def _plot_robustness(axes: Axes, story: PairStory, window: Interval) -> None:
+    style_axes(axes)
+    name = story.unsafe.requirement
+    found = []
+    for _, trace, colour in _drives(story):
+        values = np.asarray(trace.robustness[name], dtype=np.float64)
+        values = np.where(np.isfinite(values), values, 1e3)
+        inside = (trace.time_s >= window.start_s) & (trace.time_s <= window.end_s)
+        found.append(values[inside])
+        axes.plot(trace.time_s, values, color=hexadecimal(colour), linewidth=2.0, zorder=3)
+        if colour == UNSAFE_DRIVE:
+            axes.fill_between(
+                trace.time_s, np.minimum(values, 0), 0, color=hexadecimal(VIOLATION), alpha=0.5, linewidth=0
+            )
+    shown = np.concatenate(found) if found else np.zeros(1)
+    least = min(0.0, float(shown.min(initial=0.0)))
+    most = max(1.0, min(GREATEST_ROBUSTNESS, float(shown.max(initial=1.0))))
+    # A safe drive that keeps far away from the requirement's limit is drawn along the top.
+    axes.set_ylim(least - 0.2 * (most - least), most * 1.1)
+    for line in axes.get_lines():
+        line.set_ydata(np.minimum(np.asarray(line.get_ydata(), dtype=np.float64), most * 1.04))
+    axes.axhspan(least - most, 0, color=hexadecimal(VIOLATION), alpha=0.07, linewidth=0)
+    axes.axhline(0, color=hexadecimal(VIOLATION), linewidth=1.1)
+    axes.set_ylabel(unit_of(name) or "robustness", fontsize=9)
+    _name_panel(axes, f"{story.unsafe.title.replace('-', ' ')}\nto spare")
+    axes.annotate(
+        "violated", (1, 0), xycoords=("axes fraction", "data"), xytext=(6, -4), textcoords="offset points", va="top",
+        fontsize=9, color=hexadecimal(VIOLATION),
+    )  # fmt: skip
+
+
+def _drives(story: PairStory) -> list[tuple[str, Trace, Rgb]]:
+    colours = (SAFE_DRIVE, UNSAFE_DRIVE)
+    return [(name, side.trace, colour) for (name, side, _), colour in zip(story.parts, colours, strict=True)]
+
+
+def _name_panel(axes: Axes, name: str) -> None:
+    axes.text(
+        1.008,
+        0.98,
+        name,
+        transform=axes.transAxes,
+        va="top",
+        fontsize=9,
+        color=hexadecimal(INK),
+        linespacing=1.2,
+    )
+
+
+def _mark(axes: Axes, story: PairStory, window: Interval) -> None:
+    """Mark the moment, and when reports differ."""
+    for span in story.differing:
+        start_s, end_s = max(span.start_s, window.start_s), min(span.end_s, window.end_s)
+        axes.axvspan(start_s, end_s, color=_DIFFERENCE, alpha=0.3, linewidth=0, zorder=0)
+    axes.axvline(story.moment_s, color=hexadecimal(VIOLATION), linewidth=1.1, linestyle=(0, (3, 2)), zorder=4)
+
+
+def _name_marks(axes: Axes, story: PairStory, window: Interval) -> None:
+    """Name the marks above the lanes; the moment has precedence."""
+    moment = f"{'violation' if story.unsafe.violated else 'closest'} {story.moment_s:.1f} s"
+    span_s = window.end_s - window.start_s
+    taken = [(story.moment_s, 0.011 * span_s * len(moment) / 2)]
+    _above(axes, story.moment_s, moment, VIOLATION)
+    for span in story.differing:
+        start_s, end_s = max(span.start_s, window.start_s), min(span.end_s, window.end_s)
+        words = "reports differ"
+        middle, half = (start_s + end_s) / 2, 0.011 * span_s * len(words) / 2
+        middle = min(max(middle, window.start_s + half), window.end_s - half)
+        if end_s > start_s and all(abs(middle - at) > half + other for at, other in taken):
+            taken.append((middle, half))
+            _above(axes, middle, words, (150, 95, 0))
+
+
+def _above(axes: Axes, time_s: float, words: str, colour: Rgb) -> None:
+    axes.annotate(
+        words, (time_s, 1.0), xycoords=("data", "axes fraction"), xytext=(0, 4), textcoords="offset points",
+        ha="center", va="bottom", fontsize=9, color=hexadecimal(colour),
+    )  # fmt: skip

@@ -1,0 +1,435 @@
+"""Pictures of a pair: a still image of both drives at the moment that matters, and the frames of a film of both."""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from brink.sim.replay.camera_view import FilmView, Reported, SketchView
+from brink.sim.replay.frame import Size
+from brink.sim.replay.map_view import MapView, Twin, road_heading
+from brink.sim.replay.pair import (
+    SAFE,
+    DrivePair,
+    Interval,
+    PairStory,
+    middles,
+    outcome_words,
+    pair_story,
+    sample_at,
+    state_words,
+)
+from brink.sim.replay.pair_chart import PairChart, draw_pair_chart
+from brink.sim.replay.scene import LABELS, EpisodeScene, label_index, outline
+from brink.sim.replay.story import report_word, scenario_words
+from brink.sim.replay.style import (
+    EGO,
+    EGO_TRAIL,
+    GHOST,
+    HAIRLINE,
+    INK,
+    MUTED,
+    PAPER,
+    PEDESTRIAN,
+    SAFE_DRIVE,
+    UNSAFE_DRIVE,
+    VEHICLE,
+    VIOLATION,
+    Rgb,
+    draw_dashed,
+    typeface,
+    wrapped,
+)
+
+STILL_WIDTH_PX: Final = 1600
+FILM_SIZE: Final[Size] = (1280, 720)
+MAP_WIDTH_M: Final = 52.0
+_REACH_M: Final = 20.0
+"""How far from its car the middle of a map may be; the canvas of a map reaches as far beyond the drive."""
+AHEAD_S: Final = 4.0
+"""How much of each car's way after the moment a still image shows."""
+
+_MARGIN: Final = 24
+
+
+class PairPainter:
+    """Draws a pair at any time: both drives from above, side by side, over a chart of both.
+
+    Args:
+        pair: The pair.
+        size: Width and height of the frames in pixels.
+
+    Raises:
+        ReplayError: A trace is empty, or does not record the requirement.
+    """
+
+    def __init__(self, pair: DrivePair, *, size: Size = FILM_SIZE) -> None:
+        self.story: PairStory = pair_story(pair)
+        self.size = size
+        width, height = size
+        self._unit = unit = width / FILM_SIZE[0]
+        self.time_s = _clock(pair)
+        self._still = Image.new("RGB", size, PAPER)
+        draw = ImageDraw.Draw(self._still)
+        font = typeface(round(17 * unit), bold=True)
+        room = width - 2 * round(14 * unit) - 70 * unit
+        lines = _at_most(wrapped(draw, pair.change, font, room), 2)
+        y = 8 * unit
+        for line in lines:
+            draw.text((14 * unit, y), line, fill=INK, font=font)
+            y += 22 * unit
+        words_px, top = round(42 * unit), round(60 * unit)
+        gap = round(10 * unit)
+        chart_px = round(256 * unit)
+        self._map_size = (width - 3 * gap) // 2, height - top - words_px - chart_px
+        self._lefts = (gap, 2 * gap + self._map_size[0])
+        self._words_y, self._map_y = top, top + words_px
+        self._turn_rad = _turn_rad(self.story)
+        self._maps = _maps(self.story, self._map_size, unit, self._turn_rad)
+        whole = Interval(start_s=float(self.time_s[0]), end_s=max(float(self.time_s[-1]), 1.0))
+        self._chart = draw_pair_chart(
+            self.story, size=(width, chart_px), window=whole, speeds=False, scale=0.92 * unit
+        )
+        self._still.paste(self._chart.image, (0, height - chart_px))
+        self._chart_top = height - chart_px
+        for (name, side, story), left in zip(self.story.parts, self._lefts, strict=True):
+            _draw_chip(draw, name, (left, self._words_y), unit)
+            text, at = (
+                f"solution {side.number}: {outcome_words(side, story)}",
+                (left + 84 * unit, self._words_y + unit),
+            )
+            _fit(draw, at, text, self._map_size[0] - 86 * unit, round(13 * unit), bold=True)
+
+    @property
+    def key_samples(self) -> list[int]:
+        """Samples that a palette for all frames should cover."""
+        return sorted({0, self._sample(self.story.moment_s), len(self.time_s) - 1})
+
+    def frame(self, sample: int) -> Image.Image:
+        """Return the frame at a sample of `time_s` as an RGB image."""
+        time_s = float(self.time_s[sample])
+        frame = self._still.copy()
+        draw = ImageDraw.Draw(frame)
+        unit = self._unit
+        centres = middles(self.story, time_s, self._turn_rad)
+        for index, (_, side, story) in enumerate(self.story.parts):
+            left = self._lefts[index]
+            image = _draw_map(self.story, self._maps, index, time_s, centres[index], ahead=0)
+            frame.paste(image, (left, self._map_y))
+            bad = story.violated and time_s >= float(side.trace.time_s[story.decisive]) - 1e-3
+            box = (left, self._map_y, left + self._map_size[0] - 1, self._map_y + self._map_size[1] - 1)
+            draw.rectangle(box, outline=VIOLATION if bad else HAIRLINE, width=round((4 if bad else 1) * unit))
+            at, font = (left + 84 * unit, self._words_y + 20 * unit), typeface(round(12 * unit))
+            draw.text(at, state_words(side, story, time_s), fill=VIOLATION if bad else MUTED, font=font)
+        clock, font = f"{time_s:.1f} s", typeface(round(19 * unit), bold=True)
+        draw.text((self.size[0] - 14 * unit, 8 * unit), clock, fill=INK, font=font, anchor="ra")
+        _draw_pointer(draw, self._chart, self._chart_top, time_s, unit)
+        return frame
+
+    def _sample(self, time_s: float) -> int:
+        return int(np.abs(self.time_s - time_s).argmin())
+
+
+def pair_still(pair: DrivePair) -> Image.Image:
+    """Return one image of a pair at the moment that matters.
+
+    Below the change in words are both drives from above at the same time, then the camera image with the boxes that
+    were reported in either drive when they first differ, and a chart of both drives over time.
+
+    Args:
+        pair: The pair.
+
+    Raises:
+        ReplayError: A trace is empty, or does not record the requirement.
+    """
+    story = pair_story(pair)
+    header = _header(story)
+    maps = _side_by_side(story)
+    camera = _camera(story)
+    chart_px = STILL_WIDTH_PX - (_MARGIN + camera.width if camera else 0)
+    chart = draw_pair_chart(story, size=(chart_px, 470), window=story.window(), scale=1.2).image
+    below = Image.new("RGB", (STILL_WIDTH_PX, max(chart.height, camera.height if camera else 0)), PAPER)
+    if camera:
+        below.paste(camera, (_MARGIN, 0))
+    below.paste(chart, (STILL_WIDTH_PX - chart_px, 0))
+    parts = [header, maps, below, _legend(story)]
+    whole = Image.new("RGB", (STILL_WIDTH_PX, sum(part.height for part in parts)), PAPER)
+    top = 0
+    for part in parts:
+        whole.paste(part, (0, top))
+        top += part.height
+    return whole
+
+
+def _clock(pair: DrivePair) -> NDArray[np.float64]:
+    longer = max((pair.safe.trace, pair.unsafe.trace), key=lambda trace: float(trace.time_s[-1]))
+    return np.asarray(longer.time_s, dtype=np.float64)
+
+
+def _header(story: PairStory) -> Image.Image:
+    """Return the change in words as a headline, with the scenario and further facts below."""
+    probe = ImageDraw.Draw(Image.new("RGB", (1, 1)))
+    room = STILL_WIDTH_PX - 2 * _MARGIN
+    about = [f"Scenario: {scenario_words(story.pair.unsafe.trace).partition('; ')[0]}."]
+    if story.same_seed is not None:
+        about.append(
+            "Same episode seed: without the change, both drives would be identical."
+            if story.same_seed
+            else "Different episode seeds: chance differs, too."
+        )
+    lines = _lines(probe, story.pair.change, 29, INK, room, bold=True)
+    for words in (" ".join(about), " ".join(story.pair.facts)):
+        lines += _lines(probe, words, 17, MUTED, room)
+    image = Image.new("RGB", (STILL_WIDTH_PX, 34 + sum(line.height_px for line in lines)), PAPER)
+    _write(ImageDraw.Draw(image), lines, (_MARGIN, 18))
+    return image
+
+
+def _turn_rad(story: PairStory) -> float:
+    """Return the rotation of the maps with which the unsafe drive goes to the right at the moment."""
+    trace = story.pair.unsafe.trace
+    return -road_heading(trace.route, trace.ego, story.unsafe.decisive)
+
+
+def _maps(story: PairStory, size: Size, unit: float, turn_rad: float) -> list[MapView]:
+    return [
+        MapView(
+            EpisodeScene.of(side.trace), size_px=size, px_per_m=size[0] / MAP_WIDTH_M, look_ahead_m=_REACH_M,
+            font_px=round(12.5 * unit), turn_rad=turn_rad,
+        )
+        for _, side, _ in story.parts
+    ]  # fmt: skip
+
+
+def _draw_map(
+    story: PairStory,
+    maps: list[MapView],
+    index: int,
+    time_s: float,
+    centre_m: "NDArray[np.float64]",
+    *,
+    ahead: int,
+) -> Image.Image:
+    """Return the map of one drive at a time, with the outline of the other drive's car."""
+    side, (other_name, other, _) = story.parts[index][1], story.parts[1 - index]
+    twin = None
+    if story.same_road:
+        x_m, y_m, yaw_rad = (float(v) for v in other.trace.ego[sample_at(other.trace, time_s), :3])
+        twin = Twin(
+            ego=outline(x_m, y_m, yaw_rad, *other.trace.ego_size_m),
+            caption=f"{other_name} drive",
+            colour=SAFE_DRIVE if other_name == SAFE else UNSAFE_DRIVE,
+        )
+        mine = side.trace.ego[sample_at(side.trace, time_s), :2]
+        if float(np.hypot(*(mine - (x_m, y_m)))) < 0.3:
+            twin = None  # the cars are in the same place
+    return maps[index].draw(sample_at(side.trace, time_s), centre_m=centre_m, twin=twin, ahead=ahead)
+
+
+def _side_by_side(story: PairStory) -> Image.Image:
+    """Return both maps at the moment, each below its verdict."""
+    gap, chip_px = 16, 106
+    wide = (STILL_WIDTH_PX - 2 * _MARGIN - gap) // 2
+    size = wide, 400
+    probe = ImageDraw.Draw(Image.new("RGB", (1, 1)))
+    verdicts = [_verdict_lines(probe, story, index, wide - chip_px) for index in (0, 1)]
+    words_px = 12 + max(sum(line.height_px for line in lines) for lines in verdicts)
+    image = Image.new("RGB", (STILL_WIDTH_PX, words_px + size[1] + 10), PAPER)
+    draw = ImageDraw.Draw(image)
+    turn_rad = _turn_rad(story)
+    maps = _maps(story, size, 1.25, turn_rad)
+    centres = middles(story, story.moment_s, turn_rad)
+    for index, (name, side, tale) in enumerate(story.parts):
+        left = _MARGIN + index * (wide + gap)
+        _draw_chip(draw, name, (left, 4), 1.25)
+        _write(draw, verdicts[index], (left + chip_px, 5))
+        ahead = sample_at(side.trace, story.moment_s + AHEAD_S) - sample_at(side.trace, story.moment_s)
+        image.paste(
+            _draw_map(story, maps, index, story.moment_s, centres[index], ahead=ahead), (left, words_px)
+        )
+        box = (left, words_px, left + wide - 1, words_px + size[1] - 1)
+        draw.rectangle(
+            box, outline=VIOLATION if tale.violated else SAFE_DRIVE, width=4 if tale.violated else 2
+        )
+        _draw_scale(draw, (left + 14, words_px + size[1] - 16), size[0] / MAP_WIDTH_M)
+    return image
+
+
+class _Line(NamedTuple):
+    text: str
+    size_px: int
+    bold: bool
+    colour: Rgb
+
+    @property
+    def height_px(self) -> int:
+        return round(1.4 * self.size_px)
+
+
+def _lines(
+    draw: ImageDraw.ImageDraw, text: str, size_px: int, colour: Rgb, width_px: float, *, bold: bool = False
+) -> list[_Line]:
+    """Return a text as lines of at most a width."""
+    lines = wrapped(draw, text, typeface(size_px, bold=bold), width_px)
+    return [_Line(line, size_px, bold, colour) for line in lines if line]
+
+
+def _write(draw: ImageDraw.ImageDraw, lines: list[_Line], at: tuple[float, float]) -> None:
+    x, y = at
+    for line in lines:
+        draw.text((x, y), line.text, fill=line.colour, font=typeface(line.size_px, bold=line.bold))
+        y += line.height_px
+
+
+def _verdict_lines(draw: ImageDraw.ImageDraw, story: PairStory, index: int, width_px: float) -> list[_Line]:
+    """Return what happened in a drive, what simulating it again showed, and how it was at the moment."""
+    _, side, tale = story.parts[index]
+    same = "at the same time, " if index == 0 else ""
+    state = f"{same}{story.moment_s:.1f} s: {state_words(side, tale, story.moment_s)}"
+    again = side.again or "not simulated again with other seeds"
+    return [
+        *_lines(draw, f"solution {side.number}: {outcome_words(side, tale)}", 18, INK, width_px, bold=True),
+        *_lines(draw, again, 16, INK if side.again else MUTED, width_px),
+        *_lines(draw, state[0].upper() + state[1:], 16, MUTED, width_px),
+    ]
+
+
+def _draw_chip(draw: ImageDraw.ImageDraw, name: str, at: tuple[float, float], unit: float) -> None:
+    """Draw the name of a side in white on its colour."""
+    left, top = at
+    colour = SAFE_DRIVE if name == SAFE else UNSAFE_DRIVE
+    draw.rounded_rectangle((left, top, left + 76 * unit, top + 22 * unit), radius=4 * unit, fill=colour)
+    font = typeface(round(13 * unit), bold=True)
+    draw.text((left + 38 * unit, top + 11 * unit), name.upper(), fill=PAPER, font=font, anchor="mm")
+
+
+def _camera(story: PairStory) -> Image.Image | None:
+    """Return the camera's view of what was reported: both drives' boxes when they first differ; None without any."""
+    safe, unsafe = (side.trace for _, side, _ in story.parts)
+    if safe.film is not None and unsafe.film is not None:
+        return _films(story)
+    if not len(safe.given_boxes.rows) and not len(unsafe.given_boxes.rows):
+        return None
+    differs_s = story.report_moment_s()
+    time_s = story.moment_s if differs_s is None else differs_s
+    size = (496, 372)
+    sample = sample_at(unsafe, time_s)
+    reports = [
+        Reported(side.trace.given_boxes.at(sample_at(side.trace, time_s)), colour, f"{name}:")
+        for (name, side, _), colour in zip(story.parts, (SAFE_DRIVE, UNSAFE_DRIVE), strict=True)
+    ]
+    image = Image.new("RGB", (size[0], size[1] + 86), PAPER)
+    draw = ImageDraw.Draw(image)
+    what = "when the reports first differ" if differs_s is not None else "at the moment of the violation"
+    draw.text((0, 4), f"Camera at {time_s:.1f} s, {what}", fill=INK, font=typeface(17, bold=True))
+    image.paste(SketchView(unsafe, size_px=size).draw(sample, reports), (0, 32))
+    draw.rectangle((0, 32, size[0] - 1, 31 + size[1]), outline=HAIRLINE)
+    y = 32 + size[1] + 8
+    said = [_report_words(report) for report in reports]
+    words = f"{report_word(unsafe).capitalize()}: {said[0]} in the safe drive, {said[1]} in the unsafe one."
+    _write(draw, _lines(draw, f"{words} Green: what is there.", 15, MUTED, size[0]), (0, y))
+    return image
+
+
+def _report_words(report: Reported) -> str:
+    """Return what was reported, such as ``person, 2 vehicles``."""
+    labels = [label_index(label) for label in report.rows[:, 0]]
+    counts = [(LABELS[label], labels.count(label)) for label in sorted(set(labels))]
+    return ", ".join(name if count == 1 else f"{count} {name}s" for name, count in counts) or "nothing"
+
+
+def _films(story: PairStory) -> Image.Image:
+    """Return the recorded images of both drives at the moment, one above the other."""
+    size = (400, 204)
+    image = Image.new("RGB", (size[0], 2 * (size[1] + 28)), PAPER)
+    draw = ImageDraw.Draw(image)
+    for index, (name, side, _) in enumerate(story.parts):
+        top = index * (size[1] + 28)
+        film = side.trace.film
+        assert film is not None  # checked by the caller
+        draw.text((0, top + 4), f"Camera, {name} drive", fill=INK, font=typeface(15, bold=True))
+        view = FilmView(side.trace, film, size_px=size)
+        image.paste(view.draw(sample_at(side.trace, story.moment_s)), (0, top + 26))
+    return image
+
+
+def _legend(story: PairStory) -> Image.Image:
+    """Return the keys of the maps in one row."""
+    image = Image.new("RGB", (STILL_WIDTH_PX, 44), PAPER)
+    draw = ImageDraw.Draw(image)
+    font = typeface(14)
+    x, y = float(_MARGIN), 18.0
+    entries: list[tuple[str, str]] = [
+        ("ego", "car under test; line: its path so far; dots: its next 4 s"),
+        ("twin", "where the other drive's car is"),
+        ("vehicle", "vehicle"),
+        ("person", "person"),
+    ]
+    if any(len(side.trace.perceived.rows) for _, side, _ in story.parts):
+        entries.append(("ghost", "obstacle that the driving system perceives; crossed: nothing is there"))
+    for key, words in entries:
+        _draw_key(draw, key, x, y)
+        draw.text((x + 40, y), words, fill=MUTED, font=font, anchor="lm")
+        x += 40 + draw.textlength(words, font=font) + 26
+    return image
+
+
+def _draw_key(draw: ImageDraw.ImageDraw, key: str, x: float, y: float) -> None:
+    box = (x + 8, y - 6, x + 34, y + 6)
+    corners = np.array([(box[0], box[1]), (box[2], box[1]), (box[2], box[3]), (box[0], box[3])])
+    if key == "ego":
+        draw.line((x, y, x + 10, y), fill=EGO_TRAIL, width=3)
+    if key in ("ego", "vehicle"):
+        draw.rounded_rectangle(box, radius=4, fill=EGO if key == "ego" else VEHICLE)
+    elif key == "person":
+        draw.ellipse((x + 16, y - 5, x + 26, y + 5), fill=PEDESTRIAN)
+    elif key == "twin":
+        for shift, colour in ((0, SAFE_DRIVE), (6, UNSAFE_DRIVE)):
+            draw.rectangle(
+                (x + shift, y - 6 + shift / 2, x + 24 + shift, y + 4 + shift / 2), outline=colour, width=2
+            )
+    else:
+        draw_dashed(draw, corners, GHOST, dash=5, gap=3, width=2)
+        draw.line(box, fill=GHOST)
+        draw.line((box[0], box[3], box[2], box[1]), fill=GHOST)
+
+
+def _draw_scale(draw: ImageDraw.ImageDraw, at: tuple[float, float], px_per_m: float) -> None:
+    left, y = at
+    right = left + 10 * px_per_m
+    draw.line((left, y, right, y), fill=INK, width=2)
+    for x in (left, right):
+        draw.line((x, y - 5, x, y + 5), fill=INK, width=2)
+    draw.text(((left + right) / 2, y - 11), "10 m", fill=INK, font=typeface(14), anchor="mm")
+
+
+def _draw_pointer(draw: ImageDraw.ImageDraw, chart: PairChart, top: int, time_s: float, unit: float) -> None:
+    x = chart.x_px(time_s)
+    tip = top + chart.top_px
+    draw.line((x, tip, x, top + chart.bottom_px), fill=INK, width=max(2, round(2 * unit)))
+    draw.polygon((x - 5 * unit, tip - 6 * unit, x + 5 * unit, tip - 6 * unit, x, tip + 2 * unit), fill=INK)
+
+
+def _fit(
+    draw: ImageDraw.ImageDraw,
+    at: tuple[float, float],
+    text: str,
+    width_px: float,
+    size_px: int,
+    colour: Rgb = INK,
+    *,
+    bold: bool = False,
+) -> None:
+    """Write text on one line, smaller if it is too wide, and cut if it still is."""
+    size = size_px
+    while size > 0.7 * size_px and draw.textlength(text, font=typeface(size, bold=bold)) > width_px:
+        size -= 1
+    font = typeface(size, bold=bold)
+    while draw.textlength(text, font=font) > width_px and len(text) > 4:
+        text = text[:-2].rstrip(" ,;…") + "…"
+    draw.text(at, text, fill=colour, font=font)
+
+
+def _at_most(lines: list[str], count: int) -> list[str]:
+    return lines if len(lines) <= count else [*lines[: count - 1], lines[count - 1] + " …"]

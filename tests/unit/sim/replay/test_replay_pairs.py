@@ -1,0 +1,162 @@
+"""Pictures and films of a pair: the same moment in both drives, what differs, and what happened."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from support.traces import filmed, make_trace, ragged
+
+from brink.sim.replay import DrivePair, ReplayError, Side, render_pair
+from brink.sim.replay.pair import middles, outcome_words, pair_story, state_words
+from brink.sim.replay.pair_view import STILL_WIDTH_PX, PairPainter, pair_still
+from brink.sim.replay.style import SAFE_DRIVE, UNSAFE_DRIVE, VIOLATION
+from brink.sim.trace import BOX_COLUMNS, Trace
+
+
+def reporting_from(trace: Trace, from_s: float, to_s: float = 9.0) -> Trace:
+    box = (1.0, 400.0, 480.0, 280.0, 400.0)
+    rows = [[box] if from_s <= time_s < to_s else [] for time_s in trace.time_s.tolist()]
+    return replace(trace, given_boxes=ragged(BOX_COLUMNS, rows))
+
+
+def until(trace: Trace, samples: int) -> Trace:
+    """Return a drive that ended early, as after a collision."""
+    cut = make_trace(samples=samples)
+    return replace(
+        cut, time_s=trace.time_s[:samples], ego=trace.ego[:samples],
+        robustness={name: series[:samples] for name, series in trace.robustness.items()},
+        actors=tuple(replace(actor, motion=actor.motion[:samples]) for actor in trace.actors),
+    )  # fmt: skip
+
+
+def a_pair(**changes: object) -> DrivePair:
+    safe = reporting_from(make_trace(violated=False), 4.05)
+    unsafe = reporting_from(make_trace(violated=True), 4.45)
+    pair = DrivePair(
+        safe=Side(number=7, trace=safe), unsafe=Side(number=9, trace=unsafe),
+        change="the person is reported from 4.5 s instead of 4.1 s", requirement="front-gap@1",
+    )  # fmt: skip
+    return replace(pair, **changes)  # type: ignore[arg-type]
+
+
+def test_the_moment_is_the_unsafe_drives_violation_and_reports_differ_where_the_boxes_do() -> None:
+    story = pair_story(a_pair())
+    series = np.asarray(story.pair.unsafe.trace.robustness["front-gap@1"])
+    assert story.moment_s == pytest.approx(0.1 * int(np.flatnonzero(series < 0)[0]), abs=1e-3)
+    assert [(span.start_s, span.end_s) for span in story.differing] == [pytest.approx((4.1, 4.5), abs=1e-3)]
+    window = story.window()
+    assert window.start_s < 4.1 < story.moment_s < window.end_s <= story.end_s
+
+
+def test_without_a_change_of_the_reports_the_window_shows_what_leads_to_the_moment() -> None:
+    pair = a_pair()
+    story = pair_story(
+        replace(pair, safe=replace(pair.safe, trace=reporting_from(make_trace(violated=False), 4.45)))
+    )
+    assert story.differing == ()
+    assert story.report_moment_s() is None
+    window = story.window()
+    assert window.end_s - window.start_s >= 11.9
+    assert window.start_s < story.moment_s < window.end_s
+
+
+def test_reports_that_differ_in_position_alone_differ() -> None:
+    trace = make_trace(violated=False)
+    moved = replace(trace.given_boxes, rows=trace.given_boxes.rows + np.float32([0, 3, 3, 0, 0]))
+    pair = a_pair(
+        safe=Side(number=7, trace=replace(trace, given_boxes=moved)),
+        unsafe=Side(number=9, trace=make_trace()),
+    )
+    assert pair_story(pair).differing[0].start_s == pytest.approx(3.1, abs=0.05)
+
+
+def test_the_outcome_names_every_violated_requirement() -> None:
+    trace = make_trace(violated=False)
+    hit = np.where(trace.time_s > 8, -0.5, 5.0).astype(np.float32)
+    trace = replace(trace, robustness={**trace.robustness, "no-collision@1": hit})
+    story = pair_story(a_pair(safe=Side(number=7, trace=trace)))
+    words = outcome_words(story.pair.safe, story.safe)
+    assert words == "front gap held; had a collision at 8.1 s"
+    assert (
+        outcome_words(Side(number=7, trace=trace, outcome="hit a pedestrian"), story.safe)
+        == "hit a pedestrian"
+    )
+
+
+def test_a_drive_that_ended_says_so() -> None:
+    pair = a_pair()
+    story = pair_story(replace(pair, unsafe=replace(pair.unsafe, trace=until(pair.unsafe.trace, 190))))
+    assert state_words(story.pair.unsafe, story.unsafe, 18.9).endswith("too little")
+    assert state_words(story.pair.unsafe, story.unsafe, 19.5) == "ended at 18.9 s"
+    assert story.end_s == pytest.approx(19.9, abs=1e-3)
+
+
+def test_both_maps_show_the_same_place_until_the_cars_are_far_apart() -> None:
+    story = pair_story(a_pair())
+    safe, unsafe = middles(story, story.moment_s, 0.0)
+    assert np.allclose(safe, unsafe)
+    shifted = story.pair.unsafe.trace
+    far = replace(shifted, ego=shifted.ego - np.float32([60, 0, 0, 0, 0]))
+    story = pair_story(a_pair(unsafe=Side(number=9, trace=far)))
+    safe, unsafe = middles(story, story.moment_s, 0.0)
+    assert safe[0] - unsafe[0] > 30
+
+
+def test_the_still_image_frames_the_unsafe_drive_in_crimson_and_shows_each_car_in_the_other_map() -> None:
+    image = np.asarray(pair_still(a_pair()))
+    assert image.shape[1] == STILL_WIDTH_PX
+    left, right = image[:, : STILL_WIDTH_PX // 2], image[:, STILL_WIDTH_PX // 2 :]
+    row = int(np.flatnonzero((right == VIOLATION).all(axis=2).sum(axis=1) > 500)[0])
+    assert (left[row] == SAFE_DRIVE).all(axis=1).sum() > 500
+    maps = slice(row + 6, row + 380)
+    assert (left[maps, 40:] == UNSAFE_DRIVE).all(axis=2).sum() > 50
+    assert not (right[maps, :-40] == UNSAFE_DRIVE).all(axis=2).any()
+
+
+def test_a_frame_of_the_film_shows_both_drives_at_one_time() -> None:
+    painter = PairPainter(a_pair())
+    moment = painter.key_samples[1]
+    assert painter.time_s[moment] == pytest.approx(painter.story.moment_s, abs=0.01)
+
+    def crimson(sample: int) -> int:
+        frame = np.asarray(painter.frame(sample))
+        assert frame.shape == (720, 1280, 3)
+        return int((frame[110:450] == VIOLATION).all(axis=2).sum())
+
+    assert crimson(moment) > crimson(moment - 30) + 2000
+
+
+@pytest.mark.parametrize("extension", [".mp4", ".gif"])
+def test_the_film_has_a_frame_for_each_tenth_of_a_second(tmp_path: Path, extension: str) -> None:
+    pair = a_pair(
+        safe=Side(number=7, trace=make_trace(samples=12, violated=False)),
+        unsafe=Side(number=9, trace=make_trace(samples=8)),
+    )
+    path = render_pair(pair, tmp_path / f"pair{extension}")
+    with av.open(str(path)) as film:
+        frames = list(film.decode(video=0))
+    assert len(frames) == (12 + 10 if extension == ".mp4" else 12)  # a GIF joins the last one's equal frames
+    assert (frames[0].width, frames[0].height) == ((1280, 720) if extension == ".mp4" else (960, 540))
+
+
+def test_drives_with_recorded_camera_images_show_both() -> None:
+    pair = a_pair(
+        safe=Side(number=7, trace=filmed(make_trace(violated=False))),
+        unsafe=Side(number=9, trace=filmed(make_trace())),
+    )
+    assert pair_still(pair).width == STILL_WIDTH_PX
+
+
+def test_drives_without_reports_and_with_scripts_are_drawn_too() -> None:
+    pair = a_pair(
+        safe=Side(number=7, trace=reporting_from(make_trace(violated=False), 99)),
+        unsafe=Side(number=9, trace=reporting_from(make_trace(), 99)),
+    )
+    assert pair_still(pair).width == STILL_WIDTH_PX
+
+
+def test_a_requirement_that_the_traces_do_not_record_is_named() -> None:
+    with pytest.raises(ReplayError, match=r"front-gap@1.*got 'red-light@1'"):
+        pair_still(a_pair(requirement="red-light@1"))
