@@ -20,6 +20,7 @@ from brink.server.api import (
     findings,
     jobs,
     outcomes,
+    pairs,
     repeats,
     service,
     solutions,
@@ -32,6 +33,7 @@ from brink.server.api.service import add_docs
 from brink.server.campaigns.advance import Scheduler, Stepper
 from brink.server.campaigns.archives import Archives, Monitors
 from brink.server.campaigns.outcomes import Outcomes
+from brink.server.campaigns.pairs import Pairs
 from brink.server.campaigns.service import SLOW_AT_ONCE, CampaignService
 from brink.server.campaigns.traces import Films
 from brink.server.dashboard.figures import Figures
@@ -133,7 +135,7 @@ def _routes() -> list[BaseRoute]:
         jobs.wire, jobs.router, campaigns.router, findings.combinations_router, solutions.router, episodes.router,
         outcomes.router,
         findings.violations_router, campaigns.llm_router, analysis.monitors_router, repeats.router,
-        experiments.router, service.router, campaigns.overview_router, analysis.router,
+        pairs.router, experiments.router, service.router, campaigns.overview_router, analysis.router,
     ):  # fmt: skip
         api.include_router(router)
     everything = APIRouter(
@@ -189,6 +191,7 @@ def _context(
         monitors=Monitors(archives=archives, threads=drawing),
         archives=archives,
         outcomes=Outcomes(engines=engines),
+        pairs=Pairs(threads=drawing),
         films=Films(engines=engines),
         seeds=seeds,
         metrics=metrics,

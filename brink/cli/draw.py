@@ -240,6 +240,10 @@ class NoTrace(ServerError):
     """The trace of a solution is not available."""
 
 
+class NothingToReplay(NoTrace):
+    """A solution was not simulated, or its simulator records no traces."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drawing:
     """The campaign whose episodes are drawn, and the folder for the pictures.
@@ -305,7 +309,7 @@ async def run_episode(api: Api, campaign: str, number: int) -> Trace:
     """
     spec = (await api.read(SolutionView, f"/campaigns/{campaign}/solutions/{number}")).spec
     if spec is None:
-        raise NoTrace(f"solution {number} was not simulated: it has no replay")
+        raise NothingToReplay(f"solution {number} was not simulated: it has no replay")
 
     def run() -> Trace:
         with contextlib.closing(EpisodeProcess()) as process:
@@ -315,7 +319,7 @@ async def run_episode(api: Api, campaign: str, number: int) -> Trace:
             raise NoTrace(f"the episode of solution {number} failed on this machine: {outcome.message}")
         trace = episode_result(outcome).trace
         if trace is None:
-            raise NoTrace(f"the simulator of solution {number} records no traces")
+            raise NothingToReplay(f"the simulator of solution {number} records no traces")
         return Trace.from_bytes(trace)
 
     return await asyncio.to_thread(run)

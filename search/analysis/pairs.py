@@ -10,13 +10,14 @@ distance, then by number.
 Source: ours; docs/explanation/pairs.md.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from brink.search.archive import Archive
 from brink.search.features import Unit
+from brink.search.metric import Metric
 from brink.search.pairs import Steps, midpoints
 from brink.search.space import FloatArray, IntArray, SearchSpace
 
@@ -126,6 +127,44 @@ def find_pairs(archive: Archive, space: SearchSpace, *, eps: float, d_th: float)
     return FoundPairs(pairs=distinct(pairs, archive, steps, d_th), tight=len(pairs), **counts)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Opposites:
+    """A safe and an unsafe solution, however far apart.
+
+    Attributes:
+        safe: Number of the safe one.
+        unsafe: Number of the unsafe one.
+        distance: Distance between the two.
+    """
+
+    safe: int
+    unsafe: int
+    distance: float
+
+
+def nearest_opposites(archive: Archive, space: SearchSpace) -> Opposites | None:
+    """Return the safe and the unsafe solution that are nearest to each other; None without both verdicts.
+
+    Args:
+        archive: Simulated solutions; chancy ones are neither safe nor unsafe.
+        space: Their space.
+    """
+    solutions = _without_duplicates(archive)
+    safe = solutions.first[solutions.unsafe == 0]
+    unsafe = solutions.first[solutions.unsafe == solutions.evaluated]
+    if not len(safe) or not len(unsafe):
+        return None
+    metric, found = Metric.of_space(space), []
+    for part in _chunks(safe, len(unsafe)):
+        distances = metric.between(archive.vectors[part], archive.vectors[unsafe])
+        row, column = np.unravel_index(int(distances.argmin()), distances.shape)
+        found.append((float(distances[row, column]), int(part[row]), int(unsafe[column])))
+    distance, one, other = min(found)
+    return Opposites(
+        safe=int(archive.numbers[one]), unsafe=int(archive.numbers[other]), distance=distance
+    )  # fmt: skip
+
+
 def distinct(pairs: Sequence[Pair], archive: Archive, steps: Steps, d_th: float) -> tuple[Pair, ...]:
     """Return the pairs whose midpoints are at least `d_th` from those of all pairs taken before, in their order."""
     places = {number: place for place, number in enumerate(archive.numbers.tolist())}
@@ -158,14 +197,20 @@ def _tight(
         return []
     rows, limit = archive.vectors, steps.largest_tight(eps) * (1 + 1e-9)
     found = []
-    for begin in range(0, len(safe), max(1, _CHUNK_CELLS // len(unsafe))):
-        part = safe[begin : begin + max(1, _CHUNK_CELLS // len(unsafe))]
+    for part in _chunks(safe, len(unsafe)):
         distances = steps.metric.between(rows[part], rows[unsafe])
         for a, b in np.argwhere(distances <= limit).tolist():
             one, other = int(part[a]), int(unsafe[b])
             if steps.is_tight(rows[one], rows[other], eps):
                 found.append((one, other, float(distances[a, b])))
     return found
+
+
+def _chunks(rows: IntArray, columns: int) -> Iterator[IntArray]:
+    """Yield parts of `rows` so small that distances to `columns` others fit into memory."""
+    size = max(1, _CHUNK_CELLS // columns)
+    for begin in range(0, len(rows), size):
+        yield rows[begin : begin + size]
 
 
 def _side(archive: Archive, place: int, evaluated: int) -> Side:

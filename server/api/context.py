@@ -13,6 +13,7 @@ from brink.server.access.authentication import Caller
 from brink.server.campaigns.advance import Scheduler
 from brink.server.campaigns.archives import Archives, Monitors
 from brink.server.campaigns.outcomes import Outcomes
+from brink.server.campaigns.pairs import Pairs
 from brink.server.campaigns.service import CampaignService
 from brink.server.campaigns.traces import Films
 from brink.server.dashboard.figures import Figures
@@ -41,6 +42,7 @@ class Context:
     scheduler: Scheduler
     archives: Archives
     outcomes: Outcomes
+    pairs: Pairs
     films: Films
     seeds: LlmSeeds
     metrics: Metrics

@@ -214,7 +214,7 @@ def _solution(
         interval=None if index is None else (float(archive.interval[index, 0]), float(archive.interval[index, 1])),
         seed=row.seed, attempts=row.attempt,
         words=describe_candidate(problem, vectors, activity), parameters=problem.space.decode(vectors),
-        activity=None if activity is None else _activity(problem.space, activity),
+        activity=None if activity is None else activity_view(problem.space, activity),
         verdicts=result.get("verdicts") if full else None, features=result.get("features") if full else None,
         provenance=result.get("provenance") if full else None,
         spec=json.loads(row.spec) if full and row.spec else None,
@@ -236,7 +236,8 @@ def _outcome(row: Row[*tuple[Any, ...]], problem: Problem, stored: Mapping[str, 
     return fields
 
 
-def _activity(space: SearchSpace, activity: Activity) -> ActivityView:
+def activity_view(space: SearchSpace, activity: Activity) -> ActivityView:
+    """Return the response schema of what had a part in an episode."""
     names = space.column_names()
     return ActivityView(
         inactive=[name for name, active in zip(names, activity.active, strict=True) if not active],

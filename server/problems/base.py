@@ -5,7 +5,7 @@ coordinator itself evaluates an *in-process* problem, such as a formula. Plug-in
 classes of either kind, constructed from their `params_type`. The other protocols are optional.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final, Protocol, TypeAlias, runtime_checkable
 
@@ -162,6 +162,39 @@ class RecordsActivity(Protocol):
         Args:
             vectors: The candidate.
             features: Features of the episode's result, which any worker may have sent.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SimulatedSolution:
+    """A solution and what its simulation recorded.
+
+    Attributes:
+        vectors: The solution.
+        activity: What had a part in its episode; None if that was not recorded.
+        result: The stored result of its episode (`brink.worker.wire.Completed` as JSON); None if there is none.
+    """
+
+    vectors: Vectors
+    activity: Activity | None = None
+    result: Mapping[str, Any] | None = None
+
+
+@runtime_checkable
+class DescribesChanges(Protocol):
+    """A problem that can describe the change from one candidate to another that is almost the same."""
+
+    def words_of_change(
+        self, safe: SimulatedSolution, unsafe: SimulatedSolution, changed: Collection[str]
+    ) -> str:
+        """Describe what is different in the unsafe one, such as ``a person is reported from 4.1 s instead of 4.3 s``.
+
+        Args:
+            safe: The safe solution.
+            unsafe: The unsafe solution.
+            changed: The parameters in which they differ, as component.parameter, without those that had no part in
+                either episode; at least one.
         """
         ...
 

@@ -4,7 +4,7 @@ The scenario has seven categorical parameters, the behaviour two injected trajec
 Source: Sharifi et al. 2023, section 4 (see docs/explanation/hazard-boundary.md).
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -27,7 +27,8 @@ from brink.search.space import (
     SearchSpace,
 )
 from brink.server.errors import nearest
-from brink.server.problems.base import Activity, Vectors
+from brink.server.problems.base import Activity, SimulatedSolution, Vectors
+from brink.server.problems.urban_changes import words_of_changes
 from brink.sim.catalogue import REQUIREMENTS as REQUIREMENT_PLUGINS
 from brink.sim.catalogue import plugin_ids
 from brink.sim.episode import EpisodeSpec, Json
@@ -189,6 +190,15 @@ class UrbanInjected:
         decoded = self.space.decode(tuple(vectors))
         trajectories = _behaviour(decoded["behaviour"])["trajectories"]
         return f"{words_of_scenario(_scenario(decoded['scenario']))}; {b.words_of_behaviour(trajectories)}"
+
+    def words_of_change(
+        self, safe: SimulatedSolution, unsafe: SimulatedSolution, changed: Collection[str]
+    ) -> str:
+        """Describe what is different in the unsafe one of two candidates."""
+        old, new = (self.space.decode(tuple(one.vectors)) for one in (safe, unsafe))
+        verdicts = (unsafe.result or {}).get("verdicts") or {}
+        times = [(verdicts.get(name) or {}).get("violated_at_s") for name in self.requirements]
+        return words_of_changes(old, new, changed, min((t for t in times if t is not None), default=None))
 
     def activity(self, vectors: Vectors, features: Mapping[str, Any]) -> Activity | None:
         """Return which parameters had a part in an episode, from when each trajectory was delivered.

@@ -14,7 +14,7 @@ from support.problems import small_problems
 import brink.server.access.authentication
 from brink.bench.chromium import NoChromium, chromium, executable
 from browser.console import Console, silence
-from browser.served import LOOSELY, NOBODYS, SECRET, Served, served, unsafe_one
+from browser.served import ANY_PAIR, LOOSELY, NOBODYS, SECRET, Served, a_pair, served, unsafe_one
 from browser.views import View, views_of
 from browser.visits import PATIENCE_MS, Visits, visiting
 
@@ -68,7 +68,10 @@ def guarded(own_database: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[http
 @pytest.fixture
 def views(site: Served) -> list[View]:
     """Every view but that which asks for a token."""
-    return views_of(site.urban, unsafe_one(site)["number"], (site.urban, site.ball), site.experiment, LOOSELY)
+    return views_of(
+        site.urban, unsafe_one(site)["number"], (site.urban, site.ball), site.experiment,
+        f"#/campaigns/{site.urban}/pairs{ANY_PAIR}", a_pair(site.client, site.urban)[1], LOOSELY,
+    )  # fmt: skip
 
 
 @pytest.fixture

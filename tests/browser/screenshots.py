@@ -23,7 +23,7 @@ from support.databases import sqlite_template
 
 from brink.bench.chromium import chromium
 from browser.console import Console, silence
-from browser.served import API, SECRET, origin, worker
+from browser.served import API, SECRET, a_pair, origin, worker
 from browser.views import View, open_view, views_of
 from browser.visits import Theme, visiting
 
@@ -39,6 +39,9 @@ URBAN: Final = {"id": "urban-injected@1"}
 MLCSHE: Final = {"id": "mlcshe@1"}
 SEARCH: Final[dict[str, Any]] = {
     "name": "front gap", "problem": URBAN, "algorithm": MLCSHE, "budget": {"simulations": 400}, "seed": 5,
+}  # fmt: skip
+PAIRS: Final = {
+    **SEARCH, "name": "front gap, pairs", "algorithm": {"id": "edge@1"}, "budget": {"simulations": 300}, "seed": 1,
 }  # fmt: skip
 TRAFFIC: Final = {
     "name": "other drivers", "problem": {"id": "npc-actions@1"}, "algorithm": {"id": "random@1"},
@@ -68,10 +71,16 @@ def demonstration(folder: Path) -> Iterator[tuple[httpx.Client, list[View]]]:
         client = stack.enter_context(listening_coordinator(database, port=_port()))
         for number in range(1, WORKERS + 1):
             stack.enter_context(worker(origin(client), folder, "--id", f"worker-{number}"))
-        search, traffic, hurried = (submit(client, body) for body in (SEARCH, TRAFFIC, HURRIED))
+        search, pairs, traffic, hurried = (submit(client, body) for body in (SEARCH, PAIRS, TRAFFIC, HURRIED))
         experiment = str(expect(client.post(f"{API}/experiments", json=EXPERIMENT), 201)["id"])
         running = submit(client, RUNNING)
-        wanted = {search: "finished", traffic: "finished", hurried: "paused", running: "running"}
+        wanted = {
+            search: "finished",
+            pairs: "finished",
+            traffic: "finished",
+            hurried: "paused",
+            running: "running",
+        }
 
         def ready() -> bool:
             stands = {one: progress(client, one) for one in wanted}
@@ -82,7 +91,10 @@ def demonstration(folder: Path) -> Iterator[tuple[httpx.Client, list[View]]]:
         eventually(ready, "the campaigns finish, and one goes on", PATIENCE_S)
         members = expect(client.get(f"{API}/experiments/{experiment}"))["members"]
         compared = [one["campaign"] for one in members if one["seed"] == 1]
-        yield client, views_of(search, _telling(client, search), compared, experiment)
+        yield client, views_of(
+            search, _telling(client, search), compared, experiment, f"#/campaigns/{pairs}/pairs",
+            a_pair(client, pairs, "")[1],
+        )  # fmt: skip
 
 
 def photograph(browser: Browser, console: Console, client: httpx.Client, views: list[View]) -> Iterator[Path]:
@@ -125,6 +137,11 @@ def _compose(page: Page, name: str) -> None:
         page.get_by_role("button", name="Go to").click()
         below = page.locator("header").bounding_box() or {"height": 0}
         page.get_by_role("region", name="Replay").evaluate(
+            "(node, below) => scrollBy(0, node.getBoundingClientRect().top - below - 16)", below["height"]
+        )
+    if name == "pair":
+        below = page.locator("header").bounding_box() or {"height": 0}
+        page.get_by_role("region", name="The change").evaluate(
             "(node, below) => scrollBy(0, node.getBoundingClientRect().top - below - 16)", below["height"]
         )
     if name == "jobs":  # where files lie on the machine that simulated says nothing

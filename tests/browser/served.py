@@ -116,6 +116,18 @@ def unsafe_one(site: Served) -> dict[str, Any]:
     return found
 
 
+ANY_PAIR = "?eps=1&d_th=0"
+"""Thresholds, in an address, at which so small a campaign has pairs: any two solutions with opposite verdicts."""
+
+
+def a_pair(client: httpx.Client, campaign: str, query: str = ANY_PAIR) -> tuple[dict[str, Any], str]:
+    """Return the first pair of a campaign, and the address of its page."""
+    told = expect(client.get(f"{API}/campaigns/{campaign}/pairs{query}"))
+    found: dict[str, Any] = told["pairs"][0]
+    numbers = f"{found['safe']['number']}-{found['unsafe']['number']}"
+    return found, f"#/campaigns/{campaign}/pairs/{numbers}{query}"
+
+
 def loose(campaign: str) -> str:
     """Return the address of a campaign at thresholds at which it has boundary solutions."""
     return f"#/campaigns/{campaign}{LOOSELY}"

@@ -26,7 +26,13 @@ class View:
 
 
 def views_of(
-    campaign: str, solution: int, compared: Sequence[str], experiment: str, thresholds: str = ""
+    campaign: str,
+    solution: int,
+    compared: Sequence[str],
+    experiment: str,
+    pairs: str,
+    pair: str,
+    thresholds: str = "",
 ) -> list[View]:
     """Return all views but that which asks for a token.
 
@@ -35,6 +41,8 @@ def views_of(
         solution: One of them.
         compared: Campaigns.
         experiment: That has finished.
+        pairs: The address of a campaign's pairs.
+        pair: The address of one of them.
         thresholds: The query of the campaign's address.
     """
     return [
@@ -47,6 +55,11 @@ def views_of(
         View(
             name="solution", place=f"#/campaigns/{campaign}/solutions/{solution}",
             ready=("role=button[name='Play']", ".replay-map canvas"),
+        ),
+        View(name="pairs", place=pairs, ready=("table.pairs tbody tr",)),
+        View(
+            name="pair", place=pair,
+            ready=("role=button[name='Play']", ".drive canvas", "text=Both drives over time"),
         ),
         View(
             name="compare", place=f"#/compare?ids={','.join(compared)}", ready=(".chart canvas", ".chips li"),

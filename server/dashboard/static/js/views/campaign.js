@@ -9,6 +9,7 @@ import { steering } from "./campaigns.js";
 import { boundaryCard, dependenceCard, findings, inWords, settingsCard } from "./campaign/cards.js";
 import { convergenceCards, Generations } from "./campaign/convergence.js";
 import { mapCard } from "./campaign/map_card.js";
+import { pairsCard } from "./pairs.js";
 
 export async function show(main, context, { parts, query }) {
   const [campaign, problems, algorithms] = await Promise.all([
@@ -33,6 +34,7 @@ export async function show(main, context, { parts, query }) {
   });
   const problem = problems.find((one) => one.id === body.problem.id);
   const found = findings(context, id, problem?.finds ?? []);
+  const pairs = pairsCard(context, id);
   const dependence = dependenceCard(context, id, map.parameters);
 
   replace(main,
@@ -41,7 +43,7 @@ export async function show(main, context, { parts, query }) {
     notes,
     h("div.stack", null,
       h("section.card", { "aria-label": "Progress" }, bar, figures, words),
-      map,
+      pairs, map,
       h("div.grid-wide", null, convergence.dbs, h("div.stack", null, convergence.shares, convergence.fitness)),
       boundary, found, dependence,
       settingsCard(body, { problems, algorithms }),
@@ -84,6 +86,7 @@ export async function show(main, context, { parts, query }) {
     convergence.news(read, generations);
     if (read.looks_for_boundary) boundary.news(read.generation, convergence.thresholds());
     found.news(`${read.sequence}`);
+    pairs.news(`${read.generation} ${ended}`);
     dependence.news(read.generation);
   }
 

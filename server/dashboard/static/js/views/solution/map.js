@@ -2,6 +2,7 @@
 
 import { h } from "../../dom.js";
 import { canvas } from "../../parts/charts.js";
+import { colour } from "../../theme.js";
 import { BOLD, FONT, key, palette, tracePath, writeHaloed } from "./drawing.js";
 import { eachRow } from "./episode.js";
 
@@ -12,9 +13,16 @@ const LEAST_PX_PER_M = 1;
 const TRAIL_SAMPLES = 1200;
 const LEAST_PERSON_PX = 3.5;
 const LABEL_LINE_PX = 15;
+const SAME_PLACE_M = 0.3;
 
-/** Return the map of a player's episode, its legend and its switches. */
-export function map(player) {
+/**
+ * Return the map of a player's episode, its legend and its switches.
+ *
+ * @param {import("./episode.js").Player} player
+ * @param {{twin: import("./episode.js").Episode, words: string, colour: string}} [second] A second drive on the same road whose
+ *   car is shown as an outline, with its name and the name of its colour.
+ */
+export function map(player, second = null) {
   const { episode, signal } = player;
   const { data } = episode;
   const colours = palette();
@@ -76,6 +84,7 @@ export function map(player) {
     for (const actor of data.actors) drawActor(pen, actor, at, metresPerPx, labels);
     if (perceived) drawPerceived(pen, at.sample, metresPerPx, labels);
     if (ego) drawEgo(pen, ego, at, metresPerPx);
+    if (second) drawTwin(pen, ego, metresPerPx, labels);
     pen.setTransform(scale, 0, 0, scale, 0, 0);
     write(pen, labels, toPx, width);
     drawScaleBar(pen, pxPerM, width, height);
@@ -108,6 +117,16 @@ export function map(player) {
     pen.strokeStyle = colours.violation;
     pen.lineWidth = 2.5 * metresPerPx;
     strokeBox(pen, pose, data.ego.length_m + 4 * metresPerPx, data.ego.width_m + 4 * metresPerPx);
+  }
+
+  function drawTwin(pen, ego, metresPerPx, labels) {
+    const { twin, words, colour: name } = second;
+    const pose = twin.pose(twin.data.ego, twin.between(player.time_s));
+    if (!pose || (ego && Math.hypot(pose.x - ego.x, pose.y - ego.y) < SAME_PLACE_M)) return;
+    pen.strokeStyle = colour(name);
+    pen.lineWidth = 2 * metresPerPx;
+    strokeBox(pen, pose, twin.data.ego.length_m, twin.data.ego.width_m);
+    labels.push({ x: pose.x, y: pose.y, above_m: twin.data.ego.width_m / 2, words, fill: colour(name) });
   }
 
   function drawActor(pen, actor, at, metresPerPx, labels) {

@@ -15,13 +15,13 @@ const TAKES_SPACE = "input:not([type=range]), textarea, select, button, a, summa
 const MOST_EVENTS = 300;
 
 /**
- * Return a card that loads an episode and reports the progress; the card removes itself when the episode is there.
+ * Return a card that loads episodes and reports the progress; the card removes itself when they are there.
  *
  * @param {import("../../context.js").Context} context
- * @param {string} path Of the solution.
- * @param {(data: object) => void} take Called with the episode.
+ * @param {string | string[]} paths Of the solutions.
+ * @param {(...data: object[]) => void} take Called with the episodes.
  */
-export function loading(context, path, take) {
+export function loading(context, paths, take) {
   const words = h("div", { role: "status" });
   const node = h("section.card", { "aria-label": "Replay" }, h("h2", null, "Replay"), words);
   const say = (...what) => replace(words, what);
@@ -29,9 +29,9 @@ export function loading(context, path, take) {
   async function load() {
     say(h("p", null, "Loading the episode …"));
     try {
-      const data = await whenMade(`${path}/episode`, { ...context.retrying, making });
+      const data = await Promise.all([paths].flat().map((path) => whenMade(`${path}/episode`, { ...context.retrying, making })));
       node.remove();
-      take(data);
+      take(...data);
     } catch (error) {
       if (context.signal.aborted) return;
       if (!(error instanceof ApiError)) throw error;
@@ -130,7 +130,7 @@ function marks(episode, solution) {
  * @param {{time_s: number, words: string, bad?: boolean}[]} marks
  * @param {Element} stage While it is in sight, Space plays and pauses unless the focused element uses Space itself.
  */
-function controls(player, marks, stage) {
+export function controls(player, marks, stage) {
   const { episode, signal } = player;
   const button = h("button.primary.play", { type: "button", onclick: () => player.toggle() }, "Play");
   const scrubber = h("input", {
@@ -173,7 +173,7 @@ function controls(player, marks, stage) {
 }
 
 /** Return the state of a player's episode in words: speed, plan, traffic light and robustness. */
-function state(player) {
+export function state(player) {
   const { data, story } = player.episode;
   const node = facts();
   node.classList.add("replay-state");

@@ -1,0 +1,157 @@
+"""How `brink pairs` draws a pair: both drives as a picture or a film, or a figure if there is nothing to replay."""
+
+import asyncio
+from pathlib import Path
+from typing import Final
+
+from rich.progress import Progress
+
+from brink.api.client import Api
+from brink.cli.draw import (
+    TRACE_TIMEOUT_S,
+    FetchedArchive,
+    NothingToReplay,
+    fetch_archive,
+    fetch_requirements,
+    fetch_trace,
+    run_episode,
+)
+from brink.cli.options import console
+from brink.server.api.pairs import ComponentPart, Minimality, PairsView, PairView, ShareView
+from brink.server.errors import InvalidInput
+from brink.sim.replay import DrivePair, Side, render_pair
+
+PICTURES: Final = (".png",)
+FILMS: Final = (".mp4", ".gif")
+_MOST_LETTERS: Final = 230
+"""A longer headline is cut to the change alone."""
+_COMPONENT: Final = {
+    ComponentPart.COMPONENT: "With ground truth in place of the component, the unsafe drive is safe.",
+    ComponentPart.SCENARIO: "With ground truth in place of the component, the unsafe drive is still unsafe.",
+}
+_MINIMALITY: Final = {
+    Minimality.MINIMAL: "No difference can be taken back without losing the opposite verdicts.",
+    Minimality.NOT_MINIMAL: "Some of the differences can be taken back without losing the opposite verdicts.",
+}
+
+
+def check_file(option: str, path: Path, endings: tuple[str, ...]) -> None:
+    """Check that a picture or film can be written before anything is simulated.
+
+    Raises:
+        InvalidInput: The file has another ending, or its folder does not exist.
+    """
+    if path.suffix not in endings:
+        raise InvalidInput.at(option, f"{path}: expected a file name that ends in {' or '.join(endings)}")
+    if not path.parent.is_dir():
+        raise InvalidInput.at(option, f"{path.parent}: no such folder")
+
+
+def chosen_pair(view: PairsView, place: int, option: str) -> PairView:
+    """Return a pair by its place in the list.
+
+    Raises:
+        InvalidInput: There is no such pair; the message says what there is.
+    """
+    if not view.pairs:
+        raise InvalidInput.at(option, f"expected the number of a pair, but there is none: {view.note}")
+    if not 1 <= place <= len(view.pairs):
+        raise InvalidInput.at(
+            option, f"expected the number of a pair from 1 to {len(view.pairs)}, got {place}"
+        )
+    return view.pairs[place - 1]
+
+
+async def draw_pair(api: Api, view: PairsView, pair: PairView, path: Path, *, workers: bool) -> None:
+    """Draw a pair to a file.
+
+    Args:
+        api: Coordinator of the campaign.
+        view: The pairs of the campaign.
+        pair: The pair.
+        path: A picture (.png) or a film (.mp4, .gif).
+        workers: Whether the coordinator's workers run the drives again; otherwise this machine does.
+
+    Raises:
+        NoTrace: A drive cannot be run again; for a picture only if that failed, not if there is nothing to replay.
+    """
+    try:
+        drives = await _drives(api, view, pair, workers=workers)
+    except NothingToReplay:
+        if path.suffix in FILMS:
+            raise
+        fetched = await fetch_archive(api, view.campaign)
+        await asyncio.to_thread(_draw_figure, fetched, view, pair, path)
+        return
+    with Progress(console=console(), transient=True) as progress:
+        task = progress.add_task(f"drawing {path}", total=None)
+        await asyncio.to_thread(
+            render_pair,
+            drives,
+            path,
+            on_progress=lambda done, total: progress.update(task, completed=done, total=total),
+        )
+
+
+async def _drives(api: Api, view: PairsView, pair: PairView, *, workers: bool) -> DrivePair:
+    """Return both drives of a pair with the words of the pair."""
+    if view.computed:
+        raise NothingToReplay("verdicts are computed, so there is no drive to film: ask for --picture")
+    sides = []
+    again = pair.confirmation
+    for side, share in ((pair.safe, again.safe), (pair.unsafe, again.unsafe)):
+        trace = (
+            await fetch_trace(api, view.campaign, side.number, TRACE_TIMEOUT_S)
+            if workers
+            else await run_episode(api, view.campaign, side.number)
+        )
+        sides.append(Side(number=side.number, trace=trace, outcome=side.outcome, again=share_words(share)))
+    return DrivePair(
+        safe=sides[0], unsafe=sides[1], change=headline(pair), facts=tuple(facts(view, pair)),
+        requirement=await fetch_requirements(api, view.campaign),
+    )  # fmt: skip
+
+
+def headline(pair: PairView) -> str:
+    """Return the change and what it did, or the change alone if that is long."""
+    words = pair.words if len(pair.words) <= _MOST_LETTERS else pair.change
+    return f"{words[:1].upper()}{words[1:]}"
+
+
+def facts(view: PairsView, pair: PairView) -> list[str]:
+    """Return what else is known of a pair, in sentences."""
+    found = [f"Pair {pair.place} of {view.distinct} of {view.name}, {pair.distance:.3g} apart."]
+    if not view.computed:
+        found.append(
+            "Both verdicts held in a further simulation of the search."
+            if pair.checked
+            else "Each side was simulated once by the search."
+        )
+    found += [_COMPONENT.get(pair.component.state, ""), _MINIMALITY.get(pair.minimality.state, "")]
+    return [words for words in found if words]
+
+
+def share_words(share: ShareView) -> str:
+    """Return how often a side was unsafe with other seeds; empty if that was not tried."""
+    if share.evaluated == 0 or share.probability is None:
+        return ""
+    counts = f"unsafe in {share.unsafe} of {share.evaluated} simulations with other seeds"
+    interval = f"95% interval {100 * share.low:.0f} to {100 * share.high:.0f}%"
+    return f"{counts}: {100 * share.probability:.0f}%, {interval}"
+
+
+def _draw_figure(fetched: FetchedArchive, view: PairsView, pair: PairView, path: Path) -> None:
+    """Draw the parameters in which the sides of a pair differ."""
+    # matplotlib takes half a second to load: only commands that draw wait for it.
+    from brink.plots import CampaignFigures, PairFigure, figure_pair
+
+    inputs = CampaignFigures(
+        archive=fetched.archive, active=fetched.active, space=fetched.plan.problem.space, title=fetched.body.name,
+        generation_ends=fetched.generations, t_b=0.0, d_th=view.d_th,
+    )  # fmt: skip
+    told = " ".join(facts(view, pair))
+    figure = figure_pair(
+        inputs,
+        PairFigure(safe=pair.safe.number, unsafe=pair.unsafe.number, change=headline(pair), facts=(told,)),
+    )
+    figure.savefig(path)

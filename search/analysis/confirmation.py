@@ -1,0 +1,69 @@
+"""Whether a pair holds: how often each of its sides was unsafe when it was simulated again with other seeds.
+
+The simulations of the search do not count: a pair is reported because of their verdicts, so they cannot speak against
+it.
+
+Source: ours; docs/explanation/pairs.md.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final, Self
+
+from brink.search.fitness import Z_95, wilson_interval
+
+SAFE_AT_MOST: Final = 0.2
+"""Largest unsafe share of the safe side of a confirmed pair."""
+UNSAFE_AT_LEAST: Final = 0.8
+"""Smallest unsafe share of the unsafe side of a confirmed pair."""
+LEAST_DRIVES: Final = 5
+"""Simulations of each side without which nothing is said."""
+
+
+class Confirmation(StrEnum):
+    """What simulations with other seeds say of a pair."""
+
+    CONFIRMED = "confirmed"
+    NOT_CONFIRMED = "not confirmed"
+    TOO_FEW = "too few drives"
+    NOT_TRIED = "not tried"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Share:
+    """How often a solution was unsafe with other seeds.
+
+    Attributes:
+        evaluated: Simulations with a verdict.
+        unsafe: Unsafe ones among them.
+        low: Lower limit of the Wilson interval of the unsafe share; 0 without a verdict.
+        high: Its upper limit; 1 without a verdict.
+    """
+
+    evaluated: int
+    unsafe: int
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, unsafe: int, evaluated: int, z: float = Z_95) -> Self:
+        """Return the share of counts, with the interval at `z` standard deviations."""
+        low, high = wilson_interval(unsafe, evaluated, z) if evaluated else (0.0, 1.0)
+        return cls(evaluated=evaluated, unsafe=unsafe, low=float(low), high=float(high))
+
+    @property
+    def probability(self) -> float | None:
+        """Unsafe share; None without a verdict."""
+        return self.unsafe / self.evaluated if self.evaluated else None
+
+
+def confirmation_of(safe: Share, unsafe: Share) -> Confirmation:
+    """Return what the simulations of both sides of a pair with other seeds say of it."""
+    if not safe.evaluated and not unsafe.evaluated:
+        return Confirmation.NOT_TRIED
+    if min(safe.evaluated, unsafe.evaluated) < LEAST_DRIVES:
+        return Confirmation.TOO_FEW
+    holds = (
+        safe.unsafe <= SAFE_AT_MOST * safe.evaluated and unsafe.unsafe >= UNSAFE_AT_LEAST * unsafe.evaluated
+    )
+    return Confirmation.CONFIRMED if holds else Confirmation.NOT_CONFIRMED

@@ -1,0 +1,111 @@
+/** One pair: the change in words, both drives from above on one clock, and what was reported in each over time. */
+
+import { h, replace } from "../dom.js";
+import { capital } from "../format.js";
+import { link } from "../router.js";
+import { badge } from "../parts/elements.js";
+import { askedFor, pairLink, pairsPath } from "./pairs.js";
+import { differingSpans, overTime } from "./pair/chart.js";
+import { differences, evidence, evidenceWords, findings, said, share } from "./pair/words.js";
+import { camera } from "./solution/camera.js";
+import { Episode, Player, seconds } from "./solution/episode.js";
+import { map } from "./solution/map.js";
+import { controls, loading, state } from "./solution/replay.js";
+
+const SIDES = ["safe", "unsafe"];
+
+export async function show(main, context, { parts, query }) {
+  const asked = askedFor(query);
+  const numbers = parts[3].split("-").map(Number);
+  const campaign = await context.get(`campaigns/${encodeURIComponent(parts[1])}`);
+  const { id } = campaign;
+  const read = await context.get(pairsPath(id, asked));
+  const at = read.pairs.findIndex((one) => one.safe.number === numbers[0] && one.unsafe.number === numbers[1]);
+  const crumb = h("p.crumb", null, h("a", { href: link("campaigns") }, "Campaigns"), " / ", h("a", { href: link("campaigns", id) }, campaign.name),
+    " / ", h("a", { href: link("campaigns", id, "pairs", asked) }, "Pairs"));
+  if (at < 0) {
+    context.title(`Pair, ${campaign.name}`);
+    replace(main, crumb, gone(id, numbers));
+    return;
+  }
+  const pair = read.pairs[at];
+  context.title(`Pair ${pair.place}, ${campaign.name}`);
+  const place = h("div.stack.replay-place");
+  replace(main, crumb,
+    h("div.head", null, h("h1", null, `Pair ${pair.place}`), evidence(pair, read.computed),
+      h("nav.actions.push", { "aria-label": "Pairs" },
+        at > 0 && h("a.button", { href: pairLink(id, read.pairs[at - 1], asked) }, "Previous"),
+        at + 1 < read.pairs.length && h("a.button", { href: pairLink(id, read.pairs[at + 1], asked) }, "Next"))),
+    h("div.stack", null,
+      h("section.card.the-change", { "aria-label": "The change" }, h("h2", null, "The change"), h("p.lead", null, said(pair.change)),
+        h("p", null, h("strong", null, "What it does: "), `${pair.unsafe.outcome}; without it: ${pair.safe.outcome}.`),
+        h("p.hint", null, [seeds(pair, read.computed), evidenceWords(pair, read.computed), ...findings(pair)].filter(Boolean).join(" "))),
+      h("div.grid-2", null, SIDES.map((name) => sideCard(id, name, pair, read.computed))),
+      place,
+      h("section.card", { "aria-label": "Differences" }, h("h2", null, "Differences"), differences(pair))));
+
+  if (read.computed) return;
+  const paths = SIDES.map((name) => `campaigns/${id}/solutions/${pair[name].number}`);
+  replace(place, loading(context, paths, (...episodes) => replace(place, both(context, episodes, paths))));
+}
+
+function gone(id, numbers) {
+  return h("div.empty", null, h("h1", null, "No such pair"),
+    h("p", null, "These two solutions are not among the distinct pairs of the campaign. While a campaign runs, a nearer pair can take the place of another one."),
+    h("p", null, h("a", { href: link("campaigns", id, "pairs") }, "All pairs"), numbers.filter(Number.isInteger).map((number) => [" · ", h("a", { href: link("campaigns", id, "solutions", number) }, `Solution ${number}`)])));
+}
+
+function seeds(pair, computed) {
+  if (computed) return "";
+  return pair.same_seed ? "Both drives have the same episode seed: without the change they would be identical." : "The drives have different episode seeds, so chance differs too.";
+}
+
+/** Return the card of one side: what happened, how often it is unsafe, and a link to its own page. */
+function sideCard(id, name, pair, computed) {
+  const side = pair[name];
+  return h("section.card", { class: `side ${name}`, "aria-label": `The ${name} side` },
+    h("div.headed", null, badge(name), h("h2", null, capital(side.outcome))),
+    h("p", null, side.words),
+    h("p.hint", null, !computed && (pair.confirmation[name].evaluated ? `Unsafe with other seeds in ${share(pair.confirmation[name])}. ` : "Not simulated again with other seeds. "),
+      h("a", { href: link("campaigns", id, "solutions", side.number) }, `Solution ${side.number}${computed ? "" : " with its replay"}`)));
+}
+
+/** Return the cards of both drives: maps and cameras side by side, one clock for both, and the chart over time. */
+function both(context, data, paths) {
+  const players = data.map((one) => new Player(new Episode(one), context.signal));
+  const [safe, unsafe] = players;
+  const lead = safe.episode.end_s >= unsafe.episode.end_s ? safe : unsafe;
+  const other = lead === safe ? unsafe : safe;
+  const stage = h("section.card.replay", { "aria-label": "Both drives" }, h("h2", null, "Both drives"));
+  const colours = ["--safe", "--unsafe"];
+  const maps = players.map((player, index) => map(player, { twin: players[1 - index].episode, words: `${SIDES[1 - index]} drive`, colour: colours[1 - index] }));
+  stage.append(
+    h("div.grid-2.both", null, players.map((player, index) => h("div.drive", null,
+      h("div.inline", null, badge(SIDES[index], `${SIDES[index]} drive`), ended(player, lead)), maps[index].node, state(player)))),
+    controls(lead, marks(unsafe.episode), stage), maps[0].legend,
+    h("p.hint", null, "Outlines show where the car of the other drive is at the same time."));
+  lead.listen((_, changed) => changed.time && other.seek(lead.time_s));
+  const violation = marks(unsafe.episode)[0];
+  if (violation) lead.hold(violation.time_s);
+  const episodes = players.map(({ episode }) => episode);
+  const differing = differingSpans(...episodes);
+  const first = differing[0] && h("button", { type: "button", onclick: () => lead.hold(differing[0].start_s) }, `Go to ${seconds(differing[0].start_s)}: reports first differ`);
+  return [stage, overTime(lead, episodes, differing),
+    h("section.card", { "aria-label": "Cameras" }, h("div.inline", null, h("h2", null, "What the detector reported"), first),
+      h("div.grid-2", null, players.map((player, index) => h("div", null, badge(SIDES[index], `${SIDES[index]} drive`), camera(player, paths[index])))))];
+}
+
+/** Return a note that shows once a drive has ended while the other one goes on. */
+function ended(player, lead) {
+  const node = h("span.small.muted", { hidden: true }, `ended at ${player.episode.end_s.toFixed(1)} s`);
+  lead.listen((_, changed) => {
+    if (changed.time) node.hidden = lead.time_s <= player.episode.end_s + 1e-6;
+  });
+  return node;
+}
+
+/** Return the marks of the scrubber: the violation that makes the unsafe drive unsafe. */
+function marks(episode) {
+  const { story, times } = episode;
+  return story?.violated ? [{ time_s: times[story.decisive], words: "the unsafe drive's violation", bad: true }] : [];
+}

@@ -1,0 +1,121 @@
+"""The change between two solutions that are almost the same, in values and in words."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from brink.search.features import Unit
+from brink.search.parameters import Categorical, Value
+from brink.server.problems.base import DescribesChanges, Problem, SimulatedSolution
+
+NOTHING_ACTIVE: Final = "the two differ in nothing that had a part in either drive"
+_MOST_DIGITS: Final = 9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """A parameter in which two solutions differ, or two that a constraint ties together.
+
+    Attributes:
+        names: Names as component.parameter, of those that differ.
+        units: Unit of each; empty for none.
+        safe: Value of each in the safe solution, as it was chosen.
+        unsafe: The same in the unsafe solution.
+        active: Whether it had a part in either episode; None if that was not recorded.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    safe: tuple[Value, ...]
+    unsafe: tuple[Value, ...]
+    active: bool | None
+
+    @property
+    def words(self) -> str:
+        """The change in words, such as ``scenario.gap 12.3 m -> 12.5 m``."""
+        return ", ".join(
+            f"{name} {_values(safe, unsafe, unit)}"
+            for name, unit, safe, unsafe in zip(self.names, self.units, self.safe, self.unsafe, strict=True)
+        )
+
+
+def changes_between(
+    problem: Problem, safe: SimulatedSolution, unsafe: SimulatedSolution, units: Sequence[Unit]
+) -> tuple[Change, ...]:
+    """Return the differences between two solutions.
+
+    Args:
+        problem: Their problem.
+        safe: One solution.
+        unsafe: The other one.
+        units: Columns in which they differ; see `brink.search.pairs.Steps.differing`.
+    """
+    space = problem.space
+    parameters = [parameter for component in space.components for parameter in component.parameters]
+    names = space.column_names()
+    rows = [space.join(tuple(one.vectors)) for one in (safe, unsafe)]
+    known = safe.activity is not None and unsafe.activity is not None
+    changes = []
+    for unit in units:
+        columns = [column for column in unit if rows[0][column] != rows[1][column]]
+        active = None
+        if known:
+            active = any(
+                bool(one.activity.active[column])
+                for one in (safe, unsafe)
+                for column in columns
+                if one.activity is not None
+            )
+        changes.append(
+            Change(
+                names=tuple(names[column] for column in columns),
+                units=tuple(
+                    "" if isinstance(one, Categorical) else one.unit for one in map(parameters.__getitem__, columns)
+                ),
+                safe=tuple(parameters[column].decode(float(rows[0][column])) for column in columns),
+                unsafe=tuple(parameters[column].decode(float(rows[1][column])) for column in columns),
+                active=active,
+            )
+        )  # fmt: skip
+    return tuple(changes)
+
+
+def change_words(
+    problem: Problem, safe: SimulatedSolution, unsafe: SimulatedSolution, changes: Sequence[Change]
+) -> str:
+    """Return the change between two solutions in the problem's own words, or else its values.
+
+    Only what had a part in either episode is described.
+
+    Args:
+        problem: Their problem.
+        safe: The safe solution.
+        unsafe: The unsafe solution.
+        changes: Their differences.
+    """
+    shown = [change for change in changes if change.active is not False]
+    if not shown:
+        return NOTHING_ACTIVE
+    changed = [name for change in shown for name in change.names]
+    words = ""
+    if isinstance(problem, DescribesChanges):
+        words = problem.words_of_change(safe, unsafe, changed)
+    return words or ", ".join(change.words for change in shown)
+
+
+def _values(safe: Value, unsafe: Value, unit: str) -> str:
+    old, new = different(safe, unsafe)
+    suffix = f" {unit}" if unit else ""
+    return f"{old}{suffix} -> {new}{suffix}"
+
+
+def different(first: Value, second: Value) -> tuple[str, str]:
+    """Return two values in so many digits that they can be told apart."""
+    if not isinstance(first, float) or not isinstance(second, float):
+        return str(first), str(second)
+    whole = len(f"{max(abs(first), abs(second)):.0f}")
+    for digits in range(max(3, whole), _MOST_DIGITS):
+        shown = f"{first:.{digits}g}", f"{second:.{digits}g}"
+        if shown[0] != shown[1]:
+            return shown
+    return repr(first), repr(second)

@@ -1,0 +1,107 @@
+"""The pages of pairs: the list in words, and both drives of one pair on one clock."""
+
+import re
+
+import httpx
+import pytest
+from playwright.sync_api import Page
+from playwright.sync_api import expect as shown
+from support.api import ball, progress, submit
+
+from browser.canvas import changes, picture
+from browser.served import ANY_PAIR, NOBODYS, Served, a_pair, origin
+from browser.visits import Visits
+
+
+@pytest.fixture
+def pair(site: Served, visit: Visits) -> Page:
+    """The page of a pair of the urban campaign, opened from the list, with both drives loaded."""
+    found, _ = a_pair(site.client, site.urban)
+    page = visit(site.url, f"#/campaigns/{site.urban}/pairs{ANY_PAIR}")
+    page.get_by_role("link", name=f"Pair {found['place']}:").click()
+    shown(page.get_by_role("button", name="Play", exact=True)).to_be_visible(timeout=60_000)
+    return page
+
+
+def clock(page: Page) -> float:
+    return float(page.locator("output.clock").inner_text().split(" / ")[0])
+
+
+def test_the_list_says_what_changed_and_what_happened(site: Served, visit: Visits) -> None:
+    found, _ = a_pair(site.client, site.urban)
+    page = visit(site.url, f"#/campaigns/{site.urban}/pairs{ANY_PAIR}")
+    row = page.get_by_role("row").filter(has_text="Pair 1").first
+    for words in (found["change"][1:], found["safe"]["outcome"], found["unsafe"]["outcome"]):
+        shown(row).to_contain_text(words)
+    shown(row.get_by_text("checked" if found["checked"] else "found once")).to_be_visible()
+
+
+def test_without_a_pair_the_list_says_why_and_other_thresholds_find_some(site: Served, visit: Visits) -> None:
+    page = visit(site.url, f"#/campaigns/{site.urban}/pairs?eps=0")
+    shown(
+        page.get_by_text("No pair within eps 0: the nearest solutions with opposite verdicts")
+    ).to_be_visible()
+    shown(page.get_by_role("table")).to_have_count(0)
+    page.get_by_label("eps").fill("1")
+    page.get_by_label("d_th").fill("0")
+    page.get_by_label("d_th").press("Enter")
+    shown(page.get_by_role("link", name="Pair 1:")).to_be_visible()
+    assert "eps=1&d_th=0" in page.url
+
+
+def test_a_campaign_that_has_simulated_nothing_yet_says_so(own: httpx.Client, visit: Visits) -> None:
+    campaign = submit(own, ball(name="waiting", problem=NOBODYS))
+    page = visit(origin(own), f"#/campaigns/{campaign}/pairs")
+    shown(page.get_by_text("no solution has been evaluated: no pair")).to_be_visible()
+    assert progress(own, campaign)["status"] == "running"
+
+
+def test_the_page_of_a_pair_shows_the_change_both_sides_and_links_to_each(site: Served, pair: Page) -> None:
+    found, _ = a_pair(site.client, site.urban)
+    shown(pair.get_by_role("region", name="The change", exact=True)).to_contain_text(found["change"][1:])
+    for side in ("safe", "unsafe"):
+        card = pair.get_by_role("region", name=f"The {side} side", exact=True)
+        shown(card).to_contain_text(found[side]["outcome"][1:])
+        link = card.get_by_role("link", name=f"Solution {found[side]['number']}")
+        shown(link).to_have_attribute("href", f"#/campaigns/{site.urban}/solutions/{found[side]['number']}")
+    rows = pair.get_by_role("region", name="Table of differences").get_by_role("row")
+    shown(rows).to_have_count(1 + len(found["changes"]))
+
+
+def test_one_slider_moves_both_drives(pair: Page) -> None:
+    maps = pair.locator(".drive canvas")
+    shown(maps).to_have_count(2)
+    slider = pair.get_by_label("Time in the episode")
+    shown(slider).to_have_count(1)
+    before = [picture(maps.nth(index)) for index in (0, 1)]
+    slider.focus()
+    slider.press("Home")
+    shown(pair.locator("output.clock")).to_have_text(re.compile("^0.0 /"))
+    for index in (0, 1):
+        changes(maps.nth(index), before[index])
+    pair.keyboard.press("ArrowRight")
+    assert 0 < clock(pair) < 0.3
+
+
+def test_a_pair_opens_at_the_violation_and_jumps_back_to_it(pair: Page) -> None:
+    opened = clock(pair)
+    jump = pair.get_by_role("button", name="Go to the violation at")
+    shown(jump).to_contain_text(f"{opened:.1f} s")
+    pair.get_by_label("Time in the episode").press("End")
+    assert clock(pair) > opened
+    jump.click()
+    assert clock(pair) == pytest.approx(opened, abs=0.05)
+
+
+def test_a_pair_that_is_none_leads_to_the_list_and_the_solutions(site: Served, visit: Visits) -> None:
+    page = visit(site.url, f"#/campaigns/{site.urban}/pairs/1-1")
+    shown(page.get_by_role("heading", name="No such pair")).to_be_visible()
+    page.get_by_role("link", name="All pairs").click()
+    shown(page.get_by_role("heading", name="Pairs", exact=True)).to_be_visible()
+
+
+def test_the_page_of_a_campaign_shows_its_pairs(site: Served, visit: Visits) -> None:
+    page = visit(site.url, f"#/campaigns/{site.urban}")
+    card = page.get_by_role("region", name="Pairs across the boundary", exact=True)
+    shown(card).to_contain_text(re.compile("pair"))
+    shown(page.get_by_role("region", name="Boundary solutions", exact=True)).to_be_visible()

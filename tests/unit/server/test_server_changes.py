@@ -1,0 +1,186 @@
+"""The change between the two sides of a pair, in values and in words."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from brink.search.pairs import Steps
+from brink.server.problems.base import SimulatedSolution, activity_of
+from brink.server.problems.benchmarks import Mtq
+from brink.server.problems.changes import NOTHING_ACTIVE, change_words, changes_between, different
+from brink.server.problems.urban_changes import AFTERWARDS
+from brink.server.problems.urban_injected import UrbanInjected
+
+URBAN = UrbanInjected(UrbanInjected.params_type())
+SCENARIO = {
+    "time_of_day": "noon", "weather": "clear", "pedestrians": "0", "road_curve": "straight", "road_id": "0",
+    "road_length": "0", "driving_task": "follow_road",
+}  # fmt: skip
+BOX = {"x_min_0_px": 300.0, "x_max_0_px": 400.0, "y_min_0_px": 250.0, "y_max_0_px": 400.0,
+       "x_min_1_px": 100.0, "x_max_1_px": 500.0, "y_min_1_px": 250.0, "y_max_1_px": 500.0}  # fmt: skip
+NONE: dict[str, Any] = {"label": "null", "t0_step": 0, "t1_step": 0, **dict.fromkeys(BOX, 0.0)}
+VIOLATED_AT_S = 7.1
+
+
+def report(label: str, start: int, end: int, **box: float) -> dict[str, Any]:
+    return {"label": label, "t0_step": start, "t1_step": end, **BOX, **box}
+
+
+def drive(
+    *reports: dict[str, Any], violated_at_s: float | None = None, end_step: int = 300, **scenario: str
+) -> SimulatedSolution:
+    """Return a drive with two reports, each delivered until the end of the drive."""
+    values = {
+        f"trajectory_{number}.{name}": value
+        for number, one in enumerate(reports, start=1)
+        for name, value in one.items()
+    }
+    vectors = URBAN.space.encode({"scenario": {**SCENARIO, **scenario}, "behaviour": values})
+    delivered = [
+        None if one["t0_step"] > end_step else [one["t0_step"], min(one["t1_step"], end_step)]
+        for one in reports
+        if one["label"] != "null"
+    ]
+    verdict = {
+        "robustness": 1.0 if violated_at_s is None else -1.0,
+        "unit": "m",
+        "violated_at_s": violated_at_s,
+    }
+    result = {"features": {"delivered_steps": delivered}, "verdicts": {"front-gap@1": verdict}}
+    return SimulatedSolution(vectors=vectors, activity=activity_of(URBAN, vectors, result), result=result)
+
+
+def unsafe_drive(*reports: dict[str, Any], **scenario: str) -> SimulatedSolution:
+    return drive(*reports, violated_at_s=VIOLATED_AT_S, end_step=74, **scenario)
+
+
+def words(safe: SimulatedSolution, unsafe: SimulatedSolution) -> str:
+    rows = [URBAN.space.join(tuple(one.vectors)) for one in (safe, unsafe)]
+    units = Steps(URBAN.space).differing(*rows)
+    return change_words(URBAN, safe, unsafe, changes_between(URBAN, safe, unsafe, units))
+
+
+@pytest.mark.parametrize(
+    ("safe", "unsafe", "expected"),
+    [
+        (
+            report("person", 43, 60), report("person", 41, 60),
+            "the reported person is there from 4.1 s instead of 4.3 s",
+        ),
+        (
+            report("person", 43, 60), report("person", 43, 65),
+            "the reported person is there until 6.5 s instead of 6.0 s",
+        ),
+        (
+            report("person", 7, 189), report("person", 80, 249),
+            "no person is reported before 7.1 s; in the safe drive one is, from 0.7 to 18.9 s",
+        ),
+        (
+            report("person", 100, 200), report("person", 41, 200),
+            "a person is reported from 4.1 to 20.0 s; in the safe drive none before 10.0 s",
+        ),
+        (NONE, report("person", 41, 60), "a person is reported from 4.1 to 6.0 s; in the safe drive none"),
+        (
+            report("person", 41, 200), report("person", 41, 250),
+            "the box of the reported person moves more slowly through the image",
+        ),
+        (
+            report("person", 41, 200), report("vehicle", 41, 200),
+            "a vehicle is reported instead of a person from 4.1 to 20.0 s",
+        ),
+        (
+            report("person", 41, 60), report("person", 41, 60, x_min_0_px=310.0, x_max_0_px=410.0),
+            "the box of the reported person is 10 px further right (at first, at 4.1 s)",
+        ),
+        (
+            report("person", 41, 60), report("person", 41, 60, x_min_0_px=304.0, x_max_0_px=396.0),
+            "the box of the reported person is 8.0 px narrower (at first, at 4.1 s)",
+        ),
+        (  # 400 px * 1.7 m / (400 - 300) px is 6.8 m
+            report("person", 41, 60), report("person", 41, 60, y_max_0_px=470.0),
+            "the box of the reported person is 4.0 m ahead instead of 6.8 m by its lower edge (at first, at 4.1 s)",
+        ),
+        (
+            report("person", 41, 60), report("person", 41, 60, y_max_1_px=305.0),
+            "the box of the reported person is 195 px higher at its lower edge (at last, at 6.0 s)",
+        ),
+        (report("person", 80, 189), report("person", 90, 189), NOTHING_ACTIVE),
+    ],
+)  # fmt: skip
+def test_a_change_is_described_as_what_the_detector_reports(
+    safe: dict[str, Any], unsafe: dict[str, Any], expected: str
+) -> None:
+    ended = report("person", 80, 189) == safe
+    before = drive(safe, NONE, end_step=74 if ended else 300)
+    assert words(before, unsafe_drive(unsafe, NONE)) == expected
+
+
+def test_a_change_after_the_violation_is_not_called_its_cause() -> None:
+    before, after = drive(report("person", 80, 189), NONE), unsafe_drive(report("person", 90, 189), NONE)
+    assert words(before, after) == AFTERWARDS
+
+
+def test_of_two_equal_labels_the_earlier_report_is_the_first() -> None:
+    late = report("person", 50, 70)
+    assert words(drive(late, report("person", 12, 70)), unsafe_drive(late, report("person", 10, 70))) == (
+        "the first reported person is there from 1.0 s instead of 1.2 s"
+    )
+
+
+def test_a_change_of_the_scenario_is_described() -> None:
+    one = report("person", 10, 70)
+    assert words(drive(one, NONE), unsafe_drive(one, NONE, weather="medium_rain", pedestrians="18")) == (
+        "the weather is medium rain instead of clear; there are 18 pedestrians instead of 0"
+    )
+
+
+def test_what_had_no_part_in_either_drive_is_not_active_and_not_described() -> None:
+    safe = drive(report("person", 10, 70), report("vehicle", 200, 250), end_step=100)
+    unsafe = unsafe_drive(report("person", 12, 70), report("vehicle", 210, 250))
+    rows = [URBAN.space.join(tuple(one.vectors)) for one in (safe, unsafe)]
+    changes = changes_between(URBAN, safe, unsafe, Steps(URBAN.space).differing(*rows))
+    assert [(change.names, change.active) for change in changes] == [
+        (("behaviour.trajectory_1.t0_step",), True), (("behaviour.trajectory_2.t0_step",), False),
+    ]  # fmt: skip
+    assert [(change.safe, change.unsafe) for change in changes] == [((10,), (12,)), ((200,), (210,))]
+    assert (
+        change_words(URBAN, safe, unsafe, changes)
+        == "the reported person is there from 1.2 s instead of 1.0 s"
+    )
+
+
+def test_without_a_record_every_difference_may_matter() -> None:
+    safe, unsafe = drive(report("person", 80, 189), NONE), drive(report("person", 90, 189), NONE)
+    bare = [SimulatedSolution(vectors=one.vectors) for one in (safe, unsafe)]
+    rows = [URBAN.space.join(tuple(one.vectors)) for one in bare]
+    changes = changes_between(URBAN, *bare, Steps(URBAN.space).differing(*rows))
+    assert [change.active for change in changes] == [None]
+    assert change_words(URBAN, *bare, changes) == "the reported person is there from 9.0 s instead of 8.0 s"
+
+
+def test_a_problem_without_words_shows_values_with_units() -> None:
+    problem = Mtq(Mtq.params_type())
+    safe, unsafe = (
+        SimulatedSolution(vectors=problem.space.split(np.array(row))) for row in ((0.25, 0.5), (0.25001, 0.5))
+    )
+    changes = changes_between(problem, safe, unsafe, [(0,)])
+    name = problem.space.column_names()[0]
+    assert change_words(problem, safe, unsafe, changes) == f"{name} 0.25 -> 0.25001"
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "expected"),
+    [
+        (12.3, 12.5, ("12.3", "12.5")),
+        (0.123456, 0.123457, ("0.123456", "0.123457")),
+        (1234.56, 1300.0, ("1235", "1300")),
+        (7, 1234567, ("7", "1234567")),
+        ("rain", "fog", ("rain", "fog")),
+        (1.0, 1.0 + 2**-50, ("1.0", "1.0000000000000009")),
+    ],
+)
+def test_values_are_shown_in_digits_that_tell_them_apart(
+    first: Any, second: Any, expected: tuple[str, str]
+) -> None:
+    assert different(first, second) == expected
