@@ -17,7 +17,7 @@ from brink.cli.draw import (
     run_episode,
 )
 from brink.cli.options import console
-from brink.server.api.pairs import ComponentPart, Minimality, PairsView, PairView, ShareView
+from brink.server.api.pair_views import ComponentPart, Minimality, PairsView, PairView, ShareView
 from brink.server.errors import InvalidInput
 from brink.sim.replay import DrivePair, Side, render_pair
 

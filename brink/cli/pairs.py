@@ -1,5 +1,7 @@
 """`brink pairs`: pairs of drives across the boundary, one safe and one unsafe, and the change between them."""
 
+import contextlib
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,11 +11,36 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from brink.api.client import Api
-from brink.cli.options import AsJson, CampaignId, Database, Server, console, plain_table, print_json, with_api
+from brink.api.client import Api, CoordinatorError
+from brink.cli.local import Session, check_extra, run_locally, stopping
+from brink.cli.options import (
+    RESULTS,
+    AsJson,
+    CampaignId,
+    Database,
+    Server,
+    Workers,
+    console,
+    plain_table,
+    print_json,
+    settings_with,
+    with_api,
+)
 from brink.cli.pair_pictures import FILMS, PICTURES, check_file, chosen_pair, draw_pair
-from brink.server.api.pairs import MOST_PAIRS, PairsView, PairView
+from brink.search.analysis.confirmation import LEAST_DRIVES, Confirmation
+from brink.server.api.pair_views import (
+    MOST_PAIRS,
+    ComponentPart,
+    FollowUpView,
+    Minimality,
+    PairsView,
+    PairView,
+)
+from brink.server.api.schemas import CampaignView
+from brink.server.campaigns.plan import make_plan
+from brink.server.campaigns.repeats import FollowUpKind
 from brink.server.errors import InvalidInput
+from brink.server.states import CampaignStatus
 
 PAIRS_SHOWN = 20
 
@@ -78,15 +105,41 @@ def pairs(
         tuple[int, Path] | None,
         typer.Option(metavar="N FILE", show_default=False, help="Film both drives of pair N (.mp4 or .gif)."),
     ] = None,
+    confirm: Annotated[
+        int | None,
+        typer.Option(
+            "--confirm",
+            metavar="R",
+            min=LEAST_DRIVES,
+            max=10_000,
+            show_default=False,
+            help="Simulate both sides of each pair R times with other seeds first, such as 10.",
+        ),
+    ] = None,
+    component: Annotated[
+        bool,
+        typer.Option(
+            "--component", help="Simulate each unsafe side with ground truth in place of the component first."
+        ),
+    ] = False,
+    minimise: Annotated[
+        bool,
+        typer.Option("--minimise", help="Take differences back one by one first, to find those that matter."),
+    ] = False,
+    workers: Workers = 2,
     database: Database = None,
     server: Server = None,
     as_json: AsJson = False,
 ) -> None:
     """Show the pairs of a campaign: two drives that are almost the same, one safe, one unsafe.
 
-    Each pair says in words what the change between its two drives is, and what the unsafe one did.
+    Each pair says in words what the change between its two drives is, and what the unsafe one did. What --confirm,
+    --component and --minimise find out is stored and shown from then on. Without --server, the command runs a
+    coordinator and workers until it is known; calling it again continues.
 
     Example: brink pairs 3f2a
+
+    Example: brink pairs 3f2a --confirm 10 --component --minimise
 
     Example: brink pairs 3f2a --out pairs.jsonl
 
@@ -102,8 +155,15 @@ def pairs(
     for option, _, path, endings in drawn:
         check_file(option, path, endings)
 
+    given = {name: value for name, value in settings.items() if value is not None}
+    asked = _requests(given, confirm, component=component, minimise=minimise)
+    complete = True
+    if asked:
+        screen = console(stderr=as_json or (wanted is not Format.TABLE and out is None))
+        complete = _follow_up(campaign, asked, workers, server, database, screen)
+
     async def work(api: Api) -> None:
-        params = {name: value for name, value in settings.items() if value is not None}
+        params: dict[str, Any] = dict(given)
         if drawn:
             view = await fetch_pairs(api, campaign, **params, limit=MOST_PAIRS)
             for option, place, path, _ in drawn:
@@ -128,6 +188,113 @@ def pairs(
             typer.echo(f"{out}: {len(view.pairs)} of {view.distinct} distinct pairs")
 
     with_api(server, database, work)
+    raise typer.Exit(int(not complete))
+
+
+def _requests(
+    given: Mapping[str, float], confirm: int | None, *, component: bool, minimise: bool
+) -> list[dict[str, Any]]:
+    """Return the follow-ups to ask for, as bodies of requests."""
+    requests: list[dict[str, Any]] = []
+    if confirm is not None:
+        requests.append({"kind": FollowUpKind.CONFIRM.value, "repeats": confirm, **given})
+    if component:
+        requests.append({"kind": FollowUpKind.COMPONENT.value, **given})
+    if minimise:
+        requests.append({"kind": FollowUpKind.MINIMISE.value, **given})
+    return requests
+
+
+def _follow_up(
+    campaign: str,
+    requests: Sequence[dict[str, Any]],
+    workers: int,
+    server: str | None,
+    database: str | None,
+    screen: Console,
+) -> bool:
+    """Ask for follow-ups and, without a server, run them to their end; return whether nothing was stopped."""
+    if server is None:
+        return run_locally(
+            settings_with(database=database, port=0), RESULTS / "worker.log", screen,
+            lambda session: _run(session, campaign, requests, workers),
+        )  # fmt: skip
+
+    async def ask(api: Api) -> None:
+        for request in requests:
+            found = await _ask(api, campaign, request, screen)
+            if found is not None and found.status in OPEN:
+                screen.print(
+                    f"campaign {found.campaign} simulates them ({_WHAT[found.kind]}); the same command shows what is "
+                    "known so far",
+                    soft_wrap=True,
+                )
+
+    with_api(server, database, ask)
+    return True
+
+
+OPEN = (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
+_WHAT = {
+    FollowUpKind.CONFIRM: "both sides of each pair with other seeds",
+    FollowUpKind.COMPONENT: "each unsafe side with ground truth in place of the component",
+    FollowUpKind.MINIMISE: "each unsafe side without one difference at a time",
+}
+
+
+async def _ask(api: Api, campaign: str, request: dict[str, Any], screen: Console) -> FollowUpView | None:
+    """Ask for a follow-up, or for an equal one that exists; return None if there is nothing to do, and say why."""
+    given = {name: request[name] for name in ("eps", "d_th") if name in request}
+    view = await fetch_pairs(api, campaign, limit=MOST_PAIRS, **given)
+    if view.complete and not view.pairs:
+        return None  # the note says why
+    minimal = all(pair.minimality.state is Minimality.MINIMAL for pair in view.pairs)
+    if view.pairs and minimal and request["kind"] == FollowUpKind.MINIMISE:
+        screen.print(f"none of the differences of the {len(view.pairs)} pairs can go: they are minimal")
+        return None
+    return await api.send(FollowUpView, f"/campaigns/{campaign}/pairs/follow-ups", request)
+
+
+async def _run(session: Session, campaign: str, requests: Sequence[dict[str, Any]], workers: int) -> bool:
+    """Run follow-ups to their end, one after the other; return False if they were stopped or did not finish."""
+    found = await session.api.read(CampaignView, f"/campaigns/{campaign}")
+    check_extra(make_plan(found.body).problem)
+    complete = True
+    started = False
+    async with stopping(session.stop):
+        for request in requests:
+            view = await _ask(session.api, campaign, request, session.screen)
+            if view is None or view.status not in OPEN:
+                continue
+            if not started:
+                session.processes.start(workers)
+                started = True
+            path = f"/campaigns/{view.campaign}"
+            if view.status is CampaignStatus.PAUSED and not view.status_reason:
+                await session.api.post(f"{path}/resume")
+            session.screen.print(f"simulating {_WHAT[view.kind]}", soft_wrap=True)
+            progress = await session.watch_campaign(view.campaign)
+            if progress.status is CampaignStatus.RUNNING:
+                with contextlib.suppress(CoordinatorError):
+                    await session.api.post(f"{path}/pause")
+            complete = complete and progress.status is CampaignStatus.FINISHED
+            if session.stop.is_set():
+                session.hint(
+                    "stopped; nothing is lost. Continue with", f"pairs {campaign} {_options(requests)}"
+                )
+                return False
+            if progress.status_reason:
+                session.screen.print(f"[yellow]{escape(progress.status_reason)}[/yellow]", soft_wrap=True)
+    return complete
+
+
+def _options(requests: Sequence[dict[str, Any]]) -> str:
+    """Return the options that ask for follow-ups, for hints."""
+    words = [f"--{one['kind']}" + (f" {one['repeats']}" if "repeats" in one else "") for one in requests]
+    words += [
+        f"--{name.replace('_', '-')} {requests[0][name]:g}" for name in ("eps", "d_th") if name in requests[0]
+    ]
+    return " ".join(words)
 
 
 def _format(form: Format | None, out: Path | None, *, as_json: bool) -> Format:
@@ -189,17 +356,40 @@ def pairs_table(view: PairsView, shown: int | None = None) -> Table:
     for pair in view.pairs[:shown]:
         table.add_row(
             str(pair.place), str(pair.safe.number), str(pair.unsafe.number), f"{pair.distance:.3f}",
-            evidence_words(view, pair), escape(f"{pair.words} [otherwise: {pair.safe.outcome}]"),
+            evidence_words(view, pair), escape(_description(pair)),
         )  # fmt: skip
     return table
 
 
+def _description(pair: PairView) -> str:
+    words = f"{pair.words} [otherwise: {pair.safe.outcome}]"
+    if pair.minimality.unsafe is not None:
+        less = pair.minimality.unsafe
+        words += f" {'Minimal change' if less.minimal else 'Smaller change'}: {less.change}."
+    return words
+
+
 def evidence_words(view: PairsView, pair: PairView) -> str:
-    """Return what is known of a pair beyond one simulation of each side."""
-    if view.computed:
-        return "computed"
+    """Return what is known of a pair beyond one simulation of each side, such as ``checked, confirmed 0/10 10/10``.
+
+    The two shares say how often the safe and the unsafe side were unsafe with other seeds.
+    """
+    words = ["computed" if view.computed else "checked" if pair.checked else "found once"]
     again = pair.confirmation
-    if again.safe.evaluated or again.unsafe.evaluated:
-        counts = ", ".join(f"{one.unsafe} of {one.evaluated}" for one in (again.safe, again.unsafe))
-        return f"{again.state}: unsafe {counts}"
-    return "checked" if pair.checked else "found once"
+    if again.state is not Confirmation.NOT_TRIED:
+        counts = " ".join(f"{one.unsafe}/{one.evaluated}" for one in (again.safe, again.unsafe))
+        words.append(f"{again.state} {counts}")
+    if pair.component.state is not ComponentPart.NOT_TRIED:
+        words.append(_PARTS[pair.component.state])
+    if pair.minimality.state is not Minimality.NOT_TRIED:
+        words.append(str(pair.minimality.state))
+    return ", ".join(words)
+
+
+_PARTS = {
+    ComponentPart.COMPONENT: "component's hazard",
+    ComponentPart.SCENARIO: "scenario's hazard",
+    ComponentPart.FAILED: "ground truth failed",
+    ComponentPart.PENDING: "ground truth pending",
+}
+"""Whose hazard it is."""

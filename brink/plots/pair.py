@@ -157,9 +157,9 @@ def _plot_plane(axes: Axes, inputs: CampaignFigures, rows: tuple[FloatArray, ...
             linewidths=1.3,
             zorder=4,
         )
-    names = inputs.space.column_names()
-    for label, name in zip((axes.set_xlabel, axes.set_ylabel), names, strict=True):
-        label(_plain(name, inputs))
+    across, up = (_plain(name, inputs) for name in inputs.space.column_names())
+    axes.set_xlabel(across)
+    axes.set_ylabel(up)
     style_axes(axes, grid="both")
 
 

@@ -32,6 +32,13 @@ class RepeatsConfig(BoundaryConfig):
         default_factory=list,
         metadata={"help": "Complete solutions to simulate, each as a row of its numbers."},
     )
+    seed_numbers: list[int] = field(
+        default_factory=list,
+        metadata={
+            "help": "For each solution, the number of the candidate whose episode seed it shares; empty for seeds of "
+            "their own. Then each is simulated once."
+        },
+    )
     generation_size: int = setting(
         120, help="Candidates per generation; at least one round.", ge=1, le=10_000
     )
@@ -64,7 +71,23 @@ class Repeats(LedgerAlgorithm[RepeatsConfig, RepeatsState]):
                 space.check(space.split(np.asarray(row, np.float64)))
             except SpaceError as error:
                 raise ConfigError("solutions", f"row {place}: {error}") from None
-        return len(config.solutions)
+        count = len(config.solutions)
+        if len(config.seed_numbers) not in (0, count) or min(config.seed_numbers, default=0) < 0:
+            raise ConfigError(
+                "seed_numbers",
+                f"expected a number >= 0 for each of {count} solutions, or none, got {config.seed_numbers}",
+            )
+        return count
+
+    def check(self, space: SearchSpace, config: RepeatsConfig, *, budget: int) -> None:
+        """Check that the algorithm can run with these arguments; see `LedgerAlgorithm.check`."""
+        super().check(space, config, budget=budget)
+        if config.seed_numbers and budget > len(config.solutions):
+            raise ConfigError(
+                "budget",
+                f"expected {len(config.solutions)} simulations, one of each solution, since seed_numbers fixes their "
+                f"seeds; got {budget}",
+            )
 
     def _first_state(self, ledger: Ledger, config: RepeatsConfig) -> RepeatsState:
         return _planned(config, ledger)
@@ -84,7 +107,10 @@ def _planned(config: RepeatsConfig, ledger: Ledger) -> RepeatsState:
     first = ledger.spent
     last = min(first - first % len(given) + rounds * len(given), ledger.budget)
     rows = [given[number % len(given)] for number in range(first, last)]
-    return RepeatsState(config=config, ledger=ledger.plan(rows))
+    seeds: list[int | None] = [
+        config.seed_numbers[number] if config.seed_numbers else None for number in range(first, last)
+    ]
+    return RepeatsState(config=config, ledger=ledger.plan(rows, seed_numbers=seeds))
 
 
 class Conclusion(StrEnum):

@@ -3,28 +3,55 @@
 import asyncio
 import json
 from collections.abc import Mapping, Sequence
-from enum import StrEnum
-from typing import Annotated, Any, Final, Literal
+from dataclasses import dataclass
+from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
-from pydantic import Field
 from sqlalchemy import Connection, Row
 
+from brink.search.algorithms.minimise import Reduced, Reductions
 from brink.search.analysis.confirmation import Confirmation, Share, confirmation_of
 from brink.search.analysis.pairs import Pair, Side
+from brink.search.features import Unit
 from brink.server.api.boundary_table import Cell, table_bytes
 from brink.server.api.context import Services
-from brink.server.api.responses import NOT_MODIFIED, etag_of, matches, not_modified
-from brink.server.api.schemas import ActivityView, View
+from brink.server.api.pair_views import (
+    DEFAULT_PAIRS,
+    MOST_PAIRS,
+    ChangeView,
+    ComponentPart,
+    ComponentView,
+    ConfirmationView,
+    FollowUpBody,
+    FollowUpView,
+    Minimality,
+    MinimalityView,
+    MinimisedView,
+    NearestView,
+    PairsView,
+    PairView,
+    ShareView,
+    SideView,
+)
+from brink.server.api.responses import NOT_MODIFIED, etag_of, matches, not_modified, set_created
 from brink.server.api.solutions import MEDIA, activity_view
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
+from brink.server.campaigns.follow_ups import (
+    plan_component,
+    plan_minimisation,
+    read_reduced,
+    read_seeds,
+    sides_of,
+)
 from brink.server.campaigns.outcomes import SolutionOutcome, outcome_of
 from brink.server.campaigns.pairs import CampaignPairs, PairSettings, shares_of
-from brink.server.campaigns.repeats import StoredRepeats, read_repeats
+from brink.server.campaigns.plan import Plan, make_plan
+from brink.server.campaigns.repeats import EVERY_D_TH, EVERY_T_B, FollowUpKind, StoredRepeats, read_follow_ups
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.db.engine import read
+from brink.server.errors import Conflict
 from brink.server.problems.base import (
     InProcessProblem,
     NamesRequirements,
@@ -34,224 +61,10 @@ from brink.server.problems.base import (
     describe_candidate,
 )
 from brink.server.problems.changes import Change, change_words, changes_between
-from brink.server.states import CampaignStatus, OutcomeKind, SolutionVerdict
+from brink.server.states import CampaignStatus, SolutionVerdict
 from brink.sim.verdict import drives_held, unsafe_words
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/pairs", tags=["pairs"])
-
-MOST_PAIRS: Final = 1_000
-DEFAULT_PAIRS: Final = 100
-
-
-class FollowUpKind(StrEnum):
-    """What a follow-up of pairs asks."""
-
-    CONFIRM = "confirm"
-    """Do both sides keep their verdicts with other seeds?"""
-    COMPONENT = "component"
-    """Is the unsafe side safe with ground truth in place of the component?"""
-    MINIMISE = "minimise"
-    """Which of the differences matter?"""
-
-
-class ShareView(View):
-    """How often one side was unsafe when it was simulated again with other seeds."""
-
-    evaluated: Annotated[int, Field(description="Simulations with a verdict.")]
-    unsafe: int
-    probability: Annotated[float | None, Field(description="Unsafe share; null without a verdict.")]
-    low: Annotated[float, Field(description="Lower limit of its Wilson interval.")]
-    high: float
-
-
-class ConfirmationView(View):
-    """Whether both sides keep their verdicts with other seeds."""
-
-    state: Annotated[
-        Confirmation,
-        Field(
-            description="Confirmed if the safe side was unsafe in at most 20% and the unsafe side in at least 80% of "
-            "the simulations with other seeds, at least five each."
-        ),
-    ]
-    safe: ShareView
-    unsafe: ShareView
-
-
-class ComponentPart(StrEnum):
-    """What an unsafe drive with ground truth in place of the component says."""
-
-    COMPONENT = "component"
-    """It is safe: without the component's output there is no hazard."""
-    SCENARIO = "scenario"
-    """It is unsafe, too: the scenario alone is to blame."""
-    FAILED = "failed"
-    """It has no verdict."""
-    PENDING = "pending"
-    NOT_TRIED = "not tried"
-
-
-class ComponentView(View):
-    """Whether the scenario alone is to blame for the unsafe side: its episode with ground truth."""
-
-    state: ComponentPart
-    campaign: Annotated[str | None, Field(description="Campaign that simulated it.")] = None
-    number: Annotated[int | None, Field(description="Number of the solution in that campaign.")] = None
-    robustness: float | None = None
-
-
-class ChangeView(View):
-    """A parameter in which the sides differ, or two that a constraint ties together."""
-
-    names: Annotated[list[str], Field(description="Names as component.parameter, of those that differ.")]
-    units: list[str]
-    safe: Annotated[list[Any], Field(description="Value of each in the safe side, as it was chosen.")]
-    unsafe: list[Any]
-    active: Annotated[
-        bool | None,
-        Field(description="Whether it had a part in either drive; null if that was not recorded."),
-    ]
-    words: str
-
-
-class Minimality(StrEnum):
-    """Whether every difference between the sides matters."""
-
-    MINIMAL = "minimal"
-    NOT_MINIMAL = "not minimal"
-    """Some of the differences can be taken back."""
-    UNDECIDED = "undecided"
-    """Some simulations failed."""
-    PENDING = "pending"
-    NOT_TRIED = "not tried"
-
-
-class MinimisedView(View):
-    """The unsafe side after differences were taken back, simulated with the episode seed of the unsafe side."""
-
-    number: Annotated[int, Field(description="Number of the solution in the campaign of the follow-up.")]
-    robustness: float | None
-    outcome: str
-    parameters: dict[str, dict[str, Any]]
-    distance: Annotated[float, Field(description="Distance from the safe side.")]
-    changes: list[ChangeView]
-    change: str
-
-
-class MinimalityView(View):
-    """Whether every difference between the sides matters."""
-
-    state: Minimality
-    campaign: Annotated[str | None, Field(description="Campaign that tried.")] = None
-    tried: Annotated[int, Field(description="Simulations for it.")] = 0
-    unsafe: Annotated[
-        MinimisedView | None, Field(description="Unsafe side without the differences that did not matter.")
-    ] = None
-
-
-class SideView(View):
-    """One side of a pair."""
-
-    number: int
-    evaluated: Annotated[
-        int, Field(description="Simulations of these parameters in the campaign, all with this verdict.")
-    ]
-    robustness: Annotated[float, Field(description="Robustness in the first of them.")]
-    seed: Annotated[int, Field(description="Episode seed of the first of them.")]
-    outcome: Annotated[
-        str, Field(description="What it showed, in words: the requirement and every violation, with moments.")
-    ]
-    kind: OutcomeKind
-    words: Annotated[str, Field(description="Description of the solution.")]
-    parameters: Annotated[
-        dict[str, dict[str, Any]],
-        Field(description="Values by component, then by name, as they were chosen."),
-    ]
-    activity: Annotated[
-        ActivityView | None,
-        Field(description="Which of them had a part in the episode; null if that was not recorded."),
-    ]
-
-
-class PairView(View):
-    """A safe and an unsafe solution that are almost the same."""
-
-    place: Annotated[int, Field(description="Place in the list, from 1.")]
-    words: Annotated[str, Field(description="The change and what the unsafe side did, in one sentence.")]
-    change: Annotated[str, Field(description="The change, in words.")]
-    distance: float
-    checked: Annotated[
-        bool,
-        Field(description="Whether both sides kept their verdicts in a further simulation of the search."),
-    ]
-    same_seed: Annotated[
-        bool,
-        Field(
-            description="Whether both sides were simulated with the same episode seed: then nothing else differs."
-        ),
-    ]
-    confirmation: ConfirmationView
-    component: ComponentView
-    minimality: MinimalityView
-    changes: Annotated[list[ChangeView], Field(description="All differences; the first active ones matter.")]
-    safe: SideView
-    unsafe: SideView
-
-
-class NearestView(View):
-    """The nearest solutions with opposite verdicts."""
-
-    safe: int
-    unsafe: int
-    distance: float
-
-
-class FollowUpView(View):
-    """A campaign that simulated sides of pairs again."""
-
-    kind: FollowUpKind
-    campaign: str
-    status: CampaignStatus
-    status_reason: str
-    simulations: int
-    budget: int
-
-
-class PairsView(View):
-    """The distinct pairs of a campaign."""
-
-    campaign: str
-    name: str
-    status: CampaignStatus
-    complete: Annotated[
-        bool, Field(description="Whether the campaign has ended; if not, these are the pairs so far.")
-    ]
-    generation: Annotated[int, Field(description="Generations completed.")]
-    evaluated: Annotated[int, Field(description="Evaluated solutions.")]
-    eps: Annotated[float, Field(description="Largest distance between the sides of a pair.")]
-    d_th: Annotated[float, Field(description="Smallest distance between two distinct pairs.")]
-    computed: Annotated[
-        bool, Field(description="Whether verdicts are computed, not simulated: seeds have no part in them.")
-    ]
-    note: Annotated[
-        str, Field(description="The result in one sentence; why there is no pair, if there is none.")
-    ]
-    safe: Annotated[int, Field(description="Safe solutions, each counted once.")]
-    unsafe: Annotated[int, Field(description="Unsafe solutions, each counted once.")]
-    chancy: Annotated[int, Field(description="Solutions whose simulations had different verdicts.")]
-    tight: Annotated[int, Field(description="Pairs, distinct or not.")]
-    distinct: Annotated[int, Field(description="Distinct pairs.")]
-    checked: Annotated[int, Field(description="Distinct pairs that are checked.")]
-    confirmed: Annotated[int, Field(description="Distinct pairs that are confirmed.")]
-    not_confirmed: Annotated[
-        int, Field(description="Distinct pairs that simulations with other seeds refuted.")
-    ]
-    nearest: Annotated[
-        NearestView | None,
-        Field(description="Nearest solutions with opposite verdicts, if there is no pair."),
-    ]
-    follow_ups: Annotated[list[FollowUpView], Field(description="Oldest first.")]
-    pairs: Annotated[list[PairView], Field(description="Checked ones first, then by distance.")]
 
 
 Eps = Annotated[
@@ -285,7 +98,7 @@ async def get_pairs(
     """Return the distinct pairs of a campaign; table formats have one row for each pair."""
     campaign = await services.campaigns.get(campaign_id)
     found = await services.archives.get(campaign)
-    stored = await read(services.engines, lambda c: read_repeats(c, campaign.id))
+    stored = await read(services.engines, lambda c: read_follow_ups(c, campaign.id))
     settings = PairSettings.of(found.plan, eps, d_th)
     states = [(one.campaign.id, one.campaign.sequence) for one in stored]
     etag = etag_of(campaign.id, campaign.sequence, found.generation, settings, limit, format, states)
@@ -299,6 +112,45 @@ async def get_pairs(
     table = await asyncio.get_running_loop().run_in_executor(None, pairs_table, view, format)
     headers = {"Content-Disposition": f'attachment; filename="pairs-{campaign.id}.{format}"', "ETag": etag}
     return Response(table, media_type=MEDIA[format], headers=headers)  # type: ignore[return-value]
+
+
+@router.post(
+    "/follow-ups",
+    status_code=201,
+    responses={200: {"model": FollowUpView, "description": "This had already been requested."}},
+)
+async def follow_up_pairs(
+    campaign_id: str, body: FollowUpBody, services: Services, response: Response
+) -> FollowUpView:
+    """Simulate sides of the distinct pairs again, as a new campaign, to find out more about them."""
+    campaign = await services.campaigns.get(campaign_id)
+    found = await services.archives.get(campaign)
+    pairs = await services.pairs.get(campaign, found, PairSettings.of(found.plan, body.eps, body.d_th))
+    if campaign.status not in ENDED:
+        raise Conflict(f"campaign {campaign.id} is {campaign.status}: wait until it has ended")
+    chosen = pairs.found.pairs[: body.limit]
+    if not chosen:
+        raise Conflict(
+            f"campaign {campaign.id} has no pair at eps {pairs.settings.eps:g}, d_th {pairs.settings.d_th:g}"
+        )
+    kind = FollowUpKind(body.kind)
+    if kind is FollowUpKind.CONFIRM:
+        again, new = await services.campaigns.repeat(
+            campaign, found.plan, found.archive, repeats=body.repeats, t_b=EVERY_T_B, d_th=EVERY_D_TH,
+            numbers=sides_of(chosen),
+        )  # fmt: skip
+    else:
+        numbers = [pair.unsafe.number for pair in chosen]
+        seeds = await read(services.engines, lambda c: read_seeds(c, campaign.id, numbers))
+        plan_it = plan_component if kind is FollowUpKind.COMPONENT else plan_minimisation
+        again, new = await services.campaigns.follow_up(
+            campaign, lambda: plan_it(campaign, found.plan, found.archive, chosen, seeds)
+        )
+    set_created(response, f"campaigns/{again.id}", new=new)
+    return FollowUpView(
+        kind=kind, campaign=again.id, status=again.status, status_reason=again.status_reason,
+        simulations=again.completed, budget=again.budget,
+    )  # fmt: skip
 
 
 def pairs_view(
@@ -324,12 +176,16 @@ def pairs_view(
     numbers = {side.number for pair in shown for side in (pair.safe, pair.unsafe)}
     some = set(found.archive.numbers[:1].tolist())  # tells the requirement where there is no pair
     rows = {row.number: row for row in view_store.read_solutions(connection, campaign.id, numbers | some)}
-    shares = shares_of(stored, found.plan.neighbourhood.z)
-    states = [_confirmation(pair, shares).state for pair in pairs.found.pairs]
+    evidence = _Evidence.read(connection, found, stored)
+    states = [evidence.confirmation(pair).state for pair in pairs.found.pairs]
+    parts = [evidence.component(pair).state for pair in pairs.found.pairs]
     deciding = _deciding(problem, next(iter(rows.values()), None))
     counts = {
+        "tried": len(states) - states.count(Confirmation.NOT_TRIED),
         "confirmed": states.count(Confirmation.CONFIRMED),
         "not_confirmed": states.count(Confirmation.NOT_CONFIRMED),
+        "component": parts.count(ComponentPart.COMPONENT),
+        "scenario": parts.count(ComponentPart.SCENARIO),
     }
     return PairsView(
         campaign=campaign.id, name=campaign.body.name, status=campaign.status,
@@ -343,7 +199,7 @@ def pairs_view(
         ),
         follow_ups=[_follow_up(one) for one in stored],
         pairs=[
-            _pair(place, pair, problem, rows, shares) for place, pair in enumerate(shown, start=1)
+            _pair(place, pair, problem, rows, evidence) for place, pair in enumerate(shown, start=1)
         ],
     )  # fmt: skip
 
@@ -351,32 +207,180 @@ def pairs_view(
 def _follow_up(stored: StoredRepeats) -> FollowUpView:
     campaign = stored.campaign
     return FollowUpView(
-        kind=FollowUpKind.CONFIRM, campaign=campaign.id, status=campaign.status,
+        kind=stored.kind, campaign=campaign.id, status=campaign.status,
         status_reason=campaign.status_reason, simulations=campaign.completed, budget=campaign.budget,
     )  # fmt: skip
 
 
 def _pair(
-    place: int, pair: Pair, problem: Problem, rows: Mapping[int, Row[Any]], shares: Mapping[int, Share]
+    place: int, pair: Pair, problem: Problem, rows: Mapping[int, Row[Any]], evidence: "_Evidence"
 ) -> PairView:
     safe, unsafe = (_simulated(problem, rows[side.number]) for side in (pair.safe, pair.unsafe))
-    changes = sorted(
-        changes_between(problem, safe, unsafe, pair.units), key=lambda change: change.active is False
-    )
-    change = change_words(problem, safe, unsafe, changes)
+    changes, change = _changes(problem, safe, unsafe, pair.units)
     sides = [
         _side(side, problem, solution, rows[side.number])
         for side, solution in ((pair.safe, safe), (pair.unsafe, unsafe))
     ]
-    minimal = len(pair.units) == 1
     return PairView(
         place=place, words=f"{_sentence(change)}: {sides[1].outcome}", change=change, distance=pair.distance,
         checked=pair.checked, same_seed=sides[0].seed == sides[1].seed,
-        confirmation=_confirmation(pair, shares),
-        component=ComponentView(state=ComponentPart.NOT_TRIED),
-        minimality=MinimalityView(state=Minimality.MINIMAL if minimal else Minimality.NOT_TRIED),
-        changes=[_change(change) for change in changes], safe=sides[0], unsafe=sides[1],
+        confirmation=evidence.confirmation(pair), component=evidence.component(pair),
+        minimality=evidence.minimality(pair, safe, unsafe), changes=changes, safe=sides[0], unsafe=sides[1],
     )  # fmt: skip
+
+
+def _changes(
+    problem: Problem, safe: SimulatedSolution, unsafe: SimulatedSolution, units: Sequence[Unit]
+) -> tuple[list[ChangeView], str]:
+    """Return the differences between two solutions, active ones first, and the change in words."""
+    changes = sorted(changes_between(problem, safe, unsafe, units), key=lambda change: change.active is False)
+    return [_change(change) for change in changes], change_words(problem, safe, unsafe, changes)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Reduction:
+    """A follow-up that takes differences back.
+
+    Attributes:
+        stored: The follow-up.
+        reduced: How far it is.
+        rows: The stored solutions that are unsafe sides now, by number.
+    """
+
+    stored: StoredRepeats
+    reduced: Reduced
+    rows: Mapping[int, Row[Any]]
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether nothing is left to do."""
+        return self.stored.campaign.status is CampaignStatus.FINISHED
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Evidence:
+    """What the follow-ups of a campaign have shown.
+
+    Attributes:
+        plan: The campaign's plan.
+        shares: How often each repeated solution was unsafe with other seeds, by number.
+        truths: The drive of each solution with ground truth, by number.
+        reductions: The follow-up that takes the differences of a pair back, and its place there, by its two numbers.
+    """
+
+    plan: Plan
+    shares: Mapping[int, Share]
+    truths: Mapping[int, ComponentView]
+    reductions: Mapping[tuple[int, int], tuple[_Reduction, int]]
+
+    @classmethod
+    def read(cls, connection: Connection, found: ReadArchive, stored: Sequence[StoredRepeats]) -> Self:
+        """Read what follow-ups have shown.
+
+        Args:
+            connection: Read connection.
+            found: The campaign's archive.
+            stored: Its follow-ups, oldest first.
+        """
+        of_kind = {kind: [one for one in stored if one.kind is kind] for kind in FollowUpKind}
+        truths: dict[int, ComponentView] = {}
+        for one in of_kind[FollowUpKind.COMPONENT]:
+            for number, view in _truths(connection, one).items():
+                if number not in truths or truths[number].state not in _KNOWN_PARTS:
+                    truths[number] = view
+        reductions: dict[tuple[int, int], tuple[_Reduction, int]] = {}
+        for one in of_kind[FollowUpKind.MINIMISE]:
+            reduced = read_reduced(connection, make_plan(one.campaign.body), one)
+            latest = [number for number in reduced.latest if number is not None]
+            rows = view_store.read_solutions(connection, one.campaign.id, latest)
+            reduction = _Reduction(stored=one, reduced=reduced, rows={row.number: row for row in rows})
+            sides = zip(one.numbers[0::2], one.numbers[1::2], strict=True)
+            for place, pair in enumerate(sides):
+                if pair not in reductions or not reductions[pair][0].is_finished:
+                    reductions[pair] = reduction, place
+        return cls(
+            plan=found.plan,
+            shares=shares_of(of_kind[FollowUpKind.CONFIRM], found.plan.neighbourhood.z),
+            truths=truths, reductions=reductions,
+        )  # fmt: skip
+
+    def confirmation(self, pair: Pair) -> ConfirmationView:
+        """Return whether both sides of a pair keep their verdicts with other seeds."""
+        none = Share.of(0, 0)
+        safe, unsafe = (self.shares.get(side.number, none) for side in (pair.safe, pair.unsafe))
+        return ConfirmationView(
+            state=confirmation_of(safe, unsafe), safe=_share(safe), unsafe=_share(unsafe)
+        )  # fmt: skip
+
+    def component(self, pair: Pair) -> ComponentView:
+        """Return whether the scenario alone is to blame for the unsafe side of a pair."""
+        return self.truths.get(pair.unsafe.number) or ComponentView(state=ComponentPart.NOT_TRIED)
+
+    def minimality(self, pair: Pair, safe: SimulatedSolution, unsafe: SimulatedSolution) -> MinimalityView:
+        """Return whether every difference between the sides of a pair matters."""
+        known = self.reductions.get((pair.safe.number, pair.unsafe.number))
+        if known is None:
+            space = self.plan.problem.space
+            sides = (space.join(tuple(side.vectors))[None] for side in (safe, unsafe))
+            untried = not Reductions.of(space, *sides).is_minimal(0)
+            return MinimalityView(state=Minimality.NOT_TRIED if untried else Minimality.MINIMAL)
+        reduction, place = known
+        reduced, ended = reduction.reduced, reduction.stored.campaign.status in ENDED
+        pairs, latest = reduced.reductions, reduced.latest[place]
+        minimal = pairs.is_minimal(place)
+        if latest is not None:
+            state = Minimality.NOT_MINIMAL
+        elif minimal:
+            state = Minimality.MINIMAL
+        else:
+            state = Minimality.UNDECIDED if ended or pairs.is_undecided(place) else Minimality.PENDING
+        return MinimalityView(
+            state=state, campaign=reduction.stored.campaign.id, tried=reduced.tried[place],
+            unsafe=None if latest is None else self._minimised(reduction.rows[latest], pairs, place, safe),
+        )  # fmt: skip
+
+    def _minimised(
+        self, row: Row[Any], pairs: Reductions, place: int, safe: SimulatedSolution
+    ) -> MinimisedView:
+        problem, steps = self.plan.problem, pairs.steps
+        unsafe = _simulated(problem, row)
+        sides = pairs.safe[place], pairs.unsafe[place]
+        changes, change = _changes(problem, safe, unsafe, steps.differing(*sides))
+        return MinimisedView(
+            number=row.number, robustness=row.robustness, outcome=_outcome(problem, row).words(),
+            parameters=problem.space.decode(tuple(unsafe.vectors)), distance=steps.distance(*sides),
+            minimal=True if pairs.is_minimal(place) else None, changes=changes, change=change,
+        )  # fmt: skip
+
+
+_KNOWN_PARTS: Final = (ComponentPart.COMPONENT, ComponentPart.SCENARIO)
+
+
+def _truths(connection: Connection, stored: StoredRepeats) -> dict[int, ComponentView]:
+    """Return what the drives of a follow-up with ground truth showed, by number of the solution in the campaign."""
+    problem = make_plan(stored.campaign.body).problem
+    rows = {
+        row.number: row
+        for row in view_store.read_solutions(connection, stored.campaign.id, range(len(stored.numbers)))
+    }
+    found = {}
+    for place, number in enumerate(stored.numbers):
+        row = rows.get(place)
+        verdict = None if row is None else row.verdict
+        if row is not None and verdict in (SolutionVerdict.SAFE, SolutionVerdict.UNSAFE):
+            unsafe = verdict == SolutionVerdict.UNSAFE
+            found[number] = ComponentView(
+                state=ComponentPart.SCENARIO if unsafe else ComponentPart.COMPONENT,
+                campaign=stored.campaign.id, number=place, robustness=row.robustness,
+                outcome=_outcome(problem, row).words(),
+            )  # fmt: skip
+        else:
+            open_still = verdict != SolutionVerdict.FAILED and stored.campaign.status not in ENDED
+            found[number] = ComponentView(
+                state=ComponentPart.PENDING if open_still else ComponentPart.FAILED,
+                campaign=stored.campaign.id, number=place,
+            )  # fmt: skip
+    return found
 
 
 def _sentence(words: str) -> str:
@@ -387,14 +391,6 @@ def _change(change: Change) -> ChangeView:
     return ChangeView(
         names=list(change.names), units=list(change.units), safe=list(change.safe),
         unsafe=list(change.unsafe), active=change.active, words=change.words,
-    )  # fmt: skip
-
-
-def _confirmation(pair: Pair, shares: Mapping[int, Share]) -> ConfirmationView:
-    none = Share.of(0, 0)
-    safe, unsafe = (shares.get(side.number, none) for side in (pair.safe, pair.unsafe))
-    return ConfirmationView(
-        state=confirmation_of(safe, unsafe), safe=_share(safe), unsafe=_share(unsafe)
     )  # fmt: skip
 
 
@@ -459,8 +455,16 @@ def _result_words(pairs: CampaignPairs, deciding: tuple[str, ...], counts: Mappi
         words = f"{len(found.pairs):,} distinct pairs, {found.checked:,} checked"
         if len(found.pairs) == 1:
             words = f"1 distinct pair, {'checked' if found.checked else 'not checked'}"
-        if any(counts.values()):
-            words += f", {counts['confirmed']:,} confirmed, {counts['not_confirmed']:,} not confirmed"
+        if counts["tried"]:
+            words += (
+                f"; of {counts['tried']:,} simulated again with other seeds, {counts['confirmed']:,} confirmed and "
+                f"{counts['not_confirmed']:,} not confirmed"
+            )
+        if blamed := counts["component"] + counts["scenario"]:
+            words += (
+                f"; of {blamed:,} simulated with ground truth, {counts['component']:,} owe their hazard to the "
+                f"component and {counts['scenario']:,} to the scenario alone"
+            )
         return words
     if not found.safe and not found.unsafe and not found.chancy:
         return "no solution has been evaluated: no pair"

@@ -14,6 +14,7 @@ from pydantic import Field
 from sqlalchemy import Connection, func, select, text
 from starlette.responses import HTMLResponse
 
+from brink.search.algorithms.minimise import Minimise
 from brink.search.algorithms.repeats import Repeats
 from brink.server.api.context import Services, caller_of
 from brink.server.api.problem_details import problem
@@ -132,7 +133,10 @@ def get_problems() -> list[ProblemView]:
 @router.get("/algorithms", tags=["catalogue"])
 def get_algorithms() -> list[AlgorithmView]:
     """List the algorithms with the JSON schemas of their parameters."""
-    return [AlgorithmView(**item, internal=item["id"] == Repeats.id) for item in describe_algorithms()]
+    return [
+        AlgorithmView(**item, internal=item["id"] in (Repeats.id, Minimise.id))
+        for item in describe_algorithms()
+    ]
 
 
 # Not a closure over the app: FastAPI caches route functions, which would keep every app of a test run alive.

@@ -68,6 +68,10 @@ class CampaignBody(Body):
             description="Number of simulations of each distinct boundary solution with other seeds after the search.",
         ),
     ] = 0
+    ground_truth: Annotated[
+        bool,
+        Field(description="Whether to simulate with ground truth in place of the machine-learned component."),
+    ] = False
     llm: Annotated[
         LlmSettings | None, Field(description="Language model for algorithms that request seeds.")
     ] = None
@@ -79,6 +83,8 @@ class CampaignBody(Body):
             del document["llm"]  # the hashes of older submissions stay valid
         if not self.repeats:
             del document["repeats"]
+        if not self.ground_truth:
+            del document["ground_truth"]
         return hash_document(document)
 
 

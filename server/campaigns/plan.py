@@ -9,6 +9,7 @@ import numpy as np
 from sqlalchemy import Connection
 
 from brink.search.algorithm import Algorithm, Candidate, Question, Seeded, SeedRequest, ask_all
+from brink.search.algorithms.minimise import MinimiseConfig
 from brink.search.algorithms.multi_objective import MultiObjectiveConfig
 from brink.search.algorithms.repeats import RepeatsConfig
 from brink.search.archive import ARRAYS, Archive, Neighbourhood
@@ -25,6 +26,7 @@ from brink.server.problems.base import (
     InProcessProblem,
     MeasuresOnData,
     Problem,
+    ReplacesComponent,
     SimulatedProblem,
     SupportsSeeds,
 )
@@ -99,6 +101,8 @@ def make_plan(body: CampaignBody) -> Plan:
     """
     problem_params = read_problem_params(body.problem.id, body.problem.params)
     problem = make_problem(body.problem.id, asdict(problem_params))
+    if body.ground_truth:
+        problem = with_truth(problem)
     algorithm = make_algorithm(body.algorithm.id)
     known = set(algorithm.config_type.__dataclass_fields__)
     defaults = {name: value for name, value in problem.algorithm_defaults.items() if name in known}
@@ -116,6 +120,24 @@ def make_plan(body: CampaignBody) -> Plan:
         neighbourhood=Neighbourhood.of(config),
         body=resolved,
     )
+
+
+def with_truth(problem: Problem) -> SimulatedProblem:
+    """Return a problem with ground truth in place of its component.
+
+    Raises:
+        InvalidInput: It has no component that can be replaced.
+    """
+    if not isinstance(problem, ReplacesComponent):
+        message = f"{problem.id} has no component that ground truth can replace"
+        raise InvalidInput.at("/ground_truth", message)
+    found = problem.with_truth()
+    if found is None:
+        message = (
+            f"{problem.id} has ground truth in place of a component already: its scenarios alone are to blame"
+        )
+        raise InvalidInput.at("/ground_truth", message)
+    return found
 
 
 def make_checked_plan(body: CampaignBody) -> Plan:
@@ -242,7 +264,7 @@ def looks_for_boundary(algorithm_id: str) -> bool:
         algorithm = make_algorithm(algorithm_id)
     except InvalidInput:  # campaigns can be viewed without their plug-ins
         return True
-    return not issubclass(algorithm.config_type, MultiObjectiveConfig | RepeatsConfig)
+    return not issubclass(algorithm.config_type, MultiObjectiveConfig | RepeatsConfig | MinimiseConfig)
 
 
 def first_generations(body: CampaignBody) -> tuple[LiveSearch, Asked]:

@@ -1,14 +1,19 @@
-"""Repeats: solutions of a campaign simulated again with other seeds, in a separate campaign.
+"""Follow-ups of a campaign, each a separate campaign: above all repeats, which simulate solutions with other seeds.
 
 A campaign provides all that repeats need: workers, progress, resuming, no lost result. Its algorithm is
 `brink.search.algorithms.repeats`.
 
 The solutions are either the distinct boundary at two thresholds, or named by number. Named solutions are stored with
 the thresholds `EVERY_T_B` and `EVERY_D_TH`, which exclude none. Two repeats are equal if they have the same numbers.
+
+Other follow-ups ask about pairs of solutions (`brink.server.campaigns.follow_ups`). They are stored in the same way,
+with the number of repeats that `FollowUpKind` states.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +38,22 @@ EVERY_D_TH = 0.0
 """Thresholds that every solution meets."""
 _NAME_LENGTH = 200
 _MOST_ERRORS = 20
+
+
+class FollowUpKind(StrEnum):
+    """What a follow-up asks."""
+
+    CONFIRM = "confirm"
+    """How often is each solution unsafe with other seeds? At least two repeats."""
+    COMPONENT = "component"
+    """Is each solution unsafe with ground truth in place of the component, in the same episode? One repeat."""
+    MINIMISE = "minimise"
+    """Which differences between two solutions matter? The numbers are those of pairs; stored with 0 repeats."""
+
+
+SINGLE: Final = 1
+REDUCTION: Final = 0
+"""Stored numbers of repeats of the follow-ups that are not repeats with other seeds."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,6 +98,13 @@ class StoredRepeats:
     numbers: tuple[int, ...]
     evaluated: tuple[int, ...]
     unsafe: tuple[bool, ...]
+
+    @property
+    def kind(self) -> FollowUpKind:
+        """What it asks."""
+        if self.repeats == REDUCTION:
+            return FollowUpKind.MINIMISE
+        return FollowUpKind.COMPONENT if self.repeats == SINGLE else FollowUpKind.CONFIRM
 
     @property
     def boundary(self) -> bool:
@@ -187,6 +215,7 @@ def _prepare(
             budget=Budget(simulations=repeats * len(chosen)),
             seed=seed,
             priority=body.priority,
+            ground_truth=body.ground_truth,
             execution=body.execution.model_copy(update={"keep_traces": 0}),
         ),
         llm_endpoints="",
@@ -219,7 +248,13 @@ def store_repeats(connection: Connection, planned: PlannedRepeats) -> tuple[Camp
 
 
 def read_repeats(connection: Connection, campaign_id: str) -> list[StoredRepeats]:
-    """Return all repeats of a campaign's solutions, oldest first."""
+    """Return all repeats of a campaign's solutions with other seeds, oldest first."""
+    found = read_follow_ups(connection, campaign_id)
+    return [one for one in found if one.kind is FollowUpKind.CONFIRM]
+
+
+def read_follow_ups(connection: Connection, campaign_id: str) -> list[StoredRepeats]:
+    """Return all follow-ups of a campaign, oldest first."""
     query = (
         select(RepeatsRow.t_b, RepeatsRow.d_th, RepeatsRow.repeats, RepeatsRow.numbers, CampaignRow.__table__)
         .join(CampaignRow, CampaignRow.id == RepeatsRow.campaign_id)

@@ -6,7 +6,7 @@
 import asyncio
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -327,21 +327,43 @@ class CampaignService(DocumentService[CampaignBody, Campaign]):
             why = "its boundary is not known yet" if numbers is None else "wait until it has ended"
             raise Conflict(f"campaign {campaign.id} is {campaign.status}: {why}")
         check_repeatable(plan)
+
+        def look() -> PlannedRepeats:
+            if numbers is not None:
+                return plan_named_repeats(campaign, plan, archive, repeats=repeats, numbers=numbers)
+            found = plan_boundary_repeats(campaign, plan, archive, repeats=repeats, t_b=t_b, d_th=d_th)
+            if found is None:
+                raise Conflict(
+                    f"campaign {campaign.id} has no boundary solutions at t_b {t_b:g}, d_th {d_th:g}"
+                )
+            return found
+
+        return await self.follow_up(campaign, look)
+
+    async def follow_up(
+        self, campaign: Campaign, plan_it: Callable[[], PlannedRepeats]
+    ) -> tuple[Campaign, bool]:
+        """Store and start a follow-up of a campaign, unless there is an identical one.
+
+        Args:
+            campaign: The campaign, which has ended.
+            plan_it: Returns the follow-up; called in a thread.
+
+        Returns:
+            The campaign of the follow-up, and whether it is new.
+
+        Raises:
+            Conflict: The campaign has not ended, or was simulated with another simulator.
+        """
+        if campaign.status not in ENDED:
+            raise Conflict(f"campaign {campaign.id} is {campaign.status}: wait until it has ended")
         other = await read(self.engines, lambda c: other_simulator(c, campaign))
         if other is not None:
             raise Conflict(f"campaign {campaign.id} cannot be repeated: {other}")
-
-        def look() -> PlannedRepeats | None:
-            if numbers is not None:
-                return plan_named_repeats(campaign, plan, archive, repeats=repeats, numbers=numbers)
-            return plan_boundary_repeats(campaign, plan, archive, repeats=repeats, t_b=t_b, d_th=d_th)
-
-        planned = await asyncio.get_running_loop().run_in_executor(self.checks, look)
-        if planned is None:
-            raise Conflict(f"campaign {campaign.id} has no boundary solutions at t_b {t_b:g}, d_th {d_th:g}")
+        planned = await asyncio.get_running_loop().run_in_executor(self.checks, plan_it)
 
         def unit(connection: Connection) -> tuple[Campaign, bool, Sequence[str]]:
-            # Locked, so that identical repeats are not stored at the same time.
+            # Locked, so that identical follow-ups are not stored at the same time.
             self.table.get(connection, campaign.id, lock=True)
             found, new = store_repeats(connection, planned)
             return found, new, idle_campaigns(connection, [found.id])

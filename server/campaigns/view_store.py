@@ -168,6 +168,14 @@ def read_results(connection: Connection, campaign_id: str) -> dict[int, str | No
     return {row.number: row.result for row in connection.execute(query)}
 
 
+def read_failed(connection: Connection, campaign_id: str) -> list[int]:
+    """Return the numbers of the solutions of a campaign that have no verdict because their simulations failed."""
+    query = select(SolutionRow.number).where(
+        SolutionRow.campaign_id == campaign_id, SolutionRow.verdict == SolutionVerdict.FAILED
+    )
+    return [row.number for row in connection.execute(query)]
+
+
 def page_solutions(
     connection: Connection, campaign_id: str, *, after: int, limit: int, unsafe: bool | None
 ) -> list[Row[*tuple[Any, ...]]]:

@@ -24,6 +24,7 @@ from brink.sim.aeb.specification import (
     WEATHERS,
     Obstacle,
     Occluder,
+    SightMode,
     describe_perturbations,
     describe_street,
 )
@@ -143,6 +144,7 @@ class AebCrossing:
         self.requirements = HAZARDS[params.hazard]
         self.needs = SIMULATOR
         self.timeout_s = params.timeout_s
+        self._sees_truth = False
         self.dataset_needs = EVALUATOR
         self.dataset_timeout_s = max(600.0, 0.5 * params.dataset_frames)
 
@@ -169,12 +171,29 @@ class AebCrossing:
         return EpisodeSpec(
             simulator=SIMULATOR,
             scenario=scenario,
-            behaviour={"mode": "detector", "threshold": params.threshold, **self._perception(vectors)},
+            behaviour=self._behaviour(vectors),
             requirements=(ACCIDENT, DANGEROUS_STOP),
             seed=seed,
             duration_s=params.duration_s,
             options={"width_px": params.width_px, "height_px": params.width_px * 9 // 16},
         )
+
+    def with_truth(self) -> "AebCrossing | None":
+        """Return the problem with a brake that receives the true boxes; None if this is it."""
+        if self._sees_truth:
+            return None
+        found = type(self)(self.params)
+        found._sees_truth = True
+        return found
+
+    def _behaviour(self, vectors: Vectors) -> dict[str, Json]:
+        if self._sees_truth:
+            return {"mode": SightMode.ORACLE.value}
+        return {
+            "mode": SightMode.DETECTOR.value,
+            "threshold": self.params.threshold,
+            **self._perception(vectors),
+        }
 
     def _perception(self, vectors: Vectors) -> dict[str, Json]:
         weights = self._weights()
@@ -199,6 +218,8 @@ class AebCrossing:
         """Describe a candidate."""
         scenario = {**self.space.decode(tuple(vectors))["scenario"], "obstacle": self.params.obstacle}
         chain = describe_perturbations(self.perturbations(vectors)) or "not perturbed"
+        if self._sees_truth:
+            chain = "ground truth in place of the detector"
         return f"{chain}; {describe_street(scenario)}"
 
     def evaluation(self, outcome: Completed) -> Evaluation:

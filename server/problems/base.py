@@ -211,6 +211,18 @@ class NamesRequirements(Protocol):
 
 
 @runtime_checkable
+class ReplacesComponent(Protocol):
+    """A simulated problem whose machine-learned component can be replaced by the ground truth."""
+
+    def with_truth(self) -> "SimulatedProblem | None":
+        """Return the same problem with ground truth in place of the component; None if it has that already.
+
+        Solutions are those of the same space, although some of their parameters then have no part in the episode.
+        """
+        ...
+
+
+@runtime_checkable
 class ReportsViolations(Protocol):
     """A simulated problem whose simulator reports the circumstances of violations."""
 

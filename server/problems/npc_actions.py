@@ -5,7 +5,7 @@ kinematic roll-out, which is also the script that they follow in the simulator.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -111,6 +111,12 @@ class NpcActions:
         self.requirements = ORACLES if params.violation == "any" else (params.violation,)
         self.extra = "vision"
         self.modules: tuple[str, ...] = () if params.sight == "oracle" else ("cv2", "onnxruntime")
+
+    def with_truth(self) -> "NpcActions | None":
+        """Return the problem with ground truth in place of a detector; None if it has no detector."""
+        if self.params.sight == "oracle":
+            return None
+        return type(self)(replace(self.params, sight="oracle"))
 
     def wrong_inputs(self) -> list[tuple[str, str]]:
         """Return the errors of the detector."""

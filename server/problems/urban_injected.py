@@ -170,6 +170,7 @@ class UrbanInjected:
         self.requirements = params.requirements
         self.needs = SIMULATOR
         self._trajectories = _trajectories(self.space)
+        self._mode = b.BehaviourMode.INJECTED
         self.timeout_s = params.timeout_s
 
     def episode(self, vectors: Vectors, seed: int) -> EpisodeSpec:
@@ -178,16 +179,32 @@ class UrbanInjected:
         return EpisodeSpec(
             simulator=SIMULATOR,
             scenario=_scenario(decoded["scenario"]),
-            behaviour=_behaviour(decoded["behaviour"]),
+            behaviour=self._behaviour(decoded["behaviour"]),
             requirements=tuple(dict.fromkeys((*REQUIREMENTS, *self.requirements))),
             seed=seed,
             duration_s=self.params.duration_s,
             options={"fidelity": self.params.fidelity},
         )
 
+    def _behaviour(self, values: Mapping[str, Any]) -> dict[str, Json]:
+        """Return what the detector reports: the injected trajectories, or the ground truth."""
+        if self._mode is b.BehaviourMode.ORACLE:
+            return {"mode": self._mode.value}
+        return _behaviour(values)
+
+    def with_truth(self) -> "UrbanInjected | None":
+        """Return the problem with a detector that reports the ground truth; None if this is it."""
+        if self._mode is b.BehaviourMode.ORACLE:
+            return None
+        found = type(self)(self.params)
+        found._mode = b.BehaviourMode.ORACLE
+        return found
+
     def words(self, vectors: Vectors) -> str:
         """Describe a candidate."""
         decoded = self.space.decode(tuple(vectors))
+        if self._mode is b.BehaviourMode.ORACLE:
+            return f"{words_of_scenario(_scenario(decoded['scenario']))}; detected: the ground truth"
         trajectories = _behaviour(decoded["behaviour"])["trajectories"]
         return f"{words_of_scenario(_scenario(decoded['scenario']))}; {b.words_of_behaviour(trajectories)}"
 
@@ -206,6 +223,8 @@ class UrbanInjected:
         A trajectory that was delivered until the end is described as it was seen: until its last step, with the box
         that it had then.
         """
+        if self._mode is b.BehaviourMode.ORACLE:
+            return None
         delivered = b.delivered_from_json(features.get(b.DELIVERED))
         injected = [t for t in self._trajectories if vectors[1][t.label] != t.null_choice]
         if delivered is None or len(delivered) != len(injected):

@@ -102,7 +102,8 @@ def draw_pair_chart(
     bands = figure.add_axes((left, 1 - (_TOP_PX + lanes_px) / high, span, lanes_px / high))
     rest_px = high - _TOP_PX - lanes_px - _BOTTOM_PX - _GAP_PX * 2
     shares = (0.4, 0.6) if speeds else (1.0,)
-    panels, top_px = [], _TOP_PX + lanes_px + _GAP_PX * 2
+    panels: list[Axes] = []
+    top_px = float(_TOP_PX + lanes_px + _GAP_PX * 2)
     for share in shares:
         panel_px = rest_px * share - (_GAP_PX if len(shares) > 1 else 0)
         panels.append(figure.add_axes((left, 1 - (top_px + panel_px) / high, span, panel_px / high)))

@@ -22,6 +22,7 @@ GROUP = "brink.algorithms"
 SIMOOD = "simood-ga@1"
 REPEAT = "repeat@1"
 EDGE = "edge@1"
+MINIMISE = "minimise@1"
 NEEDS: dict[str, tuple[type[Any], str]] = {
     SIMOOD: (Slots, "slots"),
     "nsga2@1": (Participants, "participants"),
@@ -44,7 +45,11 @@ def test_the_projects_own_algorithms_are_registered() -> None:
 
 
 def config_for(checked: Algorithm, space: SearchSpace) -> Any:
-    """Return an algorithm's default settings; where there are none, three solutions."""
+    """Return an algorithm's default settings; where there are none, some solutions or pairs."""
+    if checked.id == MINIMISE:
+        rng = np.random.default_rng(1)
+        rows = [[space.join(space.sample(rng)).tolist() for _ in range(8)] for _ in range(2)]
+        return checked.config_type(safe=rows[0], unsafe=rows[1])
     if checked.id != REPEAT:
         return checked.config_type()
     rng = np.random.default_rng(1)
@@ -77,8 +82,8 @@ def test_algorithm_keeps_its_contract(plugin_id: str, name: str) -> None:
             checked.check(space, checked.config_type(), budget=170)
         return
     run = check_algorithm(
-        checked, space, budget=170, config=config_for(checked, space), ends_itself=plugin_id == SIMOOD,
-        repeats=plugin_id in {REPEAT, EDGE},
+        checked, space, budget=170, config=config_for(checked, space),
+        ends_itself=plugin_id in {SIMOOD, MINIMISE}, repeats=plugin_id in {REPEAT, EDGE, MINIMISE},
     )  # fmt: skip
     assert len(run.generations) >= 2
 

@@ -14,7 +14,7 @@ import brink.cli.pair_pictures
 from brink.cli.commands import app
 from brink.cli.pair_pictures import facts, headline, share_words
 from brink.plots.style import WIDTH_PX
-from brink.server.api.pairs import PairsView, ShareView
+from brink.server.api.pair_views import PairsView, ShareView
 from brink.sim.replay.pair_view import STILL_WIDTH_PX
 from brink.sim.trace import Trace
 

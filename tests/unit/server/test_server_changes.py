@@ -152,11 +152,14 @@ def test_what_had_no_part_in_either_drive_is_not_active_and_not_described() -> N
 
 def test_without_a_record_every_difference_may_matter() -> None:
     safe, unsafe = drive(report("person", 80, 189), NONE), drive(report("person", 90, 189), NONE)
-    bare = [SimulatedSolution(vectors=one.vectors) for one in (safe, unsafe)]
-    rows = [URBAN.space.join(tuple(one.vectors)) for one in bare]
-    changes = changes_between(URBAN, *bare, Steps(URBAN.space).differing(*rows))
+    safe, unsafe = (SimulatedSolution(vectors=one.vectors) for one in (safe, unsafe))
+    rows = [URBAN.space.join(tuple(one.vectors)) for one in (safe, unsafe)]
+    changes = changes_between(URBAN, safe, unsafe, Steps(URBAN.space).differing(*rows))
     assert [change.active for change in changes] == [None]
-    assert change_words(URBAN, *bare, changes) == "the reported person is there from 9.0 s instead of 8.0 s"
+    assert (
+        change_words(URBAN, safe, unsafe, changes)
+        == "the reported person is there from 9.0 s instead of 8.0 s"
+    )
 
 
 def test_a_problem_without_words_shows_values_with_units() -> None:

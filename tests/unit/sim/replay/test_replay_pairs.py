@@ -17,7 +17,9 @@ from brink.sim.trace import BOX_COLUMNS, Trace
 
 def reporting_from(trace: Trace, from_s: float, to_s: float = 9.0) -> Trace:
     box = (1.0, 400.0, 480.0, 280.0, 400.0)
-    rows = [[box] if from_s <= time_s < to_s else [] for time_s in trace.time_s.tolist()]
+    rows: list[list[tuple[float, ...]]] = [
+        [box] if from_s <= time_s < to_s else [] for time_s in trace.time_s.tolist()
+    ]
     return replace(trace, given_boxes=ragged(BOX_COLUMNS, rows))
 
 
@@ -64,7 +66,7 @@ def test_without_a_change_of_the_reports_the_window_shows_what_leads_to_the_mome
 
 def test_reports_that_differ_in_position_alone_differ() -> None:
     trace = make_trace(violated=False)
-    moved = replace(trace.given_boxes, rows=trace.given_boxes.rows + np.float32([0, 3, 3, 0, 0]))
+    moved = replace(trace.given_boxes, rows=trace.given_boxes.rows + np.array([0, 3, 3, 0, 0], np.float32))
     pair = a_pair(
         safe=Side(number=7, trace=replace(trace, given_boxes=moved)),
         unsafe=Side(number=9, trace=make_trace()),
@@ -98,7 +100,7 @@ def test_both_maps_show_the_same_place_until_the_cars_are_far_apart() -> None:
     safe, unsafe = middles(story, story.moment_s, 0.0)
     assert np.allclose(safe, unsafe)
     shifted = story.pair.unsafe.trace
-    far = replace(shifted, ego=shifted.ego - np.float32([60, 0, 0, 0, 0]))
+    far = replace(shifted, ego=shifted.ego - np.array([60, 0, 0, 0, 0], np.float32))
     story = pair_story(a_pair(unsafe=Side(number=9, trace=far)))
     safe, unsafe = middles(story, story.moment_s, 0.0)
     assert safe[0] - unsafe[0] > 30

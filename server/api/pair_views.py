@@ -1,0 +1,258 @@
+"""Response schemas of pairs: two solutions that are almost the same, one safe and one unsafe."""
+
+from enum import StrEnum
+from typing import Annotated, Any, Final, Literal, Self
+
+from pydantic import Field, model_validator
+
+from brink.search.analysis.confirmation import LEAST_DRIVES, Confirmation
+from brink.server.api.schemas import ActivityView, View
+from brink.server.campaigns.follow_ups import MOST_PAIRS_FOLLOWED
+from brink.server.campaigns.repeats import FollowUpKind
+from brink.server.documents import Body
+from brink.server.states import CampaignStatus, OutcomeKind
+
+MOST_PAIRS: Final = 1_000
+DEFAULT_PAIRS: Final = 100
+DEFAULT_CONFIRMATIONS: Final = 10
+
+
+class ShareView(View):
+    """How often one side was unsafe when it was simulated again with other seeds."""
+
+    evaluated: Annotated[int, Field(description="Simulations with a verdict.")]
+    unsafe: int
+    probability: Annotated[float | None, Field(description="Unsafe share; null without a verdict.")]
+    low: Annotated[float, Field(description="Lower limit of its Wilson interval.")]
+    high: float
+
+
+class ConfirmationView(View):
+    """Whether both sides keep their verdicts with other seeds."""
+
+    state: Annotated[
+        Confirmation,
+        Field(
+            description="Confirmed if the safe side was unsafe in at most 20% and the unsafe side in at least 80% of "
+            "the simulations with other seeds, at least five each."
+        ),
+    ]
+    safe: ShareView
+    unsafe: ShareView
+
+
+class ComponentPart(StrEnum):
+    """What an unsafe drive with ground truth in place of the component says."""
+
+    COMPONENT = "component"
+    """It is safe: without the component's output there is no hazard."""
+    SCENARIO = "scenario"
+    """It is unsafe, too: the scenario alone is to blame."""
+    FAILED = "failed"
+    """It has no verdict."""
+    PENDING = "pending"
+    NOT_TRIED = "not tried"
+
+
+class ComponentView(View):
+    """Whether the scenario alone is to blame for the unsafe side: its episode with ground truth."""
+
+    state: ComponentPart
+    campaign: Annotated[str | None, Field(description="Campaign that simulated it.")] = None
+    number: Annotated[int | None, Field(description="Number of the solution in that campaign.")] = None
+    robustness: float | None = None
+    outcome: Annotated[str, Field(description="What the drive with ground truth showed, in words.")] = ""
+
+
+class ChangeView(View):
+    """A parameter in which the sides differ, or two that a constraint ties together."""
+
+    names: Annotated[list[str], Field(description="Names as component.parameter, of those that differ.")]
+    units: list[str]
+    safe: Annotated[list[Any], Field(description="Value of each in the safe side, as it was chosen.")]
+    unsafe: list[Any]
+    active: Annotated[
+        bool | None,
+        Field(description="Whether it had a part in either drive; null if that was not recorded."),
+    ]
+    words: str
+
+
+class Minimality(StrEnum):
+    """Whether every difference between the sides matters."""
+
+    MINIMAL = "minimal"
+    NOT_MINIMAL = "not minimal"
+    """Some of the differences can be taken back."""
+    UNDECIDED = "undecided"
+    """Some simulations failed."""
+    PENDING = "pending"
+    NOT_TRIED = "not tried"
+
+
+class MinimisedView(View):
+    """The unsafe side after differences were taken back, simulated with the episode seed of the unsafe side."""
+
+    number: Annotated[int, Field(description="Number of the solution in the campaign of the follow-up.")]
+    robustness: float | None
+    outcome: str
+    parameters: dict[str, dict[str, Any]]
+    distance: Annotated[float, Field(description="Distance from the safe side.")]
+    minimal: Annotated[
+        bool | None,
+        Field(description="Whether none of the remaining differences can go; null if that is not known."),
+    ]
+    changes: list[ChangeView]
+    change: str
+
+
+class MinimalityView(View):
+    """Whether every difference between the sides matters."""
+
+    state: Minimality
+    campaign: Annotated[str | None, Field(description="Campaign that tried.")] = None
+    tried: Annotated[int, Field(description="Simulations for it.")] = 0
+    unsafe: Annotated[
+        MinimisedView | None, Field(description="Unsafe side without the differences that did not matter.")
+    ] = None
+
+
+class SideView(View):
+    """One side of a pair."""
+
+    number: int
+    evaluated: Annotated[
+        int, Field(description="Simulations of these parameters in the campaign, all with this verdict.")
+    ]
+    robustness: Annotated[float, Field(description="Robustness in the first of them.")]
+    seed: Annotated[int, Field(description="Episode seed of the first of them.")]
+    outcome: Annotated[
+        str, Field(description="What it showed, in words: the requirement and every violation, with moments.")
+    ]
+    kind: OutcomeKind
+    words: Annotated[str, Field(description="Description of the solution.")]
+    parameters: Annotated[
+        dict[str, dict[str, Any]],
+        Field(description="Values by component, then by name, as they were chosen."),
+    ]
+    activity: Annotated[
+        ActivityView | None,
+        Field(description="Which of them had a part in the episode; null if that was not recorded."),
+    ]
+
+
+class PairView(View):
+    """A safe and an unsafe solution that are almost the same."""
+
+    place: Annotated[int, Field(description="Place in the list, from 1.")]
+    words: Annotated[str, Field(description="The change and what the unsafe side did, in one sentence.")]
+    change: Annotated[str, Field(description="The change, in words.")]
+    distance: float
+    checked: Annotated[
+        bool,
+        Field(description="Whether both sides kept their verdicts in a further simulation of the search."),
+    ]
+    same_seed: Annotated[
+        bool,
+        Field(
+            description="Whether both sides were simulated with the same episode seed: then nothing else differs."
+        ),
+    ]
+    confirmation: ConfirmationView
+    component: ComponentView
+    minimality: MinimalityView
+    changes: Annotated[list[ChangeView], Field(description="All differences; the first active ones matter.")]
+    safe: SideView
+    unsafe: SideView
+
+
+class NearestView(View):
+    """The nearest solutions with opposite verdicts."""
+
+    safe: int
+    unsafe: int
+    distance: float
+
+
+class FollowUpView(View):
+    """A campaign that simulated sides of pairs again."""
+
+    kind: FollowUpKind
+    campaign: str
+    status: CampaignStatus
+    status_reason: str
+    simulations: int
+    budget: int
+
+
+class FollowUpBody(Body):
+    """What to ask about the pairs of a campaign."""
+
+    kind: Annotated[
+        Literal["confirm", "component", "minimise"],
+        Field(
+            description="confirm: simulate both sides with other seeds. component: simulate the unsafe side with "
+            "ground truth in place of the component. minimise: take differences back one by one."
+        ),
+    ]
+    repeats: Annotated[
+        int, Field(ge=LEAST_DRIVES, le=10_000, description="Simulations of each side, to confirm pairs.")
+    ] = DEFAULT_CONFIRMATIONS
+    eps: Annotated[float | None, Field(ge=0, le=1, description="As for the pairs themselves.")] = None
+    d_th: Annotated[float | None, Field(ge=0, le=1, description="As for the pairs themselves.")] = None
+    limit: Annotated[
+        int, Field(ge=1, le=MOST_PAIRS_FOLLOWED, description="Most pairs to ask about, first ones first.")
+    ] = MOST_PAIRS_FOLLOWED
+
+    @model_validator(mode="after")
+    def _check_repeats_confirm(self) -> Self:
+        if self.kind != "confirm" and "repeats" in self.model_fields_set:
+            raise ValueError(f"expected repeats only to confirm pairs, got kind {self.kind}")
+        return self
+
+
+class PairsView(View):
+    """The distinct pairs of a campaign."""
+
+    campaign: str
+    name: str
+    status: CampaignStatus
+    complete: Annotated[
+        bool, Field(description="Whether the campaign has ended; if not, these are the pairs so far.")
+    ]
+    generation: Annotated[int, Field(description="Generations completed.")]
+    evaluated: Annotated[int, Field(description="Evaluated solutions.")]
+    eps: Annotated[float, Field(description="Largest distance between the sides of a pair.")]
+    d_th: Annotated[float, Field(description="Smallest distance between two distinct pairs.")]
+    computed: Annotated[
+        bool, Field(description="Whether verdicts are computed, not simulated: seeds have no part in them.")
+    ]
+    note: Annotated[
+        str, Field(description="The result in one sentence; why there is no pair, if there is none.")
+    ]
+    safe: Annotated[int, Field(description="Safe solutions, each counted once.")]
+    unsafe: Annotated[int, Field(description="Unsafe solutions, each counted once.")]
+    chancy: Annotated[int, Field(description="Solutions whose simulations had different verdicts.")]
+    tight: Annotated[int, Field(description="Pairs, distinct or not.")]
+    distinct: Annotated[int, Field(description="Distinct pairs.")]
+    checked: Annotated[int, Field(description="Distinct pairs that are checked.")]
+    tried: Annotated[
+        int, Field(description="Distinct pairs of which a side was simulated again with other seeds.")
+    ]
+    confirmed: Annotated[int, Field(description="Distinct pairs that are confirmed.")]
+    not_confirmed: Annotated[
+        int, Field(description="Distinct pairs that simulations with other seeds refuted.")
+    ]
+    component: Annotated[
+        int,
+        Field(
+            description="Distinct pairs whose unsafe side is safe with ground truth in place of the component."
+        ),
+    ]
+    scenario: Annotated[int, Field(description="Distinct pairs whose unsafe side is unsafe with it, too.")]
+    nearest: Annotated[
+        NearestView | None,
+        Field(description="Nearest solutions with opposite verdicts, if there is no pair."),
+    ]
+    follow_ups: Annotated[list[FollowUpView], Field(description="Oldest first.")]
+    pairs: Annotated[list[PairView], Field(description="Checked ones first, then by distance.")]

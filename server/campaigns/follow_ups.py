@@ -1,0 +1,190 @@
+"""Follow-ups that ask about pairs: is the component to blame, and which differences matter?
+
+Both simulate the very episodes of the campaign, with one thing changed. They therefore have its seed, and name for
+each candidate the number of the solution whose episode seed it shares.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from sqlalchemy import Connection
+
+from brink.search.algorithms.minimise import (
+    Minimise,
+    MinimiseConfig,
+    Reduced,
+    Reductions,
+    most_trials,
+    replayed,
+)
+from brink.search.algorithms.repeats import Repeats
+from brink.search.analysis.pairs import Pair
+from brink.search.archive import Archive
+from brink.search.space import FloatArray
+from brink.search.streams import episode_seed
+from brink.server.campaigns import view_store
+from brink.server.campaigns.body import Budget, CampaignBody, PluginChoice
+from brink.server.campaigns.plan import Plan, prepare_campaign, with_truth
+from brink.server.campaigns.repeats import (
+    EVERY_D_TH,
+    EVERY_T_B,
+    MOST,
+    REDUCTION,
+    SINGLE,
+    PlannedRepeats,
+    StoredRepeats,
+)
+from brink.server.campaigns.store import Campaign
+from brink.server.errors import Conflict
+
+MOST_PAIRS_FOLLOWED = MOST // 2
+"""Maximum number of pairs in a follow-up, checked ones first."""
+_NAME_LENGTH = 200
+
+
+def sides_of(pairs: Sequence[Pair]) -> list[int]:
+    """Return the numbers of both sides of pairs, each once."""
+    return list(dict.fromkeys(side.number for pair in pairs for side in (pair.safe, pair.unsafe)))
+
+
+def plan_component(
+    campaign: Campaign, plan: Plan, archive: Archive, pairs: Sequence[Pair], seeds: Mapping[int, int]
+) -> PlannedRepeats:
+    """Plan the episodes of the unsafe sides of pairs with ground truth in place of the component.
+
+    Args:
+        campaign: The campaign.
+        plan: Its plan.
+        archive: Its archive.
+        pairs: At least one pair.
+        seeds: Episode seed of each unsafe side, by number.
+
+    Raises:
+        InvalidInput: The problem has no component that can be replaced.
+        Conflict: An episode seed is not one of the campaign.
+    """
+    with_truth(plan.problem)
+    numbers = sorted({pair.unsafe.number for pair in pairs})
+    rows = _rows(archive, numbers)
+    return PlannedRepeats(
+        of=campaign.id, t_b=EVERY_T_B, d_th=EVERY_D_TH, repeats=SINGLE, numbers=tuple(numbers),
+        campaign=prepare_campaign(
+            _body(
+                campaign, plan, f"{len(numbers)} unsafe drives with ground truth", Repeats.id, len(numbers),
+                {"solutions": rows.tolist(), "seed_numbers": _seed_numbers(campaign, numbers, seeds)},
+            ).model_copy(update={"ground_truth": True}),
+            llm_endpoints="",
+        ),
+    )  # fmt: skip
+
+
+def plan_minimisation(
+    campaign: Campaign, plan: Plan, archive: Archive, pairs: Sequence[Pair], seeds: Mapping[int, int]
+) -> PlannedRepeats:
+    """Plan the reduction of pairs to the differences that matter, under the episode seeds of the unsafe sides.
+
+    Args:
+        campaign: The campaign.
+        plan: Its plan.
+        archive: Its archive.
+        pairs: At least one pair.
+        seeds: Episode seed of each unsafe side, by number.
+
+    Raises:
+        Conflict: All pairs differ in one unit, or an episode seed is not one of the campaign.
+    """
+    space = plan.problem.space
+    safe, unsafe = (
+        _rows(archive, numbers)
+        for numbers in ([pair.safe.number for pair in pairs], [pair.unsafe.number for pair in pairs])
+    )
+    given = Reductions.of(space, safe, unsafe)
+    open_pairs = sorted({trial.pair for trial in given.trials()})
+    if not open_pairs:
+        raise Conflict(
+            f"campaign {campaign.id}: none of the differences of its {len(pairs)} pairs can be taken back alone: "
+            "they are minimal"
+        )
+    numbers = [n for place in open_pairs for n in (pairs[place].safe.number, pairs[place].unsafe.number)]
+    reduced = Reductions.of(space, safe[open_pairs], unsafe[open_pairs])
+    params = {
+        "safe": safe[open_pairs].tolist(),
+        "unsafe": unsafe[open_pairs].tolist(),
+        "seed_numbers": _seed_numbers(campaign, numbers[1::2], seeds),
+    }
+    return PlannedRepeats(
+        of=campaign.id, t_b=EVERY_T_B, d_th=EVERY_D_TH, repeats=REDUCTION, numbers=tuple(numbers),
+        campaign=prepare_campaign(
+            _body(
+                campaign, plan, f"{len(open_pairs)} pairs minimised", Minimise.id, most_trials(reduced), params
+            ),
+            llm_endpoints="",
+        ),
+    )  # fmt: skip
+
+
+def _rows(archive: Archive, numbers: Sequence[int]) -> FloatArray:
+    places = {number: place for place, number in enumerate(archive.numbers.tolist())}
+    rows: FloatArray = archive.vectors[[places[number] for number in numbers]]
+    return rows
+
+
+def _body(
+    campaign: Campaign, plan: Plan, what: str, algorithm: str, simulations: int, params: Mapping[str, Any]
+) -> CampaignBody:
+    body, near = campaign.body, plan.neighbourhood
+    return CampaignBody(
+        name=f"{body.name[: _NAME_LENGTH - len(what) - 2]}: {what}",
+        problem=body.problem,
+        algorithm=PluginChoice(
+            id=algorithm, params={**params, "radius": near.radius, "p_th": near.p_th, "z": near.z}
+        ),
+        budget=Budget(simulations=simulations),
+        seed=body.seed,
+        priority=body.priority,
+        ground_truth=body.ground_truth,
+        execution=body.execution.model_copy(update={"keep_traces": 0}),
+    )
+
+
+def _seed_numbers(campaign: Campaign, numbers: Sequence[int], seeds: Mapping[int, int]) -> list[int]:
+    """Return, for each solution, the number of the candidate whose episode seed it had.
+
+    Raises:
+        Conflict: A seed is not that of any candidate.
+    """
+    known = {episode_seed(campaign.body.seed, number): number for number in numbers}
+    if any(seeds[number] not in known for number in numbers):
+        last = max(*numbers, campaign.completed)
+        known |= {episode_seed(campaign.body.seed, number): number for number in range(last + 1)}
+    for number in numbers:
+        if seeds[number] not in known:
+            raise Conflict(
+                f"campaign {campaign.id}: solution {number} was simulated with the seed {seeds[number]}, which is "
+                "none of this campaign's, so its episode cannot be simulated again"
+            )
+    return [known[seeds[number]] for number in numbers]
+
+
+def read_seeds(connection: Connection, campaign_id: str, numbers: Sequence[int]) -> dict[int, int]:
+    """Return the episode seeds of solutions, by number."""
+    return {row.number: row.seed for row in view_store.read_solutions(connection, campaign_id, set(numbers))}
+
+
+def read_reduced(connection: Connection, plan: Plan, stored: StoredRepeats) -> Reduced:
+    """Return how far the reduction of pairs is that a follow-up does, from its stored verdicts.
+
+    Args:
+        connection: Read connection.
+        plan: Plan of the follow-up's campaign.
+        stored: The follow-up.
+    """
+    config = plan.config
+    assert isinstance(config, MinimiseConfig)
+    given = Reductions.of(
+        plan.problem.space, np.asarray(config.safe, np.float64), np.asarray(config.unsafe, np.float64)
+    )
+    verdicts: dict[int, bool | None] = dict(zip(stored.evaluated, stored.unsafe, strict=True))
+    failed = view_store.read_failed(connection, stored.campaign.id)
+    return replayed(given, verdicts | dict.fromkeys(failed), stored.campaign.budget)

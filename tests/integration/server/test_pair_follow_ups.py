@@ -1,0 +1,306 @@
+"""Follow-ups of pairs: do they hold, is the component to blame, and which differences matter?"""
+
+import json
+from typing import Any
+
+import httpx
+import pytest
+from support.api import FakeWorker, ball, expect, finish, row_counts, submit
+from support.databases import on_sqlite
+from typer.testing import CliRunner
+
+from brink.cli.commands import app
+from brink.cli.pairs import evidence_words
+from brink.search.fitness import wilson_interval
+from brink.server.api.pair_views import PairsView
+from brink.server.campaigns.body import parse_body
+from brink.server.db.engine import Engines
+from brink.server.problems.urban_injected import REQUIREMENTS, SIMULATOR, UrbanInjected
+from brink.worker.wire import Completed, JobFailed, LeasedJob, WireVerdict
+
+API = "/api/v1/campaigns"
+SPACE = UrbanInjected(UrbanInjected.params_type()).space
+SCENARIO = {
+    "time_of_day": "noon", "weather": "clear", "pedestrians": "0", "road_curve": "straight", "road_id": "0",
+    "road_length": "0", "driving_task": "follow_road",
+}  # fmt: skip
+BOX = {"x_min_0_px": 300.0, "x_max_0_px": 400.0, "y_min_0_px": 250.0, "y_max_0_px": 400.0,
+       "x_min_1_px": 100.0, "x_max_1_px": 500.0, "y_min_1_px": 250.0, "y_max_1_px": 500.0}  # fmt: skip
+NONE: dict[str, Any] = {"label": "null", "t0_step": 0, "t1_step": 0, **dict.fromkeys(BOX, 0.0)}
+LATEST_STEP = 150
+"""A report that begins before this step is unsafe."""
+
+
+def row(start: int, *, weather: str = "clear", **box: float) -> list[float]:
+    """Return a solution with one report that begins at a step."""
+    reports = ({"label": "person", "t0_step": start, "t1_step": 250, **BOX, **box}, NONE)
+    values = {
+        f"trajectory_{n}.{name}": value
+        for n, one in enumerate(reports, start=1)
+        for name, value in one.items()
+    }
+    vectors = SPACE.encode({"scenario": {**SCENARIO, "weather": weather}, "behaviour": values})
+    return [float(value) for value in SPACE.join(vectors)]
+
+
+SAFE, UNSAFE = row(152), row(148, x_min_0_px=302.0, x_max_1_px=501.0)
+ICY_SAFE, ICY_UNSAFE = row(152, weather="hard_rain"), row(148, weather="hard_rain")
+
+
+def judged(job: LeasedJob) -> Completed | JobFailed:
+    """Return an unsafe outcome if a report begins early, or if ground truth meets hard rain."""
+    behaviour, weather = job.spec["behaviour"], job.spec["scenario"]["weather"]
+    unsafe = weather == "hard_rain"
+    if behaviour["mode"] == "injected":
+        unsafe = behaviour["trajectories"][0]["t0_step"] < LATEST_STEP
+    verdict = WireVerdict(
+        robustness=-1.0 if unsafe else 1.0, unit="m", violated_at_s=16.1 if unsafe else None
+    )
+    held = WireVerdict(robustness=2.0, unit="m", violated_at_s=None)
+    return Completed(verdicts={**dict.fromkeys(REQUIREMENTS, held), "front-gap@1": verdict})
+
+
+def by_chance(job: LeasedJob) -> Completed | JobFailed:
+    """Return what `judged` does but, in hard rain, the opposite for two seeds in three."""
+    outcome = judged(job)
+    assert isinstance(outcome, Completed)
+    if job.spec["scenario"]["weather"] != "hard_rain" or job.spec["seed"] % 3 == 0:
+        return outcome
+    verdict = outcome.verdicts["front-gap@1"]
+    turned = verdict.model_copy(update={"robustness": -verdict.robustness})
+    return outcome.model_copy(update={"verdicts": {**outcome.verdicts, "front-gap@1": turned}})
+
+
+def body(*rows: list[float], **changes: Any) -> dict[str, Any]:
+    """Return the body of a campaign that simulates given solutions of the urban problem once each."""
+    return {
+        "name": "given", "problem": {"id": "urban-injected@1"}, "seed": 4, "budget": {"simulations": len(rows)},
+        "algorithm": {"id": "repeat@1", "params": {"solutions": list(rows), **changes}},
+    }  # fmt: skip
+
+
+def worked(client: httpx.Client, campaign: str, judge: Any = judged) -> str:
+    worker = FakeWorker(client, capabilities=(SIMULATOR,), judge=judge)
+    assert worker.work(campaign)["status"] == "finished"
+    return campaign
+
+
+def finished(client: httpx.Client) -> str:
+    return worked(client, submit(client, body(SAFE, UNSAFE, ICY_SAFE, ICY_UNSAFE)))
+
+
+def ask(client: httpx.Client, campaign: str, status: int = 201, **wanted: Any) -> dict[str, Any]:
+    answer = client.post(f"{API}/{campaign}/pairs/follow-ups", json=wanted)
+    found: dict[str, Any] = expect(answer, status)
+    return found
+
+
+def pairs_of(client: httpx.Client, campaign: str) -> dict[str, Any]:
+    found: dict[str, Any] = expect(client.get(f"{API}/{campaign}/pairs", params={"d_th": 0.01}))
+    return found
+
+
+def solutions(client: httpx.Client, campaign: str) -> list[dict[str, Any]]:
+    page = expect(client.get(f"{API}/{campaign}/solutions", params={"limit": 1000}))
+    found: list[dict[str, Any]] = page["solutions"]
+    return found
+
+
+def test_a_pair_that_keeps_its_verdicts_with_other_seeds_is_confirmed(client: httpx.Client) -> None:
+    campaign = finished(client)
+    asked = ask(client, campaign, kind="confirm", d_th=0.01)
+    assert (asked["kind"], asked["budget"]) == ("confirm", 40)
+    assert ask(client, campaign, 200, kind="confirm", d_th=0.01)["campaign"] == asked["campaign"]
+    assert {pair["confirmation"]["state"] for pair in pairs_of(client, campaign)["pairs"]} == {"not tried"}
+    worked(client, asked["campaign"], by_chance)
+    view = pairs_of(client, campaign)
+    by_weather = {pair["safe"]["parameters"]["scenario"]["weather"]: pair for pair in view["pairs"]}
+    rain, clear = by_weather["hard_rain"], by_weather["clear"]
+    assert clear["confirmation"]["state"] == "confirmed"
+    safe, unsafe = (clear["confirmation"][side] for side in ("safe", "unsafe"))
+    assert (safe["evaluated"], safe["unsafe"], unsafe["unsafe"]) == (10, 0, 10)
+    low, high = wilson_interval(10, 10, 1.96)
+    assert (unsafe["low"], unsafe["high"]) == pytest.approx((float(low), float(high)))
+    assert rain["confirmation"]["state"] == "not confirmed"
+    assert (view["tried"], view["confirmed"], view["not_confirmed"]) == (2, 1, 1)
+    assert "of 2 simulated again with other seeds, 1 confirmed and 1 not confirmed" in view["note"]
+    seeds = [one["seed"] for name in (campaign, asked["campaign"]) for one in solutions(client, name)]
+    assert len(set(seeds)) == len(seeds), "each with seeds of its own"
+
+    more = ask(client, campaign, kind="confirm", repeats=5, d_th=0.01)
+    worked(client, more["campaign"])
+    after = pairs_of(client, campaign)
+    [clear] = [pair for pair in after["pairs"] if pair["confirmation"]["state"] == "confirmed"]
+    assert clear["confirmation"]["safe"]["evaluated"] == 15, "follow-ups of the same sides add up"
+    assert [one["kind"] for one in after["follow_ups"]] == ["confirm", "confirm"]
+
+
+def test_ground_truth_in_the_same_episode_tells_whose_hazard_it_is(client: httpx.Client) -> None:
+    campaign = finished(client)
+    asked = ask(client, campaign, kind="component", d_th=0.01)
+    assert {pair["component"]["state"] for pair in pairs_of(client, campaign)["pairs"]} == {"pending"}
+    worked(client, asked["campaign"])
+    view = pairs_of(client, campaign)
+    told = {pair["unsafe"]["parameters"]["scenario"]["weather"]: pair["component"] for pair in view["pairs"]}
+    assert (told["clear"]["state"], told["hard_rain"]["state"]) == ("component", "scenario")
+    assert told["clear"]["outcome"] == "front gap held"
+    assert told["hard_rain"]["outcome"] == "violated the front gap at 16.1 s"
+    assert (view["component"], view["scenario"]) == (1, 1)
+    assert "1 owe their hazard to the component and 1 to the scenario alone" in view["note"]
+    before = {one["number"]: one["seed"] for one in solutions(client, campaign)}
+    after = solutions(client, asked["campaign"])
+    assert [one["seed"] for one in after] == [before[1], before[3]], "the very episodes of the unsafe sides"
+    spec = expect(client.get(f"{API}/{asked['campaign']}/solutions/0"))["spec"]
+    assert spec["behaviour"] == {"mode": "oracle"}
+    assert "detected: the ground truth" in after[0]["words"]
+    assert expect(client.get(f"{API}/{campaign}/repeats")) == [], "these are no repeats"
+
+
+def test_differences_that_do_not_matter_are_taken_back(client: httpx.Client) -> None:
+    campaign = finished(client)
+    before = pairs_of(client, campaign)
+    states = {len(pair["changes"]): pair["minimality"]["state"] for pair in before["pairs"]}
+    assert states == {1: "minimal", 3: "not tried"}, "a pair that differs in one number is minimal anyway"
+    asked = ask(client, campaign, kind="minimise", d_th=0.01)
+    worked(client, asked["campaign"])
+    view = pairs_of(client, campaign)
+    [told] = [pair for pair in view["pairs"] if len(pair["changes"]) == 3]
+    found = told["minimality"]
+    assert (found["state"], found["campaign"]) == ("not minimal", asked["campaign"])
+    less = found["unsafe"]
+    assert less["minimal"]
+    assert [change["names"] for change in less["changes"]] == [["behaviour.trajectory_1.t0_step"]]
+    assert less["change"] == "the reported person is there from 14.8 s instead of 15.2 s"
+    assert less["parameters"]["behaviour"]["trajectory_1.x_min_0_px"] == 300.0
+    assert less["distance"] < told["distance"]
+    assert less["outcome"] == "violated the front gap at 16.1 s"
+    simulated = solutions(client, asked["campaign"])
+    assert found["tried"] == len(simulated) == 4, "the beginning again after a difference went"
+    [seed] = {one["seed"] for one in simulated}
+    assert seed == told["unsafe"]["seed"], "the episode seed of the unsafe side"
+    assert next(one for one in simulated if one["number"] == less["number"])["verdict"] == "unsafe"
+
+
+@on_sqlite
+def test_failed_simulations_claim_nothing(client: httpx.Client) -> None:
+    campaign = finished(client)
+
+    def fails(job: LeasedJob) -> Completed | JobFailed:
+        return JobFailed(reason="invalid", message="no")
+
+    for kind in ("component", "minimise"):
+        asked = ask(client, campaign, kind=kind, d_th=0.01)["campaign"]
+        worker = FakeWorker(client, capabilities=(SIMULATOR,), judge=fails)
+        while worker.work(asked)["status"] == "paused":
+            expect(client.post(f"{API}/{asked}/resume"))
+    view = pairs_of(client, campaign)
+    assert {pair["component"]["state"] for pair in view["pairs"]} == {"failed"}
+    [told] = [pair["minimality"] for pair in view["pairs"] if len(pair["changes"]) == 3]
+    assert (told["state"], told["unsafe"]) == ("undecided", None)
+
+
+@on_sqlite
+def test_computed_pairs_are_minimised_without_workers(client: httpx.Client) -> None:
+    algorithm = {"id": "random@1", "params": {"generation_size": 100}}
+    campaign = submit(
+        client,
+        {
+            "name": "mtq", "problem": {"id": "mtq@1"}, "algorithm": algorithm, "seed": 2,
+            "budget": {"simulations": 400},
+        },
+    )  # fmt: skip
+    assert FakeWorker(client).work(campaign)["status"] == "finished"
+    params = {"eps": 0.1, "d_th": 0.1}
+    view = expect(client.get(f"{API}/{campaign}/pairs", params=params))
+    assert view["pairs"]
+    asked = ask(client, campaign, kind="minimise", eps=0.1, d_th=0.1)
+    assert FakeWorker(client).work(asked["campaign"])["status"] == "finished"
+    view = expect(client.get(f"{API}/{campaign}/pairs", params=params))
+    states = {pair["minimality"]["state"] for pair in view["pairs"]}
+    assert states <= {"minimal", "not minimal"}
+    for kind, pointer in (("confirm", "/repeats"), ("component", "/ground_truth")):
+        [error] = ask(client, campaign, 422, kind=kind, **params)["errors"]
+        assert error["pointer"] == pointer
+
+
+@on_sqlite
+@pytest.mark.parametrize(
+    ("wanted", "message"),
+    [
+        ({"kind": "improve"}, "'confirm', 'component' or 'minimise'"),
+        ({"kind": "confirm", "repeats": 4}, "greater than or equal to 5"),
+        ({"kind": "component", "repeats": 10}, "expected repeats only to confirm pairs"),
+        ({"kind": "minimise", "eps": 2}, "less than or equal to 1"),
+    ],
+)
+def test_questions_that_make_no_sense_are_refused(
+    client: httpx.Client, wanted: dict[str, Any], message: str
+) -> None:
+    campaign = submit(client, ball())
+    [error] = ask(client, campaign, 422, **wanted)["errors"]
+    assert message in error["message"]
+
+
+@on_sqlite
+def test_only_pairs_of_an_ended_campaign_are_followed_up(client: httpx.Client) -> None:
+    running = submit(client, ball())
+    assert "is running: wait until it has ended" in ask(client, running, 409, kind="confirm")["detail"]
+    without = finish(client, ball(problem={"id": "ball@1", "params": {"limit": 1e-9}}))
+    assert "has no pair at eps 0.02, d_th 0.2" in ask(client, without, 409, kind="confirm")["detail"]
+    balls = finish(client, ball(simulations=200))
+    [error] = ask(client, balls, 422, kind="component", eps=0.2)["errors"]
+    assert error["message"] == "ball@1 has no component that ground truth can replace"
+
+
+@on_sqlite
+def test_a_campaign_is_deleted_with_its_follow_ups(client: httpx.Client, engines: Engines) -> None:
+    campaign = finished(client)
+    again = ask(client, campaign, kind="component", d_th=0.01)["campaign"]
+    expect(client.delete(f"{API}/{campaign}"), 409)
+    worked(client, again)
+    expect(client.delete(f"{API}/{campaign}"), 204)
+    counts = row_counts(engines)
+    assert (counts["campaigns"], counts["repeats"], counts["solutions"]) == (0, 0, 0)
+
+
+@on_sqlite
+def test_the_command_asks_and_then_shows_what_came(listening_client: httpx.Client) -> None:
+    campaign = finished(listening_client)
+    options = ["--d-th", "0.01", "--confirm", "5", "--component", "--minimise"]
+
+    def shown(*more: str) -> str:
+        arguments = ["pairs", campaign, *options, *more, "--server", str(listening_client.base_url)]
+        result = CliRunner().invoke(app, arguments)
+        assert result.exit_code == 0, result.output
+        return result.output
+
+    assert shown().count("the same command shows what is known so far") == 3
+    for one in pairs_of(listening_client, campaign)["follow_ups"]:
+        worked(listening_client, one["campaign"])
+    text = " ".join(shown().split())
+    assert "Minimal change:" in text
+    view = PairsView.model_validate(json.loads(shown("--json")))
+    assert [one.status for one in view.follow_ups] == ["finished"] * 3
+    assert {evidence_words(view, pair) for pair in view.pairs} == {
+        "found once, confirmed 0/5 5/5, component's hazard, not minimal",
+        "found once, confirmed 0/5 5/5, scenario's hazard, minimal",
+    }
+
+
+def test_bodies_without_ground_truth_keep_their_hashes() -> None:
+    plain = parse_body({**body(SAFE), "problem": {"id": "mtq@1"}, "algorithm": {"id": "random@1"}})
+    assert plain.document_hash() == ("6847ab8a9ec407b4feed71c98fd97541849215b6e2d96ace70d9b67c97574644")
+    assert plain.document_hash() != plain.model_copy(update={"ground_truth": True}).document_hash()
+    older = plain.model_dump(mode="json")
+    del older["ground_truth"]
+    assert parse_body(older) == plain, "stored before there was ground truth"
+
+
+def test_a_repeated_campaign_with_ground_truth_keeps_it(client: httpx.Client) -> None:
+    truth = worked(client, submit(client, {**body(SAFE, ICY_SAFE), "ground_truth": True}))
+    again = expect(client.post(f"{API}/{truth}/repeats", json={"repeats": 2, "numbers": [0]}), 201)
+    worked(client, again["campaign"])
+    specs = [expect(client.get(f"{API}/{name}/solutions/0"))["spec"] for name in (truth, again["campaign"])]
+    assert [spec["behaviour"]["mode"] for spec in specs] == ["oracle", "oracle"]
+    refused = expect(client.post(API, json={**ball(), "ground_truth": True}), 422)
+    assert refused["errors"][0]["pointer"] == "/ground_truth"
