@@ -44,6 +44,10 @@ def before_call(context: Any, case: Any, **_: Any) -> None:
         body["solutions"] = KNOWN["solutions"]
         body.pop("threshold", None)
         case.path_parameters["campaign_id"] = KNOWN["campaigns"][0]
+    if case.path.endswith("/pairs/follow-ups") and body and _rng.random() < SHARE:
+        body.pop("repeats", None)
+        body |= {"kind": "confirm", "eps": 1.0, "d_th": 0.0, "limit": 1}
+        case.path_parameters["campaign_id"] = KNOWN["campaigns"][0]
 
 
 def _would_wait(query: Any) -> bool:
