@@ -24,6 +24,8 @@ IntArray: TypeAlias = NDArray[np.int32]
 
 TRACE_VERSION = 1
 
+VIOLATED_AT_S: Final = "violated_at_s"
+"""Entry of a trace's description: the exact time of each violated requirement's first violation."""
 MAX_BYTES: Final = 256 * 1024**2
 """Limit on the unpacked size of all arrays: a compressed trace of six megabytes may unpack to gigabytes."""
 MAX_SAMPLES: Final = 36_000

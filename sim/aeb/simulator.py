@@ -123,7 +123,7 @@ def _result(
         objectives=objectives,
         features={**_features(outcome, requirements), **scores},
         provenance=provenance(SIMULATOR_ID, cpu_s, simulated_s=outcome.time_s),
-        trace=None if recorder is None else recorder.trace(trace_header(spec)).to_bytes(),
+        trace=None if recorder is None else recorder.trace(trace_header(spec, verdicts)).to_bytes(),
     )
 
 

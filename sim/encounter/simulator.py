@@ -118,7 +118,7 @@ class BrinkEncounter:
             },
             features={**_features(outcome, requirements), "violations": list(witness.violations)},
             provenance=provenance(self.id, cpu_s, simulated_s=outcome.last.time_s),
-            trace=None if recorder is None else recorder.trace(trace_header(spec)).to_bytes(),
+            trace=None if recorder is None else recorder.trace(trace_header(spec, verdicts)).to_bytes(),
         )
 
 

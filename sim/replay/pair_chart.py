@@ -298,7 +298,9 @@ def _mark(axes: Axes, story: PairStory, window: Interval) -> None:
 
 def _name_marks(axes: Axes, story: PairStory, window: Interval) -> None:
     """Name the marks above the lanes; the moment has precedence."""
-    moment = f"{'violation' if story.unsafe.violated else 'closest'} {story.moment_s:.1f} s"
+    moment = f"closest {story.moment_s:.1f} s"
+    if story.unsafe.violated:
+        moment = f"violation {story.unsafe.violations[0].time_s:.1f} s"
     span_s = window.end_s - window.start_s
     taken = [(story.moment_s, 0.011 * span_s * len(moment) / 2)]
     _above(axes, story.moment_s, moment, VIOLATION)

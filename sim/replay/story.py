@@ -9,7 +9,7 @@ import numpy as np
 from brink.sim.aeb.specification import describe_perturbations, describe_street
 from brink.sim.replay.scene import LABELS, PERSON, ReplayError, plain_name, spec_part
 from brink.sim.requirements import CollisionKind
-from brink.sim.trace import ACTION, Event, Trace
+from brink.sim.trace import ACTION, VIOLATED_AT_S, Event, Trace
 from brink.sim.verdict import held_words, violated_words
 from brink.sim.world.scenario import words_of_scenario
 
@@ -51,11 +51,13 @@ class ViolatedHere:
     Attributes:
         requirement: Id of the requirement, as the trace records it.
         sample: Sample of the first violation.
+        time_s: Its exact time; of old traces, up to a sample's length too early.
         words: What the ego did and when, such as ``hit a pedestrian at 12.8 s``.
     """
 
     requirement: str
     sample: int
+    time_s: float
     words: str
 
 
@@ -135,11 +137,19 @@ def _violations(trace: Trace, chosen: str) -> tuple[ViolatedHere, ...]:
             sample = int(below[0])
             hit = _collision(trace) if plain_name(name) == "no-collision" else None
             what = violated_words(name, None if hit is None else _kind_of(trace, hit))
-            # A sample keeps the lowest robustness until the next one; the event has the exact time.
-            time_s = float(trace.time_s[sample]) if hit is None else hit.time_s
+            time_s = _violated_at_s(trace, name, sample, hit)
             words = f"{what} at {time_s:.1f} s"
-            found.append(ViolatedHere(requirement=name, sample=sample, words=words))
+            found.append(ViolatedHere(requirement=name, sample=sample, time_s=time_s, words=words))
     return tuple(sorted(found, key=lambda one: (one.requirement != chosen, one.sample)))
+
+
+def _violated_at_s(trace: Trace, requirement: str, sample: int, hit: Event | None) -> float:
+    """Return the time of a first violation: a sample keeps the lowest robustness until the next one."""
+    exact = trace.about.get(VIOLATED_AT_S)
+    time_s = exact.get(requirement) if isinstance(exact, Mapping) else None
+    if isinstance(time_s, int | float):
+        return float(time_s)
+    return float(trace.time_s[sample]) if hit is None else hit.time_s
 
 
 def _collision(trace: Trace) -> Event | None:

@@ -19,9 +19,10 @@ from brink.sim.bullet.wheels import WheeledCar
 from brink.sim.catalogue import make_requirements
 from brink.sim.driving.camera import Camera
 from brink.sim.driving.system import ModularDriving
-from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject, nearest
+from brink.sim.episode import EpisodeResult, EpisodeSpec, Json, JsonObject, Verdict, nearest
 from brink.sim.errors import InvalidEpisode, SimulationCrashed
 from brink.sim.requirements import Requirement, features_of, verdicts_of
+from brink.sim.trace import VIOLATED_AT_S
 from brink.sim.urban.behaviour import DELIVERED, BehaviourMode, DetectorBehaviour, delivered_to_json
 from brink.sim.urban.episode_loop import Outcome, run_loop
 from brink.sim.urban.recorder import Recorder
@@ -96,7 +97,7 @@ class BrinkDrive:
                 **features_of(requirements),
             },
             provenance=provenance(SIMULATOR_ID, cpu_s, simulated_s=outcome.last.time_s),
-            trace=None if recorder is None else recorder.trace(trace_header(spec)).to_bytes(),
+            trace=None if recorder is None else recorder.trace(trace_header(spec, verdicts)).to_bytes(),
         )
 
 
@@ -146,10 +147,15 @@ def _injection_features(behaviour: DetectorBehaviour, outcome: Outcome) -> dict[
     return {DELIVERED: delivered_to_json(outcome.delivered)}
 
 
-def trace_header(spec: EpisodeSpec) -> JsonObject:
-    """Return the description of an episode that every trace contains."""
+def trace_header(spec: EpisodeSpec, verdicts: Mapping[str, Verdict]) -> JsonObject:
+    """Return what every trace says about its episode: what it was, and when requirements were first violated."""
+    moments = {name: one.violated_at_s for name, one in verdicts.items() if one.violated_at_s is not None}
     # From the canonical text, so that the trace does not depend on the order of fields.
-    return {"spec": json.loads(spec.canonical_json()), "versions": dict(versions())}
+    return {
+        "spec": json.loads(spec.canonical_json()),
+        "versions": dict(versions()),
+        VIOLATED_AT_S: dict(sorted(moments.items())),
+    }
 
 
 def provenance(simulator: str, cpu_s: float, **facts: Json) -> dict[str, Json]:
