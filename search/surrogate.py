@@ -16,7 +16,7 @@ from brink.search.space import BoolArray, FloatArray, SearchSpace
 
 EXTRA: Final = "analysis"
 """The extra that installs scikit-learn."""
-TREES: Final = 100
+TREES: Final = 60
 LEAF: Final = 2
 """Least number of solutions in a leaf."""
 
@@ -54,5 +54,10 @@ class Surrogate:
         """Return the probabilities of rows of shape ``(n, d)``, shape ``(n,)``."""
         if not len(rows):
             return np.empty(0)
-        probability: FloatArray = self._trees.predict_proba(self._features.of_rows(rows))[:, 1]
-        return probability
+        features = np.asarray(self._features.of_rows(rows), dtype=np.float32)
+        # One tree after another takes half the time of the forest's own loop, which prepares for threads.
+        trees = self._trees.estimators_
+        total = np.zeros(len(rows))
+        for tree in trees:
+            total += tree.predict_proba(features, check_input=False)[:, 1]
+        return total / len(trees)

@@ -12,11 +12,12 @@ only just suffices to finish the open brackets, no more are opened, and generati
 Source: ours; see docs/explanation/pairs.md.
 """
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -54,6 +55,8 @@ _EXPECTED_HITS: Final = 0.6
 """Share of the partners in flight that are expected to open a bracket."""
 _PROMISING: Final = 3
 """Anchors that get further draws, as a multiple of the partners wanted."""
+_MOST_KEPT: Final = 2_000
+"""Anchors whose draws are kept."""
 _LIKELY: Final = 0.75
 """Probability of the opposite verdict from which on a nearer partner is better than a likelier one."""
 _GENERATION, _SURROGATE, _PARTNER, _MORE, _CHANCE = range(
@@ -160,6 +163,7 @@ class EdgeState(LedgerState):
         surrogate: Estimates how likely a solution is unsafe; None until it is needed.
         chance: Estimates how likely a pair is a chancy place; None until enough is known.
         partners: The best partner drawn for each anchor, by its number.
+        draws: What partners are chosen from, by the anchor's number: judging again is cheaper than drawing again.
     """
 
     config: EdgeConfig
@@ -171,6 +175,7 @@ class EdgeState(LedgerState):
     surrogate: Surrogate | None = None
     chance: Surrogate | None = None
     partners: Mapping[int, "_Partner"] = field(default_factory=dict)
+    draws: Mapping[int, "_Draws"] = field(default_factory=dict)
 
 
 class Edge(LedgerAlgorithm[EdgeConfig, EdgeState]):
@@ -441,6 +446,20 @@ def _reserve(state: EdgeState) -> float:
     return total
 
 
+class _Draws(NamedTuple):
+    """Possible partners of an anchor.
+
+    Attributes:
+        attempt: How many partners of the anchor were simulated before.
+        rows: The draws before repair, shape ``(n, d)``.
+        lengths: Their distances from the anchor, shape ``(n,)``.
+    """
+
+    attempt: int
+    rows: FloatArray
+    lengths: FloatArray
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Partner:
     """The best partner drawn for an anchor.
@@ -554,7 +573,7 @@ def _partners(state: EdgeState, plan: _Plan, count: int, allowance: float) -> Ed
     archive, space = state.ledger.archive, state.ledger.space
     numbers = archive.numbers[places].tolist()
     archive_place = dict(zip(numbers, places.tolist(), strict=True))
-    partners = _drawn_partners(state, state.surrogate, archive_place)
+    partners, draws = _drawn_partners(state, state.surrogate, archive_place)
     tries = dict(state.tries)
     seen = set(row_keys(archive.vectors))
     chosen: list[int] = []
@@ -562,9 +581,8 @@ def _partners(state: EdgeState, plan: _Plan, count: int, allowance: float) -> Ed
     risk = dict(zip(numbers, chancy.tolist(), strict=True))
     best = sorted(numbers, key=lambda number: (partners[number].rank(risk[number]), number))
     promising = {number: int(archive_place[number]) for number in best[: _PROMISING * count]}
-    more = _best_of_draws(
-        state, state.surrogate, promising, MORE_REDRAWS, _MORE, state.ledger.planned_generation
-    )
+    further = _drawn(state, promising, MORE_REDRAWS, _MORE, state.ledger.planned_generation)
+    more = _best_of_draws(state, state.surrogate, promising, further)
     kept = partners
     partners = partners | {n: p for n, p in more.items() if p.rank(0.0) < partners[n].rank(0.0)}
     for number in sorted(numbers, key=lambda number: (partners[number].rank(risk[number]), number)):
@@ -582,13 +600,13 @@ def _partners(state: EdgeState, plan: _Plan, count: int, allowance: float) -> Ed
         chosen.append(place)
         allowance -= expected
         plan.add(row, state.seeds.get(number, number), (Purpose.PARTNER, number, 0))
-    return replace(state, tries=tries, partners=kept)
+    return replace(state, tries=tries, partners=kept, draws=draws)
 
 
 def _drawn_partners(
     state: EdgeState, surrogate: Surrogate, anchors: Mapping[int, int]
-) -> dict[int, _Partner]:
-    """Return the best partner drawn for each anchor.
+) -> tuple[dict[int, _Partner], dict[int, _Draws]]:
+    """Return the best partner drawn for each anchor, and the draws.
 
     Partners are kept until their anchor has been tried or the surrogate has learnt anew.
 
@@ -599,46 +617,60 @@ def _drawn_partners(
     """
     attempts = {number: state.tries.get(number, 0) for number in anchors}
     partners = {n: p for n, p in state.partners.items() if attempts.get(n) == p.attempt}
+    draws = {n: d for n, d in state.draws.items() if attempts.get(n) == d.attempt}
     missing = {number: place for number, place in anchors.items() if number not in partners}
-    return partners | _best_of_draws(state, surrogate, missing, REDRAWS, _PARTNER)
+    undrawn = {number: place for number, place in missing.items() if number not in draws}
+    draws |= _drawn(state, undrawn, REDRAWS, _PARTNER)
+    partners |= _best_of_draws(state, surrogate, missing, draws)
+    return partners, dict(itertools.islice(draws.items(), _MOST_KEPT))
+
+
+def _drawn(state: EdgeState, anchors: Mapping[int, int], draws: int, *index: int) -> dict[int, _Draws]:
+    """Draw possible partners of each anchor.
+
+    Args:
+        state: The state.
+        anchors: Positions in the archive by number.
+        draws: Half the number of draws for each anchor.
+        index: Position of the draws in the stream, before the anchor's number and its attempts.
+    """
+    archive, space = state.ledger.archive, state.ledger.space
+    varied, metric = _varied(space, state.config), Metric.of_space(space)
+    found = {}
+    for number, place in anchors.items():
+        attempt = state.tries.get(number, 0)
+        row = archive.vectors[place]
+        rng = generator(state.ledger.seed, Stream.EDGE, *index, number, attempt)
+        rows = _redrawn(space, row, varied, draws, rng)
+        found[number] = _Draws(attempt, rows, metric.between(row[None], rows)[0])
+    return found
 
 
 def _best_of_draws(
-    state: EdgeState, surrogate: Surrogate, anchors: Mapping[int, int], draws: int, *index: int
+    state: EdgeState, surrogate: Surrogate, anchors: Mapping[int, int], draws: Mapping[int, _Draws]
 ) -> dict[int, _Partner]:
-    """Return the best of several partners drawn for each anchor.
+    """Return the best of the partners drawn for each anchor.
 
     Args:
         state: The state.
         surrogate: Judges the draws.
         anchors: Positions in the archive by number.
-        draws: Half the number of draws for each anchor.
-        index: Position of the draws in the stream, before the anchor's number and its attempts.
+        draws: As many for each anchor.
     """
     if not anchors:
         return {}
-    archive, space = state.ledger.archive, state.ledger.space
-    varied, metric = _varied(space, state.config), Metric.of_space(space)
-    places = list(anchors.values())
-    attempts = [state.tries.get(number, 0) for number in anchors]
-    rows = archive.vectors[places]
-    drawn = np.array(
-        [
-            _redrawn(
-                space, row, varied, draws, generator(state.ledger.seed, Stream.EDGE, *index, number, attempt)
-            )
-            for number, row, attempt in zip(anchors, rows, attempts, strict=True)
-        ]
-    )
-    risk = surrogate.unsafe(drawn.reshape(-1, space.dimension)).reshape(len(places), -1)
-    flips = np.where(archive.unsafe[places][:, None], 1 - risk, risk)
+    chosen = [draws[number] for number in anchors]
+    rows = np.concatenate([one.rows for one in chosen])
+    risk = surrogate.unsafe(rows).reshape(len(chosen), -1)
+    unsafe = state.ledger.archive.unsafe[list(anchors.values())]
+    flips = np.where(unsafe[:, None], 1 - risk, risk)
     partners = {}
-    for number, attempt, row, others, chances in zip(anchors, attempts, rows, drawn, flips, strict=True):
-        lengths = metric.between(row[None], others)[0]
-        best = int(np.lexsort((lengths, -np.minimum(chances, _LIKELY)))[0])
+    for number, one, chances in zip(anchors, chosen, flips, strict=True):
+        best = int(np.lexsort((one.lengths, -np.minimum(chances, _LIKELY)))[0])
         partners[number] = _Partner(
-            row=others[best], attempt=attempt, flips=float(chances[best]), length=float(lengths[best])
-        )
+            row=one.rows[best], attempt=one.attempt, flips=float(chances[best]),
+            length=float(one.lengths[best]),
+        )  # fmt: skip
     return partners
 
 
@@ -679,9 +711,10 @@ def _redrawn(
     taken = rng.random(anywhere.shape) < 0.5
     on_the_way = np.where(space.categorical, np.where(taken, anywhere, row), on_the_way)
     rows = np.concatenate([anywhere, on_the_way])
-    for unit in units_of(space):
-        if len(unit) == 2 and free[list(unit)].all():
-            rows[:, unit] = np.sort(rows[:, unit], axis=1)
+    low, high = np.array([unit for unit in units_of(space) if len(unit) == 2], np.int64).reshape(-1, 2).T
+    both = free[low] & free[high]
+    low, high = low[both], high[both]
+    rows[:, low], rows[:, high] = np.minimum(a := rows[:, low], b := rows[:, high]), np.maximum(a, b)
     return rows
 
 
