@@ -81,7 +81,7 @@ def submit(
 
     Example: brink experiment submit examples/paper-rq1.yaml --server http://coordinator:8700
     """
-    body = read_experiment_file(file).model_dump(mode="json")
+    body = read_experiment_file(file).document()
     document = with_api(server, database, lambda api: api.post("/experiments", body))
     if as_json:
         print_json(document)

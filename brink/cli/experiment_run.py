@@ -32,6 +32,7 @@ from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.campaigns.plan import make_checked_plan
 from brink.server.errors import InvalidInput
 from brink.server.experiments.body import ExperimentBody
+from brink.server.experiments.pairs import check_pairs
 from brink.server.states import CampaignStatus
 
 POLL_S = 1.0
@@ -65,6 +66,7 @@ def run_experiment(body: ExperimentBody, options: RunOptions) -> FinishedExperim
             check_extra(make_checked_plan(cell.body).problem)
         except InvalidInput as error:
             raise cell.in_experiment(error) from None
+    check_pairs(body)
     screen = console(stderr=options.json)
 
     async def finish(session: Session, progress: ExperimentProgress) -> FinishedExperiment:
@@ -106,7 +108,7 @@ class ExperimentRun:
     async def submit(self, api: Api) -> tuple[str, str]:
         """Submit the experiment; return its id and a summary of it."""
         body = self.body
-        experiment = await api.send(ExperimentView, "/experiments", body.model_dump(mode="json"))
+        experiment = await api.send(ExperimentView, "/experiments", body.document())
         return experiment.id, (
             f"{len(body.algorithms)} algorithms x {len(body.problems)} problems x {len(body.seeds)} seeds x "
             f"{body.budget.simulations:,} simulations = {experiment.budget:,}"

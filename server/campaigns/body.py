@@ -14,6 +14,11 @@ DEFAULT_T_B = 0.10
 DEFAULT_D_TH = 0.20
 """Default threshold: boundary solutions at least this far apart count as distinct."""
 
+DEFAULT_EPS = 0.02
+"""Default of the largest distance between the two sides of a pair."""
+DEFAULT_PAIRS_D_TH = 0.2
+"""Default of the smallest distance between two distinct pairs."""
+
 
 class PluginChoice(Body):
     """A plug-in and its parameters."""

@@ -13,15 +13,12 @@ from brink.search.analysis.confirmation import Share
 from brink.search.analysis.pairs import FoundPairs, Opposites, find_pairs, nearest_opposites
 from brink.search.fitness import Z_95
 from brink.server.campaigns.archives import CACHED, ReadArchive
+from brink.server.campaigns.body import DEFAULT_EPS, DEFAULT_PAIRS_D_TH
 from brink.server.campaigns.plan import Plan
 from brink.server.campaigns.repeats import StoredRepeats
 from brink.server.campaigns.store import Campaign
 from brink.server.single_flight import SingleFlightCache
 
-DEFAULT_EPS: Final = 0.02
-"""Default of the largest distance between the two sides of a pair."""
-DEFAULT_PAIRS_D_TH: Final = 0.2
-"""Default of the smallest distance between two distinct pairs."""
 _SEARCHES_FOR_PAIRS: Final = "edge@1"
 
 

@@ -4,11 +4,18 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
-from brink.server.campaigns.body import Budget, CampaignBody, Execution, PluginChoice
+from brink.server.campaigns.body import (
+    DEFAULT_EPS,
+    DEFAULT_PAIRS_D_TH,
+    Budget,
+    CampaignBody,
+    Execution,
+    PluginChoice,
+)
 from brink.server.documents import Body, check_printable, hash_document, parse_document, read_yaml
 from brink.server.errors import FieldError, InvalidInput
 from brink.server.llm.settings import LlmSettings
@@ -37,6 +44,37 @@ class Method(Choice):
     llm: Annotated[
         LlmSettings | None, Field(description="Language model for algorithms that request seeds.")
     ] = None
+
+
+class PairsChoice(Body):
+    """Which pairs across the boundary to count in every campaign, and how they are to be followed up."""
+
+    eps: Annotated[
+        float,
+        Field(
+            ge=0, le=1,
+            description="Largest distance between the sides of a pair, the same for all campaigns.",
+        ),
+    ] = DEFAULT_EPS  # fmt: skip
+    d_th: Annotated[
+        float,
+        Field(
+            ge=0, le=1, description="Smallest distance between two distinct pairs, the same for all campaigns."
+        ),
+    ] = DEFAULT_PAIRS_D_TH  # fmt: skip
+    confirm: Annotated[
+        int,
+        Field(
+            ge=0, le=10_000,
+            description="Simulations of each side of each distinct pair with other seeds: none, or at least 5.",
+        ),
+    ] = 0  # fmt: skip
+    component: Annotated[
+        bool,
+        Field(
+            description="Whether to simulate each unsafe side with ground truth in place of the component."
+        ),
+    ] = False
 
 
 class SeedRange(Body):
@@ -80,6 +118,10 @@ class ExperimentBody(Body):
         int, Field(ge=-100, le=100, description="Campaigns with a higher priority are served first.")
     ] = 0
     execution: Execution = Field(default_factory=Execution)
+    pairs: Annotated[
+        PairsChoice | None,
+        Field(description="Compare the methods by the pairs across the boundary that they find, too."),
+    ] = None
 
     @model_validator(mode="after")
     def _has_unique_names(self) -> Self:
@@ -103,7 +145,14 @@ class ExperimentBody(Body):
 
     def document_hash(self) -> str:
         """Return a hash that identifies identical submissions."""
-        return hash_document(self.model_dump(mode="json"))
+        return hash_document(self.document())
+
+    def document(self) -> dict[str, Any]:
+        """Return the experiment as a document to submit or to store, without the section `pairs` if it has none."""
+        document = self.model_dump(mode="json")
+        if self.pairs is None:
+            del document["pairs"]  # the hashes of older submissions stay valid
+        return document
 
     def cells(self) -> list["Cell"]:
         """Return the campaigns ordered by seed, so that each seed's comparison is complete before the next begins."""

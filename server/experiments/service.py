@@ -20,6 +20,7 @@ from brink.server.db.sql import DocumentTable
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.experiments import store
 from brink.server.experiments.body import ExperimentBody
+from brink.server.experiments.pairs import check_pairs
 from brink.server.experiments.store import EXPERIMENTS, Experiment
 from brink.server.single_flight import SingleFlightCache
 from brink.server.states import CampaignStatus
@@ -48,6 +49,7 @@ class ExperimentService(DocumentService[ExperimentBody, Experiment]):
                 campaigns.append(prepare_campaign(cell.body, self.campaigns.llm_endpoints))
             except InvalidInput as error:
                 raise cell.in_experiment(error) from None
+        check_pairs(body)
         return campaigns
 
     def _store(

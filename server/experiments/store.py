@@ -125,7 +125,7 @@ def insert_experiment(
     """
     connection.execute(
         insert(ExperimentRow).values(
-            id=experiment_id, name=body.name, document=body.model_dump(mode="json"),
+            id=experiment_id, name=body.name, document=body.document(),
             document_hash=body.document_hash(), idempotency_key=key, created_at=database_now(connection),
         )
     )  # fmt: skip

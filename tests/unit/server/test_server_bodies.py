@@ -8,6 +8,7 @@ import pytest
 from brink.server.campaigns.body import parse_body
 from brink.server.errors import InvalidInput
 from brink.server.experiments.body import MAX_CAMPAIGNS, parse_experiment, read_experiment_file
+from brink.server.experiments.pairs import check_pairs
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
@@ -80,6 +81,9 @@ def test_seeds_may_be_a_range() -> None:
         ({"algorithms": [{"id": "ga@1", "parms": {}}]}, "/algorithms/0/parms", "one of id, llm, name, params"),
         ({"seeds": {"count": 300}}, "", f"at most {MAX_CAMPAIGNS} campaigns, got 600"),
         ({"budget": {"simulations": 0}}, "/budget/simulations", "greater than or equal to 1"),
+        ({"pairs": {"eps": 2}}, "/pairs/eps", "less than or equal to 1"),
+        ({"pairs": {"confirm": -1}}, "/pairs/confirm", "greater than or equal to 0"),
+        ({"pairs": {"minimise": True}}, "/pairs/minimise", "one of component, confirm, d_th, eps"),
     ],
 )  # fmt: skip
 def test_each_invalid_field_has_a_pointer(changes: dict[str, Any], pointer: str, message: str) -> None:
@@ -88,10 +92,49 @@ def test_each_invalid_field_has_a_pointer(changes: dict[str, Any], pointer: str,
     assert message in found[pointer]
 
 
+def test_experiments_without_pairs_are_stored_as_they_always_were() -> None:
+    plain = parse_experiment(document())
+    assert plain.document_hash() == "d1a1a45abcb12d7bc05dd534343c17a1a472549144d802da2fab39aa3a962c1f"
+    assert "pairs" not in plain.document()
+    asked = parse_experiment(document(pairs={}))
+    assert asked.document()["pairs"] == {"eps": 0.02, "d_th": 0.2, "confirm": 0, "component": False}
+    assert asked.document_hash() != plain.document_hash()
+    assert parse_experiment(asked.document()) == asked
+    assert [cell.body.document_hash() for cell in asked.cells()] == [
+        cell.body.document_hash() for cell in plain.cells()
+    ]
+
+
+@pytest.mark.parametrize(
+    ("problem", "pairs", "pointer", "message"),
+    [
+        ("urban-injected@1", {"confirm": 4}, "/pairs/confirm", "expected 0, or at least 5"),
+        ("mtq@1", {"confirm": 10}, "/pairs/confirm", "computed, not simulated"),
+        ("mtq@1", {"component": True}, "/pairs/component", "no component that ground truth can replace"),
+    ],
+)
+def test_follow_ups_that_tell_nothing_are_refused(
+    problem: str, pairs: dict[str, Any], pointer: str, message: str
+) -> None:
+    check_pairs(parse_experiment(document(problems=[{"id": problem}], pairs={})))
+    body = parse_experiment(
+        document(problems=[{"id": "urban-injected@1"}, {"name": "two", "id": problem}], pairs=pairs)
+    )
+    with pytest.raises(InvalidInput) as raised:
+        check_pairs(body)
+    [error] = raised.value.errors
+    assert error.pointer == pointer
+    assert message in error.message
+
+
 def test_a_list_is_rejected_as_an_experiment() -> None:
     assert "expected an experiment with name, problems" in pointers([1])[""]
 
 
-def test_the_example_can_be_read() -> None:
+def test_the_examples_can_be_read() -> None:
     body = read_experiment_file(EXAMPLES / "paper-rq1.yaml")
     assert (body.campaigns, body.budget.simulations) == (30, 1300)
+    edge = read_experiment_file(EXAMPLES / "edge-experiment.yaml")
+    assert (edge.campaigns, edge.budget.simulations, edge.problems) == (40, 1300, body.problems)
+    assert edge.algorithms[1:] == body.algorithms
+    check_pairs(edge)
