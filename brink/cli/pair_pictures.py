@@ -1,6 +1,7 @@
 """How `brink pairs` draws a pair: both drives as a picture or a film, or a figure if there is nothing to replay."""
 
 import asyncio
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -25,14 +26,7 @@ PICTURES: Final = (".png",)
 FILMS: Final = (".mp4", ".gif")
 _MOST_LETTERS: Final = 230
 """A longer headline is cut to the change alone."""
-_COMPONENT: Final = {
-    ComponentPart.COMPONENT: "With ground truth in place of the component, the unsafe drive is safe.",
-    ComponentPart.SCENARIO: "With ground truth in place of the component, the unsafe drive is still unsafe.",
-}
-_MINIMALITY: Final = {
-    Minimality.MINIMAL: "No difference can be taken back without losing the opposite verdicts.",
-    Minimality.NOT_MINIMAL: "Some of the differences can be taken back without losing the opposite verdicts.",
-}
+_KNOWN_PARTS: Final = (ComponentPart.COMPONENT, ComponentPart.SCENARIO)
 
 
 def check_file(option: str, path: Path, endings: tuple[str, ...]) -> None:
@@ -75,6 +69,40 @@ async def draw_pair(api: Api, view: PairsView, pair: PairView, path: Path, *, wo
     Raises:
         NoTrace: A drive cannot be run again; for a picture only if that failed, not if there is nothing to replay.
     """
+    with Progress(console=console(), transient=True) as progress:
+        task = progress.add_task(f"drawing {path}", total=None)
+        await write_pair(
+            api,
+            view,
+            pair,
+            path,
+            workers=workers,
+            on_progress=lambda done, total: progress.update(task, completed=done, total=total),
+        )
+
+
+async def write_pair(
+    api: Api,
+    view: PairsView,
+    pair: PairView,
+    path: Path,
+    *,
+    workers: bool,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> None:
+    """Draw a pair to a file and show no progress; otherwise as `draw_pair`.
+
+    Args:
+        api: Coordinator of the campaign.
+        view: The pairs of the campaign.
+        pair: The pair.
+        path: A picture (.png) or a film (.mp4, .gif).
+        workers: Whether the coordinator's workers run the drives again; otherwise this machine does.
+        on_progress: Called with the number of pictures drawn so far, and of all.
+
+    Raises:
+        NoTrace: A drive cannot be run again; for a picture only if that failed, not if there is nothing to replay.
+    """
     try:
         drives = await _drives(api, view, pair, workers=workers)
     except NothingToReplay:
@@ -83,14 +111,7 @@ async def draw_pair(api: Api, view: PairsView, pair: PairView, path: Path, *, wo
         fetched = await fetch_archive(api, view.campaign)
         await asyncio.to_thread(_draw_figure, fetched, view, pair, path)
         return
-    with Progress(console=console(), transient=True) as progress:
-        task = progress.add_task(f"drawing {path}", total=None)
-        await asyncio.to_thread(
-            render_pair,
-            drives,
-            path,
-            on_progress=lambda done, total: progress.update(task, completed=done, total=total),
-        )
+    await asyncio.to_thread(render_pair, drives, path, on_progress=on_progress)
 
 
 async def _drives(api: Api, view: PairsView, pair: PairView, *, workers: bool) -> DrivePair:
@@ -127,8 +148,17 @@ def facts(view: PairsView, pair: PairView) -> list[str]:
             if pair.checked
             else "Each side was simulated once by the search."
         )
-    found += [_COMPONENT.get(pair.component.state, ""), _MINIMALITY.get(pair.minimality.state, "")]
-    return [words for words in found if words]
+    if pair.component.state in _KNOWN_PARTS:
+        found.append(
+            f"With ground truth in place of the component, the unsafe drive: {pair.component.outcome}."
+        )
+    less = pair.minimality
+    if less.state is Minimality.MINIMAL:
+        found.append("No difference can be taken back without losing the opposite verdicts.")
+    elif less.unsafe is not None:
+        enough, differing = len(less.unsafe.changes), len(pair.changes)
+        found.append(f"{enough} of the {differing} differences {'is' if enough == 1 else 'are'} enough.")
+    return found
 
 
 def share_words(share: ShareView) -> str:

@@ -343,30 +343,53 @@ def print_pairs(screen: Console, view: PairsView) -> None:
         f"apart[/dim]",
         soft_wrap=True,
     )
+    if view.chancy:
+        screen.print(chance_words(view), soft_wrap=True)
     screen.print(pairs_table(view))
+    for words in _legend(view):
+        screen.print(f"[dim]{words}[/dim]", soft_wrap=True)
     if view.distinct > len(view.pairs):
         screen.print(f"[dim]and {view.distinct - len(view.pairs)} more: --limit {view.distinct}[/dim]")
 
 
 def pairs_table(view: PairsView, shown: int | None = None) -> Table:
-    """Return a table of the first pairs in words."""
-    table = plain_table(
-        "", "safe", "unsafe", "apart", "evidence", "change", right=("", "safe", "unsafe", "apart")
-    )
+    """Return a table of the first pairs: the change in words, what both drives showed, and the evidence."""
+    table = plain_table("", "change, and what both drives showed", "evidence", right=("",))
     for pair in view.pairs[:shown]:
-        table.add_row(
-            str(pair.place), str(pair.safe.number), str(pair.unsafe.number), f"{pair.distance:.3f}",
-            evidence_words(view, pair), escape(_description(pair)),
-        )  # fmt: skip
+        lines = [
+            f"{pair.change[:1].upper()}{pair.change[1:]}",
+            f"unsafe, solution {pair.unsafe.number}: {pair.unsafe.outcome}",
+            f"safe, solution {pair.safe.number}: {pair.safe.outcome}",
+        ]
+        less = pair.minimality.unsafe
+        if less is not None and less.change != pair.change:
+            name = "minimal" if less.minimal else "smaller"
+            lines.append(f"{name} change: {less.change}: {less.outcome}")
+        evidence = [*evidence_words(view, pair).split(", "), f"{pair.distance:.3f} apart"]
+        table.add_row(str(pair.place), escape("\n".join(lines)), "\n".join(evidence))
     return table
 
 
-def _description(pair: PairView) -> str:
-    words = f"{pair.words} [otherwise: {pair.safe.outcome}]"
-    if pair.minimality.unsafe is not None:
-        less = pair.minimality.unsafe
-        words += f" {'Minimal change' if less.minimal else 'Smaller change'}: {less.change}."
-    return words
+def chance_words(view: PairsView) -> str:
+    """Return at how many places the verdict depends on chance; such solutions are on neither side of a pair."""
+    places = "1 place" if view.chancy == 1 else f"{view.chancy:,} places"
+    return f"{places} where the verdict depends on chance: the same solution was safe and unsafe with different seeds"
+
+
+def _legend(view: PairsView) -> list[str]:
+    """Return what the words of the evidence mean that need it."""
+    found = []
+    if view.tried:
+        found.append(
+            "confirmed 0/10 9/10: with other seeds, the safe side was unsafe in 0 of 10 simulations and the unsafe "
+            "side in 9 of 10; confirmed means at most 20% and at least 80%"
+        )
+    if view.component or view.scenario:
+        found.append(
+            "hazard: the component's if the unsafe side keeps the requirement with ground truth in place of the "
+            "component, otherwise the scenario's; in the same episode, with one seed"
+        )
+    return found
 
 
 def evidence_words(view: PairsView, pair: PairView) -> str:
@@ -381,11 +404,17 @@ def evidence_words(view: PairsView, pair: PairView) -> str:
         words.append(f"{again.state} {counts}")
     if pair.component.state is not ComponentPart.NOT_TRIED:
         words.append(_PARTS[pair.component.state])
-    if pair.minimality.state is not Minimality.NOT_TRIED:
-        words.append(str(pair.minimality.state))
+    less = pair.minimality
+    if less.unsafe is not None:
+        enough, differing = len(less.unsafe.changes), len(pair.changes)
+        words.append(f"{enough} of {differing} differences {'is' if enough == 1 else 'are'} enough")
+    elif less.state is not Minimality.NOT_TRIED:
+        words.append(_REDUCED.get(less.state, str(less.state)))
     return ", ".join(words)
 
 
+_REDUCED = {Minimality.PENDING: "being minimised", Minimality.UNDECIDED: "minimal or not: undecided"}
+"""Words for states that do not speak for themselves."""
 _PARTS = {
     ComponentPart.COMPONENT: "component's hazard",
     ComponentPart.SCENARIO: "scenario's hazard",

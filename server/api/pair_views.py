@@ -185,6 +185,16 @@ class FollowUpView(View):
     budget: int
 
 
+class FollowUpOffer(View):
+    """What can be asked about all of these pairs, and what it takes."""
+
+    kind: FollowUpKind
+    simulations: Annotated[
+        int, Field(description="Simulations that it takes: to confirm, in each repeat; to minimise, at most.")
+    ]
+    reason: Annotated[str, Field(description="Why it cannot be asked; empty if it can.")]
+
+
 class FollowUpBody(Body):
     """What to ask about the pairs of a campaign."""
 
@@ -224,6 +234,12 @@ class PairsView(View):
     evaluated: Annotated[int, Field(description="Evaluated solutions.")]
     eps: Annotated[float, Field(description="Largest distance between the sides of a pair.")]
     d_th: Annotated[float, Field(description="Smallest distance between two distinct pairs.")]
+    searched: Annotated[
+        bool,
+        Field(
+            description="Whether the campaign searches for pairs; other searches hold those they happen to find."
+        ),
+    ]
     computed: Annotated[
         bool, Field(description="Whether verdicts are computed, not simulated: seeds have no part in them.")
     ]
@@ -255,4 +271,5 @@ class PairsView(View):
         Field(description="Nearest solutions with opposite verdicts, if there is no pair."),
     ]
     follow_ups: Annotated[list[FollowUpView], Field(description="Oldest first.")]
+    offers: Annotated[list[FollowUpOffer], Field(description="What can be asked about the distinct pairs.")]
     pairs: Annotated[list[PairView], Field(description="Checked ones first, then by distance.")]

@@ -2,7 +2,7 @@
 
 import asyncio
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -10,7 +10,7 @@ import numpy as np
 from fastapi import APIRouter, Query, Request, Response
 from sqlalchemy import Connection, Row
 
-from brink.search.algorithms.minimise import Reduced, Reductions
+from brink.search.algorithms.minimise import Reduced, Reductions, most_trials
 from brink.search.analysis.confirmation import Confirmation, Share, confirmation_of
 from brink.search.analysis.pairs import Pair, Side
 from brink.search.features import Unit
@@ -24,6 +24,7 @@ from brink.server.api.pair_views import (
     ComponentView,
     ConfirmationView,
     FollowUpBody,
+    FollowUpOffer,
     FollowUpView,
     Minimality,
     MinimalityView,
@@ -39,19 +40,21 @@ from brink.server.api.solutions import MEDIA, activity_view
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.follow_ups import (
+    MOST_PAIRS_FOLLOWED,
     plan_component,
     plan_minimisation,
     read_reduced,
     read_seeds,
+    reducible,
     sides_of,
 )
 from brink.server.campaigns.outcomes import SolutionOutcome, outcome_of
-from brink.server.campaigns.pairs import CampaignPairs, PairSettings, shares_of
-from brink.server.campaigns.plan import Plan, make_plan
+from brink.server.campaigns.pairs import CampaignPairs, PairSettings, searches_for_pairs, shares_of
+from brink.server.campaigns.plan import Plan, check_repeatable, make_plan, with_truth
 from brink.server.campaigns.repeats import EVERY_D_TH, EVERY_T_B, FollowUpKind, StoredRepeats, read_follow_ups
 from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.db.engine import read
-from brink.server.errors import Conflict
+from brink.server.errors import Conflict, InvalidInput
 from brink.server.problems.base import (
     InProcessProblem,
     NamesRequirements,
@@ -190,7 +193,8 @@ def pairs_view(
     return PairsView(
         campaign=campaign.id, name=campaign.body.name, status=campaign.status,
         complete=campaign.status in ENDED, generation=found.generation, evaluated=len(found.archive),
-        eps=pairs.settings.eps, d_th=pairs.settings.d_th, computed=isinstance(problem, InProcessProblem),
+        eps=pairs.settings.eps, d_th=pairs.settings.d_th,
+        searched=searches_for_pairs(campaign.body.algorithm.id), computed=isinstance(problem, InProcessProblem),
         note=_note(campaign, found, pairs, deciding, counts),
         safe=pairs.found.safe, unsafe=pairs.found.unsafe, chancy=pairs.found.chancy,
         tight=pairs.found.tight, distinct=len(pairs.found.pairs), checked=pairs.found.checked, **counts,
@@ -198,6 +202,10 @@ def pairs_view(
             safe=pairs.nearest.safe, unsafe=pairs.nearest.unsafe, distance=pairs.nearest.distance
         ),
         follow_ups=[_follow_up(one) for one in stored],
+        offers=[
+            FollowUpOffer(kind=kind, simulations=simulations, reason=reason)
+            for kind, (simulations, reason) in _offers(campaign, found, pairs, stored).items()
+        ],
         pairs=[
             _pair(place, pair, problem, rows, evidence) for place, pair in enumerate(shown, start=1)
         ],
@@ -210,6 +218,53 @@ def _follow_up(stored: StoredRepeats) -> FollowUpView:
         kind=stored.kind, campaign=campaign.id, status=campaign.status,
         status_reason=campaign.status_reason, simulations=campaign.completed, budget=campaign.budget,
     )  # fmt: skip
+
+
+def _offers(
+    campaign: Campaign, found: ReadArchive, pairs: CampaignPairs, stored: Sequence[StoredRepeats]
+) -> dict[FollowUpKind, tuple[int, str]]:
+    """Return how many simulations each kind of follow-up takes, and why it cannot be asked, if it cannot."""
+    chosen = pairs.found.pairs[:MOST_PAIRS_FOLLOWED]
+    if campaign.status not in ENDED:
+        return dict.fromkeys(FollowUpKind, (0, f"the campaign is {campaign.status}: wait until it has ended"))
+    if not chosen:
+        return dict.fromkeys(FollowUpKind, (0, "there is no pair"))
+    answered: dict[FollowUpKind, set[tuple[int, ...]]] = {kind: set() for kind in FollowUpKind}
+    for one in stored:
+        if one.campaign.status is CampaignStatus.FINISHED:
+            paired = zip(one.numbers[0::2], one.numbers[1::2], strict=True)
+            single = ((number,) for number in one.numbers)
+            answered[one.kind].update(paired if one.kind is FollowUpKind.MINIMISE else single)
+    unsafe = {(pair.unsafe.number,) for pair in chosen}
+    open_pairs, reductions = reducible(found.plan, found.archive, chosen)
+    truth, less = "", ""
+    if unsafe <= answered[FollowUpKind.COMPONENT]:
+        truth = "all unsafe sides have been simulated with ground truth"
+    if not open_pairs:
+        less = "no difference can be taken back alone: all pairs are minimal"
+    elif {(pair.safe.number, pair.unsafe.number) for pair in open_pairs} <= answered[FollowUpKind.MINIMISE]:
+        less = "the differences of all pairs have been taken back one by one"
+    offers = {
+        FollowUpKind.CONFIRM: (len(sides_of(chosen)), _refusal(lambda: check_repeatable(found.plan))),
+        FollowUpKind.COMPONENT: (len(unsafe), _refusal(lambda: with_truth(found.plan.problem)) or truth),
+        FollowUpKind.MINIMISE: (most_trials(reductions), less),
+    }
+    for one in stored:
+        if one.campaign.status not in ENDED:
+            offers[one.kind] = (
+                0,
+                f"this has been requested: campaign {one.campaign.id} is {one.campaign.status}",
+            )
+    return offers
+
+
+def _refusal(check: Callable[[], object]) -> str:
+    """Return why a check fails; empty if it does not."""
+    try:
+        check()
+    except InvalidInput as error:
+        return "; ".join(one.message for one in error.errors)
+    return ""
 
 
 def _pair(
@@ -443,28 +498,42 @@ def _note(
     counts: Mapping[str, int],
 ) -> str:
     """Return the result in one sentence."""
-    words = _result_words(pairs, deciding, counts)
+    computed = isinstance(found.plan.problem, InProcessProblem)
+    words = _result_words(pairs, deciding, counts, computed=computed)
     if campaign.status in ENDED:
         return words
     return f"so far, after {len(found.archive):,} of {campaign.budget:,} simulations: {words}"
 
 
-def _result_words(pairs: CampaignPairs, deciding: tuple[str, ...], counts: Mapping[str, int]) -> str:
+def _result_words(
+    pairs: CampaignPairs, deciding: tuple[str, ...], counts: Mapping[str, int], *, computed: bool
+) -> str:
     found, settings = pairs.found, pairs.settings
     if found.pairs:
-        words = f"{len(found.pairs):,} distinct pairs, {found.checked:,} checked"
-        if len(found.pairs) == 1:
-            words = f"1 distinct pair, {'checked' if found.checked else 'not checked'}"
+        single = len(found.pairs) == 1
+        words = (
+            "1 distinct pair across the boundary"
+            if single
+            else f"{len(found.pairs):,} distinct pairs across the boundary"
+        )
+        if not computed:  # chance has no part in computed verdicts: there is nothing to check
+            checked = "checked" if found.checked else "not checked"
+            words += f", {checked if single else f'{found.checked:,} checked'}"
         if counts["tried"]:
             words += (
                 f"; of {counts['tried']:,} simulated again with other seeds, {counts['confirmed']:,} confirmed and "
                 f"{counts['not_confirmed']:,} not confirmed"
             )
         if blamed := counts["component"] + counts["scenario"]:
-            words += (
-                f"; of {blamed:,} simulated with ground truth, {counts['component']:,} owe their hazard to the "
-                f"component and {counts['scenario']:,} to the scenario alone"
+            held, violated = (
+                (drives_held(deciding), unsafe_words(deciding)) if deciding else ("is safe", "is unsafe")
             )
+            words += (
+                f"; with ground truth in place of the component, the unsafe side of {counts['component']:,} of "
+                f"{blamed:,} {held} (the component's hazard)"
+            )
+            if counts["scenario"]:
+                words += f", that of {counts['scenario']:,} {violated} all the same (the scenario's hazard)"
         return words
     if not found.safe and not found.unsafe and not found.chancy:
         return "no solution has been evaluated: no pair"
@@ -503,7 +572,8 @@ def _flat(view: PairsView, pair: PairView) -> dict[str, Cell]:
         "campaign": view.campaign, "pair": pair.place, "words": pair.words, "change": pair.change,
         "distance": pair.distance, "checked": pair.checked, "same_seed": pair.same_seed,
         "confirmation": str(pair.confirmation.state), "component": str(pair.component.state),
-        "minimality": str(pair.minimality.state),
+        "minimality": str(pair.minimality.state), "component_outcome": pair.component.outcome,
+        "minimised_change": "" if pair.minimality.unsafe is None else pair.minimality.unsafe.change,
         "differing": "; ".join(change.words for change in pair.changes),
     }  # fmt: skip
     for name, side, share in (

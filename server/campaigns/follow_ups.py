@@ -94,23 +94,16 @@ def plan_minimisation(
     Raises:
         Conflict: All pairs differ in one unit, or an episode seed is not one of the campaign.
     """
-    space = plan.problem.space
-    safe, unsafe = (
-        _rows(archive, numbers)
-        for numbers in ([pair.safe.number for pair in pairs], [pair.unsafe.number for pair in pairs])
-    )
-    given = Reductions.of(space, safe, unsafe)
-    open_pairs = sorted({trial.pair for trial in given.trials()})
+    open_pairs, reduced = reducible(plan, archive, pairs)
     if not open_pairs:
         raise Conflict(
             f"campaign {campaign.id}: none of the differences of its {len(pairs)} pairs can be taken back alone: "
             "they are minimal"
         )
-    numbers = [n for place in open_pairs for n in (pairs[place].safe.number, pairs[place].unsafe.number)]
-    reduced = Reductions.of(space, safe[open_pairs], unsafe[open_pairs])
+    numbers = [number for pair in open_pairs for number in (pair.safe.number, pair.unsafe.number)]
     params = {
-        "safe": safe[open_pairs].tolist(),
-        "unsafe": unsafe[open_pairs].tolist(),
+        "safe": reduced.safe.tolist(),
+        "unsafe": reduced.unsafe.tolist(),
         "seed_numbers": _seed_numbers(campaign, numbers[1::2], seeds),
     }
     return PlannedRepeats(
@@ -122,6 +115,17 @@ def plan_minimisation(
             llm_endpoints="",
         ),
     )  # fmt: skip
+
+
+def reducible(plan: Plan, archive: Archive, pairs: Sequence[Pair]) -> tuple[list[Pair], Reductions]:
+    """Return the pairs of which a difference can be taken back, and their reductions before the first trial."""
+    space = plan.problem.space
+    safe, unsafe = (
+        _rows(archive, numbers)
+        for numbers in ([pair.safe.number for pair in pairs], [pair.unsafe.number for pair in pairs])
+    )
+    open_pairs = sorted({trial.pair for trial in Reductions.of(space, safe, unsafe).trials()})
+    return [pairs[place] for place in open_pairs], Reductions.of(space, safe[open_pairs], unsafe[open_pairs])
 
 
 def _rows(archive: Archive, numbers: Sequence[int]) -> FloatArray:

@@ -22,6 +22,11 @@ from brink.server.single_flight import SingleFlightCache
 _SEARCHES_FOR_PAIRS: Final = "edge@1"
 
 
+def searches_for_pairs(algorithm_id: str) -> bool:
+    """Return whether an algorithm searches for pairs; others may find some."""
+    return algorithm_id == _SEARCHES_FOR_PAIRS
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairSettings:
     """Which solutions are a pair, and which pairs are distinct.
@@ -37,7 +42,7 @@ class PairSettings:
     @classmethod
     def of(cls, plan: Plan, eps: float | None = None, d_th: float | None = None) -> "PairSettings":
         """Return the given settings; those of the campaign's search for pairs, or else defaults, where None."""
-        own = plan.body.algorithm.params if plan.body.algorithm.id == _SEARCHES_FOR_PAIRS else {}
+        own = plan.body.algorithm.params if searches_for_pairs(plan.body.algorithm.id) else {}
         return cls(
             eps=float(own.get("eps", DEFAULT_EPS)) if eps is None else eps,
             d_th=float(own.get("d_th", DEFAULT_PAIRS_D_TH)) if d_th is None else d_th,

@@ -146,7 +146,10 @@ def test_ground_truth_in_the_same_episode_tells_whose_hazard_it_is(client: httpx
     assert told["clear"]["outcome"] == "front gap held"
     assert told["hard_rain"]["outcome"] == "violated the front gap at 16.1 s"
     assert (view["component"], view["scenario"]) == (1, 1)
-    assert "1 owe their hazard to the component and 1 to the scenario alone" in view["note"]
+    assert (
+        "with ground truth in place of the component, the unsafe side of 1 of 2 held the front gap (the component's "
+        "hazard), that of 1 violated the front gap all the same (the scenario's hazard)"
+    ) in view["note"]
     before = {one["number"]: one["seed"] for one in solutions(client, campaign)}
     after = solutions(client, asked["campaign"])
     assert [one["seed"] for one in after] == [before[1], before[3]], "the very episodes of the unsafe sides"
@@ -179,6 +182,34 @@ def test_differences_that_do_not_matter_are_taken_back(client: httpx.Client) -> 
     [seed] = {one["seed"] for one in simulated}
     assert seed == told["unsafe"]["seed"], "the episode seed of the unsafe side"
     assert next(one for one in simulated if one["number"] == less["number"])["verdict"] == "unsafe"
+
+
+def test_the_pairs_say_what_can_be_asked_and_what_it_takes(client: httpx.Client) -> None:
+    def offers(campaign: str) -> dict[str, tuple[int, str]]:
+        view = pairs_of(client, campaign)
+        return {one["kind"]: (one["simulations"], one["reason"]) for one in view["offers"]}
+
+    running = submit(client, body(SAFE, UNSAFE))
+    reasons = {reason for _, reason in offers(running).values()}
+    assert reasons == {"the campaign is running: wait until it has ended"}
+    alone = worked(client, submit(client, body(SAFE)))
+    assert {reason for _, reason in offers(alone).values()} == {"there is no pair"}
+
+    campaign = finished(client)
+    assert offers(campaign) == {"confirm": (4, ""), "component": (2, ""), "minimise": (6, "")}
+    for kind, (simulations, _) in offers(campaign).items():
+        asked = ask(client, campaign, kind=kind, d_th=0.01)
+        assert asked["budget"] == simulations * (10 if kind == "confirm" else 1)
+        same = f"this has been requested: campaign {asked['campaign']} is running"
+        assert offers(campaign)[kind] == (0, same)
+        worked(client, asked["campaign"])
+    assert offers(campaign) == {
+        "confirm": (4, ""),
+        "component": (2, "all unsafe sides have been simulated with ground truth"),
+        "minimise": (6, "the differences of all pairs have been taken back one by one"),
+    }
+    minimal = worked(client, submit(client, body(ICY_SAFE, ICY_UNSAFE)))
+    assert offers(minimal)["minimise"][1] == "no difference can be taken back alone: all pairs are minimal"
 
 
 @on_sqlite
@@ -216,6 +247,9 @@ def test_computed_pairs_are_minimised_without_workers(client: httpx.Client) -> N
     asked = ask(client, campaign, kind="minimise", eps=0.1, d_th=0.1)
     assert FakeWorker(client).work(asked["campaign"])["status"] == "finished"
     view = expect(client.get(f"{API}/{campaign}/pairs", params=params))
+    reasons = {one["kind"]: one["reason"] for one in view["offers"]}
+    assert reasons["confirm"] == "mtq@1 is computed, not simulated: other seeds give the same verdicts"
+    assert reasons["component"] == "mtq@1 has no component that ground truth can replace"
     states = {pair["minimality"]["state"] for pair in view["pairs"]}
     assert states <= {"minimal", "not minimal"}
     for kind, pointer in (("confirm", "/repeats"), ("component", "/ground_truth")):
@@ -278,11 +312,11 @@ def test_the_command_asks_and_then_shows_what_came(listening_client: httpx.Clien
     for one in pairs_of(listening_client, campaign)["follow_ups"]:
         worked(listening_client, one["campaign"])
     text = " ".join(shown().split())
-    assert "Minimal change:" in text
+    assert "minimal change:" in text
     view = PairsView.model_validate(json.loads(shown("--json")))
     assert [one.status for one in view.follow_ups] == ["finished"] * 3
     assert {evidence_words(view, pair) for pair in view.pairs} == {
-        "found once, confirmed 0/5 5/5, component's hazard, not minimal",
+        "found once, confirmed 0/5 5/5, component's hazard, 1 of 3 differences is enough",
         "found once, confirmed 0/5 5/5, scenario's hazard, minimal",
     }
 

@@ -56,7 +56,7 @@ def test_pairs_are_close_have_opposite_verdicts_and_lie_apart(client: httpx.Clie
     assert (view["distinct"], len(view["pairs"])) == (len(view["pairs"]), view["distinct"])
     assert view["tight"] >= view["distinct"] >= 3
     assert (view["safe"] + view["unsafe"], view["chancy"]) == (200, 0)
-    assert view["note"] == f"{view['distinct']} distinct pairs, 0 checked"
+    assert view["note"] == f"{view['distinct']} distinct pairs across the boundary, 0 checked"
     middles = []
     for place, pair in enumerate(view["pairs"], start=1):
         (x, y, safe), (u, v, unsafe) = (where[pair[side]["number"]] for side in ("safe", "unsafe"))
@@ -167,7 +167,7 @@ def test_a_pair_is_checked_if_both_sides_kept_their_verdicts(client: httpx.Clien
     sides = [(pair["checked"], pair["safe"]["number"], pair["unsafe"]["number"]) for pair in view["pairs"]]
     assert sides == [(True, 1, 0), (False, 3, 2)]
     assert [pair["safe"]["evaluated"] for pair in view["pairs"]] == [2, 1]
-    assert view["note"] == "2 distinct pairs, 1 checked"
+    assert view["note"] == "2 distinct pairs across the boundary, 1 checked"
     assert [pair["minimality"]["state"] for pair in view["pairs"]] == ["minimal", "minimal"], (
         "one number differs"
     )
@@ -194,6 +194,7 @@ def test_computed_verdicts_need_no_seeds(client: httpx.Client) -> None:
     assert FakeWorker(client).work(campaign)["status"] == "finished"
     view = pairs_of(client, campaign, eps=0.05, d_th=0.05)
     assert view["computed"]
+    assert view["note"] == f"{view['distinct']} distinct pairs across the boundary", "nothing to check"
     assert {pair["unsafe"]["outcome"] for pair in view["pairs"]} == {"unsafe"}
 
 
@@ -228,7 +229,7 @@ def test_the_command_shows_and_writes_pairs_that_a_monitor_is_judged_on(
     wide = ("--eps", "0.1", "--d-th", "0.1")
     view = json.loads(brink("pairs", campaign, *wide, "--json"))
     shown = brink("pairs", campaign, *wide, "--limit", "2")
-    assert f"{view['distinct']} distinct pairs, 0 checked" in shown
+    assert f"{view['distinct']} distinct pairs across the boundary, 0 checked" in shown
     assert "found once" in shown
     assert f"and {view['distinct'] - 2} more: --limit {view['distinct']}" in shown
     file = tmp_path / "pairs.jsonl"
