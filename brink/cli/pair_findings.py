@@ -1,0 +1,154 @@
+"""The pairs at the end of `brink run`: first where the search looked for them, otherwise in one line."""
+
+import math
+from pathlib import Path
+from typing import Any, Final
+
+from rich.console import Console
+from rich.markup import escape
+
+from brink.api.client import Api, CoordinatorError
+from brink.cli.draw import Drawing, FetchedArchive, NoTrace
+from brink.cli.pair_pictures import write_pair
+from brink.cli.pairs import chance_words, fetch_pairs, pairs_table
+from brink.search.analysis.confirmation import Confirmation
+from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, MOST_PAIRS, ComponentPart, PairsView
+from brink.server.campaigns.plan import with_truth
+from brink.server.errors import InvalidInput
+from brink.sim.errors import SimulatorError
+
+_PAIRS_SHOWN: Final = 5
+_FORMATS: Final = ("jsonl", "csv")
+_UNDRAWABLE: Final = (
+    NoTrace, CoordinatorError, SimulatorError, LookupError, ValueError, TypeError, ArithmeticError,
+)  # fmt: skip
+"""A simulator may record anything, so a picture that fails is noted and left out."""
+
+
+class PairFindings:
+    """The distinct pairs of a campaign.
+
+    Args:
+        view: The pairs.
+        fetched: The campaign.
+        tables: The pairs as files, by format.
+    """
+
+    name = "pairs"
+
+    def __init__(self, view: PairsView, fetched: FetchedArchive, tables: dict[str, bytes]) -> None:
+        self._view = view
+        self._fetched = fetched
+        self._tables = tables
+        self._no_picture = ""
+
+    @property
+    def searched(self) -> bool:
+        """Whether the campaign searched for pairs, so that they come first."""
+        return self._view.searched
+
+    def sentence(self) -> str:
+        """Return the findings in one sentence."""
+        return self._view.note
+
+    def summary(self) -> dict[str, Any]:
+        """Return the findings for ``brink run --json``; the pairs themselves are in the files."""
+        return self._view.model_dump(
+            mode="json", exclude={"pairs", "follow_ups", "offers", "name", "campaign"}
+        )
+
+    def show(self, screen: Console) -> None:
+        """Print the first pairs if the search looked for them, otherwise one line."""
+        view = self._view
+        if not self.searched:
+            screen.print(f"pairs across the boundary: {escape(view.note)}", soft_wrap=True)
+            return
+        words, _, rest = view.note.partition("; ")
+        screen.print(f"[bold]{escape(words)}[/bold]{escape('; ' + rest if rest else '')}", soft_wrap=True)
+        if view.pairs:
+            screen.print(
+                "[dim]a pair is two drives that are almost the same, with opposite verdicts; checked: both kept "
+                "theirs with another seed[/dim]"
+                if not view.computed
+                else "[dim]a pair is two solutions that are almost the same, with opposite verdicts[/dim]",
+                soft_wrap=True,
+            )
+            screen.print(pairs_table(view, _PAIRS_SHOWN))
+            if view.distinct > _PAIRS_SHOWN:
+                screen.print(f"[dim]… and {view.distinct - _PAIRS_SHOWN} more in pairs.csv[/dim]")
+        if view.chancy:
+            screen.print(chance_words(view), soft_wrap=True)
+        if self._no_picture:
+            screen.print(f"[yellow]no picture of pair 1: {escape(self._no_picture)}[/yellow]", soft_wrap=True)
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write the pairs to files, unless there is none; return the files."""
+        files = []
+        for form, table in self._tables.items():
+            files.append(folder / f"pairs.{form}")
+            files[-1].write_bytes(table)
+        return files
+
+    async def draw(self, drawing: Drawing) -> list[Path]:
+        """Draw the first pair if the search looked for pairs; return the file."""
+        if not self.searched or not self._view.pairs or drawing.stop.is_set():
+            return []
+        path = drawing.folder / "pair-1.png"
+        try:
+            # Not by workers: after --resume of a finished campaign there is none.
+            await write_pair(drawing.api, self._view, self._view.pairs[0], path, workers=False)
+        except _UNDRAWABLE as error:
+            self._no_picture = str(error)
+            return []
+        return [path]
+
+    def hints(self, campaign: str, database: str) -> list[tuple[str, str]]:
+        """Return commands to suggest to the user next, each with its purpose."""
+        view = self._view
+        if not view.pairs:
+            if not self.searched or view.nearest is None:
+                return []
+            wider = f"pairs {campaign} --eps {_rounded_up(view.nearest.distance)}{database}"
+            return [(wider, "see the nearest ones; a larger budget.simulations finds nearer ones")]
+        if not self.searched:
+            return [(f"pairs {campaign}{database}", "see its pairs: what changes a verdict")]
+        hints = []
+        untried = any(pair.confirmation.state is Confirmation.NOT_TRIED for pair in view.pairs)
+        unasked = any(pair.component.state is ComponentPart.NOT_TRIED for pair in view.pairs)
+        options = [
+            *([f"--confirm {DEFAULT_CONFIRMATIONS}"] if untried and not view.computed else []),
+            *(["--component"] if unasked and _has_component(self._fetched) else []),
+        ]
+        if options:
+            what = "see which pairs hold with other seeds"
+            if options[-1] == "--component":
+                what = "do they hold with other seeds, and is the component to blame?"
+            hints.append((f"pairs {campaign} {' '.join(options)}{database}", what))
+        if not view.computed:
+            hints.append((f"pairs {campaign} --film 1 pair.mp4{database}", "watch both drives of a pair"))
+        return hints
+
+
+def _rounded_up(distance: float) -> str:
+    """Return a distance in (0, 1] rounded up to two digits, as text."""
+    unit = 10.0 ** (math.floor(math.log10(distance)) - 1)
+    return f"{min(1.0, math.ceil(distance / unit) * unit):.2g}"
+
+
+def _has_component(fetched: FetchedArchive) -> bool:
+    try:
+        with_truth(fetched.plan.problem)
+    except InvalidInput:
+        return False
+    return True
+
+
+async def fetch_pair_findings(api: Api, fetched: FetchedArchive) -> PairFindings:
+    """Return the distinct pairs of a campaign, and their files."""
+    view = await fetch_pairs(api, fetched.id, limit=MOST_PAIRS)
+    path = f"/campaigns/{fetched.id}/pairs"
+    tables = {}
+    for form in _FORMATS if view.pairs else ():
+        table = await api.request("GET", path, params={"limit": MOST_PAIRS, "format": form})
+        tables[form] = table.content
+    return PairFindings(view, fetched, tables)

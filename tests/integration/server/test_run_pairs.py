@@ -1,0 +1,105 @@
+"""The pairs in the summary of `brink run`: first after a search for pairs, in one line after other searches."""
+
+import asyncio
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner
+
+import brink.cli.pair_findings
+from brink.api.client import Api
+from brink.cli.commands import app
+from brink.cli.draw import Drawing, NoTrace, fetch_archive
+from brink.cli.options import with_api
+from brink.cli.pair_findings import PairFindings, fetch_pair_findings
+
+
+@pytest.fixture
+def database(sqlite_file: Path, tmp_path: Path) -> str:
+    return f"sqlite:///{shutil.copyfile(sqlite_file, tmp_path / 'runs.db')}"
+
+
+SEARCH = {"id": "edge@1", "params": {"eps": 0.01}}
+"""At the problem's own eps, the budget is too small for a pair."""
+
+
+def run(folder: Path, database: str, algorithm: dict[str, Any], *options: str) -> str:
+    """Run a campaign on a problem without drives; return what was printed."""
+    body = {
+        "name": "disc", "problem": {"id": "mtq@1"}, "algorithm": algorithm, "budget": {"simulations": 300},
+        "seed": 1,
+    }  # fmt: skip
+    (folder / "disc.json").write_text(json.dumps(body))
+    command = ["run", str(folder / "disc.json"), "--database", database, "--out", str(folder), *options]
+    ran = CliRunner().invoke(app, command)
+    assert ran.exit_code == 0, ran.output
+    return ran.stdout
+
+
+def test_a_search_for_pairs_reports_them_first_with_files_and_a_picture(
+    database: str, tmp_path: Path
+) -> None:
+    shown = run(tmp_path, database, SEARCH)
+    lines = [line.strip() for line in shown.splitlines()]
+    count = next(line for line in lines if "distinct pairs across the boundary" in line)
+    pairs = int(count.split()[0])
+    assert pairs > 0
+    assert "checked" not in shown, "computed verdicts are not checked"
+    place = lines.index(count)
+    side = next(index for index, line in enumerate(lines) if "by the measure of the MLCSHE paper" in line)
+    assert place < side
+    assert "DBS (strict DBS)" not in shown
+    [folder] = tmp_path.glob("disc-*")
+    assert len((folder / "pairs.jsonl").read_text().splitlines()) == pairs
+    assert len((folder / "pairs.csv").read_text().splitlines()) == pairs + 1
+    assert (folder / "pair-1.png").read_bytes().startswith(b"\x89PNG")
+    assert {"pairs.jsonl", "pairs.csv", "pair-1.png"} <= set(lines)
+    assert "--confirm" not in shown, "other seeds give the same verdicts"
+
+
+def test_another_search_reports_its_pairs_in_one_line(database: str, tmp_path: Path) -> None:
+    shown = run(tmp_path, database, {"id": "random@1"}, "--no-pictures")
+    [line] = [line for line in shown.splitlines() if line.startswith("pairs across the boundary: ")]
+    assert (
+        "no pair within eps 0.02: the nearest solutions with opposite verdicts" in line or "distinct" in line
+    )
+    assert "DBS (strict DBS)" in shown
+
+
+def test_without_a_pair_nothing_is_written_and_the_summary_says_why(database: str, tmp_path: Path) -> None:
+    shown = run(tmp_path, database, {"id": "edge@1"}, "--no-pictures")
+    assert "no pair within eps 0.002: the nearest solutions with opposite verdicts" in shown
+    assert "pairs.csv" not in shown
+    told = json.loads(run(tmp_path, database, {"id": "edge@1"}, "--json", "--resume", "--no-pictures"))
+    assert told["pairs"]["distinct"] == 0
+    assert not [file for file in told["files"] if "pair" in Path(file).name]
+    [wider] = [line.split()[4] for line in shown.splitlines() if " --eps " in line]
+    assert told["pairs"]["nearest"]["distance"] <= float(wider) <= 1.1 * told["pairs"]["nearest"]["distance"]
+
+
+def test_a_picture_that_cannot_be_drawn_is_left_out_with_a_word(
+    database: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign = json.loads(run(tmp_path, database, SEARCH, "--no-pictures", "--json"))["campaign"]
+
+    async def fails(*_: object, **__: object) -> None:
+        raise NoTrace("the episode of solution 3 failed on this machine: no")
+
+    monkeypatch.setattr(brink.cli.pair_findings, "write_pair", fails)
+
+    async def draw(api: Api) -> tuple[PairFindings, list[Path]]:
+        found = await fetch_pair_findings(api, await fetch_archive(api, campaign))
+        drawing = Drawing(
+            api=api, campaign=campaign, folder=tmp_path, stop=asyncio.Event(), timeout_s=1.0
+        )  # fmt: skip
+        return found, await found.draw(drawing)
+
+    found, files = with_api(None, database, draw)
+    assert files == []
+    screen = Console(record=True, width=120)
+    found.show(screen)
+    assert "no picture of pair 1: the episode of solution 3 failed" in screen.export_text()
