@@ -6,11 +6,14 @@ import httpx
 import pytest
 from playwright.sync_api import Page
 from playwright.sync_api import expect as shown
-from support.api import ball, progress, submit
+from support.api import FakeWorker, ball, eventually, progress, submit
 
 from browser.canvas import changes, picture
-from browser.served import ANY_PAIR, NOBODYS, Served, a_pair, origin
+from browser.served import ANY_PAIR, NOBODYS, PATIENCE_S, URBAN, Served, a_pair, origin
 from browser.visits import Visits
+
+NEAREST = "?eps=1&d_th=1"
+"""Thresholds, in an address, at which a campaign has a single pair: its nearest opposite verdicts."""
 
 
 @pytest.fixture
@@ -85,7 +88,7 @@ def test_one_slider_moves_both_drives(pair: Page) -> None:
 
 def test_a_pair_opens_at_the_violation_and_jumps_back_to_it(pair: Page) -> None:
     opened = clock(pair)
-    jump = pair.get_by_role("button", name="Go to the violation at")
+    jump = pair.get_by_role("button", name="the unsafe drive's violation")
     shown(jump).to_contain_text(f"{opened:.1f} s")
     pair.get_by_label("Time in the episode").press("End")
     assert clock(pair) > opened
@@ -98,6 +101,50 @@ def test_a_pair_that_is_none_leads_to_the_list_and_the_solutions(site: Served, v
     shown(page.get_by_role("heading", name="No such pair")).to_be_visible()
     page.get_by_role("link", name="All pairs").click()
     shown(page.get_by_role("heading", name="Pairs", exact=True)).to_be_visible()
+
+
+def test_a_pair_is_followed_up_from_the_list_and_the_answer_appears_on_its_page(
+    site: Served, visit: Visits
+) -> None:
+    campaign = submit(site.client, {**URBAN, "name": "asked", "seed": 9})
+    eventually(
+        lambda: progress(site.client, campaign)["status"] == "finished", "the campaign ends", PATIENCE_S
+    )
+    found, _ = a_pair(site.client, campaign, NEAREST)
+    page = visit(site.url, f"#/campaigns/{campaign}/pairs{NEAREST}")
+    shown(page.get_by_role("link", name="Pair 1:")).to_be_visible()
+    blame = page.get_by_role("group", name="Is the component to blame?")
+    shown(blame.get_by_text(re.compile(r"^\d+ simulations?\.$"))).to_be_visible()
+    blame.get_by_role("button", name="Ask").click()
+    shown(blame.get_by_text("All unsafe sides have been simulated with ground truth.")).to_be_visible(
+        timeout=60_000
+    )
+    shown(blame.get_by_role("button", name="Ask")).to_be_disabled()
+    shown(blame.get_by_text("finished")).to_be_visible()
+    after, _ = a_pair(site.client, campaign, NEAREST)
+    row = page.get_by_role("row").filter(has_text="Pair 1").first
+    shown(row).to_contain_text(f"{after['component']['state']}'s hazard")
+    page.get_by_role("link", name=f"Pair {found['place']}:").click()
+    told = page.get_by_role("region", name="The change", exact=True)
+    shown(told).to_contain_text(f"the unsafe drive: {after['component']['outcome']}")
+    link = told.get_by_role("link", name="That drive").first
+    shown(link).to_have_attribute(
+        "href", f"#/campaigns/{after['component']['campaign']}/solutions/{after['component']['number']}"
+    )
+
+
+def test_what_cannot_be_asked_is_disabled_with_the_reason(own: httpx.Client, visit: Visits) -> None:
+    campaign = submit(own, ball(name="running", simulations=40))
+    page = visit(origin(own), f"#/campaigns/{campaign}/pairs?eps=1&d_th=0")
+    shown(page.get_by_text("no solution has been evaluated: no pair")).to_be_visible()
+    FakeWorker(own).work(campaign)
+    shown(page.get_by_role("button", name="Confirm")).to_be_enabled(timeout=20_000)
+    cost = page.get_by_role("group", name="Do they hold?").locator("#cost-confirm")
+    before = cost.inner_text()
+    page.get_by_label("Simulations of each side").fill("20")
+    assert int(cost.inner_text().split()[0].replace(",", "")) == 2 * int(before.split()[0].replace(",", ""))
+    shown(page.get_by_role("button", name="Ask")).to_be_disabled()
+    shown(page.get_by_text("Ball@1 has no component that ground truth can replace.")).to_be_visible()
 
 
 def test_the_page_of_a_campaign_shows_its_pairs(site: Served, visit: Visits) -> None:

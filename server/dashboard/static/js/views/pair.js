@@ -1,12 +1,13 @@
 /** One pair: the change in words, both drives from above on one clock, and what was reported in each over time. */
 
+import { isOpen } from "../api.js";
 import { h, replace } from "../dom.js";
 import { capital } from "../format.js";
 import { link } from "../router.js";
 import { badge } from "../parts/elements.js";
 import { askedFor, pairLink, pairsPath } from "./pairs.js";
 import { differingSpans, overTime } from "./pair/chart.js";
-import { differences, evidence, evidenceWords, findings, said, share } from "./pair/words.js";
+import { differences, evidence, evidenceWords, findingsAtLength, said, share } from "./pair/words.js";
 import { camera } from "./solution/camera.js";
 import { Episode, Player, seconds } from "./solution/episode.js";
 import { map } from "./solution/map.js";
@@ -31,18 +32,36 @@ export async function show(main, context, { parts, query }) {
   const pair = read.pairs[at];
   context.title(`Pair ${pair.place}, ${campaign.name}`);
   const place = h("div.stack.replay-place");
+  const known = h("span");
+  const change = h("section.card.the-change", { "aria-label": "The change" });
+  const sides = h("div.grid-2");
   replace(main, crumb,
-    h("div.head", null, h("h1", null, `Pair ${pair.place}`), evidence(pair, read.computed),
+    h("div.head", null, h("h1", null, `Pair ${pair.place}`), known,
       h("nav.actions.push", { "aria-label": "Pairs" },
         at > 0 && h("a.button", { href: pairLink(id, read.pairs[at - 1], asked) }, "Previous"),
         at + 1 < read.pairs.length && h("a.button", { href: pairLink(id, read.pairs[at + 1], asked) }, "Next"))),
     h("div.stack", null,
-      h("section.card.the-change", { "aria-label": "The change" }, h("h2", null, "The change"), h("p.lead", null, said(pair.change)),
-        h("p", null, h("strong", null, "What it does: "), `${pair.unsafe.outcome}; without it: ${pair.safe.outcome}.`),
-        h("p.hint", null, [seeds(pair, read.computed), evidenceWords(pair, read.computed), ...findings(pair)].filter(Boolean).join(" "))),
-      h("div.grid-2", null, SIDES.map((name) => sideCard(id, name, pair, read.computed))),
-      place,
+      change, sides, place,
       h("section.card", { "aria-label": "Differences" }, h("h2", null, "Differences"), differences(pair))));
+  tell(pair);
+  let told = JSON.stringify(pair);
+  context.watch(pairsPath(id, asked), (next) => {
+    const found = next.pairs.find((one) => one.safe.number === numbers[0] && one.unsafe.number === numbers[1]);
+    if (!found || JSON.stringify(found) === told) return;
+    told = JSON.stringify(found);
+    tell(found);
+  }, { busy: (next) => next.follow_ups.some(({ status }) => isOpen(status)), refuse: () => {} });
+
+  /** Show what is known of the pair, which follow-ups extend. */
+  function tell(now) {
+    replace(known, evidence(now, read.computed));
+    replace(change, h("h2", null, "The change"), h("p.lead", null, said(now.change)),
+      h("p", null, h("strong", null, "What it does: "), `${now.unsafe.outcome}; without it: ${now.safe.outcome}.`),
+      h("p.hint", null, [seeds(now, read.computed), evidenceWords(now, read.computed)].filter(Boolean).join(" ")),
+      findingsAtLength(now),
+      h("p.hint", null, h("a", { href: link("campaigns", id, "pairs", asked) }, "Ask more about the pairs")));
+    replace(sides, SIDES.map((name) => sideCard(id, name, now, read.computed)));
+  }
 
   if (read.computed) return;
   const paths = SIDES.map((name) => `campaigns/${id}/solutions/${pair[name].number}`);

@@ -1,11 +1,13 @@
 /** The pairs of a campaign: two solutions that are almost the same, one safe and one unsafe, and the change in words. */
 
+import { isOpen } from "../api.js";
 import { h, keyed, replace, text } from "../dom.js";
 import { capital, count, figure, plural } from "../format.js";
 import { loadOnNews } from "../polling.js";
 import { link, rewrite } from "../router.js";
 import { badge } from "../parts/elements.js";
-import { evidence, said, share } from "./pair/words.js";
+import { followUps } from "./pair/follow_ups.js";
+import { evidence, findings, said, share } from "./pair/words.js";
 
 const MOST = 1000;
 const FEW = 5;
@@ -41,6 +43,7 @@ export async function show(main, context, { parts, query }) {
   let asked = askedFor(query);
   const table = pairTable(id, () => asked);
   const about = h("p.hint");
+  const more = followUps(context, id, () => asked, () => polling.now({ afresh: true }));
   const fields = ["eps", "d_th"].map((name) => h("input", { id: `pairs-${name}`, name, type: "number", min: 0, max: 1, step: "any", value: asked[name] ?? "", onchange: choose }));
   replace(main,
     h("p.crumb", null, h("a", { href: link("campaigns") }, "Campaigns"), " / ", h("a", { href: link("campaigns", id) }, name)),
@@ -48,7 +51,7 @@ export async function show(main, context, { parts, query }) {
     h("div.stack", null, h("section.card", { "aria-label": "Pairs" },
       h("div.inline", null, h("label", { title: "Largest distance between the sides of a pair" }, "eps ", fields[0]),
         h("label", { title: "Smallest distance between two pairs" }, "d_th ", fields[1])),
-      words, table, about)));
+      words, table, about), more));
 
   const polling = context.watch(() => pairsPath(id, asked), (read) => {
     state.update(read.status);
@@ -56,7 +59,8 @@ export async function show(main, context, { parts, query }) {
     text(words, said(read.note));
     table.update(read);
     text(about, aboutPairs(read));
-  }, { busy: (read) => !read.complete });
+    more.update(read);
+  }, { busy: (read) => !read.complete || read.follow_ups.some(({ status }) => isOpen(status)) });
 
   function choose() {
     asked = Object.fromEntries(fields.map((field) => [field.name, within(field.value)]));
@@ -105,7 +109,7 @@ function pairTable(id, asked) {
     return h("tr", null,
       h("th", { scope: "row" }, h("a.row", { href: pairLink(id, pair, asked()), "aria-label": `Pair ${pair.place}: ${pair.change}` }, `Pair ${pair.place}`)),
       h("td.change", null, h("div", null, capital(pair.change)), ["unsafe", "safe"].map((side) => outcome(pair, side))),
-      h("td", null, evidence(pair, computed)),
+      h("td", null, evidence(pair, computed), findings(pair).map((words) => h("div.small", null, words))),
       h("td.right.wide-only", null, figure(pair.distance)));
   }
 
@@ -116,7 +120,7 @@ function pairTable(id, asked) {
 
   node.update = (read) => {
     node.hidden = read.pairs.length === 0;
-    keyed(body, read.pairs, (pair) => JSON.stringify([pair.place, pair.safe.number, pair.unsafe.number, pair.words, pair.confirmation, pair.checked]), (pair) => row(pair, read.computed));
+    keyed(body, read.pairs, (pair) => JSON.stringify([pair.place, pair.safe.number, pair.unsafe.number, pair.words, pair.confirmation, pair.component, pair.minimality, pair.checked]), (pair) => row(pair, read.computed));
   };
   return node;
 }

@@ -1,7 +1,8 @@
 /** What is known of a pair, as badges and sentences. */
 
 import { h } from "../../dom.js";
-import { capital, count, figure, percent, sentence } from "../../format.js";
+import { capital, count, figure, percent, plural, sentence } from "../../format.js";
+import { link } from "../../router.js";
 import { badge } from "../../parts/elements.js";
 
 const STATES = { confirmed: "confirmed", "not confirmed": "not-confirmed", "too few drives": "found", "not tried": "found" };
@@ -18,28 +19,49 @@ export function evidence(pair, computed) {
 export function evidenceWords(pair, computed) {
   if (computed) return "Verdicts of this problem are computed, so both sides always keep theirs.";
   const { state } = pair.confirmation;
-  if (state === "confirmed") return "Confirmed: with other seeds, the safe side stays safe and the unsafe side unsafe.";
+  if (state === "confirmed") return "Confirmed: with other seeds, the safe side was unsafe in at most 20% of the simulations and the unsafe side in at least 80%.";
   if (state === "not confirmed") return "Not confirmed: with other seeds, a side does not keep its verdict.";
   const search = pair.checked ? "Checked: both sides kept their verdicts in a further simulation of the search." : "Found once: each side was simulated once.";
   return state === "too few drives" ? `${search} There are too few simulations with other seeds to confirm it.` : `${search} Not simulated again with other seeds.`;
 }
 
 const COMPONENT = {
-  component: "With ground truth in place of the component, the unsafe drive is safe: the hazard is the component's.",
-  scenario: "With ground truth in place of the component, the unsafe drive is unsafe, too: the scenario alone is to blame.",
-  failed: "The unsafe drive has no verdict with ground truth in place of the component.",
-  pending: "The unsafe drive is being simulated with ground truth in place of the component.",
+  component: ({ outcome }) => `With ground truth in place of the component, the unsafe drive: ${outcome}. The hazard is the component's.`,
+  scenario: ({ outcome }) => `With ground truth in place of the component, the unsafe drive: ${outcome}. The scenario alone is to blame.`,
+  failed: () => "The unsafe drive has no verdict with ground truth in place of the component.",
+  pending: () => "The unsafe drive is being simulated with ground truth in place of the component.",
 };
-const MINIMALITY = {
-  minimal: "Minimal: no difference can be taken back without losing the opposite verdicts.",
-  "not minimal": "Not minimal: some of the differences can be taken back without losing the opposite verdicts.",
-  undecided: "Whether every difference matters is undecided: some simulations failed.",
-  pending: "Differences are being taken back one by one.",
-};
+const PARTS = { component: "component's hazard", scenario: "scenario's hazard" };
 
-/** Return sentences about the component's part and whether every difference matters; empty where that was not tried. */
+/** Return short words for a list: whose hazard it is, and how many differences matter; empty where that was not tried. */
 export function findings(pair) {
-  return [COMPONENT[pair.component.state], MINIMALITY[pair.minimality.state]].filter(Boolean);
+  return [PARTS[pair.component.state], lessWords(pair)].filter(Boolean);
+}
+
+function lessWords({ minimality, changes }) {
+  if (minimality.unsafe) return `${count(minimality.unsafe.changes.length)} of ${plural(changes.length, "difference")} ${minimality.unsafe.changes.length === 1 ? "is" : "are"} enough`;
+  return minimality.state === "minimal" ? "minimal" : "";
+}
+
+/** Return paragraphs about the component's part and the differences that matter; empty where that was not tried. */
+export function findingsAtLength(pair) {
+  const { component, minimality } = pair;
+  const part = COMPONENT[component.state]?.(component);
+  return [
+    part && h("p", null, `${part} `, PARTS[component.state] && h("a", { href: link("campaigns", component.campaign, "solutions", component.number) }, "That drive")),
+    minimalityAtLength(pair, minimality),
+  ].filter(Boolean);
+}
+
+function minimalityAtLength(pair, { state, unsafe, campaign }) {
+  if (unsafe) {
+    return h("p", null, h("strong", null, `${unsafe.minimal ? "Minimal" : "Smaller"} change: `), `${lessWords(pair)}. `,
+      unsafe.change === pair.change ? "In words, the change is the same. " : `${said(unsafe.change)} ${capital(unsafe.outcome)}. `,
+      h("a", { href: link("campaigns", campaign, "solutions", unsafe.number) }, "That drive"));
+  }
+  if (state === "minimal") return h("p", null, "Minimal: no difference can be taken back without losing the opposite verdicts.");
+  if (state === "undecided") return h("p", null, "Whether every difference matters is undecided: some simulations failed.");
+  return state === "pending" ? h("p", null, "Differences are being taken back one by one.") : null;
 }
 
 /** Return the unsafe share of a side with its interval: ``0 of 10: 0%, 0% to 28%``; a dash if it was not tried. */
