@@ -183,7 +183,11 @@ def _print_status(progress: Progress, quarantined: list[JobViewModel], workers: 
         f"{progress.unsafe} unsafe, {progress.failed} failed, {progress.measured} measured on data, "
         f"generation {progress.generation}"
     )
-    if series:
+    if progress.looks_for_pairs:
+        screen.print(
+            f"it looks for pairs across the boundary: {program()} pairs {progress.id}", soft_wrap=True
+        )
+    elif series:
         screen.print(
             f"boundary: {series[-1].dbs} distinct, {series[-1].strict_dbs} strict (fitness at most "
             f"{progress.t_b:g}, {progress.d_th:g} apart) {spark([one.dbs for one in series])}"

@@ -96,7 +96,9 @@ class CampaignDisplay(LiveDisplay):
                 "",
             ),
         ]
-        if not diverse:
+        if progress.looks_for_pairs:  # fitness and boundary are not what it looks for
+            rows = [row for row in rows if row[0] != "best fitness"]
+        elif not diverse:
             boundary = f"{last.dbs} distinct, {last.strict_dbs} strict" if last else "–"
             rows.insert(2, ("boundary", boundary, spark([one.dbs for one in self._series])))
         if progress.measured:

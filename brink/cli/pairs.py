@@ -349,7 +349,9 @@ def print_pairs(screen: Console, view: PairsView) -> None:
     for words in _legend(view):
         screen.print(f"[dim]{words}[/dim]", soft_wrap=True)
     if view.distinct > len(view.pairs):
-        screen.print(f"[dim]and {view.distinct - len(view.pairs)} more: --limit {view.distinct}[/dim]")
+        screen.print(
+            f"[dim]and {view.distinct - len(view.pairs)} more: --limit {min(view.distinct, MOST_PAIRS)}[/dim]"
+        )
 
 
 def pairs_table(view: PairsView, shown: int | None = None) -> Table:

@@ -36,6 +36,7 @@ from brink.server.api.schemas import (
 from brink.server.campaigns import view_store
 from brink.server.campaigns.archives import ReadArchive
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody, parse_body
+from brink.server.campaigns.pairs import searches_for_pairs
 from brink.server.campaigns.plan import looks_for_boundary
 from brink.server.campaigns.store import CAMPAIGNS, ENDED, Campaign
 from brink.server.campaigns.view_store import read_campaign_progress
@@ -248,6 +249,7 @@ def read_progress(
         unrunnable={needs: n for needs, n in waiting.items() if needs not in capabilities},
         digest=archive.digest if archive is not None else None,
         looks_for_boundary=looks_for_boundary(campaign.body.algorithm.id),
+        looks_for_pairs=searches_for_pairs(campaign.body.algorithm.id),
         origins=view_store.count_origins(connection, campaign.id) if campaign.finished_at else {},
         asking=asking,
         trouble=trouble.reason if trouble else None,

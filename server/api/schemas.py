@@ -113,6 +113,10 @@ class Progress(View):
             description="Whether it searches for the hazard boundary rather than for different violations."
         ),
     ]
+    looks_for_pairs: Annotated[
+        bool,
+        Field(description="Whether it searches for pairs across the boundary: the boundary is a side line."),
+    ] = False
     origins: Annotated[
         dict[str, int],
         Field(description="Number of solutions by origin, once the campaign has ended; empty if unknown."),

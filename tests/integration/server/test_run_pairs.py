@@ -14,8 +14,10 @@ import brink.cli.pair_findings
 from brink.api.client import Api
 from brink.cli.commands import app
 from brink.cli.draw import Drawing, NoTrace, fetch_archive
+from brink.cli.live import CampaignDisplay
 from brink.cli.options import with_api
 from brink.cli.pair_findings import PairFindings, fetch_pair_findings
+from brink.server.api.schemas import Progress
 
 
 @pytest.fixture
@@ -103,3 +105,24 @@ def test_a_picture_that_cannot_be_drawn_is_left_out_with_a_word(
     screen = Console(record=True, width=120)
     found.show(screen)
     assert "no picture of pair 1: the episode of solution 3 failed" in screen.export_text()
+
+
+def test_progress_of_a_search_for_pairs_does_not_speak_of_the_boundary(database: str, tmp_path: Path) -> None:
+    told = json.loads(run(tmp_path, database, SEARCH, "--no-pictures", "--json"))
+    shown = CliRunner().invoke(app, ["status", told["campaign"], "--database", database]).stdout
+    assert f"it looks for pairs across the boundary: brink pairs {told['campaign']}" in " ".join(
+        shown.split()
+    )
+    assert "distinct" not in shown
+
+    async def progress(api: Api) -> Progress:
+        return await api.read(Progress, f"/campaigns/{told['campaign']}/progress")
+
+    found = with_api(None, database, progress)
+    screen = Console(record=True, width=160)
+    with CampaignDisplay(screen) as display:
+        display.show(found)
+    line = screen.export_text()
+    assert "unsafe" in line
+    assert "fitness" not in line
+    assert "strict" not in line
