@@ -97,7 +97,7 @@ class PairPainter:
             _draw_chip(draw, name, (left, self._words_y), unit)
             text, at = (
                 f"solution {side.number}: {outcome_words(side, story)}",
-                (left + 84 * unit, self._words_y + unit),
+                (left + 98 * unit, self._words_y + unit),
             )
             _fit(draw, at, text, self._map_size[0] - 86 * unit, round(13 * unit), bold=True)
 
@@ -120,7 +120,7 @@ class PairPainter:
             bad = story.violated and time_s >= float(side.trace.time_s[story.decisive]) - 1e-3
             box = (left, self._map_y, left + self._map_size[0] - 1, self._map_y + self._map_size[1] - 1)
             draw.rectangle(box, outline=VIOLATION if bad else HAIRLINE, width=round((4 if bad else 1) * unit))
-            at, font = (left + 84 * unit, self._words_y + 20 * unit), typeface(round(12 * unit))
+            at, font = (left + 98 * unit, self._words_y + 20 * unit), typeface(round(12 * unit))
             draw.text(at, state_words(side, story, time_s), fill=VIOLATION if bad else MUTED, font=font)
         clock, font = f"{time_s:.1f} s", typeface(round(19 * unit), bold=True)
         draw.text((self.size[0] - 14 * unit, 8 * unit), clock, fill=INK, font=font, anchor="ra")
@@ -229,7 +229,7 @@ def _draw_map(
 
 def _side_by_side(story: PairStory) -> Image.Image:
     """Return both maps at the moment, each below its verdict."""
-    gap, chip_px = 16, 106
+    gap, chip_px = 16, 124
     wide = (STILL_WIDTH_PX - 2 * _MARGIN - gap) // 2
     size = wide, 400
     probe = ImageDraw.Draw(Image.new("RGB", (1, 1)))
@@ -296,12 +296,13 @@ def _verdict_lines(draw: ImageDraw.ImageDraw, story: PairStory, index: int, widt
 
 
 def _draw_chip(draw: ImageDraw.ImageDraw, name: str, at: tuple[float, float], unit: float) -> None:
-    """Draw the name of a side in white on its colour."""
+    """Draw whether a side held the requirement, in white on its colour: what else it violated is said beside it."""
     left, top = at
     colour = SAFE_DRIVE if name == SAFE else UNSAFE_DRIVE
-    draw.rounded_rectangle((left, top, left + 76 * unit, top + 22 * unit), radius=4 * unit, fill=colour)
+    draw.rounded_rectangle((left, top, left + 90 * unit, top + 22 * unit), radius=4 * unit, fill=colour)
     font = typeface(round(13 * unit), bold=True)
-    draw.text((left + 38 * unit, top + 11 * unit), name.upper(), fill=PAPER, font=font, anchor="mm")
+    word = "HELD" if name == SAFE else "VIOLATED"
+    draw.text((left + 45 * unit, top + 11 * unit), word, fill=PAPER, font=font, anchor="mm")
 
 
 def _camera(story: PairStory) -> Image.Image | None:

@@ -29,6 +29,11 @@ export function outcomeBadge(one) {
   return node;
 }
 
+/** Return a badge of whether a solution held the requirement that decides its verdict, in the colour of its outcome. */
+export function requirementBadge(one) {
+  return badge(OUTCOMES[one.kind], one.kind === "violated" ? "violated" : "held");
+}
+
 function outcomeWords(one) {
   return one.outcome ? [OUTCOMES[one.kind], one.outcome] : [one.verdict];
 }

@@ -4,7 +4,7 @@ import { isOpen } from "../api.js";
 import { h, replace } from "../dom.js";
 import { capital } from "../format.js";
 import { link } from "../router.js";
-import { badge } from "../parts/elements.js";
+import { badge, requirementBadge } from "../parts/elements.js";
 import { askedFor, pairLink, pairsPath } from "./pairs.js";
 import { differingSpans, overTime } from "./pair/chart.js";
 import { differences, evidence, evidenceWords, findingsAtLength, said, share } from "./pair/words.js";
@@ -83,7 +83,7 @@ function seeds(pair, computed) {
 function sideCard(id, name, pair, computed) {
   const side = pair[name];
   return h("section.card", { class: `side ${name}`, "aria-label": `The ${name} side` },
-    h("div.headed", null, badge(name), h("h2", null, capital(side.outcome))),
+    h("div.headed", null, requirementBadge(side), h("h2", null, capital(side.outcome))),
     h("p", null, side.words),
     h("p.hint", null, !computed && (pair.confirmation[name].evaluated ? `Unsafe with other seeds in ${share(pair.confirmation[name])}. ` : "Not simulated again with other seeds. "),
       h("a", { href: link("campaigns", id, "solutions", side.number) }, `Solution ${side.number}${computed ? "" : " with its replay"}`)));
