@@ -16,6 +16,7 @@ from brink.server.api import (
     analysis,
     campaigns,
     episodes,
+    experiment_pairs,
     experiments,
     findings,
     jobs,
@@ -41,6 +42,7 @@ from brink.server.dashboard.page import add_dashboard
 from brink.server.db.engine import Engines, open_engines
 from brink.server.db.writer import Writer
 from brink.server.errors import Unavailable
+from brink.server.experiments.pairs import PairCache
 from brink.server.experiments.service import ExperimentService, ScoreCache
 from brink.server.llm.seeds import LlmSeeds
 from brink.server.metrics import Metrics
@@ -135,7 +137,8 @@ def _routes() -> list[BaseRoute]:
         jobs.wire, jobs.router, campaigns.router, findings.combinations_router, solutions.router, episodes.router,
         outcomes.router,
         findings.violations_router, campaigns.llm_router, analysis.monitors_router, repeats.router,
-        pairs.router, experiments.router, service.router, campaigns.overview_router, analysis.router,
+        pairs.router, experiments.router, experiment_pairs.router, service.router, campaigns.overview_router,
+        analysis.router,
     ):  # fmt: skip
         api.include_router(router)
     everything = APIRouter(
@@ -192,6 +195,7 @@ def _context(
         archives=archives,
         outcomes=Outcomes(engines=engines),
         pairs=Pairs(threads=drawing),
+        experiment_pairs=PairCache(engines=engines, archives=archives, threads=drawing),
         films=Films(engines=engines),
         seeds=seeds,
         metrics=metrics,

@@ -161,6 +161,77 @@ def report(
 
 
 @experiment.command()
+def pairs(
+    name: ExperimentId,
+    confirm: Annotated[
+        int | None,
+        typer.Option(
+            "--confirm",
+            metavar="R",
+            min=5,
+            max=10_000,
+            show_default=False,
+            help="Simulate both sides of every pair R times with other seeds first, such as 10.",
+        ),
+    ] = None,
+    component: Annotated[
+        bool,
+        typer.Option(
+            "--component", help="Simulate each unsafe side with ground truth in place of the component first."
+        ),
+    ] = False,
+    eps: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            show_default=False,
+            help="Largest distance between the sides of a pair (default: the experiment's, else 0.02).",
+        ),
+    ] = None,
+    d_th: Annotated[
+        float | None,
+        typer.Option(
+            "--d-th",
+            min=0.0,
+            max=1.0,
+            show_default=False,
+            help="Smallest distance between two distinct pairs (default: the experiment's, else 0.2).",
+        ),
+    ] = None,
+    workers: Workers = 2,
+    database: Database = None,
+    server: Server = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare algorithms by the pairs that they found: two drives that are almost the same, one safe, one unsafe.
+
+    All campaigns are searched for pairs with the same --eps and --d-th. What --confirm and --component find out is
+    stored and shown from then on. Without --server, the command runs a coordinator and workers until it is known;
+    calling it again continues.
+
+    Example: brink experiment pairs 3f2a
+
+    Example: brink experiment pairs 3f2a --confirm 10 --component
+    """
+    from brink.cli.experiment_pairs import fetch_experiment_pairs, follow_up_here, print_experiment_pairs
+
+    settings = {key: value for key, value in (("eps", eps), ("d_th", d_th)) if value is not None}
+    screen, complete = console(stderr=as_json), True
+    if confirm or component:
+        complete = follow_up_here(
+            name, settings, screen, confirm=confirm or 0, component=component, workers=workers,
+            server=server, database=database,
+        )  # fmt: skip
+    found = with_api(server, database, lambda api: fetch_experiment_pairs(api, name, screen, **settings))
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+    else:
+        print_experiment_pairs(screen, found)
+    raise typer.Exit(int(not complete))
+
+
+@experiment.command()
 def pause(name: ExperimentId, database: Database = None, server: Server = None) -> None:
     """Pause an experiment. Its queued jobs wait; running ones still report their results.
 

@@ -1,29 +1,36 @@
 """Running an experiment to its end on this machine, and its results as tables, figures and a report."""
 
 import asyncio
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console, Group
-from rich.table import Table
-from rich.text import Text
+from rich.console import Console
 
 from brink.api.client import Api
-from brink.cli.live import LiveDisplay, budget_bar, duration, rate_of
+from brink.cli.experiment_pairs import (
+    fetch_experiment_pairs,
+    pair_repeats_of,
+    print_experiment_pairs,
+    run_follow_ups,
+)
+from brink.cli.experiment_progress import POLL_S, ExperimentDisplay
+from brink.cli.follow_ups import OPEN
 from brink.cli.local import RunOptions, Session, check_extra, run_to_end
 from brink.cli.options import console, file_name, plain_table, print_json
-from brink.report.experiment import html_report, markdown_report, sentences
+from brink.report.experiment import ReportedPairs, html_report, markdown_report, sentences
 from brink.search.analysis.comparison import Repeat, duels, standings
+from brink.search.analysis.pair_comparison import problems_of
 from brink.search.analysis.paper import Measure
 from brink.search.analysis.scores import Control, Figures, Scores
+from brink.server.api.experiment_pairs import ExperimentPairs
 from brink.server.api.experiments import Results
 from brink.server.api.schemas import (
     ControlView,
     ExperimentList,
     ExperimentProgress,
+    ExperimentSummary,
     ExperimentView,
     MemberView,
     RepeatView,
@@ -34,8 +41,6 @@ from brink.server.errors import InvalidInput
 from brink.server.experiments.body import ExperimentBody
 from brink.server.experiments.pairs import check_pairs
 from brink.server.states import CampaignStatus
-
-POLL_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +60,7 @@ def run_experiment(body: ExperimentBody, options: RunOptions) -> FinishedExperim
     """Run an experiment to its end on this machine and write its report.
 
     Returns:
-        The results; None if the experiment was stopped or ended unfinished.
+        The results; None if the experiment was stopped or ended unfinished, or follow-ups of its pairs did.
 
     Raises:
         InvalidInput: A campaign of the experiment cannot run.
@@ -69,7 +74,18 @@ def run_experiment(body: ExperimentBody, options: RunOptions) -> FinishedExperim
     check_pairs(body)
     screen = console(stderr=options.json)
 
-    async def finish(session: Session, progress: ExperimentProgress) -> FinishedExperiment:
+    async def finish(session: Session, progress: ExperimentProgress) -> FinishedExperiment | None:
+        complete = True
+        if body.pairs is not None and (body.pairs.confirm or body.pairs.component):
+            pairs = await fetch_experiment_pairs(session.api, progress.id, screen)
+            wanted = body.pairs
+            complete = await run_follow_ups(
+                session, pairs, confirm=wanted.confirm, component=wanted.component
+            )  # fmt: skip
+            if session.stop.is_set():
+                screen.print("stopped; nothing is lost")
+                session.hint("continue with", f"experiment run {options.file} --resume")
+                return None
         results = await fetch_results(session.api, progress.id, screen)
         folder = options.out / f"{file_name(body.name)}-{progress.id}"
         with screen.status("drawing"):
@@ -79,7 +95,7 @@ def run_experiment(body: ExperimentBody, options: RunOptions) -> FinishedExperim
         else:
             print_results(screen, results)
             screen.print(f"report: {folder / 'report.html'}", soft_wrap=True)
-        return FinishedExperiment(results=results, folder=folder)
+        return FinishedExperiment(results=results, folder=folder) if complete else None
 
     return run_to_end(ExperimentRun(body), options, screen, finish)
 
@@ -97,9 +113,16 @@ class ExperimentRun:
         """Return the latest experiment from this file with one of these statuses and no deleted campaign, if any."""
         params = {"document_hash": self.body.document_hash(), "limit": 100}
         for one in (await api.read(ExperimentList, "/experiments", params)).experiments:
-            if one.status in statuses and not one.deleted:
+            if not one.deleted and (one.status in statuses or await self._is_followed_up(api, one)):
                 return await api.read(ExperimentProgress, f"/experiments/{one.id}/progress")
         return None
+
+    async def _is_followed_up(self, api: Api, one: ExperimentSummary) -> bool:
+        """Return whether an experiment has finished, but not the follow-ups of its pairs."""
+        if self.body.pairs is None or one.status is not CampaignStatus.FINISHED:
+            return False
+        progress = await api.read(ExperimentProgress, f"/experiments/{one.id}/follow-ups")
+        return progress.status in OPEN
 
     async def resume(self, api: Api, found: ExperimentProgress) -> None:
         """Resume the paused campaigns of the experiment."""
@@ -132,60 +155,6 @@ class ExperimentRun:
     def reasons(self, progress: ExperimentProgress) -> Sequence[str]:
         """Return which campaigns are paused, and why."""
         return [f"campaign {reason}" for reason in progress.paused]
-
-
-class ExperimentDisplay(LiveDisplay):
-    """Progress display of an experiment and its campaigns."""
-
-    def show(self, progress: ExperimentProgress, members: Sequence[MemberView]) -> None:
-        """Show the progress of an experiment."""
-        self._update(lambda: _panel(progress, members), lambda: _line(progress))
-
-
-def _panel(progress: ExperimentProgress, members: Sequence[MemberView]) -> Group:
-    rows = [
-        ("campaigns", f"{progress.finished} of {progress.campaigns} finished"),
-        ("rate", f"{rate_of(progress.rate_per_s)}   remaining {duration(progress.remaining_s)}"),
-        (
-            "workers",
-            f"{progress.workers or 'none yet'}   running {progress.leased}   queued {progress.queued}",
-        ),
-    ]
-    if progress.failed or progress.quarantined:
-        rows.append(("failed", f"{progress.failed}   quarantined {progress.quarantined}"))
-    rows += [("paused", reason) for reason in progress.paused]
-    if progress.trouble:
-        rows.append(("trouble", progress.trouble))
-    facts = Table.grid(padding=(0, 2))
-    for name, value in rows:
-        facts.add_row(Text(name, style="dim"), Text(value))
-    return Group(budget_bar(progress.name, progress.simulations, progress.budget), facts, _methods(members))
-
-
-def _methods(members: Sequence[MemberView]) -> Table:
-    """Return a table of the campaigns by method."""
-    several = len({member.problem for member in members}) > 1
-    campaigns, finished, simulations, unsafe = (Counter[str]() for _ in range(4))
-    for member in members:
-        label = f"{member.method}, {member.problem}" if several else member.method
-        campaigns[label] += 1
-        finished[label] += member.status is CampaignStatus.FINISHED
-        simulations[label] += member.simulations
-        unsafe[label] += member.unsafe
-    columns = ("finished", "simulations", "unsafe")
-    table = plain_table("method", *columns, right=columns)
-    for label, count in campaigns.items():
-        share = f"{unsafe[label] / simulations[label]:.0%}" if simulations[label] else "–"
-        table.add_row(Text(label), f"{finished[label]} of {count}", f"{simulations[label]:,}", share)
-    return table
-
-
-def _line(progress: ExperimentProgress) -> str:
-    return (
-        f"{progress.simulations}/{progress.budget} simulations, {progress.finished} of "
-        f"{progress.campaigns} campaigns finished, {rate_of(progress.rate_per_s)}, "
-        f"remaining {duration(progress.remaining_s)}, workers {progress.workers}"
-    )
 
 
 async def fetch_results(api: Api, experiment: str, screen: Console) -> Results:
@@ -233,6 +202,8 @@ def print_results(screen: Console, results: Results) -> None:
     if not repeats:
         screen.print("no campaign has finished yet")
         return
+    if results.pairs is not None:
+        print_experiment_pairs(screen, results.pairs)
     scored, compared = standings(repeats), duels(repeats)
     default = [one for one in scored if (one.t_b, one.d_th) == (DEFAULT_T_B, DEFAULT_D_TH)]
     for problem in dict.fromkeys(one.problem for one in repeats):
@@ -285,11 +256,28 @@ def write_report(results: Results, elapsed_s: float, body: ExperimentBody, folde
                 name = f"figures/{measure}-{kind}{f'-{number}' if len(problems) > 1 else ''}.png"
                 draw(repeats, problem, measure).savefig(folder / name, dpi=DPI, metadata={"Software": None})
                 pictures[problem, measure, kind] = name
+    pairs = None if results.pairs is None else _write_pairs(results.pairs, folder)
     text = markdown_report(
-        body, repeats, pictures, experiment=results.id, created_at=results.created_at, elapsed_s=elapsed_s
-    )
+        body, repeats, pictures, experiment=results.id, created_at=results.created_at, elapsed_s=elapsed_s,
+        pairs=pairs,
+    )  # fmt: skip
     files = [folder / "report.html", folder / "report.md", folder / "results.json"]
     files[0].write_text(html_report(text, results.name, folder), encoding="utf-8")
     files[1].write_text(text, encoding="utf-8")
     files[2].write_text(results.model_dump_json(indent=1) + "\n", encoding="utf-8")
-    return [*files, *(folder / name for name in pictures.values())]
+    drawn = [*(pairs.pictures.values() if pairs else ()), *pictures.values()]
+    return [*files, *(folder / name for name in drawn)]
+
+
+def _write_pairs(pairs: ExperimentPairs, folder: Path) -> ReportedPairs:
+    """Draw the pairs of each problem into the folder of a report."""
+    from brink.plots.experiment import figure_pairs
+    from brink.plots.style import DPI
+
+    repeats, pictures = pair_repeats_of(pairs), {}
+    problems = problems_of(repeats)
+    for number, problem in enumerate(problems, start=1):
+        name = f"figures/pairs{f'-{number}' if len(problems) > 1 else ''}.png"
+        figure_pairs(repeats, problem).savefig(folder / name, dpi=DPI, metadata={"Software": None})
+        pictures[problem] = name
+    return ReportedPairs(repeats=repeats, eps=pairs.eps, d_th=pairs.d_th, pictures=pictures)

@@ -1,7 +1,6 @@
 """`brink pairs`: pairs of drives across the boundary, one safe and one unsafe, and the change between them."""
 
-import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +10,15 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from brink.api.client import Api, CoordinatorError
+from brink.api.client import Api
+from brink.cli.follow_ups import (
+    OPEN,
+    SIMULATED,
+    continue_follow_up,
+    follow_up_options,
+    follow_up_requests,
+    pause_follow_up,
+)
 from brink.cli.local import Session, check_extra, run_locally, stopping
 from brink.cli.options import (
     RESULTS,
@@ -156,7 +163,7 @@ def pairs(
         check_file(option, path, endings)
 
     given = {name: value for name, value in settings.items() if value is not None}
-    asked = _requests(given, confirm, component=component, minimise=minimise)
+    asked = follow_up_requests(given, confirm, component=component, minimise=minimise)
     complete = True
     if asked:
         screen = console(stderr=as_json or (wanted is not Format.TABLE and out is None))
@@ -191,20 +198,6 @@ def pairs(
     raise typer.Exit(int(not complete))
 
 
-def _requests(
-    given: Mapping[str, float], confirm: int | None, *, component: bool, minimise: bool
-) -> list[dict[str, Any]]:
-    """Return the follow-ups to ask for, as bodies of requests."""
-    requests: list[dict[str, Any]] = []
-    if confirm is not None:
-        requests.append({"kind": FollowUpKind.CONFIRM.value, "repeats": confirm, **given})
-    if component:
-        requests.append({"kind": FollowUpKind.COMPONENT.value, **given})
-    if minimise:
-        requests.append({"kind": FollowUpKind.MINIMISE.value, **given})
-    return requests
-
-
 def _follow_up(
     campaign: str,
     requests: Sequence[dict[str, Any]],
@@ -225,21 +218,13 @@ def _follow_up(
             found = await _ask(api, campaign, request, screen)
             if found is not None and found.status in OPEN:
                 screen.print(
-                    f"campaign {found.campaign} simulates them ({_WHAT[found.kind]}); the same command shows what is "
-                    "known so far",
+                    f"campaign {found.campaign} simulates them ({SIMULATED[found.kind]}); the same command shows "
+                    "what is known so far",
                     soft_wrap=True,
                 )
 
     with_api(server, database, ask)
     return True
-
-
-OPEN = (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
-_WHAT = {
-    FollowUpKind.CONFIRM: "both sides of each pair with other seeds",
-    FollowUpKind.COMPONENT: "each unsafe side with ground truth in place of the component",
-    FollowUpKind.MINIMISE: "each unsafe side without one difference at a time",
-}
 
 
 async def _ask(api: Api, campaign: str, request: dict[str, Any], screen: Console) -> FollowUpView | None:
@@ -269,32 +254,21 @@ async def _run(session: Session, campaign: str, requests: Sequence[dict[str, Any
             if not started:
                 session.processes.start(workers)
                 started = True
-            path = f"/campaigns/{view.campaign}"
-            if view.status is CampaignStatus.PAUSED and not view.status_reason:
-                await session.api.post(f"{path}/resume")
-            session.screen.print(f"simulating {_WHAT[view.kind]}", soft_wrap=True)
+            await continue_follow_up(session.api, view)
+            session.screen.print(f"simulating {SIMULATED[view.kind]}", soft_wrap=True)
             progress = await session.watch_campaign(view.campaign)
             if progress.status is CampaignStatus.RUNNING:
-                with contextlib.suppress(CoordinatorError):
-                    await session.api.post(f"{path}/pause")
+                await pause_follow_up(session.api, view.campaign)
             complete = complete and progress.status is CampaignStatus.FINISHED
             if session.stop.is_set():
                 session.hint(
-                    "stopped; nothing is lost. Continue with", f"pairs {campaign} {_options(requests)}"
+                    "stopped; nothing is lost. Continue with",
+                    f"pairs {campaign} {follow_up_options(requests)}",
                 )
                 return False
             if progress.status_reason:
                 session.screen.print(f"[yellow]{escape(progress.status_reason)}[/yellow]", soft_wrap=True)
     return complete
-
-
-def _options(requests: Sequence[dict[str, Any]]) -> str:
-    """Return the options that ask for follow-ups, for hints."""
-    words = [f"--{one['kind']}" + (f" {one['repeats']}" if "repeats" in one else "") for one in requests]
-    words += [
-        f"--{name.replace('_', '-')} {requests[0][name]:g}" for name in ("eps", "d_th") if name in requests[0]
-    ]
-    return " ".join(words)
 
 
 def _format(form: Format | None, out: Path | None, *, as_json: bool) -> Format:

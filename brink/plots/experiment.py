@@ -1,6 +1,7 @@
-"""Figures of an experiment: DBS against d_th and against the share of the budget, as in Figs. 5 and 6 of MLCSHE.
+"""Figures of an experiment: pairs of each method, and DBS against d_th and against the share of the budget.
 
-They show means over the seeds with 95% Student intervals; controls are dashed. Source: Sharifi et al. 2023.
+They show means over the seeds with 95% Student intervals; controls are dashed. Those of DBS are Figs. 5 and 6 of
+Sharifi et al. 2023; those of pairs are ours.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,6 +14,9 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, MaxNLocator
 
 from brink.plots.style import (
+    INK,
+    LABEL_PT,
+    MUTED,
     WIDTH_PX,
     add_legend,
     new_figure,
@@ -22,9 +26,17 @@ from brink.plots.style import (
     style_axes,
 )
 from brink.search.analysis.comparison import Line, Repeat, lines_of
+from brink.search.analysis.pair_comparison import (
+    PairMeasure,
+    PairRepeat,
+    by_method,
+    measure_of,
+    measure_words,
+)
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import Figures
 from brink.search.analysis.statistics import MeanInterval, mean_interval
+from brink.search.space import FloatArray
 
 METHOD_COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#68727b")
 """Colours of the methods in their order, repeated from the eighth on."""
@@ -103,6 +115,68 @@ def figure_by_budget(repeats: Sequence[Repeat], problem: str, measure: Measure, 
         axes.set_xlim(0, 1.02)
         _finish(axes, i, "share of the budget")
     return figure
+
+
+def figure_pairs(repeats: Sequence[PairRepeat], problem: str) -> Figure:
+    """Plot the pairs of each campaign on a problem: a strip for each method, with means and intervals.
+
+    Args:
+        repeats: Finished campaigns.
+        problem: Name of the problem.
+    """
+    methods = by_method(repeats, problem)
+    compared_on = measure_of(repeats, problem)
+    confirmed = compared_on is PairMeasure.CONFIRMED
+    height = 190 + 92 * len(methods)
+    figure = new_figure(
+        height,
+        f"{problem}: {'confirmed distinct pairs' if confirmed else 'distinct pairs'} of each method",
+        "Each dot is a campaign; bars are means over the seeds with 95% intervals. "
+        + ("Rings: all distinct pairs, confirmed or not." if confirmed else measure_words(repeats, problem)),
+    )
+    axes = figure.add_axes((
+        220 / WIDTH_PX, 62 / height, 1 - 480 / WIDTH_PX, 1 - (62 + 108) / height,
+    ))  # fmt: skip
+    for place, ours in enumerate(methods.values()):
+        colour = METHOD_COLOURS[place % len(METHOD_COLOURS)]
+        values = [compared_on.of(one.counts) for one in ours]
+        found = [one.counts.distinct for one in ours]
+        if confirmed:
+            axes.plot(
+                found, place + 0.24 + _stacked(found), "o", markersize=6, markerfacecolor="none",
+                markeredgecolor=MUTED, markeredgewidth=1.1,
+            )  # fmt: skip
+        axes.plot(values, place + _stacked(values), "o", markersize=8, color=colour, alpha=0.75)
+        span = mean_interval([float(value) for value in values])
+        low, high = interval_limits(span)
+        axes.plot([low, high], [place - 0.3] * 2, color=colour, linewidth=2.2)
+        axes.plot([span.mean], [place - 0.3], "|", color=colour, markersize=13, markeredgewidth=2.6)
+        limits = "" if span.low is None else f"  [{low:.1f}, {high:.1f}]"
+        axes.annotate(
+            f"{span.mean:.1f}{limits}", (1, place), xycoords=("axes fraction", "data"), xytext=(10, 0),
+            textcoords="offset points", va="center", ha="left", fontsize=LABEL_PT, color=colour,
+            fontweight="bold", annotation_clip=False,
+        )  # fmt: skip
+    axes.set_yticks(range(len(methods)), list(methods))
+    axes.set_ylim(len(methods) - 0.45, -0.6)
+    most = max((one.counts.distinct for ours in methods.values() for one in ours), default=0)
+    axes.set_xlim(-0.02 * max(1, most), 1.04 * max(1, most))
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=8, integer=True))
+    axes.set_xlabel("pairs in one campaign")
+    style_axes(axes, grid="x")
+    axes.tick_params(axis="y", labelsize=LABEL_PT, length=0, labelcolor=INK)
+    return figure
+
+
+def _stacked(values: Sequence[int]) -> FloatArray:
+    """Return small shifts that keep dots with the same value apart."""
+    seen: dict[int, int] = {}
+    shifts = []
+    for value in values:
+        count = seen[value] = seen.get(value, -1) + 1
+        shifts.append(0.05 * ((count + 1) // 2) * (-1) ** count)
+    found: FloatArray = np.clip(np.array(shifts, np.float64), -0.2, 0.2)
+    return found
 
 
 def interval_limits(span: MeanInterval) -> tuple[float, float]:

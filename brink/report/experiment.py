@@ -5,6 +5,7 @@ It is written as Markdown with separate image files; the HTML page is rendered f
 
 import base64
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from html import escape
 from pathlib import Path
@@ -12,6 +13,8 @@ from pathlib import Path
 from markdown_it import MarkdownIt
 
 from brink import __version__
+from brink.report.experiment_pairs import pair_methods, pair_section
+from brink.report.text import interval_text, p_text, table_row
 from brink.search.analysis.comparison import (
     LEVEL,
     Duel,
@@ -23,9 +26,9 @@ from brink.search.analysis.comparison import (
     standings,
     with_low_controls,
 )
+from brink.search.analysis.pair_comparison import PairRepeat
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import DRAWS, ENOUGH_REPEATS
-from brink.search.analysis.statistics import MeanInterval
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B
 from brink.server.experiments.body import ExperimentBody
 
@@ -45,6 +48,23 @@ code { font-size: .92em; } em { color: #68727b; font-style: normal; }
 """
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportedPairs:
+    """The pairs across the boundary of an experiment.
+
+    Attributes:
+        repeats: The pairs of its finished campaigns.
+        eps: Largest distance between the sides of a pair.
+        d_th: Smallest distance between two distinct pairs.
+        pictures: File name of the figure of each problem.
+    """
+
+    repeats: Sequence[PairRepeat]
+    eps: float
+    d_th: float
+    pictures: Mapping[str, str]
+
+
 def markdown_report(
     body: ExperimentBody,
     repeats: Sequence[Repeat],
@@ -53,8 +73,9 @@ def markdown_report(
     experiment: str,
     created_at: datetime,
     elapsed_s: float,
+    pairs: ReportedPairs | None = None,
 ) -> str:
-    """Return the report as Markdown.
+    """Return the report as Markdown: pairs first where the experiment asks for them, then DBS.
 
     Args:
         body: Body of the experiment.
@@ -63,13 +84,19 @@ def markdown_report(
         experiment: Id of the experiment.
         created_at: Time of submission.
         elapsed_s: Duration of the experiment.
+        pairs: The pairs across the boundary, if the experiment asks for them.
     """
     parts = [f"# {body.name}", _facts(body, repeats, experiment, created_at, elapsed_s)]
     found_standings, found_duels = standings(repeats), duels(repeats)
     for problem in dict.fromkeys(repeat.problem for repeat in repeats):
         heading = f": {problem}" if len(body.problems) > 1 else ""
+        if pairs is not None:
+            parts += pair_section(
+                pairs.repeats, problem, eps=pairs.eps, d_th=pairs.d_th, heading=heading,
+                picture=pairs.pictures.get(problem),
+            )  # fmt: skip
         parts += [
-            f"## Conclusions{heading}",
+            f"## {'Conclusions' if pairs is None else 'Boundary solutions, as the paper counts them'}{heading}",
             "\n".join(sentences(repeats, found_standings, found_duels, problem)),
         ]
         for measure in Measure:
@@ -81,7 +108,7 @@ def markdown_report(
                     parts.append(f"![{name} {words}]({file})")
             parts += ["### Means and 95% intervals", _standings_table(found_standings, problem, measure)]
             parts += ["### Comparisons", _duels_table(found_duels, problem, measure)]
-    parts += ["## Campaigns", _campaigns(repeats), "## Methods", _method(repeats)]
+    parts += ["## Campaigns", _campaigns(repeats), "## Methods", _method(repeats, pairs)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -133,7 +160,7 @@ _DEFAULTS = (DEFAULT_T_B, DEFAULT_D_TH)
 def _comparison_text(duel: Duel, first: float, second: float, low: Collection[str]) -> str:
     figures = (
         f"{NAMES[duel.measure]} {first:.1f} against {second:.1f}, A12 {duel.result.a12:.2f} ({duel.size}), "
-        f"p {_p_value(duel.result.p_value)}, corrected {_p_value(duel.adjusted)}"
+        f"p {p_text(duel.result.p_value)}, corrected {p_text(duel.adjusted)}"
     )
     other = "compared with its control" if duel.second.control else f"and **{duel.second.method}**"
     return f"**{duel.first.method}** {other}: {figures}; {conclusion(duel, first, second, low)}."
@@ -164,19 +191,19 @@ def _seed_list(seeds: Sequence[int]) -> str:
 
 def _standings_table(found: Sequence[Standing], problem: str, measure: Measure) -> str:
     ours = [one for one in found if one.line.problem == problem and one.measure is measure]
-    rows = [_row(["d_th", "method", *(f"t_b {t_b:g}" for t_b in PAPER_T_BS)]), _row(["---"] * 8)]
+    rows = [table_row(["d_th", "method", *(f"t_b {t_b:g}" for t_b in PAPER_T_BS)]), table_row(["---"] * 8)]
     by_place = {(one.line, one.t_b, one.d_th): one.value for one in ours}
     lines = list(dict.fromkeys(one.line for one in ours))
     for d_th in PAPER_D_THS:
         for line in lines:
-            values = [_interval(by_place[line, t_b, d_th]) for t_b in PAPER_T_BS]
-            rows.append(_row([f"{d_th:g}", _name(line), *values]))
+            values = [interval_text(by_place[line, t_b, d_th]) for t_b in PAPER_T_BS]
+            rows.append(table_row([f"{d_th:g}", _name(line), *values]))
     return "\n".join(rows)
 
 
 def _duels_table(found: Sequence[Duel], problem: str, measure: Measure) -> str:
     ours = [one for one in found if one.first.problem == problem and one.measure is measure]
-    rows = [_row(["d_th", "methods", *(f"t_b {t_b:g}" for t_b in PAPER_T_BS)]), _row(["---"] * 8)]
+    rows = [table_row(["d_th", "methods", *(f"t_b {t_b:g}" for t_b in PAPER_T_BS)]), table_row(["---"] * 8)]
     by_place = {(one.first, one.second, one.t_b, one.d_th): one for one in ours}
     pairs = list(dict.fromkeys((one.first, one.second) for one in ours))
     if not pairs:
@@ -185,7 +212,7 @@ def _duels_table(found: Sequence[Duel], problem: str, measure: Measure) -> str:
         for first, second in pairs:
             cells = [_duel_cell(by_place[first, second, t_b, d_th]) for t_b in PAPER_T_BS]
             against = "its control" if second.control else second.method
-            rows.append(_row([f"{d_th:g}", f"{first.method} : {against}", *cells]))
+            rows.append(table_row([f"{d_th:g}", f"{first.method} : {against}", *cells]))
     legend = (
         "*Each cell: A12 (probability that the first exceeds the second), effect size, p of Mann-Whitney U with "
         f"Holm's correction over all comparisons of this table whose values differ. Bold: p at most {LEVEL:g}.*"
@@ -194,21 +221,23 @@ def _duels_table(found: Sequence[Duel], problem: str, measure: Measure) -> str:
 
 
 def _duel_cell(duel: Duel) -> str:
-    words = f"{duel.result.a12:.2f} {duel.size}, p {_p_value(duel.adjusted)}"
+    words = f"{duel.result.a12:.2f} {duel.size}, p {p_text(duel.adjusted)}"
     return f"**{words}**" if duel.adjusted <= LEVEL else words
 
 
 def _campaigns(repeats: Sequence[Repeat]) -> str:
     rows = [
-        _row(["campaign", "method", "problem", "seed", "evaluated", "unsafe", "behaviours per scenario"]),
-        _row(["---"] * 7),
+        table_row(
+            ["campaign", "method", "problem", "seed", "evaluated", "unsafe", "behaviours per scenario"]
+        ),
+        table_row(["---"] * 7),
     ]
     for one in repeats:
         control = one.scores.control
         behaviours = "–" if control is None else f"{control.repeats:.1f}"
         share = one.scores.unsafe / one.scores.evaluated if one.scores.evaluated else 0.0
         rows.append(
-            _row([
+            table_row([
                 f"`{one.campaign}`", one.method, one.problem, str(one.seed), f"{one.scores.evaluated:,}",
                 f"{share:.0%}", behaviours,
             ])
@@ -216,9 +245,10 @@ def _campaigns(repeats: Sequence[Repeat]) -> str:
     return "\n".join(rows)
 
 
-def _method(repeats: Sequence[Repeat]) -> str:
+def _method(repeats: Sequence[Repeat], pairs: ReportedPairs | None) -> str:
     low = with_low_controls(repeats)
     items = [
+        *(() if pairs is None else pair_methods(pairs.repeats)),
         "**DBS**: solutions whose fitness is at most t_b, selected greedily, best first, each at least d_th from all "
         "those selected before. Extra simulations to complete the last generation are not counted.",
         "**Strict DBS** counts only those whose interval contains p_th and whose neighbours have both verdicts. "
@@ -238,19 +268,5 @@ def _method(repeats: Sequence[Repeat]) -> str:
     return "\n".join(f"- {item}" for item in items)
 
 
-def _interval(value: MeanInterval) -> str:
-    if value.low is None or value.high is None:
-        return f"{value.mean:.1f}"
-    return f"{value.mean:.1f} [{max(0.0, value.low):.1f}, {value.high:.1f}]"
-
-
 def _name(line: Line) -> str:
     return f"*{line.label}*" if line.control else f"**{line.method}**"
-
-
-def _p_value(value: float) -> str:
-    return "< .001" if value < 0.001 else f"{value:.3f}"
-
-
-def _row(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |"

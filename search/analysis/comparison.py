@@ -306,19 +306,32 @@ def conclusion(duel: Duel, first: float, second: float, low: Collection[str]) ->
         low: Methods of this problem whose control reads low.
     """
     significant, uncorrected = duel.adjusted <= LEVEL, duel.result.p_value <= LEVEL
-    chance = "significant by itself, but among so many comparisons it may be chance"
     if duel.second.control:
         if duel.first.method in low:
             return "the control reads low here, so this proves nothing"
         if significant and first > second:
             return f"more than scenarios and chance explain: behaviour accounts for {first - second:.1f}"
         if uncorrected and first > second:
-            return f"perhaps more than scenarios and chance explain: {chance}"
+            return f"perhaps more than scenarios and chance explain: {_CHANCE}"
         return "no more than scenarios and chance explain, as far as these repeats show"
-    if not significant:
-        return chance if uncorrected else "these repeats show no difference"
-    better = duel.first.method if duel.result.a12 > 0.5 else duel.second.method
-    return f"{better} finds more"
+    return difference(duel.result, duel.adjusted, duel.first.method, duel.second.method)
+
+
+_CHANCE: Final = "significant by itself, but among so many comparisons it may be chance"
+
+
+def difference(result: Comparison, adjusted: float, first: str, second: str) -> str:
+    """Return the conclusion from a comparison of two methods, worded as the end of a sentence about its figures.
+
+    Args:
+        result: U, p-value and A12.
+        adjusted: The p-value, corrected for all comparisons of the table.
+        first: The method whose larger values give an A12 above one half.
+        second: The other method.
+    """
+    if adjusted > LEVEL:
+        return _CHANCE if result.p_value <= LEVEL else "these repeats show no difference"
+    return f"{first if result.a12 > 0.5 else second} finds more"
 
 
 def with_low_controls(repeats: Sequence[Repeat], problem: str | None = None) -> list[str]:

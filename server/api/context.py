@@ -18,6 +18,7 @@ from brink.server.campaigns.service import CampaignService
 from brink.server.campaigns.traces import Films
 from brink.server.dashboard.figures import Figures
 from brink.server.db.engine import Engines
+from brink.server.experiments.pairs import PairCache
 from brink.server.experiments.service import ExperimentService, ScoreCache
 from brink.server.llm.seeds import LlmSeeds
 from brink.server.metrics import Metrics
@@ -43,6 +44,7 @@ class Context:
     archives: Archives
     outcomes: Outcomes
     pairs: Pairs
+    experiment_pairs: PairCache
     films: Films
     seeds: LlmSeeds
     metrics: Metrics

@@ -1,7 +1,7 @@
 """Routes of experiments: submit, list, control, progress, results."""
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Annotated, Any
 
@@ -20,7 +20,8 @@ from brink.search.analysis.comparison import (
 )
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import Control
-from brink.server.api.context import Services
+from brink.server.api.context import Context, Services
+from brink.server.api.experiment_pairs import ExperimentPairs, find_experiment_pairs
 from brink.server.api.responses import (
     COMPUTING,
     NOT_MODIFIED,
@@ -45,11 +46,13 @@ from brink.server.api.schemas import (
     RepeatView,
     View,
 )
-from brink.server.campaigns.store import ENDED
+from brink.server.campaigns.repeats import read_pair_campaigns
+from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.db.engine import read
 from brink.server.db.writer import Trouble
 from brink.server.experiments import store
 from brink.server.experiments.body import ExperimentBody
+from brink.server.experiments.pairs import settings_of
 from brink.server.experiments.store import Experiment
 from brink.server.queue.job_store import count_unfinished
 from brink.server.queue.workers import live_capabilities
@@ -106,6 +109,10 @@ class Results(View):
     fractions: Annotated[list[float], Field(description="Fractions of the budget.")]
     t_bs: list[float]
     d_ths: list[float]
+    pairs: Annotated[
+        ExperimentPairs | None,
+        Field(description="Pairs across the boundary; null if the experiment has no section `pairs`."),
+    ] = None
     standings: list[StandingView]
     duels: list[DuelView]
     repeats: list[RepeatView]
@@ -163,6 +170,23 @@ async def get_progress(
     return view
 
 
+@router.get("/{experiment_id}/follow-ups")
+async def get_follow_ups(experiment_id: str, services: Services) -> ExperimentProgress:
+    """Return counts and rates over the campaigns that follow up the pairs of an experiment.
+
+    These are the campaigns that simulate pairs again with other seeds or with ground truth, except cancelled and
+    failed ones.
+    """
+    experiment = await services.experiments.get(experiment_id)
+    seen_s, trouble = services.settings.worker_seen_s, services.queue.writer.trouble
+
+    def look(connection: Connection) -> ExperimentProgress:
+        campaigns = read_pair_campaigns(connection, [member.campaign.id for member in experiment.members])
+        return progress_of(connection, campaigns, _follow_up_summary(experiment, campaigns), seen_s, trouble)
+
+    return await read(services.engines, look)
+
+
 @router.post("/{experiment_id}/pause")
 async def pause_experiment(experiment_id: str, services: Services) -> ExperimentSummary:
     """Pause an experiment: workers get no more of its jobs; results of running jobs are still accepted."""
@@ -198,14 +222,26 @@ async def get_results(
     """Return the result tables of the campaigns that have finished.
 
     These are DBS and strict DBS at fractions of the budget, each computed from the solutions evaluated by then; means
-    with intervals; and Mann-Whitney U with Vargha-Delaney A12 between methods.
+    with intervals; and Mann-Whitney U with Vargha-Delaney A12 between methods. With a section `pairs`, also the pairs
+    across the boundary.
     """
     experiment = await services.experiments.get(experiment_id)
-    repeats, missing = await services.scorebook.repeats(experiment, wait_s)
+    (repeats, missing), pairs = await asyncio.gather(
+        services.scorebook.repeats(experiment, wait_s), _pairs(experiment, services, wait_s)
+    )
     if missing:
         scored = f"scored {len(repeats)} of {len(repeats) + missing} finished campaigns"
         return computing(scored)  # type: ignore[no-any-return]
-    return await asyncio.get_running_loop().run_in_executor(None, results_view, experiment, repeats)
+    if isinstance(pairs, str):
+        return computing(pairs)  # type: ignore[no-any-return]
+    return await asyncio.get_running_loop().run_in_executor(None, results_view, experiment, repeats, pairs)
+
+
+async def _pairs(experiment: Experiment, services: Context, wait_s: float) -> ExperimentPairs | str | None:
+    """Return the pairs of an experiment that asks for them, or what is still being computed."""
+    if experiment.body.pairs is None:
+        return None
+    return await find_experiment_pairs(services, experiment, settings_of(experiment.body), wait_s)
 
 
 RATE_S = 60.0
@@ -230,6 +266,23 @@ def _summary(experiment: Experiment) -> dict[str, Any]:
         "budget": experiment.budget,
         "failed": sum(campaign.failed for campaign in campaigns),
         "created_at": experiment.created_at,
+    }
+
+
+def _follow_up_summary(experiment: Experiment, campaigns: Sequence[Campaign]) -> dict[str, Any]:
+    statuses = {campaign.status for campaign in campaigns}
+    open_ones = (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
+    return {
+        "id": experiment.id,
+        "name": f"{experiment.body.name}: pairs again",
+        "status": next((status for status in open_ones if status in statuses), CampaignStatus.FINISHED),
+        "campaigns": len(campaigns),
+        "deleted": 0,
+        "finished": sum(campaign.status is CampaignStatus.FINISHED for campaign in campaigns),
+        "simulations": sum(campaign.completed for campaign in campaigns),
+        "budget": sum(campaign.budget for campaign in campaigns),
+        "failed": sum(campaign.failed for campaign in campaigns),
+        "created_at": min((one.created_at for one in campaigns), default=experiment.created_at),
     }
 
 
@@ -262,31 +315,47 @@ def read_progress(
         worker_seen_s: Time since its last contact after which a worker is no longer live, in seconds.
         trouble: Why the database rejects writes, if it does.
     """
-    ids = [member.campaign.id for member in experiment.members]
-    running = [member.campaign.id for member in experiment.members if member.campaign.status not in ENDED]
+    campaigns = [member.campaign for member in experiment.members]
+    return progress_of(connection, campaigns, _summary(experiment), worker_seen_s, trouble)
+
+
+def progress_of(
+    connection: Connection,
+    campaigns: Sequence[Campaign],
+    summary: Mapping[str, Any],
+    worker_seen_s: float,
+    trouble: Trouble | None,
+) -> ExperimentProgress:
+    """Return counts and rates over campaigns.
+
+    Args:
+        connection: Read connection.
+        campaigns: The campaigns.
+        summary: The fields of `ExperimentSummary`.
+        worker_seen_s: Time since its last contact after which a worker is no longer live, in seconds.
+        trouble: Why the database rejects writes, if it does.
+    """
+    ids = [campaign.id for campaign in campaigns]
+    running = [campaign for campaign in campaigns if campaign.status not in ENDED]
     open_jobs = count_unfinished(connection, *ids)
     queued, leased = open_jobs.get(JobStatus.QUEUED, 0), open_jobs.get(JobStatus.LEASED, 0)
-    in_flight = max(0, store.count_in_flight(connection, running) - queued - leased)
-    ended = experiment.status in ENDED
-    ends = [m.campaign.finished_at for m in experiment.members if m.campaign.finished_at is not None]
+    in_flight = max(0, store.count_in_flight(connection, [one.id for one in running]) - queued - leased)
+    ended = summary["status"] in ENDED
+    ends = [campaign.finished_at for campaign in campaigns if campaign.finished_at is not None]
     now = max(ends) if ended and ends else datetime.now(UTC)
-    elapsed_s = max(0.0, (now - experiment.created_at).total_seconds())
+    elapsed_s = max(0.0, (now - summary["created_at"]).total_seconds())
     span_s = elapsed_s if ended else min(RATE_S, elapsed_s)
     before = store.completed_by(connection, ids, now - timedelta(seconds=span_s))
-    told = experiment.simulations
+    told = sum(campaign.completed for campaign in campaigns)
     done = told + in_flight
     if before:  # the progress of the generations in flight at that time is unknown
         rate = (told - before) / span_s if span_s > 0 and told > before else None
     else:
         rate = done / elapsed_s if elapsed_s > 0 and done else None
-    remaining = sum(
-        max(0, member.campaign.body.budget.simulations - member.campaign.completed)
-        for member in experiment.members
-        if member.campaign.status not in ENDED
-    )
+    remaining = sum(max(0, campaign.budget - campaign.completed) for campaign in running)
     remaining = max(0, remaining - in_flight)
     return ExperimentProgress(
-        **{**_summary(experiment), "simulations": done},
+        **{**summary, "simulations": done},
         rate_per_s=rate,
         remaining_s=remaining / rate if rate and not ended else None,
         elapsed_s=elapsed_s,
@@ -295,16 +364,18 @@ def read_progress(
         quarantined=open_jobs.get(JobStatus.QUARANTINED, 0),
         workers=len(live_capabilities(connection, worker_seen_s)),
         paused=[
-            f"{member.campaign.id}: {member.campaign.status_reason or 'paused by a user'}"
-            for member in experiment.members
-            if member.campaign.status is CampaignStatus.PAUSED
+            f"{campaign.id}: {campaign.status_reason or 'paused by a user'}"
+            for campaign in campaigns
+            if campaign.status is CampaignStatus.PAUSED
         ],
         trouble=trouble.reason if trouble else None,
         trouble_s=trouble.span_s if trouble else 0.0,
     )
 
 
-def results_view(experiment: Experiment, repeats: Sequence[Repeat]) -> Results:
+def results_view(
+    experiment: Experiment, repeats: Sequence[Repeat], pairs: ExperimentPairs | None = None
+) -> Results:
     """Return the result tables of an experiment."""
     stand = standings(repeats)
     means = {(one.line, one.measure, one.t_b, one.d_th): one.value.mean for one in stand}
@@ -319,6 +390,7 @@ def results_view(experiment: Experiment, repeats: Sequence[Repeat]) -> Results:
         id=experiment.id, name=experiment.body.name, status=experiment.status,
         created_at=experiment.created_at, campaigns=experiment.body.campaigns, scored=len(repeats),
         fractions=list(PAPER_FRACTIONS), t_bs=list(PAPER_T_BS), d_ths=list(PAPER_D_THS),
+        pairs=pairs,
         standings=[
             StandingView(
                 problem=one.line.problem, method=one.line.method, control=one.line.control,

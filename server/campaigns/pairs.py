@@ -113,3 +113,16 @@ def shares_of(stored: Sequence[StoredRepeats], z: float = Z_95) -> Mapping[int, 
             evaluated[number] += 1
             unsafe[number] += verdict
     return {number: Share.of(unsafe[number], evaluated[number], z) for number in evaluated}
+
+
+def blames_scenario(stored: Sequence[StoredRepeats]) -> Mapping[int, bool]:
+    """Return whether each solution that was simulated with ground truth is unsafe then, too, by number.
+
+    Args:
+        stored: The follow-ups of a campaign that ask whether its component is to blame, oldest first.
+    """
+    found: dict[int, bool] = {}
+    for one in stored:
+        for place, unsafe in zip(one.evaluated, one.unsafe, strict=True):
+            found.setdefault(one.numbers[place], unsafe)
+    return found

@@ -275,6 +275,24 @@ def read_follow_ups(connection: Connection, campaign_id: str) -> list[StoredRepe
     return found
 
 
+def read_pair_campaigns(connection: Connection, campaigns: Sequence[str]) -> list[Campaign]:
+    """Return the campaigns that confirm pairs of the given campaigns, or ask whose hazard they are, oldest first.
+
+    Those that were cancelled or have failed are left out: they may be asked for again.
+    """
+    query = (
+        select(CampaignRow.__table__)
+        .join(RepeatsRow, RepeatsRow.campaign_id == CampaignRow.id)
+        .where(
+            RepeatsRow.of_id.in_(list(campaigns)), RepeatsRow.t_b == EVERY_T_B, RepeatsRow.d_th == EVERY_D_TH,
+            RepeatsRow.repeats != REDUCTION,
+            CampaignRow.status.not_in((CampaignStatus.CANCELLED, CampaignStatus.FAILED)),
+        )
+        .order_by(CampaignRow.created_at, CampaignRow.id)
+    )  # fmt: skip
+    return [campaign_of(row) for row in connection.execute(query)]
+
+
 def check_no_open_repeats(connection: Connection, campaign_id: str) -> None:
     """Check that all repeats of a campaign, which are deleted with it, have ended.
 

@@ -1,12 +1,34 @@
-"""Pairs across the boundary in experiments."""
+"""Pairs across the boundary in experiments: which are counted, and what follow-ups have shown about them.
 
-from collections.abc import Iterator
+Only follow-ups that have ended count: the figures of one that is still running would change.
+"""
+
+import asyncio
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
 from contextlib import contextmanager
+from dataclasses import InitVar, dataclass, field
+
+from sqlalchemy import Connection
 
 from brink.search.analysis.confirmation import LEAST_DRIVES
+from brink.search.analysis.pair_comparison import DistinctPair, PairCounts, PairRepeat
+from brink.search.analysis.pairs import find_pairs
+from brink.server.campaigns.archives import Archives
+from brink.server.campaigns.pairs import PairSettings, blames_scenario, shares_of
 from brink.server.campaigns.plan import check_repeatable, make_plan, with_truth
+from brink.server.campaigns.repeats import FollowUpKind, read_follow_ups
+from brink.server.campaigns.store import ENDED, Campaign
+from brink.server.db.engine import Engines, read
 from brink.server.errors import FieldError, InvalidInput
-from brink.server.experiments.body import ExperimentBody
+from brink.server.experiments.body import ExperimentBody, PairsChoice
+from brink.server.experiments.store import Experiment, Member
+from brink.server.problems.base import InProcessProblem
+from brink.server.single_flight import SingleFlightCache
+from brink.server.states import CampaignStatus
+
+CACHED_PAIRS = 2_000
+"""Maximum number of campaigns whose distinct pairs are in memory, about 10 kB each."""
 
 
 def check_pairs(body: ExperimentBody) -> None:
@@ -43,3 +65,94 @@ def _pointing_at(pointer: str) -> Iterator[None]:
         raise InvalidInput(
             FieldError(pointer=pointer, message=item.message, nearest=item.nearest) for item in error.errors
         ) from None
+
+
+def settings_of(body: ExperimentBody, eps: float | None = None, d_th: float | None = None) -> PairSettings:
+    """Return the given settings; those of the experiment, or else defaults, where None. All campaigns share them."""
+    own = body.pairs or PairsChoice()
+    return PairSettings(eps=own.eps if eps is None else eps, d_th=own.d_th if d_th is None else d_th)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Found:
+    """The distinct pairs of a campaign, and whether its verdicts are computed."""
+
+    pairs: tuple[DistinctPair, ...]
+    computed: bool
+
+
+@dataclass(slots=True)
+class PairCache:
+    """The distinct pairs of campaigns that have finished, each searched for once.
+
+    Attributes:
+        engines: The database.
+        archives: Where campaigns are read.
+        threads: Where pairs are searched for, so that other requests do not wait.
+    """
+
+    engines: Engines
+    archives: Archives
+    threads: InitVar[Executor]
+    _cache: SingleFlightCache[_Found] = field(init=False)
+
+    def __post_init__(self, threads: Executor) -> None:
+        self._cache = SingleFlightCache(CACHED_PAIRS, threads)
+
+    async def repeats(
+        self, experiment: Experiment, settings: PairSettings, wait_s: float
+    ) -> tuple[list[PairRepeat], int]:
+        """Return the pairs of an experiment's finished campaigns.
+
+        Args:
+            experiment: The experiment.
+            settings: Which solutions are a pair, and which pairs are distinct.
+            wait_s: How long to wait for campaigns that are being searched for pairs.
+
+        Returns:
+            The known ones in the order of the campaigns, and how many campaigns are still being searched.
+        """
+        finished = [m for m in experiment.members if m.campaign.status is CampaignStatus.FINISHED]
+        pending = [self._start(member.campaign, settings) for member in finished]
+        if not all(one.done() for one in pending):
+            await asyncio.wait(pending, timeout=wait_s)
+        known = [(member, one.result()) for member, one in zip(finished, pending, strict=True) if one.done()]
+        repeats = await read(self.engines, lambda c: _counted(c, known))
+        return repeats, len(finished) - len(repeats)
+
+    def _start(self, campaign: Campaign, settings: PairSettings) -> asyncio.Future[_Found]:
+        key = (campaign.id, settings)
+        return self._cache.start(key, campaign.generation, lambda: self._find(campaign, settings))
+
+    def _find(self, campaign: Campaign, settings: PairSettings) -> _Found:
+        plan, _, archive = self.archives.stored(campaign)
+        found = find_pairs(archive, plan.problem.space, eps=settings.eps, d_th=settings.d_th)
+        return _Found(
+            pairs=tuple(
+                DistinctPair(safe=pair.safe.number, unsafe=pair.unsafe.number, checked=pair.checked)
+                for pair in found.pairs
+            ),
+            computed=isinstance(plan.problem, InProcessProblem),
+        )  # fmt: skip
+
+
+def _counted(connection: Connection, found: Sequence[tuple[Member, _Found]]) -> list[PairRepeat]:
+    """Return the pairs of campaigns, with what follow-ups that have ended say about them."""
+    return [
+        PairRepeat(
+            problem=member.problem, method=member.method, seed=member.campaign.body.seed,
+            campaign=member.campaign.id, computed=one.computed,
+            counts=_counts(connection, member.campaign.id, one.pairs),
+        )
+        for member, one in found
+    ]  # fmt: skip
+
+
+def _counts(connection: Connection, campaign: str, pairs: Sequence[DistinctPair]) -> PairCounts:
+    if not pairs:
+        return PairCounts.of([], {}, {})
+    ended = [one for one in read_follow_ups(connection, campaign) if one.campaign.status in ENDED]
+    of_kind = {kind: [one for one in ended if one.kind is kind] for kind in FollowUpKind}
+    return PairCounts.of(
+        pairs, shares_of(of_kind[FollowUpKind.CONFIRM]), blames_scenario(of_kind[FollowUpKind.COMPONENT])
+    )

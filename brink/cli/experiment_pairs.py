@@ -1,0 +1,256 @@
+"""The pairs across the boundary of an experiment: follow-ups of all campaigns, and what they show."""
+
+import asyncio
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.text import Text
+
+from brink.api.client import Api, CoordinatorError
+from brink.cli.experiment_progress import POLL_S, ExperimentDisplay
+from brink.cli.follow_ups import (
+    OPEN,
+    SIMULATED,
+    continue_follow_up,
+    follow_up_options,
+    follow_up_requests,
+    pause_follow_up,
+)
+from brink.cli.local import Session, check_extra, run_locally, stopping
+from brink.cli.options import RESULTS, plain_table, settings_with, with_api
+from brink.report.experiment_pairs import COLUMNS, pair_sentences, settings_words, standing_cells
+from brink.search.analysis.pair_comparison import PairCounts, PairRepeat, pair_standings, problems_of
+from brink.server.api.experiment_pairs import ExperimentPairs, PairRepeatView
+from brink.server.api.pair_views import FollowUpView
+from brink.server.api.schemas import ExperimentProgress, ExperimentView
+from brink.server.campaigns.plan import make_plan
+from brink.server.campaigns.repeats import FollowUpKind
+from brink.server.states import CampaignStatus
+
+
+async def fetch_experiment_pairs(
+    api: Api, experiment: str, screen: Console, **settings: float
+) -> ExperimentPairs:
+    """Return the pairs of an experiment, once all its finished campaigns are searched for them.
+
+    Args:
+        api: Its coordinator.
+        experiment: Its id.
+        screen: Shows what is still being computed.
+        settings: ``eps`` and ``d_th``, where they are not the experiment's own.
+
+    Raises:
+        CoordinatorError: The experiment does not exist.
+    """
+    with screen.status("searching for pairs") as status:
+        while True:
+            path, params = f"/experiments/{experiment}/pairs", {"wait_s": 5, **settings}
+            response = await api.request("GET", path, params=params)
+            if response.status_code == 200:
+                return ExperimentPairs.model_validate_json(response.content)
+            status.update(str(response.json()["detail"]))
+            await asyncio.sleep(POLL_S)
+
+
+def pair_repeats_of(pairs: ExperimentPairs) -> list[PairRepeat]:
+    """Return the pairs of the finished campaigns."""
+    return [
+        PairRepeat(
+            problem=one.problem, method=one.method, seed=one.seed, campaign=one.campaign, computed=one.computed,
+            counts=PairCounts(**{name: getattr(one, name) or 0 for name in PairCounts.__slots__}),
+        )
+        for one in pairs.repeats
+    ]  # fmt: skip
+
+
+async def ask_follow_ups(
+    api: Api,
+    pairs: ExperimentPairs,
+    screen: Console,
+    *,
+    confirm: int,
+    component: bool,
+    stop: asyncio.Event | None = None,
+) -> tuple[list[FollowUpView], bool]:
+    """Ask for the follow-ups of every campaign of an experiment that lacks them; those paused by a user continue.
+
+    Args:
+        api: The coordinator.
+        pairs: The pairs of the experiment.
+        screen: Told why a follow-up is refused.
+        confirm: Simulations of each side with other seeds; 0 for none.
+        component: Whether to ask if the component is to blame.
+        stop: Ends this early.
+
+    Returns:
+        The follow-ups, and whether none was refused and this was not ended early.
+    """
+    settings = {"eps": pairs.eps, "d_th": pairs.d_th}
+    asked: list[FollowUpView] = []
+    refused: dict[tuple[str, str], str] = {}
+    with screen.status("asking for follow-ups"):
+        for one in pairs.repeats:
+            for request in follow_up_requests(settings, confirm, component=component):
+                if stop is not None and stop.is_set():
+                    return asked, False
+                reason = one.problem, request["kind"]
+                if _is_known(one, request) or reason in refused:
+                    continue
+                try:
+                    found = await api.send(
+                        FollowUpView, f"/campaigns/{one.campaign}/pairs/follow-ups", request
+                    )
+                except CoordinatorError as error:
+                    refused[reason] = f"campaign {one.campaign}: {error}"
+                    continue
+                await continue_follow_up(api, found)
+                asked.append(found)
+    for message in refused.values():
+        screen.print(f"[yellow]{escape(message)}[/yellow]", soft_wrap=True)
+    return asked, not refused
+
+
+def _is_known(one: PairRepeatView, request: dict[str, Any]) -> bool:
+    """Return whether a follow-up would tell nothing new about the pairs of a campaign."""
+    if not one.distinct:
+        return True
+    if request["kind"] == FollowUpKind.COMPONENT:
+        return one.component + one.scenario == one.distinct
+    return one.tried == one.distinct and one.drives >= int(request["repeats"])
+
+
+async def run_follow_ups(session: Session, pairs: ExperimentPairs, *, confirm: int, component: bool) -> bool:
+    """Run the follow-ups of all campaigns of an experiment to their end, with workers that are running already.
+
+    Args:
+        session: The coordinator and its workers.
+        pairs: The pairs of the experiment.
+        confirm: Simulations of each side with other seeds; 0 for none.
+        component: Whether to ask if the component is to blame.
+
+    Returns:
+        Whether all of them finished. If they were stopped, those that were running are paused.
+    """
+    api, screen = session.api, session.screen
+    asked, complete = await ask_follow_ups(
+        api, pairs, screen, confirm=confirm, component=component, stop=session.stop
+    )
+    if any(one.status in OPEN for one in asked):
+        kinds = [kind for kind in SIMULATED if any(one.kind is kind for one in asked)]
+        total = sum(one.budget for one in asked)
+        screen.print(
+            f"simulating {' and '.join(SIMULATED[kind] for kind in kinds)}: {total:,} simulations",
+            soft_wrap=True,
+        )
+        progress = await _watch(session, pairs.id)
+        for reason in progress.paused if not session.stop.is_set() else ():
+            screen.print(f"  campaign {reason}", markup=False)
+        complete = complete and progress.status is CampaignStatus.FINISHED
+    if session.stop.is_set():
+        for one in asked:
+            await pause_follow_up(api, one.campaign)
+        return False
+    return complete
+
+
+def follow_up_here(
+    experiment: str,
+    settings: Mapping[str, float],
+    screen: Console,
+    *,
+    confirm: int,
+    component: bool,
+    workers: int,
+    server: str | None,
+    database: str | None,
+) -> bool:
+    """Ask for the follow-ups of all campaigns of an experiment and, without a server, run them to their end.
+
+    Args:
+        experiment: Its id.
+        settings: ``eps`` and ``d_th``, where they are not the experiment's own.
+        screen: Console for progress and hints.
+        confirm: Simulations of each side with other seeds; 0 for none.
+        component: Whether to ask if the component is to blame.
+        workers: Number of worker processes.
+        server: URL of a coordinator; None runs one here.
+        database: URL of the database.
+
+    Returns:
+        Whether nothing was refused or stopped.
+    """
+
+    async def run(session: Session) -> bool:
+        async with stopping(session.stop):
+            pairs = await fetch_experiment_pairs(session.api, experiment, screen, **settings)
+            await _check_extras(session.api, experiment)
+            session.processes.start(workers)
+            complete = await run_follow_ups(session, pairs, confirm=confirm, component=component)
+            if session.stop.is_set():
+                requests = follow_up_requests(settings, confirm, component=component)
+                session.hint(
+                    "stopped; nothing is lost. Continue with",
+                    f"experiment pairs {experiment} {follow_up_options(requests)}",
+                )
+            return complete
+
+    async def ask(api: Api) -> bool:
+        pairs = await fetch_experiment_pairs(api, experiment, screen, **settings)
+        asked, complete = await ask_follow_ups(api, pairs, screen, confirm=confirm, component=component)
+        if running := [one for one in asked if one.status in OPEN]:
+            screen.print(
+                f"{len(running)} campaigns simulate them, {sum(one.budget for one in running):,} simulations; the "
+                "same command shows what is known so far",
+                soft_wrap=True,
+            )
+        return complete
+
+    if server is not None:
+        return with_api(server, database, ask)
+    return run_locally(settings_with(database=database, port=0), RESULTS / "worker.log", screen, run)
+
+
+async def _check_extras(api: Api, experiment: str) -> None:
+    """Check that workers on this machine have what the problems of an experiment need."""
+    body = (await api.read(ExperimentView, f"/experiments/{experiment}")).body
+    for cell in body.cells()[: len(body.problems) * len(body.algorithms)]:
+        check_extra(make_plan(cell.body).problem)
+
+
+async def _watch(session: Session, experiment: str) -> ExperimentProgress:
+    with ExperimentDisplay(session.screen) as display:
+
+        async def poll() -> ExperimentProgress:
+            path = f"/experiments/{experiment}/follow-ups"
+            progress = await session.api.read(ExperimentProgress, path)
+            display.show(progress, [])
+            return progress
+
+        return await session.watch(poll)
+
+
+def print_experiment_pairs(screen: Console, pairs: ExperimentPairs) -> None:
+    """Print the pairs of each method, and how methods compare."""
+    repeats = pair_repeats_of(pairs)
+    if not repeats:
+        screen.print("no campaign has finished yet")
+        return
+    for problem in problems_of(repeats):
+        screen.print(_table(repeats, problem, pairs.counted), "")
+        screen.print(f"[dim]{settings_words(pairs.eps, pairs.d_th)}[/dim]", soft_wrap=True)
+        for sentence in pair_sentences(repeats, problem):
+            text = sentence.replace("**", "").rstrip()
+            screen.print(text, markup=False, highlight=False, soft_wrap=True)
+        screen.print()
+
+
+def _table(repeats: Sequence[PairRepeat], problem: str, campaigns: int) -> Any:
+    table = plain_table(
+        "", *COLUMNS, right=COLUMNS, title=f"{problem}: pairs across the boundary, {campaigns} campaigns"
+    )
+    ours = [one for one in repeats if one.problem == problem]
+    for one in pair_standings(ours):
+        table.add_row(Text(one.method), *map(Text, standing_cells(one, computed=ours[0].computed)))
+    return table

@@ -1,0 +1,60 @@
+"""Follow-ups of pairs, as the commands ask for them: what they simulate, and how they are paused and continued."""
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from brink.api.client import Api, CoordinatorError
+from brink.server.api.pair_views import FollowUpView
+from brink.server.campaigns.repeats import FollowUpKind
+from brink.server.states import CampaignStatus
+
+OPEN: Final = (CampaignStatus.RUNNING, CampaignStatus.PAUSED)
+SIMULATED: Final = {
+    FollowUpKind.CONFIRM: "both sides of each pair with other seeds",
+    FollowUpKind.COMPONENT: "each unsafe side with ground truth in place of the component",
+    FollowUpKind.MINIMISE: "each unsafe side without one difference at a time",
+}
+"""What each kind of follow-up simulates."""
+
+
+def follow_up_requests(
+    settings: Mapping[str, float], confirm: int | None, *, component: bool, minimise: bool = False
+) -> list[dict[str, Any]]:
+    """Return the follow-ups to ask for, as bodies of requests.
+
+    Args:
+        settings: ``eps`` and ``d_th``, where they are not the campaign's own.
+        confirm: Simulations of each side with other seeds; None or 0 for none.
+        component: Whether to ask if the component is to blame.
+        minimise: Whether to take differences back.
+    """
+    requests: list[dict[str, Any]] = []
+    if confirm:
+        requests.append({"kind": FollowUpKind.CONFIRM.value, "repeats": confirm, **settings})
+    if component:
+        requests.append({"kind": FollowUpKind.COMPONENT.value, **settings})
+    if minimise:
+        requests.append({"kind": FollowUpKind.MINIMISE.value, **settings})
+    return requests
+
+
+def follow_up_options(requests: Sequence[dict[str, Any]]) -> str:
+    """Return the options that ask for follow-ups, for hints."""
+    words = [f"--{one['kind']}" + (f" {one['repeats']}" if "repeats" in one else "") for one in requests]
+    words += [
+        f"--{name.replace('_', '-')} {requests[0][name]:g}" for name in ("eps", "d_th") if name in requests[0]
+    ]
+    return " ".join(words)
+
+
+async def continue_follow_up(api: Api, found: FollowUpView) -> None:
+    """Resume a follow-up that was paused by a user, rather than by failures."""
+    if found.status is CampaignStatus.PAUSED and not found.status_reason:
+        await api.post(f"/campaigns/{found.campaign}/resume")
+
+
+async def pause_follow_up(api: Api, campaign: str) -> None:
+    """Pause a follow-up, unless it has ended meanwhile."""
+    with contextlib.suppress(CoordinatorError):
+        await api.post(f"/campaigns/{campaign}/pause")

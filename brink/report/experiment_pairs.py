@@ -1,0 +1,198 @@
+"""The pairs across the boundary in the report of an experiment: conclusions, tables, methods.
+
+"Not tried" is never written as a number: pairs that were not simulated again are neither confirmed nor not.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+from brink.report.text import interval_text, p_text, table_row
+from brink.search.analysis.comparison import LEVEL
+from brink.search.analysis.confirmation import LEAST_DRIVES, SAFE_AT_MOST, UNSAFE_AT_LEAST
+from brink.search.analysis.pair_comparison import (
+    PairDuel,
+    PairMeasure,
+    PairRepeat,
+    PairStanding,
+    Proportion,
+    measure_words,
+    pair_duels,
+    pair_standings,
+)
+
+COLUMNS: Final = (
+    "distinct pairs", "confirmed distinct pairs", "checked pairs confirmed", "all pairs confirmed",
+    "unsafe sides that are the component's",
+)  # fmt: skip
+"""Columns of the table of methods."""
+_MEASURED: Final = {PairMeasure.CONFIRMED: "confirmed distinct pairs", PairMeasure.DISTINCT: "distinct pairs"}
+DASH: Final = "–"
+
+
+def settings_words(eps: float, d_th: float) -> str:
+    """Return in words which pairs are counted."""
+    return (
+        f"A pair is a safe and an unsafe solution at most {eps:g} apart, or one step in a single parameter; pairs at "
+        f"least {d_th:g} apart are distinct."
+    )
+
+
+def standing_cells(one: PairStanding, *, computed: bool) -> list[str]:
+    """Return the cells of a method below `COLUMNS`.
+
+    Args:
+        one: The method.
+        computed: Whether verdicts are computed, so that there is nothing to confirm.
+    """
+    if one.confirmed is not None:
+        confirmed = interval_text(one.confirmed)
+    elif computed:
+        confirmed = DASH
+    else:
+        confirmed = f"known of {one.known} of {one.distinct.repeats} campaigns" if one.tried else "not tried"
+    return [
+        interval_text(one.distinct),
+        confirmed,
+        DASH if computed else _share(one.precision, one.checked, "none checked", tried=one.tried),
+        DASH if computed else _share(one.overall, one.pairs, "no pair", tried=one.tried),
+        DASH if computed else _share(one.component, one.pairs, "no pair"),
+    ]
+
+
+def _share(value: Proportion | None, total: int, none: str, *, tried: int = 0) -> str:
+    if value is not None:
+        return f"{value.share:.0%} [{value.low:.0%}, {value.high:.0%}], {value.count:,} of {value.of:,}"
+    if not total:
+        return none
+    return "too few drives" if tried else "not tried"
+
+
+def duel_words(duel: PairDuel) -> str:
+    """Return a comparison of two methods in words."""
+    return (
+        f"**{duel.first}** and **{duel.second}**: {duel.first_mean:.1f} {_MEASURED[duel.measure]} against "
+        f"{duel.second_mean:.1f}, A12 {duel.result.a12:.2f} ({duel.size}), p {p_text(duel.result.p_value)}, "
+        f"corrected {p_text(duel.adjusted)}; {duel.says}."
+    )
+
+
+def pair_sentences(repeats: Sequence[PairRepeat], problem: str) -> Iterator[str]:
+    """Yield the conclusions for a problem, as list items.
+
+    Args:
+        repeats: Finished campaigns.
+        problem: Name of the problem.
+    """
+    yield f"{measure_words(repeats, problem)}\n"
+    for duel in pair_duels(repeats):
+        if duel.problem == problem:
+            yield f"- {duel_words(duel)}"
+
+
+def pair_section(
+    repeats: Sequence[PairRepeat], problem: str, *, eps: float, d_th: float, heading: str, picture: str | None
+) -> list[str]:
+    """Return the paragraphs of the report about the pairs on a problem.
+
+    Args:
+        repeats: Finished campaigns.
+        problem: Name of the problem.
+        eps: Largest distance between the sides of a pair.
+        d_th: Smallest distance between two distinct pairs.
+        heading: What follows the words of a heading, such as the name of the problem.
+        picture: File name of the figure, if it was drawn.
+    """
+    ours = [one for one in repeats if one.problem == problem]
+    parts = [
+        f"## Pairs across the boundary{heading}",
+        settings_words(eps, d_th),
+        "\n".join(pair_sentences(repeats, problem)),
+    ]
+    if picture is not None:
+        parts.append(f"![Distinct and confirmed pairs by method]({picture})")
+    computed = ours[0].computed
+    rows = [table_row(["method", *COLUMNS]), table_row(["---"] * (1 + len(COLUMNS)))]
+    rows += [
+        table_row([f"**{one.method}**", *standing_cells(one, computed=computed)])
+        for one in pair_standings(ours)
+    ]
+    legend = (
+        "*Means over the campaigns of a method with 95% intervals; shares over the pairs of all its campaigns with "
+        "Wilson intervals, which take pairs as independent.*"
+    )
+    parts += ["### Means and shares", "\n".join(rows), legend]
+    if duels := pair_duels(ours):
+        parts += ["### Comparisons of pairs", _duels_table(duels)]
+    return [*parts, "### Pairs of each campaign", _campaigns(ours)]
+
+
+def _duels_table(duels: Sequence[PairDuel]) -> str:
+    names = ["methods", _MEASURED[duels[0].measure], "U", "p", "corrected p", "A12", "conclusion"]
+    rows = [table_row(names), table_row(["---"] * len(names))]
+    for one in duels:
+        adjusted = p_text(one.adjusted)
+        rows.append(
+            table_row([
+                f"{one.first} : {one.second}", f"{one.first_mean:.1f} : {one.second_mean:.1f}",
+                f"{one.result.u:g}", p_text(one.result.p_value),
+                f"**{adjusted}**" if one.adjusted <= LEVEL else adjusted,
+                f"{one.result.a12:.2f} {one.size}", one.says,
+            ])
+        )  # fmt: skip
+    legend = (
+        "*A12: probability that the first exceeds the second. Corrected: Holm's correction over the comparisons of "
+        f"this table whose values differ. Bold: p at most {LEVEL:g}.*"
+    )
+    return "\n".join(rows) + f"\n\n{legend}"
+
+
+def _campaigns(repeats: Sequence[PairRepeat]) -> str:
+    names = [
+        "campaign", "method", "seed", "distinct", "checked", "tried", "confirmed", "of checked, tried", "confirmed",
+        "component's", "scenario's",
+    ]  # fmt: skip
+    rows = [table_row(names), table_row(["---"] * len(names))]
+    for one in repeats:
+        counts = one.counts
+        blamed = counts.component + counts.scenario
+        none = DASH if one.computed or not counts.distinct else "not tried"
+        figures = [
+            counts.tried or none,
+            counts.confirmed if counts.tried else none,
+            counts.checked_decided if counts.tried else none,
+            counts.checked_confirmed if counts.tried else none,
+            counts.component if blamed else none,
+            counts.scenario if blamed else none,
+        ]
+        rows.append(
+            table_row([
+                f"`{one.campaign}`", one.method, str(one.seed), str(counts.distinct),
+                DASH if one.computed else str(counts.checked), *map(str, figures),
+            ])
+        )  # fmt: skip
+    return "\n".join(rows)
+
+
+def pair_methods(repeats: Sequence[PairRepeat]) -> Iterator[str]:
+    """Yield how pairs are counted, as list items."""
+    yield (
+        "**Pairs** are those of all simulations of a campaign, including extra ones to complete the last generation. "
+        "All campaigns are searched for pairs in the same way. **Checked**: the search itself simulated each side "
+        "again, and both kept their verdicts."
+    )
+    if all(one.computed for one in repeats):
+        return
+    yield (
+        f"**Tried**: simulated again after the search, with other seeds. **Confirmed**: at least {LEAST_DRIVES} such "
+        f"drives of each side, of which at most {SAFE_AT_MOST:.0%} of the safe side's and at least "
+        f"{UNSAFE_AT_LEAST:.0%} of the unsafe side's are unsafe; drives of the search do not count. Pairs with fewer "
+        "drives are neither confirmed nor not."
+    )
+    yield (
+        "**The component's**: with ground truth in its place, the episode of the unsafe side is safe. **The "
+        "scenario's**: it is unsafe even then."
+    )
+    yield (
+        "**Comparisons of pairs**: Mann-Whitney U, two-sided, over the campaigns of two methods, with Holm's "
+        "correction over the methods of a problem; Vargha and Delaney's A12."
+    )

@@ -1,0 +1,22 @@
+"""Numbers and tables as text, for reports in Markdown and on a terminal."""
+
+from collections.abc import Sequence
+
+from brink.search.analysis.statistics import MeanInterval
+
+
+def interval_text(value: MeanInterval) -> str:
+    """Return the mean of a count with its interval, such as ``3.2 [0.0, 6.9]``; counts are not negative."""
+    if value.low is None or value.high is None:
+        return f"{value.mean:.1f}"
+    return f"{value.mean:.1f} [{max(0.0, value.low):.1f}, {value.high:.1f}]"
+
+
+def p_text(value: float) -> str:
+    """Return a p-value as text."""
+    return "< .001" if value < 0.001 else f"{value:.3f}"
+
+
+def table_row(cells: Sequence[str]) -> str:
+    """Return a row of a Markdown table."""
+    return f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |"

@@ -1,0 +1,335 @@
+"""Methods compared by the pairs across the boundary that their campaigns found.
+
+A pair is confirmed if simulations of both sides with other seeds say so (`brink.search.analysis.confirmation`). Pairs
+that were not simulated again are neither confirmed nor not: the confirmed pairs of a campaign are known only once all
+of its distinct pairs were tried. Where verdicts are computed, seeds have no part in them, and there is nothing to
+confirm.
+
+Methods are compared on confirmed distinct pairs if these are known for every campaign of a problem, otherwise on
+distinct ones.
+
+Source: ours; docs/explanation/pairs.md.
+"""
+
+import itertools
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final, Self
+
+from brink.search.analysis.comparison import difference
+from brink.search.analysis.confirmation import Confirmation, Share, confirmation_of
+from brink.search.analysis.statistics import (
+    Comparison,
+    MeanInterval,
+    compared,
+    effect_size,
+    holm,
+    mean_interval,
+)
+from brink.search.fitness import wilson_interval
+
+_DECIDED: Final = (Confirmation.CONFIRMED, Confirmation.NOT_CONFIRMED)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DistinctPair:
+    """A distinct pair of a campaign.
+
+    Attributes:
+        safe: Number of the safe side.
+        unsafe: Number of the unsafe side.
+        checked: Whether the search simulated each side again.
+    """
+
+    safe: int
+    unsafe: int
+    checked: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairCounts:
+    """The distinct pairs of a campaign, and what follow-ups that have ended say about them.
+
+    Attributes:
+        distinct: Distinct pairs.
+        checked: Those of which the search simulated each side again, and both kept their verdicts.
+        tried: Those simulated again with other seeds after the search.
+        decided: Tried ones with enough drives of both sides to say whether they are confirmed.
+        confirmed: Those that were confirmed.
+        checked_decided: Checked ones among the decided.
+        checked_confirmed: Checked ones among the confirmed.
+        component: Unsafe sides that are safe with ground truth in place of the component.
+        scenario: Unsafe sides that are unsafe with ground truth, too.
+        drives: Fewest drives with other seeds of any side of the tried pairs; 0 if none was tried.
+    """
+
+    distinct: int
+    checked: int
+    tried: int
+    decided: int
+    confirmed: int
+    checked_decided: int
+    checked_confirmed: int
+    component: int
+    scenario: int
+    drives: int
+
+    @property
+    def is_tried(self) -> bool:
+        """Whether the number of confirmed pairs is known, since every pair was tried."""
+        return self.tried == self.distinct
+
+    @classmethod
+    def of(
+        cls, pairs: Sequence[DistinctPair], shares: Mapping[int, Share], scenario: Mapping[int, bool]
+    ) -> Self:
+        """Count pairs.
+
+        Args:
+            pairs: Distinct pairs.
+            shares: How often each repeated solution was unsafe with other seeds, by number.
+            scenario: Whether each solution that was simulated with ground truth is unsafe then, too, by number.
+        """
+        none = Share.of(0, 0)
+        sides = [(shares.get(pair.safe, none), shares.get(pair.unsafe, none)) for pair in pairs]
+        states = [confirmation_of(*both) for both in sides]
+        tried = [
+            both for both, state in zip(sides, states, strict=True) if state is not Confirmation.NOT_TRIED
+        ]
+        checked = [state for pair, state in zip(pairs, states, strict=True) if pair.checked]
+        blamed = [scenario[pair.unsafe] for pair in pairs if pair.unsafe in scenario]
+        return cls(
+            distinct=len(pairs),
+            checked=len(checked),
+            tried=len(tried),
+            decided=sum(state in _DECIDED for state in states),
+            confirmed=states.count(Confirmation.CONFIRMED),
+            checked_decided=sum(state in _DECIDED for state in checked),
+            checked_confirmed=checked.count(Confirmation.CONFIRMED),
+            component=blamed.count(False),
+            scenario=blamed.count(True),
+            drives=min((side.evaluated for both in tried for side in both), default=0),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairRepeat:
+    """A finished campaign of an experiment, with its pairs.
+
+    Attributes:
+        problem: Name of its problem.
+        method: Name of its algorithm.
+        computed: Whether its verdicts are computed, so that there is nothing to confirm.
+        counts: Its pairs.
+    """
+
+    problem: str
+    method: str
+    seed: int
+    campaign: str
+    computed: bool
+    counts: PairCounts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Proportion:
+    """A share of pooled counts, with its Wilson interval.
+
+    Attributes:
+        count: The ones counted.
+        of: All of them, at least one.
+        low: Lower limit of the 95% interval.
+        high: Its upper limit.
+    """
+
+    count: int
+    of: int
+    low: float
+    high: float
+
+    @property
+    def share(self) -> float:
+        """The share."""
+        return self.count / self.of
+
+    @classmethod
+    def pooled(cls, counts: Iterable[tuple[int, int]]) -> "Proportion | None":
+        """Return the share over pairs of counts and totals; None if there is nothing to count."""
+        found = list(counts)
+        count, of = sum(one for one, _ in found), sum(total for _, total in found)
+        if not of:
+            return None
+        low, high = wilson_interval(count, of)
+        return cls(count=count, of=of, low=float(low), high=float(high))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairStanding:
+    """The pairs of a method on a problem, over its campaigns.
+
+    Attributes:
+        problem: Name of the problem.
+        method: Name of the method.
+        distinct: Distinct pairs of a campaign.
+        confirmed: Confirmed distinct pairs of a campaign; None unless they are known for all campaigns.
+        known: Campaigns whose confirmed pairs are known, also because they have none.
+        pairs: Distinct pairs of all campaigns.
+        checked: Checked ones among them.
+        tried: Tried ones among them.
+        precision: Share of the checked pairs that were confirmed, over all campaigns; None if none was tried.
+        overall: Share of all pairs that were confirmed, checked or not; None if none was tried.
+        component: Share of the unsafe sides that the component is to blame for; None if ground truth was not tried.
+    """
+
+    problem: str
+    method: str
+    distinct: MeanInterval
+    confirmed: MeanInterval | None
+    known: int
+    pairs: int
+    checked: int
+    tried: int
+    precision: Proportion | None
+    overall: Proportion | None
+    component: Proportion | None
+
+
+class PairMeasure(StrEnum):
+    """What methods are compared on."""
+
+    CONFIRMED = "confirmed"
+    DISTINCT = "distinct"
+
+    def of(self, counts: PairCounts) -> int:
+        """Return the measure of a campaign."""
+        return counts.confirmed if self is PairMeasure.CONFIRMED else counts.distinct
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairDuel:
+    """Two methods compared on a problem.
+
+    Attributes:
+        problem: Name of the problem.
+        first: The method whose larger values give an A12 above one half.
+        second: The other method.
+        measure: What they are compared on.
+        first_mean: Mean of the first method.
+        second_mean: Mean of the second method.
+        result: U, p-value and A12.
+        adjusted: The p-value, corrected for all comparisons of the problem.
+    """
+
+    problem: str
+    first: str
+    second: str
+    measure: PairMeasure
+    first_mean: float
+    second_mean: float
+    result: Comparison
+    adjusted: float
+
+    @property
+    def size(self) -> str:
+        """The effect size in words, such as ``medium``."""
+        return effect_size(self.result.a12)
+
+    @property
+    def says(self) -> str:
+        """The conclusion, worded as the end of a sentence about the figures."""
+        return difference(self.result, self.adjusted, self.first, self.second)
+
+
+def by_method(repeats: Sequence[PairRepeat], problem: str) -> dict[str, list[PairRepeat]]:
+    """Return the campaigns on a problem by method, in the order of the experiment."""
+    found: dict[str, list[PairRepeat]] = {}
+    for repeat in repeats:
+        if repeat.problem == problem:
+            found.setdefault(repeat.method, []).append(repeat)
+    return found
+
+
+def problems_of(repeats: Collection[PairRepeat]) -> list[str]:
+    """Return the names of the problems, in the order of the experiment."""
+    return list(dict.fromkeys(repeat.problem for repeat in repeats))
+
+
+def pair_standings(repeats: Sequence[PairRepeat]) -> list[PairStanding]:
+    """Return the pairs of every method on every problem."""
+    return [
+        _standing(problem, method, [one.counts for one in ours], computed=ours[0].computed)
+        for problem in problems_of(repeats)
+        for method, ours in by_method(repeats, problem).items()
+    ]
+
+
+def _standing(problem: str, method: str, counts: Sequence[PairCounts], *, computed: bool) -> PairStanding:
+    known = 0 if computed else sum(one.is_tried for one in counts)
+    return PairStanding(
+        problem=problem, method=method, known=known,
+        pairs=sum(one.distinct for one in counts), checked=sum(one.checked for one in counts),
+        tried=sum(one.tried for one in counts), distinct=mean_interval([one.distinct for one in counts]),
+        confirmed=mean_interval([one.confirmed for one in counts]) if known == len(counts) else None,
+        precision=Proportion.pooled((one.checked_confirmed, one.checked_decided) for one in counts),
+        overall=Proportion.pooled((one.confirmed, one.decided) for one in counts),
+        component=Proportion.pooled((one.component, one.component + one.scenario) for one in counts),
+    )  # fmt: skip
+
+
+def measure_of(repeats: Sequence[PairRepeat], problem: str) -> PairMeasure:
+    """Return what methods are compared on: confirmed pairs if these are known for every campaign, else all."""
+    ours = [one for one in repeats if one.problem == problem]
+    known = all(one.counts.is_tried and not one.computed for one in ours)
+    anything = any(one.counts.tried for one in ours)
+    return PairMeasure.CONFIRMED if known and anything else PairMeasure.DISTINCT
+
+
+def measure_words(repeats: Sequence[PairRepeat], problem: str) -> str:
+    """Return a sentence on what methods are compared on, and why."""
+    ours = [one for one in repeats if one.problem == problem]
+    distinct, tried = sum(one.counts.distinct for one in ours), sum(one.counts.tried for one in ours)
+    if measure_of(repeats, problem) is PairMeasure.CONFIRMED:
+        return "Compared on confirmed distinct pairs."
+    if not distinct:
+        return "No method found any pair."
+    if ours[0].computed:
+        return "Compared on distinct pairs: verdicts are computed here, so there is nothing to confirm."
+    if not tried:
+        return "Compared on distinct pairs: none of them was simulated again with other seeds, so none is confirmed."
+    return (
+        f"Compared on distinct pairs, confirmed or not: only {tried:,} of {distinct:,} were simulated again with "
+        "other seeds."
+    )
+
+
+def pair_duels(repeats: Sequence[PairRepeat]) -> list[PairDuel]:
+    """Return every two methods on a problem compared, with p-values corrected over the comparisons of the problem."""
+    return [
+        duel for problem in problems_of(repeats) for duel in _duels(repeats, problem)
+    ]  # fmt: skip
+
+
+def _duels(repeats: Sequence[PairRepeat], problem: str) -> list[PairDuel]:
+    measure = measure_of(repeats, problem)
+    values = {
+        method: [float(measure.of(one.counts)) for one in ours]
+        for method, ours in by_method(repeats, problem).items()
+    }
+    results = [
+        (first, second, compared(values[first], values[second]))
+        for first, second in itertools.combinations(values, 2)
+    ]
+    # If all values are equal, there is nothing to test or to correct for (Tarone 1990).
+    differ = [len({*values[first], *values[second]}) > 1 for first, second, _ in results]
+    tested = iter(
+        holm([result.p_value for (_, _, result), tests in zip(results, differ, strict=True) if tests])
+    )
+    return [
+        PairDuel(
+            problem=problem, first=first, second=second, measure=measure,
+            first_mean=mean_interval(values[first]).mean, second_mean=mean_interval(values[second]).mean,
+            result=result, adjusted=next(tested) if tests else 1.0,
+        )
+        for (first, second, result), tests in zip(results, differ, strict=True)
+    ]  # fmt: skip

@@ -1,0 +1,260 @@
+"""Routes of the pairs across the boundary that the campaigns of an experiment found."""
+
+import asyncio
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query
+from pydantic import Field
+
+from brink.search.analysis.comparison import LEVEL
+from brink.search.analysis.pair_comparison import (
+    PairCounts,
+    PairMeasure,
+    PairRepeat,
+    Proportion,
+    measure_of,
+    measure_words,
+    pair_duels,
+    pair_standings,
+    problems_of,
+)
+from brink.search.analysis.statistics import MeanInterval
+from brink.server.api.context import Context, Services
+from brink.server.api.responses import COMPUTING, computing
+from brink.server.api.schemas import View
+from brink.server.campaigns.pairs import PairSettings
+from brink.server.experiments.pairs import settings_of
+from brink.server.experiments.store import Experiment
+
+router = APIRouter(prefix="/experiments", tags=["experiments"])
+
+
+class MeanView(View):
+    """A mean over the campaigns of a method, with its 95% interval."""
+
+    mean: float
+    low: Annotated[float | None, Field(description="Null with a single campaign.")]
+    high: float | None
+    repeats: int
+
+
+class ProportionView(View):
+    """A share of counts pooled over the campaigns of a method, with its 95% Wilson interval."""
+
+    count: int
+    of: int
+    share: float
+    low: float
+    high: float
+
+
+class PairStandingView(View):
+    """The pairs of a method on a problem."""
+
+    problem: str
+    method: str
+    distinct: Annotated[MeanView, Field(description="Distinct pairs of a campaign.")]
+    confirmed: Annotated[
+        MeanView | None,
+        Field(
+            description="Confirmed distinct pairs of a campaign; null unless all pairs of all campaigns were tried."
+        ),
+    ]
+    known: Annotated[int, Field(description="Campaigns of whose pairs all were tried, or that have none.")]
+    pairs: Annotated[int, Field(description="Distinct pairs of all campaigns.")]
+    checked: Annotated[int, Field(description="Checked ones among them.")]
+    tried: Annotated[int, Field(description="Those simulated again with other seeds after the search.")]
+    precision: Annotated[
+        ProportionView | None,
+        Field(description="Share of the checked pairs that were confirmed; null if none was tried."),
+    ]
+    overall: Annotated[
+        ProportionView | None,
+        Field(description="Share of all pairs, checked or not, that were confirmed; null if none was tried."),
+    ]
+    component: Annotated[
+        ProportionView | None,
+        Field(
+            description="Share of the unsafe sides that are safe with ground truth in place of the component; null "
+            "if that was not tried."
+        ),
+    ]
+
+
+class PairDuelView(View):
+    """Comparison of a method with another by their pairs."""
+
+    problem: str
+    first: str
+    second: str
+    measure: Annotated[
+        PairMeasure, Field(description="Whether confirmed or all distinct pairs are compared.")
+    ]
+    first_mean: float
+    second_mean: float
+    u: float
+    p: float
+    p_holm: Annotated[float, Field(description="p value, corrected over all comparisons of this problem.")]
+    a12: float
+    effect: str
+    differs: Annotated[bool, Field(description="Whether the difference is significant after correction.")]
+    says: Annotated[str, Field(description="Conclusion in words.")]
+
+
+class PairRepeatView(View):
+    """The pairs of a finished campaign, and what follow-ups that have ended say about them."""
+
+    problem: str
+    method: str
+    seed: int
+    campaign: str
+    computed: Annotated[
+        bool, Field(description="Whether verdicts are computed, not simulated: there is nothing to confirm.")
+    ]
+    distinct: Annotated[int, Field(description="Distinct pairs.")]
+    checked: Annotated[int, Field(description="Distinct pairs whose sides the search simulated again.")]
+    tried: Annotated[
+        int, Field(description="Distinct pairs that were simulated again with other seeds after the search.")
+    ]
+    decided: Annotated[
+        int, Field(description="Tried ones with at least five drives a side: confirmed or not confirmed.")
+    ]
+    confirmed: Annotated[
+        int | None,
+        Field(
+            description="Those whose safe side was unsafe in at most 20% and whose unsafe side in at least 80% of "
+            "the drives with other seeds; null if there are pairs, and none was tried."
+        ),
+    ]
+    checked_decided: Annotated[int, Field(description="Checked ones among the decided.")]
+    checked_confirmed: Annotated[int, Field(description="Checked ones among the confirmed.")]
+    component: Annotated[int, Field(description="Unsafe sides that are safe with ground truth.")]
+    scenario: Annotated[int, Field(description="Unsafe sides that are unsafe with ground truth, too.")]
+    drives: Annotated[int, Field(description="Fewest drives with other seeds of any side of a tried pair.")]
+
+
+class ProblemPairs(View):
+    """What the methods are compared on, on one problem."""
+
+    problem: str
+    measure: PairMeasure
+    says: Annotated[str, Field(description="What they are compared on, and why.")]
+
+
+class ExperimentPairs(View):
+    """The pairs of an experiment's finished campaigns."""
+
+    id: str
+    name: str
+    eps: Annotated[float, Field(description="Largest distance between the sides of a pair.")]
+    d_th: Annotated[float, Field(description="Smallest distance between two distinct pairs.")]
+    campaigns: int
+    counted: Annotated[int, Field(description="Finished campaigns included here.")]
+    problems: list[ProblemPairs]
+    standings: list[PairStandingView]
+    duels: list[PairDuelView]
+    repeats: list[PairRepeatView]
+
+
+@router.get("/{experiment_id}/pairs", responses=COMPUTING)
+async def get_experiment_pairs(
+    experiment_id: str,
+    services: Services,
+    eps: Annotated[
+        float | None,
+        Query(
+            ge=0, le=1, description="Largest distance between the sides; by default as the experiment says."
+        ),
+    ] = None,
+    d_th: Annotated[
+        float | None,
+        Query(ge=0, le=1, description="Smallest distance between pairs; by default as the experiment says."),
+    ] = None,
+    wait_s: Annotated[
+        float, Query(ge=0, le=60, description="How long to wait for the pairs, in seconds.")
+    ] = 10.0,
+) -> ExperimentPairs:
+    """Return how many pairs across the boundary the campaigns that have finished found, and how many hold.
+
+    All campaigns are searched for pairs with the same `eps` and `d_th`, so that methods can be compared.
+    """
+    experiment = await services.experiments.get(experiment_id)
+    found = await find_experiment_pairs(services, experiment, settings_of(experiment.body, eps, d_th), wait_s)
+    if isinstance(found, str):
+        return computing(found)  # type: ignore[no-any-return]
+    return found
+
+
+async def find_experiment_pairs(
+    services: Context, experiment: Experiment, settings: PairSettings, wait_s: float
+) -> ExperimentPairs | str:
+    """Return the pairs of an experiment's finished campaigns, or what is still being computed, in words.
+
+    Args:
+        services: The services of this process.
+        experiment: The experiment.
+        settings: Which solutions are a pair, and which pairs are distinct.
+        wait_s: How long to wait for campaigns that are being searched for pairs.
+    """
+    repeats, missing = await services.experiment_pairs.repeats(experiment, settings, wait_s)
+    if missing:
+        return f"searched {len(repeats)} of {len(repeats) + missing} finished campaigns for pairs"
+    loop = asyncio.get_running_loop()
+    return await loop.run_in_executor(None, _view, experiment, settings, repeats)
+
+
+def _view(experiment: Experiment, settings: PairSettings, repeats: Sequence[PairRepeat]) -> ExperimentPairs:
+    return ExperimentPairs(
+        id=experiment.id, name=experiment.body.name, eps=settings.eps, d_th=settings.d_th,
+        campaigns=experiment.body.campaigns, counted=len(repeats),
+        problems=[
+            ProblemPairs(
+                problem=problem, measure=measure_of(repeats, problem), says=measure_words(repeats, problem)
+            )
+            for problem in problems_of(repeats)
+        ],
+        standings=[
+            PairStandingView(
+                problem=one.problem, method=one.method, distinct=_mean(one.distinct),
+                confirmed=None if one.confirmed is None else _mean(one.confirmed), known=one.known,
+                pairs=one.pairs, checked=one.checked, tried=one.tried,
+                precision=_proportion(one.precision), overall=_proportion(one.overall),
+                component=_proportion(one.component),
+            )
+            for one in pair_standings(repeats)
+        ],
+        duels=[
+            PairDuelView(
+                problem=one.problem, first=one.first, second=one.second, measure=one.measure,
+                first_mean=one.first_mean, second_mean=one.second_mean, u=one.result.u, p=one.result.p_value,
+                p_holm=one.adjusted, a12=one.result.a12, effect=one.size, differs=one.adjusted <= LEVEL,
+                says=one.says,
+            )
+            for one in pair_duels(repeats)
+        ],
+        repeats=[
+            PairRepeatView(
+                problem=one.problem, method=one.method, seed=one.seed, campaign=one.campaign,
+                computed=one.computed, **_counts(one.counts),
+            )
+            for one in repeats
+        ],
+    )  # fmt: skip
+
+
+def _counts(counts: PairCounts) -> dict[str, Any]:
+    fields = {name: getattr(counts, name) for name in PairCounts.__slots__}
+    return fields if counts.tried or not counts.distinct else {**fields, "confirmed": None}
+
+
+def _mean(value: MeanInterval) -> MeanView:
+    return MeanView(mean=value.mean, low=value.low, high=value.high, repeats=value.repeats)
+
+
+def _proportion(value: Proportion | None) -> ProportionView | None:
+    if value is None:
+        return None
+    return ProportionView(
+        count=value.count, of=value.of, share=value.share, low=value.low, high=value.high
+    )  # fmt: skip
