@@ -127,7 +127,7 @@ def figure_pairs(repeats: Sequence[PairRepeat], problem: str) -> Figure:
     methods = by_method(repeats, problem)
     compared_on = measure_of(repeats, problem)
     confirmed = compared_on is PairMeasure.CONFIRMED
-    height = 190 + 92 * len(methods)
+    height = 190 + 112 * len(methods)
     figure = new_figure(
         height,
         f"{problem}: {'confirmed distinct pairs' if confirmed else 'distinct pairs'} of each method",
@@ -137,20 +137,24 @@ def figure_pairs(repeats: Sequence[PairRepeat], problem: str) -> Figure:
     axes = figure.add_axes((
         220 / WIDTH_PX, 62 / height, 1 - 480 / WIDTH_PX, 1 - (62 + 108) / height,
     ))  # fmt: skip
+    highest = 0.0
     for place, ours in enumerate(methods.values()):
         colour = METHOD_COLOURS[place % len(METHOD_COLOURS)]
         values = [compared_on.of(one.counts) for one in ours]
         found = [one.counts.distinct for one in ours]
         if confirmed:
             axes.plot(
-                found, place + 0.24 + _stacked(found), "o", markersize=6, markerfacecolor="none",
+                found, place + 0.3 + 0.5 * _stacked(found), "o", markersize=6, markerfacecolor="none",
                 markeredgecolor=MUTED, markeredgewidth=1.1,
             )  # fmt: skip
-        axes.plot(values, place + _stacked(values), "o", markersize=8, color=colour, alpha=0.75)
+        axes.plot(
+            values, place + _stacked(values), "o", markersize=7.5, color=colour, alpha=0.6, markeredgewidth=0
+        )
         span = mean_interval([float(value) for value in values])
         low, high = interval_limits(span)
-        axes.plot([low, high], [place - 0.3] * 2, color=colour, linewidth=2.2)
-        axes.plot([span.mean], [place - 0.3], "|", color=colour, markersize=13, markeredgewidth=2.6)
+        highest = max(highest, high)
+        axes.plot([low, high], [place - 0.33] * 2, color=colour, linewidth=2.2)
+        axes.plot([span.mean], [place - 0.33], "|", color=colour, markersize=13, markeredgewidth=2.6)
         limits = "" if span.low is None else f"  [{low:.1f}, {high:.1f}]"
         axes.annotate(
             f"{span.mean:.1f}{limits}", (1, place), xycoords=("axes fraction", "data"), xytext=(10, 0),
@@ -159,8 +163,8 @@ def figure_pairs(repeats: Sequence[PairRepeat], problem: str) -> Figure:
         )  # fmt: skip
     axes.set_yticks(range(len(methods)), list(methods))
     axes.set_ylim(len(methods) - 0.45, -0.6)
-    most = max((one.counts.distinct for ours in methods.values() for one in ours), default=0)
-    axes.set_xlim(-0.02 * max(1, most), 1.04 * max(1, most))
+    most = max(1.0, highest, *(one.counts.distinct for ours in methods.values() for one in ours))
+    axes.set_xlim(-0.02 * most, 1.04 * most)
     axes.xaxis.set_major_locator(MaxNLocator(nbins=8, integer=True))
     axes.set_xlabel("pairs in one campaign")
     style_axes(axes, grid="x")
@@ -174,8 +178,8 @@ def _stacked(values: Sequence[int]) -> FloatArray:
     shifts = []
     for value in values:
         count = seen[value] = seen.get(value, -1) + 1
-        shifts.append(0.05 * ((count + 1) // 2) * (-1) ** count)
-    found: FloatArray = np.clip(np.array(shifts, np.float64), -0.2, 0.2)
+        shifts.append(0.045 * ((count + 1) // 2) * (-1) ** count)
+    found: FloatArray = np.clip(np.array(shifts, np.float64), -0.22, 0.22)
     return found
 
 

@@ -50,10 +50,11 @@ def standing_cells(one: PairStanding, *, computed: bool) -> list[str]:
         confirmed = DASH
     else:
         confirmed = f"known of {one.known} of {one.distinct.repeats} campaigns" if one.tried else "not tried"
+    unchecked = "none checked" if one.pairs else "no pair"
     return [
         interval_text(one.distinct),
         confirmed,
-        DASH if computed else _share(one.precision, one.checked, "none checked", tried=one.tried),
+        DASH if computed else _share(one.precision, one.checked, unchecked, tried=one.tried),
         DASH if computed else _share(one.overall, one.pairs, "no pair", tried=one.tried),
         DASH if computed else _share(one.component, one.pairs, "no pair"),
     ]
@@ -148,8 +149,8 @@ def _duels_table(duels: Sequence[PairDuel]) -> str:
 
 def _campaigns(repeats: Sequence[PairRepeat]) -> str:
     names = [
-        "campaign", "method", "seed", "distinct", "checked", "tried", "confirmed", "of checked, tried", "confirmed",
-        "component's", "scenario's",
+        "campaign", "method", "seed", "distinct", "checked", "tried", "confirmed", "checked and tried",
+        "checked and confirmed", "component's", "scenario's",
     ]  # fmt: skip
     rows = [table_row(names), table_row(["---"] * len(names))]
     for one in repeats:

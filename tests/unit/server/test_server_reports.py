@@ -12,11 +12,12 @@ import pytest
 from scipy import stats
 from support.traces import make_trace
 
-from brink.plots.experiment import EXPERIMENT_FIGURES
+from brink.plots.experiment import EXPERIMENT_FIGURES, figure_pairs
 from brink.report.component import COLUMNS, DetectionCounts, box_rows, count_detections, write_boxes
-from brink.report.experiment import html_report, markdown_report
+from brink.report.experiment import ReportedPairs, html_report, markdown_report
 from brink.search.analysis.boundary import dbs, strict_dbs
 from brink.search.analysis.comparison import Line, Repeat, duels, standings
+from brink.search.analysis.pair_comparison import PairCounts, PairRepeat
 from brink.search.analysis.paper import PAPER_D_THS, PAPER_FRACTIONS, PAPER_T_BS, Measure
 from brink.search.analysis.scores import Control, Figures, Scores, scored
 from brink.search.archive import Archive, Neighbourhood
@@ -172,6 +173,62 @@ def test_the_page_embeds_its_images_and_no_foreign_html(report: str, folder: Pat
     assert "<b>" not in page
     assert "<table>" in page
     assert not re.search(r"""(src|href|url)[=(]["']?http""", page)
+
+
+def with_pairs(folder: Path, tried: tuple[bool, ...]) -> str:
+    """Return a report that begins with pairs.
+
+    Args:
+        folder: Folder for the figure.
+        tried: Whether the pairs of each method were simulated again.
+    """
+    rng = np.random.default_rng(1)
+    repeats = [
+        PairRepeat(
+            problem="gap", method=method, seed=seed, campaign=f"c{seed}{method[:2]}", computed=False,
+            counts=PairCounts(
+                distinct=distinct, checked=distinct, tried=again, decided=again, confirmed=again - again // 4,
+                checked_decided=again, checked_confirmed=again - again // 4, component=again, scenario=0,
+                drives=10,
+            ),
+        )
+        for seed in range(SEEDS)
+        for (method, level), follows in zip(METHODS.items(), tried, strict=True)
+        for distinct in [1 + int(rng.poisson(level))]
+        for again in [distinct if follows else 0]
+    ]  # fmt: skip
+    figure_pairs(repeats, "gap").savefig(folder / "pairs.png")
+    body = parse_experiment({
+        "name": "rq1", "problems": [{"name": "gap", "id": "mtq@1"}], "seeds": {"count": SEEDS},
+        "algorithms": [{"name": name, "id": "ga@1"} for name in METHODS], "budget": {"simulations": 1300},
+    })  # fmt: skip
+    return markdown_report(
+        body, REPEATS, {}, experiment="3f2a", created_at=datetime(2026, 1, 2, tzinfo=UTC), elapsed_s=3700,
+        pairs=ReportedPairs(repeats=repeats, eps=0.02, d_th=0.2, pictures={"gap": "pairs.png"}),
+    )  # fmt: skip
+
+
+def test_pairs_come_first_and_say_what_they_are(tmp_path: Path) -> None:
+    text = with_pairs(tmp_path, (True, True, True))
+    assert text.index("## Pairs across the boundary") < text.index("strict DBS")
+    assert "Compared on confirmed distinct pairs." in text
+    assert re.search(
+        r"\*\*MLCSHE\*\* and \*\*GA\*\*: [\d.]+ confirmed distinct pairs against [\d.]+, A12", text
+    )
+    assert "not tried" not in text
+    assert "at least 5 such drives of each side" in text
+    assert "at most 20% of the safe side's and at least 80% of the unsafe side's" in text
+    assert (tmp_path / "pairs.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_pairs_that_were_not_tried_are_no_zeros(tmp_path: Path) -> None:
+    text = with_pairs(tmp_path, (True, True, False))
+    [row] = [line for line in text.splitlines() if line.startswith("| **RS <b>** |") and "not tried" in line]
+    assert row.split(" | ")[2:] == ["not tried", "not tried", "not tried", "not tried |"]
+    assert "Compared on distinct pairs, confirmed or not: only" in text
+    campaigns = [line for line in text.splitlines() if re.match(r"\| `c\dRS`", line) and "not tried" in line]
+    assert len(campaigns) == SEEDS
+    assert all(line.count("not tried") == 6 for line in campaigns)
 
 
 Box = tuple[float, float, float, float, float]

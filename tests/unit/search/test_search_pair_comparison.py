@@ -1,0 +1,128 @@
+"""Methods compared by their pairs: counts, shares, and what they are compared on."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from brink.search.analysis.confirmation import Share
+from brink.search.analysis.pair_comparison import (
+    DistinctPair,
+    PairCounts,
+    PairMeasure,
+    PairRepeat,
+    Proportion,
+    measure_of,
+    measure_words,
+    pair_duels,
+    pair_standings,
+)
+from brink.search.analysis.statistics import holm, mean_interval
+
+SHARES = {
+    1: Share.of(0, 10), 2: Share.of(10, 10),  # holds
+    3: Share.of(2, 10), 4: Share.of(8, 10),  # only just holds
+    5: Share.of(3, 10), 6: Share.of(10, 10),  # the safe side does not hold
+    7: Share.of(0, 4), 8: Share.of(4, 4),  # too few drives
+}  # fmt: skip
+PAIRS = [
+    DistinctPair(safe=number, unsafe=number + 1, checked=number in (1, 5, 7, 9)) for number in (1, 3, 5, 7, 9)
+]
+
+
+def counts(distinct: int, *, tried: int = 0, confirmed: int = 0, checked: int = 0) -> PairCounts:
+    """Return counts of pairs, of which the first `checked` are checked, and the first `confirmed` confirmed."""
+    return PairCounts(
+        distinct=distinct, checked=checked, tried=tried, decided=tried, confirmed=confirmed,
+        checked_decided=min(checked, tried), checked_confirmed=min(checked, confirmed), component=0, scenario=0,
+        drives=10 if tried else 0,
+    )  # fmt: skip
+
+
+def repeats(*, computed: bool = False, **methods: list[PairCounts]) -> list[PairRepeat]:
+    """Return the campaigns of methods, one for each of their counts."""
+    return [
+        PairRepeat(problem="gap", method=method, seed=seed, campaign=f"{method}{seed}", computed=computed, counts=one)
+        for method, ones in methods.items()
+        for seed, one in enumerate(ones)
+    ]  # fmt: skip
+
+
+def test_pairs_are_counted_by_what_is_known_of_them() -> None:
+    found = PairCounts.of(PAIRS, SHARES, {2: False, 4: True, 6: False, 99: True})
+    assert found == PairCounts(
+        distinct=5, checked=4, tried=4, decided=3, confirmed=2, checked_decided=2, checked_confirmed=1,
+        component=2, scenario=1, drives=4,
+    )  # fmt: skip
+    assert not found.is_tried, "the last pair was not"
+    assert PairCounts.of([], SHARES, {}).is_tried, "there is none to try"
+
+
+def test_confirmed_pairs_have_a_mean_only_if_all_were_tried() -> None:
+    tried = [counts(n, tried=n, confirmed=n - 1, checked=n - 2) for n in (5, 6, 7)]
+    ours = repeats(all=tried, some=[*tried[:2], counts(7, checked=7)], none=[counts(0)] * 3)
+    every, some, none = pair_standings(ours)
+    assert every.confirmed == mean_interval([4, 5, 6])
+    assert every.precision == Proportion.pooled([(12, 12)])
+    assert every.overall == Proportion.pooled([(15, 18)])
+    assert (some.confirmed, some.known, some.pairs, some.tried) == (None, 2, 18, 11)
+    assert some.distinct == mean_interval([5, 6, 7])
+    assert some.overall is not None
+    assert (some.overall.count, some.overall.of) == (9, 11), "of the tried ones"
+    assert none.confirmed is not None
+    assert (none.confirmed.mean, none.known, none.overall, none.component) == (0, 3, None, None)
+
+
+def test_pooled_shares_have_wilson_intervals() -> None:
+    share = Proportion.pooled([(8, 10), (9, 10), (0, 0)])
+    assert share is not None
+    expected = stats.binomtest(17, 20).proportion_ci(method="wilson")
+    assert (share.low, share.high) == pytest.approx((expected.low, expected.high), abs=1e-4)
+    assert share.share == 0.85
+    assert Proportion.pooled([(0, 0)]) is None
+
+
+def test_methods_are_compared_on_confirmed_pairs_only_if_all_are_known() -> None:
+    rng = np.random.default_rng(3)
+    values = {method: rng.poisson(level, 10).tolist() for method, level in (("a", 60), ("b", 40), ("c", 2))}
+    known = {
+        method: [counts(n + 3, tried=n + 3, confirmed=n) for n in ones] for method, ones in values.items()
+    }
+    none = [counts(0)] * 10
+    ours = repeats(**known, nothing=none, neither=none)
+    assert measure_of(ours, "gap") is PairMeasure.CONFIRMED
+    duels = {(one.first, one.second): one for one in pair_duels(ours)}
+    assert len(duels) == 10
+    raw = {}
+    for (first, second), duel in duels.items():
+        a, b = ([one.counts.confirmed for one in ours if one.method == method] for method in (first, second))
+        assert (duel.first_mean, duel.second_mean) == (np.mean(a), np.mean(b))
+        if {*a, *b} != {0}:
+            expected = stats.mannwhitneyu(a, b, alternative="two-sided")
+            assert (duel.result.u, duel.result.p_value) == pytest.approx(
+                (expected.statistic, expected.pvalue)
+            )
+            raw[first, second] = expected.pvalue
+    assert len(raw) == 9, "all values of the two that found nothing are equal: nothing to correct for"
+    assert [duels[key].adjusted for key in raw] == pytest.approx(holm(list(raw.values())))
+    assert duels["nothing", "neither"].adjusted == 1
+    assert duels["a", "b"].says == "a finds more"
+
+    partly = repeats(**{**known, "a": [counts(99), *known["a"][1:]]}, nothing=none)
+    assert measure_of(partly, "gap") is PairMeasure.DISTINCT
+    assert "confirmed or not: only" in measure_words(partly, "gap")
+
+
+@pytest.mark.parametrize(
+    ("ours", "words"),
+    [
+        (repeats(a=[counts(3)], b=[counts(0)]), "none of them was simulated again"),
+        (repeats(a=[counts(0)], b=[counts(0)]), "No method found any pair."),
+        (repeats(computed=True, a=[counts(3)], b=[counts(0)]), "there is nothing to confirm"),
+        (repeats(a=[counts(3, tried=3)], b=[counts(0)]), "Compared on confirmed distinct pairs."),
+    ],
+)
+def test_it_is_said_what_methods_are_compared_on(ours: list[PairRepeat], words: str) -> None:
+    assert words in measure_words(ours, "gap")
+    confirmed = measure_of(ours, "gap") is PairMeasure.CONFIRMED
+    assert confirmed == ("on confirmed" in words)
+    assert {duel.measure for duel in pair_duels(ours)} == {measure_of(ours, "gap")}
