@@ -1,5 +1,7 @@
 """Methods compared by their pairs: counts, shares, and what they are compared on."""
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -38,7 +40,7 @@ def counts(distinct: int, *, tried: int = 0, confirmed: int = 0, checked: int = 
     )  # fmt: skip
 
 
-def repeats(*, computed: bool = False, **methods: list[PairCounts]) -> list[PairRepeat]:
+def repeats(methods: Mapping[str, list[PairCounts]], *, computed: bool = False) -> list[PairRepeat]:
     """Return the campaigns of methods, one for each of their counts."""
     return [
         PairRepeat(problem="gap", method=method, seed=seed, campaign=f"{method}{seed}", computed=computed, counts=one)
@@ -59,7 +61,7 @@ def test_pairs_are_counted_by_what_is_known_of_them() -> None:
 
 def test_confirmed_pairs_have_a_mean_only_if_all_were_tried() -> None:
     tried = [counts(n, tried=n, confirmed=n - 1, checked=n - 2) for n in (5, 6, 7)]
-    ours = repeats(all=tried, some=[*tried[:2], counts(7, checked=7)], none=[counts(0)] * 3)
+    ours = repeats({"all": tried, "some": [*tried[:2], counts(7, checked=7)], "none": [counts(0)] * 3})
     every, some, none = pair_standings(ours)
     assert every.confirmed == mean_interval([4, 5, 6])
     assert every.precision == Proportion.pooled([(12, 12)])
@@ -88,14 +90,14 @@ def test_methods_are_compared_on_confirmed_pairs_only_if_all_are_known() -> None
         method: [counts(n + 3, tried=n + 3, confirmed=n) for n in ones] for method, ones in values.items()
     }
     none = [counts(0)] * 10
-    ours = repeats(**known, nothing=none, neither=none)
+    ours = repeats({**known, "nothing": none, "neither": none})
     assert measure_of(ours, "gap") is PairMeasure.CONFIRMED
     duels = {(one.first, one.second): one for one in pair_duels(ours)}
     assert len(duels) == 10
     raw = {}
     for (first, second), duel in duels.items():
         a, b = ([one.counts.confirmed for one in ours if one.method == method] for method in (first, second))
-        assert (duel.first_mean, duel.second_mean) == (np.mean(a), np.mean(b))
+        assert (duel.first_mean, duel.second_mean) == (float(np.mean(a)), float(np.mean(b)))
         if {*a, *b} != {0}:
             expected = stats.mannwhitneyu(a, b, alternative="two-sided")
             assert (duel.result.u, duel.result.p_value) == pytest.approx(
@@ -107,7 +109,7 @@ def test_methods_are_compared_on_confirmed_pairs_only_if_all_are_known() -> None
     assert duels["nothing", "neither"].adjusted == 1
     assert duels["a", "b"].says == "a finds more"
 
-    partly = repeats(**{**known, "a": [counts(99), *known["a"][1:]]}, nothing=none)
+    partly = repeats({**known, "a": [counts(99), *known["a"][1:]], "nothing": none})
     assert measure_of(partly, "gap") is PairMeasure.DISTINCT
     assert "confirmed or not: only" in measure_words(partly, "gap")
 
@@ -115,10 +117,10 @@ def test_methods_are_compared_on_confirmed_pairs_only_if_all_are_known() -> None
 @pytest.mark.parametrize(
     ("ours", "words"),
     [
-        (repeats(a=[counts(3)], b=[counts(0)]), "none of them was simulated again"),
-        (repeats(a=[counts(0)], b=[counts(0)]), "No method found any pair."),
-        (repeats(computed=True, a=[counts(3)], b=[counts(0)]), "there is nothing to confirm"),
-        (repeats(a=[counts(3, tried=3)], b=[counts(0)]), "Compared on confirmed distinct pairs."),
+        (repeats({"a": [counts(3)], "b": [counts(0)]}), "none of them was simulated again"),
+        (repeats({"a": [counts(0)], "b": [counts(0)]}), "No method found any pair."),
+        (repeats({"a": [counts(3)], "b": [counts(0)]}, computed=True), "there is nothing to confirm"),
+        (repeats({"a": [counts(3, tried=3)], "b": [counts(0)]}), "Compared on confirmed distinct pairs."),
     ],
 )
 def test_it_is_said_what_methods_are_compared_on(ours: list[PairRepeat], words: str) -> None:
