@@ -4,8 +4,8 @@ They are the numbers in units of their ranges, one column for each category, and
 numbers that a constraint ties together, such as the left and right edge of a box or the start and end of a time span.
 
 Parts of a component that can be swapped without changing what a solution means, such as two injected trajectories,
-give every solution several equivalent orders. A model is fitted to all of them, and its predictions are averaged over
-them, so that it does not have to learn the symmetry from the simulations.
+give every solution several equivalent orders. A model that is fitted to all of them does not have to learn the
+symmetry from the simulations, and its predictions may be averaged over them.
 """
 
 import itertools

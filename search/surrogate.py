@@ -51,10 +51,10 @@ class Surrogate:
         self._trees.fit(x, y)
 
     def unsafe(self, rows: FloatArray) -> FloatArray:
-        """Return the probabilities of rows of shape ``(n, d)``, shape ``(n,)``."""
+        """Return the probabilities of rows of shape ``(n, d)``, shape ``(n,)``, judged in their given order."""
         if not len(rows):
             return np.empty(0)
-        features = np.asarray(self._features.of_rows(rows), dtype=np.float32)
+        features = self._features.of_rows(rows)
         # One tree after another takes half the time of the forest's own loop, which prepares for threads.
         trees = self._trees.estimators_
         total = np.zeros(len(rows))

@@ -1,10 +1,10 @@
 """`edge@1`: pairs of solutions across the boundary, one safe, one unsafe, narrowed until little is left between them.
 
 The search explores at random, then looks for *partners*: the numbers of a simulated solution, its *anchor*, are drawn
-again, and the draw that a surrogate holds most likely to change the verdict is simulated under the anchor's episode
-seed. If the verdict changes, the two are a *bracket*. A *probe* between them, under the same seed, replaces the end
-whose verdict it shares, until the bracket is a tight pair. *Checks* then simulate both sides again, each under a seed
-of its own; a pair that does not keep its verdicts is a chancy place.
+again, and the draw that a surrogate considers most likely to change the verdict is simulated under the anchor's
+episode seed. If the verdict changes, the two are a *bracket*. A *probe* between them, under the same seed, replaces
+the end whose verdict it shares, until the bracket is a tight pair. *Checks* then simulate both sides again, each
+under a seed of its own; a pair that does not keep its verdicts is a chancy place.
 
 The sides of a bracket share an episode seed: otherwise chance would decide where the verdict changes. When the budget
 only just suffices to finish the open brackets, no more are opened, and generations become smaller.
@@ -14,7 +14,7 @@ Source: ours; see docs/explanation/pairs.md.
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any, Final, NamedTuple
@@ -51,17 +51,16 @@ MAX_FAILURES: Final = 3
 """Probes or checks of a bracket that may fail before it is given up."""
 _FEW: Final = 20
 """Solutions of each verdict below which nothing is too close to call."""
-_EXPECTED_HITS: Final = 0.6
-"""Share of the partners in flight that are expected to open a bracket."""
+_EXPECTED_HITS: Final = 0.8
+"""Share of the partners that is expected to open a bracket until results tell."""
 _PROMISING: Final = 3
 """Anchors that get further draws, as a multiple of the partners wanted."""
 _MOST_KEPT: Final = 2_000
 """Anchors whose draws are kept."""
 _LIKELY: Final = 0.75
 """Probability of the opposite verdict from which on a nearer partner is better than a likelier one."""
-_GENERATION, _SURROGATE, _PARTNER, _MORE, _CHANCE = range(
-    5
-)  # what is drawn, as the first index of the stream
+# What is drawn, as the first index of the stream.
+_GENERATION, _SURROGATE, _PARTNER, _MORE, _CHANCE = range(5)
 
 
 class Purpose(IntEnum):
@@ -87,7 +86,7 @@ class Status(IntEnum):
     GIVEN_UP = 4
     """Too many simulations failed."""
     NEAR = 5
-    """Not tight yet, and wherever it ends, it is too close to a tight pair to be distinct."""
+    """Not tight yet, and probably too close to a tight pair to be distinct, wherever it ends."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -242,10 +241,25 @@ class Edge(LedgerAlgorithm[EdgeConfig, EdgeState]):
             )
         seeds, tries = ({a: b for a, b in table(name, 2)} for name in ("seeds", "tries"))  # noqa: C416
         resolved = tuple(place for (place,) in table("resolved", 1))
+        known = set(ledger.archive.numbers.tolist())
+        _check_references("brackets", {n for b in brackets for n in (b.safe, b.unsafe)}, known)
+        _check_references("tries", tries.keys(), known)
+        _check_references("resolved", set(resolved), set(range(len(brackets))))
+        for purpose, of, side in jobs:
+            if purpose is Purpose.PARTNER:
+                _check_references("jobs", {of}, known)
+            elif purpose is not Purpose.EXPLORE:
+                _check_references("jobs", {of}, set(range(len(brackets))))
+                _check_references("jobs", {side}, {0, 1})
         return EdgeState(
             config=config, ledger=ledger, brackets=brackets, jobs=jobs, seeds=seeds, tries=tries,
             resolved=resolved,
         )  # fmt: skip
+
+
+def _check_references(name: str, named: Set[int], known: Set[int]) -> None:
+    if unknown := named - known:
+        raise DocumentError(f"{name}: {min(unknown)} is none of the solutions or brackets of this campaign")
 
 
 def _varied(space: SearchSpace, config: EdgeConfig) -> BoolArray:
@@ -334,9 +348,13 @@ def _learnt(
 
 
 def _drop_near(brackets: list[Bracket], known: _Known, steps: Steps, d_th: float) -> None:
-    """Give up the open brackets of which both ends are closer to a tight pair than distinct pairs may be."""
+    """Drop the open brackets that will probably end closer to a tight pair than distinct pairs may be.
+
+    Their middle may still move by almost half their length, but rarely moves by more than a quarter. One that was
+    dropped because of a pair that turned out chancy is opened again.
+    """
     tight = [b for b in brackets if b.status in (Status.TIGHT, Status.KEPT)]
-    places = [place for place, b in enumerate(brackets) if b.status is Status.OPEN]
+    places = [place for place, b in enumerate(brackets) if b.status in (Status.OPEN, Status.NEAR)]
     if not tight or not places:
         return
     middles = midpoints(*_ends(tight, known), steps.space)
@@ -344,8 +362,8 @@ def _drop_near(brackets: list[Bracket], known: _Known, steps: Steps, d_th: float
     lengths = np.array([steps.distance(a, b) for a, b in zip(safe, unsafe, strict=True)])
     towards = steps.metric.between(midpoints(safe, unsafe, steps.space), middles)
     near = np.asarray(towards + 0.25 * lengths[:, None] < d_th)
-    for at in np.flatnonzero(near.any(axis=1)).tolist():
-        brackets[places[at]] = replace(brackets[places[at]], status=Status.NEAR)
+    for place, drop in zip(places, near.any(axis=1).tolist(), strict=True):
+        brackets[place] = replace(brackets[place], status=Status.NEAR if drop else Status.OPEN)
 
 
 def _ends(brackets: Sequence[Bracket], known: _Known) -> tuple[FloatArray, FloatArray]:
@@ -381,12 +399,21 @@ def _checked(bracket: Bracket, side: int, unsafe: bool, checks: int) -> Bracket:
 
 @dataclass(slots=True)
 class _Plan:
-    """The generation that is being planned."""
+    """The generation that is being planned.
+
+    Attributes:
+        wanted: Its size.
+        rows: Its candidates so far.
+        seeds: Number of the candidate whose episode seed each shares; None for a seed of its own.
+        jobs: Their purposes.
+        allowance: Simulations that are left beyond what open brackets are expected to need.
+    """
 
     wanted: int
     rows: list[FloatArray]
     seeds: list[int | None]
     jobs: list[Job]
+    allowance: float = 0.0
 
     @property
     def room(self) -> int:
@@ -407,14 +434,16 @@ def _planned(state: EdgeState) -> EdgeState:
         return state
     plan = _Plan(int(min(config.generation_size, ledger.left)), [], [], [])
     rng = generator(ledger.seed, Stream.EDGE, _GENERATION, ledger.planned_generation)
-    to_explore = round(config.explore * ledger.budget) - ledger.spent - ledger.in_flight
+    to_explore = max(0, round(config.explore * _reachable(ledger)) - ledger.spent - ledger.in_flight)
     if to_explore < plan.wanted:
-        _probes(state, plan, rng)
         _checks(state, plan)
-        allowance = ledger.left - len(plan.rows) - _reserve(state)
-        state = _partners(state, plan, plan.room - max(0, to_explore), allowance)
-        if allowance < 1 + _cost(config.eps, config) and (plan.rows or ledger.flight):
-            plan.wanted = len(plan.rows)  # the rest of the budget is needed to finish what is open
+        _probes(state, plan, rng)
+        plan.allowance = ledger.left - len(plan.rows) - _reserve(state)
+        state = _partners(state, plan, plan.room - to_explore)
+        if plan.rows or ledger.flight:
+            # What the open brackets need is not spent on exploring meanwhile.
+            more = min(max(0, plan.room - to_explore), max(0, math.floor(plan.allowance)))
+            plan.wanted = len(plan.rows) + min(plan.room, to_explore) + more
     for row in _random_rows(ledger, plan.room, rng):
         plan.add(row, None, (Purpose.EXPLORE, 0, 0))
     return replace(
@@ -427,20 +456,37 @@ def _cost(length: float, config: EdgeConfig) -> float:
     return math.ceil(math.log2(max(length / config.eps, 1.0))) + 2.0 * config.checks
 
 
+def _checks_left(bracket: Bracket, config: EdgeConfig) -> int:
+    """Return how many checks a tight pair still needs."""
+    return 2 * config.checks - bracket.safe_checks - bracket.unsafe_checks
+
+
+def _hits(state: EdgeState) -> float:
+    """Return the share of partners that is expected to open a bracket, from those that were told."""
+    waiting = sum(purpose is Purpose.PARTNER for purpose, _, _ in state.jobs)
+    told = sum(state.tries.values()) - waiting
+    return (_EXPECTED_HITS * _FEW + len(state.brackets)) / (_FEW + max(told, 0))
+
+
+def _reachable(ledger: Ledger) -> int:
+    """Return how many different solutions can be simulated."""
+    return int(min(ledger.budget, ledger.space.size))
+
+
 def _reserve(state: EdgeState) -> float:
     """Return the number of simulations that the open brackets are expected to take until they are checked."""
     known, steps, config = _Known(state.ledger.archive), Steps(state.ledger.space), state.config
-    total = 0.0
+    total, hits = 0.0, _hits(state)
     for bracket in state.brackets:
         if bracket.status is Status.OPEN:
             total += _cost(steps.distance(known.row(bracket.safe), known.row(bracket.unsafe)), config)
         elif bracket.status is Status.TIGHT:
-            total += 2 * config.checks - bracket.safe_checks - bracket.unsafe_checks
+            total += _checks_left(bracket, config)
     in_flight = [candidate for generation in state.ledger.flight for candidate in generation]
     for candidate, (purpose, of, _) in zip(in_flight, state.jobs, strict=True):
         if purpose is Purpose.PARTNER:
             length = steps.distance(known.row(of), state.ledger.space.join(candidate.vectors))
-            total += _EXPECTED_HITS * _cost(length, config)
+            total += hits * _cost(length, config)
         elif purpose is not Purpose.EXPLORE:
             total -= 1
     return total
@@ -534,35 +580,50 @@ def _busy(state: EdgeState, *purposes: Purpose) -> set[tuple[int, int]]:
     return {(of, side) for purpose, of, side in state.jobs if purpose in purposes}
 
 
-def _probes(state: EdgeState, plan: _Plan, rng: np.random.Generator) -> None:
-    known, steps = _Known(state.ledger.archive), Steps(state.ledger.space)
-    busy = _busy(state, Purpose.PROBE)
-    for index, bracket in enumerate(state.brackets):
-        if bracket.status is Status.OPEN and (index, 0) not in busy and plan.room:
-            safe, unsafe = known.row(bracket.safe), known.row(bracket.unsafe)
-            row = steps.between(safe, unsafe, rng, eps=state.config.eps)
-            if row is not None:
-                plan.add(row, bracket.seed, (Purpose.PROBE, index, 0))
-
-
 def _checks(state: EdgeState, plan: _Plan) -> None:
-    """Plan the checks of tight pairs: the unsafe side first, because it fails more often; then the safe side."""
+    """Plan the checks of tight pairs, of those that need fewest first.
+
+    The unsafe side is checked before the safe one, because it fails more often.
+    """
     known = _Known(state.ledger.archive)
     busy = _busy(state, Purpose.CHECK)
-    for index, bracket in enumerate(state.brackets):
-        if bracket.status is Status.TIGHT and not {(index, 0), (index, 1)} & busy and plan.room:
+    tight = [index for index, b in enumerate(state.brackets) if b.status is Status.TIGHT]
+    for index in sorted(tight, key=lambda index: (_checks_left(state.brackets[index], state.config), index)):
+        bracket = state.brackets[index]
+        if not {(index, 0), (index, 1)} & busy and plan.room:
             side = int(bracket.unsafe_checks <= bracket.safe_checks)
             plan.add(known.row((bracket.safe, bracket.unsafe)[side]), None, (Purpose.CHECK, index, side))
 
 
-def _partners(state: EdgeState, plan: _Plan, count: int, allowance: float) -> EdgeState:
+def _probes(state: EdgeState, plan: _Plan, rng: np.random.Generator) -> None:
+    """Plan a probe of each open bracket; if the budget does not suffice for all, of the cheapest to finish."""
+    known, steps, config = _Known(state.ledger.archive), Steps(state.ledger.space), state.config
+    busy = _busy(state, Purpose.PROBE)
+    left = state.ledger.left + sum(purpose in (Purpose.PROBE, Purpose.CHECK) for purpose, _, _ in state.jobs)
+    left -= sum(_checks_left(b, config) for b in state.brackets if b.status is Status.TIGHT)
+    costs = {
+        index: _cost(steps.distance(known.row(b.safe), known.row(b.unsafe)), config)
+        for index, b in enumerate(state.brackets)
+        if b.status is Status.OPEN
+    }
+    for index in sorted(costs, key=lambda index: (costs[index], index)):
+        left -= costs[index]
+        if left < 0 or not plan.room:
+            break
+        if (index, 0) not in busy:
+            bracket = state.brackets[index]
+            row = steps.between(known.row(bracket.safe), known.row(bracket.unsafe), rng, eps=config.eps)
+            if row is not None:
+                plan.add(row, bracket.seed, (Purpose.PROBE, index, 0))
+
+
+def _partners(state: EdgeState, plan: _Plan, count: int) -> EdgeState:
     """Plan the partners most likely to have the opposite verdict; return the state with the tries counted.
 
     Args:
         state: The state.
         plan: The generation that is being planned.
-        count: Most partners.
-        allowance: Simulations that they may take, with those of the brackets that they are expected to open.
+        count: Most partners. With the brackets that they are expected to open they take no more than the allowance.
     """
     if count <= 0:
         return state
@@ -589,7 +650,7 @@ def _partners(state: EdgeState, plan: _Plan, count: int, allowance: float) -> Ed
         place = archive_place[number]
         partner = partners[number]
         expected = 1 + partner.flips * _cost(partner.length, state.config)
-        if len(chosen) == count or allowance < expected:
+        if len(chosen) == count or plan.allowance < expected:
             break
         if chosen and (archive.distances([place], chosen) < state.config.d_th).any():
             continue
@@ -598,7 +659,7 @@ def _partners(state: EdgeState, plan: _Plan, count: int, allowance: float) -> Ed
         if row.tobytes() in seen:
             continue
         chosen.append(place)
-        allowance -= expected
+        plan.allowance -= expected
         plan.add(row, state.seeds.get(number, number), (Purpose.PARTNER, number, 0))
     return replace(state, tries=tries, partners=kept, draws=draws)
 
@@ -714,7 +775,8 @@ def _redrawn(
     low, high = np.array([unit for unit in units_of(space) if len(unit) == 2], np.int64).reshape(-1, 2).T
     both = free[low] & free[high]
     low, high = low[both], high[both]
-    rows[:, low], rows[:, high] = np.minimum(a := rows[:, low], b := rows[:, high]), np.maximum(a, b)
+    first, second = rows[:, low], rows[:, high]
+    rows[:, low], rows[:, high] = np.minimum(first, second), np.maximum(first, second)
     return rows
 
 

@@ -11,7 +11,7 @@ from brink.search.algorithm import Candidate, Evaluation, Failed, Scored, ask_al
 from brink.search.algorithms import edge
 from brink.search.algorithms.edge import MAX_FAILURES, Bracket, Edge, EdgeConfig, EdgeState, Purpose, Status
 from brink.search.analysis.pairs import find_pairs
-from brink.search.errors import ConfigError
+from brink.search.errors import ConfigError, DocumentError
 from brink.search.pairs import Steps, midpoints
 from brink.search.problems import MTQ_SPACE, ONEMAX_SPACE, evaluate_mtq, evaluate_onemax, mtq_gap_to_boundary
 from brink.search.space import Categorical, Component, Integer, Real, SearchSpace
@@ -164,6 +164,31 @@ def test_more_checks_leave_fewer_chancy_pairs() -> None:
     kept = with_status(state, Status.KEPT)
     assert kept
     assert sum(rows[bracket.safe][1] == 2 for bracket in kept) <= 1
+
+
+@pytest.mark.parametrize(("budget", "seed"), [(260, 1), (400, 1), (400, 2)])
+def test_nearly_all_tight_pairs_are_checked_before_the_budget_ends(budget: int, seed: int) -> None:
+    slopes = np.array([1.0, -0.6, 0.4, 0.8, -0.9, 0.3])
+    space = SearchSpace((Component("all", tuple(Real(f"x{n}", 0.0, 1.0) for n in range(6))),))
+
+    def answer(candidate: Candidate) -> Scored:
+        value = float(slopes @ space.join(candidate.vectors)) - 0.5
+        return Scored(unsafe=value < 0, robustness=value)
+
+    state, _ = search(space, answer, budget=budget, seed=seed, d_th=0.15)
+    kept, tight, still_open = (
+        len(with_status(state, status)) for status in (Status.KEPT, Status.TIGHT, Status.OPEN)
+    )
+    assert kept >= 8
+    assert tight + still_open <= 0.2 * kept, (kept, tight, still_open)
+
+
+def test_a_stored_state_that_names_unknown_solutions_is_refused(chancy: tuple[EdgeState, list[Ask]]) -> None:
+    algorithm, state = Edge(), chancy[0]
+    broken = dataclasses.replace(state.brackets[0], unsafe=10_000)
+    stored = algorithm.dump(dataclasses.replace(state, brackets=(broken, *state.brackets[1:])))
+    with pytest.raises(DocumentError, match="brackets: 10000 is none of the solutions"):
+        algorithm.load(ROAD, state.config, stored, state.archive)
 
 
 def test_pairs_of_categories_differ_in_one() -> None:
