@@ -29,9 +29,11 @@ from brink.cli.options import (
 from brink.search.archive import ARRAYS, Archive
 from brink.search.space import BoolArray
 from brink.server.api.outcomes import OutcomesView
+from brink.server.api.pair_views import MOST_PAIRS, PairsView
 from brink.server.api.schemas import Boundary, CampaignView, SolutionView
 from brink.server.campaigns.body import DEFAULT_D_TH, DEFAULT_T_B, CampaignBody
 from brink.server.campaigns.outcomes import deciding_requirements
+from brink.server.campaigns.pairs import searches_for_pairs
 from brink.server.campaigns.plan import Plan, make_plan
 from brink.server.errors import InvalidInput, ServerError
 from brink.server.states import OutcomeKind
@@ -60,8 +62,8 @@ def plot(
 ) -> None:
     """Draw the figures of a campaign.
 
-    They show DBS against simulations for several thresholds, the archive embedded in two dimensions, fitness over
-    generations, and how the verdict depends on each parameter.
+    They show the archive embedded in two dimensions, how the verdict depends on each parameter and, unless the
+    campaign searched for pairs, DBS against simulations for several thresholds, and fitness over generations.
 
     Example: brink plot 3f2a --out figures
     """
@@ -71,7 +73,12 @@ def plot(
         folder = out or RESULTS / f"plots-{campaign}"
         folder.mkdir(parents=True, exist_ok=True)
         formats = ("png", "svg") if svg else ("png",)
-        return await asyncio.to_thread(draw_figures, fetched, folder, t_b=t_b, d_th=d_th, formats=formats)
+        pairs = None
+        if searches_for_pairs(fetched.body.algorithm.id):
+            pairs = await api.read(PairsView, f"/campaigns/{fetched.id}/pairs", {"limit": MOST_PAIRS})
+        return await asyncio.to_thread(
+            draw_figures, fetched, folder, t_b=t_b, d_th=d_th, pairs=pairs, formats=formats
+        )
 
     files = with_api(server, database, work)
     if as_json:
@@ -190,15 +197,22 @@ async def write_results(api: Api, campaign: str, folder: Path, *, t_b: float, d_
 
 
 def draw_figures(
-    fetched: FetchedArchive, folder: Path, *, t_b: float, d_th: float, formats: tuple[str, ...] = ("png",)
+    fetched: FetchedArchive,
+    folder: Path,
+    *,
+    t_b: float,
+    d_th: float,
+    pairs: PairsView | None = None,
+    formats: tuple[str, ...] = ("png",),
 ) -> list[Path]:
-    """Draw all figures of a campaign.
+    """Draw the figures of a campaign.
 
     Args:
         fetched: The campaign.
         folder: Folder to write to.
         t_b: Maximum fitness of a boundary solution.
         d_th: Minimum distance between two boundary solutions.
+        pairs: The pairs to mark in place of boundary solutions, if the campaign searched for them.
         formats: File formats.
 
     Returns:
@@ -216,6 +230,9 @@ def draw_figures(
         t_b=t_b,
         d_th=d_th,
         words=_verdict_words(fetched),
+        pairs=None
+        if pairs is None
+        else tuple((pair.safe.number, pair.unsafe.number) for pair in pairs.pairs),
     )
     return write_campaign_figures(figures, folder, formats=formats)
 

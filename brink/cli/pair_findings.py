@@ -10,7 +10,7 @@ from rich.markup import escape
 from brink.api.client import Api, CoordinatorError
 from brink.cli.draw import Drawing, FetchedArchive, NoTrace
 from brink.cli.pair_pictures import write_pair
-from brink.cli.pairs import chance_words, fetch_pairs, pairs_table
+from brink.cli.pairs import chance_words, fetch_pairs, legend, pairs_table
 from brink.search.analysis.confirmation import Confirmation
 from brink.server.api.pair_views import DEFAULT_CONFIRMATIONS, MOST_PAIRS, ComponentPart, PairsView
 from brink.server.campaigns.plan import with_truth
@@ -43,6 +43,11 @@ class PairFindings:
         self._no_picture = ""
 
     @property
+    def view(self) -> PairsView:
+        """The pairs."""
+        return self._view
+
+    @property
     def searched(self) -> bool:
         """Whether the campaign searched for pairs, so that they come first."""
         return self._view.searched
@@ -66,16 +71,16 @@ class PairFindings:
         words, _, rest = view.note.partition("; ")
         screen.print(f"[bold]{escape(words)}[/bold]{escape('; ' + rest if rest else '')}", soft_wrap=True)
         if view.pairs:
+            what = "solutions" if view.computed else "drives"
             screen.print(
-                "[dim]a pair is two drives that are almost the same, with opposite verdicts; checked: both kept "
-                "theirs with another seed[/dim]"
-                if not view.computed
-                else "[dim]a pair is two solutions that are almost the same, with opposite verdicts[/dim]",
+                f"[dim]a pair is two {what} that are almost the same, on either side of the boundary[/dim]",
                 soft_wrap=True,
             )
             screen.print(pairs_table(view, _PAIRS_SHOWN))
             if view.distinct > _PAIRS_SHOWN:
                 screen.print(f"[dim]… and {view.distinct - _PAIRS_SHOWN} more in pairs.csv[/dim]")
+            for words in legend(view):
+                screen.print(f"[dim]{escape(words)}[/dim]", soft_wrap=True)
         if view.chancy:
             screen.print(chance_words(view), soft_wrap=True)
         if self._no_picture:
@@ -125,7 +130,9 @@ class PairFindings:
                 what = "do they hold with other seeds, and is the component to blame?"
             hints.append((f"pairs {campaign} {' '.join(options)}{database}", what))
         if not view.computed:
-            hints.append((f"pairs {campaign} --film 1 pair.mp4{database}", "watch both drives of a pair"))
+            if len(view.pairs) > 1:
+                hints.append((f"pairs {campaign} --picture 2 pair-2.png{database}", "see another pair"))
+            hints.append((f"pairs {campaign} --film 1 pair-1.mp4{database}", "watch both drives of a pair"))
         return hints
 
 

@@ -1,5 +1,6 @@
 """`brink pairs`: pairs of drives across the boundary, one safe and one unsafe, and the change between them."""
 
+import itertools
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -320,7 +321,7 @@ def print_pairs(screen: Console, view: PairsView) -> None:
     if view.chancy:
         screen.print(chance_words(view), soft_wrap=True)
     screen.print(pairs_table(view))
-    for words in _legend(view):
+    for words in legend(view):
         screen.print(f"[dim]{words}[/dim]", soft_wrap=True)
     if view.distinct > len(view.pairs):
         screen.print(
@@ -330,10 +331,13 @@ def print_pairs(screen: Console, view: PairsView) -> None:
 
 def pairs_table(view: PairsView, shown: int | None = None) -> Table:
     """Return a table of the first pairs: the change in words, what both drives showed, and the evidence."""
-    table = plain_table("", "change, and what both drives showed", "evidence", right=("",))
+    table = plain_table(
+        "", "change from the safe to the unsafe drive, and what both showed", "evidence", right=("",)
+    )
     for pair in view.pairs[:shown]:
         lines = [
             f"{pair.change[:1].upper()}{pair.change[1:]}",
+            *_common_words(pair),
             f"unsafe, solution {pair.unsafe.number}: {pair.unsafe.outcome}",
             f"safe, solution {pair.safe.number}: {pair.safe.outcome}",
         ]
@@ -341,9 +345,22 @@ def pairs_table(view: PairsView, shown: int | None = None) -> Table:
         if less is not None and less.change != pair.change:
             name = "minimal" if less.minimal else "smaller"
             lines.append(f"{name} change: {less.change}: {less.outcome}")
-        evidence = [*evidence_words(view, pair).split(", "), f"{pair.distance:.3f} apart"]
+        evidence = [*evidence_words(view, pair).split(", "), _extent_words(pair)]
         table.add_row(str(pair.place), escape("\n".join(lines)), "\n".join(evidence))
     return table
+
+
+def _common_words(pair: PairView) -> list[str]:
+    """Return what the descriptions of both sides begin with, such as the scenario; empty if they differ at once."""
+    both = zip(pair.safe.words.split("; "), pair.unsafe.words.split("; "), strict=False)
+    common = [safe for safe, unsafe in itertools.takewhile(lambda two: two[0] == two[1], both)]
+    return [f"in both: {'; '.join(common)}"] if common else []
+
+
+def _extent_words(pair: PairView) -> str:
+    """Return in how many of the parameters the sides differ."""
+    differing = sum(len(change.names) for change in pair.changes)
+    return f"{differing} of {sum(map(len, pair.safe.parameters.values()))} parameters"
 
 
 def chance_words(view: PairsView) -> str:
@@ -352,9 +369,16 @@ def chance_words(view: PairsView) -> str:
     return f"{places} where the verdict depends on chance: the same solution was safe and unsafe with different seeds"
 
 
-def _legend(view: PairsView) -> list[str]:
-    """Return what the words of the evidence mean that need it."""
-    found = []
+def legend(view: PairsView) -> list[str]:
+    """Return what the words of the table mean that need it."""
+    found = [view.terms] if view.terms else []
+    if view.pairs and not view.computed:
+        found.append(
+            "safe and unsafe: by the requirement of the campaign alone; checked: both drives kept their verdicts in "
+            "another simulation, with another seed"
+        )
+    if any(pair.minimality.state is Minimality.MINIMAL for pair in view.pairs):
+        found.append("minimal: none of the differences can go without losing the opposite verdicts")
     if view.tried:
         found.append(
             "confirmed 0/10 9/10: with other seeds, the safe side was unsafe in 0 of 10 simulations and the unsafe "

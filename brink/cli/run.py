@@ -199,8 +199,11 @@ async def _write_all(
         )
         status.update("drawing a pair")
         files += await pairs.draw(drawing)
-        status.update("drawing the boundary")
-        files += await asyncio.to_thread(draw_figures, fetched, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH)
+        status.update("drawing figures")
+        files += await asyncio.to_thread(
+            draw_figures, fetched, folder, t_b=DEFAULT_T_B, d_th=DEFAULT_D_TH,
+            pairs=pairs.view if pairs.searched else None,
+        )  # fmt: skip
         for findings in found:
             status.update(f"drawing {findings.name}")
             files += await findings.draw(drawing)
@@ -277,13 +280,13 @@ def _print_summary(
     for findings in report.findings:
         findings.show(screen)
         screen.print()
-    if report.pairs.searched:
+    if report.pairs.searched and boundary.dbs:
         screen.print(
             f"[dim]by the measure of the MLCSHE paper, which this search does not pursue: {_boundary_words(boundary)}"
             "[/dim]",
             soft_wrap=True,
         )
-    elif _about_the_boundary(progress, boundary):
+    elif not report.pairs.searched and _about_the_boundary(progress, boundary):
         screen.print(f"[bold]{_boundary_words(boundary)}[/bold]", soft_wrap=True)
         if boundary.solutions:
             screen.print(solution_table(boundary))

@@ -420,6 +420,7 @@ FIGURES: Final[Mapping[str, Callable[[CampaignFigures], Figure]]] = {
     "parameters": figure_parameters,
 }
 """The figures by the stems of their file names."""
+_OF_THE_BOUNDARY: Final = frozenset({"dbs", "fitness"})
 
 FORMATS: Final = ("png", "svg")
 # No date and no software version: the same campaign gives the same files.
@@ -429,7 +430,9 @@ _METADATA: Final[Mapping[str, dict[str, Any]]] = {"png": {"Software": None}, "sv
 def write_campaign_figures(
     inputs: CampaignFigures, folder: Path, formats: Sequence[str] = ("png",)
 ) -> list[Path]:
-    """Write all figures of a campaign to a folder, creating it if needed and replacing existing files.
+    """Write the figures of a campaign to a folder, creating it if needed and replacing existing files.
+
+    After a search for pairs, which does not look for boundary solutions, the figures of these are left out.
 
     Args:
         inputs: The campaign.
@@ -449,6 +452,8 @@ def write_campaign_figures(
     folder.mkdir(parents=True, exist_ok=True)
     files: list[Path] = []
     for stem, make in FIGURES.items():
+        if inputs.pairs is not None and stem in _OF_THE_BOUNDARY:
+            continue
         figure = make(inputs)
         for extension in formats:
             path = folder / f"{stem}.{extension}"

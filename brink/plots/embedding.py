@@ -1,4 +1,4 @@
-"""The map of a campaign: a dot for each solution, similar ones close together, rings around boundary solutions."""
+"""The map of a campaign: a dot for each solution, similar ones close together, with rings around its results."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -52,9 +52,13 @@ _BACKGROUND = LinearSegmentedColormap.from_list(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Map:
-    """Positions of the solutions, the boundary solutions among them, and the axes: meanings, or own coordinates."""
+    """Positions of the solutions and the rings, and the axes: meanings, or own coordinates.
+
+    The rings are around pairs if the campaign searched for them, otherwise around distinct boundary solutions.
+    """
 
     points: FloatArray
+    rings: FloatArray
     explained: float
     meanings: tuple[AxisMeaning | None, AxisMeaning | None]
     near: IndexArray
@@ -64,13 +68,18 @@ class _Map:
 
 
 def figure_embedding(inputs: CampaignFigures) -> Figure:
-    """Plot the map of the archive: verdicts as colours, boundary solutions marked, distinct ones ringed."""
+    """Plot the map of the archive: verdicts as colours, boundary solutions marked, distinct ones or pairs ringed."""
+    parts = " + ".join(part.name for part in inputs.space.components)
+    if inputs.pairs is None:
+        dot = f"complete solution ({parts}), evaluated once"
+        result = "distinct solutions on the hazard boundary, between safe and unsafe."
+    else:  # a search for pairs evaluates some solutions again, with other seeds
+        dot = f"evaluation of a complete solution ({parts})"
+        result = "pairs of almost equal solutions, one on either side of the boundary."
     figure = new_figure(
         HEIGHT_PX,
         f"{inputs.title}: map of the search",
-        f"Each dot is one complete solution ({' + '.join(part.name for part in inputs.space.components)}), evaluated "
-        f"once. {_placement(inputs)}\n"
-        "The rings are the result: distinct solutions on the hazard boundary, between safe and unsafe.",
+        f"Each dot is one {dot}. {_placement(inputs)}\nThe rings are the result: {result}",
     )
     axes = figure.add_axes(
         (
@@ -116,12 +125,19 @@ def _embed(inputs: CampaignFigures) -> _Map:
             # The canvas is wider than it is high. A quarter turn preserves all distances.
             points = np.column_stack([points[:, 1], -points[:, 0]])
         meanings = axis_meanings(inputs.space, archive.vectors, points)
+    distinct = distinct_boundary(archive, inputs.t_b, inputs.d_th)
+    near = np.flatnonzero(archive.fitness <= inputs.t_b)
+    rings = points[distinct]
+    if inputs.pairs is not None:
+        sides = np.searchsorted(archive.numbers, np.array(inputs.pairs, dtype=np.int64).reshape(-1, 2))
+        rings, near = points[sides].mean(axis=1), near[:0]
     return _Map(
         points=points,
+        rings=rings,
         explained=explained,
         meanings=meanings,
-        near=np.flatnonzero(archive.fitness <= inputs.t_b),
-        distinct=distinct_boundary(archive, inputs.t_b, inputs.d_th),
+        near=near,
+        distinct=distinct,
         strict=int(distinct_boundary(archive, inputs.t_b, inputs.d_th, strict=True).size),
         plane=plane,
     )
@@ -201,8 +217,8 @@ def _colours(inputs: CampaignFigures) -> NDArray[np.str_]:
 
 
 def _draw_rings(axes: Axes, drawn: _Map) -> None:
-    """Ring the distinct boundary solutions; if there are few, number the rings by rank."""
-    rings = drawn.points[drawn.distinct]
+    """Ring the distinct boundary solutions or pairs; if there are few, number the rings by rank."""
+    rings = drawn.rings
     if not rings.size:
         return
     numbered = len(rings) <= MAX_NUMBERED
@@ -249,7 +265,11 @@ def _write_key(figure: Figure, inputs: CampaignFigures, drawn: _Map) -> None:
     near = f"near the boundary (fitness ≤ {inputs.t_b:g}): {drawn.near.size:,}"
     handles = [
         *(Line2D([], [], color=hue, label=text, **dot) for hue, text in _verdict_keys(inputs)),  # type: ignore[arg-type]
-        Line2D([], [], markersize=9, markeredgewidth=1.0, label=near, **hollow),  # type: ignore[arg-type]
+        *(
+            [Line2D([], [], markersize=9, markeredgewidth=1.0, label=near, **hollow)]  # type: ignore[arg-type]
+            if inputs.pairs is None
+            else []
+        ),
         Line2D([], [], markersize=14, markeredgewidth=2.0, label=_ring_text(inputs, drawn), **hollow),  # type: ignore[arg-type]
     ]
     extra_px = 30 * (len(handles) - 4) + 18 * sum("\n" in text for _, text in _verdict_keys(inputs))
@@ -287,6 +307,8 @@ def _verdict_keys(inputs: CampaignFigures) -> list[tuple[str, str]]:
 
 
 def _ring_text(inputs: CampaignFigures, drawn: _Map) -> str:
+    if inputs.pairs is not None:
+        return f"distinct pairs: {len(inputs.pairs):,}" if inputs.pairs else "distinct pairs: none"
     if drawn.distinct.size == 0:
         return "distinct boundary solutions: none yet"
     return (
@@ -325,31 +347,49 @@ def _draw_tint_key(figure: Figure, inputs: CampaignFigures, top: float) -> None:
 
 
 def _list_rings(figure: Figure, inputs: CampaignFigures, drawn: _Map, top: float) -> None:
-    """List the best ringed solutions: rank, number, unsafe neighbours, fitness."""
-    archive, hues = inputs.archive, _colours(inputs)
-    if drawn.distinct.size == 0:
+    """List the first rings: what is in each, and the neighbourhoods of boundary solutions."""
+    if not drawn.rings.size:
         return
-    columns = [(0, "ring"), (58, "solution"), (150, "unsafe neighbours"), (330, "fitness")]
+    if inputs.pairs is not None:
+        columns = [(0, "pair"), (58, "safe side"), (150, "unsafe side")]
+        rows = _pair_rows(inputs)
+    else:
+        columns = [(0, "ring"), (58, "solution"), (150, "unsafe neighbours"), (330, "fitness")]
+        rows = _boundary_rows(inputs, drawn)
     line = 21 / HEIGHT_PX
     for x, word in columns:
         figure.text((TEXT_LEFT_PX + x) / WIDTH_PX, top, word, fontsize=SMALL_PT, color=MUTED, va="top")
-    for row, position in enumerate(drawn.distinct[:MAX_LISTED].tolist(), start=1):
-        unsafe, all_of_them = int(archive.unsafe_neighbours[position]), int(archive.neighbours[position])
-        cells = [
-            f"{row}",
-            f"{archive.numbers[position]}",
-            f"{unsafe} of {all_of_them} ({share_text(unsafe / all_of_them)})",
-            f"{archive.fitness[position]:.3f}",
-        ]
-        colour = str(hues[position])
-        for index, ((x, _), cell) in enumerate(zip(columns, cells, strict=True)):
+    for row, cells in enumerate(rows[:MAX_LISTED], start=1):
+        for index, ((x, _), (cell, colour)) in enumerate(
+            zip(columns, [(f"{row}", INK), *cells], strict=True)
+        ):
             figure.text(
                 (TEXT_LEFT_PX + x) / WIDTH_PX, top - row * line - 4 / HEIGHT_PX, cell, fontsize=TICK_PT, va="top",
-                color=colour if index == 1 else INK, fontweight="bold" if index == 0 else "normal",
+                color=colour, fontweight="bold" if index == 0 else "normal",
             )  # fmt: skip
-    more = drawn.distinct.size - MAX_LISTED
+    more = len(rows) - MAX_LISTED
     if more > 0:
         figure.text(
             TEXT_LEFT_PX / WIDTH_PX, top - (MAX_LISTED + 1) * line - 6 / HEIGHT_PX, f"and {more:,} more",
             fontsize=SMALL_PT, color=MUTED, va="top",
         )  # fmt: skip
+
+
+def _pair_rows(inputs: CampaignFigures) -> list[list[tuple[str, str]]]:
+    """Return the numbers of both sides of each pair, each with its colour."""
+    hues = dict(zip(inputs.archive.numbers.tolist(), _colours(inputs).tolist(), strict=True))
+    return [[(f"{number}", hues[number]) for number in pair] for pair in inputs.pairs or ()]
+
+
+def _boundary_rows(inputs: CampaignFigures, drawn: _Map) -> list[list[tuple[str, str]]]:
+    """Return number, unsafe neighbours and fitness of each distinct boundary solution, each with its colour."""
+    archive, hues = inputs.archive, _colours(inputs)
+    rows = []
+    for position in drawn.distinct.tolist():
+        unsafe, all_of_them = int(archive.unsafe_neighbours[position]), int(archive.neighbours[position])
+        rows.append([
+            (f"{archive.numbers[position]}", str(hues[position])),
+            (f"{unsafe} of {all_of_them} ({share_text(unsafe / all_of_them)})", INK),
+            (f"{archive.fitness[position]:.3f}", INK),
+        ])  # fmt: skip
+    return rows

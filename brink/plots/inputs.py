@@ -38,6 +38,8 @@ class CampaignFigures:
         d_th: Minimum distance between distinct boundary solutions.
         words: What the verdicts are about; None if that is unknown.
         active: Which parameters had a part in each episode, shape ``(n, d)``; None if that was not recorded.
+        pairs: Numbers of the safe and the unsafe side of each distinct pair, in the order of their list, if the
+            campaign searched for pairs; None if it searched for something else.
     """
 
     archive: Archive
@@ -48,6 +50,7 @@ class CampaignFigures:
     d_th: float
     words: VerdictWords | None = None
     active: BoolArray | None = None
+    pairs: tuple[tuple[int, int], ...] | None = None
 
     def __post_init__(self) -> None:
         ends = np.asarray(self.generation_ends, dtype=np.int64)
@@ -61,6 +64,9 @@ class CampaignFigures:
             )
         if self.active is not None and self.active.shape != self.archive.vectors.shape:
             raise ValueError(f"active: expected shape {self.archive.vectors.shape}, got {self.active.shape}")
+        known = frozenset(self.archive.numbers.tolist())
+        if unknown := [number for pair in self.pairs or () for number in pair if number not in known]:
+            raise ValueError(f"pairs: expected numbers of solutions in the archive, got {unknown[0]}")
         if self.archive.metric.dimension != self.space.dimension:
             raise ValueError(
                 f"space: expected {self.archive.metric.dimension} parameters as in the archive, "

@@ -246,6 +246,9 @@ class PairsView(View):
     note: Annotated[
         str, Field(description="The result in one sentence; why there is no pair, if there is none.")
     ]
+    terms: Annotated[
+        str, Field(description="What a term in the descriptions of changes means; empty if none needs it.")
+    ] = ""
     safe: Annotated[int, Field(description="Safe solutions, each counted once.")]
     unsafe: Annotated[int, Field(description="Unsafe solutions, each counted once.")]
     chancy: Annotated[int, Field(description="Solutions whose simulations had different verdicts.")]

@@ -56,6 +56,7 @@ from brink.server.campaigns.store import ENDED, Campaign
 from brink.server.db.engine import read
 from brink.server.errors import Conflict, InvalidInput
 from brink.server.problems.base import (
+    ExplainsChanges,
     InProcessProblem,
     NamesRequirements,
     Problem,
@@ -196,6 +197,7 @@ def pairs_view(
         eps=pairs.settings.eps, d_th=pairs.settings.d_th,
         searched=searches_for_pairs(campaign.body.algorithm.id), computed=isinstance(problem, InProcessProblem),
         note=_note(campaign, found, pairs, deciding, counts),
+        terms=problem.terms_of_changes if isinstance(problem, ExplainsChanges) else "",
         safe=pairs.found.safe, unsafe=pairs.found.unsafe, chancy=pairs.found.chancy,
         tight=pairs.found.tight, distinct=len(pairs.found.pairs), checked=pairs.found.checked, **counts,
         nearest=None if pairs.nearest is None else NearestView(

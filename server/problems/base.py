@@ -200,6 +200,17 @@ class DescribesChanges(Protocol):
 
 
 @runtime_checkable
+class ExplainsChanges(Protocol):
+    """A problem whose descriptions of changes use a term that a reader may not know.
+
+    Attributes:
+        terms_of_changes: What the term means, such as ``reported: what the detector tells the driving system``.
+    """
+
+    terms_of_changes: ClassVar[str]
+
+
+@runtime_checkable
 class NamesRequirements(Protocol):
     """A simulated problem whose verdict depends on requirements of the episode.
 

@@ -162,6 +162,9 @@ class UrbanInjected:
     id: ClassVar[str] = "urban-injected@1"
     summary: ClassVar[str] = "Urban driving with injected obstacle detections: 7 + 22 parameters."
     params_type: ClassVar[type[Any]] = UrbanInjectedParams
+    terms_of_changes: ClassVar[str] = (
+        "reported: what the detector tells the driving system, true or not; of other road users it knows nothing else"
+    )
 
     def __init__(self, params: UrbanInjectedParams) -> None:
         self.params = params

@@ -51,15 +51,16 @@ def test_a_search_for_pairs_reports_them_first_with_files_and_a_picture(
     pairs = int(count.split()[0])
     assert pairs > 0
     assert "checked" not in shown, "computed verdicts are not checked"
-    place = lines.index(count)
-    side = next(index for index, line in enumerate(lines) if "by the measure of the MLCSHE paper" in line)
-    assert place < side
+    assert "boundary solution" not in shown, "the search does not look for them, and there is none"
     assert "DBS (strict DBS)" not in shown
+    assert "2 of 2 parameters" in shown or "1 of 2 parameters" in shown
     [folder] = tmp_path.glob("disc-*")
     assert len((folder / "pairs.jsonl").read_text().splitlines()) == pairs
     assert len((folder / "pairs.csv").read_text().splitlines()) == pairs + 1
     assert (folder / "pair-1.png").read_bytes().startswith(b"\x89PNG")
-    assert {"pairs.jsonl", "pairs.csv", "pair-1.png"} <= set(lines)
+    assert {"pairs.jsonl", "pairs.csv", "pair-1.png", "map.png", "parameters.png"} <= set(lines)
+    assert not (folder / "dbs.png").exists()
+    assert not (folder / "fitness.png").exists()
     assert "--confirm" not in shown, "other seeds give the same verdicts"
 
 

@@ -250,6 +250,33 @@ def test_map_rings_the_distinct_boundary_solutions_best_first() -> None:
     assert len(near) == np.count_nonzero(inputs.archive.fitness <= inputs.t_b)
 
 
+def test_map_of_a_search_for_pairs_rings_and_lists_these() -> None:
+    plain = mtq_campaign()
+    numbers, unsafe = plain.archive.numbers.tolist(), plain.archive.unsafe.tolist()
+    safe = [number for number, one in zip(numbers, unsafe, strict=True) if not one]
+    violated = [number for number, one in zip(numbers, unsafe, strict=True) if one]
+    pairs = ((safe[5], violated[0]), (safe[2], violated[7]))
+    figure = figure_embedding(replace(plain, pairs=pairs))
+    axes = figure.axes[0]
+    dots = np.asarray(scattered(axes, "solutions").get_offsets())
+    for place, sides in enumerate(pairs, start=1):
+        middle = dots[[numbers.index(number) for number in sides]].mean(axis=0)
+        assert np.asarray(scattered(axes, f"ring-{place}").get_offsets())[0] == pytest.approx(middle)
+    text = words(figure)
+    assert "distinct pairs: 2" in text
+    assert "near the boundary" not in text
+    assert {str(number) for sides in pairs for number in sides} <= set(text.splitlines())
+
+
+def test_map_of_a_search_that_found_no_pair_says_so() -> None:
+    assert "distinct pairs: none" in words(figure_embedding(replace(mtq_campaign(), pairs=())))
+
+
+def test_pairs_of_unknown_solutions_are_refused() -> None:
+    with pytest.raises(ValueError, match="expected numbers of solutions in the archive, got 999"):
+        replace(mtq_campaign(120), pairs=((3, 999),))
+
+
 def test_map_has_a_legend_for_dots_and_rings() -> None:
     inputs = mtq_campaign()
     text = words(figure_embedding(inputs))
@@ -419,6 +446,11 @@ def test_every_figure_is_written_in_every_format(tmp_path: Path) -> None:
                 assert image.width == WIDTH_PX
         else:
             assert ElementTree.parse(path).getroot().tag.endswith("svg")
+
+
+def test_figures_of_the_boundary_are_left_out_after_a_search_for_pairs(tmp_path: Path) -> None:
+    files = write_campaign_figures(replace(mtq_campaign(120), pairs=()), tmp_path)
+    assert [path.name for path in files] == ["map.png", "parameters.png"]
 
 
 @pytest.mark.long("draws every figure twice")
