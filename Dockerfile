@@ -8,7 +8,7 @@ COPY search search
 COPY server server
 COPY sim sim
 COPY worker worker
-RUN python -m venv /opt/brink && /opt/brink/bin/pip install --no-cache-dir -c constraints.txt '.[postgres]'
+RUN python -m venv /opt/brink && /opt/brink/bin/pip install --no-cache-dir -c constraints.txt '.[analysis,postgres]'
 
 FROM python:3.11-slim
 COPY --from=build /opt/brink /opt/brink

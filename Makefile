@@ -21,7 +21,7 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.base: pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP) install --quiet -c constraints.txt -e .
+	$(PIP) install --quiet -c constraints.txt -e '.[analysis]'
 	touch $@
 
 $(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
@@ -32,7 +32,7 @@ $(VENV)/.all: pyproject.toml constraints.txt | $(BIN)/python
 	$(PIP) install --quiet -c constraints.txt -e '.[dev,analysis,postgres,vision,torch,ray]'
 	touch $@ $(VENV)/.dev $(VENV)/.base
 
-install: $(VENV)/.base  ## create .venv with everything that `brink run` needs
+install: $(VENV)/.base  ## create .venv with everything that the quickstart needs
 
 dev: $(VENV)/.dev  ## create .venv with the test tools as well
 

@@ -9,7 +9,7 @@ import { field } from "../parts/fields.js";
 
 const FIRST = { problem: "urban-injected@1", algorithm: "mlcshe@1" };
 const EXAMPLE = `# A campaign file for brink run or brink submit.
-name: quickstart
+name: mlcshe
 problem:
   id: urban-injected@1
   params:
