@@ -334,6 +334,7 @@ def pairs_table(view: PairsView, shown: int | None = None) -> Table:
     table = plain_table(
         "", "change from the safe to the unsafe drive, and what both showed", "evidence", right=("",)
     )
+    table.leading = 1  # a row takes several lines
     for pair in view.pairs[:shown]:
         lines = [
             f"{pair.change[:1].upper()}{pair.change[1:]}",

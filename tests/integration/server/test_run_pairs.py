@@ -17,6 +17,7 @@ from brink.cli.draw import Drawing, NoTrace, fetch_archive
 from brink.cli.live import CampaignDisplay
 from brink.cli.options import with_api
 from brink.cli.pair_findings import PairFindings, fetch_pair_findings
+from brink.cli.pairs import fetch_pairs, legend, pairs_table
 from brink.server.api.schemas import Progress
 
 
@@ -62,6 +63,28 @@ def test_a_search_for_pairs_reports_them_first_with_files_and_a_picture(
     assert not (folder / "dbs.png").exists()
     assert not (folder / "fitness.png").exists()
     assert "--confirm" not in shown, "other seeds give the same verdicts"
+
+
+def test_the_table_says_what_both_sides_share_and_explains_its_terms(database: str, tmp_path: Path) -> None:
+    campaign = json.loads(run(tmp_path, database, SEARCH, "--no-pictures", "--json"))["campaign"]
+    found = with_api(None, database, lambda api: fetch_pairs(api, campaign))
+    pair = found.pairs[0]
+    scenario = "Long left bend (road 0), night; task: take the first exit"
+    told = pair.model_copy(
+        update={
+            "safe": pair.safe.model_copy(update={"words": f"{scenario}; detected: nothing"}),
+            "unsafe": pair.unsafe.model_copy(update={"words": f"{scenario}; detected: person"}),
+        }
+    )
+    view = found.model_copy(update={"pairs": [told], "terms": "reported: true or not", "computed": False})
+    screen = Console(record=True, width=200)
+    screen.print(pairs_table(view))
+    text = screen.export_text()
+    assert f"in both: {scenario} " in text
+    assert "detected" not in text
+    assert legend(view)[0] == "reported: true or not"
+    assert "by the requirement of the campaign alone" in legend(view)[1]
+    assert legend(found.model_copy(update={"pairs": []})) == [], "nothing to explain"
 
 
 def test_another_search_reports_its_pairs_in_one_line(database: str, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from brink.search.pairs import Steps
-from brink.server.problems.base import SimulatedSolution, activity_of
+from brink.server.problems.base import ExplainsChanges, SimulatedSolution, activity_of
 from brink.server.problems.benchmarks import Mtq
 from brink.server.problems.changes import NOTHING_ACTIVE, change_words, changes_between, different
 from brink.server.problems.urban_changes import AFTERWARDS
@@ -187,3 +187,9 @@ def test_values_are_shown_in_digits_that_tell_them_apart(
     first: Any, second: Any, expected: tuple[str, str]
 ) -> None:
     assert different(first, second) == expected
+
+
+def test_the_urban_problem_explains_what_reported_means() -> None:
+    assert isinstance(URBAN, ExplainsChanges)
+    assert URBAN.terms_of_changes.startswith("reported: ")
+    assert not isinstance(Mtq(Mtq.params_type()), ExplainsChanges)
