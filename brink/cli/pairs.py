@@ -334,7 +334,6 @@ def pairs_table(view: PairsView, shown: int | None = None) -> Table:
     table = plain_table(
         "", "change from the safe to the unsafe drive, and what both showed", "evidence", right=("",)
     )
-    table.leading = 1  # a row takes several lines
     for pair in view.pairs[:shown]:
         lines = [
             f"{pair.change[:1].upper()}{pair.change[1:]}",
@@ -347,7 +346,7 @@ def pairs_table(view: PairsView, shown: int | None = None) -> Table:
             name = "minimal" if less.minimal else "smaller"
             lines.append(f"{name} change: {less.change}: {less.outcome}")
         evidence = [*evidence_words(view, pair).split(", "), _extent_words(pair)]
-        table.add_row(str(pair.place), escape("\n".join(lines)), "\n".join(evidence))
+        table.add_row(str(pair.place), escape("\n".join([*lines, ""])), "\n".join(evidence))
     return table
 
 
