@@ -84,6 +84,7 @@ class _Reports:
             {name: values[prefix + name] for name in b.TRAJECTORY_FIELDS} for values in (safe, unsafe)
         )
         self._changed = changed
+        self._others = tuple(_others(number, values) for values in (safe, unsafe))
         end_s = float("inf") if violated_at_s is None else violated_at_s
         self._end_step = end_s / b.PERCEPTION_STEP_S
         self._at = "before the violation" if violated_at_s is None else f"before {violated_at_s:.1f} s"
@@ -100,16 +101,35 @@ class _Reports:
         if self.come_after:
             return []
         if not self._is_seen(new):
-            return [
-                f"no {old['label']} is reported {self._at}; in the safe drive one is, from {_seconds(old)}"
-            ]
+            return [self._vanished()]
         if not self._is_seen(old):
-            when = "" if old["label"] == b.NULL_LABEL else f" before {_s(old['t0_step'])} s"
-            return [f"a {new['label']} is reported from {_seconds(new)}; in the safe drive none{when}"]
+            return [self._appeared()]
         clauses = []
         if "label" in self._changed:
             clauses.append(f"a {new['label']} is reported instead of a {old['label']} from {_seconds(new)}")
         return [*clauses, *self._times(), *self._boxes()]
+
+    def _vanished(self) -> str:
+        """Say that what the safe drive reports is not reported before the violation."""
+        label, seconds = self._old["label"], _seconds(self._old)
+        if self._reports_other(self._others[1], label, self._end_step):
+            return f"another {label} is not reported {self._at}; in the safe drive it is, from {seconds}"
+        return f"no {label} is reported {self._at}; in the safe drive one is, from {seconds}"
+
+    def _appeared(self) -> str:
+        """Say that what is reported before the violation is not reported in the safe drive, or only later."""
+        label, seconds = self._new["label"], _seconds(self._new)
+        later = self._old["label"] == label
+        when = f" before {_s(self._old['t0_step'])} s" if later else ""
+        until_step = self._old["t0_step"] if later else float("inf")
+        if self._reports_other(self._others[0], label, until_step):
+            return f"another {label} is reported from {seconds}; in the safe drive it is not{when}"
+        return f"a {label} is reported from {seconds}; in the safe drive none{when}"
+
+    @staticmethod
+    def _reports_other(others: Sequence[Mapping[str, Any]], label: str, until_step: float) -> bool:
+        """Return whether another trajectory of a drive has a label and begins before a step."""
+        return any(one["label"] == label and one["t0_step"] < until_step for one in others)
 
     def _is_seen(self, values: Mapping[str, Any]) -> bool:
         return bool(values["label"] != b.NULL_LABEL and values["t0_step"] < self._end_step)
@@ -171,6 +191,15 @@ class _Reports:
     def _moved(self, name: str) -> float:
         """Return by how many pixels an edge is further right or further down in the unsafe drive."""
         return float(self._new[name] - self._old[name]) if name in self._changed else 0.0
+
+
+def _others(number: int, behaviour: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the values of the other trajectories of a drive, without the prefixes of their names."""
+    return [
+        {name: behaviour[f"trajectory_{one}.{name}"] for name in b.TRAJECTORY_FIELDS}
+        for one in range(1, b.TRAJECTORY_COUNT + 1)
+        if one != number
+    ]
 
 
 def _who(number: int, safe: Mapping[str, Any], unsafe: Mapping[str, Any]) -> str:

@@ -128,6 +128,47 @@ def test_of_two_equal_labels_the_earlier_report_is_the_first() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("safe", "unsafe", "expected"),
+    [
+        (
+            (report("person", 20, 250), report("person", 65, 250)),
+            (report("person", 20, 250), report("person", 75, 250)),
+            "another person is not reported before 7.1 s; in the safe drive it is, from 6.5 to 25.0 s",
+        ),
+        (
+            (report("person", 20, 250), report("person", 75, 250)),
+            (report("person", 20, 250), report("person", 65, 250)),
+            "another person is reported from 6.5 to 25.0 s; in the safe drive it is not before 7.5 s",
+        ),
+        (
+            (report("person", 73, 250), report("person", 90, 250)),
+            (report("person", 73, 250), report("person", 65, 250)),
+            "another person is reported from 6.5 to 25.0 s; in the safe drive it is not before 9.0 s",
+        ),
+        (
+            (report("person", 20, 250), NONE),
+            (report("person", 20, 250), report("person", 65, 250)),
+            "another person is reported from 6.5 to 25.0 s; in the safe drive it is not",
+        ),
+        (
+            (report("person", 73, 250), report("person", 65, 250)),
+            (report("person", 73, 250), report("person", 75, 250)),
+            "no person is reported before 7.1 s; in the safe drive one is, from 6.5 to 25.0 s",
+        ),
+        (
+            (report("vehicle", 20, 250), report("person", 65, 250)),
+            (report("vehicle", 20, 250), report("person", 75, 250)),
+            "no person is reported before 7.1 s; in the safe drive one is, from 6.5 to 25.0 s",
+        ),
+    ],
+)  # fmt: skip
+def test_a_sentence_about_one_report_is_true_of_both(
+    safe: tuple[dict[str, Any], ...], unsafe: tuple[dict[str, Any], ...], expected: str
+) -> None:
+    assert words(drive(*safe), unsafe_drive(*unsafe)) == expected
+
+
 def test_a_change_of_the_scenario_is_described() -> None:
     one = report("person", 10, 70)
     assert words(drive(one, NONE), unsafe_drive(one, NONE, weather="medium_rain", pedestrians="18")) == (
