@@ -6,6 +6,7 @@ SearchError
 ├── UnsupportedSpace    the algorithm does not support the search space
 ├── OrderError          ask and tell were called out of order, or with the wrong candidates
 ├── DocumentError       a stored document is corrupt, or of an unknown version
+├── TooManyPairs        an archive holds more pairs than are looked at
 └── MissingExtra        an optional dependency is not installed
 """
 
@@ -42,6 +43,10 @@ class OrderError(SearchError, RuntimeError):
 
 class DocumentError(SearchError, ValueError):
     """A stored document is corrupt, or of an unknown version."""
+
+
+class TooManyPairs(SearchError):
+    """An archive holds more pairs than are looked at."""
 
 
 class MissingExtra(SearchError):

@@ -2,7 +2,8 @@
 
 Any archive may hold pairs, whichever search filled it. A solution that was simulated several times, with the same
 parameters and other seeds, counts once: it is safe if all its verdicts are, unsafe if all are, otherwise *chancy*.
-Chancy solutions are on neither side of a pair. A pair is *checked* if each of its sides was simulated at least twice.
+Chancy solutions are on neither side of a pair. A pair is *checked* if each of its sides was simulated with at least
+two different seeds.
 
 Pairs are *distinct* if their midpoints are at least d_th apart. They are taken greedily: checked pairs first, then by
 distance, then by number.
@@ -10,19 +11,26 @@ distance, then by number.
 Source: ours; docs/explanation/pairs.md.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from brink.search.archive import Archive
+from brink.search.errors import TooManyPairs
 from brink.search.features import Unit
 from brink.search.metric import Metric
 from brink.search.pairs import Steps, midpoints
-from brink.search.space import FloatArray, IntArray, SearchSpace
+from brink.search.space import BoolArray, FloatArray, IntArray, SearchSpace
 
-_CHUNK_CELLS = 4_000_000
+_CHUNK_CELLS: Final = 4_000_000
 """Distances computed at a time; bounds the memory."""
+_BLOCK: Final = 1_000
+"""Midpoints compared at a time."""
+MOST_TIGHT: Final = 1_000_000
+MOST_DISTINCT: Final = 5_000
+"""Maximum numbers of tight and of distinct pairs; they bound time and memory."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,11 +40,15 @@ class Side:
     Attributes:
         number: Number of the solution; of several simulations of the same parameters, the first.
         evaluated: Simulations of these parameters.
+        seeds: Different episode seeds among them.
+        seed: Episode seed of the first one; None if it is not known.
         robustness: Robustness in the first one.
     """
 
     number: int
     evaluated: int
+    seeds: int
+    seed: int | None
     robustness: float
 
 
@@ -58,8 +70,13 @@ class Pair:
 
     @property
     def checked(self) -> bool:
-        """Whether both sides kept their verdicts in at least one further simulation."""
-        return min(self.safe.evaluated, self.unsafe.evaluated) >= 2
+        """Whether both sides kept their verdicts with at least one further seed."""
+        return min(self.safe.seeds, self.unsafe.seeds) >= 2
+
+    @property
+    def same_seed(self) -> bool:
+        """Whether both sides are known to have been simulated with the same episode seed."""
+        return self.safe.seed is not None and self.safe.seed == self.unsafe.seed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,14 +105,32 @@ class FoundPairs:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Solutions:
-    """Solutions without duplicates: position of the first simulation of each, and how often it was simulated."""
+    """Solutions without duplicates: position of the first simulation of each, and counts of its simulations."""
 
     first: IntArray
     evaluated: IntArray
     unsafe: IntArray
+    seeds: IntArray
 
 
-def find_pairs(archive: Archive, space: SearchSpace, *, eps: float, d_th: float) -> FoundPairs:
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Candidates:
+    """Tight pairs: positions of their sides among the solutions without duplicates, and distances, shape ``(n,)``."""
+
+    safe: IntArray
+    unsafe: IntArray
+    distance: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.safe)
+
+    def at(self, places: IntArray) -> "_Candidates":
+        return _Candidates(safe=self.safe[places], unsafe=self.unsafe[places], distance=self.distance[places])
+
+
+def find_pairs(
+    archive: Archive, space: SearchSpace, *, eps: float, d_th: float, seeds: IntArray | None = None
+) -> FoundPairs:
     """Find the distinct tight pairs of an archive.
 
     Args:
@@ -103,28 +138,42 @@ def find_pairs(archive: Archive, space: SearchSpace, *, eps: float, d_th: float)
         space: Their space.
         eps: Largest distance between the sides of a pair, unless they are one step apart in a single parameter.
         d_th: Smallest distance between the midpoints of two distinct pairs.
+        seeds: Episode seed of each solution, shape ``(n,)``; None if each was simulated with a seed of its own.
+
+    Raises:
+        TooManyPairs: There are more than `MOST_TIGHT` tight or `MOST_DISTINCT` distinct pairs.
     """
-    solutions = _without_duplicates(archive)
+    solutions = _without_duplicates(archive, seeds)
     is_safe, is_unsafe = solutions.unsafe == 0, solutions.unsafe == solutions.evaluated
-    counts = {
-        "safe": int(is_safe.sum()),
-        "unsafe": int(is_unsafe.sum()),
-        "chancy": int((~is_safe & ~is_unsafe).sum()),
-    }
     steps = Steps(space)
-    candidates = _tight(archive, steps, solutions.first[is_safe], solutions.first[is_unsafe], eps)
-    evaluated = dict(zip(solutions.first.tolist(), solutions.evaluated.tolist(), strict=True))
-    pairs = [
-        Pair(
-            safe=_side(archive, safe, evaluated[safe]),
-            unsafe=_side(archive, unsafe, evaluated[unsafe]),
-            distance=distance,
-            units=tuple(steps.differing(archive.vectors[safe], archive.vectors[unsafe])),
-        )
-        for safe, unsafe, distance in candidates
-    ]
-    pairs.sort(key=lambda pair: (not pair.checked, pair.distance, pair.safe.number, pair.unsafe.number))
-    return FoundPairs(pairs=distinct(pairs, archive, steps, d_th), tight=len(pairs), **counts)
+    rows = archive.vectors[solutions.first]
+    found = _tight(rows, steps, np.flatnonzero(is_safe), np.flatnonzero(is_unsafe), eps)
+    repeated = np.minimum(solutions.seeds[found.safe], solutions.seeds[found.unsafe]) >= 2
+    numbers = archive.numbers[solutions.first]
+    found = found.at(np.lexsort((numbers[found.unsafe], numbers[found.safe], found.distance, ~repeated)))
+    taken = found.at(_distinct(rows, found, steps, d_th))
+
+    def side(place: int) -> Side:
+        first = int(solutions.first[place])
+        return Side(
+            number=int(archive.numbers[first]), evaluated=int(solutions.evaluated[place]),
+            seeds=int(solutions.seeds[place]), seed=None if seeds is None else int(seeds[first]),
+            robustness=float(archive.robustness[first]),
+        )  # fmt: skip
+
+    return FoundPairs(
+        pairs=tuple(
+            Pair(
+                safe=side(safe), unsafe=side(unsafe), distance=distance,
+                units=tuple(steps.differing(rows[safe], rows[unsafe])),
+            )
+            for safe, unsafe, distance in zip(
+                taken.safe.tolist(), taken.unsafe.tolist(), taken.distance.tolist(), strict=True
+            )
+        ),
+        tight=len(found), chancy=int((~is_safe & ~is_unsafe).sum()), safe=int(is_safe.sum()),
+        unsafe=int(is_unsafe.sum()),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,7 +198,7 @@ def nearest_opposites(archive: Archive, space: SearchSpace) -> Opposites | None:
         archive: Simulated solutions; chancy ones are neither safe nor unsafe.
         space: Their space.
     """
-    solutions = _without_duplicates(archive)
+    solutions = _without_duplicates(archive, None)
     safe = solutions.first[solutions.unsafe == 0]
     unsafe = solutions.first[solutions.unsafe == solutions.evaluated]
     if not len(safe) or not len(unsafe):
@@ -165,45 +214,99 @@ def nearest_opposites(archive: Archive, space: SearchSpace) -> Opposites | None:
     )  # fmt: skip
 
 
-def distinct(pairs: Sequence[Pair], archive: Archive, steps: Steps, d_th: float) -> tuple[Pair, ...]:
-    """Return the pairs whose midpoints are at least `d_th` from those of all pairs taken before, in their order."""
-    places = {number: place for place, number in enumerate(archive.numbers.tolist())}
-    taken: list[Pair] = []
-    centres: FloatArray = np.empty((0, steps.space.dimension))
-    for pair in pairs:
-        safe, unsafe = (archive.vectors[[places[side.number]]] for side in (pair.safe, pair.unsafe))
-        centre = midpoints(safe, unsafe, steps.space)
-        if not taken or (steps.metric.between(centre, centres) >= d_th).all():
-            taken.append(pair)
-            centres = np.concatenate([centres, centre])
-    return tuple(taken)
-
-
-def _without_duplicates(archive: Archive) -> _Solutions:
+def _without_duplicates(archive: Archive, seeds: IntArray | None) -> _Solutions:
     _, first, inverse = np.unique(archive.vectors, axis=0, return_index=True, return_inverse=True)
     inverse = inverse.reshape(-1)
+    evaluated = np.bincount(inverse, minlength=len(first))
+    different = evaluated
+    if seeds is not None:
+        solution, _ = np.unique(np.column_stack([inverse, seeds]), axis=0).T
+        different = np.bincount(solution, minlength=len(first))
     return _Solutions(
         first=first.astype(np.int64),
-        evaluated=np.bincount(inverse, minlength=len(first)),
+        evaluated=evaluated,
         unsafe=np.bincount(inverse[archive.unsafe], minlength=len(first)),
+        seeds=different,
     )
 
 
-def _tight(
-    archive: Archive, steps: Steps, safe: IntArray, unsafe: IntArray, eps: float
-) -> list[tuple[int, int, float]]:
-    """Return the positions of the sides of all tight pairs, and their distances."""
-    if not len(safe) or not len(unsafe):
-        return []
-    rows, limit = archive.vectors, steps.largest_tight(eps) * (1 + 1e-9)
-    found = []
-    for part in _chunks(safe, len(unsafe)):
+def _tight(rows: FloatArray, steps: Steps, safe: IntArray, unsafe: IntArray, eps: float) -> _Candidates:
+    """Return all tight pairs of rows.
+
+    Raises:
+        TooManyPairs: There are too many.
+    """
+    nothing = np.empty(0, np.int64)
+    found: list[_Candidates] = [_Candidates(safe=nothing, unsafe=nothing, distance=np.empty(0))]
+    limit, total = steps.largest_tight(eps) * (1 + 1e-9), 0
+    for part in _chunks(safe, max(1, len(unsafe))):
         distances = steps.metric.between(rows[part], rows[unsafe])
-        for a, b in np.argwhere(distances <= limit).tolist():
-            one, other = int(part[a]), int(unsafe[b])
-            if steps.is_tight(rows[one], rows[other], eps):
-                found.append((one, other, float(distances[a, b])))
-    return found
+        _check_few(total + int(np.count_nonzero(distances <= eps)), eps)
+        a, b = np.nonzero(distances <= limit)
+        some = _Candidates(safe=part[a], unsafe=unsafe[b], distance=distances[a, b])
+        some = some.at(np.flatnonzero(_are_tight(rows, steps, some, eps)))
+        found.append(some)
+        total += len(some)
+        _check_few(total, eps)
+    return _Candidates(
+        safe=np.concatenate([one.safe for one in found]), unsafe=np.concatenate([one.unsafe for one in found]),
+        distance=np.concatenate([one.distance for one in found]),
+    )  # fmt: skip
+
+
+def _check_few(tight: int, eps: float) -> None:
+    if tight > MOST_TIGHT:
+        raise TooManyPairs(
+            f"more than {MOST_TIGHT:,} pairs of solutions are within eps {eps:g}: choose a smaller eps"
+        )
+
+
+def _are_tight(rows: FloatArray, steps: Steps, some: _Candidates, eps: float) -> BoolArray:
+    """Return which candidates are tight: near, or one step apart in a single unit; shape ``(n,)``."""
+    tight: BoolArray = some.distance <= eps
+    far = np.flatnonzero(~tight)
+    for begin in range(0, len(far), _BLOCK):
+        places = far[begin : begin + _BLOCK]
+        different = rows[some.safe[places]] != rows[some.unsafe[places]]
+        units = np.sum([different[:, list(unit)].any(axis=1) for unit in steps.units], axis=0)
+        for place in places[units == 1].tolist():
+            tight[place] = steps.is_tight(rows[some.safe[place]], rows[some.unsafe[place]], eps)
+    return tight
+
+
+def _distinct(rows: FloatArray, found: _Candidates, steps: Steps, d_th: float) -> IntArray:
+    """Return the places of the pairs whose midpoints are at least `d_th` from those of all pairs taken before.
+
+    Raises:
+        TooManyPairs: There are too many.
+    """
+    message = (
+        f"more than {MOST_DISTINCT:,} distinct pairs at d_th {d_th:g}: choose a larger d_th or a smaller eps"
+    )
+    if d_th == 0:
+        if len(found) > MOST_DISTINCT:
+            raise TooManyPairs(message)
+        return np.arange(len(found))
+    taken: list[int] = []
+    centres: FloatArray = np.empty((0, rows.shape[1]))
+    for begin in range(0, len(found), _BLOCK):
+        block = slice(begin, begin + _BLOCK)
+        middles = midpoints(rows[found.safe[block]], rows[found.unsafe[block]], steps.space)
+        left = begin + np.arange(len(middles))
+        if taken:
+            apart = (steps.metric.between(middles, centres) >= d_th).all(axis=1)
+            middles, left = middles[apart], left[apart]
+        new = [centres]
+        while len(left):
+            taken.append(int(left[0]))
+            new.append(middles[:1])
+            apart = steps.metric.between(middles, middles[:1])[:, 0] >= d_th
+            apart[0] = False
+            middles, left = middles[apart], left[apart]
+        if len(taken) > MOST_DISTINCT:
+            raise TooManyPairs(message)
+        centres = np.concatenate(new)
+    return np.array(taken, np.int64)
 
 
 def _chunks(rows: IntArray, columns: int) -> Iterator[IntArray]:
@@ -211,9 +314,3 @@ def _chunks(rows: IntArray, columns: int) -> Iterator[IntArray]:
     size = max(1, _CHUNK_CELLS // columns)
     for begin in range(0, len(rows), size):
         yield rows[begin : begin + size]
-
-
-def _side(archive: Archive, place: int, evaluated: int) -> Side:
-    return Side(
-        number=int(archive.numbers[place]), evaluated=evaluated, robustness=float(archive.robustness[place])
-    )

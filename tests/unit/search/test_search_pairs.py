@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from brink.search.analysis import pairs as analysis
 from brink.search.analysis.pairs import find_pairs
 from brink.search.archive import Archive, Neighbourhood
-from brink.search.pairs import Steps
+from brink.search.errors import TooManyPairs
+from brink.search.pairs import Steps, midpoints
 from brink.search.space import Categorical, Component, Extent, FloatArray, Integer, Real, SearchSpace
 from brink.search.testing import example_spaces
 
@@ -106,6 +108,52 @@ def test_the_pairs_are_those_of_a_plain_search() -> None:
     }
     assert expected
     assert set(numbers(archive)) == expected
+
+    tight = find_pairs(archive, SPACE, eps=0.02, d_th=0.0).pairs
+    rows = {10 + place: row[None] for place, row in enumerate(archive.vectors)}
+    taken: list[tuple[int, int]] = []
+    centres: list[FloatArray] = []
+    for pair in tight:
+        centre = midpoints(rows[pair.safe.number], rows[pair.unsafe.number], SPACE)[0]
+        if all(steps.distance(centre, other) >= 0.05 for other in centres):
+            taken.append((pair.safe.number, pair.unsafe.number))
+            centres.append(centre)
+    assert 1 < len(taken) < len(tight)
+    assert numbers(archive, d_th=0.05) == taken
+
+
+def test_a_pair_is_checked_by_other_seeds_only() -> None:
+    one, other = changed(gap=50.0), changed(gap=51.0)
+    archive = archive_of((one, False), (one, False), (other, True), (other, True))
+
+    def found(seeds: list[int] | None) -> analysis.Pair:
+        given = None if seeds is None else np.array(seeds)
+        (pair,) = find_pairs(archive, SPACE, eps=0.02, d_th=0.0, seeds=given).pairs
+        return pair
+
+    same = found([1, 1, 1, 2])
+    assert (same.checked, same.safe.evaluated, same.safe.seeds, same.same_seed) == (False, 2, 1, True)
+    assert found([1, 2, 3, 3]).checked is False
+    different = found([1, 2, 3, 4])
+    assert (different.checked, different.same_seed, different.unsafe.seed) == (True, False, 3)
+    unknown = found(None)
+    assert (unknown.checked, unknown.same_seed, unknown.safe.seed) == (True, False, None)
+
+
+def test_too_many_pairs_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(analysis, "MOST_TIGHT", 3)
+    archive = archive_of(*((changed(gap=50.0 + place), place % 2 == 0) for place in range(4)))
+    with pytest.raises(
+        TooManyPairs, match=r"more than 3 pairs of solutions are within eps 0\.02: choose a smaller"
+    ):
+        find_pairs(archive, SPACE, eps=0.02, d_th=0.0)
+    assert len(find_pairs(archive, SPACE, eps=0.002, d_th=0.0).pairs) == 3
+    monkeypatch.setattr(analysis, "MOST_DISTINCT", 2)
+    for d_th in (0.0, 1e-6):
+        with pytest.raises(
+            TooManyPairs, match=r"more than 2 distinct pairs at d_th .*: choose a larger d_th"
+        ):
+            find_pairs(archive, SPACE, eps=0.002, d_th=d_th)
 
 
 @pytest.mark.parametrize("name", ["mixed", "numeric", "categorical", "slots", "traffic"])
