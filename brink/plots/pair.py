@@ -26,7 +26,7 @@ from brink.plots.style import (
     style_axes,
 )
 from brink.search.parameters import Categorical, Number, Parameter
-from brink.search.space import FloatArray
+from brink.search.space import BoolArray, FloatArray
 
 PLANE_HEIGHT_PX: Final = 860
 _ROW_PX: Final = 74
@@ -56,7 +56,7 @@ def figure_pair(inputs: CampaignFigures, pair: PairFigure) -> Figure:
     """Plot a pair.
 
     A problem of two numbers is drawn in its own plane, to scale, with all solutions and a close-up of the pair. Any
-    other problem has a row for each parameter in which the two solutions differ.
+    other problem has a row for each parameter in which the two solutions differ, if it had a part in either episode.
 
     Args:
         inputs: The campaign.
@@ -173,7 +173,9 @@ def _plain(name: str, inputs: CampaignFigures) -> str:
 def _by_parameter(
     inputs: CampaignFigures, pair: PairFigure, rows: tuple[FloatArray, ...], parameters: list[Parameter]
 ) -> Figure:
-    differing = np.flatnonzero(rows[0] != rows[1]).tolist()
+    different = rows[0] != rows[1]
+    shown = different & _active(inputs, pair)
+    differing = np.flatnonzero(shown).tolist()
     top_px = _TOP_PX + 22 * len(pair.facts)
     height_px = top_px + _BOTTOM_PX + _ROW_PX * max(1, len(differing))
     figure = _heading(inputs, pair, height_px)
@@ -187,10 +189,23 @@ def _by_parameter(
     for place, column in enumerate(differing):
         _plot_row(axes, place, names[column], parameters[column], [float(row[column]) for row in rows])
     same = len(names) - len(differing)
+    hidden = int((different & ~shown).sum())
     words = f"The other {same} parameters are the same." if same > 1 else ""
+    if hidden:
+        differ = f"{'more ' if differing else ''}{'differs' if hidden == 1 else 'differ'}"
+        words = f"{hidden} {differ} but had no part in either episode."
+        words += f" The other {same - hidden} are the same." if same > hidden + 1 else ""
     axes.text(0, -0.02, words, transform=axes.transAxes, va="top", fontsize=TICK_PT, color=MUTED)
     add_legend(figure, _keys(pair), top_px - 56, handlelength=1.0)
     return figure
+
+
+def _active(inputs: CampaignFigures, pair: PairFigure) -> BoolArray:
+    """Return which parameters had a part in either episode, shape ``(d,)``; all where that was not recorded."""
+    if inputs.active is None:
+        return np.ones(inputs.space.dimension, np.bool_)
+    places = [int(np.flatnonzero(inputs.archive.numbers == number)[0]) for number in (pair.safe, pair.unsafe)]
+    return np.asarray(inputs.active[places].any(axis=0), np.bool_)
 
 
 def _plot_row(axes: Axes, place: int, name: str, parameter: Parameter, values: list[float]) -> None:

@@ -520,5 +520,12 @@ def test_a_pair_of_a_mixed_problem_has_a_row_for_each_difference() -> None:
     assert {"clear", "hard rain", "400.25 px", "410.5 px", "The other 3 parameters are the same."} <= set(
         words
     )
+    active = np.array([[True, True, True, False, True], [True, True, True, False, False]])
+    figure = figure_pair(
+        replace(inputs, active=active), PairFigure(safe=0, unsafe=1, change="hard rain instead of clear")
+    )
+    words = [text.get_text() for text in figure.axes[0].texts]
+    assert [word for word in words if word.startswith(("scenario", "behaviour"))] == ["scenario: weather"]
+    assert "1 more differs but had no part in either episode. The other 3 are the same." in words
     with pytest.raises(ValueError, match="expected an evaluated solution of Test, got 7"):
         figure_pair(inputs, PairFigure(safe=7, unsafe=1, change=""))
